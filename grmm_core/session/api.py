@@ -1,0 +1,337 @@
+"""The narrow interface between the model and everything that uses it: open avatars, deform, render.
+
+Callers (the `grmm` command, Blender, scripts) hold a `Session` and never touch torch. Two implementations behave alike and
+pass one test-suite: `local.LocalSession` runs in this process, `client.WorkerSession` in an interpreter of its own, so that
+Blender needs no torch and survives a crash of the model. Get one from `create_session`.
+
+    with create_session() as session:
+        avatar = session.open("default")
+        controls = Controls().set_named({"jawOpen": 0.4})
+        mesh = session.deform(avatar.id, controls)
+        camera = Camera.orbit(512, 512)
+        passes = session.render([Instance(avatar.id, controls)], camera, RenderOptions(passes=("rgb", "alpha", "depth")))
+
+Threads: every method may be called from any thread; calls are carried out one after another.
+Errors: `GrmmError` and subclasses only for what a user or the machine can cause; each message is one sentence.
+
+Needs numpy only; imports neither torch nor anything that imports it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType, TracebackType
+from typing import Literal, Protocol, Self, runtime_checkable
+
+import numpy as np
+
+from ..camera import Camera
+from ..controls import Controls
+from ..errors import ConfigError, ShapeError
+
+PassName = Literal["rgb", "alpha", "depth", "raw", "normal", "features", "mask"]
+PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask")
+EMPTY_DEPTH = 1.0e10
+"""Depth in metres of pixels that no Gaussian covers: Blender's value for an empty Z pass."""
+MAX_LOD = 3
+MAX_PIXELS = 1 << 26  # 8192 x 8192; refuses sizes that only a typing error asks for
+
+CancelCheck = Callable[[], bool]
+"""Asked now and then from the calling thread while a call runs; returning True cancels the call."""
+
+
+@dataclass(frozen=True)
+class AvatarInfo:
+    """What a caller may know about an opened avatar without loading the model.
+
+    Attributes:
+        id: Handle for the other methods. Valid for the life of the session, also across a restart of the worker.
+        name: Display name.
+        source: What `open` was given ("default", or an absolute path), or "sample:SEED".
+        head_name: Name of the head model, such as "open_head".
+        head_sha256: Hash of the head model's asset.
+        weights_name: Name of the trained weights.
+        weights_sha256: Hash of the trained weights' file.
+        vertex_count: Vertices V of the head mesh.
+        gaussian_count: Gaussians of the avatar at full detail.
+        feature_count: Feature channels of each Gaussian.
+        z_id_size: Length of the residual identity code.
+        z_exp_size: Length of the residual expression code.
+        shape: The avatar's own shape coefficients, [300]; `Controls.shape` is added to them.
+        z_id: The avatar's own residual identity code, [z_id_size]; `Controls.z_id` is added to it.
+        neutral_pose: XYZ Euler angles in radians of the five joints at rest (from the photo's tracking, else zero), [5, 3];
+            not added to the controls.
+        aligned_code_norms: Length of the residual code of each aligned expression, [60].
+        provenance: Where the avatar comes from (keys of `avatar.Provenance`).
+        thumbnail: PNG bytes, or empty.
+    """
+
+    id: int
+    name: str
+    source: str
+    head_name: str
+    head_sha256: str
+    weights_name: str
+    weights_sha256: str
+    vertex_count: int
+    gaussian_count: int
+    feature_count: int
+    z_id_size: int
+    z_exp_size: int
+    shape: np.ndarray
+    z_id: np.ndarray
+    neutral_pose: np.ndarray
+    aligned_code_norms: np.ndarray
+    provenance: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
+    thumbnail: bytes = b""
+
+
+@dataclass(frozen=True)
+class Deformation:
+    """The mesh of an avatar under some controls, head space, metres.
+
+    Attributes:
+        vertices: Posed vertices v_d of eq. 11 after skinning, [V, 3] float32.
+        displacement: Learned residual displacement of the unposed vertices, times `residual_strength`, [V, 3] float32: what
+            Blender's residual shape key holds.
+        joints: Posed joint positions of root, neck, jaw, left eye, right eye, [5, 3] float32.
+    """
+
+    vertices: np.ndarray
+    displacement: np.ndarray
+    joints: np.ndarray
+
+
+@dataclass(frozen=True)
+class GaussianArrays:
+    """An avatar's Gaussians in head space, for viewports and exporters.
+
+    Attributes:
+        means: Centres in metres, [N, 3].
+        quats: Unit quaternions wxyz, [N, 4].
+        scales: Standard deviations in metres along the local axes, [N, 3].
+        opacities: 0..1, [N].
+        colors: Display sRGB 0..1 as seen along the view direction, not refined, [N, 3].
+        features: Input of the refinement network, [N, F], or [N, 0] when not asked for.
+    """
+
+    means: np.ndarray
+    quats: np.ndarray
+    scales: np.ndarray
+    opacities: np.ndarray
+    colors: np.ndarray
+    features: np.ndarray
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One avatar placed in the world for one picture.
+
+    Attributes:
+        avatar_id: `AvatarInfo.id`.
+        controls: Its expression and pose.
+        model_to_world: Head space to world, [4, 4]: rotation, translation, one uniform scale. The camera of `render` is in
+            the same world. From a Blender matrix M of the head object: M @ HEAD_TO_BLENDER.
+    """
+
+    avatar_id: int
+    controls: Controls = field(default_factory=Controls)
+    model_to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        matrix = np.array(self.model_to_world, np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise ShapeError("An avatar's placement must be a 4x4 matrix of finite numbers.")
+        linear = matrix[:3, :3]
+        scale = float(np.cbrt(np.linalg.det(linear)))
+        if scale < 1e-6 or np.abs(linear @ linear.T - scale**2 * np.eye(3)).max() > 1e-3 * scale**2:
+            raise ShapeError(
+                "An avatar's placement must be a rotation, a translation and one uniform positive scale; apply the object's scale."
+            )
+        matrix.flags.writeable = False
+        object.__setattr__(self, "model_to_world", matrix)
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """How a picture is made.
+
+    Attributes:
+        refine: Run the refinement network Psi_ref (eq. 14); without it "rgb" equals "raw".
+        passes: Buffers to return, see `Session.render`.
+        lod: Level of detail: 0 every Gaussian, each further level a quarter of them (larger ones), up to `MAX_LOD`.
+        background: Display sRGB behind the avatars, or None for transparent.
+    """
+
+    refine: bool = True
+    passes: tuple[str, ...] = ("rgb", "alpha")
+    lod: int = 0
+    background: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "passes", tuple(self.passes))
+        unknown = [name for name in self.passes if name not in PASS_NAMES]
+        if unknown or not self.passes:
+            name = unknown[0] if unknown else ""
+            raise ConfigError(f"There is no render pass {name!r}; choose from {', '.join(PASS_NAMES)}.")
+        if not 0 <= self.lod <= MAX_LOD:
+            raise ConfigError(f"The level of detail is {self.lod}; it must be 0 to {MAX_LOD}.")
+        if self.background is not None:
+            color = np.asarray(self.background, np.float64)
+            if color.shape != (3,) or not np.isfinite(color).all():
+                raise ConfigError("The background must be three finite numbers or None for transparent.")
+
+
+@dataclass(frozen=True)
+class SessionStatus:
+    """What runs the model, for diagnostics panels and `grmm info`.
+
+    Attributes:
+        kind: "local" or "worker".
+        alive: The model can answer now (a worker that was not started yet, or has crashed, is not alive).
+        pid: Process that runs the model, 0 when not alive.
+        python: Version of its interpreter.
+        torch: Version of torch there, or "" when it has not been loaded yet.
+        device: "cpu", "cuda", "mps" with a readable name.
+        threads: Threads the model may use.
+        memory_bytes: Resident memory of the process, 0 when unknown.
+        restarts: How often the worker was started again after a crash.
+        log: Last lines that the worker wrote to stderr.
+    """
+
+    kind: str
+    alive: bool
+    pid: int = 0
+    python: str = ""
+    torch: str = ""
+    device: str = ""
+    threads: int = 0
+    memory_bytes: int = 0
+    restarts: int = 0
+    log: str = ""
+
+
+@runtime_checkable
+class Session(Protocol):
+    """Opens avatars and draws them. Close it when done, or use it in a `with` block."""
+
+    def open(self, source: str | os.PathLike[str]) -> AvatarInfo:
+        """Open an avatar.
+
+        Args:
+            source: "default" for the avatar that comes with the weights, or a `.grmm` file. Opening the same unchanged file
+                again returns the same id.
+
+        Raises:
+            FileAccessError, FileFormatError: The file is missing, damaged, newer than this version, or needs weights or a
+                head model that are not installed.
+            SessionError: The worker cannot be started or died.
+        """
+        ...
+
+    def sample(self, seed: int) -> AvatarInfo:
+        """Open a new person drawn from the Gaussian fitted to the training identities; equal seeds give equal people."""
+        ...
+
+    def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
+        """Write an opened avatar as a `.grmm` file with a fresh thumbnail. Raises `FileAccessError`."""
+        ...
+
+    def release(self, avatar_id: int) -> None:
+        """Forget an avatar and what was cached for it. Unknown ids are ignored."""
+        ...
+
+    def deform(self, avatar_id: int, controls: Controls) -> Deformation:
+        """Return the deformed mesh.
+
+        Raises:
+            ControlError, ShapeError: A control is not finite or too long for this model.
+            SessionError: Unknown id, or the worker died.
+        """
+        ...
+
+    def gaussians(
+        self, avatar_id: int, controls: Controls, view_direction: np.ndarray | None = None, lod: int = 0, features: bool = False
+    ) -> GaussianArrays:
+        """Return the Gaussians in head space.
+
+        Args:
+            avatar_id: The avatar.
+            controls: Expression and pose.
+            view_direction: Unit vector from the head towards the camera in head space, [3]; from the front when None.
+            lod: As `RenderOptions.lod`.
+            features: Also return the feature channels.
+        """
+        ...
+
+    def render(
+        self,
+        instances: Sequence[Instance],
+        camera: Camera,
+        options: RenderOptions = ...,
+        should_cancel: CancelCheck | None = None,
+    ) -> dict[str, np.ndarray]:
+        """Draw avatars into one picture.
+
+        All Gaussians of all instances are rasterised together in world space, so avatars occlude one another exactly.
+
+        Args:
+            instances: Avatars with controls and placement; an empty sequence gives an empty picture.
+            camera: World to pixels.
+            options: Passes, refinement, detail.
+            should_cancel: Polled from the calling thread, for example Blender's `test_break`.
+
+        Returns:
+            One float32 array [H, W, C] for each pass asked for, top row first:
+
+            ========  ==  ===========================================================================================
+            rgb       3   display sRGB, premultiplied by alpha (over the background if one was given), refined
+            alpha     1   coverage 0..1, of the avatars alone
+            depth     1   camera z in metres (expected depth); `EMPTY_DEPTH` where nothing is
+            raw       3   as rgb, but before the refinement network
+            normal    3   mesh normals in world axes, unit length; zero where nothing is
+            features  F   splatted feature channels, premultiplied by alpha
+            mask      K   coverage of each of the K instances, after mutual occlusion; sums to alpha
+            ========  ==  ===========================================================================================
+
+            `grmm_core.color` converts rgb to scene-linear premultiplied (Blender) or straight alpha (PNG).
+
+        Raises:
+            ControlError, ShapeError: Bad controls.
+            CancelledError: `should_cancel` returned True.
+            SessionError: Unknown id, out of memory, time-out, or the worker died (the next call starts a new one).
+        """
+        ...
+
+    def warm_up(self) -> None:
+        """Start loading the model in the background and return at once; a failure shows at the next call."""
+        ...
+
+    def status(self) -> SessionStatus:
+        """Return what runs the model; never starts a worker."""
+        ...
+
+    def close(self) -> None:
+        """Free everything; a worker process ends. Further calls raise `SessionError`; closing twice is harmless."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None: ...
+
+
+HEAD_TO_BLENDER: np.ndarray = np.array(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
+)
+"""Head axes (y up, face +z) to the axes of Blender's head object (z up, face -y): (x, y, z) -> (x, -z, y), [4, 4]."""
+HEAD_TO_BLENDER.flags.writeable = False
+
+
+def check_render_size(camera: Camera) -> None:
+    """Raise `ConfigError` when a picture is too large to be meant."""
+    if camera.width * camera.height > MAX_PIXELS:
+        raise ConfigError(f"A picture of {camera.width}x{camera.height} pixels is too large; choose a smaller size.")

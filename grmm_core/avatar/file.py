@@ -1,0 +1,214 @@
+"""`.grmm` files: one avatar as a safetensors file with a JSON description. Nothing in it is ever executed.
+
+Layout, version 1. Metadata of the tensor file (all strings):
+
+``format``          "grmm-avatar"
+``format_version``  "1"
+``avatar``          JSON object: name, head {name, sha256}, weights {name, sha256}, provenance {made_by, from_photos,
+                    photos [{name, sha256}], date, licence}, camera or null, thumbnail (PNG, base64)
+
+Tensors, float32: ``z_id`` [Z], ``z_exp`` [Y], ``shape`` [300], ``expression`` [<=100], ``pose`` [5, 3],
+``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter.
+
+Called by sessions, fitting, the command line and Blender's panels (`read_avatar_header`). Needs numpy only.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import FileFormatError, GrmmError, ShapeError
+from ..tensorfile import read_metadata, read_tensors, write_tensors
+from .types import MAX_NAME_LENGTH, AssetReference, Avatar, PhotoRecord, Provenance
+
+FORMAT_NAME = "grmm-avatar"
+FORMAT_VERSION = 1
+EXTENSION = ".grmm"
+_TRACKING = "tracking/"
+_DELTA = "delta/"
+_ARRAYS = ("z_id", "z_exp", "shape", "expression", "pose")
+_HEX_DIGITS = frozenset("0123456789abcdef")
+
+
+@dataclass(frozen=True)
+class AvatarHeader:
+    """What can be told about an avatar file without reading its tensors.
+
+    Attributes:
+        format_version: Version of the file's layout.
+        name, head, weights, camera, provenance, thumbnail: As in `Avatar`.
+    """
+
+    format_version: int
+    name: str
+    head: AssetReference
+    weights: AssetReference
+    camera: Camera | None
+    provenance: Provenance
+    thumbnail: bytes
+
+
+def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
+    """Write an avatar, whole or not at all. Raises `FileAccessError`."""
+    description = {
+        "name": avatar.name,
+        "head": _reference_to_json(avatar.head),
+        "weights": _reference_to_json(avatar.weights),
+        "camera": _camera_to_json(avatar.camera),
+        "provenance": {
+            "made_by": avatar.provenance.made_by,
+            "from_photos": avatar.provenance.from_photos,
+            "photos": [{"name": photo.name, "sha256": photo.sha256} for photo in avatar.provenance.photos],
+            "date": avatar.provenance.date,
+            "licence": avatar.provenance.licence,
+        },
+        "thumbnail": base64.b64encode(avatar.thumbnail).decode("ascii"),
+    }
+    tensors = {name: getattr(avatar, name) for name in _ARRAYS}
+    tensors |= {_TRACKING + name: array for name, array in avatar.tracking.items()}
+    tensors |= {_DELTA + name: array for name, array in avatar.deltas.items()}
+    metadata = {
+        "format": FORMAT_NAME,
+        "format_version": str(FORMAT_VERSION),
+        "avatar": json.dumps(description, ensure_ascii=False, allow_nan=False),
+    }
+    write_tensors(path, tensors, metadata)
+
+
+def read_avatar_header(path: str | os.PathLike[str]) -> AvatarHeader:
+    """Read name, references, provenance and thumbnail of a file without its tensors.
+
+    Raises:
+        FileAccessError: Missing or unreadable.
+        FileFormatError: Not an avatar, damaged, or made by a newer version.
+    """
+    return _parse_header(Path(path), read_metadata(path))
+
+
+def load_avatar(path: str | os.PathLike[str]) -> Avatar:
+    """Read an avatar.
+
+    Raises:
+        FileAccessError: Missing or unreadable.
+        FileFormatError: Not an avatar, damaged, made by a newer version, or with values that are not finite.
+    """
+    path = Path(path)
+    # The header first: a file of another kind is named as such before its data is read.
+    header = read_avatar_header(path)
+    tensors, _ = read_tensors(path)
+    missing = [name for name in _ARRAYS if name not in tensors]
+    if missing:
+        raise _damaged(path, f"it has no {missing[0]}")
+    try:
+        return Avatar(
+            name=header.name,
+            head=header.head,
+            weights=header.weights,
+            **{name: tensors[name] for name in _ARRAYS},
+            camera=header.camera,
+            tracking=_with_prefix(tensors, _TRACKING),
+            deltas=_with_prefix(tensors, _DELTA),
+            provenance=header.provenance,
+            thumbnail=header.thumbnail,
+        )
+    except ShapeError as error:
+        raise _damaged(path, str(error).rstrip(".").replace(";", ",")) from error
+
+
+def _parse_header(path: Path, metadata: dict[str, str]) -> AvatarHeader:
+    if metadata.get("format") != FORMAT_NAME:
+        raise FileFormatError(f"{path} is not a GRMM avatar; choose a {EXTENSION} file.")
+    version = metadata.get("format_version", "")
+    if not (version.isascii() and version.isdigit() and len(version) < 10 and int(version) >= 1):
+        raise _damaged(path, "its format version is not a number")
+    if int(version) > FORMAT_VERSION:
+        raise FileFormatError(
+            f"{path} has avatar format {int(version)}, newer than {FORMAT_VERSION}, which this GRMM reads; update GRMM."
+        )
+    try:
+        description = json.loads(metadata.get("avatar", ""))
+        return AvatarHeader(
+            format_version=int(version),
+            name=_text(description["name"], MAX_NAME_LENGTH),
+            head=_reference_from_json(description["head"]),
+            weights=_reference_from_json(description["weights"]),
+            camera=_camera_from_json(description["camera"]),
+            provenance=_provenance_from_json(description["provenance"]),
+            thumbnail=base64.b64decode(_text(description["thumbnail"]), validate=True),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError, binascii.Error, GrmmError) as error:
+        raise _damaged(path, "its description is malformed") from error
+
+
+def _reference_to_json(reference: AssetReference) -> dict[str, str]:
+    return {"name": reference.name, "sha256": reference.sha256}
+
+
+def _reference_from_json(value: Any) -> AssetReference:
+    return AssetReference(_text(value["name"], MAX_NAME_LENGTH), _hash(value["sha256"]))
+
+
+def _provenance_from_json(value: Any) -> Provenance:
+    if not isinstance(value["from_photos"], bool) or not isinstance(value["photos"], list):
+        raise TypeError
+    return Provenance(
+        made_by=_text(value["made_by"]),
+        from_photos=value["from_photos"],
+        photos=tuple(PhotoRecord(_text(photo["name"]), _hash(photo["sha256"])) for photo in value["photos"]),
+        date=_text(value["date"], MAX_NAME_LENGTH),
+        licence=_text(value["licence"]),
+    )
+
+
+def _camera_to_json(camera: Camera | None) -> dict[str, Any] | None:
+    if camera is None:
+        return None
+    return {
+        "world_to_camera": camera.world_to_camera.tolist(),
+        "fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy,
+        "width": camera.width, "height": camera.height, "orthographic": camera.orthographic,
+    }  # fmt: skip
+
+
+def _camera_from_json(value: Any) -> Camera | None:
+    if value is None:
+        return None
+    if type(value["width"]) is not int or type(value["height"]) is not int:
+        raise TypeError
+    return Camera(
+        np.array(value["world_to_camera"], np.float64),
+        *(float(value[name]) for name in ("fx", "fy", "cx", "cy")),
+        value["width"],
+        value["height"],
+        bool(value["orthographic"]),
+    )
+
+
+def _with_prefix(tensors: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name[len(prefix) :]: array for name, array in tensors.items() if name.startswith(prefix)}
+
+
+def _text(value: Any, limit: int | None = None) -> str:
+    if not isinstance(value, str) or (limit is not None and len(value) > limit):
+        raise TypeError
+    return value
+
+
+def _hash(value: Any) -> str:
+    text = _text(value)
+    if text and not (len(text) == 64 and set(text) <= _HEX_DIGITS):
+        raise ValueError
+    return text
+
+
+def _damaged(path: Path, reason: str) -> FileFormatError:
+    return FileFormatError(f"{path} is not a readable avatar ({reason}); get the file again or make the avatar anew.")

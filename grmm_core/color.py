@@ -1,0 +1,65 @@
+"""Colour: display sRGB, scene-linear, premultiplied and straight alpha.
+
+The network works in display sRGB and its pictures are premultiplied in that space (a covered fraction a of colour c gives
+a c). Blender wants scene-linear premultiplied, PNG wants straight alpha. Used by the render engine and the command line;
+needs numpy only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_TOE = 0.0031308  # linear value where the sRGB curve leaves its straight part (IEC 61966-2-1)
+_TOE_SLOPE = 12.92
+_GAMMA = 2.4
+_OFFSET = 0.055
+MIN_ALPHA = 0.5 / 255.0
+"""Coverage below which the colour of a pixel cannot be told and is left black."""
+
+
+def srgb_to_linear(values: np.ndarray) -> np.ndarray:
+    """Return scene-linear values of display sRGB values, any shape; below 0 counts as 0, above 1 the curve goes on."""
+    values = np.maximum(np.asarray(values, np.float32), 0.0)
+    curve = ((values + _OFFSET) / (1.0 + _OFFSET)) ** _GAMMA
+    return np.where(values <= _TOE * _TOE_SLOPE, values / _TOE_SLOPE, curve).astype(np.float32)
+
+
+def linear_to_srgb(values: np.ndarray) -> np.ndarray:
+    """Return display sRGB values of scene-linear values, any shape; the inverse of `srgb_to_linear`."""
+    values = np.maximum(np.asarray(values, np.float32), 0.0)
+    curve = (1.0 + _OFFSET) * values ** (1.0 / _GAMMA) - _OFFSET
+    return np.where(values <= _TOE, values * _TOE_SLOPE, curve).astype(np.float32)
+
+
+def straight_srgb(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Divide premultiplied sRGB by its alpha.
+
+    Args:
+        rgb: Premultiplied display sRGB, [H, W, 3].
+        alpha: Coverage, [H, W, 1].
+
+    Returns:
+        Straight colour clipped to 0..1, [H, W, 3] float32; black where the coverage is below `MIN_ALPHA`.
+    """
+    alpha = np.asarray(alpha, np.float32)
+    visible = alpha >= MIN_ALPHA
+    return np.where(visible, np.clip(rgb / np.where(visible, alpha, 1.0), 0.0, 1.0), 0.0).astype(np.float32)
+
+
+def scene_linear_premultiplied(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Return what a Blender render result holds: linear colour times alpha, and alpha.
+
+    Args:
+        rgb: Premultiplied display sRGB of a transparent picture, [H, W, 3].
+        alpha: Coverage, [H, W, 1].
+
+    Returns:
+        [H, W, 4] float32. Under the view transform Standard the saved PNG shows the network's sRGB.
+    """
+    alpha = np.clip(np.asarray(alpha, np.float32), 0.0, 1.0)
+    return np.concatenate([srgb_to_linear(straight_srgb(rgb, alpha)) * alpha, alpha], axis=-1)
+
+
+def straight_rgba(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Return what a PNG holds: straight display sRGB and alpha, 0..1, [H, W, 4] float32. Arguments as above."""
+    return np.concatenate([straight_srgb(rgb, alpha), np.clip(np.asarray(alpha, np.float32), 0.0, 1.0)], axis=-1)

@@ -1,0 +1,239 @@
+"""Avatar files: round trip, versions, damage, hostile headers; pictures and colour."""
+
+from __future__ import annotations
+
+import io
+import json
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from grmm_core.avatar import AssetReference, Avatar, PhotoRecord, Provenance, load_avatar, read_avatar_header, save_avatar
+from grmm_core.camera import Camera
+from grmm_core.color import linear_to_srgb, scene_linear_premultiplied, srgb_to_linear, straight_rgba
+from grmm_core.errors import FileAccessError, FileFormatError, GrmmError, ShapeError
+from grmm_core.images import encode_exr, encode_png, quantize
+from grmm_core.tensorfile import read_tensors, write_tensors
+
+
+def make_avatar(**changes) -> Avatar:
+    rng = np.random.default_rng(7)
+    fields = {
+        "name": "Ünï 人",
+        "head": AssetReference("open_head", "a" * 64),
+        "weights": AssetReference("default", "0123456789abcdef" * 4),
+        "z_id": rng.normal(size=32),
+        "z_exp": rng.normal(size=16),
+        "shape": rng.normal(size=300),
+        "expression": rng.normal(size=52),
+        "pose": rng.normal(size=(5, 3)),
+        "camera": Camera.orbit(640, 480, yaw=12.0, pitch=-3.0, distance=0.8),
+        "tracking": {"z_exp": rng.normal(size=(2, 16))},
+        "deltas": {"opacity.layers.0.weight": rng.normal(size=(4, 3, 2, 2)) * 1e-3},
+        "provenance": Provenance(
+            "grmm 0.1.0", True, (PhotoRecord("me.jpg", "b" * 64), PhotoRecord("ich.png", "")), "2026-11-21", "with consent"
+        ),
+        "thumbnail": encode_png(np.zeros((4, 4, 3), np.uint8)),
+    }
+    return Avatar(**(fields | changes))
+
+
+@pytest.fixture
+def saved(tmp_path):
+    path = tmp_path / "Ünï 人.grmm"
+    save_avatar(make_avatar(), path)
+    return path
+
+
+def test_round_trip_keeps_everything(saved):
+    original, loaded = make_avatar(), load_avatar(saved)
+    for name in ("name", "head", "weights", "provenance", "thumbnail"):
+        assert getattr(loaded, name) == getattr(original, name)
+    for name in ("z_id", "z_exp", "shape", "expression", "pose"):
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(original, name))
+    for name in ("tracking", "deltas"):
+        stored, made = getattr(loaded, name), getattr(original, name)
+        assert stored.keys() == made.keys()
+        for key in made:
+            np.testing.assert_array_equal(stored[key], made[key])
+    np.testing.assert_array_equal(loaded.camera.world_to_camera, original.camera.world_to_camera)
+    assert (loaded.camera.fx, loaded.camera.width, loaded.camera.orthographic) == (original.camera.fx, 640, False)
+
+
+def test_header_agrees_with_the_whole_file(saved):
+    header, avatar = read_avatar_header(saved), load_avatar(saved)
+    assert (header.name, header.weights, header.provenance) == (avatar.name, avatar.weights, avatar.provenance)
+    assert header.thumbnail == avatar.thumbnail
+
+
+def test_an_independent_library_reads_the_file(saved):
+    safetensors = pytest.importorskip("safetensors.numpy")
+    tensors = safetensors.load_file(saved)
+    np.testing.assert_array_equal(tensors["z_id"], make_avatar().z_id)
+
+
+def test_arrays_cannot_be_changed_behind_the_avatar():
+    source = np.zeros(8, np.float32)
+    avatar = make_avatar(z_id=source)
+    source[0] = 5.0
+    assert avatar.z_id[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        avatar.z_id[0] = 1.0
+
+
+@pytest.mark.parametrize("field", ["z_id", "z_exp", "shape", "expression", "pose"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_values_that_are_not_finite_are_refused(field, bad, saved):
+    array = np.array(getattr(make_avatar(), field))
+    array.flat[1] = bad
+    with pytest.raises(ShapeError, match=f"{field}.*not a finite number"):
+        make_avatar(**{field: array})
+    tensors, metadata = read_tensors(saved)
+    write_tensors(saved, tensors | {field: array}, metadata)
+    with pytest.raises(FileFormatError, match=f"{field}.*not a finite number"):
+        load_avatar(saved)
+
+
+def edit(path, change):
+    tensors, metadata = read_tensors(path)
+    change(tensors, metadata)
+    write_tensors(path, tensors, metadata)
+
+
+def test_a_newer_version_says_what_to_do(saved):
+    edit(saved, lambda tensors, metadata: metadata.update(format_version="7"))
+    with pytest.raises(FileFormatError, match=r"format 7, newer than 1.*update GRMM"):
+        load_avatar(saved)
+
+
+def test_other_tensor_files_are_named_as_such(tmp_path):
+    path = tmp_path / "weights.safetensors"
+    write_tensors(path, {"a": np.zeros(3, np.float32)}, {"format": "pt"})
+    with pytest.raises(FileFormatError, match=r"not a GRMM avatar; choose a \.grmm file"):
+        load_avatar(path)
+    with pytest.raises(FileAccessError, match="does not exist"):
+        load_avatar(tmp_path / "missing.grmm")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda t, m: t.pop("shape"),
+        lambda t, m: t.update(shape=np.zeros(12, np.float32)),
+        lambda t, m: t.update(pose=np.zeros((4, 3), np.float32)),
+        lambda t, m: t.update(z_id=np.zeros((2, 2), np.float32)),
+        lambda t, m: t.update(z_id=np.zeros(1 << 13, np.float32)),
+        lambda t, m: m.update(format_version="one"),
+        lambda t, m: m.update(avatar="{"),
+        lambda t, m: m.update(avatar="[]"),
+        lambda t, m: m.update(avatar=json.dumps(json.loads(m["avatar"]) | {"thumbnail": "*"})),
+        lambda t, m: m.update(avatar=json.dumps(json.loads(m["avatar"]) | {"name": 3})),
+        lambda t, m: m.update(avatar=json.dumps(json.loads(m["avatar"]) | {"head": {"name": "x", "sha256": "../../etc"}})),
+        lambda t, m: m.update(avatar=json.dumps(json.loads(m["avatar"]) | {"camera": {"fx": 1}})),
+        lambda t, m: m.update(avatar="[" * 100_000),
+    ],
+)
+def test_wrong_contents_give_one_sentence(saved, change):
+    edit(saved, change)
+    with pytest.raises(FileFormatError, match="not a readable avatar") as caught:
+        load_avatar(saved)
+    assert "\n" not in str(caught.value)
+
+
+def test_flipped_and_cut_bytes_give_only_typed_errors(saved, tmp_path):
+    """Two thousand damaged copies: each loads as a finite avatar or raises an error of ours."""
+    data = saved.read_bytes()
+    header_size = 8 + struct.unpack("<Q", data[:8])[0]
+    rng = np.random.default_rng(3)
+    path = tmp_path / "damaged.grmm"
+    refused = 0
+    for trial in range(2000):
+        damaged = bytearray(data)
+        if trial % 4 == 0:
+            damaged = damaged[: rng.integers(0, len(data))]
+        else:
+            # mostly the header: that is where damage can confuse a reader
+            end = header_size if trial % 4 < 3 else len(data)
+            for position in rng.integers(0, end, size=rng.integers(1, 4)):
+                damaged[position] = rng.integers(0, 256)
+        path.write_bytes(damaged)
+        try:
+            avatar = load_avatar(path)
+        except GrmmError as error:
+            refused += 1
+            assert "\n" not in str(error)[:60]
+        else:
+            assert np.isfinite(avatar.z_id).all() and avatar.shape.shape == (300,)
+    assert refused > 1000
+
+
+def test_a_failed_write_leaves_the_old_file(saved, monkeypatch):
+    before = saved.read_bytes()
+
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("grmm_core.files.os.fsync", full_disk)
+    with pytest.raises(FileAccessError, match="no space left"):
+        save_avatar(make_avatar(name="other"), saved)
+    assert saved.read_bytes() == before
+    assert [p.name for p in saved.parent.iterdir()] == [saved.name]
+
+
+def test_srgb_curves_are_inverse_and_hit_known_points():
+    values = np.linspace(0.0, 1.2, 97, dtype=np.float32)
+    np.testing.assert_allclose(linear_to_srgb(srgb_to_linear(values)), values, atol=2e-6)
+    np.testing.assert_allclose(srgb_to_linear(np.array([0.5, 1.0])), [0.21404114, 1.0], atol=1e-6)
+
+
+def test_premultiplied_conversions_agree_on_half_covered_pixels():
+    color, alpha = np.full((1, 1, 3), 0.6, np.float32), np.full((1, 1, 1), 0.25, np.float32)
+    linear = scene_linear_premultiplied(color * alpha, alpha)
+    np.testing.assert_allclose(linear[0, 0], [*(srgb_to_linear(color[0, 0]) * 0.25), 0.25], rtol=1e-5)
+    np.testing.assert_allclose(straight_rgba(color * alpha, alpha)[0, 0], [0.6, 0.6, 0.6, 0.25], rtol=1e-5)
+    empty = straight_rgba(np.full((1, 1, 3), 0.3, np.float32), np.zeros((1, 1, 1), np.float32))
+    np.testing.assert_array_equal(empty, 0.0)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_png_8_bit_is_read_back_exactly(channels):
+    image = pytest.importorskip("PIL.Image")
+    pixels = np.random.default_rng(0).integers(0, 256, (19, 23, channels), dtype=np.uint8)
+    decoded = np.asarray(image.open(io.BytesIO(encode_png(pixels))))
+    np.testing.assert_array_equal(decoded.reshape(pixels.shape), pixels)
+
+
+def test_png_16_bit_is_read_back_exactly():
+    image = pytest.importorskip("PIL.Image")
+    pixels = np.random.default_rng(0).integers(0, 1 << 16, (11, 7), dtype=np.uint16)
+    np.testing.assert_array_equal(np.asarray(image.open(io.BytesIO(encode_png(pixels)))), pixels)
+
+
+def test_quantize_rounds_and_clips():
+    np.testing.assert_array_equal(quantize(np.array([-1.0, 0.5 / 255.0, 0.4 / 255.0, 2.0])), [0, 1, 0, 255])
+
+
+def test_exr_chunks_hold_the_values():
+    rng = np.random.default_rng(1)
+    picture = {"R": rng.normal(size=(37, 20)).astype(np.float32), "depth.Z": np.full((37, 20), 1e10, np.float32)}
+    data = encode_exr(picture)
+    # Undo the format's steps independently: offset table, deflate, differences, byte planes.
+    table = data.index(b"screenWindowWidth") + len(b"screenWindowWidth\0float\0") + 8 + 1
+    offsets = np.frombuffer(data[table : table + 24], "<u8")
+    rows = []
+    for offset in offsets.astype(int):
+        _, size = struct.unpack("<ii", data[offset : offset + 8])
+        packed = data[offset + 8 : offset + 8 + size]
+        lines = min(16, 37 - 16 * len(rows))
+        raw_size = lines * 2 * 20 * 4
+        if size < raw_size:
+            deltas = np.frombuffer(zlib.decompress(packed), np.uint8).astype(np.int64)
+            deltas[1:] -= 128
+            planes = (np.cumsum(deltas) % 256).astype(np.uint8)
+            packed = np.stack([planes[: raw_size // 2], planes[raw_size // 2 :]], axis=1).tobytes()
+        rows.append(np.frombuffer(packed, "<f4").reshape(lines, 2, 20))
+    lines = np.concatenate(rows)
+    np.testing.assert_array_equal(lines[:, 0], picture["R"])
+    np.testing.assert_array_equal(lines[:, 1], picture["depth.Z"])

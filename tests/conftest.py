@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from blender_process import blender_version, run_blender  # noqa: F401  fixtures
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))

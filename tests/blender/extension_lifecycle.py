@@ -1,0 +1,46 @@
+"""Register, disable and remove the extension, and report what a user would notice: extension_lifecycle.py."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import addon_utils
+import bpy
+from support import MODULE, enable, heavy_modules, report
+
+
+def ours() -> list[str]:
+    """Names of registered classes, properties and handlers of the extension."""
+    found = [
+        name
+        for base in (bpy.types.Operator, bpy.types.Panel, bpy.types.PropertyGroup, bpy.types.RenderEngine,
+                     bpy.types.AddonPreferences, bpy.types.Menu, bpy.types.UIList)
+        for name in (cls.__name__ for cls in base.__subclasses__() if MODULE in cls.__module__ and cls.is_registered)
+    ]  # fmt: skip
+    for owner in (bpy.types.Scene, bpy.types.Object, bpy.types.WindowManager, bpy.types.ViewLayer, bpy.types.Armature):
+        found += [f"{owner.__name__}.{name}" for name in dir(owner) if name.startswith("grmm")]
+    for name in dir(bpy.app.handlers):
+        handlers = getattr(bpy.app.handlers, name)
+        if isinstance(handlers, list):
+            found += [f"{name}:{h.__name__}" for h in handlers if MODULE in (getattr(h, "__module__", "") or "")]
+    return found
+
+
+start = time.perf_counter()
+enable()
+register_seconds = time.perf_counter() - start
+report(
+    register_seconds=register_seconds,
+    heavy=heavy_modules(),
+    registered=ours(),
+    warnings=dict(addon_utils._extensions_warnings_get()),
+)
+addon_utils.disable(MODULE, default_set=True)
+report(after_disable=ours())
+enable()
+report(after_enable=ours())
+repo_index = next(i for i, r in enumerate(bpy.context.preferences.extensions.repos) if r.module == "user_default")
+folder = Path(bpy.context.preferences.extensions.repos[repo_index].directory) / "grmm"
+bpy.ops.extensions.package_uninstall(repo_index=repo_index, pkg_id="grmm")
+report(after_uninstall=ours(), folder_left=folder.exists(), enabled=MODULE in bpy.context.preferences.addons)

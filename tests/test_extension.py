@@ -1,0 +1,34 @@
+"""The built extension as a user meets it: it validates, installs, enables, disables and goes, on every supported Blender."""
+
+from __future__ import annotations
+
+import zipfile
+
+import pytest
+from blender_process import RunBlender, extension_zip
+
+pytestmark = pytest.mark.blender
+
+REGISTER_LIMIT = 0.3  # seconds
+
+
+def test_zip_holds_the_extension_and_nothing_else():
+    with zipfile.ZipFile(extension_zip()) as archive:
+        names = archive.namelist()
+    assert {"blender_manifest.toml", "LICENSE", "__init__.py", "grmm_blender/__init__.py", "grmm_core/__init__.py"} <= {*names}
+    top = {name.split("/")[0] for name in names}
+    assert top <= {"blender_manifest.toml", "__init__.py", "LICENSE", "grmm_core", "grmm_blender", "operators"}
+    assert not [n for n in names if "__pycache__" in n or n.endswith((".pyc", ".tmp")) or "/." in n]
+
+
+def test_lifecycle(run_blender: RunBlender, blender_version: str):
+    result = run_blender("extension_lifecycle.py", python=blender_version, fresh=True, enable=False, timeout=90).result
+    assert result["heavy"] == []
+    assert result["warnings"] == {}
+    assert "GRMM_RenderEngine" in result["registered"]
+    assert result["after_disable"] == []
+    assert result["after_enable"] == result["registered"]
+    assert result["after_uninstall"] == []
+    assert not result["folder_left"]
+    assert not result["enabled"]
+    assert result["register_seconds"] <= REGISTER_LIMIT

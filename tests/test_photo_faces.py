@@ -1,0 +1,92 @@
+"""Photo analysis: the converted networks against LiteRT, and faces in real photos."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from grmm_core.errors import NoFaceError  # noqa: E402
+from grmm_core.expressions import ARKIT_NAMES  # noqa: E402
+from grmm_core.photo.faces import find_faces  # noqa: E402
+from grmm_core.photo.networks import load_networks  # noqa: E402
+
+INPUT_SCALE = {"face_detector": 1.0, "face_landmarks_detector": 1.0, "face_blendshapes": 256.0, "selfie_segmentation": 1.0}
+
+
+@pytest.mark.parametrize("name", INPUT_SCALE)
+def test_networks_answer_as_litert_does(name, repository):
+    reference = np.load(repository / "tests" / "data" / "photo_networks_reference.npz")
+    network = load_networks()[name]
+    value = np.random.default_rng(0).uniform(0.0, INPUT_SCALE[name], network.input_shape).astype(np.float32)
+    for index, output in enumerate(network(torch.from_numpy(value))):
+        expected = reference[f"{name}.{index}"]
+        result = output.numpy()[:, ::4, ::4] if name == "selfie_segmentation" else output.numpy()
+        np.testing.assert_allclose(result, expected, atol=1e-5 * max(1.0, float(np.abs(expected).max())))
+
+
+@pytest.fixture(scope="module")
+def photos(repository):
+    folder = repository.parent / "shared" / "photos"
+    if not folder.is_dir():
+        pytest.skip("the test photos are not beside this checkout")
+    image = pytest.importorskip("PIL.Image")
+    return lambda name: np.asarray(image.open(folder / name).convert("RGB"))
+
+
+def arkit(face, name):
+    return face.arkit[ARKIT_NAMES.index(name)]
+
+
+def test_a_smiling_portrait(photos):
+    (face,) = find_faces(photos("p01_astronaut_collins.jpg"))
+    assert face.presence > 0.9
+    assert face.landmarks.shape == (478, 3)
+    assert arkit(face, "mouthSmileLeft") > 0.5
+    assert arkit(face, "jawOpen") < 0.2
+    # the nose tip (1) lies between the eyes (33, 263) and the chin (152), on the picture's face
+    assert face.landmarks[33, 1] < face.landmarks[1, 1] < face.landmarks[152, 1]
+    assert face.landmarks[33, 0] < face.landmarks[1, 0] < face.landmarks[263, 0]
+
+
+def test_two_people_are_two_faces(photos):
+    faces = find_faces(photos("m01_two_people.jpg"))
+    assert len(faces) == 2
+    assert faces[0].box[2] - faces[0].box[0] >= faces[1].box[2] - faces[1].box[0]
+
+
+@pytest.mark.parametrize("name", ["n01_cat.jpg", "n02_coffee.jpg"])
+def test_a_cat_and_a_cup_are_no_faces(photos, name):
+    with pytest.raises(NoFaceError, match="No face"):
+        find_faces(photos(name))
+
+
+def test_a_small_face_is_found_by_tiles(photos):
+    portrait = photos("p01_astronaut_collins.jpg")[::2, ::2]
+    large = np.full((2400, 2400, 3), 90, np.uint8)
+    large[1500:1756, 400:656] = portrait
+    (face,) = find_faces(large)
+    (alone,) = find_faces(portrait)
+    np.testing.assert_allclose(face.landmarks[:, :2] - [400, 1500], alone.landmarks[:, :2], atol=3.0)
+
+
+def test_landmarks_follow_a_turned_photo(photos):
+    image_module = pytest.importorskip("PIL.Image")
+    image, angle = photos("p07_mazie_hirono.jpg"), 25.0
+    (face,) = find_faces(image)
+    turned = np.asarray(image_module.fromarray(image).rotate(angle, resample=image_module.Resampling.BICUBIC))
+    (result,) = find_faces(turned)
+    c, s = np.cos(np.radians(-angle)), np.sin(np.radians(-angle))
+    middle = np.array([image.shape[1], image.shape[0]]) / 2.0
+    expected = (face.landmarks[:, :2] - middle) @ np.array([[c, s], [-s, c]]) + middle
+    assert np.linalg.norm(result.landmarks[:, :2] - expected, axis=1).mean() < 0.04 * face.eye_distance
+
+
+def test_landmarks_of_a_mirrored_photo_are_mirrored(photos):
+    image = photos("p07_mazie_hirono.jpg")
+    (face,) = find_faces(image)
+    (mirrored,) = find_faces(np.ascontiguousarray(image[:, ::-1]))
+    middle_line = [1, 152]  # nose tip, chin
+    expected = np.array([image.shape[1], 0.0]) + face.landmarks[middle_line, :2] * [-1.0, 1.0]
+    np.testing.assert_allclose(mirrored.landmarks[middle_line, :2], expected, atol=0.04 * face.eye_distance)

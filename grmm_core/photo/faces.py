@@ -31,7 +31,7 @@ MIN_PRESENCE = 0.5
 SUPPRESSION_OVERLAP = 0.3
 REGION_SCALE = 1.5  # the landmark network's region relative to the face's box
 SCORE_CLIP = 100.0
-TILE_LEVELS = (2, 4)  # tiles across the picture's longer side that are tried after the whole picture
+TILE_LEVELS = (2, 4, 8, 16)  # tiles across the longer side that are tried after the whole picture
 TILE_OVERLAP = 0.34
 MIN_REGION = 24.0  # pixels; below this the landmark network guesses
 
@@ -149,7 +149,7 @@ def _search_levels(width: int, height: int) -> list[list[tuple[float, float, flo
     levels = [[((width - side) / 2.0, (height - side) / 2.0, side)]]
     for count in TILE_LEVELS:
         tile = side / count * (1.0 + TILE_OVERLAP)
-        if tile < DETECTOR_SIZE / 2:
+        if tile < DETECTOR_SIZE:
             break
         columns, rows = (max(1, math.ceil((extent - tile) / (tile / (1.0 + TILE_OVERLAP))) + 1) for extent in (width, height))
         xs = np.linspace(0.0, max(width - tile, 0.0), columns) if columns > 1 else [(width - tile) / 2.0]

@@ -142,9 +142,9 @@ def _slice(step: dict[str, Any], value: Tensor, begin: Tensor, end: Tensor, stri
         if step["shrink_mask"] >> axis & 1:
             index.append(first)
             continue
-        index.append(
-            slice(None if step["begin_mask"] >> axis & 1 else first, None if step["end_mask"] >> axis & 1 else last, int(stride[axis]))
-        )
+        start = None if step["begin_mask"] >> axis & 1 else first
+        stop = None if step["end_mask"] >> axis & 1 else last
+        index.append(slice(start, stop, int(stride[axis])))
     return value[tuple(index)]
 
 

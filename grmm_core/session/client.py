@@ -1,0 +1,243 @@
+"""`WorkerSession`: the session interface, carried out by a process of its own.
+
+Chosen by `create_session` where this interpreter has no torch (Blender), or where a crash of the model must not end the
+program. A worker that dies costs one `SessionError`; the next call starts another, which opens the avatars again under their
+old ids. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import threading
+import weakref
+from collections.abc import Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from .. import errors
+from ..camera import Camera
+from ..controls import Controls
+from ..errors import GrmmError, SessionError
+from .api import (
+    AvatarInfo,
+    CancelCheck,
+    Deformation,
+    GaussianArrays,
+    Instance,
+    RenderOptions,
+    SessionStatus,
+    check_render_size,
+)
+from .process import WorkerDiedError, WorkerProcess
+from .sources import SourceKey, source_key
+from .system import resident_memory
+
+CALL_TIMEOUT = 600.0  # seconds; a picture of a film's size on an old machine stays below
+
+_log = logging.getLogger(__name__)
+
+
+class WorkerSession:
+    """Opens and draws avatars in a worker process. See `api.Session` for the methods."""
+
+    def __init__(
+        self,
+        python: str,
+        weights: str | os.PathLike[str] | None = None,
+        device: str = "auto",
+        threads: int | None = None,
+        timeout: float = CALL_TIMEOUT,
+    ) -> None:
+        """Prepare a session; the process starts with the first call or `warm_up`.
+
+        Args:
+            python: Executable of an interpreter that has torch.
+            weights: As `LocalSession`.
+            device: As `LocalSession`.
+            threads: As `LocalSession`.
+            timeout: Seconds that one call may take before the worker counts as hung and is ended.
+        """
+        self._python = python
+        self._settings = {"weights": None if weights is None else os.fspath(weights), "device": device, "threads": threads}
+        self._timeout = timeout
+        self._lock = threading.RLock()
+        self._worker: WorkerProcess | None = None
+        self._facts: SessionStatus | None = None
+        self._starts = 0
+        self._closed = False
+        self._next_id = 0
+        self._sources: dict[int, SourceKey] = {}  # every avatar ever opened here, for a restart
+        self._infos: dict[int, AvatarInfo] = {}
+        self._remote: dict[int, int] = {}  # our ids to those of the running worker
+        self._finalizer: weakref.finalize | None = None
+
+    def open(self, source: str | os.PathLike[str]) -> AvatarInfo:
+        """See `Session.open`."""
+        return self._open(source_key(source))
+
+    def sample(self, seed: int) -> AvatarInfo:
+        """See `Session.sample`."""
+        return self._open(SourceKey("sample", str(int(seed))))
+
+    def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
+        """See `Session.save`."""
+        self._call_for(avatar_id, "save", {"path": os.path.abspath(path)})  # noqa: PTH100 - bytes and str alike
+
+    def release(self, avatar_id: int) -> None:
+        """See `Session.release`."""
+        with self._lock:
+            self._sources.pop(avatar_id, None)
+            self._infos.pop(avatar_id, None)
+            remote = self._remote.pop(avatar_id, None)
+            if remote is not None and self._worker is not None and self._worker.alive:
+                self._call("release", {"avatar_id": remote})
+
+    def deform(self, avatar_id: int, controls: Controls) -> Deformation:
+        """See `Session.deform`."""
+        return self._call_for(avatar_id, "deform", {"controls": controls.validate()})
+
+    def gaussians(
+        self, avatar_id: int, controls: Controls, view_direction: np.ndarray | None = None, lod: int = 0, features: bool = False
+    ) -> GaussianArrays:
+        """See `Session.gaussians`."""
+        direction = None if view_direction is None else np.asarray(view_direction, np.float64)
+        arguments = {"controls": controls.validate(), "view_direction": direction, "lod": lod, "features": features}
+        return self._call_for(avatar_id, "gaussians", arguments)
+
+    def render(
+        self,
+        instances: Sequence[Instance],
+        camera: Camera,
+        options: RenderOptions = RenderOptions(),  # noqa: B008 - frozen
+        should_cancel: CancelCheck | None = None,
+    ) -> dict[str, np.ndarray]:
+        """See `Session.render`."""
+        check_render_size(camera)
+        with self._lock:
+            self._ensure_worker()
+            remote = [
+                dataclasses.replace(item, avatar_id=self._remote_id(item.avatar_id), controls=item.controls.validate())
+                for item in instances
+            ]
+            return self._call("render", {"instances": remote, "camera": camera, "options": options}, should_cancel)
+
+    def warm_up(self) -> None:
+        """See `Session.warm_up`."""
+        if not self._closed:
+            threading.Thread(target=self._warm_up, name="grmm-warm-up", daemon=True).start()
+
+    def _warm_up(self) -> None:
+        try:
+            with self._lock:
+                self._call("warm_up", {})
+        except GrmmError as error:
+            # The next call meets the same difficulty and has somebody to tell.
+            _log.info("the model worker could not be warmed up: %s", error)
+
+    def status(self) -> SessionStatus:
+        """See `Session.status`."""
+        worker = self._worker
+        restarts = max(self._starts - 1, 0)
+        if worker is None or not worker.alive:
+            return SessionStatus("worker", alive=False, restarts=restarts, log="" if worker is None else worker.log())
+        facts = self._facts or SessionStatus("worker", alive=False, python=worker.hello["python"])
+        return dataclasses.replace(
+            facts, kind="worker", pid=worker.pid, memory_bytes=resident_memory(worker.pid), restarts=restarts, log=worker.log()
+        )
+
+    def close(self) -> None:
+        """See `Session.close`."""
+        with self._lock:
+            self._closed = True
+            if self._worker is not None:
+                self._worker.stop()
+                self._worker = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _open(self, key: SourceKey) -> AvatarInfo:
+        with self._lock:
+            self._check_open()
+            for avatar_id, known in self._sources.items():
+                if known == key:
+                    return self._infos[avatar_id]
+            info = self._open_remote(key)
+            self._next_id += 1
+            avatar_id = self._next_id
+            self._remote[avatar_id] = info.id
+            self._sources[avatar_id] = key
+            self._infos[avatar_id] = dataclasses.replace(info, id=avatar_id)
+            return self._infos[avatar_id]
+
+    def _open_remote(self, key: SourceKey) -> AvatarInfo:
+        if key.kind == "sample":
+            return self._call("sample", {"seed": int(key.name)})
+        return self._call("open", {"source": key.name})
+
+    def _remote_id(self, avatar_id: int) -> int:
+        """Return the worker's id of an avatar, opening it there if this worker is a new one."""
+        if avatar_id not in self._sources:
+            raise SessionError(f"There is no avatar {avatar_id} in this session; open it first.")
+        if avatar_id not in self._remote:
+            self._remote[avatar_id] = self._open_remote(self._sources[avatar_id]).id
+        return self._remote[avatar_id]
+
+    def _call_for(self, avatar_id: int, operation: str, arguments: dict[str, Any]) -> Any:
+        with self._lock:
+            self._ensure_worker()
+            return self._call(operation, {"avatar_id": self._remote_id(avatar_id), **arguments})
+
+    def _call(self, operation: str, arguments: dict[str, Any], should_cancel: CancelCheck | None = None) -> Any:
+        with self._lock:
+            worker = self._ensure_worker()
+            try:
+                reply = worker.call(operation, arguments, self._timeout, should_cancel)
+                if "error" in reply:
+                    raise _as_exception(reply["error"])
+                if self._facts is None and operation not in ("status", "release"):
+                    self._facts = worker.call("status", {}, self._timeout)["result"]
+            except WorkerDiedError:
+                _log.warning("the model worker %d ended during %s: %s", worker.pid, operation, worker.last_line())
+                raise
+            return reply["result"]
+
+    def _ensure_worker(self) -> WorkerProcess:
+        """Return a running worker, starting one if there is none or the last one ended."""
+        self._check_open()
+        if self._worker is not None and self._worker.alive:
+            return self._worker
+        if self._worker is not None:
+            _log.warning("the model worker %d has ended; starting another", self._worker.pid)
+            self._worker.kill()
+        if self._finalizer is not None:
+            self._finalizer.detach()
+        self._remote.clear()
+        self._facts = None
+        self._starts += 1
+        worker = WorkerProcess(self._python, self._settings)
+        # A session that is simply dropped must not leave its process behind.
+        self._finalizer = weakref.finalize(self, worker.kill)
+        self._worker = worker
+        return worker
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise SessionError("The session is closed; open a new one.")
+
+
+def _as_exception(description: dict[str, str]) -> GrmmError:
+    """Return the typed error that the worker raised."""
+    kind = getattr(errors, description["type"], SessionError)
+    if not (isinstance(kind, type) and issubclass(kind, GrmmError)):
+        kind = SessionError
+    return kind(description["message"])

@@ -1,0 +1,246 @@
+"""The worker as an operating-system process: start it, exchange messages, notice its death, end it.
+
+`client.WorkerSession` builds the session interface on top. Needs numpy only; the child is `worker`, started by its module
+name with this package's parent folder on its path, so that it works under whatever name this package was imported
+(inside Blender it is part of an extension).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from ..errors import CancelledError, SessionError
+from ..files import describe_os_error
+from .api import CancelCheck
+from .arena import SharedArena
+from .codec import receive, send, unpack
+
+START_TIMEOUT = 60.0  # seconds until the interpreter answers; torch is loaded later
+CANCEL_GRACE = 1.0  # seconds that a cancelled call may take to confirm before the caller gets control back
+EXIT_GRACE = 1.0  # seconds to end by itself before it is killed
+CANCEL_POLL = 0.03  # seconds between two questions to `should_cancel`
+LOG_LINES = 200
+PROTOCOL = 1
+WORKER_MODULE = "grmm_core.session.worker"
+
+_log = logging.getLogger(__name__)
+
+
+class WorkerDiedError(SessionError):
+    """The worker process ended; the next call starts another."""
+
+
+class WorkerProcess:
+    """A running worker. Not thread-safe: the session's lock lets one call through at a time.
+
+    Attributes:
+        pid: Process id.
+        hello: What the worker said about itself at the start (its Python version).
+    """
+
+    def __init__(self, python: str, settings: dict[str, Any]) -> None:
+        """Start an interpreter and wait until it answers.
+
+        Args:
+            python: Its executable.
+            settings: Arguments of `LocalSession` there, as JSON values.
+
+        Raises:
+            SessionError: It cannot be started or does not answer; the message says which Python and why.
+        """
+        self._arena = SharedArena()
+        self._replies: queue.Queue[dict[str, Any] | SessionError | None] = queue.Queue()
+        self._lines: deque[str] = deque(maxlen=LOG_LINES)
+        self._next_id = 0
+        self._abandoned: int | None = None
+        try:
+            self._process = _launch(python, self._arena)
+        except OSError as error:
+            self._arena.close()
+            raise SessionError(
+                f"The model worker's Python {python} cannot be started ({describe_os_error(error)}); choose another one."
+            ) from error
+        self.pid = self._process.pid
+        threading.Thread(target=self._read_replies, name="grmm-worker-replies", daemon=True).start()
+        self._log_reader = threading.Thread(target=self._read_log, name="grmm-worker-log", daemon=True)
+        self._log_reader.start()
+        try:
+            self.hello = self._start(python, settings)
+        except BaseException:
+            self.kill()
+            raise
+
+    def _start(self, python: str, settings: dict[str, Any]) -> dict[str, Any]:
+        self._send({"start": settings, "arena": self._arena.spec()}, with_arena=False)
+        try:
+            hello = self._wait(time.monotonic() + START_TIMEOUT)
+        except WorkerDiedError as error:
+            reason = self.last_line() or "no message"
+            raise SessionError(f"The model worker did not start with {python}: {reason}; choose another Python.") from error
+        if hello is None:
+            raise SessionError(f"The model worker did not answer within {START_TIMEOUT:.0f} seconds; choose another Python.")
+        if hello.get("protocol") != PROTOCOL:
+            raise SessionError(f"{python} runs another version of the model worker; install this version there.")
+        return hello
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
+    def log(self) -> str:
+        """Return the last lines that the worker wrote to stderr."""
+        return "\n".join(self._lines)
+
+    def last_line(self) -> str:
+        """Return the last line with text that the worker wrote to stderr."""
+        self._log_reader.join(0.5 if not self.alive else 0.0)
+        return next((line.strip() for line in reversed(self._lines) if line.strip()), "")
+
+    def call(self, operation: str, arguments: dict[str, Any], timeout: float, should_cancel: CancelCheck | None = None) -> Any:
+        """Carry out one operation and return its result, arrays and dataclasses included.
+
+        Returns:
+            The reply: {"result": ...} or {"error": {...}}.
+
+        Raises:
+            WorkerDiedError: The process ended.
+            CancelledError: `should_cancel` returned True.
+            SessionError: The time ran out; the process has been killed.
+        """
+        deadline = time.monotonic() + timeout
+        self._finish_abandoned(deadline)
+        self._next_id += 1
+        request = self._next_id
+        self._send({"id": request, "call": operation, "arguments": arguments})
+        while True:
+            if should_cancel is not None and should_cancel():
+                self._cancel(request)
+            pause = deadline if should_cancel is None else min(deadline, time.monotonic() + CANCEL_POLL)
+            reply = self._wait(pause)
+            if reply is not None and reply.get("id") == request:
+                return unpack(reply, self._arena)
+            if time.monotonic() >= deadline:
+                self.kill()
+                raise SessionError(f"The model worker took longer than {timeout:.0f} seconds and was stopped; try again.")
+
+    def _cancel(self, request: int) -> None:
+        """Ask the worker to stop, give it a moment, and return to the caller by `CancelledError` in any case."""
+        self._send({"cancel": request}, with_arena=False)
+        reply = self._wait(time.monotonic() + CANCEL_GRACE)
+        if reply is None:
+            self._abandoned = request
+        raise CancelledError("The picture was cancelled.")
+
+    def _finish_abandoned(self, deadline: float) -> None:
+        """Wait for the late end of a cancelled call, because the arena is in its hands until then."""
+        while self._abandoned is not None:
+            reply = self._wait(deadline)
+            if reply is None:
+                self.kill()
+                raise SessionError("The model worker did not stop its cancelled work and was ended; try again.")
+            if reply.get("id") == self._abandoned:
+                self._abandoned = None
+
+    def _send(self, message: dict[str, Any], with_arena: bool = True) -> None:
+        stream = self._process.stdin
+        try:
+            send(stream, message, self._arena if with_arena else None)
+        except (OSError, ValueError) as error:
+            raise self._death() from error
+
+    def _wait(self, until: float) -> dict[str, Any] | None:
+        """Return the next message, or None when the time is over."""
+        try:
+            reply = self._replies.get(timeout=max(until - time.monotonic(), 0.0))
+        except queue.Empty:
+            return None
+        if reply is None:
+            raise self._death()
+        if isinstance(reply, SessionError):
+            self.kill()
+            raise reply
+        return reply
+
+    def _death(self) -> WorkerDiedError:
+        """Describe how the process ended."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(EXIT_GRACE)
+        code = self._process.returncode
+        self.kill()
+        if code is not None and code < 0:
+            how = f"was ended by signal {-code}, out of memory is the usual reason"
+        else:
+            how = f"ended with code {code}"
+        return WorkerDiedError(f"The model worker {how}; try again, the next call starts a new one.")
+
+    def stop(self) -> None:
+        """End the process: it leaves when its input closes, and is killed if it does not."""
+        with contextlib.suppress(OSError, ValueError):
+            self._process.stdin.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(EXIT_GRACE)
+        self.kill()
+
+    def kill(self) -> None:
+        """End the process at once and free what it used; harmless when done twice."""
+        if self._process.poll() is None:
+            self._process.kill()
+            self._process.wait()
+        with contextlib.suppress(OSError, ValueError):
+            self._process.stdin.close()
+        self._arena.close()
+
+    def _read_replies(self) -> None:
+        with self._process.stdout as stream:
+            while True:
+                try:
+                    message = receive(stream)
+                except SessionError as error:
+                    self._replies.put(error)
+                    return
+                except (OSError, ValueError):
+                    message = None
+                self._replies.put(message)
+                if message is None:
+                    return
+
+    def _read_log(self) -> None:
+        with self._process.stderr as stream:
+            for line in stream:
+                text = line.decode("utf-8", "replace").rstrip()
+                self._lines.append(text)
+                _log.debug("worker %d: %s", self.pid, text)
+
+
+def _launch(python: str, arena: SharedArena) -> subprocess.Popen[bytes]:
+    package_root = Path(__file__).resolve().parents[2]
+    environment = dict(os.environ)
+    # A parent of another Python version must not lend the child its libraries.
+    for name in ("PYTHONHOME", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "__PYVENV_LAUNCHER__"):
+        environment.pop(name, None)
+    environment |= {"PYTHONPATH": str(package_root), "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONNOUSERSITE": "1"}
+    options: dict[str, Any] = {}
+    if sys.platform == "win32":
+        options["creationflags"] = subprocess.CREATE_NO_WINDOW
+    else:
+        options["pass_fds"] = (arena.descriptor,)
+    return subprocess.Popen(
+        [python, "-m", WORKER_MODULE],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env=environment,
+        cwd=package_root,
+        **options,
+    )

@@ -1,0 +1,48 @@
+"""What identifies an opened avatar, so that opening the same file twice gives one avatar. Used by both sessions."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import FileAccessError
+from ..files import describe_os_error
+
+DEFAULT_SOURCE = "default"
+
+
+@dataclass(frozen=True)
+class SourceKey:
+    """Identity of an avatar's source.
+
+    Attributes:
+        kind: "default", "sample" or "file".
+        name: "default", the seed, or the absolute path.
+        stamp: Modification time in nanoseconds and size of the file, so that a rewritten file counts as another avatar.
+    """
+
+    kind: str
+    name: str
+    stamp: tuple[int, int] = (0, 0)
+
+    @property
+    def label(self) -> str:
+        """What `AvatarInfo.source` shows."""
+        return f"sample:{self.name}" if self.kind == "sample" else self.name
+
+
+def source_key(source: str | os.PathLike[str]) -> SourceKey:
+    """Return the identity of what `Session.open` was given. Raises `FileAccessError` for a missing file."""
+    if source == DEFAULT_SOURCE:
+        return SourceKey("default", DEFAULT_SOURCE)
+    path = Path(source).absolute()
+    try:
+        stat = path.stat()
+    except FileNotFoundError as error:
+        raise FileAccessError(f"{path} does not exist; check the file name.") from error
+    except OSError as error:
+        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
+    except ValueError as error:  # a null character in the name
+        raise FileAccessError("The file name contains a null character; choose another name.") from error
+    return SourceKey("file", str(path), (stat.st_mtime_ns, stat.st_size))

@@ -1,0 +1,114 @@
+"""The other end of a `WorkerSession`: a process that holds a `LocalSession` and answers messages.
+
+Started by `process` as ``python -m grmm_core.session.worker``; not for use by hand. Messages come on stdin and go to what was
+stdout; whatever libraries print goes to stderr instead. A thread of its own reads stdin, so that a cancel is heard during a
+call and the process ends as soon as its parent closes the pipe or dies.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import platform
+import queue
+import signal
+import sys
+import threading
+import traceback
+from typing import Any, BinaryIO
+
+from ..errors import GrmmError, SessionError
+from .arena import SharedArena
+from .codec import receive, send, unpack
+from .process import PROTOCOL
+
+OPERATIONS = frozenset({"open", "sample", "save", "release", "deform", "gaussians", "render", "warm_up", "status"})
+_CANCELLABLE = frozenset({"render"})
+
+
+class _Requests:
+    """Messages from the parent, read by a thread of their own."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._queue: queue.Queue[dict[str, Any]] = queue.Queue()
+        self._cancelled = -1
+        threading.Thread(target=self._read, name="grmm-requests", daemon=True).start()
+
+    def next(self) -> dict[str, Any]:
+        """Wait for the next call."""
+        return self._queue.get()
+
+    def is_cancelled(self, request: int) -> bool:
+        """Whether the parent wants the call `request` to end."""
+        return self._cancelled == request
+
+    def _read(self) -> None:
+        while True:
+            try:
+                message = receive(self._stream)
+            except (SessionError, OSError, ValueError):
+                message = None
+            if message is None:
+                # The parent is gone, so nobody waits for an orderly end, and a long computation must not outlive it.
+                os._exit(0)
+            if "cancel" in message:
+                self._cancelled = int(message["cancel"])
+            else:
+                self._queue.put(message)
+
+
+def main() -> None:
+    """Serve until the parent closes the pipe."""
+    logging.basicConfig(level=logging.INFO, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    # Ctrl-C in a terminal reaches the whole group; the parent decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    replies = _take_stdout()
+    requests = _Requests(sys.stdin.buffer)
+    start = requests.next()
+    arena = SharedArena.attach(start["arena"])
+    send(replies, {"protocol": PROTOCOL, "python": platform.python_version(), "pid": os.getpid()})
+
+    from .local import LocalSession
+
+    session = LocalSession(**start["start"])
+    while True:
+        message = unpack(requests.next(), arena)
+        reply = _answer(session, message, requests)
+        try:
+            send(replies, reply, arena)
+        except SessionError as error:  # no shared memory for this result
+            send(replies, {"id": message["id"], "error": _describe(error)}, arena)
+
+
+def _answer(session: Any, message: dict[str, Any], requests: _Requests) -> dict[str, Any]:
+    request, operation, arguments = message["id"], message["call"], message["arguments"]
+    try:
+        if operation not in OPERATIONS:
+            raise SessionError(f"The model worker has no operation {operation!r}; install the same version on both sides.")
+        if operation in _CANCELLABLE:
+            arguments["should_cancel"] = lambda: requests.is_cancelled(request)
+        return {"id": request, "result": getattr(session, operation)(**arguments)}
+    except GrmmError as error:
+        return {"id": request, "error": _describe(error)}
+    except MemoryError:
+        return {"id": request, "error": _describe(SessionError("The model ran out of memory; choose a smaller size."))}
+    except Exception as error:  # noqa: BLE001 - a defect of ours must reach the caller as a message and not end the worker
+        traceback.print_exc()
+        text = f"The model worker failed ({type(error).__name__}: {error}); its log has the details."
+        return {"id": request, "error": {"type": "SessionError", "message": " ".join(text.split())}}
+
+
+def _describe(error: GrmmError) -> dict[str, str]:
+    return {"type": type(error).__name__, "message": str(error)}
+
+
+def _take_stdout() -> BinaryIO:
+    """Keep stdout for messages and let everybody else's prints go to stderr."""
+    private = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    return private
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,92 @@
+"""The `grmm` command: one module for each sub-command, all with the same manners.
+
+A command module has ``add_parser(subparsers)``, which adds a parser named like the module, and ``run(args)``, which does the
+work and returns None, a mapping (the result, printed as one object under ``--json``) or an exit code. ``args.console`` is the
+`console.Console` to write with. Command modules are light to import: torch is loaded in ``run``. A command whose module is not
+installed is not offered.
+
+Errors meant for the user are one sentence on stderr and exit code 1; wrong usage is exit code 2; ``--debug`` shows tracebacks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import logging
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from types import ModuleType
+
+from .. import __version__
+from ..errors import GrmmError
+from .console import Console
+
+COMMANDS = ("info", "render", "fit", "capture", "train", "evaluate", "export", "sample", "bench")
+EXIT_OK, EXIT_ERROR, EXIT_USAGE = 0, 1, 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: Arguments without the program's name; those of the process when None.
+
+    Returns:
+        The exit code: 0, 1 for an error, 2 for wrong usage.
+    """
+    parser, modules = build_parser()
+    try:
+        args = parser.parse_args(argv)
+    except SystemExit as stop:  # argparse has printed the help or what is wrong
+        return int(stop.code or 0)
+    console = Console(as_json=args.json)
+    args.console = console
+    logging.basicConfig(
+        level=logging.DEBUG if args.debug else logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr
+    )
+    try:
+        result = modules[args.command].run(args)
+        if isinstance(result, int):
+            return result
+        if isinstance(result, Mapping):
+            console.result(result)
+        console.flush()
+    except GrmmError as error:
+        return _fail(args, console, str(error))
+    except KeyboardInterrupt:
+        return _fail(args, console, "Cancelled.")
+    except MemoryError:
+        return _fail(args, console, "There is not enough memory; choose a smaller size or close other programs.")
+    except BrokenPipeError:
+        # The reader of our output (a pager, head) has left; Python must not complain about it at exit either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return EXIT_ERROR
+    except Exception as error:  # noqa: BLE001 - the last line of defence: no traceback unless it is asked for
+        return _fail(args, console, f"Internal error ({type(error).__name__}: {error}); run again with --debug and report it.")
+    return EXIT_OK
+
+
+def build_parser() -> tuple[argparse.ArgumentParser, dict[str, ModuleType]]:
+    """Return the parser and the modules of the commands that are installed."""
+    parser = argparse.ArgumentParser(prog="grmm", description="Gaussian residual morphable model of the human head.")
+    parser.add_argument("--version", action="version", version=f"grmm {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    modules: dict[str, ModuleType] = {}
+    for name in COMMANDS:
+        if importlib.util.find_spec(f"{__name__}.{name}") is None:
+            continue
+        modules[name] = importlib.import_module(f".{name}", __name__)
+        modules[name].add_parser(subparsers)
+        command = subparsers.choices[name]
+        command.add_argument("--json", action="store_true", help="print the result as one JSON object on stdout")
+        command.add_argument("--debug", action="store_true", help="show log messages, and tracebacks of errors")
+    return parser, modules
+
+
+def _fail(args: argparse.Namespace, console: Console, message: str) -> int:
+    if args.debug:
+        logging.getLogger(__name__).exception("the command failed")
+    console.error(message)
+    return EXIT_ERROR

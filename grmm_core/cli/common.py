@@ -1,0 +1,69 @@
+"""Arguments that several commands share, and what they mean."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..controls import Controls, parse_assignments
+from ..errors import FileAccessError
+
+DEVICES = ("auto", "cpu", "cuda", "mps")
+
+
+def add_avatar(parser: argparse.ArgumentParser) -> None:
+    """Add the avatar as the first argument."""
+    parser.add_argument("avatar", metavar="AVATAR", help="a .grmm file, or 'default' for that of the weights")
+
+
+def add_output(parser: argparse.ArgumentParser, text: str) -> None:
+    """Add -o/--output."""
+    parser.add_argument("-o", "--output", metavar="FILE", required=True, type=Path, help=text)
+
+
+def add_model(parser: argparse.ArgumentParser) -> None:
+    """Add --device, --weights and --threads."""
+    parser.add_argument("--device", choices=DEVICES, default="auto", help="where the model runs (default: %(default)s)")
+    parser.add_argument("--weights", metavar="NAME|FILE", help="trained weights (default: the embedded ones)")
+    parser.add_argument("--threads", type=positive_int, metavar="N", help="CPU threads (default: all)")
+
+
+def add_controls(parser: argparse.ArgumentParser) -> None:
+    """Add --set."""
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="assignments",
+        help="set a control: an ARKit name such as jawOpen, an aligned expression such as laugh, expression.N, shape.N, jaw.x, "
+        "neck.y, eyes.yaw, z_id.N, z_exp.N (angles in radians); may be repeated",
+    )
+
+
+def controls_of(args: argparse.Namespace) -> Controls:
+    """Return the controls that --set asks for. Raises `ControlError`."""
+    return Controls().set_named(parse_assignments(args.assignments))
+
+
+def check_folder(path: Path) -> None:
+    """Refuse a file name whose folder is missing before minutes of work are spent. Raises `FileAccessError`."""
+    if not path.parent.is_dir():
+        raise FileAccessError(f"The folder {path.parent} does not exist; make it or choose another one.")
+    if path.is_dir():
+        raise FileAccessError(f"{path} is a folder; give a file name.")
+
+
+def picture_size(text: str) -> tuple[int, int]:
+    """Parse ``512`` or ``640x480`` into width and height; an argparse type."""
+    parts = text.lower().split("x")
+    if len(parts) > 2 or not all(part.isascii() and part.isdigit() and 0 < int(part) <= 65536 for part in parts):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a picture size; write 512 or 640x480")
+    return int(parts[0]), int(parts[-1])
+
+
+def positive_int(text: str) -> int:
+    """Parse a whole number above 0; an argparse type."""
+    if not (text.isascii() and text.isdigit() and 0 < int(text) < 1 << 31):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
+    return int(text)

@@ -1,0 +1,174 @@
+"""`grmm render`: draw one picture of an avatar.
+
+The main file is a PNG with straight alpha, an OpenEXR (scene-linear, premultiplied, every pass as named channels) or an
+.npz with the raw arrays. Beside a PNG called ``out.png``, each further pass of ``--passes`` is a file of its own:
+
+=============  ===========================================================================
+out.alpha.png  coverage, 16-bit grey
+out.depth.npy  camera depth in metres, float32 [H, W]; 1e10 where nothing is
+out.raw.png    before the refinement network, straight alpha
+out.normal.png world-space normals as 0.5 + 0.5 n, 16-bit
+out.mask.png   coverage of the avatar, 16-bit grey
+out.features.npy  feature channels, float32 [H, W, F], premultiplied
+=============  ===========================================================================
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..camera import Camera
+from ..color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
+from ..errors import ConfigError
+from ..files import atomic_write_bytes
+from ..images import quantize, write_exr, write_png
+from ..session import MAX_LOD, PASS_NAMES, Instance, RenderOptions, create_session
+from .common import add_avatar, add_controls, add_model, add_output, check_folder, controls_of, picture_size
+
+DEFAULT_DISTANCE = 1.0  # metres
+DEFAULT_FOV = 20.0  # degrees: a head of 0.28 m fills four fifths of the picture at that distance
+TARGET = (0.0, 0.0, 0.0)
+SUFFIXES = (".png", ".exr", ".npz")
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "render",
+        help="draw a picture of an avatar",
+        description="Draw a picture of an avatar.",
+        epilog=(__doc__ or "").partition("\n\n")[2],
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_avatar(parser)
+    add_output(parser, "the picture to write: .png, .exr or .npz")
+    parser.add_argument("--size", type=picture_size, default=(512, 512), metavar="512|WxH", help="pixels (default: 512)")
+    add_controls(parser)
+    parser.add_argument("--yaw", type=float, default=0.0, help="camera angle to the subject's left, degrees (default: 0)")
+    parser.add_argument("--pitch", type=float, default=0.0, help="camera angle upwards, degrees (default: 0)")
+    parser.add_argument("--distance", type=float, default=DEFAULT_DISTANCE, help="metres from the head (default: %(default)s)")
+    parser.add_argument("--fov", type=float, default=DEFAULT_FOV, help="angle of view, degrees (default: %(default)s)")
+    parser.add_argument("--no-refine", action="store_true", help="leave out the refinement network")
+    parser.add_argument("--lod", type=int, choices=range(MAX_LOD + 1), default=0, help="fewer, larger Gaussians (default: 0)")
+    parser.add_argument("--background", metavar="R,G,B", type=_color, help="display sRGB 0..1 (default: transparent)")
+    parser.add_argument(
+        "--passes", type=_passes, default=("rgb",), metavar="LIST", help=f"of {','.join(PASS_NAMES)}, with commas (default: rgb)"
+    )
+    add_model(parser)
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Draw the picture and write the files."""
+    path: Path = args.output
+    if path.suffix.lower() not in SUFFIXES:
+        raise ConfigError(f"{path} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; choose one of these formats.")
+    check_folder(path)
+    controls = controls_of(args)
+    camera = Camera.orbit(*args.size, args.yaw, args.pitch, args.distance, args.fov, TARGET)
+    passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
+    options = RenderOptions(refine=not args.no_refine, passes=passes, lod=args.lod, background=args.background)
+    with create_session(weights=args.weights, device=args.device, threads=args.threads) as session:
+        avatar = session.open(args.avatar)
+        start = time.perf_counter()
+        buffers = session.render([Instance(avatar.id, controls)], camera, options)
+        seconds = time.perf_counter() - start
+    files = write_buffers(path, buffers, args.passes, args.background is not None)
+    for file in files.values():
+        args.console.line(f"Wrote {file}.")
+    return {
+        "files": files,
+        "width": camera.width,
+        "height": camera.height,
+        "avatar": avatar.name,
+        "weights": avatar.weights_name,
+        "gaussians": avatar.gaussian_count,
+        "refined": options.refine,
+        "seconds": round(seconds, 4),
+    }
+
+
+def write_buffers(path: Path, buffers: dict[str, np.ndarray], passes: tuple[str, ...], opaque: bool) -> dict[str, str]:
+    """Write render buffers as files.
+
+    Args:
+        path: Main file.
+        buffers: Of `Session.render`, with "rgb" and "alpha" and all of `passes`.
+        passes: What else to write beside a PNG.
+        opaque: The buffers have a background, so the picture has no alpha.
+
+    Returns:
+        What each file holds to its name.
+    """
+    alpha = np.ones_like(buffers["alpha"]) if opaque else buffers["alpha"]
+    if path.suffix.lower() == ".npz":
+        stream = io.BytesIO()
+        np.savez_compressed(stream, **buffers)
+        atomic_write_bytes(path, stream.getvalue())
+        return {"all": str(path)}
+    if path.suffix.lower() == ".exr":
+        write_exr(path, _exr_channels(buffers, alpha, opaque))
+        return {"all": str(path)}
+    files = {"rgb": str(path)}
+    write_png(path, quantize(_picture(buffers["rgb"], alpha, opaque)))
+    for name in passes:
+        if name == "rgb":
+            continue
+        buffer = buffers[name]
+        file = path.with_suffix(f".{name}.npy" if name in ("depth", "features") else f".{name}.png")
+        if name in ("depth", "features"):
+            stream = io.BytesIO()
+            np.save(stream, buffer[..., 0] if name == "depth" else buffer, allow_pickle=False)
+            atomic_write_bytes(file, stream.getvalue())
+        elif name == "raw":
+            write_png(file, quantize(_picture(buffer, alpha, opaque)))
+        elif name == "normal":
+            write_png(file, quantize(0.5 + 0.5 * buffer, bits=16))
+        else:
+            write_png(file, quantize(buffer[..., :1], bits=16))
+        files[name] = str(file)
+    return files
+
+
+def _picture(rgb: np.ndarray, alpha: np.ndarray, opaque: bool) -> np.ndarray:
+    return rgb if opaque else straight_rgba(rgb, alpha)
+
+
+def _exr_channels(buffers: dict[str, np.ndarray], alpha: np.ndarray, opaque: bool) -> dict[str, np.ndarray]:
+    """Return OpenEXR channels under the names that compositors expect."""
+    channels: dict[str, np.ndarray] = {}
+    for name, buffer in buffers.items():
+        if name in ("rgb", "raw"):
+            linear = srgb_to_linear(buffer) if opaque else scene_linear_premultiplied(buffer, alpha)
+            prefix = "" if name == "rgb" else "raw."
+            channels |= {prefix + letter: linear[..., i] for i, letter in enumerate("RGBA"[: linear.shape[-1]])}
+        elif name == "depth":
+            channels["depth.Z"] = buffer[..., 0]
+        elif name == "normal":
+            channels |= {f"normal.{axis}": buffer[..., i] for i, axis in enumerate("XYZ")}
+        elif name == "alpha":
+            channels["alpha.A"] = buffer[..., 0]
+        else:
+            channels |= {f"{name}.{i:02d}": buffer[..., i] for i in range(buffer.shape[-1])}
+    return channels
+
+
+def _passes(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
+    unknown = [name for name in names if name not in PASS_NAMES]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"there is no render pass {unknown[0]!r}; choose from {', '.join(PASS_NAMES)}")
+    return names
+
+
+def _color(text: str) -> tuple[float, float, float]:
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a colour; write for example 1,1,1") from error
+    return red, green, blue

@@ -1,7 +1,9 @@
 """What a photo shows: faces, landmarks, expression coefficients, the person's outline.
 
 ``networks``  runs the converted networks of the asset photo_networks.safetensors
+``load``      files of every kind to upright RGB
 ``faces``     face boxes, 478 landmarks, 52 ARKit coefficients
+``person``    the mask of the person, its edge refined on the picture
 
 Needs torch; imports nothing of the model. Used by fitting.
 """

@@ -142,7 +142,7 @@ def test_the_mask_covers_the_face_and_leaves_the_corners(repository):
     (face,) = find_faces(photo.pixels)
     mask = person_mask(photo.pixels, face.box)
     x, y = face.landmarks[:, :2].T.astype(int)
-    assert mask[y, x].min() > 0.8
+    assert np.quantile(mask[y, x], 0.05) > 0.95  # the outermost landmarks lie on the silhouette
     assert mask[y, x].mean() > 0.98
     assert mask[:60, :60].max() < 0.2
     assert mask[:60, -60:].max() < 0.2

@@ -1,0 +1,154 @@
+"""Reading the open head from its asset, and the relation of its shape space to age, gender, ethnicity and weight.
+
+The asset is a tensor file written by `tools/open_head`. Directions are stored as integers with one scale per component: the
+leading shape components and all expression components in 16 bits, the many small shape components in 8 bits (largest rounding
+error 0.005 mm per unit). Needs numpy only.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ControlError, FileFormatError, ShapeError
+from ..tensorfile import read_tensors
+from .model import HeadModel
+
+FORMAT = "grmm-head"
+VERSION = 1
+ASSET = Path(__file__).resolve().parent.parent / "assets" / "open_head.safetensors"
+
+
+@dataclass(frozen=True)
+class PeopleModel:
+    """What a person's age, gender, ethnicity, muscle and weight say about the shape coefficients.
+
+    Attributes:
+        names: age (years, 18 to 80), female, african, asian, caucasian, muscle, weight (all 0..1; the ethnicities sum to 1).
+        mean: Mean of each over the people the shape space was made of, [M].
+        std: Standard deviation of each, [M].
+        macro_to_shape: Expected shape coefficients per unit of (macro - mean), [M, S].
+        residual_std: Standard deviation of each coefficient among people of the same macros, [S].
+    """
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    std: np.ndarray
+    macro_to_shape: np.ndarray
+    residual_std: np.ndarray
+
+    def expected_shape(self, macros: Mapping[str, float]) -> np.ndarray:
+        """Mean shape coefficients of people with these macros, [S]; macros that are not named are average.
+
+        Raises:
+            ControlError: Unknown macro, or a value that is not a finite number.
+        """
+        values = self.mean.astype(np.float32).copy()
+        for name, value in macros.items():
+            if name not in self.names or not np.isfinite(value):
+                raise ControlError(f"{name}={value} is not a macro of the open head; use {', '.join(self.names)} with numbers.")
+            values[self.names.index(name)] = value
+        return ((values - self.mean) @ self.macro_to_shape).astype(np.float32)
+
+    def sample_shape(
+        self, macros: Mapping[str, float], generator: np.random.Generator, variety: float = 1.0
+    ) -> np.ndarray:
+        """Shape coefficients of a random person with these macros, [S]; `variety` scales the individual part."""
+        individual = generator.standard_normal(len(self.residual_std)) * self.residual_std * variety
+        return (self.expected_shape(macros) + individual).astype(np.float32)
+
+
+@functools.lru_cache(maxsize=1)
+def load_open_head() -> HeadModel:
+    """Return the open head (read once; its arrays are read-only). Raises as `read_head`."""
+    return read_head(ASSET)
+
+
+@functools.lru_cache(maxsize=1)
+def load_people_model() -> PeopleModel:
+    """Return the open head's relation of macros and shape (read once). Raises as `read_head`."""
+    tensors, metadata = _read(ASSET)
+    try:
+        return PeopleModel(
+            tuple(json.loads(metadata["macro_names"])),
+            *(tensors[f"macro_{name}"] for name in ("mean", "std", "to_shape", "residual_std")),
+        )
+    except (KeyError, ValueError, TypeError) as error:
+        raise _corrupt(ASSET, error) from error
+
+
+def read_head(path: str | os.PathLike[str]) -> HeadModel:
+    """Read a head model of this project's format.
+
+    Raises:
+        FileAccessError: Missing or unreadable.
+        FileFormatError: Corrupt, another format, or a version that is not known.
+    """
+    tensors, metadata = _read(path)
+    try:
+        regions = {name.partition(".")[2]: tensors[name] for name in tensors if name.startswith("region.")}
+        head = HeadModel(
+            name=metadata["name"],
+            v_template=tensors["v_template"],
+            faces=tensors["faces"],
+            shape_dirs=np.concatenate([_dequantise(tensors, "shape_dirs_16"), _dequantise(tensors, "shape_dirs_8")], 2),
+            expression_dirs=_dequantise(tensors, "expression_dirs_16"),
+            posedirs=tensors.get("posedirs"),
+            J_regressor=_dense(tensors, len(tensors["v_template"])),
+            parents=tensors["parents"],
+            weights=tensors["weights"],
+            uv=tensors["uv"],
+            uv_faces=tensors["uv_faces"].astype(np.int32),
+            uv_islands=tensors["uv_islands"].astype(np.int32),
+            regions=regions,
+            shape_names=tuple(json.loads(metadata["shape_names"])),
+            expression_names=tuple(json.loads(metadata["expression_names"])),
+            expression_pose=tensors["expression_pose"],
+            arkit_to_expression=tensors["arkit_to_expression"],
+            landmarks68=_landmarks(tensors, "landmarks68"),
+            landmarks478=_landmarks(tensors, "landmarks478"),
+        )
+    except (KeyError, ValueError, TypeError, IndexError, ShapeError) as error:
+        raise _corrupt(path, error) from error
+    if not all(np.isfinite(array).all() for array in (head.v_template, head.shape_dirs, head.expression_dirs, head.weights)):
+        raise _corrupt(path, "numbers that are not finite")
+    return head
+
+
+def _read(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    tensors, metadata = read_tensors(path)
+    if metadata.get("format") != FORMAT:
+        raise FileFormatError(f"{path} is not a head model; choose a head model file.")
+    if metadata.get("version") != str(VERSION):
+        raise FileFormatError(
+            f"{path} is a head model of version {metadata.get('version')}, this program reads {VERSION}; update the add-on."
+        )
+    return tensors, metadata
+
+
+def _dequantise(tensors: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """Integers [V, 3, K] times scales [K], float32."""
+    return tensors[name] * tensors[f"{name}_scale"].astype(np.float32)
+
+
+def _dense(tensors: dict[str, np.ndarray], count: int) -> np.ndarray:
+    """The joint regressor [5, V] from its non-zero entries."""
+    regressor = np.zeros((len(tensors["parents"]), count), np.float32)
+    regressor[tensors["regressor_joint"], tensors["regressor_vertex"]] = tensors["regressor_weight"]
+    return regressor
+
+
+def _landmarks(tensors: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, np.ndarray] | None:
+    if f"{name}_faces" not in tensors:
+        return None
+    return tensors[f"{name}_faces"], tensors[f"{name}_barycentric"]
+
+
+def _corrupt(path: str | os.PathLike[str], reason: object) -> FileFormatError:
+    return FileFormatError(f"{path} is a damaged head model ({reason}); install the add-on again or rebuild the file.")

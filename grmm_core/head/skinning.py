@@ -1,0 +1,117 @@
+"""Linear blend skinning as pure functions, for numpy arrays and torch tensors alike.
+
+The functions use only operators that both libraries share, picked by the type of the argument, so that the animation path
+(numpy, stock Blender) and the training path (torch, batched, differentiable) are one text. Torch is never imported here.
+Used by `head.model`, `head.torch_head` and the builder of the open head.
+
+Conventions: rotations are XYZ Euler angles in radians, R = Rz Ry Rx (Blender's 'XYZ'), in head axes; lengths in metres.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from types import ModuleType
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import torch
+
+    Array: TypeAlias = np.ndarray | torch.Tensor
+
+
+def _library(array: Array) -> ModuleType:
+    """Return torch for a tensor and numpy for anything else, without importing torch."""
+    torch = sys.modules.get("torch")
+    return torch if torch is not None and isinstance(array, torch.Tensor) else np
+
+
+def euler_matrices(euler: Array) -> Array:
+    """Rotation matrices of XYZ Euler angles.
+
+    Args:
+        euler: Radians, [..., 3].
+
+    Returns:
+        R = Rz Ry Rx, [..., 3, 3].
+    """
+    lib = _library(euler)
+    cx, cy, cz = (lib.cos(euler[..., i]) for i in range(3))
+    sx, sy, sz = (lib.sin(euler[..., i]) for i in range(3))
+    entries = (
+        cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz,
+        cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz,
+        -sy, sx * cy, cx * cy,
+    )  # fmt: skip
+    return lib.stack(entries, -1).reshape((*euler.shape[:-1], 3, 3))
+
+
+def joint_transforms(rotations: Array, joints: Array, parents: Sequence[int]) -> Array:
+    """Chain the joints' rotations: transforms that take rest positions to posed positions.
+
+    Args:
+        rotations: Rotation of each joint relative to its parent, [..., J, 3, 3].
+        joints: Rest positions in metres, [..., J, 3].
+        parents: Parent of each joint, -1 for the root; parents come before children.
+
+    Returns:
+        Affine transforms, [..., J, 3, 4].
+    """
+    lib = _library(rotations)
+    turned: list[Array] = []  # [..., 3, 3] each
+    shifted: list[Array] = []  # [..., 3] each: x -> turned x + shifted
+    for j, parent in enumerate(parents):
+        rotation, joint = rotations[..., j, :, :], joints[..., j, :]
+        # about its rest position, then as the parent moves
+        local = joint - (rotation @ joint[..., None])[..., 0]
+        if parent < 0:
+            turned.append(rotation)
+            shifted.append(local)
+        else:
+            turned.append(turned[parent] @ rotation)
+            shifted.append((turned[parent] @ local[..., None])[..., 0] + shifted[parent])
+    columns = [lib.concatenate((r, t[..., None]), -1) for r, t in zip(turned, shifted, strict=True)]
+    return lib.stack(columns, -3)
+
+
+def skin(vertices: Array, transforms: Array, weights: Array) -> Array:
+    """Linear blend skinning.
+
+    Args:
+        vertices: Unposed positions in metres, [..., V, 3].
+        transforms: [..., J, 3, 4] of `joint_transforms`.
+        weights: Skinning weights, rows sum to 1, [V, J].
+
+    Returns:
+        Posed positions, [..., V, 3].
+    """
+    shape = transforms.shape
+    flat = transforms.reshape((*shape[:-2], 12))  # [..., J, 12]
+    blended = (weights @ flat).reshape((*shape[:-3], weights.shape[0], 3, 4))  # [..., V, 3, 4]
+    return (blended[..., :3] @ vertices[..., None])[..., 0] + blended[..., 3]
+
+
+def posed_vertices(
+    vertices: Array, rotations: Array, joints: Array, weights: Array, parents: Sequence[int], posedirs: Array | None = None
+) -> Array:
+    """Pose-corrective directions where the model has them, then linear blend skinning (FLAME's order).
+
+    Args:
+        vertices: Template plus shape, expression and displacement, [..., V, 3].
+        rotations: [..., J, 3, 3].
+        joints: Rest joints of the shaped head, [..., J, 3].
+        weights: [V, J].
+        parents: As for `joint_transforms`.
+        posedirs: Offsets per entry of (R_j - I) of all joints but the root, [V, 3, 9 (J - 1)], or None.
+
+    Returns:
+        [..., V, 3].
+    """
+    if posedirs is not None:
+        lib = _library(rotations)
+        identity = lib.eye(3) if lib is np else lib.eye(3, dtype=rotations.dtype, device=rotations.device)
+        feature = (rotations[..., 1:, :, :] - identity).reshape((*rotations.shape[:-3], -1))  # [..., 9 (J - 1)]
+        vertices = vertices + lib.einsum("vip,...p->...vi", posedirs, feature)
+    return skin(vertices, joint_transforms(rotations, joints, parents), weights)

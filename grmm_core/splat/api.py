@@ -1,0 +1,161 @@
+"""The rasteriser's front door: checks the input, chooses a backend, and calls it.
+
+Torch, numba and gsplat are imported on first use, so that this module can be imported where they are missing.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from ..errors import BackendError, RuntimeMissingError, ShapeError
+from .rules import View
+from .types import Gaussians, RasterOutput
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..camera import Camera
+
+Backend = Literal["auto", "torch", "cpu", "cuda"]
+BACKENDS: tuple[str, ...] = ("torch", "cpu", "cuda")
+
+
+@dataclass(frozen=True)
+class BackendInfo:
+    """One backend, for `grmm info`.
+
+    Attributes:
+        name: "torch", "cpu" or "cuda".
+        available: Whether it can be used here.
+        detail: What it is and how far it was tested, or what is missing.
+    """
+
+    name: str
+    available: bool
+    detail: str
+
+
+def _installed(module: str) -> bool:
+    return importlib.util.find_spec(module) is not None
+
+
+def available_backends() -> list[BackendInfo]:
+    """Return every backend with its state on this machine. Imports no heavy module except torch, for its devices."""
+    if not _installed("torch"):
+        return [BackendInfo(name, False, "torch is not installed") for name in BACKENDS]
+    import torch
+
+    backends = [BackendInfo("torch", True, "readable reference in PyTorch, any device; slow")]
+    if _installed("numba"):
+        backends.append(BackendInfo("cpu", True, "compiled with numba, all cores; tested against the reference"))
+    else:
+        backends.append(BackendInfo("cpu", False, "numba is not installed"))
+    if not torch.cuda.is_available():
+        backends.append(BackendInfo("cuda", False, "no CUDA device"))
+    elif not _installed("gsplat"):
+        backends.append(BackendInfo("cuda", False, "gsplat is not installed"))
+    else:
+        backends.append(BackendInfo("cuda", True, "gsplat; untested on this machine"))
+    return backends
+
+
+def choose_backend(device: str) -> str:
+    """Return the fastest backend for tensors on a device ("cpu", "cuda", "mps" ...)."""
+    if device == "cpu" and _installed("numba"):
+        return "cpu"
+    if device == "cuda" and _installed("gsplat"):
+        return "cuda"
+    return "torch"
+
+
+def _background(background: Any, gaussians: Gaussians, camera: Camera) -> Tensor | None:
+    """Return the background as a tensor [3] or [H, W, 3] like the means; None stays None."""
+    if background is None:
+        return None
+    import torch
+
+    ground = torch.as_tensor(background, device=gaussians.means.device, dtype=gaussians.means.dtype)
+    if tuple(ground.shape) not in ((3,), (camera.height, camera.width, 3)):
+        raise ShapeError(
+            f"The background has the shape {list(ground.shape)}; [3] or [{camera.height}, {camera.width}, 3] is needed."
+        )
+    return ground
+
+
+def rasterize(
+    gaussians: Gaussians,
+    camera: Camera,
+    background: Tensor | Sequence[float] | None = None,
+    backend: Backend = "auto",
+    antialiased: bool = False,
+    frame: Camera | None = None,
+) -> RasterOutput:
+    """Draw Gaussians: colour, cover, expected depth and features in one pass, differentiable in all of their parameters.
+
+    Exact 3DGS rules (`rules.py`): perspective expanded within 1.3 times the field of view, 0.3 px^2 dilation, Gaussians skipped
+    where they cover less than 1 / 255, cover capped at 0.999, a pixel ends before the Gaussian that would take its transmittance
+    below 1e-4, nothing nearer than 0.01 m; equal depths (as float32) keep the order of their index. Gaussians with non-finite
+    numbers are dropped. The camera gets no gradients.
+
+    Args:
+        gaussians: The scene.
+        camera: Perspective or orthographic; crops and lens shift are a moved principal point.
+        background: [3] or [H, W, 3] colours behind the scene; black when None.
+        backend: "torch", "cpu", "cuda", or the fastest that is there for the tensors' device.
+        antialiased: Compensate opacities for the dilation (Mip-Splatting), which keeps small Gaussians from swelling.
+        frame: The camera of the whole picture where `camera` is a crop of it; see `rules.View.of`.
+
+    Raises:
+        ShapeError: A tensor's shape, type or device does not fit.
+        BackendError: The backend is not available here, or the scene is too large for it.
+    """
+    if not _installed("torch"):
+        raise RuntimeMissingError("Drawing Gaussians needs torch, which is not installed here.")
+    gaussians.validate()
+    ground = _background(background, gaussians, camera)
+    view = View.of(camera, frame)
+    name = choose_backend(gaussians.means.device.type) if backend == "auto" else backend
+    if name == "torch":
+        from .reference import rasterize_reference
+
+        return rasterize_reference(gaussians, view, ground, antialiased)
+    if name == "cpu":
+        if not _installed("numba"):
+            raise BackendError("The CPU rasteriser needs numba: install it, or use the backend 'torch'.")
+        if gaussians.means.device.type != "cpu":
+            raise BackendError(f"The CPU rasteriser needs tensors on the CPU; these are on {gaussians.means.device}.")
+        from .cpu.function import rasterize_cpu
+
+        return rasterize_cpu(gaussians, view, ground, antialiased)
+    if name == "cuda":
+        from .cuda.adapter import rasterize_cuda
+
+        return rasterize_cuda(gaussians, view, ground, antialiased)
+    raise BackendError(f"There is no rasteriser called '{name}'; there are {', '.join(BACKENDS)} and auto.")
+
+
+def rasterize_batch(
+    gaussians: Gaussians | Sequence[Gaussians],
+    cameras: Sequence[Camera],
+    background: Tensor | Sequence[float] | None = None,
+    backend: Backend = "auto",
+    antialiased: bool = False,
+) -> list[RasterOutput]:
+    """Draw several pictures, one per camera; each call uses all cores.
+
+    Args:
+        gaussians: One scene seen by all cameras, or one per camera.
+        cameras: The cameras; sizes may differ.
+        background: As in `rasterize`, the same for all.
+        backend, antialiased: As in `rasterize`.
+
+    Raises:
+        ShapeError: The numbers of scenes and cameras differ, or a scene does not fit.
+    """
+    scenes = [gaussians] * len(cameras) if isinstance(gaussians, Gaussians) else list(gaussians)
+    if len(scenes) != len(cameras):
+        raise ShapeError(f"{len(scenes)} sets of Gaussians were given for {len(cameras)} cameras.")
+    return [rasterize(scene, camera, background, backend, antialiased) for scene, camera in zip(scenes, cameras, strict=True)]

@@ -1,0 +1,163 @@
+"""The compiled rasteriser as a PyTorch operation: torch tensors in and out, gradients by hand-written kernels.
+
+`api.py` imports this when the backend "cpu" is first used. Numba's thread pools must not be entered from two threads at a time
+(Blender renders and draws its viewport from different ones), so one lock guards every call.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from torch import Tensor
+
+from ...errors import BackendError
+from ..rules import TILE, View
+from ..types import Gaussians, RasterOutput
+from . import backward, binning, forward, projection
+
+LOCK = threading.Lock()
+SHARES = 8  # parallel shares of the tiles per thread, so that threads end together
+MAX_INSTANCES = 2**31 - 1
+
+
+@dataclass
+class Drawing:
+    """What the backward pass needs of a forward pass; arrays as their kernels describe them."""
+
+    camera: np.ndarray
+    tiles_x: int
+    geometry: np.ndarray
+    depths: np.ndarray
+    order: np.ndarray
+    starts: np.ndarray
+    ends: np.ndarray
+    gaussian: np.ndarray
+    slot: np.ndarray
+    slots: np.ndarray
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().to(torch.float32).contiguous().numpy()
+
+
+def draw(inputs: list[np.ndarray], background: np.ndarray, view: View, antialiased: bool) -> tuple[list[np.ndarray], Drawing]:
+    """Draw Gaussians.
+
+    Args:
+        inputs: means [N, 3], quats [N, 4], scales [N, 3], opacities [N], colors [N, 3], features [N, C]; float32, contiguous.
+        background: [1, 1, 3] or [H, W, 3] float32.
+        view: The camera.
+        antialiased: Opacity compensation.
+
+    Returns:
+        rgb [H, W, 3], alpha [H, W], depth [H, W] and features [H, W, C]; and what the backward pass needs.
+
+    Raises:
+        BackendError: The Gaussians cover so many tiles that they cannot be counted.
+    """
+    count, channels = len(inputs[0]), inputs[5].shape[1]
+    height, width = view.height, view.width
+    tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
+    camera = projection.camera_array(view, antialiased)
+    geometry = np.empty((count, projection.RECORD), np.float32)
+    depths = np.empty(count, np.float32)
+    rects = np.empty((count, 4), np.int32)
+    outputs = [np.empty(shape, np.float32) for shape in ((height, width, 3), (height, width), (height, width))]
+    outputs.append(np.empty((height, width, channels), np.float32))
+    ends = np.empty(tiles_x * tiles_y, np.int64)
+    with LOCK:
+        projection.project_forward(*inputs, camera, geometry, depths, rects)
+        if ((rects[:, 2] - rects[:, 0]).astype(np.int64) * (rects[:, 3] - rects[:, 1])).sum() > MAX_INSTANCES:
+            raise BackendError("The Gaussians are too large and too many to draw: scale them down or make the picture smaller.")
+        order = binning.depth_order(depths, rects)
+        starts, gaussian, slot, slots = binning.bin_tiles(order, rects, tiles_x, tiles_y)
+        workers = numba.get_num_threads() * SHARES
+        forward.draw_tiles(
+            workers, tiles_x, starts, gaussian, geometry, depths, inputs[4], inputs[5], background, *outputs, ends
+        )
+    return outputs, Drawing(camera, tiles_x, geometry, depths, order, starts, ends, gaussian, slot, slots)
+
+
+def differentiate(
+    inputs: list[np.ndarray],
+    background: np.ndarray,
+    outputs: list[np.ndarray],
+    drawing: Drawing,
+    d_outputs: list[np.ndarray],
+) -> list[np.ndarray]:
+    """Return the gradients of `inputs`, given those of `outputs`; arrays as in `draw`."""
+    rows = np.empty((len(drawing.gaussian), projection.MOMENTS + forward.BASE + inputs[5].shape[1]), np.float32)
+    d_inputs = [np.zeros_like(array) for array in inputs]
+    with LOCK:
+        workers = numba.get_num_threads() * SHARES
+        backward.replay_tiles(
+            workers, drawing.tiles_x, drawing.starts, drawing.ends, drawing.gaussian, drawing.slot, drawing.geometry,
+            drawing.depths, inputs[4], inputs[5], background, *outputs, *d_outputs, rows,
+        )  # fmt: skip
+        backward.collect(drawing.order, drawing.slots, rows, *inputs[:4], drawing.camera, drawing.geometry, *d_inputs)
+    return d_inputs
+
+
+class _Rasterize(torch.autograd.Function):
+    """Autograd wrapper around `draw` and `differentiate`."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        colors: Tensor,
+        features: Tensor,
+        background: Tensor,
+        view: View,
+        antialiased: bool,
+    ) -> tuple[Tensor, ...]:
+        inputs = [_array(tensor) for tensor in (means, quats, scales, opacities, colors, features)]
+        ground = _array(background)
+        outputs, drawing = draw(inputs, ground, view, antialiased)
+        results = tuple(torch.from_numpy(array) for array in outputs)
+        ctx.drawing = drawing
+        ctx.save_for_backward(means, quats, scales, opacities, colors, features, background, *results)
+        ctx.set_materialize_grads(True)
+        return results
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *d_results: Tensor) -> tuple[Tensor | None, ...]:
+        *tensors, background, rgb, alpha, depth, features = ctx.saved_tensors
+        inputs = [_array(tensor) for tensor in tensors]
+        outputs = [tensor.detach().numpy() for tensor in (rgb, alpha, depth, features)]
+        d_outputs = [_array(tensor) for tensor in d_results]
+        d_inputs = differentiate(inputs, _array(background), outputs, ctx.drawing, d_outputs)
+        gradients: list[Tensor | None] = [
+            torch.from_numpy(array).to(tensor.dtype) if needed else None
+            for array, tensor, needed in zip(d_inputs, tensors, ctx.needs_input_grad[:6], strict=True)
+        ]
+        d_background = None
+        if ctx.needs_input_grad[6]:
+            d_background = ((1 - alpha)[..., None] * d_results[0]).sum_to_size(background.shape).to(background.dtype)
+        return (*gradients, d_background, None, None)
+
+
+def rasterize_cpu(gaussians: Gaussians, view: View, background: Tensor | None = None, antialiased: bool = False) -> RasterOutput:
+    """Draw Gaussians with the compiled kernels; arguments as in `reference.rasterize_reference`, computed in float32."""
+    count = len(gaussians)
+    features = gaussians.features
+    if features is None:
+        features = gaussians.means.new_empty(count, 0)
+    ground = torch.zeros(1, 1, 3) if background is None else background.to(torch.float32)
+    ground = ground.reshape(1, 1, 3) if ground.ndim == 1 else ground
+    leaves = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.colors, features)
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in (*leaves, ground)):
+        rgb, alpha, depth, blended = _Rasterize.apply(*leaves, ground, view, antialiased)
+    else:
+        outputs, _ = draw([_array(tensor) for tensor in leaves], _array(ground), view, antialiased)
+        rgb, alpha, depth, blended = (torch.from_numpy(array) for array in outputs)
+    return RasterOutput(rgb, alpha, depth, None if gaussians.features is None else blended)

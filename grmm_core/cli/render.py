@@ -58,7 +58,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--lod", type=int, choices=range(MAX_LOD + 1), default=0, help="fewer, larger Gaussians (default: 0)")
     parser.add_argument("--background", metavar="R,G,B", type=_color, help="display sRGB 0..1 (default: transparent)")
     parser.add_argument(
-        "--passes", type=_passes, default=("rgb",), metavar="LIST", help=f"of {','.join(PASS_NAMES)}, with commas (default: rgb)"
+        "--passes", type=_passes, default=("rgb",), metavar="LIST", help=f"of {','.join(PASS_NAMES)} (default: rgb)"
     )
     add_model(parser)
 

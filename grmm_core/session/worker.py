@@ -17,7 +17,7 @@ import threading
 import traceback
 from typing import Any, BinaryIO
 
-from ..errors import GrmmError, SessionError
+from ..errors import GrmmError, RuntimeMissingError, SessionError
 from .arena import SharedArena
 from .codec import receive, send, unpack
 from .process import PROTOCOL
@@ -69,16 +69,32 @@ def main() -> None:
     arena = SharedArena.attach(start["arena"])
     send(replies, {"protocol": PROTOCOL, "python": platform.python_version(), "pid": os.getpid()})
 
-    from .local import LocalSession
-
-    session = LocalSession(**start["start"])
+    session, failure = _make_session(start["start"])
     while True:
         message = unpack(requests.next(), arena)
-        reply = _answer(session, message, requests)
+        if failure is not None:
+            reply = {"id": message["id"], "error": _describe(failure)}
+        else:
+            reply = _answer(session, message, requests)
         try:
             send(replies, reply, arena)
         except SessionError as error:  # no shared memory for this result
             send(replies, {"id": message["id"], "error": _describe(error)}, arena)
+
+
+def _make_session(settings: dict[str, Any]) -> tuple[Any, GrmmError | None]:
+    """Return the session, or why there is none: that is the answer to every call."""
+    try:
+        from .local import LocalSession
+
+        return LocalSession(**settings), None
+    except ModuleNotFoundError as error:
+        missing = (error.name or "a module").partition(".")[0]
+        return None, RuntimeMissingError(
+            f"The Python {sys.executable} has no {missing}; install it there or choose another Python for the model."
+        )
+    except GrmmError as error:
+        return None, error
 
 
 def _answer(session: Any, message: dict[str, Any], requests: _Requests) -> dict[str, Any]:

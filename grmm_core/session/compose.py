@@ -1,0 +1,281 @@
+"""One picture of several avatars: rasterise together, refine, hand out passes.
+
+All Gaussians are brought into camera space and rasterised in one pass, so that avatars occlude one another to the last
+splat. Further channels ride along with the features: mesh normals for the "normal" pass and, for several avatars, one channel
+each that holds 1 on its own Gaussians, whose splatted value is that avatar's coverage after occlusion.
+
+Refinement (eq. 14) of several avatars. The depth channel is min-max normalised over each avatar, as in training, by giving
+every pixel the range of the avatar that covers most of it. Avatars of the same weights are refined in one pass over the joint
+picture. Where weights differ, each network runs on the joint picture with the features of its own avatars, and its change is
+blended in by their coverage: I = I_rgb + sum_g (I_g - I_rgb) c_g / alpha. With one set of weights this is eq. 14 itself.
+
+Networks run on the covered part of the picture only, with a margin as wide as they see, which changes nothing in it.
+
+Called by `local`. Imports torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..color import MIN_ALPHA
+from ..errors import CancelledError
+from ..model.grmm import GRMM, HEAD_CENTRE
+from ..model.refine import depth_range
+from ..model.texels import matrix_to_quaternion, multiply_quaternions
+from ..splat import Gaussians, RasterOutput, rasterize
+from .api import EMPTY_DEPTH, CancelCheck, Instance, RenderOptions
+from .evaluate import Evaluator, Inputs, OpenAvatar
+
+NORMAL_CHANNELS = 3
+_MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An instance with what `local` looked up for it."""
+
+    target: OpenAvatar
+    inputs: Inputs
+    instance: Instance
+
+
+@dataclass(frozen=True)
+class _Channels:
+    """Where the extra channels of the joint rasterisation are.
+
+    Attributes:
+        features: Slice of each model's features, by the identity of the model.
+        normals: Slice of the normals, or None.
+        coverage: Slice of the coverages, one channel an instance, or None for a single instance.
+        count: All channels.
+    """
+
+    features: dict[int, slice]
+    normals: slice | None
+    coverage: slice | None
+    count: int
+
+
+def compose(
+    placed: Sequence[Placed], evaluator: Evaluator, camera: Camera, options: RenderOptions, should_cancel: CancelCheck | None
+) -> dict[str, np.ndarray]:
+    """Draw instances; see `api.Session.render` for the result. Call under `torch.inference_mode`."""
+    check = _canceller(should_cancel)
+    if not placed:
+        return _empty(camera, options)
+    check()
+    channels = _plan(placed, options)
+    parts = []
+    for index, item in enumerate(placed):
+        parts.append(_gaussians(item, index, evaluator, camera, options, channels, single=len(placed) == 1))
+        check()
+    if len(placed) == 1:
+        # In head space as it is: the placement goes into the camera (eq. 2) and no Gaussian is moved.
+        raster = rasterize(parts[0], camera.transformed(placed[0].instance.model_to_world))
+    else:
+        raster = rasterize(Gaussians.concatenate(parts), _at_origin(camera))
+    check()
+    refined = raster.rgb
+    if options.refine and "rgb" in options.passes:
+        refined = _refine(placed, raster, channels, check)
+    return _buffers(placed, raster, refined, channels, options)
+
+
+def _canceller(should_cancel: CancelCheck | None) -> Callable[[], None]:
+    def check() -> None:
+        if should_cancel is not None and should_cancel():
+            raise CancelledError("The picture was cancelled.")
+
+    return check
+
+
+def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
+    wants_features = "features" in options.passes or (options.refine and "rgb" in options.passes)
+    features: dict[int, slice] = {}
+    count = 0
+    if wants_features:
+        for item in placed:
+            key = id(item.target.model)
+            if key not in features:
+                features[key] = slice(count, count + item.target.model.config.features)
+                count = features[key].stop
+    normals = coverage = None
+    if "normal" in options.passes:
+        normals = slice(count, count + NORMAL_CHANNELS)
+        count = normals.stop
+    if len(placed) > 1 and (wants_features or "mask" in options.passes):
+        coverage = slice(count, count + len(placed))
+        count = coverage.stop
+    return _Channels(features, normals, coverage, count)
+
+
+def _gaussians(
+    item: Placed, index: int, evaluator: Evaluator, camera: Camera, options: RenderOptions, channels: _Channels, single: bool
+) -> Gaussians:
+    """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space."""
+    model_to_world = item.instance.model_to_world
+    direction = camera.transformed(model_to_world).view_direction(np.array(HEAD_CENTRE))
+    own = evaluator.gaussians(item.target, item.inputs, direction, options.lod)
+    own_slice = channels.features.get(id(item.target.model))
+    if channels.count == 0:
+        stacked = None
+    elif own_slice is not None and own_slice == slice(0, channels.count):
+        stacked = own.features
+    else:
+        stacked = own.means.new_zeros((len(own), channels.count))
+        if own_slice is not None:
+            stacked[:, own_slice] = own.features
+        if channels.normals is not None:
+            normals = evaluator.normals(item.target, item.inputs, options.lod)
+            rotation = _rotation(model_to_world, normals)
+            stacked[:, channels.normals] = normals @ rotation.T
+        if channels.coverage is not None:
+            stacked[:, channels.coverage.start + index] = 1.0
+    means, quats, scales = own.means, own.quats, own.scales
+    if not single:
+        to_camera = camera.world_to_camera @ model_to_world
+        size = float(np.cbrt(np.linalg.det(to_camera[:3, :3])))
+        linear = means.new_tensor(to_camera[:3, :3])
+        means = means @ linear.T + means.new_tensor(to_camera[:3, 3])
+        quats = multiply_quaternions(matrix_to_quaternion(linear / size), quats)
+        scales = scales * size
+    return Gaussians(means, quats, scales, own.opacities, own.colors, stacked)
+
+
+def _rotation(model_to_world: np.ndarray, like: Tensor) -> Tensor:
+    linear = model_to_world[:3, :3]
+    return like.new_tensor(linear / np.cbrt(np.linalg.det(linear)))
+
+
+def _at_origin(camera: Camera) -> Camera:
+    """Return the camera of points that are given in its own axes."""
+    return Camera(
+        np.eye(4), camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, orthographic=camera.orthographic
+    )
+
+
+def _refine(placed: Sequence[Placed], raster: RasterOutput, channels: _Channels, check: Callable[[], None]) -> Tensor:
+    """Return the refined colours, premultiplied over black, [H, W, 3]."""
+    coverage = None if channels.coverage is None else raster.features[..., channels.coverage]  # [H, W, K]
+    limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
+    result = raster.rgb
+    models: dict[int, GRMM] = {id(item.target.model): item.target.model for item in placed}
+    for key, model in models.items():
+        check()
+        if model.refinement is None:
+            continue
+        share = None
+        if len(models) > 1:
+            own = [k for k, item in enumerate(placed) if id(item.target.model) == key]
+            share = coverage[..., own].sum(-1)  # [H, W]
+        region = _covered_region(raster.alpha if share is None else share, model)
+        if region is None:
+            continue
+        rows, columns = region
+        part = RasterOutput(
+            rgb=raster.rgb[rows, columns],
+            alpha=raster.alpha[rows, columns],
+            depth=raster.depth[rows, columns],
+            features=raster.features[rows, columns, channels.features[key]] if model.config.features else None,
+        )
+        refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns])
+        if result is raster.rgb:
+            result = raster.rgb.clone()
+        if share is None:
+            result[rows, columns] = refined
+        else:
+            weight = (share[rows, columns] / part.alpha.clamp(min=_MIN_SHARE)).clamp(max=1.0)
+            result[rows, columns] += (refined - part.rgb) * weight[..., None]
+    return result
+
+
+def _ranges(raster: RasterOutput, coverage: Tensor) -> Tensor:
+    """Return, at each pixel, the depth range of the avatar that covers most of it, [2, H, W]."""
+    owner = coverage.argmax(-1)  # [H, W]
+    limits = raster.depth.new_zeros((2, *owner.shape))
+    for k in range(coverage.shape[-1]):
+        mine = owner == k
+        limits[:, mine] = depth_range(raster.depth, torch.where(mine, raster.alpha, 0.0))[:, None]
+    return limits
+
+
+def _covered_region(cover: Tensor, model: GRMM) -> tuple[slice, slice] | None:
+    """Return rows and columns around everything covered, on the network's grid, with a margin; None when nothing is."""
+    refinement = model.refinement
+    multiple = refinement.multiple
+    margin = receptive_margin(model)
+    bounds = []
+    for axis in (1, 0):
+        hit = torch.nonzero(cover.amax(axis) > 0)
+        if not len(hit):
+            return None
+        low, high = int(hit[0]), int(hit[-1]) + 1
+        low = max(low - margin, 0) // multiple * multiple
+        high = min(-(-(high + margin) // multiple) * multiple, cover.shape[1 - axis])
+        bounds.append(slice(low, high))
+    return bounds[0], bounds[1]
+
+
+def receptive_margin(model: GRMM) -> int:
+    """Pixels beyond a pixel that its refined value can depend on, rounded up to the network's grid."""
+    fold, levels = model.config.refine_unshuffle, len(model.config.refine_channels)
+    # entry and exit: one cell each at the finest level; each way down one cell, each way up one cell of the finer level and
+    # one of the coarser that nearest enlargement smears; one at the bottom
+    reach = 2 + sum(3 << level for level in range(levels - 1)) + (1 << (levels - 1))
+    return -(-reach * fold // (fold << (levels - 1))) * (fold << (levels - 1))
+
+
+def _buffers(
+    placed: Sequence[Placed], raster: RasterOutput, refined: Tensor, channels: _Channels, options: RenderOptions
+) -> dict[str, np.ndarray]:
+    alpha = raster.alpha
+    behind = 0.0
+    if options.background is not None:
+        behind = (1.0 - alpha)[..., None] * alpha.new_tensor(options.background)
+    makers: dict[str, Callable[[], Tensor]] = {
+        "rgb": lambda: refined + behind,
+        "alpha": lambda: alpha[..., None],
+        "depth": lambda: torch.where(alpha >= MIN_ALPHA, raster.depth, EMPTY_DEPTH)[..., None],
+        "raw": lambda: raster.rgb + behind,
+        "normal": lambda: _unit_normals(raster.features[..., channels.normals], alpha),
+        "features": lambda: _all_features(raster, channels),
+        "mask": lambda: alpha[..., None] if channels.coverage is None else raster.features[..., channels.coverage],
+    }
+    return {name: _to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
+
+
+def _unit_normals(summed: Tensor, alpha: Tensor) -> Tensor:
+    length = summed.norm(dim=-1, keepdim=True)
+    return torch.where((alpha[..., None] >= MIN_ALPHA) & (length > 0), summed / length.clamp(min=1e-12), 0.0)
+
+
+def _all_features(raster: RasterOutput, channels: _Channels) -> Tensor:
+    """Return the features of all models, added up where their numbers differ (they cover different pixels)."""
+    width = max((part.stop - part.start for part in channels.features.values()), default=0)
+    total = raster.alpha.new_zeros((*raster.alpha.shape, width))
+    for part in channels.features.values():
+        total[..., : part.stop - part.start] += raster.features[..., part]
+    return total
+
+
+def _empty(camera: Camera, options: RenderOptions) -> dict[str, np.ndarray]:
+    """Return the picture of no avatars."""
+    sizes = {"rgb": 3, "alpha": 1, "depth": 1, "raw": 3, "normal": 3, "features": 0, "mask": 0}
+    buffers = {name: np.zeros((camera.height, camera.width, sizes[name]), np.float32) for name in options.passes}
+    for name, buffer in buffers.items():
+        if name == "depth":
+            buffer[:] = EMPTY_DEPTH
+        elif name in ("rgb", "raw") and options.background is not None:
+            buffer[:] = options.background
+    return buffers
+
+
+def _to_numpy(tensor: Tensor) -> np.ndarray:
+    return np.ascontiguousarray(tensor.float().cpu().numpy())

@@ -1,0 +1,294 @@
+"""`LocalSession`: the session interface, carried out in this process.
+
+Used directly by the command line and scripts, and inside the worker process by `worker`. Importing this module imports torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import logging
+import os
+import platform
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import MappingProxyType, TracebackType
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+
+import numpy as np
+import torch
+
+from ..avatar import Avatar, load_avatar, save_avatar
+from ..camera import Camera
+from ..color import straight_rgba
+from ..controls import Controls
+from ..errors import BackendError, SessionError, ShapeError
+from ..head.skinning import euler_matrices, joint_transforms
+from ..images import encode_png, quantize
+from .api import (
+    MAX_LOD,
+    AvatarInfo,
+    CancelCheck,
+    Deformation,
+    GaussianArrays,
+    Instance,
+    RenderOptions,
+    SessionStatus,
+    check_render_size,
+)
+from .compose import Placed, compose
+from .evaluate import Evaluator, Inputs, OpenAvatar
+from .models import ModelStore, default_avatar, sampled_avatar
+from .sources import SourceKey, source_key
+from .system import resident_memory
+
+CACHE_BYTES = 512 << 20
+THUMBNAIL_PIXELS = 192
+FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
+_UNIT_TOLERANCE = 1e-3
+
+_log = logging.getLogger(__name__)
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _guarded(
+    method: Callable[Concatenate[LocalSession, P], R],
+) -> Callable[Concatenate[LocalSession, P], R]:
+    """Let one call through at a time, without gradients, and turn an exhausted memory into one sentence."""
+
+    @functools.wraps(method)
+    def call(self: LocalSession, *args: P.args, **kwargs: P.kwargs) -> R:
+        with self._lock, torch.inference_mode():
+            if self._closed:
+                raise SessionError("The session is closed; open a new one.")
+            try:
+                return method(self, *args, **kwargs)
+            except (MemoryError, torch.OutOfMemoryError) as error:
+                self._evaluator.cache.clear()
+                raise SessionError("The model ran out of memory; choose a smaller size or a higher level of detail.") from error
+            except RuntimeError as error:
+                # Torch reports a failed allocation on the CPU as a plain RuntimeError.
+                if "alloc" not in str(error):
+                    raise
+                self._evaluator.cache.clear()
+                raise SessionError("The model ran out of memory; choose a smaller size or a higher level of detail.") from error
+
+    return call
+
+
+class LocalSession:
+    """Opens and draws avatars in this process. See `api.Session` for the methods."""
+
+    def __init__(
+        self,
+        weights: str | os.PathLike[str] | None = None,
+        device: str = "auto",
+        threads: int | None = None,
+        cache_bytes: int = CACHE_BYTES,
+    ) -> None:
+        """Prepare a session; weights are read by the first call or `warm_up`.
+
+        Args:
+            weights: Name of installed weights, or a file, for "default" and `sample`; None for the embedded ones.
+            device: "auto", "cpu", "cuda" or "mps".
+            threads: CPU threads; None leaves it to the libraries.
+            cache_bytes: Limit of what is kept between calls (see `evaluate`).
+
+        Raises:
+            BackendError: The device is not there.
+        """
+        self._lock = threading.RLock()
+        self._closed = False
+        self._device = choose_device(device)
+        if threads is not None:
+            torch.set_num_threads(threads)
+        self._store = ModelStore(weights, self._device)
+        self._evaluator = Evaluator(cache_bytes)
+        self._avatars: dict[int, OpenAvatar] = {}
+        self._infos: dict[int, AvatarInfo] = {}
+        self._next_id = 0
+
+    @_guarded
+    def open(self, source: str | os.PathLike[str]) -> AvatarInfo:
+        """See `Session.open`."""
+        key = source_key(source)
+        known = self._known(key)
+        if known is not None:
+            return known
+        if key.kind == "default":
+            loaded = self._store.default()
+            return self._add(default_avatar(loaded), loaded, key)
+        path = Path(key.name)
+        avatar = load_avatar(path)
+        return self._add(avatar, self._store.for_avatar(avatar, path), key)
+
+    @_guarded
+    def sample(self, seed: int) -> AvatarInfo:
+        """See `Session.sample`."""
+        key = SourceKey("sample", str(int(seed)))
+        known = self._known(key)
+        if known is not None:
+            return known
+        loaded = self._store.default()
+        return self._add(sampled_avatar(loaded, int(seed)), loaded, key)
+
+    @_guarded
+    def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
+        """See `Session.save`."""
+        target = self._target(avatar_id)
+        camera = Camera.orbit(THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
+        buffers = self.render([Instance(avatar_id)], camera)
+        png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))
+        save_avatar(target.avatar.with_thumbnail(png), path)
+
+    @_guarded
+    def release(self, avatar_id: int) -> None:
+        """See `Session.release`."""
+        self._avatars.pop(avatar_id, None)
+        self._infos.pop(avatar_id, None)
+        self._evaluator.cache.drop(avatar_id)
+
+    @_guarded
+    def deform(self, avatar_id: int, controls: Controls) -> Deformation:
+        """See `Session.deform`."""
+        target = self._target(avatar_id)
+        inputs = self._evaluator.inputs(target, controls)
+        vertices, displacement = self._evaluator.mesh(target, inputs)
+        return Deformation(_array(vertices), _array(displacement), _joints(target, inputs))
+
+    @_guarded
+    def gaussians(
+        self, avatar_id: int, controls: Controls, view_direction: np.ndarray | None = None, lod: int = 0, features: bool = False
+    ) -> GaussianArrays:
+        """See `Session.gaussians`."""
+        target = self._target(avatar_id)
+        if not 0 <= lod <= MAX_LOD:
+            raise ShapeError(f"The level of detail is {lod}; it must be 0 to {MAX_LOD}.")
+        direction = np.asarray(FRONT if view_direction is None else view_direction, np.float64)
+        if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < _UNIT_TOLERANCE:
+            raise ShapeError("The view direction must be a unit vector of three numbers.")
+        inputs = self._evaluator.inputs(target, controls)
+        found = self._evaluator.gaussians(target, inputs, direction, lod)
+        extra = _array(found.features) if features else np.zeros((len(found), 0), np.float32)
+        return GaussianArrays(
+            *(_array(part) for part in (found.means, found.quats, found.scales, found.opacities, found.colors)), extra
+        )
+
+    @_guarded
+    def render(
+        self,
+        instances: Sequence[Instance],
+        camera: Camera,
+        options: RenderOptions = RenderOptions(),  # noqa: B008 - frozen
+        should_cancel: CancelCheck | None = None,
+    ) -> dict[str, np.ndarray]:
+        """See `Session.render`."""
+        check_render_size(camera)
+        placed = []
+        for instance in instances:
+            target = self._target(instance.avatar_id)
+            placed.append(Placed(target, self._evaluator.inputs(target, instance.controls), instance))
+        return compose(placed, self._evaluator, camera, options, should_cancel)
+
+    @_guarded
+    def warm_up(self) -> None:
+        """See `Session.warm_up`; here it loads and compiles before it returns, because threads would share one interpreter."""
+        info = self.open("default")
+        self.render([Instance(info.id)], Camera.orbit(64, 64), RenderOptions(passes=("rgb", "alpha")))
+
+    def status(self) -> SessionStatus:
+        """See `Session.status`."""
+        return SessionStatus(
+            kind="local",
+            alive=not self._closed,
+            pid=os.getpid(),
+            python=platform.python_version(),
+            torch=torch.__version__,
+            device=describe_device(self._device),
+            threads=torch.get_num_threads(),
+            memory_bytes=resident_memory(),
+        )
+
+    def close(self) -> None:
+        """See `Session.close`."""
+        with self._lock:
+            self._closed = True
+            self._avatars.clear()
+            self._infos.clear()
+            self._evaluator.cache.clear()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _known(self, key: SourceKey) -> AvatarInfo | None:
+        return next((self._infos[target.id] for target in self._avatars.values() if target.source == key), None)
+
+    def _add(self, avatar: Avatar, loaded: Any, key: SourceKey) -> AvatarInfo:
+        self._next_id += 1
+        target = OpenAvatar(self._next_id, avatar, loaded, key)
+        # Reject an avatar that does not fit before it gets an id.
+        self._evaluator.inputs(target, Controls())
+        model = loaded.model
+        info = AvatarInfo(
+            id=target.id,
+            name=avatar.name,
+            source=key.label,
+            head_name=loaded.info.head_name,
+            head_sha256=loaded.info.head_sha256,
+            weights_name=loaded.info.name,
+            weights_sha256=loaded.info.sha256,
+            vertex_count=len(model.head_model.v_template),
+            gaussian_count=model.gaussian_count,
+            feature_count=model.config.features,
+            z_id_size=model.z_id_size,
+            z_exp_size=model.z_exp_size,
+            shape=avatar.shape,
+            z_id=avatar.z_id,
+            neutral_pose=avatar.pose,
+            aligned_code_norms=np.linalg.norm(loaded.codes, axis=1).astype(np.float32),
+            provenance=MappingProxyType(dataclasses.asdict(avatar.provenance)),
+            thumbnail=avatar.thumbnail,
+        )
+        self._avatars[target.id] = target
+        self._infos[target.id] = info
+        return info
+
+    def _target(self, avatar_id: int) -> OpenAvatar:
+        if avatar_id not in self._avatars:
+            raise SessionError(f"There is no avatar {avatar_id} in this session; open it first.")
+        return self._avatars[avatar_id]
+
+
+def choose_device(name: str) -> torch.device:
+    """Return a torch device by name; "auto" takes CUDA where it works, else the CPU. Raises `BackendError`."""
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
+    if not available.get(name, False):
+        usable = ", ".join(device for device, there in available.items() if there)
+        raise BackendError(f"The device {name!r} is not available here; use auto or one of: {usable}.")
+    return torch.device(name)
+
+
+def describe_device(device: torch.device) -> str:
+    """Return a device's kind and, for CUDA, its product name."""
+    return f"cuda ({torch.cuda.get_device_name(device)})" if device.type == "cuda" else device.type
+
+
+def _joints(target: OpenAvatar, inputs: Inputs) -> np.ndarray:
+    """Return posed joint positions, [5, 3]."""
+    head = target.model.head_model
+    rest = np.asarray(head.joints(inputs.shape), np.float32)
+    transforms = joint_transforms(euler_matrices(inputs.pose), rest, head.parents)  # [5, 3, 4]
+    return ((transforms[..., :3] @ rest[..., None])[..., 0] + transforms[..., 3]).astype(np.float32)
+
+
+def _array(tensor: torch.Tensor) -> np.ndarray:
+    return np.array(tensor.float().cpu().numpy(), np.float32)

@@ -1,0 +1,219 @@
+"""Trained models in memory: found by name or by an avatar's reference, loaded once, shared by their avatars.
+
+Called by `local`. Imports torch.
+"""
+
+from __future__ import annotations
+
+import copy
+import datetime
+import logging
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from .. import __version__
+from ..avatar import AssetReference, Avatar, Provenance
+from ..avatar.types import SHAPE_SIZE
+from ..errors import BackendError, FileAccessError, FileFormatError, SessionError
+from ..expressions import ALIGNED_NAMES
+from ..model.grmm import GRMM
+from ..model.weights import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, WeightsInfo, load_weights, weights_path
+
+WEIGHTS_SUFFIX = ".safetensors"
+MADE_BY = f"grmm {__version__}"
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """A model ready for inference.
+
+    Attributes:
+        model: In evaluation mode on the session's device.
+        info: What its weights file says.
+        codes: Table Z of aligned expression codes, [60, Y], or [60, 0] without residuals.
+    """
+
+    model: GRMM
+    info: WeightsInfo
+    codes: np.ndarray
+
+    @property
+    def reference(self) -> AssetReference:
+        """How an avatar names these weights."""
+        return AssetReference(self.info.name, self.info.sha256)
+
+    @property
+    def head_reference(self) -> AssetReference:
+        """How an avatar names the head model."""
+        return AssetReference(self.info.head_name, self.info.head_sha256)
+
+
+class ModelStore:
+    """Loads weights on demand and keeps them."""
+
+    def __init__(self, weights: str | os.PathLike[str] | None, device: torch.device) -> None:
+        """Remember which weights are the default; nothing is read yet.
+
+        Args:
+            weights: Name of installed weights, or a file; None for the embedded ones.
+            device: Where models go.
+        """
+        self._default_path = resolve_weights(weights)
+        self._device = device
+        self._models: dict[Path, LoadedModel] = {}
+
+    def default(self) -> LoadedModel:
+        """Return the session's own weights. Raises `FileAccessError`, `FileFormatError`."""
+        if not self._default_path.exists():
+            raise FileAccessError(
+                f"The trained weights {self._default_path} are not installed; install them or choose others with --weights."
+            )
+        return self._load(self._default_path)
+
+    def for_avatar(self, avatar: Avatar, path: Path) -> LoadedModel:
+        """Return the model that an avatar was made for, with the avatar's own changes of the weights.
+
+        Args:
+            avatar: What was read.
+            path: Its file, for messages.
+
+        Raises:
+            FileFormatError: The weights or the head model are not installed, or the codes do not fit them.
+        """
+        wanted = avatar.weights
+        loaded = self._find(wanted)
+        if loaded is None:
+            raise FileFormatError(
+                f"{path} needs the trained weights {wanted.name!r} ({wanted.sha256[:12] or 'any version'}), which are not "
+                "installed; install them or make the avatar anew with the installed ones."
+            )
+        if avatar.head.sha256 and avatar.head.sha256 != loaded.info.head_sha256:
+            raise FileFormatError(f"{path} belongs to another version of the head model {avatar.head.name!r}; make it anew.")
+        model = loaded.model
+        if model.config.residuals and (avatar.z_id.size, avatar.z_exp.size) != (model.z_id_size, model.z_exp_size):
+            raise FileFormatError(f"The codes in {path} do not fit the weights {wanted.name!r}; make the avatar anew.")
+        if not avatar.deltas:
+            return loaded
+        return LoadedModel(with_deltas(model, avatar.deltas, path), loaded.info, loaded.codes)
+
+    def _find(self, wanted: AssetReference) -> LoadedModel | None:
+        """Look for weights by hash: the session's own first, then installed ones of the same name, then all others."""
+        candidates = [self._default_path, weights_path(wanted.name) if Path(wanted.name).name == wanted.name else None]
+        candidates += sorted(WEIGHTS_FOLDER.glob(f"*{WEIGHTS_SUFFIX}")) if wanted.sha256 else []
+        for candidate in dict.fromkeys(path for path in candidates if path is not None and path.exists()):
+            loaded = self._load(candidate)
+            if loaded.info.sha256 == wanted.sha256 or (not wanted.sha256 and loaded.info.name == wanted.name):
+                return loaded
+        return None
+
+    def _load(self, path: Path) -> LoadedModel:
+        if path not in self._models:
+            model, info = load_weights(path)
+            model.requires_grad_(False)
+            try:
+                model.to(self._device)
+            except RuntimeError as error:  # torch's only type for a device that is broken or full
+                reason = first_line(error)
+                raise BackendError(f"The device {self._device} cannot hold the model ({reason}); use cpu.") from error
+            codes = np.zeros((len(ALIGNED_NAMES), 0), np.float32)
+            if model.aligned_codes is not None:
+                codes = model.aligned_codes.float().cpu().numpy()
+            self._models[path] = LoadedModel(model, info, codes)
+            _log.info("loaded weights %s (%s), %d Gaussians", info.name, info.sha256[:12], model.gaussian_count)
+        return self._models[path]
+
+
+def resolve_weights(weights: str | os.PathLike[str] | None) -> Path:
+    """Return the path of weights given by name or as a file name; the file may be missing."""
+    if weights is None:
+        return weights_path(DEFAULT_WEIGHTS)
+    path = Path(weights)
+    if path.suffix == WEIGHTS_SUFFIX or path.name != os.fspath(weights):
+        return path.absolute()
+    return weights_path(os.fspath(weights))
+
+
+def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: Path) -> GRMM:
+    """Return a copy of a model with an avatar's changes added; everything unchanged is shared (eq. 20's result).
+
+    Raises:
+        FileFormatError: A parameter is unknown or of another shape.
+    """
+    parameters = dict(model.named_parameters())
+    for name, delta in deltas.items():
+        if name not in parameters or tuple(parameters[name].shape) != delta.shape:
+            raise FileFormatError(f"{path} changes the parameter {name[:80]!r}, which the weights do not have; make it anew.")
+    memo: dict[int, object] = {id(value): value for name, value in parameters.items() if name not in deltas}
+    memo |= {id(value): value for value in model.buffers()}
+    memo[id(model.head_model)] = model.head_model
+    changed = copy.deepcopy(model, memo)
+    with torch.no_grad():
+        for name, value in changed.named_parameters():
+            if name in deltas:
+                value.add_(torch.as_tensor(np.asarray(deltas[name]), dtype=value.dtype, device=value.device))
+    return changed
+
+
+def default_avatar(loaded: LoadedModel) -> Avatar:
+    """Return the avatar that comes with the weights."""
+    info = loaded.info
+    return Avatar(
+        name=f"{info.name.capitalize()} head",
+        head=loaded.head_reference,
+        weights=loaded.reference,
+        z_id=info.default_z_id,
+        z_exp=np.zeros(loaded.model.z_exp_size, np.float32),
+        shape=_padded(info.default_shape),
+        provenance=_synthetic(loaded),
+    )
+
+
+def sampled_avatar(loaded: LoadedModel, seed: int) -> Avatar:
+    """Draw a person from the Gaussian fitted jointly to the training people's codes and shapes.
+
+    With P people the fitted covariance has rank P - 1, and x = mean + sum_p n_p (x_p - mean) / sqrt(P - 1) with standard
+    normal n has exactly this distribution; codes and shape use the same n, so that they stay related.
+
+    Raises:
+        SessionError: The weights know fewer than two people.
+    """
+    info = loaded.info
+    count = len(info.people)
+    if count < 2:
+        raise SessionError(f"The weights {info.name!r} know fewer than two people, so none can be drawn; choose other weights.")
+    draw = np.random.default_rng([abs(seed), int(seed < 0)]).standard_normal(count) / np.sqrt(count - 1)
+    z_id, shape = (table.mean(0) + draw @ (table - table.mean(0)) for table in (info.z_id, info.shapes))
+    return Avatar(
+        name=f"Sample {seed}",
+        head=loaded.head_reference,
+        weights=loaded.reference,
+        z_id=z_id,
+        z_exp=np.zeros(loaded.model.z_exp_size, np.float32),
+        shape=_padded(shape),
+        provenance=_synthetic(loaded),
+    )
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of a library's message, without its final full stop."""
+    text = str(error).strip() or type(error).__name__
+    return text.splitlines()[0].rstrip(".")
+
+
+def _synthetic(loaded: LoadedModel) -> Provenance:
+    licence = loaded.info.provenance.get("licence", "")
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    return Provenance(made_by=MADE_BY, from_photos=False, date=today, licence=licence if isinstance(licence, str) else "")
+
+
+def _padded(shape: np.ndarray) -> np.ndarray:
+    padded = np.zeros(SHAPE_SIZE, np.float32)
+    padded[: shape.size] = shape[:SHAPE_SIZE]
+    return padded

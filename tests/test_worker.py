@@ -1,0 +1,310 @@
+"""The worker process: crashes, cancels, time-outs, other interpreters, and what the pipe may carry."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grmm_core.camera import Camera
+from grmm_core.controls import Controls
+from grmm_core.errors import CancelledError, RuntimeMissingError, SessionError
+from grmm_core.session import Instance, RenderOptions, create_session
+from grmm_core.session.arena import SharedArena
+from grmm_core.session.client import WorkerSession
+from grmm_core.session.codec import receive, send, unpack
+
+pytest.importorskip("torch")
+
+CAMERA = Camera.orbit(64, 64)
+LARGE = Camera.orbit(2200, 2200)  # long enough to be interrupted
+ROOT = Path(__file__).resolve().parent.parent
+posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    from tiny_model import write_tiny_weights
+
+    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
+
+
+@pytest.fixture(scope="module")
+def session(weights):
+    with create_session("worker", weights=weights, device="cpu", threads=1) as session:
+        yield session
+
+
+def wait_until_gone(pid: int, seconds: float = 5.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        try:
+            os.kill(pid, 0)
+            # a zombie of another parent still answers
+            if Path(f"/proc/{pid}/stat").exists() and Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0] == "Z":
+                return True
+        except ProcessLookupError:
+            return True
+        time.sleep(0.05)
+    return False
+
+
+@posix
+def test_a_worker_killed_in_the_middle_of_a_render(session):
+    info = session.open("default")
+    before = session.render([Instance(info.id)], CAMERA)["rgb"]
+    pid = session.status().pid
+    killed_at = []
+
+    def kill_on_the_third_question() -> bool:
+        killed_at.append(time.monotonic())
+        if len(killed_at) == 3:
+            os.kill(pid, signal.SIGKILL)
+        return False
+
+    with pytest.raises(SessionError, match=r"ended by signal 9.*the next call starts a new one") as caught:
+        session.render([Instance(info.id)], LARGE, should_cancel=kill_on_the_third_question)
+    assert time.monotonic() - killed_at[2] < 2.0
+    assert "\n" not in str(caught.value)
+    assert not session.status().alive
+    np.testing.assert_array_equal(session.render([Instance(info.id)], CAMERA)["rgb"], before)  # the same id still works
+    assert session.status().alive
+    assert session.status().restarts >= 1
+    assert session.status().pid != pid
+
+
+@posix
+def test_a_worker_killed_between_calls_is_replaced_silently(session, tmp_path):
+    path = tmp_path / "a.grmm"
+    session.save(session.sample(2).id, path)
+    infos = [session.open("default"), session.sample(2), session.open(path)]
+    before = [session.deform(info.id, Controls()).vertices for info in infos]
+    os.kill(session.status().pid, signal.SIGKILL)
+    time.sleep(0.2)
+    for info, vertices in zip(infos, before, strict=True):
+        np.testing.assert_array_equal(session.deform(info.id, Controls()).vertices, vertices)
+    assert session.open(path).id == infos[2].id
+
+
+def test_a_cancelled_render_returns_soon_and_the_next_call_waits_for_its_end(session):
+    info = session.open("default")
+    expected = session.render([Instance(info.id)], CAMERA)["rgb"]
+    pid = session.status().pid
+    questions = []
+
+    def cancel_on_the_third_question() -> bool:
+        questions.append(time.monotonic())
+        return len(questions) == 3
+
+    with pytest.raises(CancelledError):
+        session.render([Instance(info.id)], LARGE, should_cancel=cancel_on_the_third_question)
+    assert time.monotonic() - questions[2] < 2.0
+    np.testing.assert_array_equal(session.render([Instance(info.id)], CAMERA)["rgb"], expected)
+    assert session.status().pid == pid
+
+
+@posix
+def test_a_hung_worker_is_ended_when_the_time_is_over(weights):
+    with WorkerSession(sys.executable, weights, "cpu", 1) as session:
+        info = session.open("default")
+        pid = session.status().pid
+        os.kill(pid, signal.SIGSTOP)
+        session._timeout = 0.5
+        with pytest.raises(SessionError, match="longer than 0 seconds"):
+            session.deform(info.id, Controls())
+        assert wait_until_gone(pid)
+        session._timeout = 60.0
+        assert session.deform(info.id, Controls()).vertices.shape == (info.vertex_count, 3)
+
+
+def test_calls_from_several_threads_do_not_mix(session):
+    info = session.open("default")
+    values = np.linspace(0.0, 1.0, 12)
+    expected = [session.deform(info.id, Controls().set_named({"jawOpen": value})).vertices for value in values]
+    found: dict[int, np.ndarray] = {}
+
+    def work(k: int) -> None:
+        found[k] = session.deform(info.id, Controls().set_named({"jawOpen": values[k]})).vertices
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(len(values))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(30)
+    for k, vertices in enumerate(expected):
+        np.testing.assert_array_equal(found[k], vertices)
+
+
+def test_results_larger_than_the_arena(session):
+    info = session.open("default")
+    options = RenderOptions(refine=False, passes=("rgb", "alpha", "features"))
+    large = session.render([Instance(info.id)], Camera.orbit(700, 700), options)
+    assert sum(buffer.nbytes for buffer in large.values()) > 4 << 20
+    assert large["alpha"].max() > 0.9
+
+
+def run_parent(code: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)],
+        capture_output=True, text=True, timeout=60, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+
+
+@posix
+def test_the_worker_ends_with_its_parent(weights):
+    """Also when the parent has no chance to say goodbye; and nothing is left in shared memory."""
+    shared = Path("/dev/shm")
+    before = set(shared.iterdir()) if shared.is_dir() else set()
+    result = run_parent(
+        """
+        import os, sys
+        from grmm_core.session import create_session
+        session = create_session("worker", weights=sys.argv[1])
+        session.open("default")
+        print(session.status().pid, flush=True)
+        os._exit(1)
+        """,
+        weights,
+    )
+    assert wait_until_gone(int(result.stdout))
+    assert result.stderr == ""
+    assert (set(shared.iterdir()) if shared.is_dir() else set()) - before == set()
+
+
+def test_the_parent_needs_no_torch(weights):
+    """In Blender's Python there is numpy and nothing else."""
+    result = run_parent(
+        """
+        import sys
+        class Refuse:
+            def find_spec(self, name, path=None, target=None):
+                if name.partition(".")[0] in ("torch", "numba", "scipy", "PIL"):
+                    raise ImportError(name)
+        sys.meta_path.insert(0, Refuse())
+        from grmm_core.camera import Camera
+        from grmm_core.session import Instance, create_session
+        with create_session("worker", python=sys.executable, weights=sys.argv[1]) as session:
+            info = session.open("default")
+            print(session.render([Instance(info.id)], Camera.orbit(32, 32))["alpha"].max())
+        """,
+        weights,
+    )
+    assert result.stderr == ""
+    assert float(result.stdout) > 0.5
+
+
+def test_a_dropped_session_ends_its_worker(weights):
+    session = create_session("worker", weights=weights)
+    session.open("default")
+    pid = session.status().pid
+    del session
+    assert wait_until_gone(pid)
+
+
+def test_warming_up_returns_at_once(weights):
+    with create_session("worker", weights=weights) as session:
+        start = time.monotonic()
+        session.warm_up()
+        assert time.monotonic() - start < 0.5
+        assert session.open("default").id > 0
+        assert session.status().alive
+
+
+def test_an_interpreter_that_does_not_exist(weights, tmp_path):
+    with (
+        create_session("worker", python=tmp_path / "no python", weights=weights) as session,
+        pytest.raises(SessionError, match="no python cannot be started"),
+    ):
+        session.open("default")
+
+
+@posix
+def test_a_program_that_is_no_python(weights, tmp_path):
+    impostor = tmp_path / "python"
+    impostor.write_text("#!/bin/sh\necho wrong program >&2\nexit 3\n")
+    impostor.chmod(0o755)
+    with (
+        create_session("worker", python=impostor, weights=weights) as session,
+        pytest.raises(SessionError, match=r"did not start with .*wrong program"),
+    ):
+        session.open("default")
+
+
+@posix
+def test_an_interpreter_without_torch(weights, tmp_path):
+    python = tmp_path / "python"
+    python.write_text(f'#!/bin/sh\nexport PYTHONPATH="{tmp_path}:$PYTHONPATH"\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    (tmp_path / "torch.py").write_text("raise ModuleNotFoundError(\"No module named 'torch'\", name='torch')\n")
+    with (
+        create_session("worker", python=python, weights=weights) as session,
+        pytest.raises(RuntimeMissingError, match=r"has no torch; install it there"),
+    ):
+        session.open("default")
+
+
+# --- the pipe and the arena --------------------------------------------------------------------------------------------
+
+
+def test_messages_keep_arrays_and_types():
+    arena, stream = SharedArena(), io.BytesIO()
+    controls = Controls().set_named({"jawOpen": 0.3, "z_exp.4": -1.0})
+    rng = np.random.default_rng(0)
+    message = {
+        "id": 3,
+        "arguments": {
+            "instances": [Instance(1, controls, np.diag([2.0, 2, 2, 1]))],
+            "camera": CAMERA,
+            "big": rng.normal(size=(300, 1000)),
+            "empty": np.zeros((0, 4), np.float32),
+            "raw": b"\x00\xff",
+        },
+    }
+    send(stream, message, arena)
+    stream.seek(0)
+    back = unpack(receive(stream), SharedArena.attach(arena.spec() | {"descriptor": os.dup(arena.descriptor)}))
+    arguments = back["arguments"]
+    np.testing.assert_array_equal(arguments["big"], message["arguments"]["big"])
+    np.testing.assert_array_equal(arguments["instances"][0].controls.aligned, controls.aligned)
+    np.testing.assert_array_equal(arguments["instances"][0].model_to_world, np.diag([2.0, 2, 2, 1]))
+    np.testing.assert_array_equal(arguments["camera"].world_to_camera, CAMERA.world_to_camera)
+    assert arguments["empty"].shape == (0, 4)
+    assert arguments["raw"] == b"\x00\xff"
+    assert receive(stream) is None
+    arena.close()
+
+
+@pytest.mark.parametrize(
+    "data", [b"\xff\xff\xff\xff", b"\x04\x00\x00\x00nope", b"\x02\x00\x00\x00[]", b"\x03\x00\x00\x00\xff\xfe\xfd"]
+)
+def test_what_is_not_a_message_is_refused(data):
+    with pytest.raises(SessionError, match="The model worker sent"):
+        receive(io.BytesIO(data))
+
+
+def test_unknown_types_are_not_built():
+    with pytest.raises(SessionError, match="unknown type 'Popen'"):
+        unpack({"x": {"$type": "Popen", "fields": {"args": ["true"]}}}, None)
+
+
+def test_an_arena_grows_and_is_seen_by_the_other_side():
+    arena = SharedArena()
+    other = SharedArena.attach(arena.spec() | {"descriptor": os.dup(arena.descriptor)})
+    big = np.arange(3_000_000, dtype=np.float32)
+    offset = other.write([big])[0]
+    arena.follow(other.spec() | {"descriptor": arena.descriptor})
+    np.testing.assert_array_equal(arena.read("<f4", (3_000_000,), offset), big)
+    with pytest.raises(SessionError, match="choose a smaller size"):
+        arena.reserve(1 << 40)
+    for side in (arena, other):
+        side.close()
+        side.close()

@@ -1,0 +1,171 @@
+"""ARKit weights as JSON.
+
+Read by `reading.read_performance`. Four layouts that programs write are understood:
+
+* ``{"names": [...], "metadata": {"fps": 30}, "frames": [{"weights": [...], "time": 0.0}]}`` (audio-driven avatars)
+* frames whose ``weights`` or ``blendShapes`` is a map from name to value
+* ``{"exportFps": 30, "facsNames": [...], "weightMat": [[...]]}``
+* a plain list of frames ``{"time": 0.0, "jawOpen": 0.3, ...}``
+
+Needs numpy only; Python's own `json` reads the text (ten minutes at 60 frames per second parse in about a second).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..expressions import ARKIT_NAMES
+from ..files import read_bytes
+from .repair import (
+    MAX_FILE_BYTES,
+    MAX_FRAMES,
+    arkit_index,
+    clean_times,
+    fill_missing,
+    median_rate,
+    missing_warning,
+    not_readable,
+    range_warnings,
+)
+from .types import Performance, Progress
+
+KIND = "ARKit JSON performance"
+DEFAULT_FPS = 30.0
+_NAME_KEYS = ("names", "facsNames", "blendShapeNames", "blendshapeNames", "blendshape_names")
+_FRAME_KEYS = ("frames", "weightMat", "data")
+_WEIGHT_KEYS = ("weights", "blendShapes", "blendshapes", "blendShapeWeights", "values")
+_TIME_KEYS = ("time", "timestamp", "timeStamp", "timeCode")
+_FPS_KEYS = ("fps", "exportFps", "frameRate", "frame_rate")
+_REPORT_EVERY = 4096
+
+
+def read_arkit_json(path: Path, fps: float | None = None, progress: Progress | None = None) -> Performance:
+    """Read ARKit weights from JSON.
+
+    Args:
+        path: The file.
+        fps: Frame rate, over what the file says; 30 where neither says.
+        progress: Called with the fraction done.
+
+    Raises:
+        FileFormatError: Not JSON, no known layout, no ARKit name, or unreadable frames.
+        FileAccessError: Missing, unreadable or too large.
+    """
+    try:
+        document = json.loads(read_bytes(path, MAX_FILE_BYTES).decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise not_readable(path, KIND, "it is not JSON text") from error
+    if progress:
+        progress(0.4)
+    frames = _first(document, _FRAME_KEYS) if isinstance(document, dict) else document
+    if not isinstance(frames, list) or not frames:
+        raise not_readable(path, KIND, "it has no list of frames")
+    if len(frames) > MAX_FRAMES:
+        raise not_readable(path, KIND, f"it has more than {MAX_FRAMES} frames")
+    names = _names(path, document, frames)
+    values, times = _values(path, frames, names, progress)
+
+    warnings: list[str] = []
+    columns = {i: k for k, name in enumerate(names) if (i := arkit_index(name)) is not None}
+    if not columns:
+        raise not_readable(path, KIND, "none of its names is an ARKit shape")
+    weights = np.zeros((len(frames), len(ARKIT_NAMES)), np.float32)
+    weights[:, list(columns)] = values[:, list(columns.values())]
+    fill_missing(path, KIND, weights, "weights", warnings)
+
+    stated = fps if fps is not None else _stated_fps(document)
+    if fps is None and np.isfinite(times).all() and times.size > 1 and np.ptp(times) > 0:
+        times, order = clean_times(times, warnings)
+        weights = weights[order]
+        rate = stated if stated is not None else median_rate(times, DEFAULT_FPS)
+    else:
+        rate = stated if stated is not None else DEFAULT_FPS
+        times = np.arange(len(frames)) / rate
+        if stated is None:
+            warnings.append(f"The file states no frame rate; {DEFAULT_FPS:g} frames per second were assumed.")
+    warnings += missing_warning(set(columns)) + range_warnings(weights)
+    found = tuple(ARKIT_NAMES[i] for i in sorted(columns))
+    if progress:
+        progress(1.0)
+    return Performance(times, weights, rate, "arkit-json", found, warnings=warnings)
+
+
+def _first(mapping: dict[str, Any], keys: tuple[str, ...]) -> Any:
+    return next((mapping[key] for key in keys if key in mapping), None)
+
+
+def _names(path: Path, document: Any, frames: list[Any]) -> list[str]:
+    """Names of the weights' columns: the file's list, or the keys of the first frame."""
+    names = _first(document, _NAME_KEYS) if isinstance(document, dict) else None
+    if names is None:
+        first = frames[0]
+        row = _first(first, _WEIGHT_KEYS) if isinstance(first, dict) else None
+        row = row if row is not None else first
+        if isinstance(row, dict):
+            names = [key for key in row if isinstance(key, str) and arkit_index(key) is not None]
+        elif isinstance(row, list) and len(row) == len(ARKIT_NAMES):
+            names = list(ARKIT_NAMES)
+    if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
+        raise not_readable(path, KIND, "it has no list of names")
+    if len(names) > 10_000:
+        raise not_readable(path, KIND, f"it has {len(names)} names")
+    return names
+
+
+def _values(path: Path, frames: list[Any], names: list[str], progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
+    """Weights [T, len(names)] and times [T]; what is missing is NaN."""
+    count = len(names)
+    rows: list[list[Any]] = []
+    times = np.full(len(frames), np.nan)
+    blank = [math.nan] * count
+    values = np.empty((len(frames), count), np.float32)
+    for i, frame in enumerate(frames):
+        row = frame
+        if isinstance(frame, dict):
+            row = _first(frame, _WEIGHT_KEYS)
+            row = frame if row is None else row
+            time = _first(frame, _TIME_KEYS)
+            if isinstance(time, (int, float)) and abs(time) < 1e12:
+                times[i] = time
+        if isinstance(row, dict):
+            row = [row.get(name, 0.0) for name in names]
+        if not isinstance(row, list):
+            row = blank
+        elif len(row) != count:
+            raise not_readable(path, KIND, f"frame {i} has {len(row)} weights for {count} names")
+        rows.append(row)
+        if len(rows) == _REPORT_EVERY or i == len(frames) - 1:
+            start = i + 1 - len(rows)
+            values[start : i + 1] = _to_floats(path, rows, start)
+            rows.clear()
+            if progress:
+                progress(0.4 + 0.5 * (i + 1) / len(frames))
+    return values, times
+
+
+def _to_floats(path: Path, rows: list[list[Any]], start: int) -> np.ndarray:
+    """Turn rows of JSON numbers to float32; null becomes NaN, text and lists are refused."""
+    try:
+        block = np.array(rows, np.float64)  # raises for text that is no number, lists and huge integers
+    except (ValueError, TypeError, OverflowError) as error:
+        raise not_readable(path, KIND, f"a weight in frames {start} to {start + len(rows) - 1} is not a number") from error
+    if block.ndim != 2:
+        raise not_readable(path, KIND, f"a weight in frames {start} to {start + len(rows) - 1} is not a number")
+    block[np.abs(block) > 1e6] = np.nan
+    return block.astype(np.float32)
+
+
+def _stated_fps(document: Any) -> float | None:
+    if not isinstance(document, dict):
+        return None
+    metadata = document.get("metadata")
+    for place in (document, metadata if isinstance(metadata, dict) else {}):
+        value = _first(place, _FPS_KEYS)
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and 1.0 <= value <= 1000.0:
+            return float(value)
+    return None

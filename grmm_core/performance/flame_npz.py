@@ -1,0 +1,156 @@
+"""FLAME parameter tracks as `.npz`: GaussianAvatars' `flame_param.npz`, VHAP's `tracked_flame_params_*.npz`, EMOCA, DECA.
+
+Read by `reading.read_performance`. The coefficients belong to the user's FLAME model and stay in `Performance.expression`;
+`retarget` turns them into ARKit weights where both head models are at hand. Rotations are axis-angle in FLAME's axes, which are
+the head's axes here. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..expressions import ARKIT_NAMES
+from .npz import read_npz
+from .repair import MAX_FRAMES, fill_missing, not_readable
+from .rotations import axis_angle_to_euler
+from .types import Performance, Progress
+
+KIND = "FLAME parameter file"
+FLAME_EXPRESSIONS = 100
+FLAME_SHAPES = 300
+DEFAULT_FPS = 25.0
+_ALIASES = {
+    "expr": ("expr", "expression", "exp", "expcode", "expression_params"),
+    "rotation": ("rotation", "global_orient", "global_pose"),
+    "neck_pose": ("neck_pose", "neck"),
+    "jaw_pose": ("jaw_pose", "jaw"),
+    "eyes_pose": ("eyes_pose", "eyes", "eye_pose"),
+    "pose": ("pose", "posecode"),
+    "translation": ("translation", "transl"),
+    "shape": ("shape", "shapecode", "betas", "shape_params"),
+    "static_offset": ("static_offset",),
+    "fps": ("fps", "frame_rate", "mocap_frame_rate"),
+}
+_VERTEX_COUNTS = (5023, 5143)  # FLAME without and with the added teeth
+_MAX_COEFFICIENT = 100.0  # standard deviations; larger ones are no faces
+
+
+def read_flame_npz(path: Path, fps: float | None = None, progress: Progress | None = None) -> Performance:
+    """Read a track of FLAME parameters.
+
+    Args:
+        path: The file.
+        fps: Frame rate; 25 where neither this nor the file says.
+        progress: Called with the fraction done.
+
+    Raises:
+        FileFormatError: Not an npz file, no expression coefficients, or arrays of other shapes than FLAME's.
+        FileAccessError: Missing or unreadable.
+    """
+    arrays, available = read_npz(path, [name for names in _ALIASES.values() for name in names])
+    fields = {key: arrays[name] for key, names in _ALIASES.items() for name in names[::-1] if name in arrays}
+    if "expr" not in fields:
+        listed = ", ".join(available[:8]) or "nothing"
+        raise not_readable(path, KIND, f"it has no expression coefficients but {listed}")
+    if any(array.dtype.kind not in "fiu" for array in fields.values()):
+        raise not_readable(path, KIND, "an array does not hold numbers")
+    warnings: list[str] = []
+    expression = _expression(path, fields["expr"], warnings)
+    count = expression.shape[0]
+    if progress:
+        progress(0.5)
+
+    tracks = {name: _track(path, fields, name, count, width, warnings) for name, width in _TRACKS.items()}
+    pose = tracks.pop("pose")
+    if pose is not None:
+        tracks["rotation"] = pose[:, :3] if tracks["rotation"] is None else tracks["rotation"]
+        tracks["jaw_pose"] = pose[:, 3:] if tracks["jaw_pose"] is None else tracks["jaw_pose"]
+    eyes, translation = tracks.pop("eyes_pose"), tracks.pop("translation")
+    euler = {name: None if track is None else axis_angle_to_euler(track) for name, track in tracks.items()}
+    left, right = (None, None) if eyes is None else (axis_angle_to_euler(eyes[:, :3]), axis_angle_to_euler(eyes[:, 3:]))
+    rate = fps if fps is not None else _rate(fields.get("fps"), warnings)
+    if progress:
+        progress(1.0)
+    return Performance(
+        np.arange(count) / rate,
+        np.zeros((count, len(ARKIT_NAMES)), np.float32),
+        rate,
+        "flame-npz",
+        head_rotation=euler["rotation"],
+        neck_rotation=euler["neck_pose"],
+        jaw_rotation=euler["jaw_pose"],
+        left_eye_rotation=left,
+        right_eye_rotation=right,
+        expression=expression,
+        translation=translation,
+        shape=_shape(path, fields.get("shape"), warnings),
+        static_offset=_static_offset(path, fields.get("static_offset")),
+        head_model="flame",
+        warnings=warnings,
+    )
+
+
+_TRACKS = {"rotation": 3, "neck_pose": 3, "jaw_pose": 3, "eyes_pose": 6, "translation": 3, "pose": 6}
+
+
+def _expression(path: Path, array: np.ndarray, warnings: list[str]) -> np.ndarray:
+    """Coefficients [T, 100] float32, padded with zeros where there are fewer."""
+    array = array[None] if array.ndim == 1 else array
+    if array.ndim == 3 and array.shape[1] == 1:
+        array = array[:, 0]
+    if array.ndim != 2 or not 1 <= array.shape[1] <= FLAME_EXPRESSIONS or not 1 <= array.shape[0] <= MAX_FRAMES:
+        raise not_readable(path, KIND, f"its expression has shape {array.shape} and not (frames, {FLAME_EXPRESSIONS})")
+    values = np.zeros((array.shape[0], FLAME_EXPRESSIONS), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):
+        values[:, : array.shape[1]] = array
+    values[~(np.abs(values) < _MAX_COEFFICIENT)] = np.nan
+    fill_missing(path, KIND, values, "expression coefficients", warnings)
+    if array.shape[1] < FLAME_EXPRESSIONS:
+        count = array.shape[1]
+        warnings.append(f"The file has {count} of FLAME's {FLAME_EXPRESSIONS} expression coefficients; the rest are zero.")
+    return values
+
+
+def _track(
+    path: Path, fields: dict[str, np.ndarray], name: str, count: int, width: int, warnings: list[str]
+) -> np.ndarray | None:
+    """Per-frame values [T, width] float64, or None. One row stands for all frames."""
+    if name not in fields:
+        return None
+    array = fields[name]
+    array = array[None] if array.ndim == 1 else array
+    if array.ndim != 2 or array.shape[1] != width or array.shape[0] not in (1, count):
+        raise not_readable(path, KIND, f"its {name} has shape {array.shape} and not ({count}, {width})")
+    values = np.array(np.broadcast_to(array, (count, width)), np.float64)
+    values[~(np.abs(values) < 1e6)] = np.nan
+    return fill_missing(path, KIND, values, name, warnings)
+
+
+def _shape(path: Path, array: np.ndarray | None, warnings: list[str]) -> np.ndarray | None:
+    if array is None:
+        return None
+    if array.ndim == 2 and array.shape[0] > 1:
+        array = array.mean(0)
+        warnings.append("The file has a shape for every frame; their mean is used.")
+    array = array.reshape(-1)
+    if not 1 <= array.size <= FLAME_SHAPES or not np.isfinite(array).all():
+        raise not_readable(path, KIND, f"its shape has {array.size} coefficients or values that are not finite")
+    return array.astype(np.float32)
+
+
+def _static_offset(path: Path, array: np.ndarray | None) -> np.ndarray | None:
+    if array is None:
+        return None
+    array = array[0] if array.ndim == 3 and array.shape[0] == 1 else array
+    if array.ndim != 2 or array.shape[0] not in _VERTEX_COUNTS or array.shape[1] != 3 or not np.isfinite(array).all():
+        raise not_readable(path, KIND, f"its static_offset has shape {array.shape} or values that are not finite")
+    return array.astype(np.float32)
+
+
+def _rate(array: np.ndarray | None, warnings: list[str]) -> float:
+    if array is not None and array.size == 1 and 1.0 <= float(array.reshape(-1)[0]) <= 1000.0:
+        return float(array.reshape(-1)[0])
+    warnings.append(f"The file states no frame rate; {DEFAULT_FPS:g} frames per second were assumed.")
+    return DEFAULT_FPS

@@ -1,0 +1,102 @@
+"""Named arrays out of `.npz` files that nobody vouches for.
+
+Called by the FLAME performance reader and the avatar readers in `formats`. `numpy.load` allocates what an array's header
+claims before it looks at the data, so a 1 kB file can ask for terabytes; here the claim is first compared with the size that
+the archive states, and that with a limit. Pickled objects are refused. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import zipfile
+import zlib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FileAccessError, FileFormatError
+from ..files import describe_os_error
+
+MAX_ARRAY_BYTES = 1 << 30
+_MAX_MEMBERS = 10_000
+_MAX_HEADER = 1 << 16
+
+
+def read_npz(
+    path: Path, names: Iterable[str] | None = None, max_bytes: int = MAX_ARRAY_BYTES
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Read arrays of a `.npz` file without running or over-allocating anything.
+
+    Args:
+        path: The file.
+        names: Arrays to read; None reads all. Those that the file lacks are left out.
+        max_bytes: Limit of all arrays together, unpacked.
+
+    Returns:
+        Arrays by name, and the names of all arrays in the file.
+
+    Raises:
+        FileFormatError: Not an npz file, truncated, lying about its sizes, or holding Python objects.
+        FileAccessError: Missing or unreadable.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            entries = [info for info in archive.infolist() if info.filename.endswith(".npy")]
+            members = {info.filename.removesuffix(".npy"): info for info in entries}
+            if len(entries) > _MAX_MEMBERS:
+                raise _bad(path, f"it has {len(entries)} arrays")
+            wanted = list(members) if names is None else [name for name in names if name in members]
+            total = sum(members[name].file_size for name in wanted)
+            if total > max_bytes:
+                raise _bad(path, f"its arrays would take {total} bytes, more than the {max_bytes} that are read")
+            return {name: _read_array(path, archive, members[name], name) for name in wanted}, tuple(members)
+    except FileNotFoundError as error:
+        raise FileAccessError(f"{path} does not exist; check the file name.") from error
+    except OSError as error:
+        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
+        # RuntimeError: encrypted members; NotImplementedError: unknown compression; ValueError: null characters and bad offsets
+        raise _bad(path, "the archive is damaged") from error
+
+
+def _read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> np.ndarray:
+    with archive.open(info) as file:
+        try:
+            shape, fortran, dtype = _read_header(file)
+        except (ValueError, TypeError, KeyError, SyntaxError, RecursionError, MemoryError) as error:
+            raise _bad(path, f"the header of array {name[:60]!r} is damaged") from error
+        if dtype.hasobject:
+            raise _bad(path, f"array {name[:60]!r} holds Python objects, which are never loaded")
+        size = math.prod(shape) * dtype.itemsize
+        if size > info.file_size:
+            raise _bad(path, f"array {name[:60]!r} claims {size} bytes and has {info.file_size}")
+        data = bytearray(file.read(size))
+    if len(data) != size:
+        raise _bad(path, f"array {name[:60]!r} is truncated")
+    array = np.frombuffer(data, dtype) if size else np.zeros(0, dtype)
+    return array.reshape(shape[::-1]).transpose() if fortran else array.reshape(shape)
+
+
+def _read_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, order and type of a `.npy` member. numpy's own reader tokenises hostile headers with errors of its own kinds."""
+    version = np.lib.format.read_magic(file)
+    if version not in ((1, 0), (2, 0), (3, 0)):
+        raise ValueError("unknown version")
+    width = 2 if version == (1, 0) else 4
+    length = int.from_bytes(file.read(width), "little")
+    if length > _MAX_HEADER:
+        raise ValueError("header length")
+    header = ast.literal_eval(file.read(length).decode("utf-8"))
+    shape, descr = header["shape"], header["descr"]
+    if not isinstance(descr, str) or not isinstance(shape, tuple) or len(shape) > 16:
+        raise ValueError("structured array")
+    if any(type(n) is not int or n < 0 for n in shape):
+        raise ValueError("shape")
+    return shape, bool(header["fortran_order"]), np.dtype(descr)
+
+
+def _bad(path: Path, reason: str) -> FileFormatError:
+    return FileFormatError(f"{path} is not a readable npz file ({reason}); get the file again from where it came from.")

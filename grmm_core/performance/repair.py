@@ -1,0 +1,120 @@
+"""Shared checks of the readers: names, limits, missing values and the time line.
+
+Called by the three readers only. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileFormatError
+from ..expressions import ARKIT_NAMES
+
+MAX_FRAMES = 2_000_000  # nine hours at 60 frames per second
+MAX_FILE_BYTES = 128 << 20  # ten minutes at 60 frames per second with full-precision text are about 50 MB
+_GAP_FRAMES = 1.75  # a step longer than this many frames is called a gap
+_MAX_REPAIRED = 0.5  # with more than this part of the frames unreadable nothing can be trusted
+_RANGE = (-0.05, 1.05)  # tracker noise outside 0..1 that is not worth a warning
+_MAX_LISTED = 6
+_SECONDS_PER_DAY = 86400.0
+
+_LOOKUP = {name.lower(): i for i, name in enumerate(ARKIT_NAMES)}
+
+
+def not_readable(path: Path, kind: str, reason: str) -> FileFormatError:
+    """One sentence that names the file, what it was taken for, and why it cannot be read."""
+    return FileFormatError(f"{path} is not a readable {kind} ({reason}); export it again or choose another file.")
+
+
+def arkit_index(name: str) -> int | None:
+    """Index of an ARKit name however its program spells it (EyeBlinkLeft, eyeBlink_L, blendShape.eyeBlinkLeft), or None."""
+    key = name.strip().rsplit(".", 1)[-1].lower()
+    if key.endswith("_l"):
+        key = key[:-2] + "left"
+    elif key.endswith("_r"):
+        key = key[:-2] + "right"
+    return _LOOKUP.get(key.replace("_", "").replace(" ", ""))
+
+
+def fill_missing(path: Path, kind: str, values: np.ndarray, what: str, warnings: list[str]) -> np.ndarray:
+    """Interpolate rows with NaN or infinite values from their neighbours in place, [T, N], and say so.
+
+    Raises:
+        FileFormatError: More than half of the rows are unreadable.
+    """
+    bad = ~np.isfinite(values).all(1)
+    count = int(bad.sum())
+    if count == 0:
+        return values
+    if count > _MAX_REPAIRED * values.shape[0]:
+        raise not_readable(path, kind, f"{count} of its {values.shape[0]} frames have no finite {what}")
+    good, rows = np.flatnonzero(~bad), np.flatnonzero(bad)
+    for column in range(values.shape[1]):
+        values[rows, column] = np.interp(rows, good, values[good, column])
+    warnings.append(
+        f"{count} of {values.shape[0]} frames had no valid {what} (the first is frame {rows[0]}) and were interpolated."
+    )
+    return values
+
+
+def clean_times(times: np.ndarray, warnings: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Make a time line start at zero and increase.
+
+    Args:
+        times: Seconds as recorded, [T]; a step back by more than half a day is midnight.
+        warnings: Sentences about repeated, reordered and missing frames are appended.
+
+    Returns:
+        Times [K] and the indices [K] of the frames that are kept.
+    """
+    steps = np.diff(times)
+    times = times + _SECONDS_PER_DAY * np.concatenate([[0], np.cumsum(steps < -_SECONDS_PER_DAY / 2)])
+    order = np.argsort(times, kind="stable")
+    if (np.diff(order) < 0).any():
+        warnings.append("Frames were not in order of time and have been sorted.")
+    times = times[order]
+    keep = np.concatenate([[True], np.diff(times) > 0])
+    if not keep.all():
+        warnings.append(f"{int((~keep).sum())} frames had the time of another frame and were left out.")
+    times, order = times[keep], order[keep]
+    times = times - times[0]
+    if times.size > 2:
+        steps = np.diff(times)
+        gaps = np.flatnonzero(steps > _GAP_FRAMES * np.median(steps))
+        if gaps.size:
+            longest = gaps[np.argmax(steps[gaps])]
+            warnings.append(
+                f"The recording has {gaps.size} gaps in time; the longest is {steps[longest]:.2f} s at {times[longest]:.2f} s."
+            )
+    return times, order
+
+
+def median_rate(times: np.ndarray, default: float) -> float:
+    """Frames per second of a time line; rates within 1 % of a whole number are rounded to it."""
+    if times.size < 2:
+        return default
+    rate = 1.0 / float(np.median(np.diff(times)))
+    nearest = round(rate)
+    return float(nearest) if nearest and abs(rate - nearest) < 0.01 * nearest else rate
+
+
+def range_warnings(weights: np.ndarray) -> list[str]:
+    """One sentence about ARKit weights [T, 52] outside 0..1, none where all are inside."""
+    low, high = weights.min(0), weights.max(0)
+    outside = np.flatnonzero((low < _RANGE[0]) | (high > _RANGE[1]))
+    if outside.size == 0:
+        return []
+    listed = ", ".join(f"{ARKIT_NAMES[i]} ({low[i]:.2f} to {high[i]:.2f})" for i in outside[:_MAX_LISTED])
+    more = f" and {outside.size - _MAX_LISTED} more" if outside.size > _MAX_LISTED else ""
+    return [f"Weights outside 0..1: {listed}{more}."]
+
+
+def missing_warning(found: set[int]) -> list[str]:
+    """One sentence about ARKit names that a file does not have."""
+    missing = [name for i, name in enumerate(ARKIT_NAMES) if i not in found]
+    if not missing:
+        return []
+    more = f" and {len(missing) - _MAX_LISTED} more" if len(missing) > _MAX_LISTED else ""
+    return [f"The file has no {', '.join(missing[:_MAX_LISTED])}{more}; they stay at zero."]

@@ -1,0 +1,108 @@
+"""Rotations as animators and as trackers write them: XYZ Euler angles and axis-angle vectors, whole tracks at once.
+
+Called by the FLAME reader and writer and by resampling. Pure numpy.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+_SMALL_ANGLE = 1e-8
+_GIMBAL = 1e-7
+
+
+def axis_angle_to_matrix(vectors: np.ndarray) -> np.ndarray:
+    """Rodrigues' formula. [..., 3] radians to [..., 3, 3]."""
+    vectors = np.asarray(vectors, np.float64)
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    safe = np.where(angle < _SMALL_ANGLE, 1.0, angle)
+    sine = np.where(angle < _SMALL_ANGLE, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
+    cosine = np.where(angle < _SMALL_ANGLE, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    zero = np.zeros_like(x)
+    skew = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*x.shape, 3, 3)
+    return np.eye(3) + sine * skew + cosine * (skew @ skew)
+
+
+def matrix_to_axis_angle(matrices: np.ndarray) -> np.ndarray:
+    """Inverse of `axis_angle_to_matrix`, angles 0..pi, stable near pi. [..., 3, 3] to [..., 3] radians."""
+    quaternion = matrix_to_quaternion(matrices)
+    quaternion = np.where(quaternion[..., :1] < 0, -quaternion, quaternion)
+    length = np.linalg.norm(quaternion[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(length, quaternion[..., :1])
+    return quaternion[..., 1:] * np.where(length < _SMALL_ANGLE, 2.0, angle / np.where(length < _SMALL_ANGLE, 1.0, length))
+
+
+def matrix_to_quaternion(matrices: np.ndarray) -> np.ndarray:
+    """Unit quaternions wxyz of rotation matrices, [..., 3, 3] to [..., 4]: the largest component is solved for first."""
+    m = np.asarray(matrices, np.float64)
+    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
+    squares = np.stack([1 + d0 + d1 + d2, 1 + d0 - d1 - d2, 1 - d0 + d1 - d2, 1 - d0 - d1 + d2], -1)  # 4 q_i^2
+    wx, wy, wz = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
+    xy, xz, yz = m[..., 0, 1] + m[..., 1, 0], m[..., 0, 2] + m[..., 2, 0], m[..., 1, 2] + m[..., 2, 1]
+    rows = np.stack(
+        [
+            np.stack([squares[..., 0], wx, wy, wz], -1),
+            np.stack([wx, squares[..., 1], xy, xz], -1),
+            np.stack([wy, xy, squares[..., 2], yz], -1),
+            np.stack([wz, xz, yz, squares[..., 3]], -1),
+        ],
+        -2,
+    )
+    best = np.argmax(squares, -1)[..., None, None]
+    quaternion = np.take_along_axis(rows, best, -2)[..., 0, :]
+    return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+
+
+def quaternion_to_matrix(quaternions: np.ndarray) -> np.ndarray:
+    """Rotation matrices of quaternions wxyz of any length, [..., 4] to [..., 3, 3]."""
+    q = np.asarray(quaternions)
+    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
+    return np.stack(
+        [
+            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+        ],
+        -1,
+    ).reshape(*w.shape, 3, 3)  # fmt: skip
+
+
+def euler_to_matrix(angles: np.ndarray) -> np.ndarray:
+    """R = Rz Ry Rx. [..., 3] radians about x, y, z to [..., 3, 3]."""
+    angles = np.asarray(angles, np.float64)
+    (cx, cy, cz), (sx, sy, sz) = np.moveaxis(np.cos(angles), -1, 0), np.moveaxis(np.sin(angles), -1, 0)
+    return np.stack(
+        [
+            cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx,
+            sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx,
+            -sy, cy * sx, cy * cx,
+        ],
+        -1,
+    ).reshape(*cx.shape, 3, 3)  # fmt: skip
+
+
+def matrix_to_euler(matrices: np.ndarray) -> np.ndarray:
+    """Inverse of `euler_to_matrix`, y within +-pi/2; at the gimbal z is set to zero. [..., 3, 3] to [..., 3] radians."""
+    m = np.asarray(matrices, np.float64)
+    length = np.hypot(m[..., 0, 0], m[..., 1, 0])
+    locked = length < _GIMBAL
+    x = np.where(locked, np.arctan2(-m[..., 1, 2], m[..., 1, 1]), np.arctan2(m[..., 2, 1], m[..., 2, 2]))
+    y = np.arctan2(-m[..., 2, 0], length)
+    z = np.where(locked, 0.0, np.arctan2(m[..., 1, 0], m[..., 0, 0]))
+    return np.stack([x, y, z], -1)
+
+
+def unwrap_euler(angles: np.ndarray) -> np.ndarray:
+    """Make a track of Euler angles continuous, [T, 3]: between two frames no angle jumps by a full turn."""
+    return np.unwrap(angles, axis=0)
+
+
+def axis_angle_to_euler(vectors: np.ndarray) -> np.ndarray:
+    """A track of axis-angle vectors [T, 3] to continuous XYZ Euler angles [T, 3], radians."""
+    return unwrap_euler(matrix_to_euler(axis_angle_to_matrix(vectors)))
+
+
+def euler_to_axis_angle(angles: np.ndarray) -> np.ndarray:
+    """XYZ Euler angles [T, 3] to axis-angle vectors [T, 3], radians."""
+    return matrix_to_axis_angle(euler_to_matrix(angles))

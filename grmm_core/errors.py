@@ -48,5 +48,9 @@ class CancelledError(GrmmError):
     """The user cancelled the job; what had been saved before is intact."""
 
 
+class TrainingError(GrmmError):
+    """Training cannot go on: the loss is not finite, or the data cannot be used; earlier checkpoints are intact."""
+
+
 class NoFaceError(GrmmError):
     """No usable face in a photo."""

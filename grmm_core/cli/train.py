@@ -1,0 +1,117 @@
+"""`grmm train`: train a model on captured data."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from ..errors import ConfigError
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the parser of the sub-command."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "train",
+        help="train a model on captured data",
+        description="Train a model. Ctrl-C saves a checkpoint, --resume continues. Processes: torchrun -m grmm_core train.",
+    )
+    parser.add_argument("config", metavar="CONFIG", help="TOML file, or one of the project's: small, paper")
+    parser.add_argument("--data", nargs="+", metavar="DIR", required=True, help="data sets that `grmm capture` wrote")
+    parser.add_argument("--out", default="out/training", metavar="DIR", help="folder for checkpoints, previews and weights")
+    parser.add_argument("--resume", action="store_true", help="continue from the checkpoint in the folder")
+    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change settings of the [training] table")
+    parser.add_argument("--device", default="auto", help="auto, cpu, cuda or mps")
+    parser.add_argument("--default-person", metavar="NAME", help="person who becomes the default avatar; else the mean")
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Train, and write the weights at the end. Raises `GrmmError`s."""
+    from ..training.capture import capture_views
+    from ..training.config import load_config
+    from ..training.trainer import CHECKPOINT, Trainer
+
+    config = load_config(args.config, _settings(args.set))
+    source, head = capture_views(args.data)
+    person = _person(source.people, args.default_person)
+    if (Path(args.out) / CHECKPOINT).exists() and not args.resume:
+        raise ConfigError(f"{args.out} holds a checkpoint already; add --resume or choose another folder with --out.")
+    trainer = Trainer(config, head, source, args.out, _device(args.device))
+    if args.resume and trainer.resume():
+        args.console.message(f"Continuing after step {trainer.step_count}.")
+    stop = _StopOnInterrupt()
+    recent: dict[str, float] = {}
+
+    with stop, args.console.progress("training", 1000) as bar:
+
+        def show(metrics: dict[str, float]) -> None:
+            recent.update(metrics)
+            bar.advance(int(1000 * trainer.progress) - show.done, f"step {trainer.step_count} loss {metrics['loss']:.4f}")
+            show.done = int(1000 * trainer.progress)
+
+        show.done = 0
+        trainer.run(lambda: stop.requested, show)
+    path = Path(args.out) / f"{config.name}.safetensors"
+    if trainer.rank == 0:
+        provenance = {"seed": config.seed, "steps": trainer.step_count, "hours": round(trainer.seconds / 3600, 3)}
+        provenance |= {"data": [Path(d).name for d in args.data], "views": len(source.training)}
+        trainer.save_weights(path, provenance, person)
+        args.console.line(f"Wrote {path} after {trainer.step_count} steps, {trainer.seconds / 60:.1f} minutes.")
+    return {"weights": str(path), "steps": trainer.step_count, "seconds": trainer.seconds, **recent}
+
+
+class _StopOnInterrupt:
+    """Turns the first Ctrl-C into a request, so that the step ends and a checkpoint is written; the second one interrupts."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._previous: Any = None
+
+    def __enter__(self) -> None:
+        self._previous = signal.signal(signal.SIGINT, self._handle)
+
+    def __exit__(self, *_: object) -> None:
+        signal.signal(signal.SIGINT, self._previous)
+
+    def _handle(self, _number: int, _frame: FrameType | None) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+
+
+def _settings(assignments: list[str]) -> dict[str, Any]:
+    """Parse NAME=VALUE with whole numbers, numbers or text."""
+    values: dict[str, Any] = {}
+    for text in assignments:
+        name, separator, value = text.partition("=")
+        if not separator:
+            raise ConfigError(f"{text!r} is not of the form NAME=VALUE; write for example steps=2000.")
+        for kind in (int, float, str):
+            try:
+                values[name.strip()] = kind(value)
+                break
+            except ValueError:
+                continue
+    return values
+
+
+def _person(people: tuple[str, ...], name: str | None) -> int | None:
+    if name is None:
+        return None
+    if name not in people:
+        raise ConfigError(f"There is no person {name!r} in the data; there are {', '.join(people)}.")
+    return people.index(name)
+
+
+def _device(name: str) -> str:
+    import torch
+
+    from ..errors import BackendError
+
+    if name == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if name.startswith("cuda") and not torch.cuda.is_available():
+        raise BackendError("There is no CUDA device; use --device cpu.")
+    return name

@@ -1,0 +1,174 @@
+"""Phi_T, Phi_alpha and Phi_app: maps of Gaussian attributes in UV space (paper section 3.3).
+
+Each is a `MapDecoder` of transposed convolutions. Extensions that the paper does not have, off in its configuration: maps may
+end below the grid and be enlarged bilinearly; free mean maps and basis maps weighted by a linear map of z_id are added.
+Values are needed at active texels only, so mean and basis maps exist only there and decoder maps are read only there.
+
+Used by `grmm` only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from .config import BASIS_GROUPS, COLOUR_CHANNELS, TRANSFORM_CHANNELS, GRMMConfig
+from .sparse import FixedSparse
+
+SLOPE = 0.2
+VIEW_CHANNELS = 3
+LAST_GAIN = 0.1  # decoders start near their mean maps
+BASIS_INIT = 0.01
+
+
+class MapDecoder(nn.Module):
+    """A code to a map: a linear layer to the start map, then transposed convolutions of stride 2 with leaky rectifiers.
+
+    Args:
+        inputs: Length of the code.
+        outputs: Channels of the map.
+        start: Side of the first map.
+        channels: Channels of the first map and of each following one; one more stage gives the output.
+        view_stage: Side of the map to which the tiled view direction is appended, or None.
+    """
+
+    def __init__(self, inputs: int, outputs: int, start: int, channels: tuple[int, ...], view_stage: int | None = None) -> None:
+        super().__init__()
+        self.start = start
+        self.view_stage = view_stage
+        self.first = nn.Linear(inputs, channels[0] * start * start)
+        self.stages = nn.ModuleList()
+        widths = (*channels, outputs)
+        for i in range(len(channels)):
+            extra = VIEW_CHANNELS if start << i == view_stage else 0
+            self.stages.append(nn.ConvTranspose2d(widths[i] + extra, widths[i + 1], 4, stride=2, padding=1))
+        self.activation = nn.LeakyReLU(SLOPE)
+        self._initialise()
+
+    def _initialise(self) -> None:
+        nn.init.kaiming_normal_(self.first.weight, SLOPE)
+        nn.init.zeros_(self.first.bias)
+        for i, stage in enumerate(self.stages):
+            # each output of a 4x4, stride 2 transposed convolution sees 4 of the 16 taps
+            gain = nn.init.calculate_gain("leaky_relu", SLOPE) * (LAST_GAIN if i == len(self.stages) - 1 else 1.0)
+            nn.init.normal_(stage.weight, std=gain / (4 * stage.in_channels) ** 0.5)
+            nn.init.zeros_(stage.bias)
+
+    def forward(self, code: Tensor, view: Tensor | None = None) -> Tensor:
+        """Return the map.
+
+        Args:
+            code: [B, inputs].
+            view: Unit view directions, [B, 3], where the decoder has a `view_stage`.
+
+        Returns:
+            [B, outputs, side, side].
+        """
+        x = self.activation(self.first(code)).view(len(code), -1, self.start, self.start)
+        for i, stage in enumerate(self.stages):
+            if view is not None and x.shape[-1] == self.view_stage:
+                tiled = view[:, :, None, None].expand(-1, -1, *x.shape[-2:])
+                x = torch.cat([x, tiled], 1)
+            x = stage(x)
+            if i < len(self.stages) - 1:
+                x = self.activation(x)
+        return x
+
+
+class AttributeDecoders(nn.Module):
+    """The three decoders with mean and basis maps, read at the active texels.
+
+    Args:
+        config: Sizes.
+        z_id, z_exp: Lengths of the codes.
+        texel: Flat indices of the active texels, [N].
+    """
+
+    def __init__(self, config: GRMMConfig, z_id: int, z_exp: int, texel: np.ndarray) -> None:
+        super().__init__()
+        count = len(texel)
+        self.count = count
+        self.features = config.features
+        self.basis_channels = config.basis_channels
+        start, channels = config.decoder_start, config.decoder_channels
+        app_channels = COLOUR_CHANNELS + config.features
+        self.transform = MapDecoder(z_id + z_exp, TRANSFORM_CHANNELS, start, channels)
+        self.opacity = MapDecoder(z_id, 1, start, channels)
+        self.appearance = MapDecoder(z_id, app_channels, start, channels, config.view_stage)
+        self.read = texel_reader(texel, config.grid, config.decoder_grid)
+        self.opacity_bias = config.opacity_bias
+        for name, width in (("transform", TRANSFORM_CHANNELS), ("opacity", 1), ("appearance", app_channels)):
+            mean = nn.Parameter(torch.zeros(count, width)) if config.mean_maps else None
+            self.register_parameter(f"{name}_mean", mean)
+        if not config.mean_maps:
+            with torch.no_grad():
+                self.appearance.stages[-1].bias[:COLOUR_CHANNELS] = 0.5  # mid grey
+        self.basis = nn.ParameterDict()
+        self.basis_weights: nn.Linear | None = None
+        if config.basis_maps:
+            self.basis_weights = nn.Linear(z_id, config.basis_maps, bias=False)
+            for name in config.basis_channels:
+                self.basis[name] = nn.Parameter(torch.randn(config.basis_maps, count * BASIS_GROUPS[name]) * BASIS_INIT)
+
+    def transform_offsets(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
+        """Phi_T: position, rotation and log scale offsets of each Gaussian from z_id [Z] and z_exp [Y]: [N, 10]."""
+        offsets = self._decode(self.transform, self.transform_mean, torch.cat([z_id, z_exp])[None])
+        parts = {"position": slice(0, 3), "rotation": slice(3, 7), "scale": slice(7, 10)}
+        added = [self._basis(name, z_id, part.stop - part.start) for name, part in parts.items()]
+        if any(a is not None for a in added):
+            columns = [
+                offsets[:, part] if a is None else offsets[:, part] + a
+                for a, part in zip(added, parts.values(), strict=True)
+            ]
+            offsets = torch.cat(columns, -1)
+        return offsets
+
+    def opacities(self, z_id: Tensor) -> Tensor:
+        """Phi_alpha: opacity 0..1 of each Gaussian from z_id [Z]: [N]."""
+        logits = self._decode(self.opacity, self.opacity_mean, z_id[None])
+        added = self._basis("opacity", z_id, 1)
+        logits = logits if added is None else logits + added
+        return torch.sigmoid(logits[:, 0] + self.opacity_bias)
+
+    def colours(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
+        """Phi_app: display sRGB [N, 3] and features [N, F] from z_id [Z] and the unit view direction [3]."""
+        values = self._decode(self.appearance, self.appearance_mean, z_id[None], view[None])
+        colours, features = values[:, :COLOUR_CHANNELS], values[:, COLOUR_CHANNELS:]
+        added = self._basis("colour", z_id, COLOUR_CHANNELS)
+        return (colours if added is None else colours + added), features
+
+    def _decode(self, decoder: MapDecoder, mean: Tensor | None, code: Tensor, view: Tensor | None = None) -> Tensor:
+        decoded = decoder(code, view)[0]  # [C, side, side]
+        values: Tensor = self.read(decoded.flatten(1).T)  # [N, C]
+        return values if mean is None else values + mean
+
+    def _basis(self, name: str, z_id: Tensor, width: int) -> Tensor | None:
+        if self.basis_weights is None or name not in self.basis:
+            return None
+        return (self.basis_weights(z_id) @ self.basis[name]).view(-1, width)
+
+
+def texel_reader(texel: np.ndarray, grid: int, side: int) -> FixedSparse:
+    """Return the operator that reads a side x side map at texels of a grid x grid map by bilinear interpolation.
+
+    Args:
+        texel: Flat indices row * grid + column, [N].
+        grid: Side of the texel grid, a multiple of `side`.
+        side: Side of the map.
+    """
+    texel = np.asarray(texel, np.int64)
+    rows, columns, values = [], [], []
+    count = np.arange(len(texel))
+    # centres of both grids at half texels, as in image resizing without aligned corners
+    y, x = ((part + 0.5) * side / grid - 0.5 for part in (texel // grid, texel % grid))
+    y, x = np.clip(y, 0, side - 1), np.clip(x, 0, side - 1)
+    y0, x0 = np.minimum(np.floor(y), side - 1).astype(np.int64), np.minimum(np.floor(x), side - 1).astype(np.int64)
+    for dy in (0, 1):
+        for dx in (0, 1):
+            weight = (dy * (y - y0) + (1 - dy) * (1 - (y - y0))) * (dx * (x - x0) + (1 - dx) * (1 - (x - x0)))
+            keep = weight > 0
+            rows.append(count[keep])
+            columns.append((np.minimum(y0 + dy, side - 1) * side + np.minimum(x0 + dx, side - 1))[keep])
+            values.append(weight[keep])
+    return FixedSparse(np.concatenate(rows), np.concatenate(columns), np.concatenate(values), (len(texel), side * side))

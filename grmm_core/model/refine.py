@@ -1,0 +1,106 @@
+"""Psi_ref: the screen-space refinement network, eq. 14.
+
+A small U-Net reads the splatted colours and features, premultiplied over black, and the min-max normalised depth, and gives a
+residual that is added where the avatar covers the pixel: I = I_rgb + alpha * residual. So alpha stays right over any
+background, and an untrained network (zero last layer) changes nothing. Any picture size works.
+
+Used by `grmm` only.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from .config import COLOUR_CHANNELS, GRMMConfig
+
+SLOPE = 0.2
+COVERED = 0.5  # alpha above which a pixel's depth counts for the normalisation
+_DEPTH_SPAN_MIN = 1e-6  # metres
+
+
+def depth_range(depth: Tensor, alpha: Tensor) -> Tensor:
+    """Smallest and largest depth of covered pixels.
+
+    Args:
+        depth: Expected depth, metres, [H, W].
+        alpha: [H, W].
+
+    Returns:
+        [2] metres; zeros where nothing is covered.
+    """
+    covered = depth[alpha > COVERED]
+    if not covered.numel():
+        return depth.new_zeros(2)
+    return torch.stack(torch.aminmax(covered))
+
+
+def normalise_depth(depth: Tensor, alpha: Tensor, limits: Tensor) -> Tensor:
+    """Min-max normalised depth (paper section 3.3), premultiplied by alpha.
+
+    Args:
+        depth: Metres, [H, W].
+        alpha: [H, W].
+        limits: Smallest and largest depth, metres, [2].
+
+    Returns:
+        0 (near) to 1 (far) times alpha, [H, W].
+    """
+    span = (limits[1] - limits[0]).clamp(min=_DEPTH_SPAN_MIN)
+    return ((depth - limits[0]) / span).clamp(0.0, 1.0) * alpha
+
+
+class RefinementNetwork(nn.Module):
+    """U-Net at the picture's resolution, or at half of it with pixels folded into channels.
+
+    Args:
+        config: Sizes.
+    """
+
+    def __init__(self, config: GRMMConfig) -> None:
+        super().__init__()
+        fold = config.refine_unshuffle
+        widths = config.refine_channels
+        steps = range(len(widths) - 1)
+        self.fold = fold
+        self.multiple = fold << (len(widths) - 1)
+        self.activation = nn.LeakyReLU(SLOPE)
+        # At the finest level most of the time goes: the many folded channels are first mixed pixel by pixel, and skips are
+        # added rather than concatenated.
+        self.entry = nn.Conv2d((COLOUR_CHANNELS + config.features + 1) * fold * fold, widths[0], 1)
+        self.first = nn.Conv2d(widths[0], widths[0], 3, padding=1)
+        self.down = nn.ModuleList(nn.Conv2d(widths[i], widths[i + 1], 3, stride=2, padding=1) for i in steps)
+        self.middle = nn.Conv2d(widths[-1], widths[-1], 3, padding=1)
+        self.narrow = nn.ModuleList(nn.Conv2d(widths[i + 1], widths[i], 1) for i in reversed(steps))
+        self.up = nn.ModuleList(nn.Conv2d(widths[i], widths[i], 3, padding=1) for i in reversed(steps))
+        self.exit = nn.Conv2d(widths[0], COLOUR_CHANNELS * fold * fold, 3, padding=1)
+        nn.init.zeros_(self.exit.weight)
+        if self.exit.bias is not None:
+            nn.init.zeros_(self.exit.bias)
+
+    def forward(self, rgb: Tensor, features: Tensor | None, depth: Tensor, alpha: Tensor) -> Tensor:
+        """Refine one picture.
+
+        Args:
+            rgb: Splatted colours premultiplied over black, [H, W, 3].
+            features: Splatted features, [H, W, F], or None when the model has none.
+            depth: Normalised depth, [H, W].
+            alpha: [H, W].
+
+        Returns:
+            Refined colours premultiplied over black, [H, W, 3].
+        """
+        height, width = alpha.shape
+        parts = [rgb, depth[..., None]] if features is None else [rgb, features, depth[..., None]]
+        x = torch.cat(parts, -1).permute(2, 0, 1)[None]  # [1, C, H, W]
+        x = nn.functional.pad(x, (0, -width % self.multiple, 0, -height % self.multiple))
+        x = nn.functional.pixel_unshuffle(x, self.fold).contiguous(memory_format=torch.channels_last)
+        levels = [self.activation(self.first(self.activation(self.entry(x))))]
+        for stage in self.down:
+            levels.append(self.activation(stage(levels[-1])))
+        x = self.activation(self.middle(levels.pop()))
+        for narrow, stage in zip(self.narrow, self.up, strict=True):
+            x = nn.functional.interpolate(narrow(x), scale_factor=2.0, mode="nearest") + levels.pop()
+            x = self.activation(stage(x))
+        residual = nn.functional.pixel_shuffle(self.exit(x), self.fold)[0, :, :height, :width]
+        return rgb + alpha[..., None] * residual.permute(1, 2, 0)

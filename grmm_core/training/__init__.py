@@ -1,0 +1,17 @@
+"""Training of the model, eq. 15-18.
+
+The map:
+
+``config``      `TrainConfig`, read from TOML (numpy-free)
+``losses``      every term of the objective as a pure function; also used by the fitting
+``views``       what a training view is, and the reproducible choice of views, crops and backgrounds
+``initialise``  mean colours from the pictures
+``optimise``    parameter groups, schedule, moving average
+``checkpoint``  whole-or-nothing checkpoints as tensor files
+``trainer``     `Trainer`: the loop
+``preview``     picture sheets
+
+Uses `model`, `splat`, `data`. Called by the command line (`grmm train`). Everything but `config` imports torch.
+"""
+
+from __future__ import annotations

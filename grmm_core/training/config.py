@@ -1,0 +1,146 @@
+"""Training configurations: model sizes, schedule and loss weights, read from TOML.
+
+A file has the tables ``[model]`` (``preset`` and any field of `GRMMConfig`), ``[training]`` (fields of `TrainConfig`) and
+``[losses]`` (fields of `LossWeights`). Those of the project are in the folder ``configs`` beside this file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..errors import ConfigError
+from ..files import read_bytes
+from ..model.config import PRESETS, GRMMConfig
+
+CONFIG_FOLDER = Path(__file__).resolve().parent / "configs"
+_MAX_FILE_BYTES = 1 << 20
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """One training run.
+
+    Progress p runs from 0 to 1: by steps, or by time when `minutes` is set.
+
+    Attributes:
+        model: Sizes.
+        losses: Factors by name, see `LossWeights`.
+        name: Of the weights.
+        steps: Optimiser steps of the schedule.
+        minutes: If above 0, the schedule follows the time spent instead, so that a run ends when it must.
+        seed: Of initial weights, views, crops, backgrounds.
+        views_per_step: Pictures whose gradients are averaged before a step, over all processes.
+        image_size: Longer side in pixels to which pictures are reduced; 0 keeps them.
+        half_until: Progress up to which pictures are halved once more.
+        refine_from: Progress from which the refinement network takes part.
+        crop_size: Side of square crops in pixels; 0 for none.
+        crop_share: Share of the steps that use a crop.
+        lr_networks, lr_maps, lr_codes: Peak learning rates of convolutions and linear layers, of mean and basis maps, of codes.
+        lr_end: Factor of the learning rates at the end of the cosine.
+        warmup_steps: Steps of linear growth.
+        beta1, beta2: Of Adam.
+        clip_norm: Largest norm of the whole gradient.
+        ema: Decay of the moving average a step; 0 for none.
+        ema_every: Steps between its updates.
+        code_init: Standard deviation of identity codes before training.
+        checkpoint_every, preview_every, evaluate_every: Steps; 0 for never.
+        evaluate_views: Held-out views in an evaluation.
+        threads: Of torch; 0 leaves its choice.
+    """
+
+    model: GRMMConfig
+    losses: Mapping[str, float] = field(default_factory=dict)
+    name: str = "default"
+    steps: int = 10000
+    minutes: float = 0.0
+    seed: int = 0
+    views_per_step: int = 1
+    image_size: int = 0
+    half_until: float = 0.0
+    refine_from: float = 0.0
+    crop_size: int = 0
+    crop_share: float = 0.0
+    lr_networks: float = 1.5e-3
+    lr_maps: float = 5e-3
+    lr_codes: float = 3e-3
+    lr_end: float = 0.02
+    warmup_steps: int = 50
+    beta1: float = 0.9
+    beta2: float = 0.99
+    clip_norm: float = 1.0
+    ema: float = 0.999
+    ema_every: int = 8
+    code_init: float = 0.1
+    checkpoint_every: int = 500
+    preview_every: int = 500
+    evaluate_every: int = 1000
+    evaluate_views: int = 16
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        """Check ranges. Raises `ConfigError`."""
+        shares = ("half_until", "refine_from", "crop_share", "lr_end", "ema", "beta1", "beta2")
+        for name in shares:
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigError(f"The training setting {name} is {getattr(self, name)}; it must be from 0 to 1.")
+        for f in dataclasses.fields(self):
+            value = getattr(self, f.name)
+            if f.type in ("int", "float") and not (math.isfinite(value) and value >= 0):
+                raise ConfigError(f"The training setting {f.name} is {value}; it must be a number of 0 or more.")
+        for name in ("steps", "views_per_step", "ema_every"):
+            if getattr(self, name) < 1:
+                raise ConfigError(f"The training setting {name} is {getattr(self, name)}; it must be at least 1.")
+
+    def to_json(self) -> str:
+        """Return the configuration as JSON with sorted keys."""
+        return json.dumps(dataclasses.asdict(self), sort_keys=True)
+
+
+def load_config(source: str | os.PathLike[str], overrides: Mapping[str, Any] | None = None) -> TrainConfig:
+    """Read a training configuration.
+
+    Args:
+        source: TOML file, or the name of one in `CONFIG_FOLDER`.
+        overrides: Settings of ``[training]`` that take precedence.
+
+    Raises:
+        FileAccessError: Missing file.
+        ConfigError: Not TOML, an unknown setting, or a value out of range.
+    """
+    path = Path(source)
+    named = CONFIG_FOLDER / f"{source}.toml"
+    if not path.exists() and named.exists():
+        path = named
+    try:
+        values = tomllib.loads(read_bytes(path, _MAX_FILE_BYTES).decode("utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} is not a TOML file ({error}); correct it.") from error
+    unknown = set(values) - {"model", "training", "losses"}
+    if unknown or not all(isinstance(table, dict) for table in values.values()):
+        raise ConfigError(f"{path} has {sorted(unknown) or 'values'} outside the tables [model], [training] and [losses].")
+    return train_config(values.get("model", {}), {**values.get("training", {}), **(overrides or {})}, values.get("losses", {}))
+
+
+def train_config(model: Mapping[str, Any], training: Mapping[str, Any], losses: Mapping[str, float]) -> TrainConfig:
+    """Build a configuration from its three tables. Raises `ConfigError`."""
+    model = dict(model)
+    preset = model.pop("preset", "paper")
+    if preset not in PRESETS:
+        raise ConfigError(f"There is no model preset {preset!r}; use one of {', '.join(PRESETS)}.")
+    config = PRESETS[preset].replace(**model)
+    known = {f.name: str(f.type) for f in dataclasses.fields(TrainConfig) if f.name not in ("model", "losses")}
+    kinds: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float), "str": str}
+    for name, value in training.items():
+        if name not in known:
+            raise ConfigError(f"Unknown training setting {name!r}; known are {', '.join(sorted(known))}.")
+        if isinstance(value, bool) or not isinstance(value, kinds[known[name]]):
+            raise ConfigError(f"The training setting {name} is {value!r}; it must be of type {known[name]}.")
+    return TrainConfig(config, dict(losses), **training)

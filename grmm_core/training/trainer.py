@@ -1,0 +1,327 @@
+"""The training loop.
+
+    trainer = Trainer(config, head, source, folder)
+    trainer.resume()                  # where a checkpoint exists
+    trainer.run()
+    trainer.save_weights(path)
+
+A step renders `views_per_step` views, averages their gradients, and updates parameters with Adam. Several processes started
+by ``torchrun`` share the views of a step and average gradients, so that they do what one process would. Metrics go to
+``metrics.jsonl``, sheets to ``preview_*.png``, checkpoints to ``checkpoint.safetensors`` in the run's folder.
+
+Used by the command line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import logging
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ..errors import CancelledError, ConfigError, FileAccessError, TrainingError
+from ..files import describe_os_error
+from ..model.grmm import GRMM, Rendering
+from ..model.weights import WeightsInfo, head_fingerprint, save_weights
+from .checkpoint import load_checkpoint, save_checkpoint
+from .config import TrainConfig
+from .initialise import initialise_colours
+from .losses import Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
+from .optimise import MovingAverage, parameter_groups, rate_factor
+from .views import View, ViewSource, choose, shrink
+
+if TYPE_CHECKING:
+    from ..head import HeadModel
+
+logger = logging.getLogger(__name__)
+
+CHECKPOINT = "checkpoint.safetensors"
+METRICS = "metrics.jsonl"
+_COLOUR_VIEWS = 48
+_RANDOM_CODE_INIT = 10_007  # keeps the stream of the codes apart from the model's
+
+
+class Trainer:
+    """One training run.
+
+    Args:
+        config: Sizes, schedule, losses.
+        head: Head model of the data.
+        source: Views.
+        folder: Where checkpoints, metrics and previews go; created if needed.
+        device: Torch device.
+        backend: Rasteriser backend.
+
+    Raises:
+        ConfigError, FileAccessError: The configuration or folder cannot be used.
+        TrainingError: There is nothing to train on.
+    """
+
+    def __init__(
+        self, config: TrainConfig, head: HeadModel, source: ViewSource, folder: str | os.PathLike[str],
+        device: str = "cpu", backend: str = "auto",
+    ) -> None:  # fmt: skip
+        if not len(source.training):
+            raise TrainingError("The data set has no training views; capture more or change its splits.")
+        self.config, self.source, self.folder, self.backend = config, source, Path(folder), backend
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FileAccessError(f"Cannot use the folder {folder}: {describe_os_error(error)}; choose another.") from error
+        if config.threads:
+            torch.set_num_threads(config.threads)
+        self.rank, self.world = _processes()
+        if config.views_per_step % self.world:
+            raise ConfigError(f"views_per_step {config.views_per_step} must be a multiple of the {self.world} processes.")
+        torch.manual_seed(config.seed)
+        self.model = GRMM(head, config.model).to(device)
+        generator = torch.Generator().manual_seed(config.seed + _RANDOM_CODE_INIT)
+        codes = torch.randn(len(source.people), config.model.z_id, generator=generator) * config.code_init
+        self.codes = nn.Parameter(codes.to(device))  # z_id of each person, [P, Z]
+        self.shapes = torch.as_tensor(source.shapes, dtype=torch.float32, device=device)
+        self.laplacian = vertex_laplacian(torch.from_numpy(head.faces.astype(np.int64)), head.vertex_count).to(device)
+        self.loss_weights = weights_from(dict(config.losses))
+        self.parameters: dict[str, nn.Parameter] = {"codes": self.codes, **dict(self.model.named_parameters())}
+        self.optimiser = torch.optim.Adam(
+            parameter_groups(self.model, self.codes, config), betas=(config.beta1, config.beta2), fused=True
+        )
+        self.average = MovingAverage(self.parameters.values(), config.ema, config.ema_every) if config.ema else None
+        self.step_count = 0
+        self.seconds = 0.0
+        self.started = False
+
+    @property
+    def progress(self) -> float:
+        """Share of the schedule that is done, 0..1."""
+        done = self.seconds / (60.0 * self.config.minutes) if self.config.minutes else self.step_count / self.config.steps
+        return min(1.0, done)
+
+    # --- running ---------------------------------------------------------------------------------------------------
+
+    def run(
+        self, should_stop: Callable[[], bool] | None = None, on_step: Callable[[dict[str, float]], None] | None = None
+    ) -> None:
+        """Train to the end of the schedule; ends with a checkpoint.
+
+        Args:
+            should_stop: Asked after each step; True saves a checkpoint and ends.
+            on_step: Called with the numbers of each step.
+
+        Raises:
+            CancelledError: `should_stop` returned True; the checkpoint holds everything done.
+            TrainingError: The loss is not finite. The last checkpoint is kept as it was.
+            FileAccessError: Disk full or not writable.
+        """
+        self.start()
+        c = self.config
+        while self.progress < 1.0:
+            metrics = self.step()
+            if on_step:
+                on_step(metrics)
+            n = self.step_count
+            ends = self.progress >= 1.0
+            if c.evaluate_every and (n % c.evaluate_every == 0 or ends):
+                metrics |= self.evaluate(c.evaluate_views)
+                logger.info("step %d: %s", n, {k: round(v, 4) for k, v in metrics.items()})
+            self._log(metrics)
+            if self.rank == 0 and c.preview_every and (n % c.preview_every == 0 or ends):
+                self._preview()
+            stopped = should_stop is not None and should_stop()
+            if self.rank == 0 and ((c.checkpoint_every and n % c.checkpoint_every == 0) or ends or stopped):
+                self.save()
+            if stopped and not ends:
+                raise CancelledError(f"The training was stopped after step {n}; continue it with --resume.")
+
+    def start(self) -> None:
+        """Prepare what depends on the data, once, before the first step of a new run."""
+        if not self.started and self.step_count == 0:
+            initialise_colours(self.model, self.source, _COLOUR_VIEWS, self.config.seed)
+            if self.average:
+                self.average = MovingAverage(self.parameters.values(), self.config.ema, self.config.ema_every)
+        self.started = True
+
+    def step(self) -> dict[str, float]:
+        """Do one optimiser step and return its numbers. Raises `TrainingError` where the loss is not finite."""
+        begin = time.perf_counter()
+        c, n, progress = self.config, self.step_count, self.progress
+        refined = self.model.refinement is not None and progress >= c.refine_from
+        self.optimiser.zero_grad(set_to_none=True)
+        share = c.views_per_step // self.world
+        total, terms = 0.0, {}
+        for place in range(self.rank * share, (self.rank + 1) * share):
+            view, background = choose(c, self.source, n, place, progress)
+            rendering, codes = self.draw(view, background, refined)
+            loss, terms = total_loss(
+                rendering, self._target(view, background), codes, self.laplacian, self.loss_weights, refined
+            )
+            value = float(loss.detach())
+            if not np.isfinite(value):
+                raise TrainingError(
+                    f"The loss is {value} at step {n} ({view.name}); lower the learning rates and resume the last checkpoint."
+                )
+            (loss / c.views_per_step).backward()
+            total += value / share
+        self._average_gradients()
+        norm = torch.nn.utils.clip_grad_norm_(self.parameters.values(), c.clip_norm) if c.clip_norm else torch.zeros(())
+        if not bool(torch.isfinite(norm)):
+            raise TrainingError(f"A gradient is not finite at step {n}; lower the rates and resume the last checkpoint.")
+        factor = rate_factor(c, n, progress)
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["peak"] * factor
+        self.optimiser.step()
+        self.step_count += 1
+        if self.average:
+            self.average.update(self.step_count)
+        self.seconds += time.perf_counter() - begin
+        numbers = {"step": float(self.step_count), "loss": total, "gradient_norm": float(norm), "rate": factor}
+        numbers |= {"seconds": self.seconds, "progress": self.progress}
+        return numbers | {name: float(value) for name, value in terms.items()}
+
+    def draw(self, view: View, background: np.ndarray | None, refined: bool) -> tuple[Rendering, tuple[Tensor, Tensor]]:
+        """Render a view's person, expression and camera. Returns the rendering and the codes z_id and z_exp."""
+        aligned, expression, pose = (self._tensor(a) for a in (view.aligned, view.expression, view.pose))
+        shape = self.shapes[view.subject]
+        z_id = self.model.z_identity(self.codes[view.subject], shape)
+        z_exp = self.model.z_expression(aligned, expression=expression)
+        rendering = self.model.render(
+            view.camera, shape=shape, expression=expression, pose=pose, z_id=z_id, z_exp=z_exp,
+            background=None if background is None else self._tensor(background), refine=refined, backend=self.backend,
+        )  # fmt: skip
+        return rendering, (z_id, z_exp)
+
+    def _target(self, view: View, background: np.ndarray) -> Target:
+        mask = self._tensor(view.mask) / 255.0
+        image = self._tensor(view.image) / 255.0 + (1.0 - mask)[..., None] * self._tensor(background)
+        return Target(image, mask, None if view.depth is None else self._tensor(view.depth))
+
+    def _tensor(self, array: np.ndarray) -> Tensor:
+        return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32, device=self.model.device)
+
+    def _average_gradients(self) -> None:
+        """Add up the processes' gradients (each is divided by the views of the whole step already)."""
+        if self.world == 1:
+            return
+        gradients = [p.grad if p.grad is not None else torch.zeros_like(p) for p in self.parameters.values()]
+        flat = torch.cat([g.reshape(-1) for g in gradients])
+        torch.distributed.all_reduce(flat)
+        for parameter, part in zip(self.parameters.values(), flat.split([g.numel() for g in gradients]), strict=True):
+            parameter.grad = part.view_as(parameter).clone()
+
+    # --- judging ---------------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def evaluate(self, count: int) -> dict[str, float]:
+        """PSNR and SSIM on held-out views with the averaged weights, over black: whole picture and inside the mask.
+
+        Args:
+            count: Views, spread over the validation set; all where it has fewer.
+        """
+        chosen = self.source.validation[np.linspace(0, len(self.source.validation) - 1, count).astype(int)] if len(
+            self.source.validation
+        ) else self.source.validation  # fmt: skip
+        rows: list[dict[str, float]] = []
+        with self.averaged():
+            for index in np.unique(chosen):
+                view = self._sized(self.source.load(int(index)))
+                rendering, _ = self.draw(view, None, self.model.refinement is not None)
+                target = self._target(view, np.zeros(3, np.float32))
+                row = {"psnr": psnr(rendering.image.clamp(0, 1), target.image)}
+                row["psnr_mask"] = psnr(rendering.image.clamp(0, 1), target.image, target.mask)
+                row["psnr_raw"] = psnr(rendering.raw.clamp(0, 1), target.image)
+                row["ssim"] = float(ssim(rendering.image.clamp(0, 1), target.image))
+                rows.append(row)
+        return {f"val_{key}": float(np.mean([row[key] for row in rows])) for key in (rows[0] if rows else {})}
+
+    def averaged(self) -> _Averaged:
+        """Context in which the model holds the moving average of its parameters."""
+        return _Averaged(self.average)
+
+    def _sized(self, view: View) -> View:
+        return shrink(view, self.config.image_size) if self.config.image_size else view
+
+    def _preview(self) -> None:
+        from .preview import write_preview
+
+        write_preview(self, self.folder / f"preview_{self.step_count:06d}.png")
+
+    # --- files -----------------------------------------------------------------------------------------------------
+
+    def save(self) -> None:
+        """Write the checkpoint. Raises `FileAccessError`; an earlier checkpoint is then intact."""
+        averages = dict(zip(self.parameters, self.average.values, strict=True)) if self.average else {}
+        state = {"step": self.step_count, "seconds": self.seconds, "people": self.source.people}
+        state["config"] = self.config.to_json()
+        save_checkpoint(self.folder / CHECKPOINT, self.parameters, self.optimiser, averages, state)
+
+    def resume(self) -> bool:
+        """Continue from the folder's checkpoint; False where there is none. Raises `FileFormatError` for a damaged one."""
+        path = self.folder / CHECKPOINT
+        if not path.exists():
+            return False
+        averages = dict(zip(self.parameters, self.average.values, strict=True)) if self.average else {}
+        state = load_checkpoint(path, self.parameters, self.optimiser, averages)
+        if tuple(state.get("people", ())) != tuple(self.source.people):
+            raise ConfigError("The checkpoint is of other people than this data set has; use its data or another folder.")
+        self.step_count, self.seconds, self.started = int(state["step"]), float(state["seconds"]), True
+        return True
+
+    def save_weights(self, path: str | os.PathLike[str], provenance: dict[str, Any], default_person: int | None = None) -> None:
+        """Write the averaged weights.
+
+        Args:
+            path: Target file.
+            provenance: JSON values for the model card.
+            default_person: Person who becomes the default avatar; the mean of all when None.
+        """
+        with self.averaged():
+            codes = self.codes.detach().cpu().numpy().copy()
+            identity = codes if self.config.model.residuals else self.source.shapes
+            pick = slice(None) if default_person is None else slice(default_person, default_person + 1)
+            head = self.model.head_model
+            info = WeightsInfo(
+                self.config.name, head.name, head_fingerprint(head), self.config.model, people=tuple(self.source.people),
+                z_id=identity, shapes=self.source.shapes, default_z_id=identity[pick].mean(0),
+                default_shape=self.source.shapes[pick].mean(0), provenance=provenance,
+            )  # fmt: skip
+            save_weights(path, self.model, info)
+
+    def _log(self, metrics: dict[str, float]) -> None:
+        if self.rank:
+            return
+        try:
+            with (self.folder / METRICS).open("a", encoding="utf-8") as file:
+                file.write(json.dumps({k: round(v, 6) for k, v in metrics.items()}) + "\n")
+        except OSError as error:
+            raise FileAccessError(
+                f"Cannot write {self.folder / METRICS}: {describe_os_error(error)}; free some space."
+            ) from error
+
+
+@dataclasses.dataclass
+class _Averaged:
+    average: MovingAverage | None
+
+    def __enter__(self) -> None:
+        if self.average:
+            self.average.swap()
+
+    def __exit__(self, *_: object) -> None:
+        if self.average:
+            self.average.swap()
+
+
+def _processes() -> tuple[int, int]:
+    """Rank and number of processes; starts torch's process group under ``torchrun``."""
+    if "WORLD_SIZE" not in os.environ or int(os.environ["WORLD_SIZE"]) == 1:
+        return 0, 1
+    if not torch.distributed.is_initialized():
+        torch.distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+    return torch.distributed.get_rank(), torch.distributed.get_world_size()

@@ -1,0 +1,133 @@
+"""Training views, and which one is used when.
+
+A `ViewSource` hides how a data set stores its pictures; `capture_views` adapts `data.CaptureDataset`. Every random choice of
+a step is drawn from a generator seeded by (seed, step, place in the step): nothing needs to be saved to resume a run, and
+several processes choose as one would.
+
+Used by `trainer`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from ..camera import Camera
+from .config import TrainConfig
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture of one person.
+
+    Attributes:
+        subject: Index of the person.
+        name: For messages and sheets.
+        camera: In head space.
+        image: Display sRGB premultiplied over black, [H, W, 3] uint8.
+        mask: Coverage, [H, W] uint8.
+        depth: Camera z in metres, 0 where empty, [H, W] float32, or None.
+        aligned: Weights of the aligned expressions, [60].
+        expression: Head-model coefficients, [E].
+        pose: XYZ Euler angles of the five joints, radians, all parts included, [5, 3].
+    """
+
+    subject: int
+    name: str
+    camera: Camera
+    image: np.ndarray
+    mask: np.ndarray
+    depth: np.ndarray | None
+    aligned: np.ndarray
+    expression: np.ndarray
+    pose: np.ndarray
+
+
+class ViewSource(Protocol):
+    """Pictures of people with known parameters.
+
+    Attributes:
+        people: Names, [P].
+        shapes: Shape coefficients, [P, S] float32.
+        training, validation: Numbers of the views to train on and to judge by.
+    """
+
+    people: tuple[str, ...]
+    shapes: np.ndarray
+    training: np.ndarray
+    validation: np.ndarray
+
+    def load(self, index: int) -> View:
+        """Return a view. Raises `FileFormatError` naming a picture that cannot be used."""
+        ...
+
+
+def choose(config: TrainConfig, source: ViewSource, step: int, place: int, progress: float) -> tuple[View, np.ndarray]:
+    """Choose view, crop and background of one place in a step.
+
+    Args:
+        config: Run.
+        source: Data.
+        step: Optimiser step, from 0.
+        place: 0 .. views_per_step - 1.
+        progress: 0..1.
+
+    Returns:
+        The view at the size to be rendered, and the background colour, [3] float32.
+    """
+    epoch, position = divmod(step * config.views_per_step + place, len(source.training))
+    order = np.random.default_rng((config.seed, 1, epoch)).permutation(len(source.training))  # every view once an epoch
+    view = source.load(int(source.training[order[position]]))
+    rng = np.random.default_rng((config.seed, 2, step, place))
+    size = config.image_size or max(view.image.shape[:2])
+    if progress < config.half_until:
+        size = (size + 1) // 2
+    cropped = config.crop_size > 0 and rng.random() < config.crop_share
+    view = shrink(view, size)
+    if cropped:
+        view = random_crop(view, config.crop_size, rng)
+    return view, rng.random(3).astype(np.float32)
+
+
+def shrink(view: View, size: int) -> View:
+    """Reduce a view to a longer side of about `size` pixels by averaging whole blocks; never enlarges.
+
+    Whole blocks keep camera and pixels exactly in step; the factor is the nearest whole number.
+    """
+    height, width = view.image.shape[:2]
+    factor = max(1, round(max(height, width) / size))
+    if factor == 1:
+        return view
+    rows, columns = height // factor, width // factor
+
+    def blocks(array: np.ndarray) -> np.ndarray:
+        array = array[: rows * factor, : columns * factor]
+        return array.reshape(rows, factor, columns, factor, *array.shape[2:]).astype(np.float32)
+
+    depth = view.depth
+    if depth is not None:
+        grid = blocks(depth)
+        valid = grid > 0
+        # a mean across a silhouette would lie in empty space
+        depth = np.where(valid.all((1, 3)), grid.mean((1, 3)), 0.0).astype(np.float32)
+    camera = view.camera.crop(0, 0, columns * factor, rows * factor).resized(columns, rows)
+    image, mask = ((blocks(a).mean((1, 3)) + 0.5).astype(np.uint8) for a in (view.image, view.mask))
+    return replace(view, camera=camera, image=image, mask=mask, depth=depth)
+
+
+def random_crop(view: View, size: int, rng: np.random.Generator) -> View:
+    """Return a square crop whose centre lies on the person; the whole view where it is smaller."""
+    height, width = view.image.shape[:2]
+    if height <= size or width <= size:
+        return view
+    covered = np.flatnonzero(view.mask > 127)
+    centre = int(covered[rng.integers(len(covered))]) if len(covered) else (height // 2) * width + width // 2
+    y = int(np.clip(centre // width - size // 2, 0, height - size))
+    x = int(np.clip(centre % width - size // 2, 0, width - size))
+    window = (slice(y, y + size), slice(x, x + size))
+    return replace(
+        view, camera=view.camera.crop(x, y, size, size), image=view.image[window], mask=view.mask[window],
+        depth=None if view.depth is None else view.depth[window],
+    )  # fmt: skip

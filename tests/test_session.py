@@ -266,8 +266,8 @@ def test_less_detail_keeps_the_head_whole(session, avatar):
     assert 0.2 < len(coarse.means) / len(full.means) < 0.45
     options = [RenderOptions(passes=("alpha",), lod=lod) for lod in (0, 1)]
     pictures = [session.render([Instance(avatar.id)], CAMERA, option)["alpha"] for option in options]
-    assert np.abs(pictures[1] - pictures[0]).mean() < 0.03
-    assert pictures[1].max() > 0.9
+    full_cover, coarse_cover = (picture > 0.5 for picture in pictures)
+    assert (full_cover & coarse_cover).sum() / (full_cover | coarse_cover).sum() > 0.8
 
 
 def test_gaussians_draw_the_raw_picture(session, avatar):

@@ -14,7 +14,7 @@ def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", **changes)
     from grmm_core.head import load_open_head
     from grmm_core.model.config import PRESETS
     from grmm_core.model.grmm import GRMM
-    from grmm_core.model.weights import WeightsInfo, save_weights
+    from grmm_core.model.weights import WeightsInfo, head_fingerprint, save_weights
 
     torch.manual_seed(seed)
     head = load_open_head()
@@ -32,7 +32,7 @@ def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", **changes)
     info = WeightsInfo(
         name=name,
         head_name=head.name,
-        head_sha256=head.sha256,
+        head_sha256=head_fingerprint(head),
         config=model.config,
         people=tuple(f"person {i}" for i in range(people)),
         z_id=rng.normal(size=(people, model.z_id_size)).astype(np.float32),

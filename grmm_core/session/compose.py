@@ -144,7 +144,7 @@ def _gaussians(
         size = float(np.cbrt(np.linalg.det(to_camera[:3, :3])))
         linear = means.new_tensor(to_camera[:3, :3])
         means = means @ linear.T + means.new_tensor(to_camera[:3, 3])
-        quats = multiply_quaternions(matrix_to_quaternion(linear / size), quats)
+        quats = multiply_quaternions(matrix_to_quaternion(linear / size).expand_as(quats), quats)
         scales = scales * size
     return Gaussians(means, quats, scales, own.opacities, own.colors, stacked)
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import importlib.util
 import logging
 import os
 import platform
@@ -63,6 +64,8 @@ def _guarded(
         with self._lock, torch.inference_mode():
             if self._closed:
                 raise SessionError("The session is closed; open a new one.")
+            if self._threads is not None:
+                limit_threads(self._threads)
             try:
                 return method(self, *args, **kwargs)
             except (MemoryError, torch.OutOfMemoryError) as error:
@@ -102,8 +105,7 @@ class LocalSession:
         self._lock = threading.RLock()
         self._closed = False
         self._device = choose_device(device)
-        if threads is not None:
-            torch.set_num_threads(threads)
+        self._threads = threads
         self._store = ModelStore(weights, self._device)
         self._evaluator = Evaluator(cache_bytes)
         self._avatars: dict[int, OpenAvatar] = {}
@@ -207,7 +209,7 @@ class LocalSession:
             python=platform.python_version(),
             torch=torch.__version__,
             device=describe_device(self._device),
-            threads=torch.get_num_threads(),
+            threads=self._threads or torch.get_num_threads(),
             memory_bytes=resident_memory(),
         )
 
@@ -275,6 +277,15 @@ def choose_device(name: str) -> torch.device:
         usable = ", ".join(device for device, there in available.items() if there)
         raise BackendError(f"The device {name!r} is not available here; use auto or one of: {usable}.")
     return torch.device(name)
+
+
+def limit_threads(count: int) -> None:
+    """Let torch and numba use `count` threads for what the calling thread starts; numba's setting belongs to that thread."""
+    torch.set_num_threads(count)
+    if importlib.util.find_spec("numba") is not None:
+        import numba
+
+        numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
 
 
 def describe_device(device: torch.device) -> str:

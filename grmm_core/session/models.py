@@ -157,7 +157,7 @@ def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: Path) -> GR
     with torch.no_grad():
         for name, value in changed.named_parameters():
             if name in deltas:
-                value.add_(torch.as_tensor(np.asarray(deltas[name]), dtype=value.dtype, device=value.device))
+                value.add_(torch.tensor(deltas[name], dtype=value.dtype, device=value.device))
     return changed
 
 

@@ -1,0 +1,156 @@
+"""`grmm info`: what is installed here, or what is in a file."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.metadata
+import importlib.util
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+from .. import __version__
+from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
+from ..errors import ConfigError, GrmmError
+from ..tensorfile import read_metadata
+
+LIBRARIES = ("numpy", "torch", "numba", "pillow", "bpy", "gsplat")
+ASSETS = Path(__file__).resolve().parent.parent / "assets"
+HASH_DIGITS = 12
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command."""
+    parser = subparsers.add_parser(
+        "info", help="what is installed, or what is in a file", description="Show what is installed, or what is in a file."
+    )
+    parser.add_argument("avatar", metavar="AVATAR", nargs="?", type=Path, help=f"a {EXTENSION} or .safetensors file")
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Show the facts and return them."""
+    facts = installation() if args.avatar is None else describe_file(args.avatar)
+    _show(args.console, facts)
+    return facts
+
+
+def installation() -> dict[str, Any]:
+    """Return versions, devices, rasteriser backends, head models and weights."""
+    facts: dict[str, Any] = {
+        "grmm": __version__,
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+        "libraries": {name: _version(name) for name in LIBRARIES},
+    }
+    if importlib.util.find_spec("torch") is not None:
+        import torch
+
+        devices = ["cpu"] + [f"cuda ({torch.cuda.get_device_name(i)})" for i in range(torch.cuda.device_count())]
+        facts["devices"] = devices + (["mps"] if torch.backends.mps.is_available() else [])
+    else:
+        facts["devices"] = []
+    from ..splat import available_backends
+
+    facts["rasterisers"] = {b.name: ("" if b.available else "not available: ") + b.detail for b in available_backends()}
+    facts["head models"] = [describe_asset(path) for path in sorted(ASSETS.glob("*head*.safetensors"))]
+    facts["weights"] = [describe_asset(path) for path in sorted((ASSETS / "weights").glob("*.safetensors"))]
+    return facts
+
+
+def describe_file(path: Path) -> dict[str, Any]:
+    """Return what is in an avatar, weights or head file.
+
+    Raises:
+        FileAccessError, FileFormatError: It cannot be read.
+        ConfigError: It is of another kind.
+    """
+    if path.suffix == ".safetensors":
+        return describe_asset(path, strict=True)
+    if path.suffix != EXTENSION:
+        raise ConfigError(f"{path} is neither an avatar ({EXTENSION}) nor weights (.safetensors); give one of these.")
+    header = read_avatar_header(path)
+    avatar = load_avatar(path)
+    return _header_facts(path, header) | {
+        "z_id": avatar.z_id.size,
+        "z_exp": avatar.z_exp.size,
+        "changed parameters": sorted(avatar.deltas),
+        "tracking": sorted(avatar.tracking),
+        "photos": [{"name": photo.name, "sha256": photo.sha256} for photo in header.provenance.photos],
+    }
+
+
+def describe_asset(path: Path, strict: bool = False) -> dict[str, Any]:
+    """Return what a weights or head file says about itself; without `strict` an unreadable one is described by its error."""
+    try:
+        metadata = read_metadata(path)
+        facts: dict[str, Any] = {"file": str(path), "bytes": path.stat().st_size}
+        if "grmm" not in metadata:
+            return facts | {"kind": metadata.get("format", "unknown"), "name": metadata.get("name", path.stem)}
+        if importlib.util.find_spec("torch") is None:
+            return facts | {"kind": "grmm-weights", "name": path.stem}
+        from ..model.weights import read_info
+
+        info = read_info(path)
+        return facts | {
+            "kind": "grmm-weights",
+            "name": info.name,
+            "configuration": info.config.name,
+            "grid": info.config.grid,
+            "people": len(info.people),
+            "head": info.head_name,
+            "provenance": dict(info.provenance),
+        }
+    except GrmmError as error:
+        if strict:
+            raise
+        return {"file": str(path), "error": str(error)}
+
+
+def _header_facts(path: Path, header: AvatarHeader) -> dict[str, Any]:
+    return {
+        "file": str(path),
+        "kind": "grmm-avatar",
+        "format version": header.format_version,
+        "name": header.name,
+        "head": f"{header.head.name} ({header.head.sha256[:HASH_DIGITS]})",
+        "weights": f"{header.weights.name} ({header.weights.sha256[:HASH_DIGITS]})",
+        "made by": header.provenance.made_by,
+        "date": header.provenance.date,
+        "from photos": header.provenance.from_photos,
+        "licence": header.provenance.licence,
+        "thumbnail bytes": len(header.thumbnail),
+    }
+
+
+def _version(name: str) -> str | None:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _show(console: Any, facts: dict[str, Any], indent: str = "") -> None:
+    for name, value in facts.items():
+        if isinstance(value, dict):
+            console.line(f"{indent}{name}:")
+            _show(console, value, indent + "  ")
+        elif isinstance(value, list):
+            console.line(f"{indent}{name}:" + ("" if value else " none"))
+            for item in value:
+                if isinstance(item, dict):
+                    label = item.get("name", item.get("file", ""))
+                    rest = ", ".join(f"{k} {v}" for k, v in item.items() if k != "name" and not isinstance(v, dict))
+                    console.line(f"{indent}  {label} ({rest})")
+                else:
+                    console.line(f"{indent}  {item}")
+        else:
+            console.line(f"{indent}{name}: {_text(value)}")
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "not installed"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return str(value)

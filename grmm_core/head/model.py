@@ -115,7 +115,7 @@ class HeadModel:
 
     def joints(self, shape: np.ndarray) -> np.ndarray:
         """Rest joints of a shaped head in metres, [5, 3]; expressions do not move them (as in FLAME)."""
-        return self._joint_template + self._offsets(self._joint_dirs, shape, "shape")
+        return self.joint_template + self._offsets(self.joint_dirs, shape, "shape")
 
     def vertices(
         self,
@@ -177,11 +177,13 @@ class HeadModel:
             raise ShapeError(f"The head model {self.name} has no expression component {name!r}.") from error
 
     @property
-    def _joint_template(self) -> np.ndarray:
+    def joint_template(self) -> np.ndarray:
+        """Rest joints of the template in metres, [5, 3]."""
         return self._joint_basis()[0]
 
     @property
-    def _joint_dirs(self) -> np.ndarray:
+    def joint_dirs(self) -> np.ndarray:
+        """Offsets of the rest joints in metres per shape coefficient, [5, 3, S]."""
         return self._joint_basis()[1]
 
     def _joint_basis(self) -> tuple[np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from grmm_core.head.open_head import ASSET, FORMAT, VERSION
 from grmm_core.tensorfile import write_tensors
 
 from .expressions import PARENTS, ExpressionSpace, build_expression_space, component_groups
+from .landmarks import place_landmarks68
 from .parts import InnerParts
 from .people import BUST_IMPORTANCE, MACRO_NAMES, MACRO_UNITS, build_shape_space
 from .regions import build_regions
@@ -21,6 +22,7 @@ from .topology import Topology, build_topology
 from .uvmap import build_uv
 
 SIXTEEN_BIT_SHAPES = 40  # leading shape components kept in 16 bits
+MOUTH_OPENING = 0.3  # of jawOpen, to see the inner lips
 CHECKED_VERTICES = 97  # stride of the vertices whose sculpted offsets are stored for the test
 
 
@@ -55,6 +57,9 @@ def build(path: Path) -> None:
     tensors |= quantise("expression_dirs_16", expressions.directions, np.int16)
     tensors |= joint_regressor(topology, shapes.mean, expressions)
     tensors |= {f"region.{name}": indices.astype(np.int32) for name, indices in regions.items()}
+    jaw_open = expressions.sculpted[expressions.names.index("jawOpen")]
+    found = place_landmarks68(shapes.mean, shapes.mean + MOUTH_OPENING * jaw_open, topology.faces, regions)
+    tensors["landmarks68_faces"], tensors["landmarks68_barycentric"] = found
     checked = np.arange(0, len(shapes.mean), CHECKED_VERTICES)
     tensors["check_vertices"] = checked.astype(np.int32)
     tensors["check_sculpted"] = expressions.sculpted[:, checked].astype(np.float32)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grmm_core.expressions import ARKIT_NAMES
-from grmm_core.head.skinning import euler_matrices, joint_transforms
+from grmm_core.head.skinning import euler_matrices, joint_transforms, skin
 
 from .parts import InnerParts
 from .source import Source
@@ -28,6 +28,7 @@ JAW_SHAPES = ("jawOpen", "jawLeft", "jawRight")
 # The source's eyes turn 10 to 15 degrees at weight 1; faces tracked by ARKit turn theirs about 25. The lids follow less.
 GAZE_GAIN = 1.7
 LID_GAIN = 1.3
+TONGUE_JAW = 0.22  # of jawOpen
 UNIT_FOLDERS = ("african", "asian", "caucasian")
 # Components made of modelling targets that a living face can also do.
 MODELLED = {
@@ -106,8 +107,20 @@ def build_expression_space(source: Source, topology: Topology, parts: InnerParts
         if name in JAW_SHAPES:  # teeth are rigid: exactly the joint's motion
             part = topology.parts["lower_teeth"]
             sculpted[index][part] = (template[part] - joints[JAW]) @ (euler_matrices(pose[index, JAW]) - np.eye(3)).T
+    _part_lips_for_tongue(names, template, sculpted, pose, joints, weights)
     directions = np.stack([unpose(template, sculpted[i], pose[i], joints, weights) for i in range(len(names))], -1)
     return ExpressionSpace(tuple(names), sculpted, directions, pose, joints, weights)
+
+
+def _part_lips_for_tongue(
+    names: list[str], template: np.ndarray, sculpted: np.ndarray, pose: np.ndarray, joints: np.ndarray, weights: np.ndarray
+) -> None:
+    """Let tongueOut open the jaw a little: the source's tongue passes through closed lips. Changes `sculpted` and `pose`."""
+    tongue, jaw = names.index("tongueOut"), names.index("jawOpen")
+    unposed = TONGUE_JAW * unpose(template, sculpted[jaw], pose[jaw], joints, weights) + sculpted[tongue]
+    pose[tongue] = TONGUE_JAW * pose[jaw]
+    transforms = joint_transforms(euler_matrices(pose[tongue]), joints, PARENTS)
+    sculpted[tongue] = skin(template + unposed, transforms, weights) - template
 
 
 def unpose(template: np.ndarray, sculpted: np.ndarray, pose: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -13,7 +13,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
-FILLER_WEIGHT = 1e-3  # of triangles that only close a hole
+FILLER_WEIGHT = 0.05  # of triangles that only close a hole
+HOLE_ASPECT = 0.3
 Side = tuple[np.ndarray, int, float]
 """Vertices, coordinate (0: u, 1: v) and the value that it is pulled to."""
 
@@ -64,9 +65,9 @@ def flatten(
     for loop in holes:
         following = np.roll(loop, -1)
         fillers.append(np.stack([following, loop, np.full(len(loop), count)], 1))
-        length = np.linalg.norm(vertices[loop] - vertices[following], axis=1) * density.mean()
-        shape = np.zeros((len(loop), 2, 2))
-        shape[:, 0, 0], shape[:, 0, 1], shape[:, 1, 1] = length, 0.5 * length, length
+        rim = _ellipse(vertices[loop]) * density.max()
+        # triangle (following, this, centre) of a convex rim that runs clockwise around the hole
+        shape = np.stack([rim - np.roll(rim, -1, 0), -np.roll(rim, -1, 0)], -1)
         local = np.concatenate([local, shape])
         weights = np.concatenate([weights, np.full(len(loop), FILLER_WEIGHT)])
         count += 1
@@ -100,6 +101,16 @@ def _local_shapes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     shape = np.zeros((len(faces), 2, 2))
     shape[:, 0, 0], shape[:, 0, 1], shape[:, 1, 1] = length, along, height
     return shape
+
+
+def _ellipse(loop: np.ndarray) -> np.ndarray:
+    """Wanted shape of a hole's rim in the plane: a flat ellipse of the same length, its ends at the loop's, [k, 2]."""
+    steps = np.linalg.norm(np.roll(loop, -1, 0) - loop, axis=1)
+    passed = np.r_[0.0, np.cumsum(steps)[:-1]] / steps.sum()
+    phase = passed[int(np.argmax(loop[:, 0]))]
+    angle = -2 * np.pi * (passed - phase)
+    radius = steps.sum() / 4.4
+    return radius * np.stack([np.cos(angle), HOLE_ASPECT * np.sin(angle)], 1)
 
 
 def _edges(plane: np.ndarray, faces: np.ndarray) -> np.ndarray:

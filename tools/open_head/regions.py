@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .landmarks import brow_height
 from .source import Source
 from .topology import Topology
 
@@ -27,8 +28,7 @@ def build_regions(source: Source, topology: Topology, template: np.ndarray) -> d
     hairline = np.where(z > -0.01, 0.03 + 0.8 * z, np.maximum(0.03 + 2.0 * (z + 0.01), -0.055))
     scalp = free & ~neck & (y > hairline)
     face = free & ~neck & ~scalp
-    arch = 0.0555 + 0.0045 * np.sin(np.pi * np.clip((np.abs(x) - 0.008) / 0.055, 0.0, 1.0))
-    brows = face & (np.abs(y - arch) < 0.006) & (np.abs(x) > 0.008) & (np.abs(x) < 0.054) & (z > 0.04)
+    brows = face & (np.abs(y - brow_height(x)) < 0.0055) & (np.abs(x) > 0.008) & (np.abs(x) < 0.054) & (z > 0.04)
     lids = face & (mask["eyelids"] > 0.3)
     marks = {
         "face": face, "scalp": scalp, "neck": neck, "ears": ears, "mouth_interior": mouth,

@@ -15,19 +15,19 @@ import xatlas
 from .flatten import boundary_loops, distortion, flatten
 from .topology import Topology
 
-BACK, FACE, BUST = 0.4, 1.0, 0.32  # densities; the face's is the unit
+BACK, FACE, BUST = 0.36, 1.0, 0.3  # densities; the face's is the unit
 EAR = 0.62
 EYE_REGION, LIP_REGION = 0.35, 0.3  # added
 FACE_STIFFNESS = 5.0  # how much more the face resists distortion
-ASPECT = 0.74  # height of the head's box over its width
+ASPECT = 0.69  # height of the head's box over its width
 SEAM_TOP = 0.057  # metres: the seam runs from the back over the crown to this z (the hairline)
 CORNER = 0.175  # metres along the seam from below: where the box's side ends and its top begins
-STEPS = 160
-PULL = 10.0
+STEPS = 220
+PULL = 20.0
 RASTER = 1024  # packing raster
 GUTTER = 10  # raster pixels between islands: 2.5 texels at 256
-PART_DENSITY = {"upper_teeth": 0.95, "lower_teeth": 0.85, "tongue": 0.6, "mouth": 0.5, "lashes": 1.0}
-EYE_DENSITY = 2.0  # at the pupil; falls off to the back
+PART_DENSITY = {"upper_teeth": 0.9, "lower_teeth": 0.8, "tongue": 0.5, "mouth": 0.4, "lashes": 0.9}
+EYE_DENSITY = 1.75  # at the pupil; falls off to the back
 EYE_FRONT = np.radians(100.0)  # the front island reaches this far from the pupil
 
 

@@ -1,0 +1,476 @@
+"""The open head: its asset, skinning, expressions, texture layout, lids, teeth, joints."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from grmm_core.controls import Controls, resolve
+from grmm_core.errors import ControlError, FileAccessError, FileFormatError, ShapeError
+from grmm_core.expressions import ARKIT_NAMES, JOINT_NAMES
+from grmm_core.head import load_open_head, load_people_model, read_head
+from grmm_core.head.open_head import ASSET
+from grmm_core.head.skinning import euler_matrices, joint_transforms, posed_vertices
+from grmm_core.tensorfile import read_tensors, write_tensors
+
+SCULPT_TOLERANCE = 5e-6  # metres; 16-bit rounding of directions gives under 1e-6
+PEOPLE = 12
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def raw():
+    return read_tensors(ASSET)
+
+
+def pose_head(head, weights, shape=(), pose=None):
+    expression = np.zeros(head.expression_count, np.float32)
+    for name, value in weights.items():
+        expression[head.expression_index(name)] = value
+    return head.vertices(np.asarray(shape, np.float32), expression, head.pose_of(expression, pose))
+
+
+def both(name, value=1.0):
+    return {f"{name}Left": value, f"{name}Right": value}
+
+
+def sphere(points):
+    system = np.c_[2 * points, np.ones(len(points))]
+    solution = np.linalg.lstsq(system, (points**2).sum(1), rcond=None)[0]
+    return solution[:3], np.sqrt(solution[3] + solution[:3] @ solution[:3])
+
+
+def random_people(count=PEOPLE):
+    return np.random.default_rng(7).standard_normal((count, 300)).astype(np.float32)
+
+
+def rays_hit(origins, vertices, triangles, tolerance=1e-6):
+    """For rays along -z from origins [n, 3]: whether any triangle is hit in front of z of the origin minus its length."""
+    a, b, c = (vertices[triangles[:, i]] for i in range(3))
+    area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
+    keep = np.abs(area) > 1e-12
+    a, b, c, area = a[keep], b[keep], c[keep], area[keep]
+    hit = np.full(len(origins), -np.inf)
+    for i, (x, y, _) in enumerate(origins):
+        u = ((b[:, 0] - x) * (c[:, 1] - y) - (c[:, 0] - x) * (b[:, 1] - y)) / area
+        v = ((c[:, 0] - x) * (a[:, 1] - y) - (a[:, 0] - x) * (c[:, 1] - y)) / area
+        w = 1 - u - v
+        inside = (u >= -tolerance) & (v >= -tolerance) & (w >= -tolerance)
+        if inside.any():
+            hit[i] = (u * a[:, 2] + v * b[:, 2] + w * c[:, 2])[inside].max()
+    return hit
+
+
+def eye_visibility(head, vertices, side):
+    """Share of a grid of points on the front of an eyeball that no skin covers, seen from the front."""
+    part = head.regions[f"{side}_eyeball"]
+    centre, radius = sphere(vertices[part])
+    angle = np.radians(np.arange(-50, 51, 5.0))
+    yaw, pitch = (grid.ravel() for grid in np.meshgrid(angle, angle))
+    front = centre + radius * np.stack([np.sin(yaw) * np.cos(pitch), np.sin(pitch), np.cos(yaw) * np.cos(pitch)], 1)
+    skin = np.setdiff1d(np.arange(head.vertex_count), np.concatenate([head.regions[r] for r in ("left_eyeball", "right_eyeball", "lashes")]))
+    triangles = head.faces[np.isin(head.faces, skin).all(1)]
+    near = (np.linalg.norm(vertices[triangles].mean(1) - centre, axis=1) < 0.04) & (vertices[triangles].mean(1)[:, 2] > centre[2])
+    return float((rays_hit(front, vertices, triangles[near]) < front[:, 2]).mean())
+
+
+# ---- the asset ------------------------------------------------------------------------------------------------------------
+
+
+def test_sizes_and_names(head):
+    assert head.shape_count == 300
+    assert head.expression_count == 100
+    assert head.expression_names[:52] == ARKIT_NAMES
+    assert len(set(head.expression_names)) == 100
+    assert head.joint_names == JOINT_NAMES
+    assert head.faces.dtype == np.int32
+    assert head.shape_dirs.dtype == head.expression_dirs.dtype == head.v_template.dtype == np.float32
+    assert ASSET.stat().st_size <= 12e6
+
+
+def test_arrays_are_read_only(head):
+    with pytest.raises(ValueError, match="read-only"):
+        head.v_template[0] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        head.regions["lips"][0] = 0
+    with pytest.raises(TypeError):
+        head.regions["lips"] = np.zeros(1)
+    assert load_open_head() is head
+
+
+def test_head_space(head):
+    eyes = head.joints(np.zeros(0))[3:]
+    assert abs(eyes[:, 0].sum()) < 1e-5
+    assert eyes[0, 0] > 0.02
+    assert (eyes[:, 2] > 0.05).all()
+    template = head.v_template
+    assert 0.12 < template[:, 1].max() < 0.17
+    # ears on both sides of the origin, the left one at +x
+    ears = template[head.regions["ears"]]
+    assert abs(ears[:, 1].mean()) < 0.02
+    assert abs(ears[:, 2].mean()) < 0.03
+    # the mean person is symmetric
+    mirrored = template * (-1, 1, 1)
+    nearest = np.array([np.linalg.norm(template - point, axis=1).min() for point in mirrored[::25]])
+    assert nearest.max() < 1e-3
+
+
+def test_no_component_is_empty(head):
+    for directions, pose in ((head.shape_dirs, 0.0), (head.expression_dirs, np.abs(head.expression_pose).sum((1, 2)))):
+        assert (np.abs(directions).max((0, 1)) + pose > 1e-6).all()
+
+
+def test_weights_and_regressor_are_affine(head):
+    np.testing.assert_allclose(head.weights.sum(1), 1, atol=1e-5)
+    assert head.weights.min() >= 0
+    np.testing.assert_allclose(head.J_regressor.sum(1), 1, atol=1e-4)
+    np.testing.assert_allclose(head.J_regressor @ head.v_template, head.joints(np.zeros(0)), atol=1e-6)
+
+
+def test_triangles_look_outwards(head):
+    corners = head.v_template[head.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    for part in ("left_eyeball", "right_eyeball"):
+        inside = np.isin(head.faces, head.regions[part]).all(1)
+        outward = corners[inside].mean(1) - head.v_template[head.regions[part]].mean(0)
+        assert ((normal[inside] * outward).sum(1) > 0).all()
+    scalp = np.isin(head.faces, head.regions["scalp"]).all(1)
+    assert ((normal[scalp] * (corners[scalp].mean(1) - (0, 0.03, 0))).sum(1) > 0).mean() > 0.99
+
+
+def test_regions(head):
+    wanted = {
+        "upper_teeth", "lower_teeth", "tongue", "mouth_interior", "left_eyeball", "right_eyeball", "lips", "left_lids", "right_lids",
+        "lids", "lashes", "scalp", "face", "neck", "ears", "brows",
+    }  # fmt: skip
+    assert wanted <= set(head.regions)
+    cover = ["face", "scalp", "neck", "ears", "mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes"]
+    together = np.concatenate([head.regions[name] for name in cover])
+    assert len(together) == len(np.unique(together)) == head.vertex_count
+    for name in wanted:
+        assert (np.diff(head.regions[name]) > 0).all()
+    assert (head.v_template[head.regions["left_lids"], 0] > 0).all()
+    assert (head.v_template[head.regions["right_lids"], 0] < 0).all()
+
+
+def test_corrupt_asset_is_refused(tmp_path, raw):
+    tensors, metadata = raw
+    target = tmp_path / "head.safetensors"
+
+    def refuse(changed, meta, kind=FileFormatError):
+        write_tensors(target, changed, meta)
+        with pytest.raises(kind):
+            read_head(target)
+
+    refuse({k: v for k, v in tensors.items() if k != "weights"}, metadata)
+    refuse(tensors, metadata | {"version": "99"})
+    refuse(tensors, metadata | {"format": "other"})
+    refuse(tensors, metadata | {"expression_names": "not json"})
+    refuse(tensors | {"faces": tensors["faces"] + 9999}, metadata)
+    refuse(tensors | {"v_template": tensors["v_template"][:-1]}, metadata)
+    refuse(tensors | {"v_template": np.full_like(tensors["v_template"], np.nan)}, metadata)
+    data = ASSET.read_bytes()
+    target.write_bytes(data[: len(data) // 2])
+    with pytest.raises(FileFormatError):
+        read_head(target)
+    with pytest.raises(FileAccessError):
+        read_head(tmp_path / "missing.safetensors")
+
+
+# ---- skinning -------------------------------------------------------------------------------------------------------------
+
+
+def test_euler_convention_is_rz_ry_rx():
+    angles = np.array([0.3, -0.5, 0.7])
+    single = [euler_matrices(angles * axis) for axis in np.eye(3)]
+    np.testing.assert_allclose(euler_matrices(angles), single[2] @ single[1] @ single[0], atol=1e-12)
+    np.testing.assert_allclose(euler_matrices(np.array([0.1, 0, 0])) @ (0, 1, 0), (0, np.cos(0.1), np.sin(0.1)), atol=1e-12)
+
+
+def test_joint_chain_turns_children(head):
+    joints = head.joints(np.zeros(0))
+    pose = np.zeros((5, 3), np.float32)
+    pose[1] = (0.2, 0.4, -0.1)
+    transforms = joint_transforms(euler_matrices(pose), joints, head.parents.tolist())
+    neck = euler_matrices(pose[1])
+    for child in (2, 3, 4):
+        moved = transforms[child, :, :3] @ joints[child] + transforms[child, :, 3]
+        np.testing.assert_allclose(moved, neck @ (joints[child] - joints[1]) + joints[1], atol=1e-6)
+
+
+def test_root_moves_everything_rigidly(head):
+    pose = np.zeros((5, 3), np.float32)
+    pose[0] = (0.3, -0.2, 0.5)
+    turned = head.vertices(np.zeros(0), np.zeros(0), pose)
+    root = head.joints(np.zeros(0))[0]
+    np.testing.assert_allclose(turned, (head.v_template - root) @ euler_matrices(pose[0]).T + root, atol=1e-5)
+
+
+def test_numpy_and_torch_agree(head):
+    torch = pytest.importorskip("torch")
+    from grmm_core.head.torch_head import TorchHead
+
+    generator = np.random.default_rng(3)
+    shape = generator.standard_normal((2, 300)).astype(np.float32)
+    expression = generator.uniform(0, 0.5, (2, 100)).astype(np.float32)
+    pose = generator.uniform(-0.3, 0.3, (2, 5, 3)).astype(np.float32)
+    displacement = generator.normal(0, 1e-3, (2, head.vertex_count, 3)).astype(np.float32)
+    twin = TorchHead(head)
+    arguments = [torch.tensor(a) for a in (shape, expression, pose, displacement)]
+    vertices, joints = twin(*arguments)
+    for i in range(2):
+        np.testing.assert_allclose(vertices[i], head.vertices(shape[i], expression[i], pose[i], displacement[i]), atol=2e-6)
+        np.testing.assert_allclose(joints[i], head.joints(shape[i]), atol=2e-6)
+    rotations = euler_matrices(arguments[2])
+    np.testing.assert_allclose(twin(arguments[0], arguments[1], rotations, arguments[3])[0], vertices, atol=1e-6)
+    np.testing.assert_allclose(twin.pose_of(arguments[1])[0], head.pose_of(expression[0]), atol=1e-5)
+    assert not twin.state_dict()
+
+
+def test_gradients_match_finite_differences(head):
+    torch = pytest.importorskip("torch")
+    from grmm_core.head.torch_head import TorchHead
+
+    twin = TorchHead(head, dtype=torch.float64)
+    generator = torch.Generator().manual_seed(0)
+    values = [
+        (0.5 * torch.randn(size, generator=generator, dtype=torch.float64)).requires_grad_()
+        for size in ((6,), (5,), (5, 3))
+    ]  # fmt: skip
+    probe = torch.randn((head.vertex_count, 3), generator=generator, dtype=torch.float64)
+
+    def loss(shape, expression, pose):
+        return (twin(shape, expression, pose)[0] * probe).sum()
+
+    gradients = torch.autograd.grad(loss(*values), values)
+    for which, gradient in enumerate(gradients):
+        direction = torch.randn(values[which].shape, generator=generator, dtype=torch.float64)
+        step = 1e-5
+        ends = [loss(*[v + sign * step * direction if i == which else v for i, v in enumerate(values)]) for sign in (1, -1)]
+        numeric = (ends[0] - ends[1]) / (2 * step)
+        assert numeric.item() == pytest.approx((gradient * direction).sum().item(), rel=1e-5, abs=1e-7)
+
+
+def test_posedirs_are_added_before_skinning(head):
+    pose = np.zeros((5, 3), np.float32)
+    pose[2] = (0.2, 0.1, 0)
+    rotations = euler_matrices(pose)
+    posedirs = np.random.default_rng(0).normal(0, 1e-3, (head.vertex_count, 3, 36)).astype(np.float32)
+    extra = posedirs @ (rotations[1:] - np.eye(3, dtype=np.float32)).ravel()
+    joints, parents = head.joints(np.zeros(0)), head.parents.tolist()
+    np.testing.assert_allclose(
+        posed_vertices(head.v_template, rotations, joints, head.weights, parents, posedirs),
+        posed_vertices(head.v_template + extra, rotations, joints, head.weights, parents),
+        atol=1e-6,
+    )
+
+
+def test_wrong_shapes_are_refused(head):
+    with pytest.raises(ShapeError, match="shape"):
+        head.shaped(np.zeros(301))
+    with pytest.raises(ShapeError):
+        head.shaped(np.zeros((1, 300)))
+    with pytest.raises(ShapeError):
+        head.vertices(np.zeros(0), np.zeros(0), np.zeros((4, 3)))
+    with pytest.raises(ShapeError):
+        head.vertices(np.zeros(0), np.zeros(0), np.zeros((5, 3)), np.zeros((3, 3)))
+    with pytest.raises(ShapeError):
+        head.expression_index("noSuchShape")
+    with pytest.raises(ShapeError):
+        head.landmark_positions(head.v_template, 12)
+
+
+# ---- expressions ----------------------------------------------------------------------------------------------------------
+
+
+def test_expression_at_one_is_the_sculpted_shape(head, raw):
+    tensors, _ = raw
+    checked = tensors["check_vertices"]
+    for index, name in enumerate(head.expression_names):
+        moved = pose_head(head, {name: 1.0})[checked] - head.v_template[checked]
+        np.testing.assert_allclose(moved, tensors["check_sculpted"][index], atol=SCULPT_TOLERANCE, err_msg=name)
+
+
+def test_jaw_carries_teeth_and_tongue(head):
+    pose = head.pose_of(np.eye(100, dtype=np.float32)[head.expression_index("jawOpen")])
+    assert np.degrees(pose[2, 0]) == pytest.approx(20, abs=8)
+    opened = pose_head(head, {"jawOpen": 1})
+    moved = opened - head.v_template
+    assert np.abs(moved[head.regions["upper_teeth"]]).max() < 1e-6
+    assert moved[head.regions["lower_teeth"], 1].max() < -0.003
+    tip = head.regions["tongue"][np.argmax(head.v_template[head.regions["tongue"], 2])]
+    assert moved[tip, 1] < -0.01
+    # rigid teeth: distances between them stay
+    teeth = head.regions["lower_teeth"]
+    before, after = (np.linalg.norm(v[teeth] - v[teeth[0]], axis=1) for v in (head.v_template, opened))
+    np.testing.assert_allclose(before, after, atol=1e-5)
+    # the joint alone does most of it
+    by_joint = head.vertices(np.zeros(0), np.zeros(0), pose) - head.v_template
+    lower_lip = head.regions["lips"][head.v_template[head.regions["lips"], 1] < -0.035]
+    assert np.linalg.norm(by_joint[lower_lip] - moved[lower_lip], axis=1).mean() < 0.35 * np.linalg.norm(moved[lower_lip], axis=1).mean()
+
+
+@pytest.mark.parametrize(("name", "axis", "sign"), [("Up", 0, -1), ("Down", 0, 1), ("Out", 1, 1), ("In", 1, -1)])
+def test_gaze_turns_the_eyes(head, name, axis, sign):
+    pose = head.expression_pose[head.expression_index(f"eyeLook{name}Left")]
+    assert 10 < sign * np.degrees(pose[3, axis]) < 40
+    assert not pose[[0, 1, 2, 4]].any()
+    other = head.expression_pose[head.expression_index(f"eyeLook{name}Right")]
+    np.testing.assert_allclose(other[4], pose[3] * (1, -1, -1), atol=1e-6)
+    assert np.abs(head.expression_dirs[head.regions["left_eyeball"], :, head.expression_index(f"eyeLook{name}Left")]).max() < 1e-6
+
+
+def test_controls_drive_the_head(head):
+    controls = Controls().set_named({"jawOpen": 0.5, "eyeLookUpLeft": 1.0, "neck.y": 0.3})
+    resolved = resolve(controls, head)
+    expected = pose_head(head, {"jawOpen": 0.5, "eyeLookUpLeft": 1.0}, pose=np.eye(5, 3, k=-0) * 0 + np.array([[0, 0.3 * (j == 1), 0] for j in range(5)]))
+    np.testing.assert_allclose(head.vertices(np.zeros(0), resolved.expression, resolved.pose), expected, atol=1e-6)
+
+
+def test_tongue_out_leaves_the_mouth(head):
+    for weights in ({"tongueOut": 1}, {"tongueOut": 1, "jawOpen": 0.5}):
+        vertices = pose_head(head, weights)
+        lips = vertices[head.regions["lips"]]
+        assert vertices[head.regions["tongue"], 2].max() > lips[:, 2].max() + 0.005
+    inside = head.v_template[head.regions["tongue"], 2].max()
+    assert inside < head.v_template[head.regions["lips"], 2].max() - 0.005
+
+
+def test_teeth_are_inside(head):
+    for shape in (np.zeros(300), *random_people()):
+        vertices = head.shaped(shape)
+        front = vertices[head.regions["lips"], 2].max()
+        upper, lower = vertices[head.regions["upper_teeth"]], vertices[head.regions["lower_teeth"]]
+        for teeth in (upper, lower):
+            assert teeth[:, 2].max() < front - 0.003
+            cheeks = vertices[head.regions["face"]]
+            beside = cheeks[(np.abs(cheeks[:, 1] - teeth[:, 1].mean()) < 0.01) & (cheeks[:, 2] > teeth[:, 2].min())]
+            assert np.abs(teeth[:, 0]).max() < np.abs(beside[:, 0]).max()
+        assert upper[:, 1].mean() > lower[:, 1].mean() + 0.008
+
+
+# ---- eyes -----------------------------------------------------------------------------------------------------------------
+
+
+def test_eyeballs_stay_spheres_around_their_joints(head):
+    for shape in (np.zeros(300), *random_people()):
+        vertices, joints = head.shaped(shape), head.joints(shape)
+        for side, joint in (("left", 3), ("right", 4)):
+            part = vertices[head.regions[f"{side}_eyeball"]]
+            centre, radius = sphere(part)
+            assert 0.009 < radius < 0.02
+            np.testing.assert_allclose(np.linalg.norm(part - centre, axis=1), radius, rtol=0.03)
+            assert np.linalg.norm(centre - joints[joint]) < 3e-4
+
+
+def test_lids_cover_the_eyeballs(head):
+    for shape in (np.zeros(300), *random_people(4)):
+        opened, closed = pose_head(head, {}, shape), pose_head(head, both("eyeBlink"), shape)
+        for side in ("left", "right"):
+            visible = eye_visibility(head, opened, side)
+            assert 0.02 < visible < 0.5
+            assert eye_visibility(head, closed, side) <= 0.1 * visible
+    closed = pose_head(head, both("eyeBlink"))
+    assert eye_visibility(head, closed, "left") == eye_visibility(head, closed, "right") == 0
+
+
+# ---- texture layout -------------------------------------------------------------------------------------------------------
+
+
+def cover_texels(uv, size):
+    count = np.zeros((size, size), np.int32)
+    owner = np.full((size, size), -1)
+    for number, triangle in enumerate(uv * size - 0.5):
+        low, high = np.maximum(np.ceil(triangle.min(0)), 0).astype(int), np.minimum(triangle.max(0), size - 1).astype(int)
+        if (high < low).any():
+            continue
+        x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
+        (ax, ay), (bx, by), (cx, cy) = triangle
+        inside = ((bx - ax) * (y - ay) - (by - ay) * (x - ax) > 1e-7) & ((cx - bx) * (y - by) - (cy - by) * (x - bx) > 1e-7)
+        inside &= (ax - cx) * (y - cy) - (ay - cy) * (x - cx) > 1e-7
+        view = (slice(low[1], high[1] + 1), slice(low[0], high[0] + 1))
+        count[view] += inside
+        owner[view][inside] = number
+    return count, owner
+
+
+def test_texture_layout_has_no_overlaps_and_a_gutter(head):
+    assert head.uv.min() >= 0
+    assert head.uv.max() <= 1
+    count, owner = cover_texels(head.uv[head.uv_faces].astype(np.float64), 1024)
+    assert count.max() == 1
+    assert (count > 0).mean() > 0.65
+    island = np.where(owner >= 0, head.uv_islands[owner], -1)
+    # two texels at 256 are eight at 1024: islands keep that distance (and their border to the square's edge)
+    for shift in range(1, 8):
+        for axis in (0, 1):
+            a, b = np.roll(island, shift, axis), island
+            cut = (slice(shift, None), slice(None)) if axis == 0 else (slice(None), slice(shift, None))
+            a, b = a[cut], b[cut]
+            assert not ((a >= 0) & (b >= 0) & (a != b)).any()
+
+
+def test_face_has_finer_texels_than_the_back(head):
+    corners, plane = head.v_template[head.faces], head.uv[head.uv_faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    edges = np.stack([plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 0]], -1)
+    mapped = 0.5 * np.linalg.det(edges)
+    assert (mapped > 0).all()
+    centre = corners.mean(1)
+    skin = head.uv_islands == 0
+    face = skin & (centre[:, 2] > 0.03) & (centre[:, 1] > -0.06) & (centre[:, 1] < 0.115) & (np.abs(centre[:, 0]) < 0.065)
+    back = skin & (centre[:, 2] < -0.02) & (centre[:, 1] > -0.05)
+    texel = {name: 1000 / 256 * np.sqrt(area[m].sum() / mapped[m].sum()) for name, m in (("face", face), ("back", back))}
+    assert texel["face"] <= 1.5
+    assert texel["back"] > 1.5 * texel["face"]
+
+
+def test_islands_keep_parts_apart(head, raw):
+    names = json.loads(raw[1]["island_names"])
+    assert names[0] == "head"
+    for part in ("left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes"):
+        triangles = np.isin(head.faces, head.regions[part]).all(1)
+        assert {names[i].removesuffix("_back") for i in head.uv_islands[triangles]} == {part}
+
+
+# ---- landmarks and people -------------------------------------------------------------------------------------------------
+
+
+def test_landmarks68_are_in_place(head):
+    points = head.landmark_positions(head.v_template)
+    assert points.shape == (68, 3)
+    np.testing.assert_allclose(head.landmarks68[1].sum(1), 1, atol=1e-5)
+    assert (np.diff(points[:17, 0]) > -1e-3).all()  # the jaw runs from the subject's right to the left
+    assert points[8, 1] == points[:17, 1].min()
+    assert points[30, 2] > points[[27, 33, 36, 45, 48, 54], 2].max()  # the tip of the nose is in front
+    eyes = head.joints(np.zeros(0))[3:]
+    np.testing.assert_allclose(points[42:48].mean(0)[:2], eyes[0, :2], atol=0.006)
+    np.testing.assert_allclose(points[36:42].mean(0)[:2], eyes[1, :2], atol=0.006)
+    mirror = points[[16, 26, 45, 42, 54, 35]] * (-1, 1, 1)
+    np.testing.assert_allclose(mirror, points[[0, 17, 36, 39, 48, 31]], atol=0.004)
+    opened = head.landmark_positions(pose_head(head, {"jawOpen": 0.5}))
+    assert opened[62, 1] - opened[66, 1] > 0.008 > abs(points[62, 1] - points[66, 1])
+
+
+def test_people_model(head):
+    people = load_people_model()
+    assert people.macro_to_shape.shape == (len(people.names), head.shape_count)
+    np.testing.assert_allclose(people.expected_shape({}), 0, atol=1e-5)
+    women = head.shaped(people.expected_shape({"female": 1.0}))
+    men = head.shaped(people.expected_shape({"female": 0.0}))
+    jaw = head.regions["face"]
+    assert np.ptp(men[jaw, 0]) > np.ptp(women[jaw, 0])
+    one = people.sample_shape({"age": 30}, np.random.default_rng(0))
+    two = people.sample_shape({"age": 30}, np.random.default_rng(0))
+    np.testing.assert_array_equal(one, two)
+    assert 0.5 < one.std() < 1.5
+    with pytest.raises(ControlError):
+        people.expected_shape({"height": 1.0})
+    with pytest.raises(ControlError):
+        people.expected_shape({"age": float("nan")})

@@ -7,11 +7,17 @@ times faster than gathers whose gradients scatter. Used by `texels` and `decoder
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
+
+with warnings.catch_warnings():
+    # Torch says once a process that compressed rows are in beta. Making the first matrix here keeps that from the user.
+    warnings.simplefilter("ignore")
+    torch.sparse_csr_tensor(torch.tensor([0, 0]), torch.zeros(0, dtype=torch.int64), torch.zeros(0), (1, 1))
 
 
 class FixedSparse(nn.Module):

@@ -1,0 +1,136 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from model_fixtures import SHAPES, small_head
+
+from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
+from grmm_core.model.config import PRESETS
+from grmm_core.model.grmm import GRMM
+from grmm_core.model.weights import WeightsInfo, head_fingerprint, load_weights, read_info, save_weights
+from grmm_core.tensorfile import read_tensors, write_tensors
+
+
+@pytest.fixture(scope="module")
+def head():
+    return small_head()
+
+
+@pytest.fixture
+def model(head):
+    torch.manual_seed(0)
+    return GRMM(head, PRESETS["tiny"])
+
+
+@pytest.fixture
+def info(model):
+    rng = np.random.default_rng(0)
+    return WeightsInfo(
+        "test", "", "", model.config, people=("Ada", "Zoë"), z_id=rng.random((2, 6)), shapes=rng.random((2, SHAPES)),
+        default_z_id=rng.random(6), default_shape=rng.random(SHAPES), provenance={"seed": 3, "data": ["a"]},
+    )  # fmt: skip
+
+
+@pytest.fixture
+def saved(tmp_path, model, info):
+    path = tmp_path / "test.safetensors"
+    save_weights(path, model, info)
+    return path
+
+
+def rewrite(path, change_tensors=lambda t: None, change_header=lambda h: None):
+    tensors, metadata = read_tensors(path)
+    header = json.loads(metadata["grmm"])
+    change_tensors(tensors)
+    change_header(header)
+    write_tensors(path, tensors, {"grmm": json.dumps(header)})
+
+
+def test_round_trip(saved, model, info, head):
+    loaded, back = load_weights(saved, head)
+    assert loaded.config == model.config
+    for name, value in model.state_dict().items():
+        torch.testing.assert_close(loaded.state_dict()[name].float(), value.float(), rtol=1e-3, atol=1e-6)
+    assert back.people == ("Ada", "Zoë")
+    assert back.provenance == {"seed": 3, "data": ["a"]}
+    assert (back.head_name, back.head_sha256) == ("small_head", head_fingerprint(head))
+    np.testing.assert_allclose(back.z_id, info.z_id, rtol=1e-6)
+    np.testing.assert_allclose(back.default_shape, info.default_shape, rtol=1e-6)
+    assert len(back.sha256) == 64
+    assert read_info(saved).config == model.config
+    assert all(p.requires_grad and p.device.type == "cpu" for p in loaded.parameters())
+    assert not loaded.training
+
+
+def test_loaded_model_draws_the_same(saved, model, head):
+    loaded, _ = load_weights(saved, head)
+    vertices = torch.from_numpy(head.v_template.copy())
+    z_id, z_exp, view = torch.ones(6), torch.ones(5), torch.tensor([0.0, 0.0, 1.0])
+    one, two = (m.gaussians(vertices, z_id, z_exp, view) for m in (model, loaded))
+    torch.testing.assert_close(one.means, two.means, atol=1e-4, rtol=0)
+    torch.testing.assert_close(one.colors, two.colors, atol=3e-3, rtol=0)
+
+
+def test_another_head_is_refused(saved):
+    with pytest.raises(FileFormatError, match="another version"):
+        load_weights(saved, small_head(seed=1))
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda h: h.update(version=99), "version"),
+        (lambda h: h.update(format="pictures"), "not a GRMM weights file"),
+        (lambda h: h.pop("head"), "incomplete"),
+        (lambda h: h["config"].update(z_id="many"), "z_id"),
+        (lambda h: h["config"].update(mesh_hidden=16000), "shape"),
+        (lambda h: h["config"].update(smell=1), "smell"),
+        (lambda h: h["people"].append("Eve"), "people/"),
+    ],
+)
+def test_wrong_headers_are_explained(saved, head, change, word):
+    rewrite(saved, change_header=change)
+    with pytest.raises(FileFormatError, match=word):
+        load_weights(saved, head)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda t: t.pop("model/aligned_codes"), "missing"),
+        (lambda t: t["model/aligned_codes"].fill(np.nan), "not finite"),
+        (lambda t: t.update({"model/aligned_codes": np.zeros((2, 2), np.float32)}), "shape"),
+        (lambda t: t.update({"model/aligned_codes": np.zeros((60, 5), np.int32)}), "data type"),
+        (lambda t: t["model/anchor.face"].fill(10**6), "layout"),
+        (lambda t: t["model/anchor.texel"].fill(-1), "layout"),
+        (lambda t: t["people/z_id"].fill(np.inf), "people/z_id"),
+    ],
+)
+def test_damaged_tensors_are_explained(saved, head, change, word):
+    rewrite(saved, change_tensors=change)
+    with pytest.raises(FileFormatError, match=word):
+        load_weights(saved, head)
+
+
+def test_truncated_and_missing_files(saved, head, tmp_path):
+    data = saved.read_bytes()
+    for length in (0, 7, 100, len(data) - 10):
+        saved.write_bytes(data[:length])
+        with pytest.raises(FileFormatError):
+            load_weights(saved, head)
+    with pytest.raises(FileAccessError):
+        load_weights(tmp_path / "none.safetensors", head)
+
+
+def test_parameters_that_are_not_finite_are_not_written(tmp_path, model, info):
+    path = tmp_path / "w.safetensors"
+    save_weights(path, model, info)
+    before = path.read_bytes()
+    with torch.no_grad():
+        model.aligned_codes[0, 0] = torch.nan
+    with pytest.raises(ShapeError, match="aligned_codes"):
+        save_weights(path, model, info)
+    assert path.read_bytes() == before

@@ -1,0 +1,222 @@
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from model_fixtures import ColouredSpheres, small_head
+
+from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, TrainingError
+from grmm_core.model.weights import load_weights
+from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
+from grmm_core.training.optimise import MovingAverage, rate_factor
+from grmm_core.training.trainer import CHECKPOINT, METRICS, Trainer
+from grmm_core.training.views import choose, random_crop, shrink
+
+QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
+LOSSES = {"perceptual": 0.0, "alpha": 0.3, "depth": 0.1, "scale": 0.0}
+
+
+def config(**settings):
+    return train_config({"preset": "tiny"}, {"steps": 40, "warmup_steps": 5, **QUIET, **settings}, LOSSES)
+
+
+@pytest.fixture(scope="module")
+def head():
+    return small_head()
+
+
+@pytest.fixture
+def source():
+    return ColouredSpheres()
+
+
+def losses(folder):
+    return [json.loads(line)["loss"] for line in (folder / METRICS).read_text().splitlines()]
+
+
+def test_training_learns_two_people(head, source, tmp_path):
+    trainer = Trainer(config(steps=120, refine_from=0.3, evaluate_every=1000), head, source, tmp_path)
+    trainer.start()
+    before = trainer.evaluate(4)["val_psnr"]
+    trainer.run()
+    after = trainer.evaluate(4)
+    assert after["val_psnr"] > before + 3.0
+    assert after["val_psnr"] > 21.0  # the sphere has open poles, which no Gaussian covers
+    red, blue = (trainer.draw(source.load(i), None, True)[0].image.detach() for i in (0, 1))
+    assert red[24, 24, 0] > red[24, 24, 2] + 0.15
+    assert blue[24, 24, 2] > blue[24, 24, 0] + 0.15
+    weights = tmp_path / "w.safetensors"
+    trainer.save_weights(weights, {"seed": 0}, default_person=1)
+    _, info = load_weights(weights, head)
+    assert info.people == ("red", "blue")
+    np.testing.assert_allclose(info.default_z_id, info.z_id[1])
+
+
+def test_colours_start_from_the_pictures(head, source, tmp_path):
+    trainer = Trainer(config(), head, source, tmp_path)
+    trainer.start()
+    colours = trainer.model.decoders.appearance_mean[:, :3]
+    # the mean of the two people's colours, shaded 0.4 to 1
+    np.testing.assert_allclose(colours.mean(0).detach().numpy(), np.array([0.55, 0.4, 0.55]) * 0.7, atol=0.08)
+
+
+def test_resume_repeats_the_run_exactly(head, source, tmp_path):
+    settings = {"steps": 12, "refine_from": 0.3, "crop_size": 32, "crop_share": 0.5, "half_until": 0.2, "ema_every": 2}
+    whole = Trainer(config(**settings), head, source, tmp_path / "whole")
+    whole.run()
+    first = Trainer(config(**settings), head, source, tmp_path / "parts")
+    with pytest.raises(CancelledError):
+        first.run(should_stop=lambda: first.step_count == 5)
+    second = Trainer(config(**settings), head, source, tmp_path / "parts")
+    assert second.resume()
+    assert second.step_count == 5
+    second.run()
+    assert losses(tmp_path / "parts") == losses(tmp_path / "whole")
+    for name, value in whole.parameters.items():
+        torch.testing.assert_close(second.parameters[name], value, rtol=0, atol=0)
+    for one, two in zip(whole.average.values, second.average.values, strict=True):
+        torch.testing.assert_close(one, two, rtol=0, atol=0)
+
+
+def test_two_views_average_their_gradients(head, source, tmp_path):
+    pair = Trainer(config(views_per_step=2, clip_norm=0.0), head, source, tmp_path)
+    pair.start()
+    views = [choose(pair.config, source, 0, place, 0.0) for place in (0, 1)]
+    assert views[0][0].name != views[1][0].name
+    expected = None
+    for view, background in views:
+        pair.optimiser.zero_grad(set_to_none=True)
+        from grmm_core.training.losses import total_loss
+
+        rendering, codes = pair.draw(view, background, True)
+        total_loss(rendering, pair._target(view, background), codes, pair.laplacian, pair.loss_weights)[0].backward()
+        gradient = pair.model.decoders.appearance_mean.grad.clone()
+        expected = gradient / 2 if expected is None else expected + gradient / 2
+    pair.step()
+    torch.testing.assert_close(pair.model.decoders.appearance_mean.grad, expected, atol=1e-7, rtol=1e-4)
+
+
+def test_a_loss_that_is_not_finite_keeps_the_checkpoint(head, source, tmp_path):
+    trainer = Trainer(config(checkpoint_every=2), head, source, tmp_path)
+    trainer.start()
+    trainer.step()
+    trainer.save()
+    kept = (tmp_path / CHECKPOINT).read_bytes()
+    with torch.no_grad():
+        trainer.model.decoders.appearance_mean.fill_(torch.nan)
+        # non-finite Gaussians are not drawn, so the raw loss stays finite; the offsets' terms do not
+        trainer.model.mesh_decoder.identity[-1].bias.fill_(torch.nan)
+    with pytest.raises(TrainingError, match="resume"):
+        trainer.run()
+    assert (tmp_path / CHECKPOINT).read_bytes() == kept
+
+
+def test_damaged_and_foreign_checkpoints_are_refused(head, source, tmp_path):
+    trainer = Trainer(config(), head, source, tmp_path)
+    assert not trainer.resume()
+    trainer.step()
+    trainer.save()
+    path = tmp_path / CHECKPOINT
+    other = Trainer(config(), head, source, tmp_path)
+    other.source.people = ("red", "green")
+    with pytest.raises(ConfigError, match="people"):
+        other.resume()
+    larger = train_config({"preset": "tiny", "z_exp": 7}, QUIET, LOSSES)
+    with pytest.raises(FileFormatError, match="fit"):
+        Trainer(larger, head, source, tmp_path).resume()
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(FileFormatError):
+        Trainer(config(), head, source, tmp_path).resume()
+
+
+def test_unusable_folder_and_empty_data_are_explained(head, source, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(FileAccessError):
+        Trainer(config(), head, source, tmp_path / "file" / "run")
+    source.training = source.training[:0]
+    with pytest.raises(TrainingError, match="no training views"):
+        Trainer(config(), head, source, tmp_path)
+
+
+def test_preview_is_a_picture(head, source, tmp_path):
+    trainer = Trainer(config(steps=1, preview_every=1), head, source, tmp_path)
+    trainer.run()
+    from PIL import Image
+
+    picture = np.asarray(Image.open(tmp_path / "preview_000001.png"))
+    assert picture.shape == (5 * 48, 4 * 48, 3)
+    assert picture.std() > 10
+
+
+def test_every_view_is_used_once_an_epoch(source):
+    c = config()
+    names = [choose(c, source, step, 0, 0.0)[0].name for step in range(16)]
+    assert sorted(names[:8]) == sorted(names[8:]) == sorted(f"view {i}" for i in range(8))
+    assert names[:8] != names[8:]
+    assert choose(c, source, 3, 0, 0.0)[1].tolist() == choose(c, source, 3, 0, 0.0)[1].tolist()
+
+
+def test_shrinking_and_cropping_keep_camera_and_pixels_in_step(source):
+    view = source.load(5)
+    point = np.array([0.01, 0.02, 0.09])
+
+    def pixel(camera):
+        x, y, z = camera.world_to_camera[:3, :3] @ point + camera.world_to_camera[:3, 3]
+        return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
+
+    small = shrink(view, 24)
+    assert small.image.shape == (24, 24, 3)
+    np.testing.assert_allclose(pixel(small.camera) * 2, pixel(view.camera), atol=1e-9)
+    np.testing.assert_allclose(small.image[5, 7], view.image[10:12, 14:16].mean((0, 1)), atol=0.51)
+    crop = random_crop(view, 16, np.random.default_rng(0))
+    x, y = np.round(pixel(view.camera) - pixel(crop.camera)).astype(int)
+    np.testing.assert_array_equal(crop.image, view.image[y : y + 16, x : x + 16])
+    assert shrink(view, 100) is view
+    assert random_crop(view, 64, np.random.default_rng(0)) is view
+
+
+def test_moving_average_and_rates():
+    p = torch.nn.Parameter(torch.zeros(3))
+    average = MovingAverage([p], 0.9, 2)
+    with torch.no_grad():
+        p.fill_(1.0)
+    average.update(1)
+    assert float(average.values[0][0]) == 0.0
+    for step in range(2, 200, 2):
+        average.update(step)
+    assert float(average.values[0][0]) == pytest.approx(1.0, abs=1e-4)
+    average.swap()
+    with torch.no_grad():
+        p.mul_(5)
+    average.swap()
+    assert float(p[0]) == 1.0
+    c = config(warmup_steps=10)
+    assert rate_factor(c, 0, 0.0) == pytest.approx(0.1)
+    assert rate_factor(c, 100, 0.5) == pytest.approx(0.51)
+    assert rate_factor(c, 100, 1.0) == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("path", sorted(CONFIG_FOLDER.glob("*.toml")), ids=lambda p: p.stem)
+def test_the_projects_configurations_load(path):
+    assert load_config(path.stem).model.name in ("small", "paper", "base")
+
+
+@pytest.mark.parametrize(
+    ("text", "word"),
+    [
+        ("[training]\nstep = 3", "step"),
+        ("[training]\nsteps = 1.5", "steps"),
+        ("[training]\nema = 2.0", "ema"),
+        ("[model]\npreset = 'huge'", "huge"),
+        ("[other]\nx = 1", "other"),
+        ("steps = 3", "outside"),
+        ("[training", "TOML"),
+    ],
+)
+def test_bad_configurations_are_named(tmp_path, text, word):
+    path = tmp_path / "c.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=word):
+        load_config(path)

@@ -1,0 +1,31 @@
+"""Differences between Blender versions, found by feature and never by version number."""
+
+from __future__ import annotations
+
+import bpy
+
+ROOT_PACKAGE = __package__.rpartition(".")[0]
+"""The extension's module, such as `bl_ext.user_default.grmm`: what preferences and user folders are named after."""
+
+
+def depth_pass_name() -> str:
+    """Return the name of the depth pass in render results."""
+    return "Z"
+
+
+def set_multilayer_exr(settings: bpy.types.ImageFormatSettings) -> None:
+    """Choose 32-bit multilayer OpenEXR; 5.x wants the kind of media first."""
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    settings.color_depth = "32"
+
+
+def user_folder(name: str, create: bool = False) -> str:
+    """Return a folder of the extension's own under Blender's user files.
+
+    Args:
+        name: Sub-folder.
+        create: Make it when missing.
+    """
+    return bpy.utils.extension_path_user(ROOT_PACKAGE, path=name, create=create)

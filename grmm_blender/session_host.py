@@ -1,0 +1,167 @@
+"""The one model session of this Blender process.
+
+Everything in Blender that needs the model asks here: the render engine, the viewport, the frame handler and operators, on
+whatever thread Blender runs them. The session is made on first use: in this process when torch can be imported, else in a
+worker process with the interpreter of the preferences or the installed runtime. Threads never read preferences from here:
+`preferences` hands its values over by `configure`.
+
+Imports neither torch nor bpy's data; `grmm_core.session` is light.
+"""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import os
+import threading
+from dataclasses import dataclass
+from typing import Literal
+
+from ..grmm_core.errors import GrmmError
+from ..grmm_core.session import (
+    WORKER_PYTHON_VARIABLE,
+    AvatarInfo,
+    Session,
+    SessionStatus,
+    create_session,
+    has_torch,
+)
+
+_log = logging.getLogger(__name__)
+
+SAMPLE_PREFIX = "sample:"
+CLASSES = ()
+
+Mode = Literal["auto", "local", "worker"]
+
+
+@dataclass(frozen=True)
+class RuntimeSettings:
+    """How to make the session.
+
+    Attributes:
+        mode: "auto" runs the model here if there is torch, else in a worker.
+        python: Interpreter of the worker, or "" for the environment variable GRMM_WORKER_PYTHON.
+        device: "auto", "cpu", "cuda" or "mps".
+        threads: CPU threads, 0 leaves it to the libraries.
+    """
+
+    mode: Mode = "auto"
+    python: str = ""
+    device: str = "auto"
+    threads: int = 0
+
+
+@dataclass(frozen=True)
+class RuntimeStatus:
+    """What can run the model.
+
+    Attributes:
+        available: A session exists or could be made.
+        message: One sentence for the user: what runs the model, or what is missing and what to do.
+        session: Details of the session, None before it was made.
+    """
+
+    available: bool
+    message: str
+    session: SessionStatus | None = None
+
+
+_lock = threading.Lock()
+_settings = RuntimeSettings()
+_session: Session | None = None
+_last_error = ""
+
+
+def configure(settings: RuntimeSettings) -> None:
+    """Use these settings from now on; a session made with others is closed."""
+    global _settings, _last_error
+    with _lock:
+        if settings == _settings:
+            return
+        _settings, _last_error = settings, ""
+    shutdown()
+
+
+def get_session() -> Session:
+    """Return the session, made on the first call. Safe on any thread; never close the result.
+
+    Raises:
+        RuntimeMissingError: There is no torch, neither here nor in a worker; the message says what to do.
+        GrmmError: The session cannot be made.
+    """
+    global _session, _last_error
+    with _lock:
+        if _session is None:
+            try:
+                _session = create_session(
+                    _settings.mode,
+                    python=_settings.python or None,
+                    device=_settings.device,
+                    threads=_settings.threads or None,
+                )
+            except GrmmError as error:
+                _last_error = str(error)
+                raise
+            _last_error = ""
+        return _session
+
+
+def open_avatar(source: str) -> AvatarInfo:
+    """Open what an avatar in a scene names as its source.
+
+    Args:
+        source: "default", "sample:SEED", or the absolute path of a `.grmm` file.
+
+    Raises:
+        GrmmError: The file or the runtime is missing or unusable.
+    """
+    session = get_session()
+    seed = source.removeprefix(SAMPLE_PREFIX)
+    if source.startswith(SAMPLE_PREFIX) and seed.isdigit():
+        return session.sample(int(seed))
+    return session.open(source)
+
+
+def runtime_status() -> RuntimeStatus:
+    """Return what runs the model, for panels; cheap, starts nothing."""
+    with _lock:
+        session, settings, error = _session, _settings, _last_error
+    if session is not None:
+        details = session.status()
+        where = "in Blender" if details.kind == "local" else "in a worker process"
+        return RuntimeStatus(True, f"The model runs {where}.", details)
+    if error:
+        return RuntimeStatus(False, error)
+    if settings.mode != "worker" and has_torch():
+        return RuntimeStatus(True, "The model will run in Blender.")
+    if settings.python or settings.mode == "worker" or os.environ.get(WORKER_PYTHON_VARIABLE):
+        return RuntimeStatus(True, "The model will run in a worker process.")
+    return RuntimeStatus(False, "No runtime: install one or choose a Python with torch in the extension's preferences.")
+
+
+def memory_megabytes() -> float:
+    """Return the resident memory of the process that runs the model, 0 when unknown or not running."""
+    with _lock:
+        session = _session
+    return 0.0 if session is None else session.status().memory_bytes / 2**20
+
+
+def shutdown() -> None:
+    """Close the session; the next use makes a new one."""
+    global _session
+    with _lock:
+        session, _session = _session, None
+    if session is not None:
+        session.close()
+
+
+def register() -> None:
+    """Close the worker also when Blender ends without unregistering."""
+    atexit.register(shutdown)
+
+
+def unregister() -> None:
+    """Take back `register` and close the session."""
+    atexit.unregister(shutdown)
+    shutdown()

@@ -28,7 +28,8 @@ JAW_SHAPES = ("jawOpen", "jawLeft", "jawRight")
 # The source's eyes turn 10 to 15 degrees at weight 1; faces tracked by ARKit turn theirs about 25. The lids follow less.
 GAZE_GAIN = 1.7
 LID_GAIN = 1.3
-TONGUE_JAW = 0.22  # of jawOpen
+TONGUE_JAW = 0.24  # of jawOpen
+TONGUE_REACH = (0.0, 0.005, 0.009)  # metres at the tip
 UNIT_FOLDERS = ("african", "asian", "caucasian")
 # Components made of modelling targets that a living face can also do.
 MODELLED = {
@@ -107,20 +108,37 @@ def build_expression_space(source: Source, topology: Topology, parts: InnerParts
         if name in JAW_SHAPES:  # teeth are rigid: exactly the joint's motion
             part = topology.parts["lower_teeth"]
             sculpted[index][part] = (template[part] - joints[JAW]) @ (euler_matrices(pose[index, JAW]) - np.eye(3)).T
-    _part_lips_for_tongue(names, template, sculpted, pose, joints, weights)
+    _free_tongue(topology, names, template, sculpted, pose, joints, weights)
     directions = np.stack([unpose(template, sculpted[i], pose[i], joints, weights) for i in range(len(names))], -1)
     return ExpressionSpace(tuple(names), sculpted, directions, pose, joints, weights)
 
 
-def _part_lips_for_tongue(
-    names: list[str], template: np.ndarray, sculpted: np.ndarray, pose: np.ndarray, joints: np.ndarray, weights: np.ndarray
+def _free_tongue(
+    topology: Topology,
+    names: list[str],
+    template: np.ndarray,
+    sculpted: np.ndarray,
+    pose: np.ndarray,
+    joints: np.ndarray,
+    weights: np.ndarray,
 ) -> None:
-    """Let tongueOut open the jaw a little: the source's tongue passes through closed lips. Changes `sculpted` and `pose`."""
+    """Let tongueOut open the jaw a little and reach over the lower lip; the source's tongue passes through closed lips.
+
+    Changes `sculpted` and `pose`.
+    """
     tongue, jaw = names.index("tongueOut"), names.index("jawOpen")
     unposed = TONGUE_JAW * unpose(template, sculpted[jaw], pose[jaw], joints, weights) + sculpted[tongue]
+    unposed[topology.parts["tongue"]] += tongue_reach(template[topology.parts["tongue"]])
     pose[tongue] = TONGUE_JAW * pose[jaw]
     transforms = joint_transforms(euler_matrices(pose[tongue]), joints, PARENTS)
     sculpted[tongue] = skin(template + unposed, transforms, weights) - template
+
+
+def tongue_reach(points: np.ndarray) -> np.ndarray:
+    """What tongueOut adds to the source's shape at tongue vertices [n, 3]: forwards and up, from the root to the tip."""
+    low, high = points[:, 2].min(), points[:, 2].max()
+    along = np.clip((points[:, 2] - low) / (0.8 * (high - low)), 0.0, 1.0)
+    return (along**2 * (3 - 2 * along))[:, None] * np.array(TONGUE_REACH)
 
 
 def unpose(template: np.ndarray, sculpted: np.ndarray, pose: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> np.ndarray:

@@ -200,7 +200,8 @@ class HeadModel:
         coefficients = np.asarray(coefficients, np.float32)
         if coefficients.ndim != 1 or coefficients.size > directions.shape[2]:
             raise ShapeError(
-                f"The {what} coefficients have shape {coefficients.shape}; give one row of at most {directions.shape[2]} values."
+                f"The {what} coefficients have shape {coefficients.shape}; "
+                f"give one row of at most {directions.shape[2]} values."
             )
         # trailing zeros are common (sliders): only the used part is multiplied
         used = int(np.flatnonzero(coefficients)[-1]) + 1 if coefficients.any() else 0

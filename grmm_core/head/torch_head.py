@@ -71,7 +71,9 @@ class TorchHead(nn.Module):
         pose = torch.einsum("...e,ejk->...jk", expression, self.expression_pose[: expression.shape[-1]])
         return pose if pose_euler is None else pose + pose_euler
 
-    def forward(self, shape: Tensor, expression: Tensor, pose: Tensor, displacement: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    def forward(
+        self, shape: Tensor, expression: Tensor, pose: Tensor, displacement: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
         """Posed vertices and rest joints.
 
         Args:
@@ -91,7 +93,9 @@ class TorchHead(nn.Module):
         elif pose.shape[-3:] == (JOINT_COUNT, 3, 3):
             rotations = pose
         else:
-            raise ShapeError(f"The pose has shape {tuple(pose.shape)}; it must be [..., 5, 3] angles or [..., 5, 3, 3] rotations.")
+            raise ShapeError(
+                f"The pose has shape {tuple(pose.shape)}; it must be [..., 5, 3] angles or [..., 5, 3, 3] rotations."
+            )
         unposed = self.shaped(shape, expression)
         if displacement is not None:
             unposed = unposed + displacement

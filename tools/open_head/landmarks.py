@@ -132,7 +132,7 @@ def _nose(view: FrontView) -> list[tuple[int, np.ndarray]]:
     below = (rows > tip - 90) & (rows < tip - 10)
     # under the nose the profile falls back to the philtrum: the steepest place is the base of the septum
     base = int(rows[below][np.argmax(np.diff(profile, append=profile[-1])[below])]) - 2
-    points = [view.at(int(round(row)), column) for row in np.linspace(nasion, tip, 4)]
+    points = [view.at(round(row), column) for row in np.linspace(nasion, tip, 4)]
     for x in (-0.0145, -0.0075, 0.0, 0.0075, 0.0145):
         lift = 8 if abs(x) > 0.01 else 0
         points.append(view.at(base + lift, view.pixel(x, 0.0)[1]))
@@ -152,7 +152,7 @@ def _eye(view: FrontView, eyeball: np.ndarray, side: int) -> list[tuple[int, np.
     def corner(column: int, step: int) -> tuple[int, np.ndarray]:
         return view.at(int(np.median(np.flatnonzero(seen[:, column]))), column + step)
 
-    inner = [int(round(left + share * (right - left))) for share in (0.32, 0.68)]
+    inner = [round(left + share * (right - left)) for share in (0.32, 0.68)]
     return [
         corner(left, -3), edge(inner[0], True), edge(inner[1], True),
         corner(right, 3), edge(inner[1], False), edge(inner[0], False),
@@ -166,7 +166,7 @@ def _outer_lips(view: FrontView, lips: np.ndarray) -> list[tuple[int, np.ndarray
     middle, half = 0.5 * (left + right), 0.5 * (right - left)
 
     def edge(share: float, upper: bool) -> tuple[int, np.ndarray]:
-        column = int(round(middle + share * half))
+        column = round(middle + share * half)
         rows = np.flatnonzero(seen[:, column])
         return view.at(int(rows[-1] if upper else rows[0]), column)
 
@@ -184,11 +184,13 @@ def _inner_lips(view: FrontView, label: Mapping[str, np.ndarray]) -> list[tuple[
     left, right = int(columns[0]), int(columns[-1])
 
     def edge(share: float, upper: bool) -> tuple[int, np.ndarray]:
-        column = int(round(left + share * (right - left)))
+        column = round(left + share * (right - left))
         rows = np.flatnonzero(seen[:, column])
         return view.at(int(rows[-1]) + 2 if upper else int(rows[0]) - 2, column)
 
-    corners = [view.at(int(np.median(np.flatnonzero(seen[:, column]))), column + step) for column, step in ((left, -2), (right, 2))]
+    corners = [
+        view.at(int(np.median(np.flatnonzero(seen[:, column]))), column + step) for column, step in ((left, -2), (right, 2))
+    ]
     upper = [edge(share, True) for share in (0.25, 0.5, 0.75)]
     lower = [edge(share, False) for share in (0.75, 0.5, 0.25)]
     return [corners[0], *upper, corners[1], *lower]

@@ -50,7 +50,8 @@ class InnerParts:
             shift = offsets[near].mean(0)
             growth = (arms * (offsets[near] - shift)).sum(0) / (arms**2).sum(0)  # one per axis
             arms = self.base[part] - centre
-            if part is self.topology.parts["tongue"]:  # long and deep: it would outgrow the mouth, so it moves with the teeth's middle
+            if part is self.topology.parts["tongue"]:
+                # long and deep, it would outgrow the mouth: it grows in width only and moves with the teeth's middle
                 arms = arms * (1, 0, 0) + (0, *(self.base[self.topology.parts["lower_teeth"]].mean(0) - centre)[1:])
             result[part] = shift + growth * arms
         return result

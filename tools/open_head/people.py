@@ -33,7 +33,7 @@ ASYMMETRY = 0.04  # extra spread of each side of a two-sided target
 OPPOSITES = (
     ("incr", "decr"), ("up", "down"), ("in", "out"), ("forward", "backward"), ("concave", "convex"), ("uncompress", "compress"),
 )  # fmt: skip
-# Head translations only move the head on the neck; whole-head shapes are strong, so they are drawn rarely.
+# Translations of head and neck only move them on the shoulders, and "asymm" targets are the trunk's.
 SKIPPED = re.compile(r"head-trans|head-angle|neck-trans|asymm-")
 
 
@@ -218,7 +218,8 @@ def _opposite(name: str, index: dict[str, int]) -> str | None:
     for pair in OPPOSITES:
         for one, other in (pair, pair[::-1]):
             if name.endswith("-" + one) or f"-{one}-" in name:
-                candidate = name.removesuffix(one) + other if name.endswith("-" + one) else name.replace(f"-{one}-", f"-{other}-")
+                inner = name.replace(f"-{one}-", f"-{other}-")
+                candidate = name.removesuffix(one) + other if name.endswith("-" + one) else inner
                 if candidate in index:
                     return candidate
     return None

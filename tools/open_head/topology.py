@@ -32,9 +32,7 @@ class Topology:
     Attributes:
         matrix: Affine mixing matrix, rows sum to 1, [V, N].
         faces: Triangles, counter-clockwise seen from outside, [F, 3].
-        quads: The polygons before triangulation, -1 in the last column of a triangle, [Q, 4].
         parts: Part name to vertex indices.
-        lids_ring: Left and right: indices of the skin's boundary inside the eyeballs.
     """
 
     matrix: sparse.csr_matrix
@@ -242,7 +240,8 @@ def _component(faces: np.ndarray, vertex: int) -> np.ndarray:
     """Return the faces connected to a vertex."""
     count = faces.max() + 1
     ones = np.ones(len(faces))
-    graph = sparse.coo_matrix((np.r_[ones, ones], (np.r_[faces[:, 0], faces[:, 1]], np.r_[faces[:, 1], faces[:, 2]])), (count, count))
+    ends = (np.r_[faces[:, 0], faces[:, 1]], np.r_[faces[:, 1], faces[:, 2]])
+    graph = sparse.coo_matrix((np.r_[ones, ones], ends), (count, count))
     _, labels = csgraph.connected_components(graph, directed=False)
     return faces[labels[faces[:, 0]] == labels[vertex]]
 

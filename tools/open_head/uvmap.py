@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import xatlas
+from scipy.ndimage import distance_transform_edt
 
 from .flatten import boundary_loops, distortion, flatten
 from .topology import Topology
@@ -122,7 +123,8 @@ def _head_island(template: np.ndarray, faces: np.ndarray, which: np.ndarray) -> 
     midline = np.setdiff1d(midline, np.r_[left_side, right_side])
 
     density = face_density(points[local].mean(1))
-    area = 0.5 * np.linalg.norm(np.cross(points[local[:, 1]] - points[local[:, 0]], points[local[:, 2]] - points[local[:, 0]]), axis=1)
+    first, second = points[local[:, 1]] - points[local[:, 0]], points[local[:, 2]] - points[local[:, 0]]
+    area = 0.5 * np.linalg.norm(np.cross(first, second), axis=1)
     width = np.sqrt((area * density**2).sum() * 1.04 / ASPECT)
     height = width * ASPECT
     sides = [
@@ -292,8 +294,6 @@ def _first_fit(free: np.ndarray, mask: np.ndarray) -> tuple[int, int] | None:
 
 
 def _dilate(mask: np.ndarray, radius: int) -> np.ndarray:
-    from scipy.ndimage import distance_transform_edt
-
     return distance_transform_edt(~mask) <= radius
 
 

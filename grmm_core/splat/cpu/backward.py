@@ -8,15 +8,35 @@ at every step, so no list of Gaussians per pixel is kept. An instance's sums go 
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numba import prange
 
 from ..rules import TILE
-from .forward import BASE, CAP, CHECK, FLOOR, HALF, ONE, STOP, STRIDE, ZERO, F, exp8
+from .forward import (
+    BASE,
+    BLOCK_X,
+    BLOCK_Y,
+    BLOCKS,
+    BLOCKS_X,
+    BLOCKS_Y,
+    CAP,
+    FLOOR,
+    HALF,
+    LANE_X,
+    LANE_Y,
+    ONE,
+    STOP,
+    TINY,
+    ZERO,
+    F,
+    block_range,
+    falloff,
+    padded,
+    start_tile,
+)
 from .jit import kernel
-from .projection import CHUNK, MOMENTS, _unproject_one
+from .projection import CHUNK, MOMENTS, unproject_one
+from .simd import WIDTH, any_at_least, choose, load, negative, spread, store, total
 
 
 @kernel()
@@ -26,99 +46,89 @@ def _replay_tile(
     gaussian: np.ndarray,
     slot: np.ndarray,
     geometry: np.ndarray,
-    depths: np.ndarray,
-    colors: np.ndarray,
     features: np.ndarray,
     left_edge: float,
     top_edge: float,
     pull: np.ndarray,
     behind: np.ndarray,
-    live: np.ndarray,
+    through: np.ndarray,
     value: np.ndarray,
-    weight: np.ndarray,
+    d_value: np.ndarray,
     rows: np.ndarray,
 ) -> None:
     """Replay the instances low..high over one tile.
 
     Args:
-        pull: [pixels, channels] gradient of the blended channels.
-        behind: [rows, STRIDE] light from behind, R.
-        live: [rows, STRIDE] transmittance, 1 at the start and 0 outside the picture.
-        value, weight: Scratch [channels], [4, STRIDE].
+        pull: [BLOCKS * channels * 8] gradient of the blended channels.
+        behind: [BLOCKS * 8] light from behind, R.
+        through: [BLOCKS * 8] transmittance, as `start_tile` leaves it.
+        value, d_value: Scratch [channels], [channels * 8].
         rows: Output [slots, MOMENTS + channels].
     """
-    channels = pull.shape[1]
+    channels = value.shape[0]
+    used = BASE + features.shape[1]
+    floor, stop, cap, one, zero = spread(FLOOR), spread(STOP), spread(CAP), spread(ONE), spread(ZERO)
+    tiny = spread(TINY)
+    lane_x, lane_y = load(LANE_X, 0), load(LANE_Y, 0)
     for n in range(low, high):
         i = gaussian[n]
-        out = rows[slot[n]]
         record = geometry[i]
         mx, my = record[0] - left_edge - HALF, record[1] - top_edge - HALF
-        l11, l12, l22, opacity, reach, half = record[2], record[3], record[4], record[5], record[6], record[7]
-        value[0], value[1], value[2], value[3] = colors[i, 0], colors[i, 1], colors[i, 2], depths[i]
+        l11, l12, l22, opacity = spread(record[2]), spread(record[3]), spread(record[4]), spread(record[5])
+        first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
+        first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
+        for c in range(BASE):
+            value[c] = record[8 + c]
         for c in range(features.shape[1]):
             value[BASE + c] = features[i, c]
-        for c in range(MOMENTS + channels):
-            out[c] = ZERO
-        d_value = out[MOMENTS:]
-        first = int(math.ceil(max(my - half, ZERO)))
-        last = int(math.floor(min(my + half, F(TILE - 1))))
-        for row in range(first, last + 1):
-            dy = F(row) - my
+        for c in range(channels):
+            store(d_value, c * WIDTH, zero)
+        g0, gs, gq, gss, gsq, gqq = zero, zero, zero, zero, zero, zero
+        for by in range(first_y, end_y):
+            dy = lane_y + spread(F(by * BLOCK_Y) - my)
             q = l22 * dy
-            room = reach - q * q
-            if room < ZERO:
-                continue
-            radius = math.sqrt(room) / l11 + F(0.01)
-            middle = mx - l12 * dy / l11
-            start = int(math.ceil(max(middle - radius, ZERO)))
-            stop = int(math.floor(min(middle + radius, F(TILE - 1)))) + 1
-            count = stop - start
-            if count <= 0:
-                continue
-            qq = HALF * q * q
-            s0 = l11 * (F(start) - mx) + l12 * dy
-            open_row = live[row, start:]
-            behind_row = behind[row, start:]
-            weights, before_row, alphas, dots = weight[0], weight[1], weight[2], weight[3]
-            for k in range(count):
-                s = s0 + l11 * F(k)
-                alpha = min(opacity * exp8(-(HALF * s * s + qq)), CAP)
-                if alpha < FLOOR:
-                    alpha = ZERO
-                before = open_row[k]
-                after = before * (ONE - alpha)
-                blended = after >= STOP
-                before_row[k] = before
-                alphas[k] = alpha
-                weights[k] = alpha * before if blended else ZERO
-                open_row[k] = after if blended else ZERO
-            for k in range(count):
-                w = weights[k]
-                dot = ZERO
-                if w != ZERO:
-                    pixel = pull[row * TILE + start + k]
-                    for c in range(channels):
-                        dot += pixel[c] * value[c]
-                        d_value[c] += w * pixel[c]
-                dots[k] = dot
-            g0, g1, g2 = ZERO, ZERO, ZERO
-            for k in range(count):
-                s = s0 + l11 * F(k)
-                alpha, w, dot = alphas[k], weights[k], dots[k]
-                rest = behind_row[k] - w * dot
-                behind_row[k] = rest
-                g = alpha * (before_row[k] * dot - rest / (ONE - alpha))
-                if w == ZERO or alpha >= CAP:
-                    g = ZERO
-                g0 += g
-                g1 += g * s
-                g2 += g * s * s
-            out[0] += g0
-            out[1] += g1
-            out[2] += g0 * q
-            out[3] += g2
-            out[4] += g1 * q
-            out[5] += g0 * q * q
+            shear = l12 * dy
+            for bx in range(first_x, end_x):
+                s = l11 * (lane_x + spread(F(bx * BLOCK_X) - mx)) + shear
+                alpha = opacity * falloff(s, q)
+                if not any_at_least(alpha, floor):
+                    continue
+                alpha = choose(alpha, floor, choose(alpha, cap, cap, alpha), zero)
+                block = by * BLOCKS_X + bx
+                before = load(through, block * WIDTH)
+                after = before * (one - alpha)
+                weight = choose(after, stop, alpha * before, zero)
+                store(through, block * WIDTH, choose(after, stop, after, negative(before)))
+                if not any_at_least(weight, tiny):
+                    continue
+                at = block * channels * WIDTH
+                dot0, dot1, dot2, dot3 = zero, zero, zero, zero  # four chains, so that additions need not wait for each other
+                for c in range(0, channels, 4):
+                    p0, p1 = load(pull, at + c * WIDTH), load(pull, at + (c + 1) * WIDTH)
+                    p2, p3 = load(pull, at + (c + 2) * WIDTH), load(pull, at + (c + 3) * WIDTH)
+                    dot0 = dot0 + p0 * spread(value[c])
+                    dot1 = dot1 + p1 * spread(value[c + 1])
+                    dot2 = dot2 + p2 * spread(value[c + 2])
+                    dot3 = dot3 + p3 * spread(value[c + 3])
+                    store(d_value, c * WIDTH, load(d_value, c * WIDTH) + weight * p0)
+                    store(d_value, (c + 1) * WIDTH, load(d_value, (c + 1) * WIDTH) + weight * p1)
+                    store(d_value, (c + 2) * WIDTH, load(d_value, (c + 2) * WIDTH) + weight * p2)
+                    store(d_value, (c + 3) * WIDTH, load(d_value, (c + 3) * WIDTH) + weight * p3)
+                dot = (dot0 + dot1) + (dot2 + dot3)
+                rest = load(behind, block * WIDTH) - weight * dot
+                store(behind, block * WIDTH, rest)
+                g = alpha * (before * dot - rest / (one - alpha))
+                g = choose(weight, tiny, choose(alpha, cap, zero, g), zero)
+                g0 = g0 + g
+                gs = gs + g * s
+                gq = gq + g * q
+                gss = gss + g * s * s
+                gsq = gsq + g * s * q
+                gqq = gqq + g * q * q
+        out = rows[slot[n]]
+        out[0], out[1], out[2], out[3], out[4], out[5] = total(g0), total(gs), total(gq), total(gss), total(gsq), total(gqq)
+        for c in range(used):
+            out[MOMENTS + c] = total(load(d_value, c * WIDTH))
 
 
 @kernel()
@@ -131,8 +141,6 @@ def _replay_share(
     gaussian: np.ndarray,
     slot: np.ndarray,
     geometry: np.ndarray,
-    depths: np.ndarray,
-    colors: np.ndarray,
     features: np.ndarray,
     background: np.ndarray,
     rgb: np.ndarray,
@@ -145,47 +153,42 @@ def _replay_share(
     d_blended: np.ndarray,
     rows: np.ndarray,
 ) -> None:
-    channels = BASE + features.shape[1]
-    pull = np.zeros((TILE * TILE, channels), np.float32)
-    behind = np.zeros((TILE, STRIDE), np.float32)
-    live = np.zeros((TILE, STRIDE), np.float32)
+    channels = padded(features.shape[1])
+    pull = np.zeros(BLOCKS * channels * WIDTH, np.float32)
+    behind = np.zeros(BLOCKS * WIDTH, np.float32)
+    through = np.zeros(BLOCKS * WIDTH, np.float32)
     value = np.zeros(channels, np.float32)
-    weight = np.zeros((4, STRIDE), np.float32)
+    d_value = np.zeros(channels * WIDTH, np.float32)
     picture_height, picture_width = alpha.shape
     for tile in range(worker, starts.shape[0] - 1, workers):
         low, high, end = starts[tile], starts[tile + 1], ends[tile]
         if end > low:
             x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
             width, height = min(TILE, picture_width - x0), min(TILE, picture_height - y0)
-            live[:] = ZERO
-            live[:height, :width] = ONE
+            start_tile(through, width, height)
             for r in range(height):
                 y = y0 + r
-                by = min(y, background.shape[0] - 1)
                 for c in range(width):
                     x = x0 + c
-                    bx = min(x, background.shape[1] - 1)
-                    pixel = pull[r * TILE + c]
-                    through = ONE - alpha[y, x]
-                    arriving = -through * d_alpha[y, x]
+                    block, lane = r // BLOCK_Y * BLOCKS_X + c // BLOCK_X, r % BLOCK_Y * BLOCK_X + c % BLOCK_X
+                    pixel = pull[block * channels * WIDTH + lane :]
+                    cover = alpha[y, x]
+                    arriving = -(ONE - cover) * d_alpha[y, x]
                     for k in range(3):
                         g = d_rgb[y, x, k]
-                        pixel[k] = g
+                        pixel[k * WIDTH] = g
                         arriving += g * rgb[y, x, k]
-                    if alpha[y, x] > ZERO:
-                        g = d_depth[y, x] / alpha[y, x]
-                        pixel[3] = g
-                        # sum of w z gives g z alpha; alpha in the denominator gives g z (1 - alpha)
-                        arriving += g * depth[y, x]
-                    else:
-                        pixel[3] = ZERO
+                    # depth = D / cover: D's gradient times D is g depth cover, and cover's adds g depth (1 - cover).
+                    g = d_depth[y, x] / cover if cover > ZERO else ZERO
+                    pixel[3 * WIDTH] = g
+                    arriving += g * depth[y, x]
                     for k in range(features.shape[1]):
                         g = d_blended[y, x, k]
-                        pixel[BASE + k] = g
+                        pixel[(BASE + k) * WIDTH] = g
                         arriving += g * blended[y, x, k]
-                    behind[r, c] = arriving
+                    behind[block * WIDTH + lane] = arriving
             _replay_tile(
-                low, end, gaussian, slot, geometry, depths, colors, features, F(x0), F(y0), pull, behind, live, value, weight, rows
+                low, end, gaussian, slot, geometry, features, F(x0), F(y0), pull, behind, through, value, d_value, rows
             )
         for n in range(max(end, low), high):
             row = rows[slot[n]]
@@ -202,8 +205,6 @@ def replay_tiles(
     gaussian: np.ndarray,
     slot: np.ndarray,
     geometry: np.ndarray,
-    depths: np.ndarray,
-    colors: np.ndarray,
     features: np.ndarray,
     background: np.ndarray,
     rgb: np.ndarray,
@@ -219,7 +220,7 @@ def replay_tiles(
     """Fill `rows` [M, MOMENTS + channels], the gradients of all instances.
 
     Args:
-        workers, tiles_x, starts, gaussian, geometry, depths, colors, features, background: As in `forward.draw_tiles`.
+        workers, tiles_x, starts, gaussian, geometry, features, background: As in `forward.draw_tiles`.
         ends, rgb, alpha, depth, blended: What it returned.
         slot: Row of each instance.
         d_rgb, d_alpha, d_depth, d_blended: Gradients of the outputs.
@@ -227,7 +228,7 @@ def replay_tiles(
     """
     for worker in prange(workers):
         _replay_share(
-            worker, workers, tiles_x, starts, ends, gaussian, slot, geometry, depths, colors, features, background,
+            worker, workers, tiles_x, starts, ends, gaussian, slot, geometry, features, background,
             rgb, alpha, depth, blended, d_rgb, d_alpha, d_depth, d_blended, rows,
         )  # fmt: skip
 
@@ -252,21 +253,21 @@ def _collect_range(
     d_colors: np.ndarray,
     d_features: np.ndarray,
 ) -> None:
-    total = np.empty(rows.shape[1], np.float32)
+    summed = np.empty(rows.shape[1], np.float32)
     for k in range(low, high):
         i = order[k]
-        total[:] = ZERO
+        summed[:] = ZERO
         for slot in range(slots[k], slots[k + 1]):
             for c in range(rows.shape[1]):
-                total[c] += rows[slot, c]
-        d_opacities[i] = _unproject_one(
-            means[i], quats[i], scales[i], opacities[i], camera, geometry[i], total, np.float64(total[MOMENTS + 3]),
+                summed[c] += rows[slot, c]
+        d_opacities[i] = unproject_one(
+            means[i], quats[i], scales[i], opacities[i], camera, geometry[i], summed, np.float64(summed[MOMENTS + 3]),
             d_means[i], d_quats[i], d_scales[i],
         )  # fmt: skip
         for c in range(3):
-            d_colors[i, c] = total[MOMENTS + c]
+            d_colors[i, c] = summed[MOMENTS + c]
         for c in range(d_features.shape[1]):
-            d_features[i, c] = total[MOMENTS + BASE + c]
+            d_features[i, c] = summed[MOMENTS + BASE + c]
 
 
 @kernel(parallel=True)

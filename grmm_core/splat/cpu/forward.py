@@ -1,7 +1,8 @@
 """Blending, tile by tile, compiled: the hot loop of the forward pass. The twin of `reference.blend`.
 
-A tile keeps, for each of its pixels, the channels blended so far (colour, depth, features side by side), the transmittance that
-is still open to light (`live`, 0 once the pixel has ended) and the final transmittance (`left`).
+A tile is divided into blocks of 4 x 2 pixels, which fill the eight lanes of `simd`. It keeps, block by block, the channels blended
+so far (r, g, b, depth, features: eight lanes each) and the transmittance; a pixel that has ended, or lies outside the picture, has
+its transmittance stored with a minus sign. Gaussians come front to back; each visits the blocks that its bounding box touches.
 """
 
 from __future__ import annotations
@@ -13,25 +14,58 @@ from numba import prange
 
 from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
 from .jit import kernel
+from .simd import WIDTH, any_at_least, choose, load, negative, spread, store
 
 F = np.float32
-ONE, ZERO, HALF, EIGHTH = F(1.0), F(0.0), F(0.5), F(0.125)
+ONE, ZERO, HALF = F(1.0), F(0.0), F(0.5)
 CAP, FLOOR, STOP = F(ALPHA_MAX), F(ALPHA_MIN), F(TRANSMITTANCE_MIN)
-PAD = 8  # spare pixels at the end of a row, so that loops of eight may run over its end
-STRIDE = TILE + PAD
-CHECK = 16  # Gaussians between two looks at whether all pixels of the tile have ended
 LOWEST = F(-5.6)  # e^LOWEST is below ALPHA_MIN, so what is smaller need not be known
+TINY = F(1e-30)
+BLOCK_X, BLOCK_Y = 4, 2  # pixels
+BLOCKS_X, BLOCKS_Y = TILE // BLOCK_X, TILE // BLOCK_Y
+BLOCKS = BLOCKS_X * BLOCKS_Y
+LANE_X = (np.arange(WIDTH) % BLOCK_X).astype(np.float32)
+LANE_Y = (np.arange(WIDTH) // BLOCK_X).astype(np.float32)
+CHECK = 16  # Gaussians between two looks at whether all pixels of the tile have ended
 BASE = 4  # channels before the features: r, g, b, depth
+GROUP = 4  # channels are padded to a multiple of this, so that loops can be unrolled
+
+# e^x = p(x / 8)^8 with p = 1 + E1 x/8 + E2 (x/8)^2 ... on LOWEST..0; relative error 2e-6
+E1, E2, E3, E4, E5 = F(0.999994755), F(0.499899775), F(0.166028395), F(0.0398483016), F(0.00588524854)
+EIGHTH = F(0.125)
 
 
 @kernel()
-def exp8(x: float) -> float:
-    """Return e^x for LOWEST <= x <= 0 as p(x / 8)^8 with p of fifth degree; relative error 2e-6. Below LOWEST: that of LOWEST."""
-    t = max(x, LOWEST) * EIGHTH
-    p = ONE + t * (F(0.999994755) + t * (F(0.499899775) + t * (F(0.166028395) + t * (F(0.0398483016) + t * F(0.00588524854)))))
+def falloff(s, q):  # noqa: ANN001, ANN201 - Lanes have no Python type
+    """Return e^(-(s^2 + q^2) / 2) in each lane; never less than e^LOWEST."""
+    x = (s * s + q * q) * spread(-HALF * EIGHTH)
+    lowest = spread(LOWEST * EIGHTH)
+    x = choose(x, lowest, x, lowest)
+    p = spread(ONE) + x * (spread(E1) + x * (spread(E2) + x * (spread(E3) + x * (spread(E4) + x * spread(E5)))))
     p = p * p
     p = p * p
     return p * p
+
+
+@kernel()
+def block_range(centre: float, half: float, size: int, blocks: int) -> tuple[int, int]:
+    """Return the blocks, first and end, of `size` pixels each, whose pixel centres may lie within `half` of `centre` (pixel
+    k of the tile has its centre at k).
+    """
+    edge = F(blocks * size - 1)
+    first = int(math.ceil(min(max(centre - half, ZERO), edge + ONE)))
+    last = int(math.floor(max(min(centre + half, edge), -ONE)))
+    return first // size, (last + size) // size
+
+
+@kernel()
+def all_ended(through: np.ndarray) -> bool:
+    """Return whether every pixel of a tile has ended; `through` [BLOCKS * 8]."""
+    brightest = load(through, 0)
+    for b in range(1, BLOCKS):
+        other = load(through, b * WIDTH)
+        brightest = choose(brightest, other, brightest, other)
+    return not any_at_least(brightest, spread(ZERO))
 
 
 @kernel()
@@ -40,71 +74,68 @@ def _blend_tile(
     high: int,
     gaussian: np.ndarray,
     geometry: np.ndarray,
-    depths: np.ndarray,
-    colors: np.ndarray,
     features: np.ndarray,
     left_edge: float,
     top_edge: float,
-    total: np.ndarray,
-    live: np.ndarray,
-    left: np.ndarray,
+    sums: np.ndarray,
+    through: np.ndarray,
     value: np.ndarray,
-    weight: np.ndarray,
 ) -> int:
-    """Blend the instances low..high over one tile; return the end of those that were looked at."""
-    channels = total.shape[1]
+    """Blend the instances low..high over one tile; return the end of those that were looked at.
+
+    Args:
+        sums: [BLOCKS * channels * 8] blended channels.
+        through: [BLOCKS * 8] transmittance.
+        value: Scratch [channels].
+    """
+    channels = value.shape[0]
+    floor, stop, cap, one, zero = spread(FLOOR), spread(STOP), spread(CAP), spread(ONE), spread(ZERO)
+    tiny = spread(TINY)
+    lane_x, lane_y = load(LANE_X, 0), load(LANE_Y, 0)
     for n in range(low, high):
-        if (n - low) % CHECK == CHECK - 1:
-            brightest = ZERO
-            flat = live.reshape(-1)
-            for i in range(flat.shape[0]):
-                brightest = max(brightest, flat[i])
-            if brightest == ZERO:
-                return n
+        if (n - low) % CHECK == CHECK - 1 and all_ended(through):
+            return n
         i = gaussian[n]
         record = geometry[i]
         mx, my = record[0] - left_edge - HALF, record[1] - top_edge - HALF  # pixel k of the tile is at coordinate k
-        l11, l12, l22, opacity, reach, half = record[2], record[3], record[4], record[5], record[6], record[7]
-        value[0], value[1], value[2], value[3] = colors[i, 0], colors[i, 1], colors[i, 2], depths[i]
+        l11, l12, l22, opacity = spread(record[2]), spread(record[3]), spread(record[4]), spread(record[5])
+        first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
+        first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
+        for c in range(BASE):
+            value[c] = record[8 + c]
         for c in range(features.shape[1]):
             value[BASE + c] = features[i, c]
-        first = int(math.ceil(max(my - half, ZERO)))
-        last = int(math.floor(min(my + half, F(TILE - 1))))
-        for row in range(first, last + 1):
-            dy = F(row) - my
+        for by in range(first_y, end_y):
+            dy = lane_y + spread(F(by * BLOCK_Y) - my)
             q = l22 * dy
-            room = reach - q * q
-            if room < ZERO:
-                continue
-            radius = math.sqrt(room) / l11 + F(0.01)
-            middle = mx - l12 * dy / l11
-            start = int(math.ceil(max(middle - radius, ZERO)))
-            stop = int(math.floor(min(middle + radius, F(TILE - 1)))) + 1
-            count = stop - start
-            if count <= 0:
-                continue
-            qq = HALF * q * q
-            s0 = l11 * (F(start) - mx) + l12 * dy
-            open_row = live[row, start:]
-            left_row = left[row, start:]
-            for k in range(count):
-                s = s0 + l11 * F(k)
-                alpha = min(opacity * exp8(-(HALF * s * s + qq)), CAP)
-                if alpha < FLOOR:
-                    alpha = ZERO
-                before = open_row[k]
-                after = before * (ONE - alpha)
-                blended = after >= STOP
-                weight[k] = alpha * before if blended else ZERO
-                open_row[k] = after if blended else ZERO
-                left_row[k] = after if blended else left_row[k]
-            for k in range(count):
-                w = weight[k]
-                if w != ZERO:
-                    pixel = total[row * TILE + start + k]
-                    for c in range(channels):
-                        pixel[c] += w * value[c]
+            shear = l12 * dy
+            for bx in range(first_x, end_x):
+                s = l11 * (lane_x + spread(F(bx * BLOCK_X) - mx)) + shear
+                alpha = opacity * falloff(s, q)
+                if not any_at_least(alpha, floor):
+                    continue
+                alpha = choose(alpha, floor, choose(alpha, cap, cap, alpha), zero)
+                block = by * BLOCKS_X + bx
+                before = load(through, block * WIDTH)
+                after = before * (one - alpha)
+                weight = choose(after, stop, alpha * before, zero)
+                store(through, block * WIDTH, choose(after, stop, after, negative(before)))
+                if not any_at_least(weight, tiny):
+                    continue
+                at = block * channels * WIDTH
+                for c in range(channels):
+                    store(sums, at + c * WIDTH, load(sums, at + c * WIDTH) + weight * spread(value[c]))
     return high
+
+
+@kernel()
+def start_tile(through: np.ndarray, columns: int, rows: int) -> None:
+    """Set the transmittance [BLOCKS * 8] of a tile to one, and to ended outside its columns x rows pixels of the picture."""
+    for k in range(BLOCKS * WIDTH):
+        block, lane = k // WIDTH, k % WIDTH
+        x = block % BLOCKS_X * BLOCK_X + lane % BLOCK_X
+        y = block // BLOCKS_X * BLOCK_Y + lane // BLOCK_X
+        through[k] = ONE if x < columns and y < rows else -ONE
 
 
 @kernel()
@@ -114,8 +145,6 @@ def _draw_tile(
     starts: np.ndarray,
     gaussian: np.ndarray,
     geometry: np.ndarray,
-    depths: np.ndarray,
-    colors: np.ndarray,
     features: np.ndarray,
     background: np.ndarray,
     rgb: np.ndarray,
@@ -123,48 +152,52 @@ def _draw_tile(
     depth: np.ndarray,
     blended: np.ndarray,
     ends: np.ndarray,
-    scratch: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    sums: np.ndarray,
+    through: np.ndarray,
+    value: np.ndarray,
 ) -> None:
     """Blend one tile and write its pixels."""
-    total, live, left, value, weight = scratch
+    channels = value.shape[0]
     height, width = alpha.shape
     x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
     columns, rows = min(TILE, width - x0), min(TILE, height - y0)
-    total[:] = ZERO
-    live[:] = ZERO
-    live[:rows, :columns] = ONE
-    left[:] = ONE
     low, high = starts[tile], starts[tile + 1]
-    ends[tile] = _blend_tile(
-        low, high, gaussian, geometry, depths, colors, features, F(x0), F(y0), total, live, left, value, weight
-    )
+    if high > low:
+        sums[:] = ZERO
+        start_tile(through, columns, rows)
+        ends[tile] = _blend_tile(low, high, gaussian, geometry, features, F(x0), F(y0), sums, through, value)
+    else:
+        ends[tile] = low
     for r in range(rows):
         y = y0 + r
         by = min(y, background.shape[0] - 1)
         for c in range(columns):
             x = x0 + c
             bx = min(x, background.shape[1] - 1)
-            through = left[r, c]
-            pixel = total[r * TILE + c]
+            if high == low:
+                for k in range(3):
+                    rgb[y, x, k] = background[by, bx, k]
+                alpha[y, x] = ZERO
+                depth[y, x] = ZERO
+                for k in range(features.shape[1]):
+                    blended[y, x, k] = ZERO
+                continue
+            block, lane = r // BLOCK_Y * BLOCKS_X + c // BLOCK_X, r % BLOCK_Y * BLOCK_X + c % BLOCK_X
+            left = abs(through[block * WIDTH + lane])
+            pixel = sums[block * channels * WIDTH + lane :]
             for k in range(3):
-                rgb[y, x, k] = pixel[k] + through * background[by, bx, k]
-            cover = ONE - through
+                rgb[y, x, k] = pixel[k * WIDTH] + left * background[by, bx, k]
+            cover = ONE - left
             alpha[y, x] = cover
-            depth[y, x] = pixel[3] / cover if cover > ZERO else ZERO
+            depth[y, x] = pixel[3 * WIDTH] / cover if cover > ZERO else ZERO
             for k in range(features.shape[1]):
-                blended[y, x, k] = pixel[BASE + k]
+                blended[y, x, k] = pixel[(BASE + k) * WIDTH]
 
 
 @kernel()
-def _scratch(channels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return a worker's arrays: sums [pixels, channels], live and left [rows, STRIDE], a Gaussian's values, a row's weights."""
-    return (
-        np.zeros((TILE * TILE, channels), np.float32),
-        np.zeros((TILE, STRIDE), np.float32),
-        np.zeros((TILE, STRIDE), np.float32),
-        np.zeros(channels, np.float32),
-        np.zeros(STRIDE, np.float32),
-    )
+def padded(count: int) -> int:
+    """Return the number of channels kept per block for `count` features."""
+    return (BASE + count + GROUP - 1) // GROUP * GROUP
 
 
 @kernel()
@@ -175,8 +208,6 @@ def _draw_share(
     starts: np.ndarray,
     gaussian: np.ndarray,
     geometry: np.ndarray,
-    depths: np.ndarray,
-    colors: np.ndarray,
     features: np.ndarray,
     background: np.ndarray,
     rgb: np.ndarray,
@@ -185,10 +216,13 @@ def _draw_share(
     blended: np.ndarray,
     ends: np.ndarray,
 ) -> None:
-    scratch = _scratch(BASE + features.shape[1])
+    channels = padded(features.shape[1])
+    sums = np.zeros(BLOCKS * channels * WIDTH, np.float32)
+    through = np.zeros(BLOCKS * WIDTH, np.float32)
+    value = np.zeros(channels, np.float32)
     for tile in range(worker, starts.shape[0] - 1, workers):
         _draw_tile(
-            tile, tiles_x, starts, gaussian, geometry, depths, colors, features, background, rgb, alpha, depth, blended, ends, scratch
+            tile, tiles_x, starts, gaussian, geometry, features, background, rgb, alpha, depth, blended, ends, sums, through, value
         )
 
 
@@ -199,8 +233,6 @@ def draw_tiles(
     starts: np.ndarray,
     gaussian: np.ndarray,
     geometry: np.ndarray,
-    depths: np.ndarray,
-    colors: np.ndarray,
     features: np.ndarray,
     background: np.ndarray,
     rgb: np.ndarray,
@@ -215,13 +247,13 @@ def draw_tiles(
         workers: Parallel shares of the tiles.
         tiles_x: Tiles in a row of the grid.
         starts, gaussian: Instances, of `bin_tiles`.
-        geometry, depths: Of `project_forward`.
-        colors, features: [N, 3] and [N, C] float32.
+        geometry: Of `project_forward`.
+        features: [N, C] float32.
         background: [1, 1, 3] or [H, W, 3] float32.
         rgb, alpha, depth, blended: Outputs [H, W, 3], [H, W], [H, W], [H, W, C] float32.
         ends: Output [tiles] int64: end of the instances of each tile that any pixel was still open to.
     """
     for worker in prange(workers):
         _draw_share(
-            worker, workers, tiles_x, starts, gaussian, geometry, depths, colors, features, background, rgb, alpha, depth, blended, ends
+            worker, workers, tiles_x, starts, gaussian, geometry, features, background, rgb, alpha, depth, blended, ends
         )

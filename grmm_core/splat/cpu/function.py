@@ -78,7 +78,7 @@ def draw(inputs: list[np.ndarray], background: np.ndarray, view: View, antialias
         starts, gaussian, slot, slots = binning.bin_tiles(order, rects, tiles_x, tiles_y)
         workers = numba.get_num_threads() * SHARES
         forward.draw_tiles(
-            workers, tiles_x, starts, gaussian, geometry, depths, inputs[4], inputs[5], background, *outputs, ends
+            workers, tiles_x, starts, gaussian, geometry, inputs[5], background, *outputs, ends
         )
     return outputs, Drawing(camera, tiles_x, geometry, depths, order, starts, ends, gaussian, slot, slots)
 
@@ -97,7 +97,7 @@ def differentiate(
         workers = numba.get_num_threads() * SHARES
         backward.replay_tiles(
             workers, drawing.tiles_x, drawing.starts, drawing.ends, drawing.gaussian, drawing.slot, drawing.geometry,
-            drawing.depths, inputs[4], inputs[5], background, *outputs, *d_outputs, rows,
+            inputs[5], background, *outputs, *d_outputs, rows,
         )  # fmt: skip
         backward.collect(drawing.order, drawing.slots, rows, *inputs[:4], drawing.camera, drawing.geometry, *d_inputs)
     return d_inputs

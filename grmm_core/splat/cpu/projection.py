@@ -3,9 +3,10 @@
 The twin of `reference.project`; `function.py` calls it. Numbers are float64 inside a Gaussian and float32 in memory: it costs
 nothing here and keeps needle-thin and huge Gaussians exact.
 
-A Gaussian's record (`geometry`, 8 float32) holds its centre mx, my [px], the Cholesky factor l11, l12, l22 of its conic,
-so that -ln(alpha / opacity) = (s^2 + q^2) / 2 with s = l11 dx + l12 dy and q = l22 dy, its opacity, its reach
-2 ln(opacity / ALPHA_MIN), and its half height in pixels. s and q lose no digits where Gaussians are long and thin.
+A Gaussian's record (`geometry`, one cache line of 16 float32) holds its centre mx, my [px]; the Cholesky factor l11, l12, l22 of
+its conic, so that -ln(alpha / opacity) = (s^2 + q^2) / 2 with s = l11 dx + l12 dy and q = l22 dy, which lose no digits where
+Gaussians are long and thin; its opacity; half the width and height of the box outside which alpha is below ALPHA_MIN [px]; and its
+values r, g, b, depth.
 
 The camera is one float64 array; the constants below name its entries.
 """
@@ -23,7 +24,7 @@ from .jit import kernel
 
 ROTATION, TRANSLATION, FOCAL, CENTRE, CLAMP, SIZE, ORTHOGRAPHIC, ANTIALIASED = 0, 9, 12, 14, 16, 20, 22, 23
 CAMERA_LENGTH = 24
-RECORD = 8  # float32 numbers per Gaussian in `geometry`
+RECORD = 16  # float32 numbers per Gaussian in `geometry`
 CHUNK = 1024  # Gaussians per parallel task
 MOMENTS = 6  # leading entries of a gradient row: sums of g, g s, g q, g s^2, g s q, g q^2 with g = alpha dL/dalpha
 FAR_AWAY = 1e9  # pixels; Gaussians projected farther out or larger than this are dropped
@@ -112,8 +113,9 @@ def _project_one(
     record[3] = -b / math.sqrt(c * det_dilated)
     record[4] = 1.0 / math.sqrt(c)
     record[5] = cover
-    record[6] = reach
+    record[6] = half_x
     record[7] = half_y
+    record[11] = z
     x0, y0 = int(max(low_x, 0.0)) // TILE, int(max(low_y, 0.0)) // TILE
     x1 = int(min(high_x, camera[20] - 1.0)) // TILE + 1
     y1 = int(min(high_y, camera[21] - 1.0)) // TILE + 1
@@ -139,6 +141,8 @@ def _project_range(
         seen, depth, x0, y0, x1, y1 = _project_one(means[i], quats[i], scales[i], opacities[i], camera, geometry[i])
         if seen and _finite(colors[i]) and _finite(features[i]):
             depths[i] = depth
+            for c in range(3):
+                geometry[i, 8 + c] = colors[i, c]
             rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3] = x0, y0, x1, y1
         else:
             rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3] = 0, 0, 0, 0
@@ -174,7 +178,7 @@ def project_forward(
 
 
 @kernel()
-def _unproject_one(
+def unproject_one(
     mean: np.ndarray,
     quat: np.ndarray,
     scale: np.ndarray,

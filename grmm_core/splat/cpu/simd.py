@@ -1,0 +1,150 @@
+"""Eight float32 lanes as one value inside kernels.
+
+Numba's own vectoriser does not find the blocks of eight pixels that the tile kernels work on, so `Lanes` gives them to the compiler
+explicitly: one LLVM vector, which becomes one AVX register, two SSE or NEON registers, whatever the processor has. In a kernel,
++ - * / work lane by lane (multiply-adds are fused by the compiler), and the functions below do the rest.
+Used by `forward.py` and `backward.py`.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.core.imputils import lower_builtin
+from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
+from numba.extending import intrinsic, models, register_model
+
+WIDTH = 8
+_VECTOR = ir.VectorType(ir.FloatType(), WIDTH)
+_INDEX = ir.IntType(32)
+
+
+class LanesType(types.Type):
+    """Numba's type of eight float32 lanes."""
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Lanes{WIDTH}")
+
+
+LANES = LanesType()
+
+
+@register_model(LanesType)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: Any) -> None:
+        super().__init__(manager, kind, _VECTOR)
+
+
+def _register(symbol: Callable[..., Any], build: str) -> None:
+    """Let Python's operator `symbol` on lanes build the LLVM instruction called `build`."""
+
+    class Template(ConcreteTemplate):
+        cases = (signature(LANES, LANES, LANES),)
+
+    infer_global(symbol)(Template)
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return getattr(builder, build)(*args)
+
+    lower_builtin(symbol, LANES, LANES)(lower)
+
+
+for _symbol, _build in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
+    _register(_symbol, _build)
+
+
+def _broadcast(builder: Any, scalar: Any) -> Any:
+    single = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, _INDEX(0))
+    return builder.shuffle_vector(single, ir.Constant(_VECTOR, ir.Undefined), ir.Constant(ir.VectorType(_INDEX, WIDTH), [0] * WIDTH))
+
+
+@intrinsic
+def spread(typing: Any, scalar: Any) -> Any:
+    """spread(x): the float32 x in all lanes."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _broadcast(builder, context.cast(builder, args[0], sig.args[0], types.float32))
+
+    return LANES(scalar), generate
+
+
+def _pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, index_kind: Any) -> Any:
+    data = context.make_array(kind)(context, builder, array).data
+    place = builder.gep(data, [context.cast(builder, index, index_kind, types.intp)])
+    return builder.bitcast(place, _VECTOR.as_pointer())
+
+
+@intrinsic
+def load(typing: Any, array: Any, index: Any) -> Any:
+    """load(array, i): lanes array[i : i + 8] of a contiguous one-dimensional float32 array."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.load(_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[1]), align=4)
+
+    return LANES(array, index), generate
+
+
+@intrinsic
+def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """store(array, i, lanes): the reverse of `load`."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], args[1], sig.args[1]), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, index, value), generate
+
+
+@intrinsic
+def choose(typing: Any, left: Any, right: Any, then: Any, otherwise: Any) -> Any:
+    """choose(a, b, x, y): in each lane x where a >= b, else y."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.select(builder.fcmp_ordered(">=", args[0], args[1]), args[2], args[3])
+
+    return LANES(left, right, then, otherwise), generate
+
+
+@intrinsic
+def any_at_least(typing: Any, left: Any, right: Any) -> Any:
+    """any_at_least(a, b): whether a >= b in any lane."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        mask = builder.bitcast(builder.fcmp_ordered(">=", args[0], args[1]), ir.IntType(WIDTH))
+        return builder.icmp_unsigned("!=", mask, ir.IntType(WIDTH)(0))
+
+    return types.boolean(left, right), generate
+
+
+@intrinsic
+def negative(typing: Any, value: Any) -> Any:
+    """negative(a): -|a| in each lane."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), f"llvm.fabs.v{WIDTH}f32"
+        )
+        return builder.fneg(builder.call(function, args))
+
+    return LANES(value), generate
+
+
+@intrinsic
+def total(typing: Any, value: Any) -> Any:
+    """total(a): the sum of the lanes, a float32."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        result = args[0]
+        step = WIDTH // 2
+        while step:
+            order = [(lane + step) % WIDTH for lane in range(WIDTH)]
+            moved = builder.shuffle_vector(result, result, ir.Constant(ir.VectorType(_INDEX, WIDTH), order))
+            result = builder.fadd(result, moved)
+            step //= 2
+        return builder.extract_element(result, _INDEX(0))
+
+    return types.float32(value), generate

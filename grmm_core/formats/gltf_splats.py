@@ -1,0 +1,214 @@
+"""Splats in glTF: the extension KHR_gaussian_splatting on a point primitive.
+
+Attributes POSITION, KHR_gaussian_splatting:ROTATION (xyzw), :SCALE, :OPACITY (0..1) and :SH_DEGREE_l_COEF_n. An early draft
+stored the logarithm of the scale; the present text says linear: where any SCALE is negative it is taken as a logarithm. COLOR_0
+is written beside it, as the fallback that viewers without the extension draw as points. y is up. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..performance.rotations import matrix_to_quaternion, quaternion_to_matrix
+from .cloud import MAX_DEGREE, SH_C0, SplatCloud, exp_scale, finish_reading
+from .glb import GltfReader, GltfWriter
+
+KIND = "glTF splat file"
+EXTENSION = "KHR_gaussian_splatting"
+_POINTS = 0
+_MAX_NODES = 10_000
+
+
+def read_gltf_splats(path: Path) -> SplatCloud:
+    """Read all splat primitives of a `.glb` or `.gltf`, placed as the scene's nodes place them.
+
+    Raises:
+        FileFormatError: Damaged, or without splats.
+        FileAccessError: Missing or unreadable.
+    """
+    reader = GltfReader(path, kind=KIND)
+    clouds: list[SplatCloud] = []
+    for mesh_index, matrix in _placed_meshes(reader):
+        primitives = reader.item("meshes", mesh_index).get("primitives", [])
+        if not isinstance(primitives, list):
+            raise reader.bad("its primitives are malformed")
+        for primitive in primitives:
+            if isinstance(primitive, dict) and isinstance(primitive.get("attributes"), dict) and _is_splats(primitive):
+                clouds.append(_transform(reader, _read_primitive(reader, primitive["attributes"]), matrix))
+    if not clouds:
+        raise reader.bad(f"it has no {EXTENSION} primitive; it may be an ordinary mesh")
+    return finish_reading(path, KIND, _join(clouds))
+
+
+def _is_splats(primitive: dict[str, Any]) -> bool:
+    extensions = primitive.get("extensions")
+    named = isinstance(extensions, dict) and EXTENSION in extensions
+    return named or any(str(name).startswith(EXTENSION) for name in primitive["attributes"])
+
+
+def _read_primitive(reader: GltfReader, attributes: dict[str, Any]) -> SplatCloud:
+    def get(name: str, width: int, required: bool = True) -> np.ndarray | None:
+        index = attributes.get(f"{EXTENSION}:{name}", attributes.get(f"_{name}"))
+        if name == "POSITION":
+            index = attributes.get("POSITION")
+        if index is None:
+            if required:
+                raise reader.bad(f"a splat primitive has no attribute {name}")
+            return None
+        values = reader.accessor(index)
+        if (values.ndim == 1) != (width == 1) or (width > 1 and values.shape[1] != width):
+            raise reader.bad(f"attribute {name} is not {width} values a splat")
+        return values.astype(np.float32)
+
+    means, quats, scales = get("POSITION", 3), get("ROTATION", 4), get("SCALE", 3)
+    opacities = get("OPACITY", 1)
+    count = means.shape[0]
+    terms: list[np.ndarray] = []
+    for degree in range(MAX_DEGREE + 1):
+        level = [get(f"SH_DEGREE_{degree}_COEF_{n}", 3, required=degree == 0) for n in range(2 * degree + 1)]
+        if any(term is None for term in level):
+            break
+        terms += level
+    if any(array.shape[0] != count for array in (quats, scales, opacities, *terms)):
+        raise reader.bad("attributes of a splat primitive differ in length")
+    warnings = []
+    if count and (scales < 0).any():
+        scales = exp_scale(scales)
+        warnings.append("Scales are negative, so they were read as logarithms, as in an early draft of the format.")
+    return SplatCloud(means, quats[:, [3, 0, 1, 2]], scales, opacities, np.stack(terms, 1), warnings=warnings)
+
+
+def _placed_meshes(reader: GltfReader) -> list[tuple[int, np.ndarray]]:
+    """Mesh index and world matrix [4, 4] of every node with a mesh; all meshes at the origin where there are no nodes."""
+    nodes = reader.items("nodes")
+    if not nodes:
+        return [(i, np.eye(4)) for i in range(len(reader.items("meshes")))]
+    if len(nodes) > _MAX_NODES:
+        raise reader.bad(f"it has {len(nodes)} nodes")
+    children = {child for node in nodes for child in _children(reader, node)}
+    pending = [(i, np.eye(4)) for i in range(len(nodes)) if i not in children]
+    seen: set[int] = set()
+    placed = []
+    while pending:
+        index, parent = pending.pop()
+        if index in seen:
+            raise reader.bad("its nodes form a loop")
+        seen.add(index)
+        node = reader.item("nodes", index)
+        matrix = parent @ _local_matrix(reader, node)
+        if "mesh" in node:
+            placed.append((reader.integer(node, "mesh"), matrix))
+        pending += [(child, matrix) for child in _children(reader, node)]
+    return placed[::-1]
+
+
+def _children(reader: GltfReader, node: dict[str, Any]) -> list[int]:
+    children = node.get("children", [])
+    if not isinstance(children, list) or any(type(child) is not int for child in children):
+        raise reader.bad("its nodes are malformed")
+    return children
+
+
+def _local_matrix(reader: GltfReader, node: dict[str, Any]) -> np.ndarray:
+    try:
+        if "matrix" in node:
+            return np.array(node["matrix"], np.float64).reshape(4, 4).T
+        matrix = np.eye(4)
+        x, y, z, w = (float(v) for v in node.get("rotation", (0, 0, 0, 1)))
+        if x * x + y * y + z * z + w * w < 1e-12:
+            raise ValueError("zero rotation")
+        scale = np.array(node.get("scale", (1, 1, 1)), np.float64).reshape(3)
+        matrix[:3, :3] = quaternion_to_matrix(np.array([w, x, y, z])) * scale
+        matrix[:3, 3] = np.array(node.get("translation", (0, 0, 0)), np.float64).reshape(3)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise reader.bad("a node's placement is malformed") from error
+    return matrix
+
+
+def _transform(reader: GltfReader, cloud: SplatCloud, matrix: np.ndarray) -> SplatCloud:
+    """Move splats by a rotation, translation and uniform scale. Higher harmonics are kept only without a rotation."""
+    if np.allclose(matrix, np.eye(4)):
+        return cloud
+    linear = matrix[:3, :3]
+    determinant = float(np.linalg.det(linear)) if np.isfinite(matrix).all() else 0.0
+    if not 1e-18 < determinant < 1e18:
+        raise reader.bad("a node's placement is mirrored or not finite, which splats cannot follow")
+    size = determinant ** (1 / 3)
+    rotation = linear / size
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
+        raise reader.bad("a node's scale differs between axes, which splats cannot follow")
+    cloud.means = (cloud.means @ linear.T + matrix[:3, 3]).astype(np.float32)
+    cloud.scales = (cloud.scales * size).astype(np.float32)
+    cloud.quats = multiply_quaternions(matrix_to_quaternion(rotation)[None], cloud.quats)
+    if cloud.sh.shape[1] > 1 and not np.allclose(rotation, np.eye(3), atol=1e-4):
+        cloud.sh = cloud.sh[:, :1]
+        cloud.warnings.append("View-dependent colour was dropped, since its node is turned.")
+    return cloud
+
+
+def multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Hamilton product a b of quaternions wxyz, [..., 4], float32."""
+    aw, ax, ay, az = np.moveaxis(np.asarray(a), -1, 0)
+    bw, bx, by, bz = np.moveaxis(np.asarray(b), -1, 0)
+    return np.stack(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ],
+        -1,
+    ).astype(np.float32)
+
+
+def _join(clouds: list[SplatCloud]) -> SplatCloud:
+    """Concatenate clouds, at the lowest of their degrees."""
+    if len(clouds) == 1:
+        return clouds[0]
+    terms = min(cloud.sh.shape[1] for cloud in clouds)
+    return SplatCloud(
+        *(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in ("means", "quats", "scales", "opacities")),
+        np.concatenate([cloud.sh[:, :terms] for cloud in clouds]),
+        warnings=[warning for cloud in clouds for warning in cloud.warnings],
+    )
+
+
+def write_gltf_splats(path: str | os.PathLike[str], cloud: SplatCloud) -> None:
+    """Write a `.glb` with one splat primitive. Raises `ShapeError` and `FileAccessError`."""
+    cloud = cloud.validated()
+    writer = GltfWriter()
+    rgba = np.concatenate([np.clip(cloud.colors(), 0.0, 1.0), cloud.opacities[:, None]], 1)
+    attributes = {
+        "POSITION": writer.add_array(cloud.means, bounds=True),
+        "COLOR_0": writer.add_array(_to_linear(rgba)),
+        f"{EXTENSION}:ROTATION": writer.add_array(cloud.quats[:, [1, 2, 3, 0]]),
+        f"{EXTENSION}:SCALE": writer.add_array(cloud.scales),
+        f"{EXTENSION}:OPACITY": writer.add_array(cloud.opacities),
+    }
+    term = 0
+    for degree in range(cloud.degree + 1):
+        for n in range(2 * degree + 1):
+            attributes[f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{n}"] = writer.add_array(cloud.sh[:, term])
+            term += 1
+    settings = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display", "projection": "perspective"}
+    settings["sortingMethod"] = "cameraDistance"
+    primitive = {"mode": _POINTS, "attributes": attributes, "extensions": {EXTENSION: settings}}
+    mesh = writer.add("meshes", {"primitives": [primitive]})
+    node = writer.add("nodes", {"mesh": mesh, "name": "splats"})
+    writer.add("scenes", {"nodes": [node]})
+    writer.document |= {"scene": 0, "extensionsUsed": [EXTENSION]}
+    writer.write(path)
+
+
+def _to_linear(rgba: np.ndarray) -> np.ndarray:
+    """COLOR_0 is linear in glTF: undo the sRGB curve of the colours, keep alpha. [N, 4]."""
+    rgb = rgba[:, :3]
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return np.concatenate([linear, rgba[:, 3:]], 1).astype(np.float32)
+
+
+__all__ = ["EXTENSION", "SH_C0", "multiply_quaternions", "read_gltf_splats", "write_gltf_splats"]

@@ -19,6 +19,7 @@ A module in `MODULES` exports `CLASSES` (Blender classes in registration order) 
 
 from __future__ import annotations
 
+import atexit
 import importlib
 import importlib.util
 from types import ModuleType
@@ -41,7 +42,12 @@ _registered: list[tuple[ModuleType, tuple[type, ...]]] = []
 
 
 def register() -> None:
-    """Register all modules; when one fails, take back those before it and let the error out."""
+    """Register all modules; when one fails, take back those before it and let the error out.
+
+    Everything also goes when the process ends: Blender 4.5 hangs at exit with a render engine registered, and a worker
+    process must not stay behind.
+    """
+    atexit.register(unregister)
     try:
         for name in MODULES:
             try:
@@ -57,7 +63,8 @@ def register() -> None:
 
 
 def unregister() -> None:
-    """Unregister what is registered, last first."""
+    """Unregister what is registered, last first; harmless when nothing is."""
+    atexit.unregister(unregister)
     while _registered:
         module, classes = _registered.pop()
         if hasattr(module, "unregister"):

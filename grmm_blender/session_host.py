@@ -10,7 +10,6 @@ Imports neither torch nor bpy's data; `grmm_core.session` is light.
 
 from __future__ import annotations
 
-import atexit
 import logging
 import os
 import threading
@@ -156,12 +155,6 @@ def shutdown() -> None:
         session.close()
 
 
-def register() -> None:
-    """Close the worker also when Blender ends without unregistering."""
-    atexit.register(shutdown)
-
-
 def unregister() -> None:
-    """Take back `register` and close the session."""
-    atexit.unregister(shutdown)
+    """Close the session."""
     shutdown()

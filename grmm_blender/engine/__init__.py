@@ -1,24 +1,32 @@
 """The GRMM render engine (`bl_idname` "GRMM"): stills, animations, the rendered viewport.
 
+=================  ==============================================================================
+``settings``       settings of scenes and view layers
+``ui``             panels in the render and view layer properties
 ``render_engine``  the RenderEngine class; every method delegates
-``settings``       scene and view-layer settings of the engine, and its panels in the render properties
+``final``          final renders
+``passes``         which passes there are
+``collect``        the avatars of a depsgraph
+``occluders``      the meshes of a depsgraph
+``snapshot``       camera, region and world as plain values; the types that carry a frame
+``picture``        from the session's buffers to pass values (numpy only)
+=================  ==============================================================================
 """
 
 from __future__ import annotations
 
-import atexit
+from . import render_engine, settings, ui
 
-from . import render_engine
-
-CLASSES = (*render_engine.CLASSES,)
+CLASSES = (*settings.CLASSES, *render_engine.CLASSES, *ui.CLASSES)
 
 
 def register() -> None:
-    """Arrange for the engine to go before Blender's Python does: Blender 4.5 hangs at exit with an engine registered."""
-    atexit.unregister(render_engine.unregister_at_exit)
-    atexit.register(render_engine.unregister_at_exit)
+    """Attach settings and panels."""
+    settings.register()
+    ui.register()
 
 
 def unregister() -> None:
     """Take back `register`."""
-    atexit.unregister(render_engine.unregister_at_exit)
+    ui.unregister()
+    settings.unregister()

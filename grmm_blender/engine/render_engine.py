@@ -1,8 +1,10 @@
-"""The engine's Blender class."""
+"""The engine's Blender class; every method delegates."""
 
 from __future__ import annotations
 
 import bpy
+
+from . import collect, final, passes
 
 
 class GRMM_RenderEngine(bpy.types.RenderEngine):
@@ -11,12 +13,16 @@ class GRMM_RenderEngine(bpy.types.RenderEngine):
     bl_idname = "GRMM"
     bl_label = "GRMM"
     bl_use_preview = False
+    bl_use_exclude_layers = True
+    bl_use_eevee_viewport = True  # material preview shows the scene with EEVEE
+
+    def update_render_passes(self, scene: bpy.types.Scene, renderlayer: bpy.types.ViewLayer) -> None:
+        """Tell Blender which passes there are."""
+        passes.register_passes(self, scene, renderlayer, collect.avatar_names(scene))
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Render one view layer of one frame."""
+        final.render(self, depsgraph)
 
 
 CLASSES = (GRMM_RenderEngine,)
-
-
-def unregister_at_exit() -> None:
-    """Unregister the engine if it still is registered."""
-    if GRMM_RenderEngine.is_registered:
-        bpy.utils.unregister_class(GRMM_RenderEngine)

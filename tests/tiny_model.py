@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 
-def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", **changes) -> Path:
-    """Write weights of the `tiny` configuration on the open head; every part of the network does something."""
+def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", preset: str = "tiny", **changes) -> Path:
+    """Write random weights of a configuration on the open head; every part of the network does something."""
     import torch
 
     from grmm_core.head import load_open_head
@@ -18,7 +18,7 @@ def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", **changes)
 
     torch.manual_seed(seed)
     head = load_open_head()
-    model = GRMM(head, PRESETS["tiny"].replace(**changes))
+    model = GRMM(head, PRESETS[preset].replace(**changes))
     with torch.no_grad():
         for head_of in (model.mesh_decoder.identity, model.mesh_decoder.expression):
             head_of[-1].weight.normal_(std=0.5)

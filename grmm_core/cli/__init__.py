@@ -16,6 +16,7 @@ import importlib.util
 import logging
 import os
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from types import ModuleType
 
@@ -46,6 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.basicConfig(
         level=logging.DEBUG if args.debug else logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr
     )
+    if not args.debug:
+        warnings.simplefilter("ignore")  # those of libraries are for developers
     try:
         result = modules[args.command].run(args)
         if isinstance(result, int):

@@ -6,6 +6,7 @@ What each step depends on, and so what its cache key holds (the owner is the ava
 opacity        identity code
 appearance     identity code, view direction (to the last bit)
 offsets        identity code, expression code
+rest           shape
 mesh           identity code, expression code, shape, expression, pose, strength
 geometry       what mesh and offsets depend on
 =============  ==============================================
@@ -25,6 +26,7 @@ from torch import Tensor
 from ..avatar import Avatar
 from ..controls import Controls, resolve
 from ..errors import ShapeError
+from ..head.skinning import euler_matrices, posed_vertices
 from ..model.grmm import GRMM, JAW, NECK, euler_to_rotvec
 from ..model.texels import rotate
 from ..splat import Gaussians
@@ -123,17 +125,28 @@ class Evaluator:
         """Return posed vertices and the learned displacement, both [V, 3] metres."""
 
         def make() -> tuple[Tensor, Tensor]:
-            model = target.model
-            z_id, z_exp, expression, pose, shape = (
-                self._tensor(model, array)[None]
-                for array in (inputs.z_id, inputs.z_exp, inputs.expression, inputs.pose, inputs.shape)
+            model, head = target.model, target.model.head
+            z_id, z_exp, expression, pose = (
+                self._tensor(model, array)[None] for array in (inputs.z_id, inputs.z_exp, inputs.expression, inputs.pose)
             )
             turns = euler_to_rotvec(pose[0, [NECK, JAW]])
-            displacement = model.displacement(z_id, z_exp, turns[:1], turns[1:], expression) * inputs.strength
-            vertices = model.vertices(shape, expression, pose, displacement)
-            return vertices[0], displacement[0]
+            displacement = model.displacement(z_id, z_exp, turns[:1], turns[1:], expression)[0] * inputs.strength
+            shaped, joints = self.rest(target, inputs)
+            used = int(np.flatnonzero(inputs.expression)[-1]) + 1 if inputs.expression.any() else 0
+            unposed = shaped + head.expression_dirs[:, :, :used] @ expression[0, :used] + displacement
+            rotations = euler_matrices(pose[0])
+            return posed_vertices(unposed, rotations, joints, head.weights, head.parents, head.posedirs), displacement
 
         return self.cache.get((target.id, "mesh", *inputs.mesh_key), make)
+
+    def rest(self, target: OpenAvatar, inputs: Inputs) -> tuple[Tensor, Tensor]:
+        """Return the shaped head without expression [V, 3] and its rest joints [5, 3]: most of the arithmetic of a mesh."""
+
+        def make() -> tuple[Tensor, Tensor]:
+            shape = self._tensor(target.model, inputs.shape)
+            return target.model.head.shaped(shape), target.model.head.joints(shape)
+
+        return self.cache.get((target.id, "rest", inputs.shape.tobytes()), make)
 
     def geometry(self, target: OpenAvatar, inputs: Inputs) -> tuple[Tensor, Tensor, Tensor]:
         """Return means [N, 3], quaternions [N, 4] and scales [N, 3] in head space."""

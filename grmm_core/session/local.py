@@ -5,6 +5,7 @@ Used directly by the command line and scripts, and inside the worker process by 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import importlib.util
@@ -12,7 +13,7 @@ import logging
 import os
 import platform
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -157,7 +158,8 @@ class LocalSession:
         """See `Session.deform`."""
         target = self._target(avatar_id)
         inputs = self._evaluator.inputs(target, controls)
-        vertices, displacement = self._evaluator.mesh(target, inputs)
+        with one_thread():
+            vertices, displacement = self._evaluator.mesh(target, inputs)
         return Deformation(_array(vertices), _array(displacement), _joints(target, inputs))
 
     @_guarded
@@ -286,6 +288,17 @@ def limit_threads(count: int) -> None:
         import numba
 
         numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Run torch on the calling thread alone: a mesh takes less than a millisecond, waking other threads can take many."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def describe_device(device: torch.device) -> str:

@@ -1,0 +1,265 @@
+"""The `grmm` command: results, files, errors in one sentence, exit codes."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grmm_core.avatar import load_avatar
+from grmm_core.cli import main
+from grmm_core.cli.console import Console
+from grmm_core.session import EMPTY_DEPTH
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    pytest.importorskip("torch")
+    from tiny_model import write_tiny_weights
+
+    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
+
+
+@pytest.fixture
+def grmm(capsys):
+    def call(*arguments: object) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+@pytest.fixture
+def render(grmm, weights):
+    def call(*arguments: object) -> tuple[int, str, str]:
+        return grmm("render", *arguments, "--weights", weights, "--device", "cpu")
+
+    return call
+
+
+def read_png(path: Path) -> np.ndarray:
+    image = pytest.importorskip("PIL.Image")
+    return np.asarray(image.open(path))
+
+
+def test_every_command_has_help(grmm):
+    code, out, _ = grmm("--help")
+    assert code == 0
+    for name in ("info", "render", "sample"):
+        assert name in out
+        code, text, _ = grmm(name, "--help")
+        assert code == 0
+        assert "--json" in text
+        assert "--debug" in text
+
+
+@pytest.mark.parametrize(
+    "line", ["", "dance", "render default", "render default -o x.png --size 0x9", "render default -o x.png --passes beauty",
+             "render default -o x.png --yaw left"]
+)  # fmt: skip
+def test_wrong_usage_is_exit_code_2(grmm, line):
+    code, out, err = grmm(*line.split())
+    assert code == 2
+    assert out == ""
+    assert "grmm" in err
+
+
+def test_info_describes_the_installation(grmm):
+    code, out, _ = grmm("info", "--json")
+    facts = json.loads(out)
+    assert code == 0
+    assert facts["libraries"]["numpy"] == np.__version__
+    assert set(facts["rasterisers"]) == {"torch", "cpu", "cuda"}
+    assert "open_head" in [head["name"] for head in facts["head models"]]
+    code, out, _ = grmm("info")
+    assert code == 0
+    assert f"numpy: {np.__version__}" in out
+
+
+def test_render_writes_a_picture_with_straight_alpha(render, tmp_path):
+    path = tmp_path / "bild ü.png"
+    code, out, err = render("default", "-o", path, "--size", "80x60")
+    assert (code, out, err) == (0, f"Wrote {path}.\n", "")
+    picture = read_png(path)
+    assert picture.shape == (60, 80, 4)
+    assert picture[0, 0].tolist() == [0, 0, 0, 0]
+    assert picture[30, 40, 3] > 240
+    assert [p.name for p in tmp_path.iterdir()] == [path.name]
+
+
+def test_render_follows_its_options(render, tmp_path):
+    def picture(*options):
+        path = tmp_path / "x.png"
+        assert render("default", "-o", path, "--size", "64", *options)[0] == 0
+        return read_png(path).astype(int)
+
+    front = picture()
+    for options in ("--yaw 40", "--pitch 30", "--distance 1.4", "--fov 12", "--no-refine", "--set jaw.x=0.4",
+                    "--set shape.0=3 --set laugh=1", "--lod 1"):  # fmt: skip
+        assert np.abs(picture(*options.split()) - front).max() > 8, options
+    np.testing.assert_array_equal(picture("--set", "jawOpen=0"), front)
+    white = picture("--background", "1,1,1")
+    assert white.shape == (64, 64, 3)
+    assert (white[0, 0] == 255).all()
+
+
+def test_render_writes_every_pass(render, tmp_path):
+    path = tmp_path / "x.png"
+    passes = "rgb,alpha,depth,raw,normal,mask,features"
+    code, out, _ = render("default", "-o", path, "--size", "48", "--passes", passes, "--json")
+    facts = json.loads(out)
+    assert code == 0
+    assert facts["files"]["depth"] == str(tmp_path / "x.depth.npy")
+    assert (facts["width"], facts["height"], facts["weights"]) == (48, 48, "tiny")
+    depth = np.load(tmp_path / "x.depth.npy")
+    assert depth.shape == (48, 48)
+    assert depth[0, 0] == np.float32(EMPTY_DEPTH)
+    assert 0.7 < depth.min() < 1.0
+    assert np.load(tmp_path / "x.features.npy").shape == (48, 48, 4)
+    alpha = read_png(tmp_path / "x.alpha.png")
+    assert alpha.max() > 60_000  # 16 bits
+    header = (tmp_path / "x.normal.png").read_bytes()[16:26]
+    assert struct.unpack(">IIBB", header) == (48, 48, 16, 2)
+    assert read_png(tmp_path / "x.raw.png").shape == (48, 48, 4)
+
+
+def test_render_writes_arrays_and_exr(render, tmp_path):
+    assert render("default", "-o", tmp_path / "x.npz", "--size", "32", "--passes", "rgb,depth")[0] == 0
+    arrays = np.load(tmp_path / "x.npz")
+    assert {name: array.shape[2] for name, array in arrays.items()} == {"rgb": 3, "depth": 1, "alpha": 1}
+    assert render("default", "-o", tmp_path / "x.exr", "--size", "32", "--passes", "rgb,depth")[0] == 0
+    data = (tmp_path / "x.exr").read_bytes()
+    assert data[:4] == b"\x76\x2f\x31\x01"
+    for channel in (b"R\0", b"A\0", b"depth.Z\0"):
+        assert channel in data[:400]
+
+
+def test_sample_makes_an_avatar_that_renders(grmm, render, weights, tmp_path):
+    path = tmp_path / "person.grmm"
+    code, out, _ = grmm("sample", "--seed", 5, "-o", path, "--weights", weights, "--json")
+    assert code == 0
+    assert json.loads(out)["name"] == "Sample 5"
+    again = tmp_path / "again.grmm"
+    assert grmm("sample", "--seed", 5, "-o", again, "--weights", weights)[0] == 0
+    np.testing.assert_array_equal(load_avatar(path).z_id, load_avatar(again).z_id)
+    assert render(path, "-o", tmp_path / "x.png", "--size", "32")[0] == 0
+    code, out, _ = grmm("info", path, "--json")
+    assert json.loads(out)["name"] == "Sample 5"
+    assert json.loads(out)["from photos"] is False
+
+
+def test_info_describes_weights(grmm, weights):
+    code, out, _ = grmm("info", weights, "--json")
+    assert code == 0
+    assert json.loads(out)["people"] == 4
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["info", "none.grmm"], "does not exist"),
+        (["info", "photo.jpg"], "neither an avatar"),
+        (["render", "none.grmm", "-o", "x.png"], "does not exist"),
+        (["render", "default", "-o", "no folder/x.png"], "folder no folder does not exist"),
+        (["render", "default", "-o", "x.jpg"], "does not end in"),
+        (["render", "default", "-o", "x.png", "--set", "jawOpne=1"], "no control named 'jawOpne'"),
+        (["render", "default", "-o", "x.png", "--set", "jawOpen=nan"], "not a finite number"),
+        (["render", "default", "-o", "x.png", "--set", "jawOpen"], "not of the form NAME=NUMBER"),
+        (["render", "default", "-o", "x.png", "--weights", "none"], "not installed"),
+        (["render", "default", "-o", "x.png", "--fov", "400"], "field of view"),
+        (["sample", "-o", "no folder/x.grmm"], "folder no folder does not exist"),
+    ],
+)
+def test_errors_are_one_sentence_and_exit_code_1(grmm, arguments, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = grmm(*arguments)
+    assert (code, out) == (1, "")
+    assert message in err
+    assert err.startswith("grmm: ")
+    assert err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unwritable_folders_leave_nothing(render, tmp_path, monkeypatch):
+    def full_disk(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("grmm_core.files.os.fsync", full_disk)
+    code, _, err = render("default", "-o", tmp_path / "x.png", "--size", "16")
+    assert code == 1
+    assert "no space left on device" in err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_defects_show_a_traceback_only_under_debug(grmm, monkeypatch, caplog):
+    from grmm_core.cli import info
+
+    def broken():
+        raise ValueError("two\nlines")
+
+    monkeypatch.setattr(info, "installation", broken)
+    code, _, err = grmm("info")
+    assert code == 1
+    assert err == "grmm: Internal error (ValueError: two lines); run again with --debug and report it.\n"
+    assert not caplog.records
+    assert grmm("info", "--debug")[0] == 1
+    assert caplog.records[-1].exc_info[0] is ValueError
+
+
+def test_interrupting_is_one_sentence(grmm, monkeypatch):
+    from grmm_core.cli import info
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(info, "installation", interrupt)
+    assert grmm("info") == (1, "", "grmm: Cancelled.\n")
+
+
+def test_the_module_runs_and_survives_a_closed_pipe():
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    command = f'"{sys.executable}" -m grmm_core info | head -1; exit "${{PIPESTATUS[0]}}"'
+    result = subprocess.run(["bash", "-c", command], capture_output=True, text=True, env=environment, timeout=60)
+    assert result.stdout.startswith("grmm: ")
+    assert "Traceback" not in result.stderr
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys; from grmm_core.cli import main; main(['render', '--help']); "
+        "print(sorted({'torch', 'numba', 'bpy'} & set(sys.modules)))"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=60
+    )
+    assert result.stdout.splitlines()[-1] == "[]"
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_is_drawn_on_a_terminal_only():
+    for stream, as_json, drawn in ((Terminal(), False, True), (io.StringIO(), False, False), (Terminal(), True, False)):
+        console = Console(as_json, stdout=io.StringIO(), stderr=stream)
+        with console.progress("working", 4) as bar:
+            bar.advance(2)
+        assert ("working [" in stream.getvalue()) == drawn
+    assert stream.getvalue() == ""
+
+
+def test_json_has_no_nan():
+    out = io.StringIO()
+    Console(True, stdout=out).result({"a": float("nan"), "b": np.float32(2.0), "c": np.arange(2), "d": Path("x")})
+    assert json.loads(out.getvalue()) == {"a": None, "b": 2.0, "c": [0, 1], "d": "x"}

@@ -6,7 +6,6 @@ The fitting uses the same functions. Pictures are [H, W, 3] display sRGB.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -16,12 +15,11 @@ import torch
 from torch import Tensor
 
 from ..errors import ShapeError
+from .blur import blur
 
 if TYPE_CHECKING:
     from ..model.grmm import Rendering
 
-SSIM_SIGMA = 1.5
-SSIM_RADIUS = 5
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for values 0..1
 SCALE_MIN_MM, SCALE_MAX_MM = 0.1, 10.0  # eq. 18
 _SCALE_EPSILON = 1e-7
@@ -137,28 +135,17 @@ def l1_loss(a: Tensor, b: Tensor) -> Tensor:
 def ssim(a: Tensor, b: Tensor) -> Tensor:
     """Mean structural similarity of two pictures [H, W, C] with values 0..1 (Gaussian window, sigma 1.5, 11 pixels).
 
-    Filtering with a separable window is two products with banded matrices, which on a CPU is an order of magnitude faster
-    than convolving single channels. Windows that leave the picture are cut and renormalised.
+    Windows that leave the picture are cut and renormalised.
     """
     if a.shape != b.shape or a.ndim != 3:
         raise ShapeError(f"SSIM compares two pictures [H, W, C]; these have shapes {tuple(a.shape)} and {tuple(b.shape)}.")
-    height, width, channels = a.shape
+    channels = a.shape[2]
     planes = torch.cat([a, b, a * a + b * b, a * b], -1).permute(2, 0, 1)  # [4C, H, W]; s_a + s_b is all that is needed
-    rows, columns = _window(height, a.dtype, a.device), _window(width, a.dtype, a.device)
-    mean_a, mean_b, squares, product = ((rows @ planes) @ columns.T).split(channels)
+    mean_a, mean_b, squares, product = blur(planes).split(channels)
     mean_product, mean_squares = mean_a * mean_b, mean_a.square() + mean_b.square()
     contrast = (2.0 * (product - mean_product) + SSIM_C2) / (squares - mean_squares + SSIM_C2)
     luminance = (2.0 * mean_product + SSIM_C1) / (mean_squares + SSIM_C1)
     return (luminance * contrast).mean()
-
-
-@functools.lru_cache(maxsize=16)
-def _window(size: int, dtype: torch.dtype, device: torch.device) -> Tensor:
-    """Banded matrix [size, size] that filters a column with the SSIM window."""
-    distance = torch.arange(size)[:, None] - torch.arange(size)[None]
-    weight = torch.exp(-(distance.double() ** 2) / (2.0 * SSIM_SIGMA**2))
-    weight = torch.where(distance.abs() <= SSIM_RADIUS, weight, 0.0)
-    return (weight / weight.sum(1, keepdim=True)).to(dtype).to(device)
 
 
 def depth_loss(depth: Tensor, alpha: Tensor, target: Tensor) -> Tensor:

@@ -1,0 +1,168 @@
+"""An avatar in a Blender scene as a Python object: the only place that reads its controls and placement.
+
+`Avatar` wraps the head object, which carries the controls (see `rig`). The render engine, the viewport, handlers, operators
+and panels all go through it. Values come from the evaluated scene, so animation, drivers, constraints and library overrides
+count as they do for the mesh. Imports neither torch nor the session.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..grmm_core.controls import Controls
+from ..grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
+from ..grmm_core.session import HEAD_TO_BLENDER
+from .rig.armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset
+from .rig.definitions import ARRAY_NAMES, STRENGTH
+
+DEFAULT_SOURCE = "default"
+_SAMPLE_PREFIX = "sample:"
+
+
+class Avatar:
+    """The avatar of a head object.
+
+    Attributes:
+        object: The head object, original data (not evaluated).
+    """
+
+    def __init__(self, obj: bpy.types.Object) -> None:
+        """Wrap a head object; an evaluated one is replaced by its original."""
+        self.object: bpy.types.Object = obj.original
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Avatar) and other.object == self.object
+
+    def __hash__(self) -> int:
+        return hash(self.object)
+
+    @property
+    def name(self) -> str:
+        """Name of the head object."""
+        return self.object.name
+
+    @property
+    def key(self) -> int:
+        """Number that identifies the head object for as long as the file is open, also across undo."""
+        return self.object.session_uid
+
+    @property
+    def source(self) -> str:
+        """What to open in a session: "default", "sample:SEED", or the absolute path of a `.grmm` file."""
+        stored = self.object.grmm.source
+        if not stored or stored == DEFAULT_SOURCE or stored.startswith(_SAMPLE_PREFIX):
+            return stored or DEFAULT_SOURCE
+        return bpy.path.abspath(stored, library=self.object.library)
+
+    @property
+    def armature(self) -> bpy.types.Object | None:
+        """The armature that deforms the head, or None where it was removed."""
+        for modifier in self.object.modifiers:
+            if modifier.type == "ARMATURE" and modifier.object is not None:
+                return modifier.object
+        return None
+
+    def controls(self, depsgraph: bpy.types.Depsgraph | None = None) -> Controls:
+        """Return the controls of the current frame, not validated.
+
+        The pose comes from the posed bones, whatever moves them; what expressions add to them is taken off again, since
+        `resolve` adds it.
+
+        Args:
+            depsgraph: Evaluated scene; the context's when None.
+        """
+        depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+        obj = self.object.evaluated_get(depsgraph)
+        result = Controls()
+        result.aligned = np.array([obj.get(name, 0.0) for name in ALIGNED_NAMES], np.float32)
+        for name in ARRAY_NAMES:
+            values = obj.get(name)
+            setattr(result, name, np.array([] if values is None else values.to_list(), np.float32))
+        result.residual_strength = float(obj.get(STRENGTH, 1.0))
+        result.pose = self._pose(depsgraph)
+        return result
+
+    def model_to_world(self, depsgraph: bpy.types.Depsgraph | None = None) -> np.ndarray:
+        """Return head space (metres, y up, face towards +z) to Blender's world, [4, 4] float64.
+
+        The root bone's rotation is a control; its translation is part of the placement.
+
+        Args:
+            depsgraph: Evaluated scene; the context's when None.
+        """
+        depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+        rig = self._evaluated_armature(depsgraph)
+        placed = self.object.evaluated_get(depsgraph) if rig is None else rig
+        return self._placement(np.array(placed.matrix_world, np.float64), rig)
+
+    def instance_to_world(self, matrix_world: Matrix, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
+        """Return head space to world for an instance of the head object, [4, 4]: see `instances_in`."""
+        return self._placement(np.array(matrix_world, np.float64), self._evaluated_armature(depsgraph))
+
+    def _placement(self, matrix_world: np.ndarray, rig: bpy.types.Object | None) -> np.ndarray:
+        matrix = matrix_world @ HEAD_TO_BLENDER
+        root = rig.pose.bones.get(ROOT) if rig is not None else None
+        if root is not None and root.parent is not None:
+            offset = np.eye(4)
+            offset[:3, 3] = root_offset(root)
+            matrix = matrix @ offset
+        return matrix
+
+    def _evaluated_armature(self, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object | None:
+        rig = self.armature
+        return None if rig is None else rig.evaluated_get(depsgraph)
+
+    def _pose(self, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
+        """XYZ Euler angles in radians of the five joints, without what expressions add, [5, 3]."""
+        pose = np.zeros((len(JOINT_NAMES), 3), np.float32)
+        rig = self._evaluated_armature(depsgraph)
+        if rig is None:
+            return pose
+        for joint, name in enumerate(JOINT_NAMES):
+            bone = rig.pose.bones.get(name)
+            if bone is None or bone.parent is None:
+                continue
+            driven = rig.pose.bones.get(DRIVEN_PREFIX + name)
+            pose[joint] = local_rotation(bone).to_euler("XYZ")
+            if driven is not None:
+                pose[joint] -= np.array(driven.rotation_euler, np.float32)
+        return pose
+
+
+def is_avatar(obj: bpy.types.Object | None) -> bool:
+    """Whether an object is the head of an avatar."""
+    return obj is not None and obj.type == "MESH" and obj.grmm.is_avatar
+
+
+def avatar_of(obj: bpy.types.Object | None) -> Avatar | None:
+    """Return the avatar that an object belongs to: its head, or the armature of one; None for anything else."""
+    if is_avatar(obj):
+        return Avatar(obj)
+    if obj is not None and obj.type == "ARMATURE":
+        for child in obj.children:
+            if is_avatar(child) and Avatar(child).armature == obj:
+                return Avatar(child)
+    return None
+
+
+def avatars_in(where: bpy.types.Scene | bpy.types.Depsgraph) -> list[Avatar]:
+    """Return the avatars of a scene, or those that an evaluated scene shows; each once, in the order of their names."""
+    objects = where.objects
+    found = {Avatar(obj) for obj in objects if is_avatar(obj)}
+    return sorted(found, key=lambda avatar: avatar.name)
+
+
+def instances_in(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[Avatar, np.ndarray]]:
+    """Yield every visible avatar with its placement, [4, 4]; several times where collections are instanced."""
+    for instance in depsgraph.object_instances:
+        if not is_avatar(instance.object):
+            continue
+        avatar = Avatar(instance.object)
+        if instance.is_instance:
+            yield avatar, avatar.instance_to_world(instance.matrix_world, depsgraph)
+        else:
+            yield avatar, avatar.model_to_world(depsgraph)

@@ -1,0 +1,60 @@
+"""Properties of the extension on Blender's data that are not controls: what makes an object an avatar.
+
+The controls themselves are custom properties (see `rig.definitions`), which keep working where the extension is absent.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from .rig.identity import DEFAULT_SOURCE
+
+
+class GRMM_PG_avatar(bpy.types.PropertyGroup):
+    """Settings of a head object."""
+
+    is_avatar: bpy.props.BoolProperty(
+        name="Avatar",
+        description="This mesh is the head of a GRMM avatar",
+        default=False,
+        options={"HIDDEN"},
+    )
+    source: bpy.props.StringProperty(
+        name="Source",
+        description='The avatar that is drawn: "default", "sample:NUMBER", or a .grmm file',
+        default=DEFAULT_SOURCE,
+        subtype="FILE_PATH",
+    )
+    head_name: bpy.props.StringProperty(
+        name="Head model",
+        description="Head model that the rig was built from",
+        default="",
+        options={"HIDDEN"},
+    )
+    live_detail: bpy.props.BoolProperty(
+        name="Learned Detail on Mesh",
+        description="Keep the residual shape key up to date with the model, so that the mesh shows the learned displacement",
+        default=True,
+        override={"LIBRARY_OVERRIDABLE"},
+    )
+    detail_in_playback: bpy.props.BoolProperty(
+        name="Also During Playback",
+        description="Update the learned detail on every frame of playback; slower. Renders always have it",
+        default=False,
+        override={"LIBRARY_OVERRIDABLE"},
+    )
+
+
+CLASSES = (GRMM_PG_avatar,)
+
+
+def register() -> None:
+    """Attach the groups to Blender's types."""
+    bpy.types.Object.grmm = bpy.props.PointerProperty(
+        type=GRMM_PG_avatar, name="GRMM Avatar", override={"LIBRARY_OVERRIDABLE"}
+    )
+
+
+def unregister() -> None:
+    """Take the groups back; the values stay in the files."""
+    del bpy.types.Object.grmm

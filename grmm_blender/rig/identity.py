@@ -1,0 +1,105 @@
+"""From an avatar's source to what the rig is built from: head model, resting shape and expression, code sizes.
+
+Works with numpy alone wherever the source is a file or the default, so that a head can be added and animated where there is
+no runtime. Used by `build` and the relink operator; imports neither bpy nor torch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...grmm_core.avatar import AssetReference, load_avatar
+from ...grmm_core.errors import FileFormatError
+from ...grmm_core.head import HeadModel, load_open_head
+from ...grmm_core.head.open_head import ASSET as OPEN_HEAD_ASSET
+from ...grmm_core.tensorfile import read_tensors
+from .. import session_host
+
+DEFAULT_SOURCE = "default"
+OPEN_HEAD = "open_head"
+# as `grmm_core.model.weights` writes them; that module needs torch, and a head is added without a runtime too
+_WEIGHTS = OPEN_HEAD_ASSET.parent / "weights" / "default.safetensors"
+_DEFAULT_SHAPE, _DEFAULT_Z_ID, _CODES = "people/default_shape", "people/default_z_id", "model/aligned_codes"
+_PAPER_SIZES = (512, 256)  # z_id, z_exp
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What a rig needs to know of an avatar.
+
+    Attributes:
+        name: Display name.
+        head: Head model.
+        shape: Its own shape coefficients, [<=S]; the rig's resting mesh.
+        expression: Its own offset to the expression coefficients, [<=E].
+        z_id_size, z_exp_size: Length of the residual codes.
+    """
+
+    name: str
+    head: HeadModel
+    shape: np.ndarray
+    expression: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
+    z_id_size: int = _PAPER_SIZES[0]
+    z_exp_size: int = _PAPER_SIZES[1]
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """The resting mesh before skinning, head space, metres, [V, 3]."""
+        return self.head.shaped(self.shape, self.expression)
+
+    @property
+    def joints(self) -> np.ndarray:
+        """Rest joints, head space, metres, [5, 3]."""
+        return self.head.joints(self.shape)
+
+    @property
+    def resting_pose(self) -> np.ndarray:
+        """Euler angles in radians that the avatar's own expression adds to the joints, [5, 3]."""
+        return self.head.pose_of(self.expression)
+
+
+def read_identity(source: str) -> Identity:
+    """Return the identity of a source.
+
+    Args:
+        source: "default", "sample:SEED" (needs the runtime) or the absolute path of a `.grmm` file.
+
+    Raises:
+        FileAccessError, FileFormatError: The file is missing, damaged, or of a head model that is not installed.
+        RuntimeMissingError: A sample, and nothing here can run the model.
+    """
+    if source == DEFAULT_SOURCE:
+        return _default()
+    if source.startswith(session_host.SAMPLE_PREFIX):
+        info = session_host.open_avatar(source)
+        head = load_head(AssetReference(info.head_name))
+        return Identity(info.name, head, info.shape, z_id_size=info.z_id_size, z_exp_size=info.z_exp_size)
+    avatar = load_avatar(source)
+    head = load_head(avatar.head)
+    if avatar.shape[head.shape_count :].any() or avatar.expression.size > head.expression_count:
+        raise FileFormatError(f"{source} does not fit the head model {head.name!r}; make the avatar anew.")
+    return Identity(
+        avatar.name, head, avatar.shape[: head.shape_count], avatar.expression, avatar.z_id.size, avatar.z_exp.size
+    )
+
+
+def load_head(reference: AssetReference) -> HeadModel:
+    """Return an installed head model by name. Raises `FileFormatError` where there is none of that name."""
+    if reference.name == OPEN_HEAD:
+        return load_open_head()
+    raise FileFormatError(f"The head model {reference.name!r} is not installed; use an avatar of the open head.")
+
+
+def _default() -> Identity:
+    head = load_open_head()
+    if not _WEIGHTS.exists():  # a development checkout before training
+        return Identity("Open head", head, np.zeros(head.shape_count, np.float32))
+    tensors, _ = read_tensors(_WEIGHTS)
+    try:
+        shape = tensors[_DEFAULT_SHAPE][: head.shape_count].astype(np.float32)
+        z_id_size, z_exp_size = tensors[_DEFAULT_Z_ID].shape[0], tensors[_CODES].shape[1]
+    except (KeyError, IndexError) as error:
+        raise FileFormatError(f"{_WEIGHTS} is not a usable weights file; install the add-on again.") from error
+    return Identity("Default head", head, shape, z_id_size=z_id_size, z_exp_size=z_exp_size)

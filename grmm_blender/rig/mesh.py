@@ -1,0 +1,163 @@
+"""The head mesh of an avatar: geometry, UV map, materials, vertex groups and shape keys, in Blender's axes.
+
+Used by `build` and, for the resting shape, by the relink operator. Drivers are set up in `drivers`.
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ...grmm_core.controls import ALIGNED_TO_ARKIT
+from ...grmm_core.expressions import ALIGNED_NAMES
+from ...grmm_core.head import HeadModel
+from .definitions import SHAPE
+from .identity import Identity
+
+BASIS_KEY = "Basis"
+RESIDUAL_KEY = "residual"
+DEFORM_PREFIX = "DEF-"
+UV_NAME = "UVMap"
+KEY_LIMIT = 10.0  # the most that Blender allows a shape key
+_MIN_WEIGHT = 1e-7
+# region, colour (linear), roughness: what the bare mesh looks like where no splats are drawn
+_MATERIALS = (
+    ("Skin", (), (0.58, 0.34, 0.25, 1.0), 0.5),
+    ("Eyes", ("eye",), (0.75, 0.74, 0.72, 1.0), 0.1),
+    ("Teeth", ("teeth",), (0.72, 0.68, 0.58, 1.0), 0.25),
+    ("Mouth", ("mouth_interior", "tongue"), (0.38, 0.11, 0.1, 1.0), 0.35),
+    ("Hair", ("lash",), (0.03, 0.02, 0.015, 1.0), 0.6),
+)
+
+
+def to_blender(points: np.ndarray) -> np.ndarray:
+    """Head axes to Blender's: (x, y, z) -> (x, -z, y), [..., 3] float32."""
+    return np.stack([points[..., 0], -points[..., 2], points[..., 1]], -1).astype(np.float32)
+
+
+def aligned_rows(head: HeadModel) -> np.ndarray:
+    """Expression coefficients that each aligned expression stands for, [60, E]."""
+    return ALIGNED_TO_ARKIT @ np.asarray(head.arkit_to_expression, np.float32)
+
+
+def component_of(row: np.ndarray) -> int | None:
+    """Return k where a row of `aligned_rows` [E] is component k and nothing else."""
+    used = np.flatnonzero(row)
+    return int(used[0]) if used.size == 1 and row[used[0]] == 1.0 else None
+
+
+def shape_key_name(index: int) -> str:
+    """Name of the shape key of a shape component."""
+    return f"{SHAPE}.{index}"
+
+
+def make_mesh(name: str, identity: Identity) -> bpy.types.Mesh:
+    """Return a mesh in the avatar's resting shape, with UV map and materials, without users."""
+    head = identity.head
+    mesh = bpy.data.meshes.new(name)
+    faces = np.asarray(head.faces, np.int32)
+    mesh.vertices.add(head.vertex_count)
+    mesh.loops.add(faces.size)
+    mesh.polygons.add(len(faces))
+    mesh.vertices.foreach_set("co", to_blender(identity.vertices).ravel())
+    mesh.loops.foreach_set("vertex_index", faces.ravel())
+    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
+    mesh.update(calc_edges=True)
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), bool))
+    layer = mesh.uv_layers.new(name=UV_NAME)
+    layer.data.foreach_set("uv", np.asarray(head.uv, np.float32)[head.uv_faces.ravel()].ravel())
+    _add_materials(mesh, head)
+    mesh.update()
+    return mesh
+
+
+def add_vertex_groups(obj: bpy.types.Object, head: HeadModel) -> None:
+    """Write the skinning weights as vertex groups named after the deforming bones."""
+    for joint, name in enumerate(head.joint_names):
+        group = obj.vertex_groups.new(name=DEFORM_PREFIX + name)
+        weights = head.weights[:, joint]
+        # equal weights in one call: most vertices follow one joint wholly
+        values, inverse = np.unique(weights, return_inverse=True)
+        for index, value in enumerate(values):
+            if value > _MIN_WEIGHT:
+                group.add(np.flatnonzero(inverse == index).tolist(), float(value), "REPLACE")
+
+
+def add_shape_keys(obj: bpy.types.Object, identity: Identity) -> None:
+    """Add the basis and all keys, at 0; the residual key is at 1 and holds nothing yet."""
+    head = identity.head
+    resting = to_blender(identity.vertices)
+    _add_key(obj, BASIS_KEY, resting)
+    for k in range(head.shape_count):
+        _add_key(obj, shape_key_name(k), resting + to_blender(head.shape_dirs[:, :, k]))
+    for k, name in enumerate(head.expression_names):
+        _add_key(obj, name, resting + to_blender(head.expression_dirs[:, :, k]))
+    for name, row in zip(ALIGNED_NAMES, aligned_rows(head), strict=True):
+        if component_of(row) is None:
+            _add_key(obj, mixture_key_name(name, head), resting + to_blender(head.expression_dirs @ row))
+    _add_key(obj, RESIDUAL_KEY, resting).value = 1.0
+
+
+def mixture_key_name(name: str, head: HeadModel) -> str:
+    """Name of the key of an aligned expression that has its own; an expression component may have taken the plain name."""
+    return f"aligned.{name}" if name in head.expression_names else name
+
+
+def rebase(obj: bpy.types.Object, vertices: np.ndarray) -> None:
+    """Move the resting mesh and all keys with it, so that the avatar of `obj` becomes another person.
+
+    Args:
+        obj: Head object.
+        vertices: New resting mesh, head space, [V, 3].
+    """
+    keys = obj.data.shape_keys.key_blocks
+    wanted = to_blender(vertices)
+    shift = wanted.ravel() - read_key(keys[BASIS_KEY])
+    for key in keys:
+        key.data.foreach_set("co", read_key(key) + shift)
+    obj.data.vertices.foreach_set("co", wanted.ravel())
+    obj.data.update()
+
+
+def read_key(key: bpy.types.ShapeKey) -> np.ndarray:
+    """Positions of a shape key, flat, [3 V] float32."""
+    positions = np.empty(len(key.data) * 3, np.float32)
+    key.data.foreach_get("co", positions)
+    return positions
+
+
+def _add_key(obj: bpy.types.Object, name: str, positions: np.ndarray) -> bpy.types.ShapeKey:
+    key = obj.shape_key_add(name=name, from_mix=False)
+    key.slider_min, key.slider_max = -KEY_LIMIT, KEY_LIMIT
+    key.value = 0.0
+    key.data.foreach_set("co", positions.ravel())
+    return key
+
+
+def _add_materials(mesh: bpy.types.Mesh, head: HeadModel) -> None:
+    """Give each part of the head a plain material; a face belongs to a part when all its corners do."""
+    part = np.zeros(len(head.faces), np.int32)
+    for index, (name, words, colour, roughness) in enumerate(_MATERIALS):
+        mesh.materials.append(_material(name, colour, roughness))
+        inside = np.zeros(head.vertex_count, bool)
+        for region, vertices in head.regions.items():
+            if any(word in region for word in words) and "lid" not in region:
+                inside[vertices] = True
+        part[inside[head.faces].all(1)] = index
+    mesh.polygons.foreach_set("material_index", part)
+
+
+def _material(name: str, colour: tuple[float, float, float, float], roughness: float) -> bpy.types.Material:
+    """Return the material of that name that heads share, made on first use."""
+    full_name = f"GRMM {name}"
+    material = bpy.data.materials.get(full_name)
+    if material is not None and material.library is None:
+        return material
+    material = bpy.data.materials.new(full_name)
+    if material.node_tree is None:  # Blender 5 gives every material nodes
+        material.use_nodes = True
+    material.diffuse_color = colour
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Base Color"].default_value = colour
+    shader.inputs["Roughness"].default_value = roughness
+    return material

@@ -43,12 +43,14 @@ class RuntimeSettings:
         python: Interpreter of the worker, or "" for the environment variable GRMM_WORKER_PYTHON.
         device: "auto", "cpu", "cuda" or "mps".
         threads: CPU threads, 0 leaves it to the libraries.
+        weights: File of trained weights for "default" and samples, or "" for the embedded ones.
     """
 
     mode: Mode = "auto"
     python: str = ""
     device: str = "auto"
     threads: int = 0
+    weights: str = ""
 
 
 @dataclass(frozen=True)
@@ -98,6 +100,7 @@ def get_session() -> Session:
                     python=_settings.python or None,
                     device=_settings.device,
                     threads=_settings.threads or None,
+                    weights=_settings.weights or None,
                 )
             except GrmmError as error:
                 _last_error = str(error)

@@ -4,6 +4,9 @@ Numba is imported here and in the kernel modules only; `api.py` imports them whe
 A kernel's compiled form is cached next to its source, or in the user's cache folder where that is read-only (NUMBA_CACHE_DIR
 decides when set). Numba looks at the file of the outermost kernel when it judges whether a cached form is still valid, so every
 kernel and what it calls share a file, except for the few helpers of `simd.py`.
+
+A cached form names the module that it came from. The installed Blender extension is imported as `bl_ext...grmm_core` by Blender
+and as `grmm_core` by the worker process, from one folder: the package is part of the cache's file names to keep them apart.
 """
 
 from __future__ import annotations
@@ -25,6 +28,8 @@ def kernel(parallel: bool = False) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
+        # Numba names the cache files after this.
+        function.__qualname__ = f"{__package__}.{function.__qualname__}"
         options = {"nogil": True, "fastmath": FAST_MATH, "parallel": parallel, "error_model": "numpy", "boundscheck": False}
         try:
             return numba.njit(cache=True, **options)(function)

@@ -263,3 +263,68 @@ def test_json_has_no_nan():
     out = io.StringIO()
     Console(True, stdout=out).result({"a": float("nan"), "b": np.float32(2.0), "c": np.arange(2), "d": Path("x")})
     assert json.loads(out.getvalue()) == {"a": None, "b": 2.0, "c": [0, 1], "d": "x"}
+
+
+@pytest.fixture
+def export(grmm, weights):
+    def call(*arguments: object) -> tuple[int, str, str]:
+        return grmm("export", "default", *arguments, "--weights", weights, "--device", "cpu")
+
+    return call
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".spz", ".glb"])
+def test_exported_splats_are_read_back(export, tmp_path, suffix):
+    from grmm_core.formats import read_splats
+
+    path = tmp_path / f"x{suffix}"
+    code, out, _ = export("-o", path, "--set", "jawOpen=0.5", "--json")
+    assert code == 0
+    cloud = read_splats(path)
+    assert cloud.count == json.loads(out)["gaussians"]
+    assert cloud.means[:, 1].max() > 0.1  # the top of the head is up again
+    assert 0.1 < cloud.colors().mean() < 0.9
+
+
+def test_exported_meshes_follow_the_controls(export, tmp_path):
+    heights = {}
+    for name, setting in (("closed", "jawOpen=0"), ("open", "jawOpen=1")):
+        path = tmp_path / f"{name}.obj"
+        assert export("-o", path, "--set", setting)[0] == 0
+        rows = [line.split()[1:4] for line in path.read_text().splitlines() if line.startswith("v ")]
+        heights[name] = np.array(rows, float)
+    assert 0.01 < np.abs(heights["open"] - heights["closed"]).max() < 0.1
+    code, out, _ = export("-o", tmp_path / "x.glb", "--mesh", "--json")
+    assert code == 0
+    assert json.loads(out)["morphs"] == 60
+
+
+def test_exported_arrays_are_complete(export, tmp_path):
+    assert export("-o", tmp_path / "x.npz", "--sh-degree", "2")[0] == 0
+    arrays = np.load(tmp_path / "x.npz")
+    assert arrays["sh"].shape == (len(arrays["means"]), 9, 3)
+    assert arrays["vertices"].shape == arrays["displacement"].shape
+    assert arrays["faces"].max() == len(arrays["vertices"]) - 1
+    code, _, err = export("-o", tmp_path / "x.fbx")
+    assert code == 1
+    assert "does not end in" in err
+
+
+def test_harmonics_reproduce_the_colours_seen(weights):
+    """Degree 3 follows the decoder's view dependence closer than the mean colour, from where Gaussians are seen."""
+    from grmm_core.controls import Controls
+    from grmm_core.session import create_session
+    from grmm_core.session.harmonics import fit_harmonics, harmonic_basis
+
+    with create_session("local", weights=weights, device="cpu", threads=1) as session:
+        info = session.open("default")
+        view = np.array([0.6, 0.0, 0.8])
+        cloud = session.gaussians(info.id, Controls(), view)
+        seen = (cloud.means - cloud.means.mean(0)) @ view > 0.03
+        errors = []
+        for degree in (0, 1, 3):
+            coefficients = fit_harmonics(session, info.id, Controls(), degree)
+            fitted = 0.5 + np.einsum("c,ncx->nx", harmonic_basis(-view[None], degree)[0], coefficients)
+            errors.append(np.abs(fitted - cloud.colors)[seen].mean())
+    assert errors[2] < 0.5 * errors[0]
+    assert errors[1] < errors[0]

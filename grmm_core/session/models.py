@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 import datetime
+import hashlib
 import logging
 import os
 from collections.abc import Mapping
@@ -105,13 +106,23 @@ class ModelStore:
 
     def _find(self, wanted: AssetReference) -> LoadedModel | None:
         """Look for weights by hash: the session's own first, then installed ones of the same name, then all others."""
-        candidates = [self._default_path, weights_path(wanted.name) if Path(wanted.name).name == wanted.name else None]
+        own_name = Path(wanted.name).name == wanted.name  # a file may name anything; it must not lead out of the folder
+        candidates = [self._default_path, *([weights_path(wanted.name)] if own_name else [])]
         candidates += sorted(WEIGHTS_FOLDER.glob(f"*{WEIGHTS_SUFFIX}")) if wanted.sha256 else []
-        for candidate in dict.fromkeys(path for path in candidates if path is not None and path.exists()):
-            loaded = self._load(candidate)
-            if loaded.info.sha256 == wanted.sha256 or (not wanted.sha256 and loaded.info.name == wanted.name):
-                return loaded
+        for candidate in dict.fromkeys(path for path in candidates if path.is_file()):
+            if wanted.sha256:
+                if self._hash(candidate) == wanted.sha256:
+                    return self._load(candidate)
+            elif self._load(candidate).info.name == wanted.name:
+                return self._load(candidate)
         return None
+
+    def _hash(self, path: Path) -> str:
+        """Return the SHA-256 of a weights file; of one that is loaded, that of what was loaded."""
+        if path in self._models:
+            return self._models[path].info.sha256
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
 
     def _load(self, path: Path) -> LoadedModel:
         if path not in self._models:

@@ -8,6 +8,7 @@ Run `python -m tools.open_head` from the repository root (needs the extra `head`
 ``people``       random people, the shape space and its relation to age, gender, ethnicity and weight
 ``regions``      named vertex sets
 ``landmarks``    the 68 landmarks
+``landmarks478`` MediaPipe's 478, by its network in painted pictures
 ``expressions``  the 52 ARKit shapes split into joint rotations and vertex directions, lids, tongue, further components
 ``flatten``      flattens one island with bounded distortion and a wanted texel density
 ``uvmap``        islands, packing, checks

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from grmm_core.expressions import ARKIT_NAMES
-from grmm_core.head.open_head import ASSET, FORMAT, VERSION
+from grmm_core.head.open_head import ASSET, FORMAT, VERSION, read_head
 from grmm_core.tensorfile import write_tensors
 
 from .expressions import PARENTS, ExpressionSpace, build_expression_space, component_groups
 from .landmarks import place_landmarks68
+from .landmarks478 import place_landmarks478
 from .parts import InnerParts
 from .people import BUST_IMPORTANCE, MACRO_NAMES, MACRO_UNITS, build_shape_space
 from .regions import build_regions
@@ -76,6 +77,9 @@ def build(path: Path) -> None:
         "macro_units": MACRO_UNITS,
         "island_names": json.dumps(layout.names),
     }
+    write_tensors(path, tensors, metadata)
+    found = place_landmarks478(read_head(path))
+    tensors["landmarks478_faces"], tensors["landmarks478_barycentric"] = found
     write_tensors(path, tensors, metadata)
     write_hashes(path.with_name("open_head_sources.json"), source)
     print(f"{path}: {len(shapes.mean)} vertices, {len(topology.faces)} triangles, {path.stat().st_size / 1e6:.2f} MB, "

@@ -19,14 +19,21 @@ WINDOW = (-0.085, 0.085, -0.11, 0.1)  # metres: x from, x to, y from, y to
 class FrontView:
     """An orthographic picture along -z: which triangle is seen at each pixel, and where in it."""
 
-    def __init__(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        self.width = round((WINDOW[1] - WINDOW[0]) / PIXEL)
-        self.height = round((WINDOW[3] - WINDOW[2]) / PIXEL)
+    def __init__(
+        self,
+        vertices: np.ndarray,
+        faces: np.ndarray,
+        pixel: float = PIXEL,
+        window: tuple[float, float, float, float] = WINDOW,
+    ) -> None:
+        self._pixel, self._window = pixel, window
+        self.width = round((window[1] - window[0]) / pixel)
+        self.height = round((window[3] - window[2]) / pixel)
         self.triangle = np.full((self.height, self.width), -1)
         self.barycentric = np.zeros((self.height, self.width, 3))
         self.depth = np.full((self.height, self.width), -np.inf)
-        column = (vertices[:, 0] - WINDOW[0]) / PIXEL - 0.5
-        row = (vertices[:, 1] - WINDOW[2]) / PIXEL - 0.5
+        column = (vertices[:, 0] - window[0]) / pixel - 0.5
+        row = (vertices[:, 1] - window[2]) / pixel - 0.5
         for number, corners in enumerate(faces):
             self._draw(number, column[corners], row[corners], vertices[corners, 2])
 
@@ -51,7 +58,7 @@ class FrontView:
 
     def pixel(self, x: float, y: float) -> tuple[int, int]:
         """Row and column of a point."""
-        return round((y - WINDOW[2]) / PIXEL - 0.5), round((x - WINDOW[0]) / PIXEL - 0.5)
+        return round((y - self._window[2]) / self._pixel - 0.5), round((x - self._window[0]) / self._pixel - 0.5)
 
     def at(self, row: int, column: int) -> tuple[int, np.ndarray]:
         """Triangle and barycentric coordinates seen at a pixel. Raises `RuntimeError` where nothing is."""

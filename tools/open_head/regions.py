@@ -16,6 +16,9 @@ def build_regions(source: Source, topology: Topology, template: np.ndarray) -> d
     brows are parts of the face.
     """
     mask = {name: topology.matrix @ source.mask(name) for name in ("ears", "eyelids", "inside-mouth", "lips")}
+    partner = source.mirror()
+    for name in ("lips", "eyelids"):  # painted by hand: a few vertices are in on one side only
+        mask[name] = topology.matrix @ np.maximum(source.mask(name), source.mask(name)[partner])
     x, y, z = template.T
     skin = np.zeros(len(template), bool)
     skin[topology.parts["skin"]] = True

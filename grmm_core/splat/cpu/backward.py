@@ -3,13 +3,12 @@
 With R the light that arrives from behind Gaussian i (weighted by the picture's gradient), q its values times that gradient, and T
 the transmittance before it: dL/dalpha = T q - R / (1 - alpha). R starts as the gradient times the finished picture and loses w q
 at every step, so no list of Gaussians per pixel is kept. An instance's sums go to a row of its own (`rows`, one per slot of
-`binning.bin_tiles`): six moments (see `projection.MOMENTS`), then the gradients of its values.
+`binning`): six moments (see `projection.MOMENTS`), then the gradients of its values.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from ..rules import TILE
 from .forward import (
@@ -35,20 +34,27 @@ from .forward import (
     start_tile,
 )
 from .jit import kernel
-from .projection import CHUNK, MOMENTS, unproject_one
+from .projection import MOMENTS, RECT, SLOT, TOUCHED, VALUES, unproject_one
 from .simd import WIDTH, any_at_least, choose, load, negative, spread, store, total
 
 
-@kernel()
+@kernel
+def _slot(record: np.ndarray, tile_x: int, tile_y: int) -> int:
+    """Return the slot of a Gaussian in a tile, from the integers of its record."""
+    first, end = record[RECT], record[RECT + 1]
+    return record[SLOT] + (tile_y - (first >> 16)) * ((end & 0xFFFF) - (first & 0xFFFF)) + tile_x - (first & 0xFFFF)
+
+
+@kernel
 def _replay_tile(
     low: int,
     high: int,
     gaussian: np.ndarray,
-    slot: np.ndarray,
     geometry: np.ndarray,
+    whole: np.ndarray,
     features: np.ndarray,
-    left_edge: float,
-    top_edge: float,
+    tile_x: int,
+    tile_y: int,
     pull: np.ndarray,
     behind: np.ndarray,
     through: np.ndarray,
@@ -73,12 +79,12 @@ def _replay_tile(
     for n in range(low, high):
         i = gaussian[n]
         record = geometry[i]
-        mx, my = record[0] - left_edge - HALF, record[1] - top_edge - HALF
+        mx, my = record[0] - F(tile_x * TILE) - HALF, record[1] - F(tile_y * TILE) - HALF
         l11, l12, l22, opacity = spread(record[2]), spread(record[3]), spread(record[4]), spread(record[5])
         first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
         first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
         for c in range(BASE):
-            value[c] = record[8 + c]
+            value[c] = record[VALUES + c]
         for c in range(features.shape[1]):
             value[BASE + c] = features[i, c]
         for c in range(channels):
@@ -125,24 +131,23 @@ def _replay_tile(
                 gss = gss + g * s * s
                 gsq = gsq + g * s * q
                 gqq = gqq + g * q * q
-        out = rows[slot[n]]
+        out = rows[_slot(whole[i], tile_x, tile_y)]
         out[0], out[1], out[2], out[3], out[4], out[5] = total(g0), total(gs), total(gq), total(gss), total(gsq), total(gqq)
         for c in range(used):
             out[MOMENTS + c] = total(load(d_value, c * WIDTH))
 
 
-@kernel()
-def _replay_share(
-    worker: int,
-    workers: int,
+@kernel
+def replay(
+    first_tile: int,
+    end_tile: int,
     tiles_x: int,
     starts: np.ndarray,
     ends: np.ndarray,
     gaussian: np.ndarray,
-    slot: np.ndarray,
     geometry: np.ndarray,
+    whole: np.ndarray,
     features: np.ndarray,
-    background: np.ndarray,
     rgb: np.ndarray,
     alpha: np.ndarray,
     depth: np.ndarray,
@@ -153,6 +158,14 @@ def _replay_share(
     d_blended: np.ndarray,
     rows: np.ndarray,
 ) -> None:
+    """Write the gradients of the instances of some tiles to `rows`.
+
+    Args:
+        first_tile, end_tile, tiles_x, starts, gaussian, geometry, whole, features: As in `forward.draw`.
+        ends, rgb, alpha, depth, blended: What it returned.
+        d_rgb, d_alpha, d_depth, d_blended: Gradients of the outputs.
+        rows: Output [M, MOMENTS + channels].
+    """
     channels = padded(features.shape[1])
     pull = np.zeros(BLOCKS * channels * WIDTH, np.float32)
     behind = np.zeros(BLOCKS * WIDTH, np.float32)
@@ -160,7 +173,7 @@ def _replay_share(
     value = np.zeros(channels, np.float32)
     d_value = np.zeros(channels * WIDTH, np.float32)
     picture_height, picture_width = alpha.shape
-    for tile in range(worker, starts.shape[0] - 1, workers):
+    for tile in range(first_tile, end_tile):
         low, high, end = starts[tile], starts[tile + 1], ends[tile]
         if end > low:
             x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
@@ -188,57 +201,18 @@ def _replay_share(
                         arriving += g * blended[y, x, k]
                     behind[block * WIDTH + lane] = arriving
             _replay_tile(
-                low, end, gaussian, slot, geometry, features, F(x0), F(y0), pull, behind, through, value, d_value, rows
+                low, end, gaussian, geometry, whole, features, tile % tiles_x, tile // tiles_x, pull, behind, through, value, d_value, rows
             )
         for n in range(max(end, low), high):
-            row = rows[slot[n]]
+            row = rows[_slot(whole[gaussian[n]], tile % tiles_x, tile // tiles_x)]
             for c in range(row.shape[0]):
                 row[c] = ZERO
 
 
-@kernel(parallel=True)
-def replay_tiles(
-    workers: int,
-    tiles_x: int,
-    starts: np.ndarray,
-    ends: np.ndarray,
-    gaussian: np.ndarray,
-    slot: np.ndarray,
-    geometry: np.ndarray,
-    features: np.ndarray,
-    background: np.ndarray,
-    rgb: np.ndarray,
-    alpha: np.ndarray,
-    depth: np.ndarray,
-    blended: np.ndarray,
-    d_rgb: np.ndarray,
-    d_alpha: np.ndarray,
-    d_depth: np.ndarray,
-    d_blended: np.ndarray,
-    rows: np.ndarray,
-) -> None:
-    """Fill `rows` [M, MOMENTS + channels], the gradients of all instances.
-
-    Args:
-        workers, tiles_x, starts, gaussian, geometry, features, background: As in `forward.draw_tiles`.
-        ends, rgb, alpha, depth, blended: What it returned.
-        slot: Row of each instance.
-        d_rgb, d_alpha, d_depth, d_blended: Gradients of the outputs.
-        rows: Output.
-    """
-    for worker in prange(workers):
-        _replay_share(
-            worker, workers, tiles_x, starts, ends, gaussian, slot, geometry, features, background,
-            rgb, alpha, depth, blended, d_rgb, d_alpha, d_depth, d_blended, rows,
-        )  # fmt: skip
-
-
-@kernel()
-def _collect_range(
+@kernel
+def collect(
     low: int,
     high: int,
-    order: np.ndarray,
-    slots: np.ndarray,
     rows: np.ndarray,
     means: np.ndarray,
     quats: np.ndarray,
@@ -246,6 +220,7 @@ def _collect_range(
     opacities: np.ndarray,
     camera: np.ndarray,
     geometry: np.ndarray,
+    whole: np.ndarray,
     d_means: np.ndarray,
     d_quats: np.ndarray,
     d_scales: np.ndarray,
@@ -253,11 +228,23 @@ def _collect_range(
     d_colors: np.ndarray,
     d_features: np.ndarray,
 ) -> None:
+    """Sum the rows of the Gaussians low..high and carry the sums back through the projection.
+
+    Args:
+        low, high: A chunk.
+        rows: Of `replay`.
+        means, quats, scales, opacities, camera, geometry, whole: As in `projection.project`.
+        d_means, d_quats, d_scales, d_opacities, d_colors, d_features: Outputs, zero on entry, as large as the inputs.
+    """
     summed = np.empty(rows.shape[1], np.float32)
-    for k in range(low, high):
-        i = order[k]
-        summed[:] = ZERO
-        for slot in range(slots[k], slots[k + 1]):
+    for i in range(low, high):
+        touched = whole[i, TOUCHED]
+        if not touched:
+            continue
+        first = whole[i, SLOT]
+        for c in range(rows.shape[1]):
+            summed[c] = rows[first, c]
+        for slot in range(first + 1, first + touched):
             for c in range(rows.shape[1]):
                 summed[c] += rows[slot, c]
         d_opacities[i] = unproject_one(
@@ -268,39 +255,3 @@ def _collect_range(
             d_colors[i, c] = summed[MOMENTS + c]
         for c in range(d_features.shape[1]):
             d_features[i, c] = summed[MOMENTS + BASE + c]
-
-
-@kernel(parallel=True)
-def collect(
-    order: np.ndarray,
-    slots: np.ndarray,
-    rows: np.ndarray,
-    means: np.ndarray,
-    quats: np.ndarray,
-    scales: np.ndarray,
-    opacities: np.ndarray,
-    camera: np.ndarray,
-    geometry: np.ndarray,
-    d_means: np.ndarray,
-    d_quats: np.ndarray,
-    d_scales: np.ndarray,
-    d_opacities: np.ndarray,
-    d_colors: np.ndarray,
-    d_features: np.ndarray,
-) -> None:
-    """Sum every Gaussian's rows and carry the sums back through the projection.
-
-    Args:
-        order, slots: Of `binning`.
-        rows: Of `replay_tiles`.
-        means, quats, scales, opacities, camera, geometry: As in `projection.project_forward`.
-        d_means, d_quats, d_scales, d_opacities, d_colors, d_features: Outputs, zero on entry, as large as the inputs.
-    """
-    count = order.shape[0]
-    for chunk in prange((count + CHUNK - 1) // CHUNK):
-        low = chunk * CHUNK
-        high = min(low + CHUNK, count)
-        _collect_range(
-            low, high, order, slots, rows, means, quats, scales, opacities, camera, geometry,
-            d_means, d_quats, d_scales, d_opacities, d_colors, d_features,
-        )  # fmt: skip

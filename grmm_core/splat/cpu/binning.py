@@ -1,105 +1,120 @@
-"""Which Gaussians each tile draws, nearest first: a radix sort by depth, then a stable counting sort by tile. Compiled.
+"""Which Gaussians each tile draws, nearest first. Compiled; `function.py` calls it between projection and blending.
 
-`function.py` calls it between projection and blending.
+A pair of a Gaussian and a tile it may touch is an instance. A counting sort by tile, parallel over chunks of Gaussians, lists every
+tile's instances in the order of the Gaussians' indices; each tile then sorts its own list by depth, stably, so that ties stay in the
+order of the index. Every instance also has a slot, where the instances of one Gaussian lie together: the backward pass writes
+gradients there and sums them without two threads touching one number.
 """
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from .jit import kernel
+from .projection import DEPTH, RECT, SLOT, TOUCHED
 
-DIGIT = 11  # bits per radix pass; three passes cover a float32
+DIGITS, BUCKETS = 4, 256  # a float32 as radix-sort digits
+FEW = 24  # instances below which insertion sort is faster
 
 
-@kernel()
-def depth_order(depths: np.ndarray, rects: np.ndarray) -> np.ndarray:
-    """Return the indices of the seen Gaussians from near to far, ties by index.
+@kernel
+def place(histogram: np.ndarray, touched: np.ndarray, starts: np.ndarray) -> None:
+    """Turn counts into positions.
 
     Args:
-        depths: [N] float32, positive where seen, so that their bits sort like the numbers.
-        rects: [N, 4] int32 of `project_forward`.
+        histogram: [chunks, tiles] int32, instances that a chunk of Gaussians has in a tile; replaced by the position of the first.
+        touched: [chunks] int64, instances of each chunk; replaced by the chunk's first slot.
+        starts: Output [tiles + 1] int64, first instance of each tile.
     """
-    keys = depths.view(np.uint32)
-    count = 0
-    for i in range(rects.shape[0]):
-        count += rects[i, 2] > rects[i, 0]
-    order = np.empty(count, np.int32)
-    other = np.empty(count, np.int32)
-    buckets = 1 << DIGIT
-    mask = np.uint32(buckets - 1)
-    histogram = np.zeros((3, buckets), np.int64)
-    k = 0
-    for i in range(rects.shape[0]):
-        if rects[i, 2] > rects[i, 0]:
-            order[k] = i
-            k += 1
-            key = keys[i]
-            histogram[0, key & mask] += 1
-            histogram[1, (key >> np.uint32(DIGIT)) & mask] += 1
-            histogram[2, key >> np.uint32(2 * DIGIT)] += 1
-    for digit in range(3):
-        total = 0
-        for bucket in range(buckets):
-            here = histogram[digit, bucket]
-            histogram[digit, bucket] = total
-            total += here
-        shift = np.uint32(digit * DIGIT)
+    position = 0
+    for tile in range(histogram.shape[1]):
+        starts[tile] = position
+        for chunk in range(histogram.shape[0]):
+            count = histogram[chunk, tile]
+            histogram[chunk, tile] = position
+            position += count
+    starts[histogram.shape[1]] = position
+    slot = 0
+    for chunk in range(touched.shape[0]):
+        count = touched[chunk]
+        touched[chunk] = slot
+        slot += count
+
+
+@kernel
+def fill(low: int, high: int, whole: np.ndarray, tiles_x: int, cursor: np.ndarray, first_slot: int, gaussian: np.ndarray) -> None:
+    """List the Gaussians low..high in their tiles and give them their slots.
+
+    Args:
+        low, high: A chunk.
+        whole: [N, RECORD] int32 view of the records.
+        tiles_x: Tiles in a row of the grid.
+        cursor: [tiles] int32, the chunk's row of `place`'s positions; advanced.
+        first_slot: Of the chunk.
+        gaussian: Output [M] int32.
+    """
+    slot = first_slot
+    for i in range(low, high):
+        whole[i, SLOT] = slot
+        if whole[i, TOUCHED]:
+            slot += whole[i, TOUCHED]
+            first, end = whole[i, RECT], whole[i, RECT + 1]
+            for y in range(first >> 16, end >> 16):
+                for tile in range(y * tiles_x + (first & 0xFFFF), y * tiles_x + (end & 0xFFFF)):
+                    gaussian[cursor[tile]] = i
+                    cursor[tile] += 1
+
+
+@kernel
+def sort_by_depth(indices: np.ndarray, whole: np.ndarray, keys: np.ndarray, spare: np.ndarray, histogram: np.ndarray) -> None:
+    """Sort a tile's Gaussians by depth, stably.
+
+    Args:
+        indices: [n] int32, sorted in place.
+        whole: [N, RECORD] int32 view of the records; depths are positive, so their bits sort like the numbers.
+        keys: Scratch [2, >= n] int32.
+        spare: Scratch [>= n] int32.
+        histogram: Scratch [DIGITS, BUCKETS] int32.
+    """
+    count = indices.shape[0]
+    now, later = keys[0], keys[1]
+    for k in range(count):
+        now[k] = whole[indices[k], DEPTH]
+    if count < FEW:
+        for k in range(1, count):
+            key, index = now[k], indices[k]
+            at = k
+            while at > 0 and now[at - 1] > key:
+                now[at], indices[at] = now[at - 1], indices[at - 1]
+                at -= 1
+            now[at], indices[at] = key, index
+        return
+    histogram[:] = 0
+    for k in range(count):
+        key = now[k]
+        for digit in range(DIGITS):
+            histogram[digit, (key >> (8 * digit)) & 0xFF] += 1
+    source, target = indices, spare
+    for digit in range(DIGITS):
+        shift = 8 * digit
+        counts = histogram[digit]
+        if counts[(now[0] >> shift) & 0xFF] == count:
+            continue  # all alike
+        position = 0
+        for bucket in range(BUCKETS):
+            here = counts[bucket]
+            counts[bucket] = position
+            position += here
         for k in range(count):
-            i = order[k]
-            bucket = (keys[i] >> shift) & mask
-            other[histogram[digit, bucket]] = i
-            histogram[digit, bucket] += 1
-        order, other = other, order
-    return order
-
-
-@kernel()
-def bin_tiles(order: np.ndarray, rects: np.ndarray, tiles_x: int, tiles_y: int) -> Any:
-    """Give every tile its Gaussians, nearest first.
-
-    A pair of a Gaussian and a tile is an instance. Instances are stored tile by tile; each also has a slot in an order where the
-    instances of one Gaussian lie together, so that the backward pass can sum them without two threads writing one number.
-
-    Args:
-        order: [V] Gaussians from near to far.
-        rects: [N, 4] tiles that each touches.
-        tiles_x, tiles_y: Size of the grid.
-
-    Returns:
-        starts [tiles + 1] int64, gaussian [M] int32 and slot [M] int32 of each instance, and slots [V + 1] int64: the first slot
-        of each Gaussian in `order`.
-    """
-    tiles = tiles_x * tiles_y
-    starts = np.zeros(tiles + 1, np.int64)
-    slots = np.empty(order.shape[0] + 1, np.int64)
-    total = 0
-    for k in range(order.shape[0]):
-        slots[k] = total
-        i = order[k]
-        x0, y0, x1, y1 = rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3]
-        total += (x1 - x0) * (y1 - y0)
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                starts[y * tiles_x + x + 1] += 1
-    slots[order.shape[0]] = total
-    for tile in range(tiles):
-        starts[tile + 1] += starts[tile]
-    cursor = starts[:tiles].copy()
-    gaussian = np.empty(total, np.int32)
-    slot = np.empty(total, np.int32)
-    for k in range(order.shape[0]):
-        i = order[k]
-        x0, y0, x1, y1 = rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3]
-        here = slots[k]
-        for y in range(y0, y1):
-            for x in range(x0, x1):
-                tile = y * tiles_x + x
-                at = cursor[tile]
-                cursor[tile] = at + 1
-                gaussian[at] = i
-                slot[at] = here
-                here += 1
-    return starts, gaussian, slot, slots
+            key = now[k]
+            bucket = (key >> shift) & 0xFF
+            to = counts[bucket]
+            counts[bucket] = to + 1
+            later[to] = key
+            target[to] = source[k]
+        now, later = later, now
+        source, target = target, source
+    for k in range(count):  # which of the two lists is the last one depends on the digits
+        later[k] = source[k]
+    for k in range(count):
+        indices[k] = later[k]

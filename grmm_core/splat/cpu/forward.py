@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
 from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
+from .binning import BUCKETS, DIGITS, sort_by_depth
 from .jit import kernel
+from .projection import VALUES
 from .simd import WIDTH, any_at_least, choose, load, negative, spread, store
 
 F = np.float32
@@ -35,7 +36,7 @@ E1, E2, E3, E4, E5 = F(0.999994755), F(0.499899775), F(0.166028395), F(0.0398483
 EIGHTH = F(0.125)
 
 
-@kernel()
+@kernel
 def falloff(s, q):  # noqa: ANN001, ANN201 - Lanes have no Python type
     """Return e^(-(s^2 + q^2) / 2) in each lane; never less than e^LOWEST."""
     x = (s * s + q * q) * spread(-HALF * EIGHTH)
@@ -47,7 +48,7 @@ def falloff(s, q):  # noqa: ANN001, ANN201 - Lanes have no Python type
     return p * p
 
 
-@kernel()
+@kernel
 def block_range(centre: float, half: float, size: int, blocks: int) -> tuple[int, int]:
     """Return the blocks, first and end, of `size` pixels each, whose pixel centres may lie within `half` of `centre` (pixel
     k of the tile has its centre at k).
@@ -58,7 +59,7 @@ def block_range(centre: float, half: float, size: int, blocks: int) -> tuple[int
     return first // size, (last + size) // size
 
 
-@kernel()
+@kernel
 def all_ended(through: np.ndarray) -> bool:
     """Return whether every pixel of a tile has ended; `through` [BLOCKS * 8]."""
     brightest = load(through, 0)
@@ -68,7 +69,7 @@ def all_ended(through: np.ndarray) -> bool:
     return not any_at_least(brightest, spread(ZERO))
 
 
-@kernel()
+@kernel
 def _blend_tile(
     low: int,
     high: int,
@@ -102,7 +103,7 @@ def _blend_tile(
         first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
         first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
         for c in range(BASE):
-            value[c] = record[8 + c]
+            value[c] = record[VALUES + c]
         for c in range(features.shape[1]):
             value[BASE + c] = features[i, c]
         for by in range(first_y, end_y):
@@ -128,7 +129,7 @@ def _blend_tile(
     return high
 
 
-@kernel()
+@kernel
 def start_tile(through: np.ndarray, columns: int, rows: int) -> None:
     """Set the transmittance [BLOCKS * 8] of a tile to one, and to ended outside its columns x rows pixels of the picture."""
     for k in range(BLOCKS * WIDTH):
@@ -138,50 +139,28 @@ def start_tile(through: np.ndarray, columns: int, rows: int) -> None:
         through[k] = ONE if x < columns and y < rows else -ONE
 
 
-@kernel()
-def _draw_tile(
-    tile: int,
-    tiles_x: int,
-    starts: np.ndarray,
-    gaussian: np.ndarray,
-    geometry: np.ndarray,
-    features: np.ndarray,
+@kernel
+def _write_tile(
+    x0: int,
+    y0: int,
+    columns: int,
+    rows: int,
+    sums: np.ndarray,
+    through: np.ndarray,
+    channels: int,
     background: np.ndarray,
     rgb: np.ndarray,
     alpha: np.ndarray,
     depth: np.ndarray,
     blended: np.ndarray,
-    ends: np.ndarray,
-    sums: np.ndarray,
-    through: np.ndarray,
-    value: np.ndarray,
 ) -> None:
-    """Blend one tile and write its pixels."""
-    channels = value.shape[0]
-    height, width = alpha.shape
-    x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-    columns, rows = min(TILE, width - x0), min(TILE, height - y0)
-    low, high = starts[tile], starts[tile + 1]
-    if high > low:
-        sums[:] = ZERO
-        start_tile(through, columns, rows)
-        ends[tile] = _blend_tile(low, high, gaussian, geometry, features, F(x0), F(y0), sums, through, value)
-    else:
-        ends[tile] = low
+    """Write a blended tile's pixels to the picture."""
     for r in range(rows):
         y = y0 + r
         by = min(y, background.shape[0] - 1)
         for c in range(columns):
             x = x0 + c
             bx = min(x, background.shape[1] - 1)
-            if high == low:
-                for k in range(3):
-                    rgb[y, x, k] = background[by, bx, k]
-                alpha[y, x] = ZERO
-                depth[y, x] = ZERO
-                for k in range(features.shape[1]):
-                    blended[y, x, k] = ZERO
-                continue
             block, lane = r // BLOCK_Y * BLOCKS_X + c // BLOCK_X, r % BLOCK_Y * BLOCK_X + c % BLOCK_X
             left = abs(through[block * WIDTH + lane])
             pixel = sums[block * channels * WIDTH + lane :]
@@ -190,24 +169,25 @@ def _draw_tile(
             cover = ONE - left
             alpha[y, x] = cover
             depth[y, x] = pixel[3 * WIDTH] / cover if cover > ZERO else ZERO
-            for k in range(features.shape[1]):
+            for k in range(blended.shape[2]):
                 blended[y, x, k] = pixel[(BASE + k) * WIDTH]
 
 
-@kernel()
+@kernel
 def padded(count: int) -> int:
     """Return the number of channels kept per block for `count` features."""
     return (BASE + count + GROUP - 1) // GROUP * GROUP
 
 
-@kernel()
-def _draw_share(
-    worker: int,
-    workers: int,
+@kernel
+def draw(
+    first_tile: int,
+    end_tile: int,
     tiles_x: int,
     starts: np.ndarray,
     gaussian: np.ndarray,
     geometry: np.ndarray,
+    whole: np.ndarray,
     features: np.ndarray,
     background: np.ndarray,
     rgb: np.ndarray,
@@ -216,44 +196,42 @@ def _draw_share(
     blended: np.ndarray,
     ends: np.ndarray,
 ) -> None:
-    channels = padded(features.shape[1])
-    sums = np.zeros(BLOCKS * channels * WIDTH, np.float32)
-    through = np.zeros(BLOCKS * WIDTH, np.float32)
-    value = np.zeros(channels, np.float32)
-    for tile in range(worker, starts.shape[0] - 1, workers):
-        _draw_tile(
-            tile, tiles_x, starts, gaussian, geometry, features, background, rgb, alpha, depth, blended, ends, sums, through, value
-        )
-
-
-@kernel(parallel=True)
-def draw_tiles(
-    workers: int,
-    tiles_x: int,
-    starts: np.ndarray,
-    gaussian: np.ndarray,
-    geometry: np.ndarray,
-    features: np.ndarray,
-    background: np.ndarray,
-    rgb: np.ndarray,
-    alpha: np.ndarray,
-    depth: np.ndarray,
-    blended: np.ndarray,
-    ends: np.ndarray,
-) -> None:
-    """Draw all tiles.
+    """Sort and draw some tiles.
 
     Args:
-        workers: Parallel shares of the tiles.
+        first_tile, end_tile: Which.
         tiles_x: Tiles in a row of the grid.
-        starts, gaussian: Instances, of `bin_tiles`.
-        geometry: Of `project_forward`.
+        starts, gaussian: Instances, of `binning`; those of the tiles are sorted by depth in place.
+        geometry, whole: Of `projection.project`.
         features: [N, C] float32.
         background: [1, 1, 3] or [H, W, 3] float32.
-        rgb, alpha, depth, blended: Outputs [H, W, 3], [H, W], [H, W], [H, W, C] float32.
+        rgb, alpha, depth, blended: Outputs [H, W, 3], [H, W], [H, W], [H, W, C] float32, zero on entry.
         ends: Output [tiles] int64: end of the instances of each tile that any pixel was still open to.
     """
-    for worker in prange(workers):
-        _draw_share(
-            worker, workers, tiles_x, starts, gaussian, geometry, features, background, rgb, alpha, depth, blended, ends
-        )
+    height, width = alpha.shape
+    channels = padded(features.shape[1])
+    sums = np.empty(BLOCKS * channels * WIDTH, np.float32)
+    through = np.empty(BLOCKS * WIDTH, np.float32)
+    value = np.zeros(channels, np.float32)
+    most = 0
+    for tile in range(first_tile, end_tile):
+        most = max(most, starts[tile + 1] - starts[tile])
+    keys = np.empty((2, most), np.int32)
+    spare = np.empty(most, np.int32)
+    histogram = np.empty((DIGITS, BUCKETS), np.int32)
+    for tile in range(first_tile, end_tile):
+        x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
+        columns, rows = min(TILE, width - x0), min(TILE, height - y0)
+        low, high = starts[tile], starts[tile + 1]
+        if high > low:
+            sort_by_depth(gaussian[low:high], whole, keys, spare, histogram)
+            sums[:] = ZERO
+            start_tile(through, columns, rows)
+            ends[tile] = _blend_tile(low, high, gaussian, geometry, features, F(x0), F(y0), sums, through, value)
+            _write_tile(x0, y0, columns, rows, sums, through, channels, background, rgb, alpha, depth, blended)
+        else:
+            ends[tile] = low
+            for y in range(y0, y0 + rows):
+                for x in range(x0, x0 + columns):
+                    for k in range(3):
+                        rgb[y, x, k] = background[min(y, background.shape[0] - 1), min(x, background.shape[1] - 1), k]

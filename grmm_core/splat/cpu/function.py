@@ -1,16 +1,13 @@
 """The compiled rasteriser as a PyTorch operation: torch tensors in and out, gradients by hand-written kernels.
 
-`api.py` imports this when the backend "cpu" is first used. Numba's thread pools must not be entered from two threads at a time
-(Blender renders and draws its viewport from different ones), so one lock guards every call.
+`api.py` imports this when the backend "cpu" is first used. Any number of threads may call it at a time.
 """
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from torch import Tensor
@@ -19,9 +16,11 @@ from ...errors import BackendError
 from ..rules import TILE, View
 from ..types import Gaussians, RasterOutput
 from . import backward, binning, forward, projection
+from .threads import for_each, thread_count
 
-LOCK = threading.Lock()
-SHARES = 8  # parallel shares of the tiles per thread, so that threads end together
+TASKS = 16  # parallel tasks per thread, so that threads end together
+CHUNK_MIN, TILES_MIN = 2048, 4  # smallest task
+CHUNKS_MAX = 64  # chunks of Gaussians; each counts every tile
 MAX_INSTANCES = 2**31 - 1
 
 
@@ -32,17 +31,20 @@ class Drawing:
     camera: np.ndarray
     tiles_x: int
     geometry: np.ndarray
-    depths: np.ndarray
-    order: np.ndarray
+    whole: np.ndarray
     starts: np.ndarray
     ends: np.ndarray
     gaussian: np.ndarray
-    slot: np.ndarray
-    slots: np.ndarray
 
 
 def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().to(torch.float32).contiguous().numpy()
+
+
+def _pieces(count: int, smallest: int, most: int) -> list[tuple[int, int]]:
+    """Split range(count) into at most `most` ranges of at least `smallest`, for parallel tasks."""
+    size = max(smallest, -(-count // most), 1)
+    return [(low, min(low + size, count)) for low in range(0, count, size)]
 
 
 def draw(inputs: list[np.ndarray], background: np.ndarray, view: View, antialiased: bool) -> tuple[list[np.ndarray], Drawing]:
@@ -58,48 +60,68 @@ def draw(inputs: list[np.ndarray], background: np.ndarray, view: View, antialias
         rgb [H, W, 3], alpha [H, W], depth [H, W] and features [H, W, C]; and what the backward pass needs.
 
     Raises:
-        BackendError: The Gaussians cover so many tiles that they cannot be counted.
+        BackendError: The picture is too large, or the Gaussians cover so many tiles that they cannot be counted.
     """
-    count, channels = len(inputs[0]), inputs[5].shape[1]
+    count = len(inputs[0])
     height, width = view.height, view.width
     tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
+    if max(tiles_x, tiles_y) > projection.TILES_MAX:
+        raise BackendError(f"A picture of {width}x{height} pixels is too large to draw at once; draw it in parts.")
+    tiles = tiles_x * tiles_y
     camera = projection.camera_array(view, antialiased)
     geometry = np.empty((count, projection.RECORD), np.float32)
-    depths = np.empty(count, np.float32)
-    rects = np.empty((count, 4), np.int32)
-    outputs = [np.empty(shape, np.float32) for shape in ((height, width, 3), (height, width), (height, width))]
-    outputs.append(np.empty((height, width, channels), np.float32))
-    ends = np.empty(tiles_x * tiles_y, np.int64)
-    with LOCK:
-        projection.project_forward(*inputs, camera, geometry, depths, rects)
-        if ((rects[:, 2] - rects[:, 0]).astype(np.int64) * (rects[:, 3] - rects[:, 1])).sum() > MAX_INSTANCES:
-            raise BackendError("The Gaussians are too large and too many to draw: scale them down or make the picture smaller.")
-        order = binning.depth_order(depths, rects)
-        starts, gaussian, slot, slots = binning.bin_tiles(order, rects, tiles_x, tiles_y)
-        workers = numba.get_num_threads() * SHARES
-        forward.draw_tiles(
-            workers, tiles_x, starts, gaussian, geometry, inputs[5], background, *outputs, ends
-        )
-    return outputs, Drawing(camera, tiles_x, geometry, depths, order, starts, ends, gaussian, slot, slots)
+    whole = geometry.view(np.int32)
+    threads = thread_count()
+
+    chunks = _pieces(count, CHUNK_MIN, min(TASKS * threads, CHUNKS_MAX))
+    histogram = np.zeros((len(chunks), tiles), np.int32)
+    touched = np.zeros(len(chunks), np.int64)
+    starts = np.empty(tiles + 1, np.int64)
+
+    def project(k: int) -> None:
+        touched[k] = projection.project(*chunks[k], *inputs, camera, geometry, whole, tiles_x, histogram[k])
+
+    for_each(len(chunks), project)
+    instances = int(touched.sum())
+    if instances > MAX_INSTANCES:
+        raise BackendError("The Gaussians are too large and too many to draw: scale them down or make the picture smaller.")
+    binning.place(histogram, touched, starts)
+    gaussian = np.empty(instances, np.int32)
+    for_each(len(chunks), lambda k: binning.fill(*chunks[k], whole, tiles_x, histogram[k], touched[k], gaussian))
+
+    # Zeros are cheaper than writing them: memory that no Gaussian reaches is never touched.
+    outputs = [np.zeros(shape, np.float32) for shape in ((height, width, 3), (height, width), (height, width))]
+    outputs.append(np.zeros((height, width, inputs[5].shape[1]), np.float32))
+    ends = np.empty(tiles, np.int64)
+    groups = _pieces(tiles, TILES_MIN, TASKS * threads)
+    for_each(
+        len(groups),
+        lambda k: forward.draw(
+            *groups[k], tiles_x, starts, gaussian, geometry, whole, inputs[5], background, *outputs, ends
+        ),
+    )
+    return outputs, Drawing(camera, tiles_x, geometry, whole, starts, ends, gaussian)
 
 
 def differentiate(
-    inputs: list[np.ndarray],
-    background: np.ndarray,
-    outputs: list[np.ndarray],
-    drawing: Drawing,
-    d_outputs: list[np.ndarray],
+    inputs: list[np.ndarray], outputs: list[np.ndarray], drawing: Drawing, d_outputs: list[np.ndarray]
 ) -> list[np.ndarray]:
     """Return the gradients of `inputs`, given those of `outputs`; arrays as in `draw`."""
     rows = np.empty((len(drawing.gaussian), projection.MOMENTS + forward.BASE + inputs[5].shape[1]), np.float32)
     d_inputs = [np.zeros_like(array) for array in inputs]
-    with LOCK:
-        workers = numba.get_num_threads() * SHARES
-        backward.replay_tiles(
-            workers, drawing.tiles_x, drawing.starts, drawing.ends, drawing.gaussian, drawing.slot, drawing.geometry,
-            inputs[5], background, *outputs, *d_outputs, rows,
-        )  # fmt: skip
-        backward.collect(drawing.order, drawing.slots, rows, *inputs[:4], drawing.camera, drawing.geometry, *d_inputs)
+    geometry, whole = drawing.geometry, drawing.whole
+    groups = _pieces(len(drawing.ends), TILES_MIN, TASKS * thread_count())
+    for_each(
+        len(groups),
+        lambda k: backward.replay(
+            *groups[k], drawing.tiles_x, drawing.starts, drawing.ends, drawing.gaussian, geometry, whole, inputs[5],
+            *outputs, *d_outputs, rows,
+        ),
+    )  # fmt: skip
+    chunks = _pieces(len(inputs[0]), CHUNK_MIN, TASKS * thread_count())
+    for_each(
+        len(chunks), lambda k: backward.collect(*chunks[k], rows, *inputs[:4], drawing.camera, geometry, whole, *d_inputs)
+    )
     return d_inputs
 
 
@@ -135,7 +157,7 @@ class _Rasterize(torch.autograd.Function):
         inputs = [_array(tensor) for tensor in tensors]
         outputs = [tensor.detach().numpy() for tensor in (rgb, alpha, depth, features)]
         d_outputs = [_array(tensor) for tensor in d_results]
-        d_inputs = differentiate(inputs, _array(background), outputs, ctx.drawing, d_outputs)
+        d_inputs = differentiate(inputs, outputs, ctx.drawing, d_outputs)
         gradients: list[Tensor | None] = [
             torch.from_numpy(array).to(tensor.dtype) if needed else None
             for array, tensor, needed in zip(d_inputs, tensors, ctx.needs_input_grad[:6], strict=True)

@@ -6,7 +6,8 @@ nothing here and keeps needle-thin and huge Gaussians exact.
 A Gaussian's record (`geometry`, one cache line of 16 float32) holds its centre mx, my [px]; the Cholesky factor l11, l12, l22 of
 its conic, so that -ln(alpha / opacity) = (s^2 + q^2) / 2 with s = l11 dx + l12 dy and q = l22 dy, which lose no digits where
 Gaussians are long and thin; its opacity; half the width and height of the box outside which alpha is below ALPHA_MIN [px]; and its
-values r, g, b, depth.
+values r, g, b, depth; and, as integers, the rectangle of tiles that it may touch, its first slot and its number of tiles (see
+`binning.py`).
 
 The camera is one float64 array; the constants below name its entries.
 """
@@ -17,7 +18,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import prange
 
 from ..rules import ALPHA_MIN, COMPENSATION_MIN, DILATION, NEAR, TILE, View
 from .jit import kernel
@@ -25,8 +25,10 @@ from .jit import kernel
 ROTATION, TRANSLATION, FOCAL, CENTRE, CLAMP, SIZE, ORTHOGRAPHIC, ANTIALIASED = 0, 9, 12, 14, 16, 20, 22, 23
 CAMERA_LENGTH = 24
 RECORD = 16  # float32 numbers per Gaussian in `geometry`
-CHUNK = 1024  # Gaussians per parallel task
+VALUES, DEPTH = 8, 11  # where r, g, b and the depth are
+RECT, SLOT, TOUCHED = 12, 14, 15  # where, as int32, the tiles' x0 | y0 << 16 and x1 | y1 << 16, the first slot, and the number of tiles are
 MOMENTS = 6  # leading entries of a gradient row: sums of g, g s, g q, g s^2, g s q, g q^2 with g = alpha dL/dalpha
+TILES_MAX = 1 << 14  # tiles in a row or column of the grid
 FAR_AWAY = 1e9  # pixels; Gaussians projected farther out or larger than this are dropped
 
 
@@ -41,7 +43,7 @@ def camera_array(view: View, antialiased: bool) -> np.ndarray:
     return camera
 
 
-@kernel()
+@kernel
 def _finite(row: np.ndarray) -> bool:
     total = np.float32(0.0)
     for i in range(row.shape[0]):
@@ -49,12 +51,12 @@ def _finite(row: np.ndarray) -> bool:
     return total == 0.0
 
 
-@kernel()
+@kernel
 def _project_one(
     mean: np.ndarray, quat: np.ndarray, scale: np.ndarray, opacity: float, camera: np.ndarray, record: np.ndarray
 ) -> Any:
-    """Project one Gaussian: fill its record; return (seen, depth, tile rectangle x0, y0, x1, y1 with the ends exclusive)."""
-    nothing = (False, 0.0, 0, 0, 0, 0)
+    """Project one Gaussian: fill its record; return (seen, tile rectangle x0, y0, x1, y1 with the ends exclusive)."""
+    nothing = (False, 0, 0, 0, 0)
     mx, my, mz = np.float64(mean[0]), np.float64(mean[1]), np.float64(mean[2])
     x = camera[0] * mx + camera[1] * my + camera[2] * mz + camera[9]
     y = camera[3] * mx + camera[4] * my + camera[5] * mz + camera[10]
@@ -115,15 +117,15 @@ def _project_one(
     record[5] = cover
     record[6] = half_x
     record[7] = half_y
-    record[11] = z
+    record[DEPTH] = z
     x0, y0 = int(max(low_x, 0.0)) // TILE, int(max(low_y, 0.0)) // TILE
     x1 = int(min(high_x, camera[20] - 1.0)) // TILE + 1
     y1 = int(min(high_y, camera[21] - 1.0)) // TILE + 1
-    return (True, z, x0, y0, x1, y1)
+    return (True, x0, y0, x1, y1)
 
 
-@kernel()
-def _project_range(
+@kernel
+def project(
     low: int,
     high: int,
     means: np.ndarray,
@@ -134,50 +136,44 @@ def _project_range(
     features: np.ndarray,
     camera: np.ndarray,
     geometry: np.ndarray,
-    depths: np.ndarray,
-    rects: np.ndarray,
-) -> None:
-    for i in range(low, high):
-        seen, depth, x0, y0, x1, y1 = _project_one(means[i], quats[i], scales[i], opacities[i], camera, geometry[i])
-        if seen and _finite(colors[i]) and _finite(features[i]):
-            depths[i] = depth
-            for c in range(3):
-                geometry[i, 8 + c] = colors[i, c]
-            rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3] = x0, y0, x1, y1
-        else:
-            rects[i, 0], rects[i, 1], rects[i, 2], rects[i, 3] = 0, 0, 0, 0
-
-
-@kernel(parallel=True)
-def project_forward(
-    means: np.ndarray,
-    quats: np.ndarray,
-    scales: np.ndarray,
-    opacities: np.ndarray,
-    colors: np.ndarray,
-    features: np.ndarray,
-    camera: np.ndarray,
-    geometry: np.ndarray,
-    depths: np.ndarray,
-    rects: np.ndarray,
-) -> None:
-    """Project all Gaussians.
+    whole: np.ndarray,
+    tiles_x: int,
+    counts: np.ndarray,
+) -> int:
+    """Project the Gaussians low..high and count their tiles.
 
     Args:
+        low, high: A chunk.
         means, quats, scales, opacities, colors, features: As in `Gaussians`, float32; features [N, 0] when there are none.
         camera: [CAMERA_LENGTH] float64.
-        geometry: Output [N, RECORD] float32; undefined for Gaussians that are not seen.
-        depths: Output [N] float32, metres.
-        rects: Output [N, 4] int32, tiles x0, y0, x1, y1 (ends exclusive) that the Gaussian may touch; zeros when not seen.
+        geometry: Output [N, RECORD] float32; undefined for Gaussians that are not seen, except for TOUCHED = 0.
+        whole: [N, RECORD] int32 view of `geometry`.
+        tiles_x: Tiles in a row of the grid.
+        counts: Output [tiles] int32, zero on entry: Gaussians of the chunk that may touch each tile.
+
+    Returns:
+        The sum of `counts`.
     """
-    count = means.shape[0]
-    for chunk in prange((count + CHUNK - 1) // CHUNK):
-        low = chunk * CHUNK
-        high = min(low + CHUNK, count)
-        _project_range(low, high, means, quats, scales, opacities, colors, features, camera, geometry, depths, rects)
+    total = 0
+    for i in range(low, high):
+        seen, x0, y0, x1, y1 = _project_one(means[i], quats[i], scales[i], opacities[i], camera, geometry[i])
+        if seen and _finite(colors[i]) and _finite(features[i]):
+            for c in range(3):
+                geometry[i, VALUES + c] = colors[i, c]
+            whole[i, RECT] = x0 | y0 << 16
+            whole[i, RECT + 1] = x1 | y1 << 16
+            touched = (x1 - x0) * (y1 - y0)
+            whole[i, TOUCHED] = touched
+            total += touched
+            for y in range(y0, y1):
+                for tile in range(y * tiles_x + x0, y * tiles_x + x1):
+                    counts[tile] += 1
+        else:
+            whole[i, TOUCHED] = 0
+    return total
 
 
-@kernel()
+@kernel
 def unproject_one(
     mean: np.ndarray,
     quat: np.ndarray,

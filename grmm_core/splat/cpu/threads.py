@@ -1,0 +1,48 @@
+"""A pool of threads for kernels that run without the interpreter lock.
+
+Plain threads instead of numba's own parallel loops: these take seconds to compile, and some of numba's thread layers end the process
+when two threads enter them at a time (Blender renders and draws its viewport from different ones) or after a fork.
+Used by `function.py`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+
+_pool: ThreadPoolExecutor | None = None
+_pool_owner = 0  # process that started the pool; a forked child has no threads of its parent
+
+
+def thread_count() -> int:
+    """Return the number of threads to use: the processors this process may run on, or NUMBA_NUM_THREADS when set."""
+    return max(1, int(numba.config.NUMBA_NUM_THREADS))
+
+
+def for_each(tasks: int, call: Callable[[int], object]) -> None:
+    """Run call(0) ... call(tasks - 1) on all threads, each taking the next task when it is free; raise the first error."""
+    global _pool, _pool_owner
+    helpers = min(thread_count(), tasks) - 1
+    if helpers < 1:
+        for task in range(tasks):
+            call(task)
+        return
+    if _pool is None or _pool_owner != os.getpid():
+        _pool = ThreadPoolExecutor(max(1, thread_count() - 1), thread_name_prefix="grmm-splat")
+        _pool_owner = os.getpid()
+    counter = itertools.count()
+
+    def work() -> None:
+        while (task := next(counter)) < tasks:
+            call(task)
+
+    waiting = [_pool.submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        for future in waiting:
+            future.result()

@@ -258,6 +258,18 @@ def test_gradients_match_finite_differences(head):
         assert numeric.item() == pytest.approx((gradient * direction).sum().item(), rel=1e-5, abs=1e-7)
 
 
+def test_persons_do_not_mix(head):
+    one, two = random_people(2)
+    expected = head.v_template + head.shape_dirs @ two
+    first = head.shaped(one)
+    np.testing.assert_allclose(head.shaped(two), expected, atol=1e-6)
+    head.shaped(two)[:] = 0  # what is returned belongs to the caller
+    head.joints(two)[:] = 0
+    np.testing.assert_allclose(head.shaped(two), expected, atol=1e-6)
+    np.testing.assert_allclose(head.joints(two), head.J_regressor @ expected, atol=1e-6)
+    np.testing.assert_array_equal(head.shaped(one), first)
+
+
 def test_posedirs_are_added_before_skinning(head):
     pose = np.zeros((5, 3), np.float32)
     pose[2] = (0.2, 0.1, 0)
@@ -464,6 +476,22 @@ def test_landmarks68_are_in_place(head):
     np.testing.assert_allclose(mirror, points[[0, 17, 36, 39, 48, 31]], atol=0.004)
     opened = head.landmark_positions(pose_head(head, {"jawOpen": 0.5}))
     assert opened[62, 1] - opened[66, 1] > 0.008 > abs(points[62, 1] - points[66, 1])
+
+
+def test_landmarks478_are_in_place(head):
+    points = head.landmark_positions(head.v_template, 478)
+    assert points.shape == (478, 3)
+    np.testing.assert_allclose(head.landmarks478[1].sum(1), 1, atol=1e-5)
+    coarse = head.landmark_positions(head.v_template)
+    # MediaPipe's numbers of points that the 68 have too: nose tip, eye corners, mouth corners, chin
+    pairs = {1: 30, 33: 36, 133: 39, 362: 42, 263: 45, 61: 48, 291: 54, 152: 8}
+    for fine, other in pairs.items():
+        limit = 0.012 if other == 8 else 0.006
+        assert np.linalg.norm(points[fine, :2] - coarse[other, :2]) < limit, (fine, other)
+    eyes = head.joints(np.zeros(0))[3:]
+    np.testing.assert_allclose(points[[473, 468], :2], eyes[:, :2], atol=0.002)  # pupils
+    opened = head.landmark_positions(pose_head(head, {"jawOpen": 0.5}), 478)
+    assert opened[13, 1] - opened[14, 1] > 0.008 > abs(points[13, 1] - points[14, 1])
 
 
 def test_people_model(head):

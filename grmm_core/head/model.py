@@ -108,14 +108,14 @@ class HeadModel:
         Raises:
             ShapeError: Too many coefficients, or not one row of them.
         """
-        result = self.v_template + self._offsets(self.shape_dirs, shape, "shape")
-        if expression is not None:
-            result = result + self._offsets(self.expression_dirs, expression, "expression")
-        return result
+        result = self._person(shape)[0]
+        if expression is None:
+            return result.copy()
+        return result + self._offsets(self.expression_dirs, expression, "expression")
 
     def joints(self, shape: np.ndarray) -> np.ndarray:
         """Rest joints of a shaped head in metres, [5, 3]; expressions do not move them (as in FLAME)."""
-        return self.joint_template + self._offsets(self.joint_dirs, shape, "shape")
+        return self._person(shape)[1].copy()
 
     def vertices(
         self,
@@ -186,6 +186,18 @@ class HeadModel:
         """Offsets of the rest joints in metres per shape coefficient, [5, 3, S]."""
         return self._joint_basis()[1]
 
+    def _person(self, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Shaped vertices [V, 3] and joints [5, 3]; the last person is kept: an animation asks for one."""
+        shape = np.asarray(shape, np.float32)
+        key = (shape.shape, shape.tobytes())
+        cached = self.__dict__.get("_last_person")
+        if cached is None or cached[0] != key:
+            vertices = self.v_template + self._offsets(self.shape_dirs, shape, "shape")
+            joints = self.joint_template + self._offsets(self.joint_dirs, shape, "shape")
+            cached = (key, (vertices, joints))
+            object.__setattr__(self, "_last_person", cached)
+        return cached[1]
+
     def _joint_basis(self) -> tuple[np.ndarray, np.ndarray]:
         """Joints of the template, [5, 3], and per shape coefficient, [5, 3, S]; computed once."""
         cached = self.__dict__.get("_joints")
@@ -205,7 +217,8 @@ class HeadModel:
             )
         # trailing zeros are common (sliders): only the used part is multiplied
         used = int(np.flatnonzero(coefficients)[-1]) + 1 if coefficients.any() else 0
-        return directions[:, :, :used] @ coefficients[:used]
+        flat = directions.reshape(-1, directions.shape[2])[:, :used] @ coefficients[:used]  # one matrix-vector product
+        return flat.reshape(directions.shape[:2])
 
     def _check_shapes(self) -> None:
         vertices, faces = len(self.v_template), len(self.faces)

@@ -179,5 +179,5 @@ def _irises(head: HeadModel, directions: np.ndarray) -> list[np.ndarray]:
                 direction = directions[5 * eye + k]
                 axis = int(np.abs(direction).argmax())
                 offset[axis] = np.sign(direction[axis]) * IRIS_RADIUS
-            result.append(centre + (*offset, np.sqrt(radius**2 - offset @ offset)))
+            result.append(centre + np.array([*offset, np.sqrt(radius**2 - offset @ offset)]))
     return result

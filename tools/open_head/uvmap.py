@@ -28,7 +28,8 @@ PULL = 20.0
 RASTER = 1024  # packing raster
 GUTTER = 10  # raster pixels between islands: 2.5 texels at 256
 PART_DENSITY = {"upper_teeth": 0.9, "lower_teeth": 0.8, "tongue": 0.5, "mouth": 0.4, "lashes": 0.9}
-EYE_DENSITY = 1.75  # at the pupil; falls off to the back
+EYE_DENSITY = 1.75  # sets the size of the eyes' islands
+EYE_FOCUS = 1.9  # how much the island's middle, the iris, gains over its rim
 EYE_FRONT = np.radians(100.0)  # the front island reaches this far from the pupil
 
 
@@ -170,8 +171,9 @@ def _eye_islands(template: np.ndarray, faces: np.ndarray, which: np.ndarray, nam
         used, local = np.unique(faces[which[chosen]], return_inverse=True)
         arms = template[used] - centre
         theta = np.arccos(np.clip(sign * arms[:, 2] / np.linalg.norm(arms, axis=1), -1, 1))
-        # the derivative 1 / (1 + theta^2) makes the rim about a quarter as dense as the pupil
-        distance = EYE_DENSITY * np.arctan(theta) if sign > 0 else 0.35 * theta
+        # the iris takes half of the front's radius
+        rim = EYE_DENSITY * np.arctan(theta.max()) / np.arctan(EYE_FOCUS * theta.max())
+        distance = rim * np.arctan(EYE_FOCUS * theta) if sign > 0 else 0.35 * theta
         direction = arms[:, :2] * (sign, 1)
         direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
         result.append(_Island(label, which[chosen], radius * distance[:, None] * direction, local.reshape(-1, 3)))

@@ -95,7 +95,7 @@ def test_paper_sizes(head):
         assert decoders.transform(torch.cat([z_id, z_exp], 1)).shape == (1, 10, 512, 512)
         assert decoders.opacity(z_id).shape == (1, 1, 512, 512)
         assert decoders.appearance(z_id, view).shape == (1, 35, 512, 512)
-    assert model.refinement.entry.in_channels == 36
+    assert model.refinement.entry.in_features == 36
     assert not any("mean" in name or "basis" in name for name, _ in model.named_parameters())
     # 3 view channels join at the 8 x 8 start map
     assert decoders.appearance.stages[0].in_channels == config.decoder_channels[0] + 3

@@ -12,7 +12,7 @@ from grmm_core.model.weights import load_weights
 from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
 from grmm_core.training.optimise import MovingAverage, rate_factor
 from grmm_core.training.trainer import CHECKPOINT, METRICS, Trainer
-from grmm_core.training.views import choose, random_crop, shrink
+from grmm_core.training.views import choose, crop_to_person, random_crop, shrink
 
 QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
 LOSSES = {"perceptual": 0.0, "alpha": 0.3, "depth": 0.1, "scale": 0.0}
@@ -173,8 +173,14 @@ def test_shrinking_and_cropping_keep_camera_and_pixels_in_step(source):
     crop = random_crop(view, 16, np.random.default_rng(0))
     x, y = np.round(pixel(view.camera) - pixel(crop.camera)).astype(int)
     np.testing.assert_array_equal(crop.image, view.image[y : y + 16, x : x + 16])
+    view = ColouredSpheres(96).load(5)
+    person = crop_to_person(view, 3)
+    x, y = np.round(pixel(view.camera) - pixel(person.camera)).astype(int)
+    assert person.mask.sum() == view.mask.sum()
+    assert person.mask.shape == (80, 80)
+    np.testing.assert_array_equal(person.image, view.image[y : y + person.mask.shape[0], x : x + person.mask.shape[1]])
     assert shrink(view, 100) is view
-    assert random_crop(view, 64, np.random.default_rng(0)) is view
+    assert random_crop(view, 128, np.random.default_rng(0)) is view
 
 
 def test_moving_average_and_rates():

@@ -65,9 +65,9 @@ class RefinementNetwork(nn.Module):
         self.fold = fold
         self.multiple = fold << (len(widths) - 1)
         self.activation = nn.LeakyReLU(SLOPE)
-        # Most of the time goes at the finest level: the many channels are first mixed without looking at neighbours (which
-        # also folds the pixels), and skips are added rather than concatenated.
-        self.entry = nn.Conv2d(COLOUR_CHANNELS + config.features + 1, widths[0], fold, stride=fold)
+        # Most of the time goes at the finest level: there the many channels of the folded pixels are first mixed without
+        # looking at neighbours, as one matrix product, and skips are added rather than concatenated.
+        self.entry = nn.Linear((COLOUR_CHANNELS + config.features + 1) * fold * fold, widths[0])
         self.first = nn.Conv2d(widths[0], widths[0], 3, padding=1)
         self.down = nn.ModuleList(nn.Conv2d(widths[i], widths[i + 1], 3, stride=2, padding=1) for i in steps)
         self.middle = nn.Conv2d(widths[-1], widths[-1], 3, padding=1)
@@ -92,11 +92,14 @@ class RefinementNetwork(nn.Module):
         """
         height, width = alpha.shape
         parts = [rgb, depth[..., None]] if features is None else [rgb, features, depth[..., None]]
-        x = torch.cat(parts, -1).permute(2, 0, 1)[None]  # [1, C, H, W]
+        x = torch.cat(parts, -1)  # [H, W, C]
         if width % self.multiple or height % self.multiple:
-            x = nn.functional.pad(x, (0, -width % self.multiple, 0, -height % self.multiple))
-        x = x.contiguous(memory_format=torch.channels_last)
-        levels = [self.activation(self.first(self.activation(self.entry(x))))]
+            x = nn.functional.pad(x, (0, 0, 0, -width % self.multiple, 0, -height % self.multiple))
+        rows, columns, channels = x.shape[0] // self.fold, x.shape[1] // self.fold, x.shape[2]
+        x = x.view(rows, self.fold, columns, self.fold, channels).transpose(1, 2)
+        x = self.entry(x.reshape(rows * columns, -1)).view(rows, columns, -1)
+        x = x.permute(2, 0, 1)[None]  # [1, C, H / fold, W / fold], channels last in memory
+        levels = [self.activation(self.first(self.activation(x)))]
         for stage in self.down:
             levels.append(self.activation(stage(levels[-1])))
         x = self.activation(self.middle(levels.pop()))

@@ -42,6 +42,7 @@ class TrainConfig:
         half_until: Progress up to which pictures are halved once more.
         refine_from: Progress from which the refinement network takes part.
         crop_size: Side of square crops in pixels; 0 for none.
+        margin: Pixels kept around the person; views are cut to that. 0 keeps them whole.
         crop_share: Share of the steps that use a crop.
         lr_networks, lr_maps, lr_codes: Peak learning rates of convolutions and linear layers, of mean and basis maps, of codes.
         lr_end: Factor of the learning rates at the end of the cosine.
@@ -68,6 +69,7 @@ class TrainConfig:
     refine_from: float = 0.0
     crop_size: int = 0
     crop_share: float = 0.0
+    margin: int = 0
     lr_networks: float = 1.5e-3
     lr_maps: float = 5e-3
     lr_codes: float = 3e-3

@@ -1,8 +1,6 @@
-"""The open head: its asset, skinning, expressions, texture layout, lids, teeth, joints."""
+"""The open head: its asset, skinning, expressions, lids, teeth, joints, landmarks. `test_head_uv` tests its texture layout."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import pytest
@@ -398,65 +396,6 @@ def test_lids_cover_the_eyeballs(head):
             assert eye_visibility(head, closed, side) <= 0.1 * visible
     closed = pose_head(head, both("eyeBlink"))
     assert eye_visibility(head, closed, "left") == eye_visibility(head, closed, "right") == 0
-
-
-# ---- texture layout -------------------------------------------------------------------------------------------------------
-
-
-def cover_texels(uv, size):
-    count = np.zeros((size, size), np.int32)
-    owner = np.full((size, size), -1)
-    for number, triangle in enumerate(uv * size - 0.5):
-        low, high = np.maximum(np.ceil(triangle.min(0)), 0).astype(int), np.minimum(triangle.max(0), size - 1).astype(int)
-        if (high < low).any():
-            continue
-        x, y = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
-        (ax, ay), (bx, by), (cx, cy) = triangle
-        inside = ((bx - ax) * (y - ay) - (by - ay) * (x - ax) > 1e-7) & ((cx - bx) * (y - by) - (cy - by) * (x - bx) > 1e-7)
-        inside &= (ax - cx) * (y - cy) - (ay - cy) * (x - cx) > 1e-7
-        view = (slice(low[1], high[1] + 1), slice(low[0], high[0] + 1))
-        count[view] += inside
-        owner[view][inside] = number
-    return count, owner
-
-
-def test_texture_layout_has_no_overlaps_and_a_gutter(head):
-    assert head.uv.min() >= 0
-    assert head.uv.max() <= 1
-    count, owner = cover_texels(head.uv[head.uv_faces].astype(np.float64), 1024)
-    assert count.max() == 1
-    assert (count > 0).mean() > 0.65
-    island = np.where(owner >= 0, head.uv_islands[owner], -1)
-    # two texels at 256 are eight at 1024: islands keep that distance (and their border to the square's edge)
-    for shift in range(1, 8):
-        for axis in (0, 1):
-            a, b = np.roll(island, shift, axis), island
-            cut = (slice(shift, None), slice(None)) if axis == 0 else (slice(None), slice(shift, None))
-            a, b = a[cut], b[cut]
-            assert not ((a >= 0) & (b >= 0) & (a != b)).any()
-
-
-def test_face_has_finer_texels_than_the_back(head):
-    corners, plane = head.v_template[head.faces], head.uv[head.uv_faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    edges = np.stack([plane[:, 1] - plane[:, 0], plane[:, 2] - plane[:, 0]], -1)
-    mapped = 0.5 * np.linalg.det(edges)
-    assert (mapped > 0).all()
-    centre = corners.mean(1)
-    skin = head.uv_islands == 0
-    face = skin & (centre[:, 2] > 0.03) & (centre[:, 1] > -0.06) & (centre[:, 1] < 0.115) & (np.abs(centre[:, 0]) < 0.065)
-    back = skin & (centre[:, 2] < -0.02) & (centre[:, 1] > -0.05)
-    texel = {name: 1000 / 256 * np.sqrt(area[m].sum() / mapped[m].sum()) for name, m in (("face", face), ("back", back))}
-    assert texel["face"] <= 1.5
-    assert texel["back"] > 1.5 * texel["face"]
-
-
-def test_islands_keep_parts_apart(head, raw):
-    names = json.loads(raw[1]["island_names"])
-    assert names[0] == "head"
-    for part in ("left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes"):
-        triangles = np.isin(head.faces, head.regions[part]).all(1)
-        assert {names[i].removesuffix("_back") for i in head.uv_islands[triangles]} == {part}
 
 
 # ---- landmarks and people -------------------------------------------------------------------------------------------------

@@ -3,8 +3,9 @@
 The map:
 
 ``config``      `TrainConfig`, read from TOML (numpy-free)
-``losses``      every term of the objective as a pure function; also used by the fitting
+``losses``      every term of the objective as a pure function; also used by the fitting (``blur``: the window of SSIM)
 ``views``       what a training view is, and the reproducible choice of views, crops and backgrounds
+``capture``     capture data sets as training views
 ``initialise``  mean colours from the pictures
 ``optimise``    parameter groups, schedule, moving average
 ``checkpoint``  whole-or-nothing checkpoints as tensor files

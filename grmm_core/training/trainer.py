@@ -224,21 +224,23 @@ class Trainer:
         Args:
             count: Views, spread over the validation set; all where it has fewer.
         """
-        chosen = self.source.validation[np.linspace(0, len(self.source.validation) - 1, count).astype(int)] if len(
-            self.source.validation
-        ) else self.source.validation  # fmt: skip
+        held_out = self.source.validation
+        chosen = np.unique(held_out[np.linspace(0, len(held_out) - 1, count).astype(int)]) if len(held_out) else held_out
+        refine = self.model.refinement is not None
         rows: list[dict[str, float]] = []
         with self.averaged():
-            for index in np.unique(chosen):
+            for index in chosen:
                 view = self._sized(self.source.load(int(index)))
-                rendering, _ = self.draw(view, None, self.model.refinement is not None)
+                rendering, _ = self.draw(view, None, refine)
                 target = self._target(view, np.zeros(3, np.float32))
-                row = {"psnr": psnr(rendering.image.clamp(0, 1), target.image)}
-                row["psnr_mask"] = psnr(rendering.image.clamp(0, 1), target.image, target.mask)
-                row["psnr_raw"] = psnr(rendering.raw.clamp(0, 1), target.image)
-                row["ssim"] = float(ssim(rendering.image.clamp(0, 1), target.image))
+                image, raw = rendering.image.clamp(0, 1), rendering.raw.clamp(0, 1)
+                row = {"psnr": psnr(image, target.image), "psnr_mask": psnr(image, target.image, target.mask)}
+                row |= {"psnr_raw": psnr(raw, target.image), "ssim": float(ssim(image, target.image))}
+                if view.split:
+                    row[f"psnr_{view.split}"] = row["psnr"]
                 rows.append(row)
-        return {f"val_{key}": float(np.mean([row[key] for row in rows])) for key in (rows[0] if rows else {})}
+        names = sorted({name for row in rows for name in row})
+        return {f"val_{name}": float(np.mean([row[name] for row in rows if name in row])) for name in names}
 
     def averaged(self) -> _Averaged:
         """Context in which the model holds the moving average of its parameters."""

@@ -1,8 +1,8 @@
 """Training views, and which one is used when.
 
-A `ViewSource` hides how a data set stores its pictures; `capture_views` adapts `data.CaptureDataset`. Every random choice of
-a step is drawn from a generator seeded by (seed, step, place in the step): nothing needs to be saved to resume a run, and
-several processes choose as one would.
+A `ViewSource` hides how a data set stores its pictures; `capture.CapturedViews` adapts `data.CaptureDataset`. Every random
+choice of a step is drawn from a generator seeded by (seed, step, place in the step): nothing needs to be saved to resume a
+run, and several processes choose as one would.
 
 Used by `trainer`.
 """
@@ -34,6 +34,7 @@ class View:
         aligned: Weights of the aligned expressions, [60].
         expression: Head-model coefficients, [E].
         pose: XYZ Euler angles of the five joints, radians, all parts included, [5, 3].
+        split: What the view is for, in the words of the data set.
     """
 
     subject: int
@@ -45,6 +46,7 @@ class View:
     aligned: np.ndarray
     expression: np.ndarray
     pose: np.ndarray
+    split: str = ""
 
 
 class ViewSource(Protocol):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import bpy
 
+from ..avatar import avatars_in, instances_in
 from .snapshot import AvatarShot
 
 
@@ -23,28 +24,22 @@ class Collected:
 
 
 def avatars(depsgraph: bpy.types.Depsgraph) -> list[Collected]:
-    """Return the visible avatars, sorted by name, so that pictures do not depend on the order of creation."""
-    from .. import avatar as avatar_module
+    """Return the avatars that the view layer shows, sorted by name, so that pictures do not depend on the order of creation.
 
+    An instanced avatar is there once for each instance.
+    """
     view_layer = depsgraph.view_layer
     found = []
-    for avatar in avatar_module.avatars_in(depsgraph):
-        head = avatar.object.original
-        if head.indirect_only_get(view_layer=view_layer) or not head.visible_camera:
+    for avatar, model_to_world in instances_in(depsgraph):
+        head = avatar.object
+        if not head.visible_camera or head.indirect_only_get(view_layer=view_layer):
             continue
-        shot = AvatarShot(
-            head.name,
-            avatar.source,
-            avatar.controls(depsgraph),
-            avatar.model_to_world(depsgraph),
-            holdout=head.is_holdout or head.holdout_get(view_layer=view_layer),
-        )
+        holdout = head.is_holdout or head.holdout_get(view_layer=view_layer)
+        shot = AvatarShot(head.name, avatar.source, avatar.controls(depsgraph), model_to_world, holdout)
         found.append(Collected(shot, (head.name,)))
     return sorted(found, key=lambda item: item.shot.name)
 
 
 def avatar_names(scene: bpy.types.Scene) -> list[str]:
     """Return the names of all avatars in a scene, visible or not, sorted: the order of their mask passes."""
-    from .. import avatar as avatar_module
-
-    return sorted(avatar.object.name for avatar in avatar_module.avatars_of(scene))
+    return [avatar.name for avatar in avatars_in(scene)]

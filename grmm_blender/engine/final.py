@@ -22,7 +22,7 @@ from .snapshot import AvatarShot, Region
 
 _log = logging.getLogger(__name__)
 
-NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > Mesh > GRMM Head."
+NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > GRMM Head."
 
 
 @dataclass(frozen=True)

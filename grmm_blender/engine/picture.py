@@ -95,10 +95,9 @@ def pass_values(
     if item.kind == "mask":
         return np.clip(buffers["alpha"], 0, 1) * shown
     if item.kind == "avatar_mask":
-        if item.avatar not in avatar_names:  # hidden in this view layer
-            return np.zeros(shown.shape, np.float32)
-        index = avatar_names.index(item.avatar)
-        return np.clip(buffers["mask"][..., index : index + 1], 0, 1) * shown
+        # Several instances of an avatar share its mask; one that this view layer hides has none.
+        own = [index for index, name in enumerate(avatar_names) if name == item.avatar]
+        return np.clip(buffers["mask"][..., own].sum(axis=-1, keepdims=True), 0, 1).astype(np.float32) * shown
     if item.kind == "normal":
         return np.where(shown > 0, buffers["normal"], np.float32(0))
     features = buffers["features"] * shown

@@ -1,0 +1,122 @@
+"""Helpers for scripts that render with the GRMM engine: a scene with an avatar, cameras, expected pictures."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from support import empty_scene, module
+
+SEED = 3  # of the random person that the tests look at
+
+
+def use_weights(path: str) -> None:
+    """Run the model with the given weights: in this process where there is torch, else in a worker."""
+    host = module("grmm_blender.session_host")
+    host.configure(host.RuntimeSettings(weights=path, device="cpu", threads=1))
+
+
+def new_scene(weights: str, heads: int = 1, size: tuple[int, int] = (96, 80)) -> bpy.types.Scene:
+    """Return an empty scene with heads beside one another and a camera in front, set up for exact colours."""
+    empty_scene()
+    use_weights(weights)
+    scene = bpy.context.scene
+    for index in range(heads):
+        bpy.ops.grmm.add_head(person="RANDOM", seed=SEED + index)
+        rig = bpy.context.object if bpy.context.object.type == "ARMATURE" else bpy.context.object.parent
+        rig.location = (0.35 * index, 0.25 * index, 0.0)
+    scene.render.engine = "GRMM"
+    scene.render.resolution_x, scene.render.resolution_y = size
+    scene.render.film_transparent = True
+    exact_colors(scene)
+    add_camera(scene)
+    return scene
+
+
+def exact_colors(scene: bpy.types.Scene) -> None:
+    """Save the network's colours as they are."""
+    scene.view_settings.view_transform = "Standard"
+    scene.render.dither_intensity = 0.0
+    scene.render.image_settings.file_format = "PNG"
+    scene.render.image_settings.color_mode = "RGBA"
+
+
+def add_camera(scene: bpy.types.Scene, location: tuple[float, float, float] = (0.1, -1.1, 0.02)) -> bpy.types.Object:
+    """Add a camera that looks at the first head, and make it the scene's."""
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    camera.location = location
+    camera.rotation_euler = (math.pi / 2, 0.0, math.atan2(location[0], -location[1]))
+    camera.data.lens = 80.0
+    scene.camera = camera
+    bpy.context.view_layer.update()
+    return camera
+
+
+def heads(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Return the head objects, sorted by name."""
+    return [avatar.object for avatar in module("grmm_blender.avatar").avatars_in(scene)]
+
+
+def render(path: Path | str) -> Path:
+    """Press F12 and save; returns the file."""
+    scene = bpy.context.scene
+    scene.render.filepath = str(path)
+    bpy.ops.render.render(write_still=True)
+    return Path(path)
+
+
+class MatrixOnly:
+    """Stands in for a RenderEngine where only the camera is asked for."""
+
+    camera_override = None
+
+    def camera_model_matrix(self, camera: bpy.types.Object) -> Any:
+        return camera.matrix_world
+
+
+def full_camera(scene: bpy.types.Scene) -> Any:
+    """Return the core camera of the scene's full picture."""
+    scale = scene.render.resolution_percentage / 100
+    size = int(scene.render.resolution_x * scale), int(scene.render.resolution_y * scale)
+    snapshot = module("grmm_blender.engine.snapshot")
+    return snapshot.full_camera(MatrixOnly(), bpy.context.evaluated_depsgraph_get(), *size)
+
+
+def expected(scene: bpy.types.Scene, camera: Any, **options: Any) -> dict[str, np.ndarray]:
+    """Draw the scene's avatars through a camera with the session alone."""
+    session = module("grmm_core.session")
+    host = module("grmm_blender.session_host")
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    instances = [
+        session.Instance(host.open_avatar(a.source).id, a.controls(depsgraph), a.model_to_world(depsgraph))
+        for a in module("grmm_blender.avatar").avatars_in(scene)
+    ]
+    return host.get_session().render(instances, camera, session.RenderOptions(**options))
+
+
+def expected_png(buffers: dict[str, np.ndarray]) -> np.ndarray:
+    """Return what a PNG of the buffers holds, [H, W, 4] 0..255 as float."""
+    return module("grmm_core.color").straight_rgba(buffers["rgb"], buffers["alpha"]) * 255.0
+
+
+def load_png(path: Path | str) -> np.ndarray:
+    """Return the stored bytes of a PNG, [H, W, 4] 0..255 as float, top row first."""
+    image = bpy.data.images.load(str(path))
+    image.colorspace_settings.name = "Non-Color"
+    image.alpha_mode = "CHANNEL_PACKED"
+    values = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(values)
+    values = values.reshape(image.size[1], image.size[0], image.channels)[::-1] * 255.0
+    bpy.data.images.remove(image)
+    return values
+
+
+def difference(found: np.ndarray, wanted: np.ndarray) -> float:
+    """Return the largest difference of two pictures, of colours where something is to be seen, in steps of 1/255."""
+    visible = np.round(wanted[..., 3:]) > 0
+    color = np.where(visible, np.abs(found[..., :3] - wanted[..., :3]), 0.0).max()
+    return float(max(color, np.abs(found[..., 3] - wanted[..., 3]).max()))

@@ -456,6 +456,32 @@ def test_refining_the_covered_part_changes_nothing(local, monkeypatch):
     assert regions[0][1].start > 0
 
 
+@pytest.mark.parametrize("channels", [(6,), (6, 5), (6, 5, 4), (6, 5, 4, 3)])
+@pytest.mark.parametrize("fold", [1, 2])
+def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
+    from types import SimpleNamespace
+
+    import torch
+
+    from grmm_core.model.config import PRESETS
+    from grmm_core.model.refine import RefinementNetwork
+    from grmm_core.session.compose import _covered_region
+
+    torch.manual_seed(0)
+    config = PRESETS["tiny"].replace(refine_channels=channels, refine_unshuffle=fold)
+    network = RefinementNetwork(config)
+    torch.nn.init.normal_(network.exit.weight)
+    alpha = torch.zeros(230, 310)
+    alpha[111:120, 150:163] = 1.0
+    rgb, features = torch.rand(230, 310, 3) * alpha[..., None], torch.rand(230, 310, config.features) * alpha[..., None]
+    with torch.no_grad():
+        whole = network(rgb, features, alpha, alpha)
+        rows, columns = _covered_region(alpha, SimpleNamespace(config=config, refinement=network))
+        part = network(rgb[rows, columns], features[rows, columns], alpha[rows, columns], alpha[rows, columns])
+    assert part.numel() < whole.numel()
+    np.testing.assert_allclose(part, whole[rows, columns], atol=1e-5)
+
+
 def test_only_what_changed_is_computed(local, monkeypatch):
     from grmm_core.model.grmm import GRMM
 
@@ -494,7 +520,7 @@ def test_the_cache_stays_within_its_limit(weights, local):
             tight = small.render([Instance(small.open("default").id, controls)], camera)
             ample = local.render([Instance(local.open("default").id, controls)], camera)
             np.testing.assert_array_equal(tight["rgb"], ample["rgb"])
-            assert small._evaluator.cache.size <= 300_000
+            assert small.evaluator.cache.size <= 300_000
 
 
 def test_plain_and_residual_free_configurations_work(tmp_path):

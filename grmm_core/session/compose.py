@@ -226,9 +226,9 @@ def _covered_region(cover: Tensor, model: GRMM) -> tuple[slice, slice] | None:
 def receptive_margin(model: GRMM) -> int:
     """Pixels beyond a pixel that its refined value can depend on, rounded up to the network's grid."""
     fold, levels = model.config.refine_unshuffle, len(model.config.refine_channels)
-    # entry and exit: one cell each at the finest level; each way down one cell, each way up one cell of the finer level and
-    # one of the coarser that nearest enlargement smears; one at the bottom
-    reach = 2 + sum(3 << level for level in range(levels - 1)) + (1 << (levels - 1))
+    # In cells of the finest level: one each for the first and the last convolution; at each level one of its cells on the way
+    # down, one on the way up and two where nearest enlargement smears the next level; one at the bottom.
+    reach = 2 + sum(4 << level for level in range(levels - 1)) + (1 << (levels - 1))
     return -(-reach * fold // (fold << (levels - 1))) * (fold << (levels - 1))
 
 

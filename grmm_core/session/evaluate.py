@@ -188,7 +188,7 @@ class Evaluator:
         means, quats, scales = self.geometry(target, inputs)
         colors, features = self.appearance(target, inputs, direction)
         full = Gaussians(means, quats, scales, self.opacity(target, inputs), colors, features)
-        return full if lod == 0 else thin_out(full, target.model, lod)
+        return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
 
     def normals(self, target: OpenAvatar, inputs: Inputs, lod: int = 0) -> Tensor:
         """Return the outward mesh normal at each Gaussian, head space, [N, 3]."""
@@ -198,20 +198,29 @@ class Evaluator:
             return (rotate(frames.quats, frames.quats.new_tensor(_OUTWARD).expand(len(frames.quats), 3)),)
 
         normals = self.cache.get((target.id, "normals", *inputs.mesh_key), make)[0]
-        return normals if lod == 0 else normals[_blocks(target.model, lod)[0]]
+        return normals if lod == 0 else normals[self.blocks(target, lod)[0]]
+
+    def blocks(self, target: OpenAvatar, lod: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the blocks of texels that `thin_out` merges."""
+        return self.cache.get((target.id, "blocks", lod), lambda: _blocks(target.model, lod))
 
     @staticmethod
     def _tensor(model: GRMM, array: np.ndarray) -> Tensor:
         return torch.as_tensor(array, dtype=model.dtype, device=model.device)
 
 
-def thin_out(gaussians: Gaussians, model: GRMM, lod: int) -> Gaussians:
+def thin_out(gaussians: Gaussians, blocks: tuple[Tensor, Tensor, Tensor], lod: int) -> Gaussians:
     """Replace each block of 2^lod x 2^lod texels by one Gaussian.
 
     It takes the place and frame of the block's middle texel, the mean of what can be averaged, and 2^lod times the size in the
     surface, so that the skin stays closed.
+
+    Args:
+        gaussians: All Gaussians, [N].
+        blocks: Of `Evaluator.blocks`: middle texel [M], block of each texel [N], texels in each block [M].
+        lod: Level of detail, at least 1.
     """
-    middle, block, counts = _blocks(model, lod)
+    middle, block, counts = blocks
 
     def mean(values: Tensor) -> Tensor:
         total = values.new_zeros((len(middle), *values.shape[1:])).index_add_(0, block, values)
@@ -236,10 +245,9 @@ def _blocks(model: GRMM, lod: int) -> tuple[Tensor, Tensor, Tensor]:
     _, block = torch.unique((row // side) * grid + column // side, return_inverse=True)
     count = int(block.max()) + 1
     distance = (row % side - side // 2).abs() + (column % side - side // 2).abs()
-    # smallest distance first, so that the last write of each block, in reverse order, is its middle texel
-    order = torch.argsort(distance, descending=True, stable=True)
-    middle = torch.empty(count, dtype=torch.long, device=texel.device)
-    middle[block[order].cpu()] = order.cpu() if texel.device.type == "cpu" else order
+    # the smallest key of a block is its middle texel; the first one where several are as near
+    key = distance * len(texel) + torch.arange(len(texel), device=texel.device)
+    middle = key.new_full((count,), torch.iinfo(key.dtype).max).scatter_reduce_(0, block, key, "amin") % len(texel)
     counts = torch.bincount(block, minlength=count).to(model.dtype)
     return middle, block, counts
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import importlib.util
 import logging
 import os
 import platform
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -66,24 +66,28 @@ def _guarded(
             if self._closed:
                 raise SessionError("The session is closed; open a new one.")
             if self._threads is not None:
-                limit_threads(self._threads)
+                torch.set_num_threads(self._threads)  # a setting of the calling thread
             try:
                 return method(self, *args, **kwargs)
             except (MemoryError, torch.OutOfMemoryError) as error:
-                self._evaluator.cache.clear()
+                self.evaluator.cache.clear()
                 raise SessionError("The model ran out of memory; choose a smaller size or a higher level of detail.") from error
             except RuntimeError as error:
                 # Torch reports a failed allocation on the CPU as a plain RuntimeError.
                 if "alloc" not in str(error):
                     raise
-                self._evaluator.cache.clear()
+                self.evaluator.cache.clear()
                 raise SessionError("The model ran out of memory; choose a smaller size or a higher level of detail.") from error
 
     return call
 
 
 class LocalSession:
-    """Opens and draws avatars in this process. See `api.Session` for the methods."""
+    """Opens and draws avatars in this process. See `api.Session` for the methods.
+
+    Attributes:
+        evaluator: Computes meshes and Gaussians; its cache is the session's.
+    """
 
     def __init__(
         self,
@@ -107,8 +111,10 @@ class LocalSession:
         self._closed = False
         self._device = choose_device(device)
         self._threads = threads
+        if threads is not None:
+            limit_rasteriser_threads(threads)
         self._store = ModelStore(weights, self._device)
-        self._evaluator = Evaluator(cache_bytes)
+        self.evaluator = Evaluator(cache_bytes)
         self._avatars: dict[int, OpenAvatar] = {}
         self._infos: dict[int, AvatarInfo] = {}
         self._next_id = 0
@@ -140,7 +146,7 @@ class LocalSession:
     @_guarded
     def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
         """See `Session.save`."""
-        target = self._target(avatar_id)
+        target = self.target(avatar_id)
         camera = Camera.orbit(THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
         buffers = self.render([Instance(avatar_id)], camera)
         png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))
@@ -151,15 +157,15 @@ class LocalSession:
         """See `Session.release`."""
         self._avatars.pop(avatar_id, None)
         self._infos.pop(avatar_id, None)
-        self._evaluator.cache.drop(avatar_id)
+        self.evaluator.cache.drop(avatar_id)
 
     @_guarded
     def deform(self, avatar_id: int, controls: Controls) -> Deformation:
         """See `Session.deform`."""
-        target = self._target(avatar_id)
-        inputs = self._evaluator.inputs(target, controls)
+        target = self.target(avatar_id)
+        inputs = self.evaluator.inputs(target, controls)
         with one_thread():
-            vertices, displacement = self._evaluator.mesh(target, inputs)
+            vertices, displacement = self.evaluator.mesh(target, inputs)
         return Deformation(_array(vertices), _array(displacement), _joints(target, inputs))
 
     @_guarded
@@ -167,14 +173,14 @@ class LocalSession:
         self, avatar_id: int, controls: Controls, view_direction: np.ndarray | None = None, lod: int = 0, features: bool = False
     ) -> GaussianArrays:
         """See `Session.gaussians`."""
-        target = self._target(avatar_id)
+        target = self.target(avatar_id)
         if not 0 <= lod <= MAX_LOD:
             raise ShapeError(f"The level of detail is {lod}; it must be 0 to {MAX_LOD}.")
         direction = np.asarray(FRONT if view_direction is None else view_direction, np.float64)
         if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < _UNIT_TOLERANCE:
             raise ShapeError("The view direction must be a unit vector of three numbers.")
-        inputs = self._evaluator.inputs(target, controls)
-        found = self._evaluator.gaussians(target, inputs, direction, lod)
+        inputs = self.evaluator.inputs(target, controls)
+        found = self.evaluator.gaussians(target, inputs, direction, lod)
         extra = _array(found.features) if features else np.zeros((len(found), 0), np.float32)
         return GaussianArrays(
             *(_array(part) for part in (found.means, found.quats, found.scales, found.opacities, found.colors)), extra
@@ -192,9 +198,9 @@ class LocalSession:
         check_render_size(camera)
         placed = []
         for instance in instances:
-            target = self._target(instance.avatar_id)
-            placed.append(Placed(target, self._evaluator.inputs(target, instance.controls), instance))
-        return compose(placed, self._evaluator, camera, options, should_cancel)
+            target = self.target(instance.avatar_id)
+            placed.append(Placed(target, self.evaluator.inputs(target, instance.controls), instance))
+        return compose(placed, self.evaluator, camera, options, should_cancel)
 
     @_guarded
     def warm_up(self) -> None:
@@ -221,7 +227,7 @@ class LocalSession:
             self._closed = True
             self._avatars.clear()
             self._infos.clear()
-            self._evaluator.cache.clear()
+            self.evaluator.cache.clear()
 
     def __enter__(self) -> Self:
         return self
@@ -238,7 +244,7 @@ class LocalSession:
         self._next_id += 1
         target = OpenAvatar(self._next_id, avatar, loaded, key)
         # Reject an avatar that does not fit before it gets an id.
-        self._evaluator.inputs(target, Controls())
+        self.evaluator.inputs(target, Controls())
         model = loaded.model
         info = AvatarInfo(
             id=target.id,
@@ -264,7 +270,8 @@ class LocalSession:
         self._infos[target.id] = info
         return info
 
-    def _target(self, avatar_id: int) -> OpenAvatar:
+    def target(self, avatar_id: int) -> OpenAvatar:
+        """Return an avatar with its model, for measurements in this process. Raises `SessionError`."""
         if avatar_id not in self._avatars:
             raise SessionError(f"There is no avatar {avatar_id} in this session; open it first.")
         return self._avatars[avatar_id]
@@ -281,13 +288,12 @@ def choose_device(name: str) -> torch.device:
     return torch.device(name)
 
 
-def limit_threads(count: int) -> None:
-    """Let torch and numba use `count` threads for what the calling thread starts; numba's setting belongs to that thread."""
-    torch.set_num_threads(count)
-    if importlib.util.find_spec("numba") is not None:
-        import numba
-
-        numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+def limit_rasteriser_threads(count: int) -> None:
+    """Let the compiled rasteriser use `count` threads, in the whole process; it reads numba's setting."""
+    if "numba" in sys.modules:
+        sys.modules["numba"].config.NUMBA_NUM_THREADS = count
+    else:
+        os.environ["NUMBA_NUM_THREADS"] = str(count)
 
 
 @contextlib.contextmanager

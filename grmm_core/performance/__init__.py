@@ -3,14 +3,46 @@
 =================  =====================================================================================
 `types`            `Performance`, what everything here takes and returns
 `reading`          `read_performance`: ARKit JSON, Live Link Face CSV, FLAME npz
+`timing`           `resample`, `shift`, `trim`
+`editing`          `apply_gain`, `find_neutral_frames`, `calibrate_neutral`, `clamp`, `REGIONS`
+`smoothing`        `smooth`
+`curves`           `reduce_performance`: keys to a stated error
+`retarget`         `to_expression`, `to_arkit`
+`writing`          `write_performance`
 =================  =====================================================================================
 
 Called by the Blender importer and exporter and by the command line. Needs numpy only.
+
+A usual import: read, calibrate to the actor's neutral face, smooth, resample to the scene's rate, reduce to keys.
 """
 
 from __future__ import annotations
 
+from .curves import ReducedCurve, reduce_performance
+from .editing import REGIONS, apply_gain, calibrate_neutral, clamp, find_neutral_frames
 from .reading import read_performance
+from .retarget import to_arkit, to_expression
+from .smoothing import smooth
+from .timing import resample, shift, trim
 from .types import Performance, Progress
+from .writing import write_performance
 
-__all__ = ["Performance", "Progress", "read_performance"]
+__all__ = [
+    "REGIONS",
+    "Performance",
+    "Progress",
+    "ReducedCurve",
+    "apply_gain",
+    "calibrate_neutral",
+    "clamp",
+    "find_neutral_frames",
+    "read_performance",
+    "reduce_performance",
+    "resample",
+    "shift",
+    "smooth",
+    "to_arkit",
+    "to_expression",
+    "trim",
+    "write_performance",
+]

@@ -328,3 +328,14 @@ def test_harmonics_reproduce_the_colours_seen(weights):
             errors.append(np.abs(fitted - cloud.colors)[seen].mean())
     assert errors[2] < 0.5 * errors[0]
     assert errors[1] < errors[0]
+
+
+@pytest.mark.slow
+def test_bench_measures_ratios(grmm, weights):
+    code, out, _ = grmm("bench", "--quick", "--weights", weights, "--json")
+    figures = json.loads(out)
+    assert code == 0
+    assert sum(stage["share"] for stage in figures["stages"].values()) == pytest.approx(1.0)
+    assert figures["caching"]["everything"]["ratio"] == 1.0
+    assert figures["rasterisers"]["forward"]["times faster"] > 0
+    assert figures["worker"]["frame"]["ratio"] > 0

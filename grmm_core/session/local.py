@@ -16,12 +16,12 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+from typing import Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 import torch
 
-from ..avatar import Avatar, load_avatar, save_avatar
+from ..avatar import Avatar, default_avatar, load_avatar, sampled_avatar, save_avatar
 from ..camera import Camera
 from ..color import straight_rgba
 from ..controls import Controls
@@ -41,7 +41,7 @@ from .api import (
 )
 from .compose import Placed, compose
 from .evaluate import Evaluator, Inputs, OpenAvatar
-from .models import ModelStore, default_avatar, sampled_avatar
+from .models import LoadedModel, ModelStore
 from .sources import SourceKey, source_key
 from .system import resident_memory
 
@@ -128,7 +128,7 @@ class LocalSession:
             return known
         if key.kind == "default":
             loaded = self._store.default()
-            return self._add(default_avatar(loaded), loaded, key)
+            return self._add(default_avatar(loaded.info, loaded.model.z_exp_size), loaded, key)
         path = Path(key.name)
         avatar = load_avatar(path)
         return self._add(avatar, self._store.for_avatar(avatar, path), key)
@@ -141,7 +141,7 @@ class LocalSession:
         if known is not None:
             return known
         loaded = self._store.default()
-        return self._add(sampled_avatar(loaded, int(seed)), loaded, key)
+        return self._add(sampled_avatar(loaded.info, loaded.model.z_exp_size, int(seed)), loaded, key)
 
     @_guarded
     def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
@@ -240,7 +240,7 @@ class LocalSession:
     def _known(self, key: SourceKey) -> AvatarInfo | None:
         return next((self._infos[target.id] for target in self._avatars.values() if target.source == key), None)
 
-    def _add(self, avatar: Avatar, loaded: Any, key: SourceKey) -> AvatarInfo:
+    def _add(self, avatar: Avatar, loaded: LoadedModel, key: SourceKey) -> AvatarInfo:
         self._next_id += 1
         target = OpenAvatar(self._next_id, avatar, loaded, key)
         # Reject an avatar that does not fit before it gets an id.

@@ -6,7 +6,6 @@ Called by `local`. Imports torch.
 from __future__ import annotations
 
 import copy
-import datetime
 import hashlib
 import logging
 import os
@@ -17,16 +16,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from .. import __version__
-from ..avatar import AssetReference, Avatar, Provenance
-from ..avatar.types import SHAPE_SIZE
-from ..errors import BackendError, FileAccessError, FileFormatError, SessionError
+from ..avatar import AssetReference, Avatar
+from ..errors import BackendError, FileAccessError, FileFormatError
 from ..expressions import ALIGNED_NAMES
 from ..model.grmm import GRMM
 from ..model.weights import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, WeightsInfo, load_weights, weights_path
 
 WEIGHTS_SUFFIX = ".safetensors"
-MADE_BY = f"grmm {__version__}"
 
 _log = logging.getLogger(__name__)
 
@@ -44,16 +40,6 @@ class LoadedModel:
     model: GRMM
     info: WeightsInfo
     codes: np.ndarray
-
-    @property
-    def reference(self) -> AssetReference:
-        """How an avatar names these weights."""
-        return AssetReference(self.info.name, self.info.sha256)
-
-    @property
-    def head_reference(self) -> AssetReference:
-        """How an avatar names the head model."""
-        return AssetReference(self.info.head_name, self.info.head_sha256)
 
 
 class ModelStore:
@@ -172,59 +158,7 @@ def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: Path) -> GR
     return changed
 
 
-def default_avatar(loaded: LoadedModel) -> Avatar:
-    """Return the avatar that comes with the weights."""
-    info = loaded.info
-    return Avatar(
-        name=f"{info.name.capitalize()} head",
-        head=loaded.head_reference,
-        weights=loaded.reference,
-        z_id=info.default_z_id,
-        z_exp=np.zeros(loaded.model.z_exp_size, np.float32),
-        shape=_padded(info.default_shape),
-        provenance=_synthetic(loaded),
-    )
-
-
-def sampled_avatar(loaded: LoadedModel, seed: int) -> Avatar:
-    """Draw a person from the Gaussian fitted jointly to the training people's codes and shapes.
-
-    With P people the fitted covariance has rank P - 1, and x = mean + sum_p n_p (x_p - mean) / sqrt(P - 1) with standard
-    normal n has exactly this distribution; codes and shape use the same n, so that they stay related.
-
-    Raises:
-        SessionError: The weights know fewer than two people.
-    """
-    info = loaded.info
-    count = len(info.people)
-    if count < 2:
-        raise SessionError(f"The weights {info.name!r} know fewer than two people, so none can be drawn; choose other weights.")
-    draw = np.random.default_rng([abs(seed), int(seed < 0)]).standard_normal(count) / np.sqrt(count - 1)
-    z_id, shape = (table.mean(0) + draw @ (table - table.mean(0)) for table in (info.z_id, info.shapes))
-    return Avatar(
-        name=f"Sample {seed}",
-        head=loaded.head_reference,
-        weights=loaded.reference,
-        z_id=z_id,
-        z_exp=np.zeros(loaded.model.z_exp_size, np.float32),
-        shape=_padded(shape),
-        provenance=_synthetic(loaded),
-    )
-
-
 def first_line(error: BaseException) -> str:
     """Return the first line of a library's message, without its final full stop."""
     text = str(error).strip() or type(error).__name__
     return text.splitlines()[0].rstrip(".")
-
-
-def _synthetic(loaded: LoadedModel) -> Provenance:
-    licence = loaded.info.provenance.get("licence", "")
-    today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    return Provenance(made_by=MADE_BY, from_photos=False, date=today, licence=licence if isinstance(licence, str) else "")
-
-
-def _padded(shape: np.ndarray) -> np.ndarray:
-    padded = np.zeros(SHAPE_SIZE, np.float32)
-    padded[: shape.size] = shape[:SHAPE_SIZE]
-    return padded

@@ -64,7 +64,7 @@ def _project_one(
     qw, qx, qy, qz = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
     s0, s1, s2 = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
     norm = qw * qw + qx * qx + qy * qy + qz * qz
-    if not (np.float32(z) >= np.float32(NEAR) and norm > 0.0 and opacity > ALPHA_MIN):
+    if not (np.float32(z) >= np.float32(NEAR) and 0.0 < norm < np.inf and ALPHA_MIN < opacity < np.inf):
         return nothing
     inverse = 1.0 / math.sqrt(norm)
     qw, qx, qy, qz = qw * inverse, qx * inverse, qy * inverse, qz * inverse

@@ -1,0 +1,260 @@
+"""The rasteriser's rules, checked by hand-computed pictures on every backend that runs here, and the reference's gradients."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from grmm_core.camera import Camera  # noqa: E402
+from grmm_core.errors import BackendError, ShapeError  # noqa: E402
+from grmm_core.splat import Gaussians, available_backends, rasterize, rasterize_batch  # noqa: E402
+
+BACKENDS = [info.name for info in available_backends() if info.available and info.name != "cuda"]
+each_backend = pytest.mark.parametrize("backend", BACKENDS)
+CAMERA = Camera(np.eye(4), 100.0, 100.0, 8.5, 6.5, 17, 13)  # looks along +z; the centre of pixel [6, 8] is on the axis
+
+
+def ball(z=1.0, x=0.0, y=0.0, size=0.02, opacity=0.8, color=(1.0, 0.5, 0.25), features=None):
+    return Gaussians(
+        torch.tensor([[x, y, z]]),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        torch.full((1, 3), size),
+        torch.tensor([opacity]),
+        torch.tensor([color]),
+        None if features is None else torch.tensor([features]),
+    )
+
+
+def scene(count, channels=4, seed=0, dtype=torch.float32, spread=0.12, size=0.012):
+    random = torch.Generator().manual_seed(seed)
+
+    def normal(*shape):
+        return torch.randn(*shape, generator=random, dtype=torch.float64).to(dtype)
+
+    def uniform(*shape):
+        return torch.rand(*shape, generator=random, dtype=torch.float64).to(dtype)
+
+    features = normal(count, channels) if channels else None
+    return Gaussians(
+        spread * normal(count, 3), normal(count, 4), size * torch.exp(0.5 * normal(count, 3)), uniform(count), uniform(count, 3), features
+    )
+
+
+def orbit(width=48, height=40, **options):
+    return Camera.orbit(width, height, **{"yaw": 20.0, "pitch": 10.0, "distance": 0.6, "fov": 25.0, **options})
+
+
+@each_backend
+def test_one_gaussian_is_a_dilated_normal_density(backend):
+    out = rasterize(ball(z=2.0, features=[3.0, -1.0]), CAMERA, background=(0.1, 0.2, 0.3), backend=backend)
+    variance = (100.0 * 0.02 / 2.0) ** 2 + 0.3
+    x, y = np.meshgrid(np.arange(17) - 8.0, np.arange(13) - 6.0)
+    alpha = 0.8 * np.exp(-(x * x + y * y) / (2 * variance))
+    alpha[alpha < 1 / 255] = 0
+    np.testing.assert_allclose(out.alpha.numpy(), alpha, atol=2e-6)
+    expected = alpha[..., None] * [1.0, 0.5, 0.25] + (1 - alpha)[..., None] * [0.1, 0.2, 0.3]
+    np.testing.assert_allclose(out.rgb.numpy(), expected, atol=3e-6)
+    np.testing.assert_allclose(out.depth.numpy(), np.where(alpha > 0, 2.0, 0.0), atol=1e-4)
+    np.testing.assert_allclose(out.features.numpy(), alpha[..., None] * [3.0, -1.0], atol=1e-5)
+
+
+@each_backend
+def test_the_nearer_gaussian_covers_the_farther_one(backend):
+    both = Gaussians.concatenate([ball(z=2.0, color=(0.0, 1.0, 0.0), size=0.2), ball(z=1.0, color=(1.0, 0.0, 0.0), size=0.2)])
+    out = rasterize(both, CAMERA, backend=backend)
+    torch.testing.assert_close(out.rgb[6, 8], torch.tensor([0.8, 0.16, 0.0]), atol=1e-5, rtol=0)
+    assert out.alpha[6, 8].item() == pytest.approx(0.96, abs=1e-5)
+    assert out.depth[6, 8].item() == pytest.approx((0.8 * 1 + 0.16 * 2) / 0.96, abs=1e-5)
+
+
+@each_backend
+@pytest.mark.parametrize("first", [0, 1])
+def test_equal_depths_keep_the_order_of_their_index(backend, first):
+    colors = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)]
+    balls = Gaussians.concatenate([ball(color=colors[first]), ball(color=colors[1 - first])])
+    out = rasterize(balls, CAMERA, backend=backend)
+    assert out.rgb[6, 8, first].item() == pytest.approx(0.8, abs=1e-5)
+    assert out.rgb[6, 8, 1 - first].item() == pytest.approx(0.16, abs=1e-5)
+
+
+@each_backend
+def test_many_equal_depths_keep_the_order_of_their_index(backend):
+    # More than the short lists that are sorted by insertion; alternating depths so that the sort has something to move.
+    near, far = ball(z=1.0, opacity=0.05, features=[0.0]), ball(z=1.5, opacity=0.05, features=[0.0])
+    many = Gaussians.concatenate([far, near] * 40)
+    many.features = torch.arange(80.0)[:, None]
+    out = rasterize(many, CAMERA, backend=backend)
+    order = list(range(1, 80, 2)) + list(range(0, 80, 2))
+    weight, expected = 1.0, 0.0
+    for index in order:
+        expected += 0.05 * weight * index
+        weight *= 0.95
+    assert out.features[6, 8, 0].item() == pytest.approx(expected, rel=1e-4)
+
+
+@each_backend
+def test_a_pixel_ends_before_the_gaussian_that_would_close_it(backend):
+    parts = [ball(z=1.0 + 0.1 * k, opacity=1.0, color=color) for k, color in enumerate([(1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)])]
+    out = rasterize(Gaussians.concatenate(parts), CAMERA, background=(1.0, 1.0, 1.0), backend=backend)
+    # The first covers 0.999, its cap; the second would leave 1e-6 < 1e-4 and is not blended, nor is anything behind it.
+    torch.testing.assert_close(out.rgb[6, 8], torch.tensor([1.0, 0.001, 0.001]), atol=1e-6, rtol=0)
+    assert out.depth[6, 8].item() == pytest.approx(1.0, abs=1e-6)
+
+
+@each_backend
+def test_a_gaussian_that_covers_less_than_the_threshold_is_skipped(backend):
+    assert rasterize(ball(opacity=0.9 / 255), CAMERA, backend=backend).alpha.max().item() == 0
+    assert rasterize(ball(opacity=1.1 / 255), CAMERA, backend=backend).alpha.max().item() == pytest.approx(1.1 / 255, rel=1e-4)
+
+
+@each_backend
+@pytest.mark.parametrize("z", [0.009, 0.0, -1.0])
+def test_nothing_before_the_near_plane_is_drawn(backend, z):
+    assert rasterize(ball(z=z), CAMERA, backend=backend).alpha.max().item() == 0
+
+
+@each_backend
+def test_an_orthographic_picture_does_not_depend_on_depth(backend):
+    camera = Camera(np.eye(4), 100.0, 100.0, 8.5, 6.5, 17, 13, orthographic=True)
+    near, far = (rasterize(ball(z=z, x=0.03), camera, backend=backend) for z in (0.5, 5.0))
+    torch.testing.assert_close(near.rgb, far.rgb)
+    assert near.alpha.argmax().item() == 6 * 17 + 11
+    assert far.depth[6, 11].item() == pytest.approx(5.0, abs=1e-4)
+
+
+@each_backend
+def test_antialiasing_keeps_the_light_of_a_small_gaussian(backend):
+    small = ball(size=0.0005)  # 0.05 px
+    plain = rasterize(small, CAMERA, backend=backend).alpha.sum().item()
+    kept = rasterize(small, CAMERA, backend=backend, antialiased=True).alpha[6, 8].item()
+    assert kept == pytest.approx(0.8 * 0.05**2 / (0.05**2 + 0.3), rel=1e-3)
+    assert plain > 50 * kept
+
+
+@each_backend
+def test_no_gaussians_leave_the_background(backend):
+    empty = scene(0, channels=2)
+    ground = torch.rand(13, 17, 3, generator=torch.Generator().manual_seed(1))
+    out = rasterize(empty, CAMERA, background=ground, backend=backend)
+    torch.testing.assert_close(out.rgb, ground)
+    assert out.features.shape == (13, 17, 2)
+    for tensor in (out.alpha, out.depth, out.features):
+        assert tensor.abs().max().item() == 0
+
+
+@each_backend
+@pytest.mark.parametrize("field", ["means", "quats", "scales", "opacities", "colors", "features"])
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+def test_a_gaussian_with_a_non_finite_number_is_not_drawn(backend, field, number):
+    good = scene(40, seed=3)
+    bad = dataclasses.replace(scene(41, seed=3))
+    for name in ("means", "quats", "scales", "opacities", "colors", "features"):
+        values = torch.cat([getattr(good, name)[:20], getattr(bad, name)[40:], getattr(good, name)[20:]])
+        if name == field:
+            values.view(41, -1)[20, -1] = number
+        setattr(bad, name, values.requires_grad_())
+    out = rasterize(bad, orbit(), backend=backend)
+    expected = rasterize(good, orbit(), backend=backend)
+    torch.testing.assert_close(out.rgb, expected.rgb)
+    torch.testing.assert_close(out.features, expected.features)
+    (out.rgb.sum() + out.depth.sum() + out.features.sum()).backward()
+    for name in ("means", "quats", "scales", "opacities", "colors", "features"):
+        gradient = getattr(bad, name).grad
+        assert gradient.isfinite().all()
+        assert gradient[20].abs().max().item() == 0
+
+
+@each_backend
+def test_a_zero_quaternion_is_not_drawn(backend):
+    one = ball()
+    one.quats = torch.zeros(1, 4)
+    assert rasterize(one, CAMERA, backend=backend).alpha.max().item() == 0
+
+
+@each_backend
+@pytest.mark.parametrize("options", [{}, {"antialiased": True}])
+def test_a_crop_equals_its_region_of_the_whole_picture(backend, options):
+    whole, x, y = orbit(64, 48), 19, 7
+    many = scene(200, size=0.03, spread=0.2)
+    full = rasterize(many, whole, backend=backend, **options)
+    part = rasterize(many, whole.crop(x, y, 30, 35), backend=backend, frame=whole, **options)
+    for name in ("rgb", "alpha", "depth", "features"):
+        torch.testing.assert_close(getattr(part, name), getattr(full, name)[y : y + 35, x : x + 30], atol=2e-4, rtol=1e-3)
+
+
+@each_backend
+def test_background_gradients_are_what_shines_through(backend):
+    vector = torch.tensor([0.1, 0.2, 0.3], requires_grad=True)
+    out = rasterize(ball(), CAMERA, background=vector, backend=backend)
+    out.rgb.sum().backward()
+    torch.testing.assert_close(vector.grad, (1 - out.alpha).sum().expand(3), rtol=1e-5, atol=1e-4)
+    image = torch.zeros(13, 17, 3, requires_grad=True)
+    out = rasterize(ball(), CAMERA, background=image, backend=backend)
+    out.rgb.sum().backward()
+    torch.testing.assert_close(image.grad, (1 - out.alpha)[..., None].expand(13, 17, 3), rtol=1e-5, atol=1e-6)
+
+
+@each_backend
+def test_a_batch_equals_single_pictures(backend):
+    scenes, cameras = [scene(30, seed=k) for k in range(2)], [orbit(20, 30), orbit(33, 17, yaw=-40.0)]
+    for out, one, camera in zip(rasterize_batch(scenes, cameras, backend=backend), scenes, cameras, strict=True):
+        torch.testing.assert_close(out.rgb, rasterize(one, camera, backend=backend).rgb)
+    shared = rasterize_batch(scenes[0], cameras, backend=backend)
+    assert [tuple(out.alpha.shape) for out in shared] == [(30, 20), (17, 33)]
+    with pytest.raises(ShapeError, match="3 cameras"):
+        rasterize_batch(scenes, [*cameras, cameras[0]], backend=backend)
+
+
+@pytest.mark.parametrize(
+    ("field", "shape"),
+    [("means", (5, 2)), ("quats", (5, 3)), ("scales", (4, 3)), ("opacities", (5, 1)), ("colors", (5, 4)), ("features", (4, 2))],
+)
+def test_a_wrong_shape_is_named(field, shape):
+    gaussians = scene(5)
+    setattr(gaussians, field, torch.zeros(shape))
+    with pytest.raises(ShapeError, match=rf"{field} has the shape \[{', '.join(map(str, shape))}\]"):
+        rasterize(gaussians, CAMERA)
+
+
+def test_wrong_types_backgrounds_and_backends_are_named():
+    integers = scene(5)
+    integers.colors = torch.zeros(5, 3, dtype=torch.int64)
+    with pytest.raises(ShapeError, match="colors holds"):
+        rasterize(integers, CAMERA)
+    with pytest.raises(ShapeError, match="background"):
+        rasterize(scene(5), CAMERA, background=torch.zeros(4))
+    with pytest.raises(BackendError, match="vulkan"):
+        rasterize(scene(5), CAMERA, backend="vulkan")
+    with pytest.raises(ShapeError, match="features"):
+        Gaussians.concatenate([scene(2, channels=3), scene(2, channels=0)])
+
+
+def test_available_backends_name_all_and_say_why():
+    infos = {info.name: info for info in available_backends()}
+    assert set(infos) == {"torch", "cpu", "cuda"}
+    assert infos["torch"].available
+    assert all(info.detail for info in infos.values())
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+@pytest.mark.parametrize("antialiased", [False, True])
+def test_reference_gradients_equal_finite_differences(orthographic, antialiased):
+    # Few, wide and faint: no pixel is near a threshold, so that the picture is smooth where it is probed.
+    base = scene(3, channels=1, seed=11, dtype=torch.float64, spread=0.03, size=0.15)
+    base.opacities = 0.2 + 0.4 * base.opacities
+    focal = 18.0 if orthographic else 14.0
+    camera = dataclasses.replace(orbit(4, 3), fx=focal, fy=1.1 * focal, orthographic=orthographic)
+
+    def picture(means, quats, scales, opacities, colors, features, background):
+        out = rasterize(Gaussians(means, quats, scales, opacities, colors, features), camera, background, "torch", antialiased)
+        return out.rgb, out.alpha, out.depth, out.features
+
+    inputs = (base.means, base.quats, base.scales, base.opacities, base.colors, base.features)
+    inputs = tuple(tensor.clone().requires_grad_() for tensor in (*inputs, torch.tensor([0.3, 0.6, 0.9], dtype=torch.float64)))
+    assert picture(*inputs)[1].min().item() > 0.1
+    assert torch.autograd.gradcheck(picture, inputs, eps=1e-6, atol=1e-6, rtol=1e-4)

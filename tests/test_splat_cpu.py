@@ -1,0 +1,201 @@
+"""The compiled CPU rasteriser against its readable twin: pictures and gradients, on ordinary and on degenerate scenes."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+
+import numba
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from test_splat import orbit, scene  # noqa: E402
+
+from grmm_core.camera import Camera  # noqa: E402
+from grmm_core.splat import Gaussians, rasterize  # noqa: E402
+from grmm_core.splat.cpu import jit, threads  # noqa: E402
+
+NAMES = ("means", "quats", "scales", "opacities", "colors", "features")
+OUTPUTS = ("rgb", "alpha", "depth", "features")
+# float32 against float64; relative to the largest value
+PICTURE_TOLERANCE, GRADIENT_TOLERANCE = 3e-5, 5e-4
+
+
+def changed(gaussians, **changes):
+    return dataclasses.replace(gaussians, **changes)
+
+
+def behind():
+    many = scene(60, seed=5)
+    many.means[::3] -= torch.tensor(orbit().forward, dtype=torch.float32) * 2.0
+    return many
+
+
+def needles():
+    many = scene(80, seed=6)
+    many.scales[:, 0], many.scales[:, 1:] = 0.3, 1e-6
+    return many
+
+
+def coincident():
+    many = scene(60, seed=7)
+    many.means[:] = many.means[0] * 0.1
+    return changed(many, opacities=many.opacities * 0.2)
+
+
+def nearly_opaque():
+    many = scene(300, seed=8, size=0.03)
+    return changed(many, opacities=0.9 + 0.1 * many.opacities)
+
+
+SCENES = {
+    "ordinary": (lambda: scene(300, seed=1), orbit()),
+    "many in a tile": (lambda: scene(2000, seed=2, spread=0.03, size=0.004), orbit(20, 20)),
+    "no features": (lambda: scene(100, channels=0, seed=3), orbit()),
+    "one feature": (lambda: scene(100, channels=1, seed=3), orbit()),
+    "32 features": (lambda: scene(150, channels=32, seed=4), orbit(33, 31)),
+    "33 features": (lambda: scene(50, channels=33, seed=4), orbit(17, 16)),
+    "some behind the camera": (behind, orbit()),
+    "huge": (lambda: scene(20, seed=9, size=3.0), orbit()),
+    "needle-thin": (needles, orbit(80, 80)),
+    "transparent": (lambda: changed(scene(80, seed=10), opacities=torch.linspace(0, 0.02, 80)), orbit()),
+    "nearly opaque": (nearly_opaque, orbit()),
+    "coincident depths": (coincident, orbit()),
+    "off-screen": (lambda: scene(200, seed=12, spread=0.6, size=0.1), orbit(32, 24)),
+    "one pixel": (lambda: scene(100, seed=13), orbit(1, 1, fov=1.0)),
+    "one Gaussian": (lambda: scene(1, seed=14, size=0.1), orbit()),
+    "points": (lambda: changed(scene(100, seed=15), scales=torch.zeros(100, 3)), orbit()),
+    "orthographic": (lambda: scene(200, seed=16), dataclasses.replace(orbit(), orthographic=True, fx=200.0, fy=180.0)),
+    "crop": (lambda: scene(200, seed=17), orbit(64, 48).crop(19, 7, 30, 35)),
+    "shifted and mirrored": (lambda: scene(200, seed=18), dataclasses.replace(orbit(), fx=-90.0, fy=70.0, cx=-5.0, cy=60.0)),
+    "scaled world": (lambda: scene(200, seed=19), orbit().transformed(np.diag([2.0, 2.0, 2.0, 1.0]))),
+}
+
+
+def draw(gaussians, camera, backend, dtype, antialiased, background):
+    leaves = [None if getattr(gaussians, n) is None else getattr(gaussians, n).to(dtype).clone().requires_grad_() for n in NAMES]
+    out = rasterize(Gaussians(*leaves), camera, background, backend, antialiased)
+    pictures = [getattr(out, name) for name in OUTPUTS if getattr(out, name) is not None]
+    random = torch.Generator().manual_seed(99)
+    pulls = [torch.randn(p.shape, generator=random, dtype=torch.float64).to(p.dtype) for p in pictures]
+    gradients = torch.autograd.grad(pictures, [leaf for leaf in leaves if leaf is not None], pulls)
+    return [p.detach().double() for p in pictures], [g.double() for g in gradients]
+
+
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("name", SCENES)
+def test_pictures_and_gradients_equal_the_reference(name, antialiased):
+    make, camera = SCENES[name]
+    expected, expected_gradients = draw(make(), camera, "torch", torch.float64, antialiased, (0.2, 0.5, 0.7))
+    pictures, gradients = draw(make(), camera, "cpu", torch.float32, antialiased, (0.2, 0.5, 0.7))
+    assert expected[1].max() > 0, "the scene must show something"
+    for label, ours, theirs in zip(OUTPUTS, pictures, expected, strict=False):
+        assert ours.isfinite().all()
+        error = (ours - theirs).abs().max() / theirs.abs().max().clamp(min=1.0)
+        assert error < PICTURE_TOLERANCE, f"{label}: {error:.2e}"
+    for label, ours, theirs in zip(NAMES, gradients, expected_gradients, strict=False):
+        assert ours.isfinite().all()
+        error = (ours - theirs).abs().max() / theirs.abs().max().clamp(min=1e-3)
+        assert error < GRADIENT_TOLERANCE, f"gradient of {label}: {error:.2e}"
+
+
+def test_gradients_of_one_output_alone_equal_the_reference():
+    camera = orbit(30, 30)
+    for output in OUTPUTS:
+        gradients = []
+        for backend, dtype in (("torch", torch.float64), ("cpu", torch.float32)):
+            many = scene(60, seed=21, dtype=dtype)
+            many.means.requires_grad_()
+            picture = getattr(rasterize(many, camera, backend=backend), output)
+            weights = torch.linspace(-1, 1, picture.numel(), dtype=dtype).reshape(picture.shape)
+            gradients.append(torch.autograd.grad((picture * weights).sum(), many.means)[0].double())
+        torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-3, atol=2e-4 * gradients[0].abs().max().item())
+
+
+def test_the_picture_does_not_depend_on_gradients_threads_or_layout(monkeypatch):
+    many, camera = scene(3000, seed=22), orbit(100, 90)
+    expected = rasterize(many, camera)
+    monkeypatch.setattr(threads, "thread_count", lambda: 1)
+    single = rasterize(many, camera)
+    monkeypatch.setattr(threads, "thread_count", lambda: 5)
+    scattered = {name: getattr(many, name).repeat_interleave(2, 0)[::2] for name in NAMES}
+    strided = rasterize(Gaussians(**scattered), camera)
+    many.means.requires_grad_()
+    learning = rasterize(many, camera)
+    for other in (single, strided, learning):
+        for name in OUTPUTS:
+            assert torch.equal(getattr(other, name).detach(), getattr(expected, name))
+    assert learning.rgb.requires_grad
+    assert not expected.rgb.requires_grad
+
+
+def test_gradients_are_the_same_every_time():
+    def gradients():
+        return draw(scene(3000, seed=23), orbit(100, 90), "cpu", torch.float32, False, None)[1]
+
+    for first, second in zip(gradients(), gradients(), strict=True):
+        assert torch.equal(first, second)
+
+
+def test_several_threads_may_draw_at_a_time():
+    scenes = [scene(500, seed=30 + k) for k in range(4)]
+    expected = [rasterize(one, orbit(90, 70)).rgb for one in scenes]
+    results = {}
+
+    def work(k):
+        for _ in range(5):
+            results[k] = rasterize(scenes[k], orbit(90, 70)).rgb
+
+    workers = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
+    for k in range(4):
+        assert torch.equal(results[k], expected[k])
+
+
+def test_an_error_in_a_task_reaches_the_caller(monkeypatch):
+    monkeypatch.setattr(threads, "thread_count", lambda: 3)
+
+    def call(task):
+        if task == 7:
+            raise ValueError("task 7")
+
+    with pytest.raises(ValueError, match="task 7"):
+        threads.for_each(20, call)
+
+
+def test_kernels_compile_where_no_folder_can_be_written(monkeypatch):
+    compile_function = numba.njit
+
+    def refuse(**options):
+        if options["cache"]:
+            raise RuntimeError("cannot cache function: no locator available")
+        return compile_function(**options)
+
+    monkeypatch.setattr(numba, "njit", refuse)
+
+    @jit.kernel
+    def double(x):
+        return 2 * x
+
+    assert double(21) == 42
+
+
+def test_inputs_may_be_of_another_float_type():
+    many = scene(50, seed=24, dtype=torch.float64)
+    many.colors.requires_grad_()
+    out = rasterize(many, orbit(), backend="cpu")
+    assert out.rgb.dtype == torch.float32
+    out.rgb.sum().backward()
+    assert many.colors.grad.dtype == torch.float64
+
+
+def test_a_picture_wider_than_the_tile_grid_is_refused():
+    from grmm_core.errors import BackendError
+
+    with pytest.raises(BackendError, match="too large"):
+        rasterize(scene(1), Camera(np.eye(4), 1.0, 1.0, 0.0, 0.0, 1 << 19, 1), backend="cpu")

@@ -10,6 +10,11 @@ import bpy
 from .rig.identity import DEFAULT_SOURCE
 
 
+def _changed(self: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    """Have the head looked at again (see `handlers`)."""
+    self.id_data.update_tag()
+
+
 class GRMM_PG_avatar(bpy.types.PropertyGroup):
     """Settings of a head object."""
 
@@ -36,6 +41,7 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
         description="Keep the residual shape key up to date with the model, so that the mesh shows the learned displacement",
         default=True,
         override={"LIBRARY_OVERRIDABLE"},
+        update=_changed,
     )
     detail_in_playback: bpy.props.BoolProperty(
         name="Also During Playback",

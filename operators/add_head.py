@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from typing import ClassVar
 
 import bpy
 
@@ -14,11 +15,12 @@ from ..grmm_core.errors import GrmmError
 
 
 class GRMM_OT_add_head(bpy.types.Operator):
-    """Add an animatable GRMM head with its rig at the 3D cursor"""
+    """Add an animatable GRMM head with its rig at the 3D cursor."""
 
     bl_idname = "grmm.add_head"
     bl_label = "Add GRMM Head"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_description = "Add an animatable GRMM head with its rig at the 3D cursor"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     person: bpy.props.EnumProperty(
         name="Person",
@@ -89,11 +91,12 @@ class GRMM_OT_add_head(bpy.types.Operator):
 
 
 class GRMM_OT_open_avatar(bpy.types.Operator):
-    """Choose an avatar file and add it to the scene"""
+    """Choose an avatar file and add it to the scene."""
 
     bl_idname = "grmm.open_avatar"
     bl_label = "Open GRMM Avatar"
-    bl_options = {"REGISTER"}
+    bl_description = "Choose an avatar file and add it to the scene"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=f"*{EXTENSION}", options={"HIDDEN"})

@@ -67,7 +67,7 @@ def make_armature(context: bpy.types.Context, name: str, head: HeadModel, joints
     return obj
 
 
-def shift_joints(obj: bpy.types.Object, shifts: np.ndarray, parents: list[int]) -> None:
+def shift_joints(obj: bpy.types.Object, shifts: np.ndarray, parents: list[int]) -> bool:
     """Move the joints with the person's shape.
 
     A joint j at rest J_j + d_j instead of J_j turns about another point. MCH-j moves by d_j - d_parent before the rotation, and
@@ -77,14 +77,19 @@ def shift_joints(obj: bpy.types.Object, shifts: np.ndarray, parents: list[int]) 
         obj: Armature object.
         shifts: d, head axes, metres, [5, 3].
         parents: Parent of each joint.
+
+    Returns:
+        Whether anything changed.
     """
-    bones = obj.pose.bones
+    bones, changed = obj.pose.bones, False
     for joint, name in enumerate(JOINT_NAMES):
         relative = shifts[joint] - (shifts[parents[joint]] if parents[joint] >= 0 else 0.0)
         for bone_name, value in ((SHIFT_PREFIX + name, relative), (DEFORM_PREFIX + name, -shifts[joint])):
             bone = bones.get(bone_name)
-            if bone is not None:
-                bone.location = value.tolist()
+            location = Vector(value)
+            if bone is not None and bone.location != location:
+                bone.location, changed = location, True
+    return changed
 
 
 def local_rotation(bone: bpy.types.PoseBone) -> Matrix:

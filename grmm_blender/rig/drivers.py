@@ -15,7 +15,7 @@ from ...grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
 from ...grmm_core.head import HeadModel
 from .armature import DRIVEN_PREFIX, driven_joints
 from .definitions import EXPRESSION, SHAPE, property_path
-from .mesh import aligned_rows, component_of, mixture_key_name, shape_key_name
+from .mesh import aligned_rows, component_of, leading_shapes, mixture_key_name, shape_key_name
 
 _AXES = "xyz"
 _MIN_ANGLE = 1e-7  # radians per unit; smaller ones do not move a vertex by 1e-7 m
@@ -42,7 +42,7 @@ def drive_shape_keys(obj: bpy.types.Object, head: HeadModel) -> None:
     """Drive all keys of a head object by its own properties."""
     keys = obj.data.shape_keys.key_blocks
     inputs, others = expression_inputs(head)
-    for k in range(head.shape_count):
+    for k in range(leading_shapes(head)):
         _drive(keys[shape_key_name(k)], "value", -1, obj, [property_path(SHAPE, k)])
     for name, paths in zip(head.expression_names, inputs, strict=True):
         _drive(keys[name], "value", -1, obj, paths)
@@ -60,8 +60,9 @@ def drive_bones(armature: bpy.types.Object, obj: bpy.types.Object, head: HeadMod
         resting: Euler angles in radians that the avatar's own expression adds, [5, 3].
     """
     inputs, others = expression_inputs(head)
-    sources = [(name, paths, np.asarray(head.expression_pose)[k]) for k, (name, paths) in enumerate(zip(head.expression_names, inputs, strict=True))]
-    sources += [(name, [property_path(name)], np.einsum("e,ejk->jk", row, head.expression_pose)) for name, row in others.items()]
+    poses = np.asarray(head.expression_pose)  # [E, 5, 3]
+    sources = [(name, inputs[k], poses[k]) for k, name in enumerate(head.expression_names)]
+    sources += [(name, [property_path(name)], np.einsum("e,ejk->jk", row, poses)) for name, row in others.items()]
     for joint in driven_joints(head):
         bone = armature.pose.bones[DRIVEN_PREFIX + JOINT_NAMES[joint]]
         for axis in range(3):
@@ -91,6 +92,16 @@ def set_resting_pose(armature: bpy.types.Object, resting: np.ndarray) -> None:
         if bone is not None:
             for axis in range(3):
                 bone[resting_term(axis)] = float(resting[joint, axis])
+
+
+def resting_pose(armature: bpy.types.Object | None) -> np.ndarray:
+    """Return what `set_resting_pose` stored, radians, [5, 3]."""
+    pose = np.zeros((len(JOINT_NAMES), 3), np.float32)
+    for joint, name in enumerate(JOINT_NAMES if armature is not None else ()):
+        bone = armature.pose.bones.get(DRIVEN_PREFIX + name)
+        if bone is not None:
+            pose[joint] = [bone.get(resting_term(axis), 0.0) for axis in range(3)]
+    return pose
 
 
 def _drive(

@@ -16,10 +16,15 @@ from .identity import Identity
 
 BASIS_KEY = "Basis"
 RESIDUAL_KEY = "residual"
+SHAPE_REST_KEY = "shape.rest"
+LEADING_SHAPES = 50
+"""Shape components with a key of their own; `live` writes the sum of the many small others into one key. A key costs Blender
+0.02 ms a frame wherever it is not zero, so 300 of them would take most of a frame's time."""
 DEFORM_PREFIX = "DEF-"
 UV_NAME = "UVMap"
 KEY_LIMIT = 10.0  # the most that Blender allows a shape key
 _MIN_WEIGHT = 1e-7
+_SMALLEST = 1e-8  # metres
 # region, colour (linear), roughness: what the bare mesh looks like where no splats are drawn
 _MATERIALS = (
     ("Skin", (), (0.58, 0.34, 0.25, 1.0), 0.5),
@@ -84,18 +89,24 @@ def add_vertex_groups(obj: bpy.types.Object, head: HeadModel) -> None:
 
 
 def add_shape_keys(obj: bpy.types.Object, identity: Identity) -> None:
-    """Add the basis and all keys, at 0; the residual key is at 1 and holds nothing yet."""
+    """Add the basis and all keys, at 0; those that `live` writes are at 1 and hold nothing yet."""
     head = identity.head
     resting = to_blender(identity.vertices)
     _add_key(obj, BASIS_KEY, resting)
-    for k in range(head.shape_count):
+    for k in range(leading_shapes(head)):
         _add_key(obj, shape_key_name(k), resting + to_blender(head.shape_dirs[:, :, k]))
     for k, name in enumerate(head.expression_names):
         _add_key(obj, name, resting + to_blender(head.expression_dirs[:, :, k]))
     for name, row in zip(ALIGNED_NAMES, aligned_rows(head), strict=True):
         if component_of(row) is None:
             _add_key(obj, mixture_key_name(name, head), resting + to_blender(head.expression_dirs @ row))
-    _add_key(obj, RESIDUAL_KEY, resting).value = 1.0
+    for name in (SHAPE_REST_KEY, RESIDUAL_KEY):
+        _add_key(obj, name, resting).value = 1.0
+
+
+def leading_shapes(head: HeadModel) -> int:
+    """Number of shape components with a key of their own."""
+    return min(LEADING_SHAPES, head.shape_count)
 
 
 def mixture_key_name(name: str, head: HeadModel) -> str:
@@ -114,23 +125,46 @@ def rebase(obj: bpy.types.Object, vertices: np.ndarray) -> None:
     wanted = to_blender(vertices)
     shift = wanted.ravel() - read_key(keys[BASIS_KEY])
     for key in keys:
-        key.data.foreach_set("co", read_key(key) + shift)
+        key.points.foreach_set("co", read_key(key) + shift)
     obj.data.vertices.foreach_set("co", wanted.ravel())
     obj.data.update()
 
 
 def read_key(key: bpy.types.ShapeKey) -> np.ndarray:
     """Positions of a shape key, flat, [3 V] float32."""
-    positions = np.empty(len(key.data) * 3, np.float32)
-    key.data.foreach_get("co", positions)
+    positions = np.empty(len(key.points) * 3, np.float32)
+    key.points.foreach_get("co", positions)  # `points` is the fast path of `data`
     return positions
+
+
+def write_offsets(obj: bpy.types.Object, name: str, offsets: np.ndarray) -> bool:
+    """Set a key to the basis plus offsets, and have the mesh evaluated again.
+
+    Args:
+        obj: Head object.
+        name: Key; where it was removed nothing happens.
+        offsets: Blender's axes, flat, metres, [3 V].
+
+    Returns:
+        Whether anything changed by more than 1e-8 m.
+    """
+    keys = obj.data.shape_keys.key_blocks
+    key = keys.get(name)
+    if key is None or len(key.points) * 3 != offsets.size:
+        return False
+    wanted = read_key(keys[BASIS_KEY]) + offsets
+    if np.abs(read_key(key) - wanted).max(initial=0.0) < _SMALLEST:
+        return False
+    key.points.foreach_set("co", wanted)
+    obj.data.update_tag()
+    return True
 
 
 def _add_key(obj: bpy.types.Object, name: str, positions: np.ndarray) -> bpy.types.ShapeKey:
     key = obj.shape_key_add(name=name, from_mix=False)
     key.slider_min, key.slider_max = -KEY_LIMIT, KEY_LIMIT
     key.value = 0.0
-    key.data.foreach_set("co", positions.ravel())
+    key.points.foreach_set("co", positions.ravel())
     return key
 
 

@@ -1,0 +1,151 @@
+"""Blender's events that avatars follow: frame changes, edits, undo, loading, the end of playback.
+
+Each handler walks the avatars of its scene and delegates to `rig.live`. All are persistent: they stay when a file is loaded.
+The model is only waited for where waiting is right: in renders, and in background Blender, where the next frame is rendered
+from this state. In a window the first use starts the model in the background and a timer catches up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ..grmm_core.errors import GrmmError
+from . import session_host
+from .avatar import Avatar, avatar_of, avatars_in
+from .rig import live
+
+CLASSES = ()
+
+_CATCH_UP_SECONDS = 0.3
+_PATIENCE = 200  # times that the timer finds the model not ready before the next update waits for it, and meets its error
+_waited = 0
+_busy = False  # a handler of ours is writing; its own changes call the handlers again
+
+
+@persistent
+def _before_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    for avatar in avatars_in(scene):
+        live.predict(avatar, scene.frame_current_final)
+
+
+@persistent
+def _on_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    playing = _is_playing()
+    for avatar in avatars_in(scene):
+        _update(avatar, depsgraph, allow_detail=not playing or avatar.object.grmm.detail_in_playback)
+
+
+@persistent
+def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    if _busy or _is_playing():
+        return
+    for avatar in _touched(depsgraph.updates):
+        _update(avatar, depsgraph)
+
+
+@persistent
+def _on_other_state(*_: object) -> None:
+    """Another file or another point of the undo history: what was written last says nothing about it."""
+    live.forget()
+    if not bpy.app.background:
+        _catch_up_later()
+
+
+@persistent
+def _on_playback_end(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    for avatar in avatars_in(scene):
+        _update(avatar, depsgraph)
+
+
+def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail: bool = True) -> None:
+    global _busy
+    detail = allow_detail and (_may_wait() or _is_ready())
+    _busy = True
+    try:
+        live.update(avatar, depsgraph, detail)
+    finally:
+        _busy = False
+    if allow_detail and not detail and live.state_of(avatar).stale:
+        _catch_up_later()
+
+
+def _touched(updates: Iterable[bpy.types.DepsgraphUpdate]) -> list[Avatar]:
+    """Avatars whose head or armature was evaluated again."""
+    found: dict[int, Avatar] = {}
+    for update in updates:
+        if isinstance(update.id, bpy.types.Object):
+            avatar = avatar_of(update.id.original)
+            if avatar is not None:
+                found[avatar.key] = avatar
+    return list(found.values())
+
+
+def _is_playing() -> bool:
+    manager = bpy.context.window_manager
+    return manager is not None and any(window.screen.is_animation_playing for window in manager.windows)
+
+
+def _may_wait() -> bool:
+    return bpy.app.background or bpy.app.is_job_running("RENDER")
+
+
+def _is_ready() -> bool:
+    """Whether the model can answer at once; starts it in the background when it cannot."""
+    global _waited
+    try:
+        session = session_host.get_session()
+    except GrmmError:
+        return True  # there is nothing to wait for, and `live.update` notes the reason
+    status = session.status()
+    if (status.alive and status.torch) or _waited >= _PATIENCE:
+        _waited = 0
+        return True
+    if _waited == 0:
+        session.warm_up()
+    _waited += 1
+    return False
+
+
+def _catch_up_later() -> None:
+    if not bpy.app.timers.is_registered(_catch_up):
+        bpy.app.timers.register(_catch_up, first_interval=_CATCH_UP_SECONDS)
+
+
+def _catch_up() -> float | None:
+    """Timer: update everything once the model is ready."""
+    avatars = avatars_in(bpy.context.scene)
+    if avatars and not _is_ready():
+        return _CATCH_UP_SECONDS
+    for avatar in avatars:
+        _update(avatar, None)
+    return None
+
+
+_HANDLERS = (
+    (bpy.app.handlers.frame_change_pre, _before_frame),
+    (bpy.app.handlers.frame_change_post, _on_frame),
+    (bpy.app.handlers.depsgraph_update_post, _on_edit),
+    (bpy.app.handlers.load_post, _on_other_state),
+    (bpy.app.handlers.undo_post, _on_other_state),
+    (bpy.app.handlers.redo_post, _on_other_state),
+    (bpy.app.handlers.animation_playback_post, _on_playback_end),
+)
+
+
+def register() -> None:
+    """Follow Blender's events."""
+    for handlers, function in _HANDLERS:
+        handlers.append(function)
+
+
+def unregister() -> None:
+    """Stop following them."""
+    for handlers, function in _HANDLERS:
+        if function in handlers:
+            handlers.remove(function)
+    if bpy.app.timers.is_registered(_catch_up):
+        bpy.app.timers.unregister(_catch_up)
+    live.forget()

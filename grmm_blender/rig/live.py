@@ -1,0 +1,181 @@
+"""What the add-on keeps up to date on a rig: the residual shape key, the small shape components, the rest joints.
+
+They depend on the controls in ways that drivers cannot express, or not fast enough: the learned displacement comes from the
+model (eq. 11), pose correctives of FLAME are not linear in the angles, each joint is a sum over all shape coefficients, and
+hundreds of shape keys that hardly move anything would take most of a frame's time. `handlers` calls
+`update` after frame changes and edits. Without the add-on the file keeps the last state.
+
+Reaches the model through `session_host`; imports no torch.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ...grmm_core.avatar import AssetReference
+from ...grmm_core.controls import Controls, resolve
+from ...grmm_core.errors import GrmmError, RuntimeMissingError
+from ...grmm_core.head import HeadModel
+from ...grmm_core.head.skinning import euler_matrices
+from .. import session_host
+from ..avatar import Avatar
+from .actions import action_curves
+from .armature import joint_parents, shift_joints
+from .definitions import ARRAY_RANGES, SHAPE, property_path
+from .drivers import resting_pose
+from .identity import load_head
+from .mesh import RESIDUAL_KEY, SHAPE_REST_KEY, leading_shapes, to_blender, write_offsets
+
+_SHAPE_PATH = property_path(SHAPE)
+
+
+@dataclass
+class LiveState:
+    """What was last done for one avatar.
+
+    Attributes:
+        shape_for: Shape coefficients that the joints and the key of small components belong to.
+        detail_for: Controls and source that the residual key holds.
+        message: One sentence for the panel where something is wrong, else empty.
+        stale: The residual key does not belong to the current controls.
+    """
+
+    shape_for: bytes | None = None
+    detail_for: bytes | None = None
+    message: str = ""
+    stale: bool = False
+
+
+_states: dict[int, LiveState] = {}
+
+
+def state_of(avatar: Avatar) -> LiveState:
+    """Return what is known about an avatar; panels show it."""
+    return _states.setdefault(avatar.key, LiveState())
+
+
+def forget() -> None:
+    """Forget everything: another file, or an undone edit, is there now."""
+    _states.clear()
+
+
+def update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None = None, detail: bool = True) -> bool:
+    """Bring an avatar's joints and residual key up to date with its controls.
+
+    Args:
+        avatar: The avatar.
+        depsgraph: Evaluated scene to read from; the context's when None.
+        detail: Also compute the learned displacement; without, the key is left as it is and marked stale.
+
+    Returns:
+        Whether anything was written. Problems do not raise, they end up in the state's message: a handler has no user to
+        report to.
+    """
+    state = state_of(avatar)
+    state.message = ""
+    if avatar.object.data.shape_keys is None:
+        return False
+    try:
+        controls = avatar.controls(depsgraph).validate()
+        head = load_head(AssetReference(avatar.object.grmm.head_name))
+        wrote = _update_shape(avatar, head, controls.shape, state)
+        return _update_detail(avatar, head, controls, state, detail) or wrote
+    except RuntimeMissingError:
+        state.stale = False  # nothing could compute it: the mesh is the head model alone, as the panel says
+        return False
+    except GrmmError as error:
+        state.message = str(error)
+        return False
+
+
+def predict(avatar: Avatar, frame: float) -> None:
+    """Follow an animated shape before the frame is evaluated.
+
+    `update` does it afterwards in any case, but then the mesh has to be evaluated a second time. Knows an action only; where
+    other things animate the shape, `update` corrects what is written here.
+
+    Args:
+        avatar: The avatar.
+        frame: Frame that is about to be evaluated, with its fraction.
+    """
+    curves = [curve for curve in action_curves(avatar.object) if curve.data_path == _SHAPE_PATH and not curve.mute]
+    values = avatar.object.get(SHAPE)
+    if not curves or values is None:
+        return
+    shape = np.array(values.to_list(), np.float32)
+    for curve in curves:
+        if curve.array_index < shape.size:
+            shape[curve.array_index] = curve.evaluate(frame)
+    limits = ARRAY_RANGES[SHAPE]
+    try:
+        head = load_head(AssetReference(avatar.object.grmm.head_name))
+    except GrmmError:
+        return  # `update` reports it
+    if np.isfinite(shape).all():
+        _update_shape(avatar, head, shape.clip(limits.low, limits.high), state_of(avatar))
+
+
+def _update_shape(avatar: Avatar, head: HeadModel, shape: np.ndarray, state: LiveState) -> bool:
+    """Place the joints, and write the small components, for the shape [<=S] that is added to the avatar's own."""
+    digest = shape.tobytes() if shape.any() else b""
+    if state.shape_for == digest:
+        return False
+    state.shape_for = digest
+    obj, rig, first = avatar.object, avatar.armature, leading_shapes(head)
+    wrote = False
+    if obj.data.is_editable:
+        wrote = write_offsets(obj, SHAPE_REST_KEY, shape[first:] @ _small_shapes(head)[: shape[first:].size])
+    if rig is not None and rig.is_editable:
+        shifts = head.joint_dirs[:, :, : shape.size] @ shape  # [5, 3]
+        if shift_joints(rig, shifts, joint_parents(head)):
+            rig.update_tag(refresh={"DATA"})
+            wrote = True
+    return wrote
+
+
+@functools.lru_cache(maxsize=2)
+def _small_shapes(head: HeadModel) -> np.ndarray:
+    """Directions of the components without a key of their own, Blender's axes, [S', 3 V]."""
+    small = np.moveaxis(head.shape_dirs[:, :, leading_shapes(head) :], 2, 0)  # [S', V, 3]
+    return np.ascontiguousarray(to_blender(small).reshape(len(small), -1))
+
+
+def _update_detail(avatar: Avatar, head: HeadModel, controls: Controls, state: LiveState, detail: bool) -> bool:
+    """Write what the model and the pose correctives add to the unposed mesh into the residual key."""
+    obj = avatar.object
+    wanted = obj.grmm.live_detail or head.posedirs is not None
+    if not obj.data.is_editable or not (wanted or state.detail_for):
+        state.stale = False
+        return False
+    digest = _digest(avatar, controls) if wanted else None
+    if wanted and state.detail_for == digest:
+        state.stale = False
+        return False
+    if not detail:
+        state.stale = True
+        return False
+    offsets = _pose_correctives(avatar, head, controls)
+    if obj.grmm.live_detail:
+        session = session_host.get_session()
+        offsets = offsets + session.deform(session_host.open_avatar(avatar.source).id, controls).displacement
+    state.detail_for, state.stale = digest, False
+    return write_offsets(obj, RESIDUAL_KEY, to_blender(offsets).ravel())
+
+
+def _digest(avatar: Avatar, controls: Controls) -> bytes:
+    arrays = (controls.aligned, controls.expression, controls.shape, controls.pose, controls.z_id, controls.z_exp)
+    rest = f"{avatar.source}|{avatar.object.grmm.live_detail}|{controls.residual_strength}"
+    return b"".join(array.tobytes() for array in arrays) + rest.encode(errors="surrogateescape")
+
+
+def _pose_correctives(avatar: Avatar, head: HeadModel, controls: Controls) -> np.ndarray:
+    """FLAME's pose-corrective offsets, head space, metres, [V, 3]; zeros for heads without."""
+    if head.posedirs is None:
+        return np.zeros((head.vertex_count, 3), np.float32)
+    pose = resolve(controls, head).pose + resting_pose(avatar.armature)
+    feature = (euler_matrices(pose)[1:] - np.eye(3, dtype=np.float32)).ravel()
+    return head.posedirs @ feature

@@ -27,6 +27,11 @@ IRIS_RADIUS = 0.0059  # metres
 PUPIL_RADIUS = 0.0022
 IRIS_COUNT = 10
 INNER_LIPS = (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308, 324, 318, 402, 317, 14, 87, 178, 88, 95)
+# The face's outline in MediaPipe's numbers, from the forehead's middle around: entries k and -k are mirror images.
+OUTLINE = (
+    10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149, 150, 136, 172, 58,
+    132, 93, 234, 127, 162, 21, 54, 103, 67, 109,
+)  # fmt: skip
 SKIN, LIP, BROW, HAIR = (0.80, 0.60, 0.50), (0.68, 0.34, 0.34), (0.22, 0.15, 0.12), (0.16, 0.11, 0.09)
 WHITE, IRIS, PUPIL, MOUTH, TEETH = (0.9, 0.89, 0.87), (0.3, 0.2, 0.13), (0.03, 0.03, 0.03), (0.3, 0.1, 0.1), (0.9, 0.88, 0.8)
 
@@ -60,7 +65,7 @@ def place_landmarks478(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     if len(points) < 20:
         raise RuntimeError(f"A face was found in only {len(points)} pictures.")
     mean, jaw = _robust_mean(np.array(points), np.array(weights), np.array(jaws))
-    found, barycentric = _snap(head, mean, jaw)
+    found, barycentric = _snap(head, balance_outline(mean), jaw)
     for index, position in enumerate(_irises(head, iris_offsets), start=478 - IRIS_COUNT):
         found[index], barycentric[index] = _nearest(head, position, _whole(head, ("left_eyeball", "right_eyeball")))
     return found.astype(np.int32), barycentric.astype(np.float32)
@@ -143,6 +148,15 @@ def _robust_mean(points: np.ndarray, weights: np.ndarray, jaws: np.ndarray) -> t
     kept = np.where(distance <= limit, strong, 0.0)
     total = kept.sum(0)
     return (kept[..., None] * points).sum(0) / total[:, None], (kept * jaws).sum(0) / total
+
+
+def balance_outline(points: np.ndarray) -> np.ndarray:
+    """Average outline points [478, 3] with their mirror images: seen at a grazing angle, they are the least certain."""
+    outline = np.array(OUTLINE)
+    partner = np.roll(outline[::-1], 1)
+    result = points.copy()
+    result[outline] = 0.5 * (points[outline] + points[partner] * (-1, 1, 1))
+    return result
 
 
 def _snap(head: HeadModel, points: np.ndarray, jaws: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

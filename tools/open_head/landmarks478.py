@@ -29,9 +29,10 @@ IRIS_COUNT = 10
 INNER_LIPS = (78, 191, 80, 81, 82, 13, 312, 311, 310, 415, 308, 324, 318, 402, 317, 14, 87, 178, 88, 95)
 # The face's outline in MediaPipe's numbers, from the forehead's middle around: entries k and -k are mirror images.
 OUTLINE = (
-    10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149, 150, 136, 172, 58,
-    132, 93, 234, 127, 162, 21, 54, 103, 67, 109,
+    10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377, 152, 148, 176, 149, 150, 136, 172,
+    58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109,
 )  # fmt: skip
+OUTLINE_STRAY = 0.025  # metres
 SKIN, LIP, BROW, HAIR = (0.80, 0.60, 0.50), (0.68, 0.34, 0.34), (0.22, 0.15, 0.12), (0.16, 0.11, 0.09)
 WHITE, IRIS, PUPIL, MOUTH, TEETH = (0.9, 0.89, 0.87), (0.3, 0.2, 0.13), (0.03, 0.03, 0.03), (0.3, 0.1, 0.1), (0.9, 0.88, 0.8)
 
@@ -151,11 +152,17 @@ def _robust_mean(points: np.ndarray, weights: np.ndarray, jaws: np.ndarray) -> t
 
 
 def balance_outline(points: np.ndarray) -> np.ndarray:
-    """Average outline points [478, 3] with their mirror images: seen at a grazing angle, they are the least certain."""
+    """Average outline points [478, 3] with their mirror images: seen at a grazing angle, they are the least certain.
+
+    A point that strays far from between its neighbours on the outline is put between them.
+    """
     outline = np.array(OUTLINE)
     partner = np.roll(outline[::-1], 1)
     result = points.copy()
     result[outline] = 0.5 * (points[outline] + points[partner] * (-1, 1, 1))
+    between = 0.5 * (result[np.roll(outline, 1)] + result[np.roll(outline, -1)])
+    astray = np.linalg.norm(result[outline] - between, axis=1) > OUTLINE_STRAY
+    result[outline[astray]] = between[astray]
     return result
 
 

@@ -1,0 +1,206 @@
+"""Cycles materials from a `Subject`: skin, eyes, teeth, tongue, hair. Imports bpy.
+
+Shaders read mesh attributes that `scene` writes: `rest` (template position in metres; for eyeballs the direction from the eye's
+centre with +z through the pupil), and masks 0..1.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from .subjects import Subject
+from .textures import SkinTextures
+
+Socket = Any  # a bpy node socket, or a constant for it
+TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068)  # from the middle outwards, metres
+ARC_RANGE = 0.05  # metres mapped to 0..1 of the tooth ramp
+
+
+class Nodes:
+    """A few words for building node trees."""
+
+    def __init__(self, name: str) -> None:
+        self.material = bpy.data.materials.new(name)
+        self.material.use_nodes = True
+        self.tree = self.material.node_tree
+        self.tree.nodes.clear()
+
+    def node(self, kind: str, inputs: dict[str | int, Socket] | None = None, **settings: Any) -> Any:
+        """Add a node, set its properties, link or set its inputs."""
+        node = self.tree.nodes.new(kind)
+        for key, value in settings.items():
+            setattr(node, key, value)
+        for key, value in (inputs or {}).items():
+            self.put(node.inputs[key], value)
+        return node
+
+    def put(self, target: Any, value: Socket) -> None:
+        """Link a socket or set a constant."""
+        if isinstance(value, bpy.types.NodeSocket):
+            self.tree.links.new(value, target)
+        elif isinstance(value, (tuple, list)) and len(value) == 3 and target.type == "RGBA":
+            target.default_value = (*value, 1.0)
+        else:
+            target.default_value = value
+
+    def attribute(self, name: str) -> Any:
+        """Float attribute."""
+        return self.node("ShaderNodeAttribute", attribute_name=name).outputs["Fac"]
+
+    def vector(self, name: str) -> Any:
+        """Vector attribute."""
+        return self.node("ShaderNodeAttribute", attribute_name=name).outputs["Vector"]
+
+    def math(self, operation: str, a: Socket, b: Socket = 0.0, clamp: bool = False) -> Any:
+        """Scalar arithmetic."""
+        return self.node("ShaderNodeMath", {0: a, 1: b}, operation=operation, use_clamp=clamp).outputs[0]
+
+    def mix(self, factor: Socket, a: Socket, b: Socket, blend: str = "MIX") -> Any:
+        """Mix colours."""
+        node = self.tree.nodes.new("ShaderNodeMix")
+        node.data_type = "RGBA"
+        node.blend_type = blend
+        node.clamp_factor = True
+        self.put(node.inputs[0], factor)
+        self.put(node.inputs[6], a)
+        self.put(node.inputs[7], b)
+        return node.outputs[2]
+
+    def noise(self, vector: Socket, scale: float, detail: float = 2.0, roughness: float = 0.5) -> Any:
+        """Noise 0..1."""
+        node = self.node("ShaderNodeTexNoise", {"Vector": vector, "Scale": scale, "Detail": detail, "Roughness": roughness})
+        return node.outputs["Fac"]
+
+    def image(self, name: str, pixels: Any) -> Any:
+        """Colour of a float texture [H, W, 3] whose first row is v = 0, used as it is."""
+        height, width = pixels.shape[:2]
+        old = bpy.data.images.get(name)
+        if old is not None:
+            bpy.data.images.remove(old)
+        image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)
+        rgba = np.ones((height, width, 4), np.float32)
+        rgba[..., :3] = pixels
+        image.pixels.foreach_set(rgba.ravel())
+        image.update()
+        return self.node("ShaderNodeTexImage", image=image, interpolation="Linear", extension="EXTEND").outputs[0]
+
+    def ramp(self, value: Socket, low: float, high: float) -> Any:
+        """Smooth step from 0 at low to 1 at high (either order)."""
+        flip = low > high
+        node = self.node("ShaderNodeMapRange", {"Value": value, "From Min": min(low, high), "From Max": max(low, high),
+                                               "To Min": 1.0 if flip else 0.0, "To Max": 0.0 if flip else 1.0}, interpolation_type="SMOOTHSTEP")
+        return node.outputs[0]
+
+    def finish(self, shader: Socket) -> bpy.types.Material:
+        """Connect the surface."""
+        output = self.node("ShaderNodeOutputMaterial")
+        self.tree.links.new(shader, output.inputs["Surface"])
+        return self.material
+
+
+def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.types.Material:
+    """Skin from painted maps; wrinkle grooves deepen with the vertex attribute `wrinkle`."""
+    n = Nodes("skin")
+    color = n.image("skin_albedo", textures.albedo)
+    parts = n.node("ShaderNodeSeparateColor", {0: n.image("skin_detail", textures.detail)}).outputs
+    groove = n.math("MULTIPLY", parts[1], n.attribute("wrinkle"))
+    factor = tuple(float(v) for v in textures.groove_albedo)
+    color = n.mix(n.math("MULTIPLY", groove, 0.5), color, n.mix(1.0, color, factor, "MULTIPLY"))
+    height = n.math("SUBTRACT", parts[0], n.math("MULTIPLY", groove, 0.0018))
+    normal = n.node("ShaderNodeBump", {"Height": height, "Strength": 0.6, "Distance": 1.0}).outputs[0]
+    inputs: dict[str | int, Socket] = {
+        "Base Color": color, "Roughness": parts[2], "Normal": normal, "IOR": 1.42, "Specular IOR Level": 0.42,
+    }  # fmt: skip
+    if subsurface:
+        inputs |= {"Subsurface Weight": 1.0, "Subsurface Radius": (1.0, 0.32, 0.17), "Subsurface Scale": 0.0028 if s.melanin < 1 else 0.0018}
+    return n.finish(n.node("ShaderNodeBsdfPrincipled", inputs).outputs[0])
+
+
+def eye_material(s: Subject) -> bpy.types.Material:
+    """Sclera with veins, iris with fibres, limbus, pupil, wet coat."""
+    n = Nodes("eye")
+    d = n.vector("rest")
+    parts = n.node("ShaderNodeSeparateXYZ", {0: d}).outputs
+    angle = n.math("ARCCOSINE", n.math("MINIMUM", n.math("MAXIMUM", parts[2], -1.0), 1.0))
+    radial = n.math("ARCTAN2", parts[1], parts[0])
+    around = n.node("ShaderNodeCombineXYZ", {0: n.math("COSINE", radial), 1: n.math("SINE", radial), 2: n.math("MULTIPLY", angle, 1.2)}).outputs[0]
+    fibres = n.noise(around, 9.0, 4.0, 0.7)
+    crypts = n.noise(around, 3.0, 2.0, 0.5)
+    share = n.math("DIVIDE", angle, s.iris_angle)
+    iris = n.mix(n.ramp(n.math("ADD", share, n.math("MULTIPLY", n.math("SUBTRACT", fibres, 0.5), 0.5)), 0.45, 0.75), s.iris_inner, s.iris)
+    iris = n.mix(n.ramp(fibres, 0.38, 0.66), n.mix(1.0, iris, (0.45, 0.45, 0.45), "MULTIPLY"), n.mix(1.0, iris, (1.55, 1.5, 1.45), "MULTIPLY"))
+    iris = n.mix(n.math("MULTIPLY", n.ramp(crypts, 0.5, 0.7), 0.4), iris, n.mix(1.0, iris, (0.5, 0.5, 0.5), "MULTIPLY"))
+    iris = n.mix(n.ramp(share, 0.76, 1.0), iris, n.mix(1.0, iris, (0.16, 0.16, 0.18), "MULTIPLY"))
+    iris = n.mix(n.ramp(n.math("ADD", angle, n.math("MULTIPLY", n.math("SUBTRACT", fibres, 0.5), 0.02)), s.pupil_angle + 0.012, s.pupil_angle - 0.012), iris, (0.004, 0.004, 0.004))
+    veins = n.ramp(n.math("ABSOLUTE", n.math("SUBTRACT", n.noise(d, 7.0, 5.0, 0.75), 0.5)), 0.035, 0.0)
+    far = n.ramp(angle, s.iris_angle + 0.10, s.iris_angle + 0.75)
+    sclera = n.mix(n.math("MULTIPLY", veins, n.math("MULTIPLY", far, 0.55)), s.sclera, (0.62, 0.16, 0.12))
+    sclera = n.mix(n.math("MULTIPLY", far, 0.35), sclera, (0.72, 0.45, 0.38))
+    color = n.mix(n.ramp(angle, s.iris_angle - 0.025, s.iris_angle + 0.03), iris, sclera)
+    return n.finish(n.node("ShaderNodeBsdfPrincipled", {
+        "Base Color": color, "Roughness": 0.35, "Specular IOR Level": 0.3, "Coat Weight": 1.0, "Coat Roughness": 0.025, "Coat IOR": 1.38,
+    }).outputs[0])  # fmt: skip
+
+
+def teeth_material(s: Subject) -> bpy.types.Material:
+    """Teeth separated along the arch, gums by height; attributes `arc` and `crown` (0 gum line .. 1 tip) in metres."""
+    n = Nodes("teeth")
+    arc = n.math("ABSOLUTE", n.attribute("arc"))
+    ramp = n.node("ShaderNodeValToRGB", {0: n.math("DIVIDE", arc, ARC_RANGE)})
+    elements = ramp.color_ramp.elements
+    gaps, at = [0.0], 0.0
+    for width in TOOTH_WIDTHS:
+        at += width
+        gaps.append(at)
+    elements[0].position, elements[0].color = 0.0, (0, 0, 0, 1)
+    elements[1].position, elements[1].color = 1.0, (1, 1, 1, 1)
+    for i, gap in enumerate(gaps):
+        for offset, value in ((-0.0011, 1.0), (0.0, 0.0), (0.0011, 1.0)):
+            where = (gap + offset) / ARC_RANGE
+            if where > 0.001:
+                elements.new(where).color = (value, value, value, 1)
+        if i + 1 < len(gaps):
+            elements.new((gap + 0.0022) / ARC_RANGE).color = (1, 1, 1, 1)
+    body = ramp.outputs[0]  # 0 in gaps, 1 on teeth
+    crown = n.attribute("crown")
+    scallop = n.math("MULTIPLY", n.math("SUBTRACT", 1.0, body), 0.0013)
+    gum = n.ramp(n.math("SUBTRACT", crown, scallop), 0.0004, -0.0003)
+    enamel = n.mix(n.ramp(crown, 0.0, 0.006), tuple(c * f for c, f in zip(s.teeth, (0.92, 0.84, 0.70), strict=True)), s.teeth)
+    enamel = n.mix(body, n.mix(1.0, enamel, (0.30, 0.21, 0.15), "MULTIPLY"), enamel)
+    rest = n.vector("rest")
+    pink = n.mix(n.noise(rest, 250.0), (0.52, 0.17, 0.16), (0.40, 0.10, 0.10))
+    color = n.mix(gum, enamel, pink)
+    normal = n.node("ShaderNodeBump", {"Height": n.math("MULTIPLY", body, 0.0009), "Strength": 0.8, "Distance": 1.0}).outputs[0]
+    return n.finish(n.node("ShaderNodeBsdfPrincipled", {
+        "Base Color": color, "Roughness": 0.18, "Normal": normal, "Specular IOR Level": 0.5, "Coat Weight": 0.3, "Coat Roughness": 0.05,
+    }).outputs[0])  # fmt: skip
+
+
+def tongue_material(s: Subject) -> bpy.types.Material:
+    """Rough pink tongue with a furrow."""
+    n = Nodes("tongue")
+    rest = n.vector("rest")
+    papillae = n.node("ShaderNodeTexVoronoi", {"Vector": rest, "Scale": 800.0}).outputs["Distance"]
+    x = n.node("ShaderNodeSeparateXYZ", {0: rest}).outputs[0]
+    furrow = n.ramp(n.math("ABSOLUTE", x), 0.0025, 0.0)
+    color = n.mix(n.noise(rest, 150.0, 3.0), (0.56, 0.19, 0.18), (0.43, 0.12, 0.125))
+    color = n.mix(n.math("MULTIPLY", furrow, 0.45), color, (0.30, 0.07, 0.07))
+    normal = n.node("ShaderNodeBump", {"Height": n.math("MULTIPLY", papillae, 0.0005), "Strength": 0.6, "Distance": 1.0}).outputs[0]
+    return n.finish(n.node("ShaderNodeBsdfPrincipled", {
+        "Base Color": color, "Roughness": 0.36, "Normal": normal, "Emission Color": color, "Emission Strength": 0.07,  # light scattered in the mouth
+    }).outputs[0])
+
+
+def hair_material(name: str, color: tuple[float, float, float], variation: float, roots_dark: float) -> bpy.types.Material:
+    """Hair strands: coloured diffuse body, soft highlight along the strand, colour varies by strand and towards the tip."""
+    n = Nodes(name)
+    bright = n.math("ADD", n.math("MULTIPLY", n.attribute("tint"), 2.0 * variation), 1.0 - variation)
+    along = n.math("ADD", n.math("MULTIPLY", n.ramp(n.attribute("along"), 0.0, 0.35), roots_dark), 1.0 - roots_dark)
+    factor = n.math("MULTIPLY", bright, along)
+    grey = n.node("ShaderNodeCombineColor", {0: factor, 1: factor, 2: factor}).outputs[0]
+    tinted = n.mix(1.0, tuple(min(1.0, c) for c in color), grey, "MULTIPLY")
+    shader = n.node("ShaderNodeBsdfPrincipled", {"Base Color": tinted, "Roughness": 0.42, "Specular IOR Level": 0.45, "Specular Tint": (1.0, 0.93, 0.85)})
+    return n.finish(shader.outputs[0])

@@ -161,7 +161,9 @@ def balance_outline(points: np.ndarray) -> np.ndarray:
     result = points.copy()
     result[outline] = 0.5 * (points[outline] + points[partner] * (-1, 1, 1))
     between = 0.5 * (result[np.roll(outline, 1)] + result[np.roll(outline, -1)])
-    astray = np.linalg.norm(result[outline] - between, axis=1) > OUTLINE_STRAY
+    distance = np.linalg.norm(result[outline] - between, axis=1)
+    # a stray point drags its neighbours' middle along: only the worst of three is moved
+    astray = (distance > OUTLINE_STRAY) & (distance >= np.maximum(np.roll(distance, 1), np.roll(distance, -1)))
     result[outline[astray]] = between[astray]
     return result
 

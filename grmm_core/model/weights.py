@@ -12,13 +12,14 @@ import functools
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from torch.overrides import TorchFunctionMode
 
 from ..errors import ConfigError, FileFormatError, ShapeError
 from ..tensorfile import read_metadata, read_tensors, write_tensors
@@ -37,6 +38,7 @@ _METADATA_KEY = "grmm"
 _MODEL = "model/"
 _EXACT = ("anchor.",)  # parameters and buffers that are not rounded to half precision
 _LAYOUT = ("anchor.texel", "anchor.face", "anchor.barycentric")
+_INITIALISERS = frozenset({"normal_", "uniform_", "kaiming_normal_", "kaiming_uniform_", "mul"})
 _HALF_MAX = float(np.finfo(np.float16).max)
 
 
@@ -144,7 +146,7 @@ def load_weights(path: str | os.PathLike[str], head: HeadModel | None = None) ->
         )
     arrays = {name[len(_MODEL):]: array for name, array in tensors.items() if name.startswith(_MODEL)}  # fmt: skip
     layout = _layout(path, arrays, info.config, head)
-    with torch.device("meta"):  # only shapes; memory comes with the tensors of the file
+    with torch.device("meta"), _Uninitialised():  # only shapes; memory comes with the tensors of the file
         model = GRMM(head, info.config, layout)
     expected = {name: tuple(value.shape) for name, value in model.state_dict().items()}
     missing = sorted(set(expected) - set(arrays))
@@ -166,6 +168,21 @@ def load_weights(path: str | os.PathLike[str], head: HeadModel | None = None) ->
     for parameter in model.parameters():
         parameter.requires_grad_(True)
     return model.eval(), _with_people(path, info, tensors, model, head)
+
+
+class _Uninitialised(TorchFunctionMode):
+    """Leaves out the arithmetic of initialisation, whose first use on the meta device loads torch's compiler for seconds."""
+
+    def __torch_function__(
+        self, func: Callable[..., Any], types: Any, args: tuple[Any, ...] = (), kwargs: Mapping[str, Any] | None = None
+    ) -> Any:
+        """Return the tensor that would be filled or scaled as it is, and an empty one for a random one."""
+        kwargs = kwargs or {}
+        if getattr(func, "__name__", "") in _INITIALISERS:
+            tensor = args[0] if args else kwargs["tensor"]
+            if tensor.is_meta:
+                return tensor
+        return (torch.empty if func is torch.randn else func)(*args, **kwargs)
 
 
 def _header(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> dict[str, Any]:

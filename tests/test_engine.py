@@ -8,8 +8,10 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from blender_process import RunBlender
+from exr import read_exr
 
 pytestmark = pytest.mark.blender
 
@@ -43,3 +45,69 @@ def test_cameras(render_script, blender_version):
         assert values["projection"] < 0.01, name
         assert values["picture"] <= STEP, name
         assert values["covered"] > 0.05, name
+
+
+def _layers(channels: dict[str, np.ndarray], layer: str) -> dict[str, np.ndarray]:
+    """Group EXR channels "Layer.Pass.C" to {"Pass": [H, W, C]} in the order of the pass's letters."""
+    order = "RGBAXYZW"
+    passes: dict[str, dict[str, np.ndarray]] = {}
+    for name, values in channels.items():
+        parts = name.removeprefix(f"{layer}.").split(".")
+        passes.setdefault(parts[0], {})[parts[-1]] = values
+    return {name: np.stack([part[c] for c in sorted(part, key=order.index)], -1) for name, part in passes.items()}
+
+
+def test_passes(render_script, blender_version, tmp_path):
+    result = render_script("engine_passes.py", python=blender_version)
+    passes = _layers(read_exr(tmp_path / "passes.exr"), result["layer"])
+    with np.load(tmp_path / "expected.npz") as archive:
+        wanted = dict(archive)
+    first, second = result["heads"]
+    assert {"Combined", "Normal", "Mask", f"Mask {first}", f"Mask {second}", "Raw", "Features 00", "Features 07"} <= set(passes)
+    depth = passes["Z"] if "Z" in passes else passes["Depth"]
+    np.testing.assert_allclose(passes["Combined"], wanted["combined"], atol=2e-5)
+    np.testing.assert_allclose(depth, wanted["depth"], rtol=1e-5)
+    np.testing.assert_allclose(passes["Normal"], wanted["normal"], atol=1e-5)
+    np.testing.assert_allclose(passes["Mask"], wanted["alpha"], atol=1e-5)
+    np.testing.assert_allclose(passes[f"Mask {first}"], wanted["mask"][..., :1], atol=1e-5)
+    np.testing.assert_allclose(passes[f"Mask {second}"], wanted["mask"][..., 1:], atol=1e-5)
+    np.testing.assert_allclose(passes["Features 00"], wanted["features"][..., :4], atol=1e-4)
+    # Both avatars are in the picture, and the refinement did something.
+    assert wanted["mask"].max(axis=(0, 1)).min() > 0.9
+    assert np.abs(passes["Raw"] - passes["Combined"]).max() > 0.01
+
+
+@pytest.mark.parametrize("kind", ["crop", "keep"])
+def test_border_is_a_part_of_the_full_picture(render_script, tmp_path, kind):
+    result = render_script("engine_passes.py", kind)
+    passes = _layers(read_exr(tmp_path / "passes.exr"), result["layer"])
+    with np.load(tmp_path / "expected.npz") as archive:
+        wanted = archive["combined"]
+    height, width = wanted.shape[:2]
+    x0, x1, y0, y1 = int(0.3 * width), int(0.71 * width), int(0.2 * height), int(0.6 * height)
+    part = wanted[height - y1 : height - y0, x0:x1]
+    assert part[..., 3].max() > 0.9
+    if kind == "crop":
+        np.testing.assert_allclose(passes["Combined"], part, atol=2e-5)
+    else:
+        whole = np.zeros_like(wanted)
+        whole[height - y1 : height - y0, x0:x1] = part
+        np.testing.assert_allclose(passes["Combined"], whole, atol=2e-5)
+
+
+def test_film_and_scene(render_script, blender_version):
+    result = render_script("engine_scene.py", python=blender_version)
+    for exact in ("transparent", "world", "occlusion_off", "wall_hidden", "wall_behind", "unoccluded_right", "override"):
+        assert result[exact] <= STEP, exact
+    assert result["holdout_left"] == 0
+    assert result["holdout_right"] == 255
+    assert result["holdout_behind"] >= 254
+    assert result["holdout_corner"] == 0
+    assert result["occluded_left"] == 0
+    assert result["instance_left"] == 0
+    assert 0.01 < result["text_hides"] < 0.5
+    assert result["avatar_holdout"] < 20
+    assert result["beside_holdout"] == 255
+    assert result["hidden"] == 0
+    assert result["agx_alpha"] <= STEP
+    assert result["agx_differs"] > 5

@@ -1,4 +1,4 @@
-"""Every form of Blender's camera, against Blender's own projection and against the session: engine_cameras.py WEIGHTS FOLDER."""
+"""Every form of camera against Blender's own projection and against the session: engine_cameras.py WEIGHTS FOLDER."""
 
 from __future__ import annotations
 
@@ -55,8 +55,9 @@ def scaled_parent() -> None:
     camera.location = (0.05, -0.55, 0.02)
 
 
+SETUPS = (None, portrait, sensor_vertical, sensor_horizontal_portrait, shift, percentage, pixel_aspect, ortho, scaled_parent)
 results = {}
-for setup in (None, portrait, sensor_vertical, sensor_horizontal_portrait, shift, percentage, pixel_aspect, ortho, scaled_parent):
+for setup in SETUPS:
     settings.resolution_x, settings.resolution_y, settings.resolution_percentage = 96, 80, 100
     settings.pixel_aspect_x = settings.pixel_aspect_y = 1.0
     data.type, data.sensor_fit, data.sensor_width, data.sensor_height = "PERSP", "AUTO", 36.0, 24.0
@@ -68,8 +69,7 @@ for setup in (None, portrait, sensor_vertical, sensor_horizontal_portrait, shift
     local = points @ core.world_to_camera[:3, :3].T + core.world_to_camera[:3, 3]
     depth = np.ones(len(points)) if core.orthographic else local[:, 2]
     pixels = np.stack([core.fx * local[:, 0] / depth + core.cx, core.fy * local[:, 1] / depth + core.cy], 1)
-    # Blender's helper for add-ons measures from the lower left corner, 0..1; it does not know about the pixel aspect
-    # of the render settings when it takes the view frame without the scene, so the scene goes in.
+    # Blender's helper for add-ons measures from the lower left corner, 0..1.
     theirs = np.array([world_to_camera_view(scene, camera, Vector(p))[:2] for p in points])
     theirs = np.stack([theirs[:, 0] * core.width, (1.0 - theirs[:, 1]) * core.height], 1)
     name = setup.__name__ if setup else "default"

@@ -1,0 +1,36 @@
+"""All passes of two avatars into a multilayer EXR, and what the session says they hold: engine_passes.py WEIGHTS FOLDER."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from render_support import expected, full_camera, heads, new_scene
+from support import module, report
+
+weights, folder = sys.argv[1], Path(sys.argv[2])
+scene = new_scene(weights, heads=2)
+camera = scene.camera
+camera.location.x, camera.data.lens = 0.25, 45.0
+layer = scene.view_layers[0]
+layer.use_pass_z = True
+extra = layer.grmm_passes
+extra.use_mask = extra.use_raw = extra.use_normal = extra.use_features = True
+settings = scene.render.image_settings
+module("grmm_blender.compat").set_multilayer_exr(settings)
+settings.exr_codec = "NONE"
+scene.render.use_border = len(sys.argv) > 3
+if scene.render.use_border:
+    scene.render.use_crop_to_border = sys.argv[3] == "crop"
+    scene.render.border_min_x, scene.render.border_max_x = 0.3, 0.71
+    scene.render.border_min_y, scene.render.border_max_y = 0.2, 0.6
+scene.render.filepath = str(folder / "passes.exr")
+bpy.ops.render.render(write_still=True)
+
+bpy.context.view_layer.update()
+buffers = expected(scene, full_camera(scene), passes=("rgb", "alpha", "depth", "raw", "normal", "features", "mask"))
+buffers["combined"] = module("grmm_core.color").scene_linear_premultiplied(buffers["rgb"], buffers["alpha"])
+np.savez(folder / "expected.npz", **buffers)
+report(heads=[head.name for head in heads(scene)], layer=layer.name)

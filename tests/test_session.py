@@ -44,16 +44,21 @@ def weights(tmp_path_factory):
     return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
 
 
-@pytest.fixture(scope="module", params=["local", "worker"])
-def session(request, weights):
-    with create_session(request.param, weights=weights, device="cpu", threads=1) as session:
-        yield session
-
-
 @pytest.fixture(scope="module")
 def local(weights):
     with create_session("local", weights=weights, device="cpu", threads=1) as session:
         yield session
+
+
+@pytest.fixture(scope="module")
+def worker(weights):
+    with create_session("worker", weights=weights, device="cpu", threads=1) as session:
+        yield session
+
+
+@pytest.fixture(scope="module", params=["local", "worker"])
+def session(request):
+    return request.getfixturevalue(request.param)
 
 
 @pytest.fixture
@@ -427,10 +432,9 @@ def test_missing_weights_are_named(mode, tmp_path):
         session.open("default")
 
 
-def test_both_draw_the_same(weights, local):
+def test_both_draw_the_same(local, worker):
     controls = Controls().set_named({"mouthSmileLeft": 1.0, "eyes.yaw": 0.3})
-    with create_session("worker", weights=weights, device="cpu", threads=1) as worker:
-        pictures = [all_passes(s, [Instance(s.open("default").id, controls)]) for s in (local, worker)]
+    pictures = [all_passes(s, [Instance(s.open("default").id, controls)]) for s in (local, worker)]
     for name in PASS_NAMES:
         np.testing.assert_allclose(pictures[0][name], pictures[1][name], rtol=0, atol=0)
 

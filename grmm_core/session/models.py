@@ -60,7 +60,7 @@ class ModelStore:
         """Return the session's own weights. Raises `FileAccessError`, `FileFormatError`."""
         if not self._default_path.exists():
             raise FileAccessError(
-                f"The trained weights {self._default_path} are not installed; install them or choose others with --weights."
+                f"The trained weights {self._default_path} are not installed; install them or choose other weights."
             )
         return self._load(self._default_path)
 

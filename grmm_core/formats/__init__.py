@@ -5,6 +5,9 @@
 `ply` `splat_file` `spz`      3DGS and GaussianAvatars PLY, .splat, SPZ
 `sog` `glb` `gltf_splats`     SOG, the glTF container, KHR_gaussian_splatting
 `mesh`                        .obj and .glb with morph targets
+`avatars` `binding`           GaussianAvatars, CAP4D and LAM avatars; splats on triangles
+`sequence`                    a file for every frame
+`archive`                     zip archives that nobody vouches for
 ============================  ==========================================================================================
 
 `read_splats`, `write_splats` and `write_mesh` choose by the file's extension and import only what they need. Called by the
@@ -28,7 +31,7 @@ import numpy as np
 from ..errors import FileFormatError
 from .cloud import SplatCloud
 
-SPLAT_EXTENSIONS = (".ply", ".splat", ".spz", ".glb")
+SPLAT_EXTENSIONS = (".ply", ".splat", ".spz", ".sog", ".glb")
 MESH_EXTENSIONS = (".obj", ".glb")
 
 __all__ = ["MESH_EXTENSIONS", "SPLAT_EXTENSIONS", "SplatCloud", "read_splats", "write_mesh", "write_splats"]
@@ -57,6 +60,8 @@ def read_splats(path: str | os.PathLike[str], **options: Any) -> SplatCloud:
         from .splat_file import read_splat as read
     elif extension == ".spz":
         from .spz import read_spz as read
+    elif extension == ".sog" or path.name.lower() == "meta.json":
+        from .sog import read_sog as read
     elif extension in (".glb", ".gltf"):
         from .gltf_splats import read_gltf_splats as read
     else:
@@ -68,9 +73,9 @@ def write_splats(path: str | os.PathLike[str], cloud: SplatCloud, **options: Any
     """Write splats in the format that the extension names.
 
     Args:
-        path: A .ply, .splat, .spz or .glb file.
+        path: A .ply, .splat, .spz, .sog or .glb file.
         cloud: Splats, y up. Its colour must be the one that looks right alone (the unrefined RGB).
-        options: Passed to the writer: `axes` for .ply and .splat; `version`, `fractional_bits`, `full_sh` for .spz.
+        options: Passed to the writer: `axes` for .ply, .splat and .sog; `version`, `fractional_bits`, `full_sh` for .spz.
 
     Raises:
         FileFormatError: Unknown extension.
@@ -85,6 +90,8 @@ def write_splats(path: str | os.PathLike[str], cloud: SplatCloud, **options: Any
         from .splat_file import write_splat as write
     elif extension == ".spz":
         from .spz import write_spz as write
+    elif extension == ".sog":
+        from .sog import write_sog as write
     elif extension == ".glb":
         from .gltf_splats import write_gltf_splats as write
     else:

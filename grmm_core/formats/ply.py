@@ -10,6 +10,7 @@ only.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from dataclasses import dataclass
@@ -24,7 +25,6 @@ from .cloud import MAX_DEGREE, SplatCloud, bad_file, exp_scale, finish_reading, 
 
 KIND = "PLY file"
 _MAX_HEADER = 4 << 20  # CAP4D files have three elements for every frame
-_MAX_ROWS = 1 << 40
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
@@ -55,18 +55,23 @@ class _Element:
         return any(length is not None for _, _, length in self.properties)
 
 
-def read_elements(path: Path, kind: str = KIND) -> PlyFile:
+def read_elements(path: Path, kind: str = KIND, data: bytes | None = None) -> PlyFile:
     """Read all elements of a PLY file.
 
     Lists are read where all of an element have the same length (triangles), as fields of shape [length].
+
+    Args:
+        path: The file, or the archive that `data` came from.
+        kind: What the file was taken for, for messages.
+        data: The file's bytes where they were read elsewhere.
 
     Raises:
         FileFormatError: Damaged, truncated, or a header that does not fit the file.
         FileAccessError: Missing or unreadable.
     """
     try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
+        with path.open("rb") if data is None else io.BytesIO(data) as file:
+            size = os.fstat(file.fileno()).st_size if data is None else len(data)
             order, elements, comments = _read_header(path, kind, file)
             if order == "=":
                 return PlyFile(_read_text(path, kind, file, elements), comments)
@@ -75,7 +80,10 @@ def read_elements(path: Path, kind: str = KIND) -> PlyFile:
                 dtype = _element_dtype(path, kind, file, element, order)
                 if element.count * dtype.itemsize > size - file.tell():
                     raise bad_file(path, kind, f"its header claims {element.count} rows of {element.name!r}, more than it has")
-                arrays[element.name] = _check_lists(path, kind, element, np.fromfile(file, dtype, element.count))
+                rows = np.empty(element.count, dtype)
+                if file.readinto(rows.view(np.uint8).data) != rows.nbytes:
+                    raise bad_file(path, kind, "it is truncated")
+                arrays[element.name] = _check_lists(path, kind, element, rows)
             return PlyFile(arrays, comments)
     except FileNotFoundError as error:
         raise FileAccessError(f"{path} does not exist; check the file name.") from error
@@ -114,7 +122,7 @@ def _read_header(path: Path, kind: str, file: BinaryIO) -> tuple[str, list[_Elem
         raise bad_file(path, kind, "its header states no format or an element twice")
     for element in elements:
         fields = [name for name, _, _ in element.properties]
-        if len(set(fields)) != len(fields) or element.count > _MAX_ROWS:
+        if not fields or len(set(fields)) != len(fields):
             raise bad_file(path, kind, f"its element {element.name!r} is malformed")
     return order, elements, comments
 
@@ -140,8 +148,6 @@ def _element_dtype(path: Path, kind: str, file: BinaryIO, element: _Element, ord
 
 
 def _check_lists(path: Path, kind: str, element: _Element, rows: np.ndarray) -> np.ndarray:
-    if rows.shape[0] != element.count:
-        raise bad_file(path, kind, "it is truncated")
     for name, _, length in element.properties:
         if length is not None and (rows[f"{name}#"] != rows[name].shape[1]).any():
             raise bad_file(path, kind, f"its list {name!r} mixes lengths, which is not read")
@@ -180,7 +186,12 @@ def _read_text(path: Path, kind: str, file: BinaryIO, elements: list[_Element]) 
 
 
 def columns(rows: np.ndarray, names: list[str]) -> np.ndarray:
-    """Scalar fields as one float32 array [rows, len(names)]."""
+    """Scalar fields as one float32 array [rows, len(names)]; a view where they are neighbouring floats."""
+    fields = rows.dtype.fields or {}
+    offsets = [fields[name][1] for name in names]
+    neighbours = offsets == list(range(offsets[0], offsets[0] + 4 * len(names), 4))
+    if neighbours and all(fields[name][0] == np.dtype("<f4") for name in names):
+        return np.ndarray((rows.shape[0], len(names)), np.float32, rows, offsets[0], (rows.strides[0], 4))
     result = np.empty((rows.shape[0], len(names)), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         for i, name in enumerate(names):
@@ -227,7 +238,7 @@ def splats_from_rows(path: Path, rows: np.ndarray, kind: str = "splat PLY") -> S
             raise bad_file(path, kind, "its binding is not a triangle number for every splat")
         binding = values.astype(np.int32)
     cloud = SplatCloud(
-        columns(rows, ["x", "y", "z"]),
+        columns(rows, ["x", "y", "z"]).copy(),
         columns(rows, [f"rot_{i}" for i in range(4)]),
         exp_scale(columns(rows, [f"scale_{i}" for i in range(3)])),
         sigmoid(columns(rows, ["opacity"])[:, 0]),
@@ -247,11 +258,10 @@ def _harmonics(path: Path, kind: str, rows: np.ndarray, names: set[str]) -> tupl
         raise bad_file(path, kind, f"{rest} columns f_rest fit no degree of spherical harmonics")
     kept = (min(degree, MAX_DEGREE) + 1) ** 2
     sh = np.empty((rows.shape[0], kept, 3), np.float32)
-    with np.errstate(over="ignore", invalid="ignore"):
-        for channel in range(3):
-            sh[:, 0, channel] = rows[f"f_dc_{channel}"]
-            for k in range(kept - 1):
-                sh[:, k + 1, channel] = rows[f"f_rest_{channel * per_channel + k}"]
+    sh[:, 0] = columns(rows, [f"f_dc_{channel}" for channel in range(3)])
+    for channel in range(3) if kept > 1 else ():
+        first = channel * per_channel
+        sh[:, 1:, channel] = columns(rows, [f"f_rest_{first + k}" for k in range(kept - 1)])
     if degree > MAX_DEGREE:
         return sh, [f"Spherical harmonics of degree {degree} were cut to degree {MAX_DEGREE}."]
     return sh, []

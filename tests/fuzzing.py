@@ -1,0 +1,142 @@
+"""Damaged files for the readers' tests: deterministic mutations, a memory limit, and a runner that counts what happened.
+
+Mutations know containers: members of a zip and the contents of a gzip stream are changed inside, with the checksums made right
+again, since otherwise the checksum alone would refuse nearly all of them.
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import random
+import re
+import resource
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from grmm_core.errors import GrmmError
+
+_NUMBERS = (
+    b"0",
+    b"-1",
+    b"1",
+    b"255",
+    b"65536",
+    b"2147483647",
+    b"4294967295",
+    b"9" * 13,
+    b"9" * 19,
+    b"1e308",
+    b"NaN",
+    b"1e999",
+    b"",
+)
+_WORDS = (0, 1, 0xFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 20, 10_000_000)
+
+
+def mutate(data: bytes, rng: random.Random) -> bytes:
+    """One damaged copy."""
+    if data[:2] == b"PK" and rng.random() < 0.8:
+        return _mutate_member(data, rng)
+    if data[:2] == b"\x1f\x8b" and rng.random() < 0.8:
+        return gzip.compress(_mutate_bytes(gzip.decompress(data), rng), 1)
+    return _mutate_bytes(data, rng)
+
+
+def _mutate_bytes(data: bytes, rng: random.Random) -> bytes:
+    result = bytearray(data)
+    # Headers decide what is allocated, so half of the changes go there.
+    end = min(len(result), 600) if rng.random() < 0.5 else len(result)
+    for _ in range(rng.choice((1, 1, 1, 2, 5, 20))):
+        if not result:
+            break
+        at = rng.randrange(max(1, min(end, len(result))))
+        kind = rng.randrange(7)
+        if kind == 0:
+            result[at] ^= 1 << rng.randrange(8)
+        elif kind == 1:
+            result[at] = rng.choice((0, 1, 0x7F, 0x80, 0xFF))
+        elif kind == 2:
+            del result[at:]
+        elif kind == 3:
+            del result[at : at + rng.choice((1, 2, 4, 16, 100))]
+        elif kind == 4:
+            result[at:at] = bytes(rng.randrange(256) for _ in range(rng.choice((1, 4, 16))))
+        elif kind == 5:
+            result[at : at + 4] = rng.choice(_WORDS).to_bytes(4, "little")
+        else:
+            numbers = list(re.finditer(rb"-?\d+(?:\.\d+)?", bytes(result[:4000])))
+            if numbers:
+                match = rng.choice(numbers)
+                result[match.start() : match.end()] = rng.choice(_NUMBERS)
+    return bytes(result)
+
+
+def _mutate_member(data: bytes, rng: random.Random) -> bytes:
+    """A zip with one member changed, renamed or left out."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as source, zipfile.ZipFile(buffer, "w") as target:
+        names = source.namelist()
+        victim = rng.choice(names)
+        for name in names:
+            content = source.read(name)
+            if name == victim:
+                kind = rng.randrange(10)
+                if kind == 0:
+                    continue
+                if kind == 1:
+                    name = rng.choice(("../" + name, "/tmp/" + name, "x" * 300, name.upper(), "a\\b"))
+                else:
+                    content = _mutate_bytes(content, rng)
+            target.writestr(name, content)
+    return buffer.getvalue()
+
+
+@contextmanager
+def memory_limit(extra: int) -> Iterator[None]:
+    """Let the process take at most `extra` bytes more address space than it has now; beyond, Python raises MemoryError."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + extra, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+
+def fuzz(read: Callable[[Path], object], path: Path, count: int, seed: int = 0, extra_memory: int = 1 << 30) -> Counter[str]:
+    """Read `count` damaged copies of a good file.
+
+    Args:
+        read: The reader under test.
+        path: A good file; overwritten with damaged copies and put back in the end.
+        count: How many copies.
+        seed: Of the mutations.
+        extra_memory: Limit while reading, bytes.
+
+    Returns:
+        How many were "read" and how many "refused" by a one-sentence error. Every other exception passes through.
+    """
+    good = path.read_bytes()
+    outcomes: Counter[str] = Counter()
+    rng = random.Random(seed)
+    try:
+        read(path)  # imports what is imported lazily, before memory is limited
+        with memory_limit(extra_memory):
+            for _ in range(count):
+                path.write_bytes(mutate(good, rng))
+                try:
+                    read(path)
+                except GrmmError as error:
+                    text = str(error)
+                    if "\n" in text or len(text) > 700 or not text.endswith((".", "?")):
+                        raise AssertionError(f"not one short sentence: {text!r}") from error
+                    outcomes["refused"] += 1
+                else:
+                    outcomes["read"] += 1
+    finally:
+        path.write_bytes(good)
+    return outcomes

@@ -28,12 +28,9 @@ from ..color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from ..errors import ConfigError
 from ..files import atomic_write_bytes
 from ..images import quantize, write_exr, write_png
-from ..session import MAX_LOD, PASS_NAMES, Instance, RenderOptions, create_session
+from ..session import MAX_LOD, PASS_NAMES, PORTRAIT_DISTANCE, PORTRAIT_FOV, Instance, RenderOptions, create_session
 from .common import add_avatar, add_controls, add_model, add_output, check_folder, controls_of, picture_size
 
-DEFAULT_DISTANCE = 1.0  # metres
-DEFAULT_FOV = 20.0  # degrees: a head of 0.28 m fills four fifths of the picture at that distance
-TARGET = (0.0, 0.0, 0.0)
 SUFFIXES = (".png", ".exr", ".npz")
 
 
@@ -52,8 +49,8 @@ def add_parser(subparsers: Any) -> None:
     add_controls(parser)
     parser.add_argument("--yaw", type=float, default=0.0, help="camera angle to the subject's left, degrees (default: 0)")
     parser.add_argument("--pitch", type=float, default=0.0, help="camera angle upwards, degrees (default: 0)")
-    parser.add_argument("--distance", type=float, default=DEFAULT_DISTANCE, help="metres from the head (default: %(default)s)")
-    parser.add_argument("--fov", type=float, default=DEFAULT_FOV, help="angle of view, degrees (default: %(default)s)")
+    parser.add_argument("--distance", type=float, default=PORTRAIT_DISTANCE, help="metres from the head (default: %(default)s)")
+    parser.add_argument("--fov", type=float, default=PORTRAIT_FOV, help="angle of view, degrees (default: %(default)s)")
     parser.add_argument("--no-refine", action="store_true", help="leave out the refinement network")
     parser.add_argument("--lod", type=int, choices=range(MAX_LOD + 1), default=0, help="fewer, larger Gaussians (default: 0)")
     parser.add_argument("--background", metavar="R,G,B", type=_color, help="display sRGB 0..1 (default: transparent)")
@@ -70,7 +67,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise ConfigError(f"{path} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; choose one of these formats.")
     check_folder(path)
     controls = controls_of(args)
-    camera = Camera.orbit(*args.size, args.yaw, args.pitch, args.distance, args.fov, TARGET)
+    camera = Camera.orbit(*args.size, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
     options = RenderOptions(refine=not args.no_refine, passes=passes, lod=args.lod, background=args.background)
     with create_session(weights=args.weights, device=args.device, threads=args.threads) as session:

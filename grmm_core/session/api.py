@@ -36,6 +36,9 @@ PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "featur
 EMPTY_DEPTH = 1.0e10
 """Depth in metres of pixels that no Gaussian covers: Blender's value for an empty Z pass."""
 MAX_LOD = 3
+PORTRAIT_DISTANCE = 1.1
+PORTRAIT_FOV = 23.0
+"""Metres and degrees of a camera that shows the whole head with hair, as in the training pictures."""
 MAX_PIXELS = 1 << 26  # 8192 x 8192; refuses sizes that only a typing error asks for
 
 CancelCheck = Callable[[], bool]

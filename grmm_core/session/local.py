@@ -30,6 +30,8 @@ from ..head.skinning import euler_matrices, joint_transforms
 from ..images import encode_png, quantize
 from .api import (
     MAX_LOD,
+    PORTRAIT_DISTANCE,
+    PORTRAIT_FOV,
     AvatarInfo,
     CancelCheck,
     Deformation,
@@ -147,7 +149,7 @@ class LocalSession:
     def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
         """See `Session.save`."""
         target = self.target(avatar_id)
-        camera = Camera.orbit(THUMBNAIL_PIXELS, THUMBNAIL_PIXELS)
+        camera = Camera.orbit(THUMBNAIL_PIXELS, THUMBNAIL_PIXELS, distance=PORTRAIT_DISTANCE, fov=PORTRAIT_FOV)
         buffers = self.render([Instance(avatar_id)], camera)
         png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))
         save_avatar(target.avatar.with_thumbnail(png), path)

@@ -53,6 +53,7 @@ class ColouredSpheres:
         self.shapes = np.zeros((2, SHAPES), np.float32)
         self.training = np.arange(count)
         self.validation = np.arange(count, count + 4)
+        self.subjects = np.arange(count + 4) % 2
         self.size = size
 
     def load(self, index: int) -> View:

@@ -10,6 +10,8 @@ from typing import Any
 
 from ..errors import ConfigError
 
+FOLLOW_STEPS = 100
+
 
 def add_parser(subparsers: Any) -> None:
     """Add the parser of the sub-command."""
@@ -22,6 +24,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--data", nargs="+", metavar="DIR", required=True, help="data sets that `grmm capture` wrote")
     parser.add_argument("--out", default="out/training", metavar="DIR", help="folder for checkpoints, previews and weights")
     parser.add_argument("--resume", action="store_true", help="continue from the checkpoint in the folder")
+    parser.add_argument("--follow", action="store_true", help="the captures are still running: take up new shots now and then")
     parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change settings of the [training] table")
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda or mps")
     parser.add_argument("--default-person", metavar="NAME", help="person who becomes the default avatar; else the mean")
@@ -33,8 +36,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from ..training.config import load_config
     from ..training.trainer import CHECKPOINT, Trainer
 
-    config = load_config(args.config, _settings(args.set))
-    source, head = capture_views(args.data)
+    settings = ({"refresh_every": FOLLOW_STEPS} if args.follow else {}) | _settings(args.set)
+    config = load_config(args.config, settings)
+    source, head = capture_views(args.data, args.follow)
     person = _person(source.people, args.default_person)
     if (Path(args.out) / CHECKPOINT).exists() and not args.resume:
         raise ConfigError(f"{args.out} holds a checkpoint already; add --resume or choose another folder with --out.")

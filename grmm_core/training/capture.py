@@ -26,33 +26,57 @@ class CapturedViews:
 
     Args:
         datasets: Opened folders of one head model; people are named FOLDER/NAME where there are several.
+        follow: The captures are still running: count everybody whom they will show, and find new shots at `refresh`.
         cache_bytes: Limit of the memory for pictures.
 
     Raises:
         TrainingError: No view to train on.
     """
 
-    def __init__(self, datasets: Sequence[CaptureDataset], cache_bytes: int = CACHE_BYTES) -> None:
+    def __init__(self, datasets: Sequence[CaptureDataset], follow: bool = False, cache_bytes: int = CACHE_BYTES) -> None:
+        self._datasets = tuple(datasets)
         self._items: list[tuple[int, CaptureDataset, Shot, CapturedView]] = []
+        self._seen: set[tuple[int, str, int]] = set()
         self._cache: OrderedDict[int, View] = OrderedDict()
         self._room = cache_bytes
-        people: list[str] = []
-        shapes: list[np.ndarray] = []
-        for dataset in datasets:
+        self._numbers: dict[tuple[int, str], int] = {}
+        names: list[str] = []
+        for place, dataset in enumerate(self._datasets):
             trained = {shot.subject for shot, _ in dataset.views(TRAIN)}
-            numbers = {}
-            for name in dataset.subjects:
-                if name in trained:
-                    numbers[name] = len(people)
-                    people.append(name if len(datasets) == 1 else f"{dataset.folder.name}/{name}")
-                    shapes.append(dataset.shape(name))
-            self._items += [
-                (numbers[shot.subject], dataset, shot, view) for shot, view in dataset.views() if shot.subject in numbers
-            ]
-        if not people:
+            everybody = dataset.manifest.subjects if follow else dataset.subjects
+            for name in everybody:
+                if name not in dataset.manifest.held_out_people and (follow or name in trained):
+                    self._numbers[place, name] = len(names)
+                    names.append(name if len(datasets) == 1 else f"{dataset.folder.name}/{name}")
+        self.people = tuple(names)
+        self.shapes = np.zeros((0, 0), np.float32)
+        self._collect()
+        if not len(self.training):
             raise TrainingError("The data holds no training views; capture more or wait until a person is complete.")
-        self.people = tuple(people)
-        self.shapes = np.stack(shapes).astype(np.float32)
+
+    def refresh(self) -> int:
+        """Look for shots that were added; returns the number of views known. Numbers of known views stay."""
+        for dataset in self._datasets:
+            dataset.refresh()
+        self._collect()
+        return len(self._items)
+
+    def _collect(self) -> None:
+        shapes: list[np.ndarray | None] = [None] * len(self.people)
+        for place, dataset in enumerate(self._datasets):
+            for shot in dataset.shots:
+                number, key = self._numbers.get((place, shot.subject)), (place, shot.subject, shot.number)
+                if number is not None and key not in self._seen:
+                    self._seen.add(key)
+                    self._items += [(number, dataset, shot, view) for view in shot.views]
+            for name in dataset.subjects:
+                number = self._numbers.get((place, name))
+                if number is not None:
+                    shapes[number] = dataset.shape(name)
+        size = max((len(shape) for shape in shapes if shape is not None), default=0)
+        rows = [np.zeros(size, np.float32) if shape is None else shape for shape in shapes]  # not captured yet
+        self.shapes = np.stack(rows).astype(np.float32) if rows else np.zeros((0, size), np.float32)
+        self.subjects = np.array([number for number, _, _, _ in self._items], np.int64)
         splits = np.array([view.split for _, _, _, view in self._items])
         self.training = np.flatnonzero(splits == TRAIN)
         self.validation = np.flatnonzero(np.isin(splits, VALIDATION_SPLITS))
@@ -81,8 +105,12 @@ class CapturedViews:
             self._room += _size(self._cache.popitem(last=False)[1])
 
 
-def capture_views(folders: Sequence[str | os.PathLike[str]]) -> tuple[CapturedViews, HeadModel]:
+def capture_views(folders: Sequence[str | os.PathLike[str]], follow: bool = False) -> tuple[CapturedViews, HeadModel]:
     """Open capture folders and the head model that they were made with.
+
+    Args:
+        folders: Capture folders.
+        follow: See `CapturedViews`.
 
     Raises:
         FileAccessError, FileFormatError: A folder is missing or not a capture.
@@ -96,7 +124,7 @@ def capture_views(folders: Sequence[str | os.PathLike[str]]) -> tuple[CapturedVi
     for dataset in datasets:
         if dataset.manifest.head != head.name:
             raise ConfigError(f"{dataset.folder} was made with the head model {dataset.manifest.head!r}, not {head.name!r}.")
-    return CapturedViews(datasets), head
+    return CapturedViews(datasets, follow), head
 
 
 def _size(view: View) -> int:

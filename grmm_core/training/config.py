@@ -53,6 +53,7 @@ class TrainConfig:
         ema_every: Steps between its updates.
         code_init: Standard deviation of identity codes before training.
         checkpoint_every, preview_every, evaluate_every: Steps; 0 for never.
+        refresh_every: Steps between looks for new shots of a capture that is still running; 0 for never.
         evaluate_views: Held-out views in an evaluation.
         threads: Of torch; 0 leaves its choice.
     """
@@ -85,6 +86,7 @@ class TrainConfig:
     preview_every: int = 500
     evaluate_every: int = 1000
     evaluate_views: int = 16
+    refresh_every: int = 0
     threads: int = 0
 
     def __post_init__(self) -> None:

@@ -128,6 +128,8 @@ class Trainer:
                 on_step(metrics)
             n = self.step_count
             ends = self.progress >= 1.0
+            if c.refresh_every and n % c.refresh_every == 0:
+                self.refresh()
             if c.evaluate_every and (n % c.evaluate_every == 0 or ends):
                 metrics |= self.evaluate(c.evaluate_views)
                 logger.info("step %d: %s", n, {k: round(v, 4) for k, v in metrics.items()})
@@ -139,6 +141,13 @@ class Trainer:
                 self.save()
             if stopped and not ends:
                 raise CancelledError(f"The training was stopped after step {n}; continue it with --resume.")
+
+    def refresh(self) -> None:
+        """Take up what was added to the data since, where the source can tell."""
+        refresh = getattr(self.source, "refresh", None)
+        if refresh is not None:
+            refresh()
+            self.shapes = torch.as_tensor(self.source.shapes, dtype=torch.float32, device=self.model.device)
 
     def start(self) -> None:
         """Prepare what depends on the data, once, before the first step of a new run."""
@@ -283,15 +292,17 @@ class Trainer:
             provenance: JSON values for the model card.
             default_person: Person who becomes the default avatar; the mean of all when None.
         """
+        seen = np.unique(self.source.subjects[self.source.training])  # those of a running capture may still be missing
         with self.averaged():
-            codes = self.codes.detach().cpu().numpy().copy()
-            identity = codes if self.config.model.residuals else self.source.shapes
-            pick = slice(None) if default_person is None else slice(default_person, default_person + 1)
+            codes = self.codes.detach().cpu().numpy()[seen].copy()
+            shapes = self.source.shapes[seen]
+            identity = codes if self.config.model.residuals else shapes
+            pick = slice(None) if default_person is None else seen == default_person
             head = self.model.head_model
             info = WeightsInfo(
-                self.config.name, head.name, head_fingerprint(head), self.config.model, people=tuple(self.source.people),
-                z_id=identity, shapes=self.source.shapes, default_z_id=identity[pick].mean(0),
-                default_shape=self.source.shapes[pick].mean(0), provenance=provenance,
+                self.config.name, head.name, head_fingerprint(head), self.config.model,
+                people=tuple(self.source.people[i] for i in seen), z_id=identity, shapes=shapes,
+                default_z_id=identity[pick].mean(0), default_shape=shapes[pick].mean(0), provenance=provenance,
             )  # fmt: skip
             save_weights(path, self.model, info)
 

@@ -55,11 +55,13 @@ class ViewSource(Protocol):
     Attributes:
         people: Names, [P].
         shapes: Shape coefficients, [P, S] float32.
+        subjects: Person of each view, index into `people`.
         training, validation: Numbers of the views to train on and to judge by.
     """
 
     people: tuple[str, ...]
     shapes: np.ndarray
+    subjects: np.ndarray
     training: np.ndarray
     validation: np.ndarray
 

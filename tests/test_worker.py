@@ -126,6 +126,30 @@ def test_a_hung_worker_is_ended_when_the_time_is_over(weights):
         assert session.deform(info.id, Controls()).vertices.shape == (info.vertex_count, 3)
 
 
+def test_closing_ends_a_render_of_another_thread(weights):
+    session = create_session("worker", weights=weights, device="cpu", threads=1)
+    info = session.open("default")
+    pid = session.status().pid
+    started, errors = threading.Event(), []
+
+    def draw() -> None:
+        try:
+            session.render([Instance(info.id)], LARGE, should_cancel=lambda: bool(started.set()))
+        except SessionError as error:
+            errors.append(str(error))
+
+    thread = threading.Thread(target=draw)
+    thread.start()
+    assert started.wait(10)
+    start = time.monotonic()
+    session.close()
+    assert time.monotonic() - start < 2.0
+    thread.join(5)
+    assert not thread.is_alive()
+    assert len(errors) == 1
+    assert wait_until_gone(pid)
+
+
 def test_calls_from_several_threads_do_not_mix(session):
     info = session.open("default")
     values = np.linspace(0.0, 1.0, 12)

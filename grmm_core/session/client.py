@@ -36,6 +36,7 @@ from .process import WorkerDiedError, WorkerProcess
 from .sources import SourceKey, source_key
 from .system import resident_memory
 
+CLOSE_GRACE = 0.5  # seconds that closing waits for another thread's call
 CALL_TIMEOUT = 600.0  # seconds; a picture of a film's size on an old machine stays below
 
 _log = logging.getLogger(__name__)
@@ -150,12 +151,21 @@ class WorkerSession:
         )
 
     def close(self) -> None:
-        """See `Session.close`."""
-        with self._lock:
-            self._closed = True
-            if self._worker is not None:
-                self._worker.stop()
+        """See `Session.close`. A call that is under way in another thread ends with `SessionError`."""
+        self._closed = True
+        free = self._lock.acquire(timeout=CLOSE_GRACE)
+        try:
+            worker = self._worker
+            if worker is None:
+                return
+            if free:
+                worker.stop()
                 self._worker = None
+            else:
+                worker.terminate()  # the thread that waits for it notices and cleans up
+        finally:
+            if free:
+                self._lock.release()
 
     def __enter__(self) -> Self:
         return self

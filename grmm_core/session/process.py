@@ -81,8 +81,8 @@ class WorkerProcess:
             raise
 
     def _start(self, python: str, settings: dict[str, Any]) -> dict[str, Any]:
-        self._send({"start": settings, "arena": self._arena.spec()}, with_arena=False)
         try:
+            self._send({"start": settings, "arena": self._arena.spec()}, with_arena=False)
             hello = self._wait(time.monotonic() + START_TIMEOUT)
         except WorkerDiedError as error:
             reason = self.last_line() or "no message"
@@ -191,6 +191,11 @@ class WorkerProcess:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(EXIT_GRACE)
         self.kill()
+
+    def terminate(self) -> None:
+        """End the process at once and leave the rest to the thread that waits for its reply."""
+        if self._process.poll() is None:
+            self._process.kill()
 
     def kill(self) -> None:
         """End the process at once and free what it used; harmless when done twice."""

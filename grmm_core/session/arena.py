@@ -11,6 +11,7 @@ Used by `client` and `worker` through `codec`. Needs the standard library and nu
 
 from __future__ import annotations
 
+import contextlib
 import mmap
 import os
 import secrets
@@ -136,7 +137,8 @@ class SharedArena:
 
 def _anonymous_file() -> int:
     if hasattr(os, "memfd_create"):
-        return os.memfd_create("grmm", os.MFD_CLOEXEC)
+        with contextlib.suppress(OSError):  # a sandbox may forbid it
+            return os.memfd_create("grmm", os.MFD_CLOEXEC)
     descriptor, path = tempfile.mkstemp(prefix="grmm-")
     os.unlink(path)  # noqa: PTH108 - a plain name, and the file must go before anything else can fail
     return descriptor

@@ -18,14 +18,11 @@ from .forward import (
     BLOCKS,
     BLOCKS_X,
     BLOCKS_Y,
-    CAP,
-    FLOOR,
     HALF,
     LANE_X,
     LANE_Y,
     ONE,
-    STOP,
-    TINY,
+    SQUEEZE,
     ZERO,
     F,
     block_range,
@@ -55,6 +52,7 @@ def _replay_tile(
     features: np.ndarray,
     tile_x: int,
     tile_y: int,
+    constants: np.ndarray,
     pull: np.ndarray,
     behind: np.ndarray,
     through: np.ndarray,
@@ -65,22 +63,24 @@ def _replay_tile(
     """Replay the instances low..high over one tile.
 
     Args:
-        pull: [BLOCKS * channels * 8] gradient of the blended channels.
-        behind: [BLOCKS * 8] light from behind, R.
-        through: [BLOCKS * 8] transmittance, as `start_tile` leaves it.
-        value, d_value: Scratch [channels], [channels * 8].
+        pull: [BLOCKS * channels * WIDTH] gradient of the blended channels.
+        behind: [BLOCKS * WIDTH] light from behind, R.
+        through: [BLOCKS * WIDTH] transmittance, as `start_tile` leaves it.
+        value, d_value: Scratch [channels], [channels * WIDTH].
         rows: Output [slots, MOMENTS + channels].
     """
     channels = value.shape[0]
     used = BASE + features.shape[1]
-    floor, stop, cap, one, zero = spread(FLOOR), spread(STOP), spread(CAP), spread(ONE), spread(ZERO)
-    tiny = spread(TINY)
+    one, e1, e2, e3 = spread(constants[0]), spread(constants[1]), spread(constants[2]), spread(constants[3])
+    e4, e5, farthest, floor = spread(constants[4]), spread(constants[5]), spread(constants[6]), spread(constants[7])
+    cap, stop, zero, tiny = spread(constants[8]), spread(constants[9]), spread(constants[10]), spread(constants[11])
     lane_x, lane_y = load(LANE_X, 0), load(LANE_Y, 0)
     for n in range(low, high):
         i = gaussian[n]
         record = geometry[i]
         mx, my = record[0] - F(tile_x * TILE) - HALF, record[1] - F(tile_y * TILE) - HALF
-        l11, l12, l22, opacity = spread(record[2]), spread(record[3]), spread(record[4]), spread(record[5])
+        l11, l12, l22 = spread(record[2] * SQUEEZE), spread(record[3] * SQUEEZE), spread(record[4] * SQUEEZE)
+        opacity = spread(record[5])
         first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
         first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
         for c in range(BASE):
@@ -96,7 +96,7 @@ def _replay_tile(
             shear = l12 * dy
             for bx in range(first_x, end_x):
                 s = l11 * (lane_x + spread(F(bx * BLOCK_X) - mx)) + shear
-                alpha = opacity * falloff(s, q)
+                alpha = opacity * falloff(s, q, one, e1, e2, e3, e4, e5, farthest)
                 if not any_at_least(alpha, floor):
                     continue
                 alpha = choose(alpha, floor, choose(alpha, cap, cap, alpha), zero)
@@ -132,7 +132,9 @@ def _replay_tile(
                 gsq = gsq + g * s * q
                 gqq = gqq + g * q * q
         out = rows[_slot(whole[i], tile_x, tile_y)]
-        out[0], out[1], out[2], out[3], out[4], out[5] = total(g0), total(gs), total(gq), total(gss), total(gsq), total(gqq)
+        back = ONE / SQUEEZE
+        out[0], out[1], out[2] = total(g0), back * total(gs), back * total(gq)
+        out[3], out[4], out[5] = back * back * total(gss), back * back * total(gsq), back * back * total(gqq)
         for c in range(used):
             out[MOMENTS + c] = total(load(d_value, c * WIDTH))
 
@@ -148,6 +150,7 @@ def replay(
     geometry: np.ndarray,
     whole: np.ndarray,
     features: np.ndarray,
+    constants: np.ndarray,
     rgb: np.ndarray,
     alpha: np.ndarray,
     depth: np.ndarray,
@@ -161,7 +164,7 @@ def replay(
     """Write the gradients of the instances of some tiles to `rows`.
 
     Args:
-        first_tile, end_tile, tiles_x, starts, gaussian, geometry, whole, features: As in `forward.draw`.
+        first_tile, end_tile, tiles_x, starts, gaussian, geometry, whole, features, constants: As in `forward.draw`.
         ends, rgb, alpha, depth, blended: What it returned.
         d_rgb, d_alpha, d_depth, d_blended: Gradients of the outputs.
         rows: Output [M, MOMENTS + channels].
@@ -201,7 +204,7 @@ def replay(
                         arriving += g * blended[y, x, k]
                     behind[block * WIDTH + lane] = arriving
             _replay_tile(
-                low, end, gaussian, geometry, whole, features, tile % tiles_x, tile // tiles_x, pull, behind, through, value, d_value, rows
+                low, end, gaussian, geometry, whole, features, tile % tiles_x, tile // tiles_x, constants, pull, behind, through, value, d_value, rows
             )
         for n in range(max(end, low), high):
             row = rows[_slot(whole[gaussian[n]], tile % tiles_x, tile // tiles_x)]

@@ -1,7 +1,7 @@
 """Blending, tile by tile, compiled: the hot loop of the forward pass. The twin of `reference.blend`.
 
-A tile is divided into blocks of 4 x 2 pixels, which fill the eight lanes of `simd`. It keeps, block by block, the channels blended
-so far (r, g, b, depth, features: eight lanes each) and the transmittance; a pixel that has ended, or lies outside the picture, has
+A tile is divided into blocks of 4 x 2 or 4 x 4 pixels, which fill the lanes of `simd`. It keeps, block by block, the channels blended
+so far (r, g, b, depth, features: WIDTH lanes each) and the transmittance; a pixel that has ended, or lies outside the picture, has
 its transmittance stored with a minus sign. Gaussians come front to back; each visits the blocks that its bounding box touches.
 """
 
@@ -19,30 +19,31 @@ from .simd import WIDTH, any_at_least, choose, load, negative, spread, store
 
 F = np.float32
 ONE, ZERO, HALF = F(1.0), F(0.0), F(0.5)
-CAP, FLOOR, STOP = F(ALPHA_MAX), F(ALPHA_MIN), F(TRANSMITTANCE_MIN)
-LOWEST = F(-5.6)  # e^LOWEST is below ALPHA_MIN, so what is smaller need not be known
-TINY = F(1e-30)
-BLOCK_X, BLOCK_Y = 4, 2  # pixels
+BLOCK_X, BLOCK_Y = 4, WIDTH // 4  # pixels
 BLOCKS_X, BLOCKS_Y = TILE // BLOCK_X, TILE // BLOCK_Y
 BLOCKS = BLOCKS_X * BLOCKS_Y
 LANE_X = (np.arange(WIDTH) % BLOCK_X).astype(np.float32)
 LANE_Y = (np.arange(WIDTH) // BLOCK_X).astype(np.float32)
-CHECK = 16  # Gaussians between two looks at whether all pixels of the tile have ended
+BATCH = 16  # Gaussians blended together; between batches it is seen whether all pixels of the tile have ended
 BASE = 4  # channels before the features: r, g, b, depth
 GROUP = 4  # channels are padded to a multiple of this, so that loops can be unrolled
 
-# e^x = p(x / 8)^8 with p = 1 + E1 x/8 + E2 (x/8)^2 ... on LOWEST..0; relative error 2e-6
-E1, E2, E3, E4, E5 = F(0.999994755), F(0.499899775), F(0.166028395), F(0.0398483016), F(0.00588524854)
-EIGHTH = F(0.125)
+# e^-8t = p(t)^8 with p = 1 - E1 t + E2 t^2 - ... for 0 <= t <= FARTHEST; relative error 2e-6
+E1, E2, E3, E4, E5 = -0.999994755, 0.499899775, -0.166028395, 0.0398483016, -0.00588524854
+FARTHEST = 0.7  # e^(-8 FARTHEST) is below ALPHA_MIN, so what is smaller need not be known
+SQUEEZE = F(0.25)  # applied to s and q, so that t is the sum of their squares
+
+# The kernels get these as an argument: the compiler would otherwise load every one of them anew in the innermost loop.
+CONSTANTS = np.array([1.0, E1, E2, E3, E4, E5, FARTHEST, ALPHA_MIN, ALPHA_MAX, TRANSMITTANCE_MIN, 0.0, 1e-30], np.float32)
 
 
 @kernel
-def falloff(s, q):  # noqa: ANN001, ANN201 - Lanes have no Python type
-    """Return e^(-(s^2 + q^2) / 2) in each lane; never less than e^LOWEST."""
-    x = (s * s + q * q) * spread(-HALF * EIGHTH)
-    lowest = spread(LOWEST * EIGHTH)
-    x = choose(x, lowest, x, lowest)
-    p = spread(ONE) + x * (spread(E1) + x * (spread(E2) + x * (spread(E3) + x * (spread(E4) + x * spread(E5)))))
+def falloff(s, q, one, e1, e2, e3, e4, e5, farthest):  # noqa: ANN001, ANN201, PLR0913 - Lanes have no Python type
+    """Return e^(-8 (s^2 + q^2)) in each lane, not less than e^(-8 farthest); the others are the constants above."""
+    t = s * s + q * q
+    t = choose(t, farthest, farthest, t)
+    tt = t * t
+    p = (one + t * e1) + tt * ((e2 + t * e3) + tt * (e4 + t * e5))
     p = p * p
     p = p * p
     return p * p
@@ -61,7 +62,7 @@ def block_range(centre: float, half: float, size: int, blocks: int) -> tuple[int
 
 @kernel
 def all_ended(through: np.ndarray) -> bool:
-    """Return whether every pixel of a tile has ended; `through` [BLOCKS * 8]."""
+    """Return whether every pixel of a tile has ended; `through` [BLOCKS * WIDTH]."""
     brightest = load(through, 0)
     for b in range(1, BLOCKS):
         other = load(through, b * WIDTH)
@@ -78,60 +79,89 @@ def _blend_tile(
     features: np.ndarray,
     left_edge: float,
     top_edge: float,
+    constants: np.ndarray,
     sums: np.ndarray,
     through: np.ndarray,
-    value: np.ndarray,
+    values: np.ndarray,
+    weights: np.ndarray,
+    places: np.ndarray,
 ) -> int:
     """Blend the instances low..high over one tile; return the end of those that were looked at.
 
+    In batches, in two steps, neither of which branches on computed covers, which the processor could not predict: first the weight
+    of every Gaussian in every block that it touches, then the sums of weight times value.
+
     Args:
-        sums: [BLOCKS * channels * 8] blended channels.
-        through: [BLOCKS * 8] transmittance.
-        value: Scratch [channels].
+        sums: [BLOCKS * channels * WIDTH] blended channels.
+        through: [BLOCKS * WIDTH] transmittance.
+        values: Scratch [BATCH, channels].
+        weights: Scratch [BATCH * BLOCKS * WIDTH].
+        places: Scratch [BATCH * BLOCKS] int64: of each entry of `weights`, the position of the sums << 32 | that of the values.
     """
-    channels = value.shape[0]
-    floor, stop, cap, one, zero = spread(FLOOR), spread(STOP), spread(CAP), spread(ONE), spread(ZERO)
-    tiny = spread(TINY)
+    channels = values.shape[1]
+    flat = values.reshape(-1)
+    one, e1, e2, e3 = spread(constants[0]), spread(constants[1]), spread(constants[2]), spread(constants[3])
+    e4, e5, farthest, floor = spread(constants[4]), spread(constants[5]), spread(constants[6]), spread(constants[7])
+    cap, stop, zero, tiny = spread(constants[8]), spread(constants[9]), spread(constants[10]), spread(constants[11])
     lane_x, lane_y = load(LANE_X, 0), load(LANE_Y, 0)
-    for n in range(low, high):
-        if (n - low) % CHECK == CHECK - 1 and all_ended(through):
-            return n
-        i = gaussian[n]
-        record = geometry[i]
-        mx, my = record[0] - left_edge - HALF, record[1] - top_edge - HALF  # pixel k of the tile is at coordinate k
-        l11, l12, l22, opacity = spread(record[2]), spread(record[3]), spread(record[4]), spread(record[5])
-        first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
-        first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
-        for c in range(BASE):
-            value[c] = record[VALUES + c]
-        for c in range(features.shape[1]):
-            value[BASE + c] = features[i, c]
-        for by in range(first_y, end_y):
-            dy = lane_y + spread(F(by * BLOCK_Y) - my)
-            q = l22 * dy
-            shear = l12 * dy
-            for bx in range(first_x, end_x):
-                s = l11 * (lane_x + spread(F(bx * BLOCK_X) - mx)) + shear
-                alpha = opacity * falloff(s, q)
-                if not any_at_least(alpha, floor):
-                    continue
+    for batch in range(low, high, BATCH):
+        if batch > low and all_ended(through):
+            return batch
+        entries = 0
+        for n in range(batch, min(batch + BATCH, high)):
+            i = gaussian[n]
+            record = geometry[i]
+            mx, my = record[0] - left_edge - HALF, record[1] - top_edge - HALF  # pixel k of the tile is at coordinate k
+            l11, l12, l22 = spread(record[2] * SQUEEZE), spread(record[3] * SQUEEZE), spread(record[4] * SQUEEZE)
+            opacity = spread(record[5])
+            first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
+            first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
+            at = (n - batch) * channels
+            for c in range(BASE):
+                flat[at + c] = record[VALUES + c]
+            for c in range(features.shape[1]):
+                flat[at + BASE + c] = features[i, c]
+            across = end_x - first_x
+            bx, block = 0, first_y * BLOCKS_X + first_x
+            place = np.int64(block * channels * WIDTH) << 32 | at
+            step, turn = np.int64(channels * WIDTH) << 32, np.int64((BLOCKS_X - across + 1) * channels * WIDTH) << 32
+            x, y = F(first_x * BLOCK_X) - mx, F(first_y * BLOCK_Y) - my
+            for _ in range(across * (end_y - first_y)):
+                dy = lane_y + spread(y)
+                q = l22 * dy
+                s = l11 * (lane_x + spread(x)) + l12 * dy
+                alpha = opacity * falloff(s, q, one, e1, e2, e3, e4, e5, farthest)
                 alpha = choose(alpha, floor, choose(alpha, cap, cap, alpha), zero)
-                block = by * BLOCKS_X + bx
                 before = load(through, block * WIDTH)
                 after = before * (one - alpha)
                 weight = choose(after, stop, alpha * before, zero)
                 store(through, block * WIDTH, choose(after, stop, after, negative(before)))
-                if not any_at_least(weight, tiny):
-                    continue
-                at = block * channels * WIDTH
-                for c in range(channels):
-                    store(sums, at + c * WIDTH, load(sums, at + c * WIDTH) + weight * spread(value[c]))
+                store(weights, entries * WIDTH, weight)
+                places[np.uint64(entries)] = place
+                entries += 1 if any_at_least(weight, tiny) else 0
+                bx += 1
+                row_ends = bx == across
+                block += BLOCKS_X - across + 1 if row_ends else 1
+                place += turn if row_ends else step
+                x += F(BLOCK_X) - F(across * BLOCK_X) if row_ends else F(BLOCK_X)
+                y += F(BLOCK_Y) if row_ends else ZERO
+                bx = 0 if row_ends else bx
+        for entry in range(entries):
+            weight = load(weights, entry * WIDTH)
+            place = places[entry]
+            to, at = place >> 32, place & 0xFFFFFFFF
+            for c in range(0, channels, GROUP):
+                here = to + c * WIDTH
+                store(sums, here, load(sums, here) + weight * spread(flat[at + c]))
+                store(sums, here + WIDTH, load(sums, here + WIDTH) + weight * spread(flat[at + c + 1]))
+                store(sums, here + 2 * WIDTH, load(sums, here + 2 * WIDTH) + weight * spread(flat[at + c + 2]))
+                store(sums, here + 3 * WIDTH, load(sums, here + 3 * WIDTH) + weight * spread(flat[at + c + 3]))
     return high
 
 
 @kernel
 def start_tile(through: np.ndarray, columns: int, rows: int) -> None:
-    """Set the transmittance [BLOCKS * 8] of a tile to one, and to ended outside its columns x rows pixels of the picture."""
+    """Set the transmittance [BLOCKS * WIDTH] of a tile to one, and to ended outside its columns x rows pixels of the picture."""
     for k in range(BLOCKS * WIDTH):
         block, lane = k // WIDTH, k % WIDTH
         x = block % BLOCKS_X * BLOCK_X + lane % BLOCK_X
@@ -190,6 +220,7 @@ def draw(
     whole: np.ndarray,
     features: np.ndarray,
     background: np.ndarray,
+    constants: np.ndarray,
     rgb: np.ndarray,
     alpha: np.ndarray,
     depth: np.ndarray,
@@ -205,6 +236,7 @@ def draw(
         geometry, whole: Of `projection.project`.
         features: [N, C] float32.
         background: [1, 1, 3] or [H, W, 3] float32.
+        constants: CONSTANTS.
         rgb, alpha, depth, blended: Outputs [H, W, 3], [H, W], [H, W], [H, W, C] float32, zero on entry.
         ends: Output [tiles] int64: end of the instances of each tile that any pixel was still open to.
     """
@@ -212,7 +244,9 @@ def draw(
     channels = padded(features.shape[1])
     sums = np.empty(BLOCKS * channels * WIDTH, np.float32)
     through = np.empty(BLOCKS * WIDTH, np.float32)
-    value = np.zeros(channels, np.float32)
+    values = np.zeros((BATCH, channels), np.float32)
+    weights = np.empty(BATCH * BLOCKS * WIDTH, np.float32)
+    places = np.empty(BATCH * BLOCKS, np.int64)
     most = 0
     for tile in range(first_tile, end_tile):
         most = max(most, starts[tile + 1] - starts[tile])
@@ -227,7 +261,9 @@ def draw(
             sort_by_depth(gaussian[low:high], whole, keys, spare, histogram)
             sums[:] = ZERO
             start_tile(through, columns, rows)
-            ends[tile] = _blend_tile(low, high, gaussian, geometry, features, F(x0), F(y0), sums, through, value)
+            ends[tile] = _blend_tile(
+                low, high, gaussian, geometry, features, F(x0), F(y0), constants, sums, through, values, weights, places
+            )
             _write_tile(x0, y0, columns, rows, sums, through, channels, background, rgb, alpha, depth, blended)
         else:
             ends[tile] = low

@@ -97,7 +97,7 @@ def draw(inputs: list[np.ndarray], background: np.ndarray, view: View, antialias
     for_each(
         len(groups),
         lambda k: forward.draw(
-            *groups[k], tiles_x, starts, gaussian, geometry, whole, inputs[5], background, *outputs, ends
+            *groups[k], tiles_x, starts, gaussian, geometry, whole, inputs[5], background, forward.CONSTANTS, *outputs, ends
         ),
     )
     return outputs, Drawing(camera, tiles_x, geometry, whole, starts, ends, gaussian)
@@ -115,7 +115,7 @@ def differentiate(
         len(groups),
         lambda k: backward.replay(
             *groups[k], drawing.tiles_x, drawing.starts, drawing.ends, drawing.gaussian, geometry, whole, inputs[5],
-            *outputs, *d_outputs, rows,
+            forward.CONSTANTS, *outputs, *d_outputs, rows,
         ),
     )  # fmt: skip
     chunks = _pieces(len(inputs[0]), CHUNK_MIN, TASKS * thread_count())

@@ -1,7 +1,8 @@
-"""Eight float32 lanes as one value inside kernels.
+"""Eight or sixteen float32 lanes as one value inside kernels.
 
-Numba's own vectoriser does not find the blocks of eight pixels that the tile kernels work on, so `Lanes` gives them to the compiler
-explicitly: one LLVM vector, which becomes one AVX register, two SSE or NEON registers, whatever the processor has. In a kernel,
+Numba's own vectoriser does not find the blocks of pixels that the tile kernels work on, so `Lanes` gives them to the compiler
+explicitly: one LLVM vector, which becomes one AVX or AVX-512 register, several SSE or NEON registers, whatever the processor has.
+There are sixteen lanes where the processor has registers for them, else eight. In a kernel,
 + - * / work lane by lane (multiply-adds are fused by the compiler), and the functions below do the rest.
 Used by `forward.py` and `backward.py`.
 """
@@ -12,19 +13,32 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
+import numba
 from llvmlite import ir
+from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, models, register_model
 
-WIDTH = 8
+
+def _lanes() -> int:
+    """Return the number of lanes that suits this processor, as numba compiles for it."""
+    if numba.config.CPU_NAME or numba.config.CPU_FEATURES:  # the user has numba compile for another one
+        return 8
+    try:
+        return 16 if get_host_cpu_features().get("avx512vl") else 8
+    except RuntimeError:  # not known for this processor
+        return 8
+
+
+WIDTH = _lanes()
 _VECTOR = ir.VectorType(ir.FloatType(), WIDTH)
 _INDEX = ir.IntType(32)
 
 
 class LanesType(types.Type):
-    """Numba's type of eight float32 lanes."""
+    """Numba's type of WIDTH float32 lanes."""
 
     def __init__(self) -> None:
         super().__init__(name=f"Lanes{WIDTH}")
@@ -80,7 +94,7 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, inde
 
 @intrinsic
 def load(typing: Any, array: Any, index: Any) -> Any:
-    """load(array, i): lanes array[i : i + 8] of a contiguous one-dimensional float32 array."""
+    """load(array, i): lanes array[i : i + WIDTH] of a contiguous one-dimensional float32 array."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[1]), align=4)

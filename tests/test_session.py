@@ -300,6 +300,7 @@ def test_samples_follow_their_seed(session):
     first, again, other = session.sample(3), session.sample(3), session.sample(4)
     assert first.id == again.id != other.id
     assert first.source == "sample:3"
+    assert session.open(first.source).id == first.id
     assert np.abs(first.z_id - other.z_id).max() > 0.1
     assert np.abs(first.shape).max() > 0
     assert not first.provenance["from_photos"]

@@ -52,7 +52,7 @@ class AvatarInfo:
     Attributes:
         id: Handle for the other methods. Valid for the life of the session, also across a restart of the worker.
         name: Display name.
-        source: What `open` was given ("default", or an absolute path), or "sample:SEED".
+        source: What `open` takes for it: "default", "sample:SEED", or an absolute path.
         head_name: Name of the head model, such as "open_head".
         head_sha256: Hash of the head model's asset.
         weights_name: Name of the trained weights.
@@ -224,8 +224,8 @@ class Session(Protocol):
         """Open an avatar.
 
         Args:
-            source: "default" for the avatar that comes with the weights, or a `.grmm` file. Opening the same unchanged file
-                again returns the same id.
+            source: "default" for the avatar that comes with the weights, "sample:SEED" as `sample`, or a `.grmm` file.
+                Opening the same unchanged source again returns the same id.
 
         Raises:
             FileAccessError, FileFormatError: The file is missing, damaged, newer than this version, or needs weights or a

@@ -124,26 +124,12 @@ class LocalSession:
     @_guarded
     def open(self, source: str | os.PathLike[str]) -> AvatarInfo:
         """See `Session.open`."""
-        key = source_key(source)
-        known = self._known(key)
-        if known is not None:
-            return known
-        if key.kind == "default":
-            loaded = self._store.default()
-            return self._add(default_avatar(loaded.info, loaded.model.z_exp_size), loaded, key)
-        path = Path(key.name)
-        avatar = load_avatar(path)
-        return self._add(avatar, self._store.for_avatar(avatar, path), key)
+        return self._open(source_key(source))
 
     @_guarded
     def sample(self, seed: int) -> AvatarInfo:
         """See `Session.sample`."""
-        key = SourceKey("sample", str(int(seed)))
-        known = self._known(key)
-        if known is not None:
-            return known
-        loaded = self._store.default()
-        return self._add(sampled_avatar(loaded.info, loaded.model.z_exp_size, int(seed)), loaded, key)
+        return self._open(SourceKey("sample", str(int(seed))))
 
     @_guarded
     def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
@@ -239,8 +225,18 @@ class LocalSession:
     ) -> None:
         self.close()
 
-    def _known(self, key: SourceKey) -> AvatarInfo | None:
-        return next((self._infos[target.id] for target in self._avatars.values() if target.source == key), None)
+    def _open(self, key: SourceKey) -> AvatarInfo:
+        known = next((target.id for target in self._avatars.values() if target.source == key), None)
+        if known is not None:
+            return self._infos[known]
+        if key.kind == "file":
+            path = Path(key.name)
+            avatar = load_avatar(path)
+            return self._add(avatar, self._store.for_avatar(avatar, path), key)
+        loaded = self._store.default()
+        size = loaded.model.z_exp_size
+        made = sampled_avatar(loaded.info, size, int(key.name)) if key.kind == "sample" else default_avatar(loaded.info, size)
+        return self._add(made, loaded, key)
 
     def _add(self, avatar: Avatar, loaded: LoadedModel, key: SourceKey) -> AvatarInfo:
         self._next_id += 1

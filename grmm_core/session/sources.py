@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +11,7 @@ from ..errors import FileAccessError
 from ..files import describe_os_error
 
 DEFAULT_SOURCE = "default"
+_SAMPLE = re.compile(r"sample:(-?[0-9]{1,18})")
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,9 @@ def source_key(source: str | os.PathLike[str]) -> SourceKey:
     """Return the identity of what `Session.open` was given. Raises `FileAccessError` for a missing file."""
     if source == DEFAULT_SOURCE:
         return SourceKey("default", DEFAULT_SOURCE)
+    sample = _SAMPLE.fullmatch(source) if isinstance(source, str) else None
+    if sample is not None:
+        return SourceKey("sample", str(int(sample[1])))
     path = Path(source).absolute()
     try:
         stat = path.stat()

@@ -190,6 +190,27 @@ def test_zero_offsets_leave_gaussians_on_the_surface(model):
     assert raised.norm(dim=-1).mean() > frames.positions.norm(dim=-1).mean() + 0.009
 
 
+def test_compiled_placing_is_the_plain_one_with_its_gradients(model):
+    randomise(model)
+    data = inputs(model)
+    start = torch.from_numpy(model.head_model.v_template.copy())
+    offsets = model.offsets(data["z_id"], data["z_exp"]).detach()
+    offsets = offsets + 0.3 * torch.randn(offsets.shape, generator=torch.Generator().manual_seed(9))
+    for log_limit in (1.6, None):
+        settings = (0.01, 0.2, log_limit, 0.6, 0.35)
+        results = []
+        for compiled in (True, False):
+            v, o = start.clone().requires_grad_(True), offsets.clone().requires_grad_(True)
+            placed = model.anchor.place(v, o, *settings) if compiled else place_gaussians(model.anchor(v), o, *settings)
+            generator = torch.Generator().manual_seed(10)
+            parts = (placed.means, placed.quats, placed.scales)
+            sum((part * torch.randn(part.shape, generator=generator)).sum() for part in parts).backward()
+            results.append([*(part.detach() for part in parts), v.grad, o.grad])
+        for name, fast, plain in zip(("means", "quats", "scales", "vertices", "offsets"), *results, strict=True):
+            tolerance = 2e-4 * float(plain.abs().max())
+            torch.testing.assert_close(fast, plain, rtol=2e-4, atol=tolerance, msg=lambda m, n=name: n + m)
+
+
 def test_quaternions_of_random_rotations():
     generator = torch.Generator().manual_seed(3)
     quats = torch.randn(500, 4, generator=generator, dtype=torch.float64)

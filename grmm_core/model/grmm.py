@@ -24,7 +24,7 @@ from .config import GRMMConfig
 from .decoders import AttributeDecoders
 from .mesh_decoder import MeshDecoder
 from .refine import RefinementNetwork, depth_range, normalise_depth
-from .texels import Geometry, TexelAnchor, TexelLayout, place_gaussians, texel_layout
+from .texels import Geometry, TexelAnchor, TexelLayout, texel_layout
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -178,8 +178,8 @@ class GRMM(nn.Module):
     def geometry(self, vertices: Tensor, offsets: Tensor) -> Geometry:
         """Place the Gaussians on posed vertices [V, 3] with offsets [N, 10] (eq. 12)."""
         c = self.config
-        return place_gaussians(
-            self.anchor(vertices), offsets, c.position_unit_mm * METRES_PER_MM, c.position_limit_mm * METRES_PER_MM,
+        return self.anchor.place(
+            vertices, offsets, c.position_unit_mm * METRES_PER_MM, c.position_limit_mm * METRES_PER_MM,
             c.scale_log_limit, c.texel_scale, c.normal_scale,
         )  # fmt: skip
 

@@ -13,7 +13,10 @@ Conventions: texel (row i, column j) has its centre at u = (j + 1/2) / N_g, v = 
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -144,6 +147,8 @@ class TexelAnchor(nn.Module):
         corner_vertex = torch.from_numpy(_corner_vertices(uv_faces, faces, corner_count))
         self.register_buffer("corner_vertex", corner_vertex, persistent=False)
 
+        texel_corners = torch.from_numpy(uv_faces[layout.face].astype(np.int32))  # [N, 3]
+        self.register_buffer("texel_corners", texel_corners, persistent=False)
         used, local = np.unique(layout.face, return_inverse=True)
         self.register_buffer("used_corners", torch.from_numpy(uv_faces[used].reshape(-1)), persistent=False)  # [U * 3]
         texel_rows = np.repeat(np.arange(self.count), 3)
@@ -152,8 +157,8 @@ class TexelAnchor(nn.Module):
             texel_rows, texel_columns, layout.barycentric.reshape(-1), (self.count, 3 * len(used))
         )
 
-    def forward(self, vertices: Tensor) -> TexelFrames:
-        """Return the frames of the texels on a mesh with `vertices` [V, 3], metres."""
+    def corners(self, vertices: Tensor) -> Tensor:
+        """Position, texel-free width and height |dP/du| and |dP/dv across|, and quaternion at the UV corners: [T, 9]."""
         slopes = self.jacobian(vertices)  # [2T, 3]
         along, across = slopes.chunk(2)  # dP/du, dP/dv at the UV corners, [T, 3]
         x_axis, y_axis = vertices.new_tensor([_TINY, 0.0, 0.0]), vertices.new_tensor([0.0, _TINY, 0.0])
@@ -164,13 +169,72 @@ class TexelAnchor(nn.Module):
         quats = matrix_to_quaternion(torch.stack([tangent, bitangent, normal], -1))  # [T, 4]
         width = along.square().sum(-1, keepdim=True).sqrt()
         height = (across * bitangent).sum(-1, keepdim=True).abs()
-        corners = torch.cat([vertices[self.corner_vertex], width, height, quats], -1)[self.used_corners]  # [3U, 9]
+        return torch.cat([vertices[self.corner_vertex], width, height, quats], -1)
+
+    def forward(self, vertices: Tensor) -> TexelFrames:
+        """Return the frames of the texels on a mesh with `vertices` [V, 3], metres."""
+        corners = self.corners(vertices)[self.used_corners]  # [3U, 9]
         # Quaternions q and -q are one rotation: bring each face's three into one half of the sphere before blending.
         by_face = corners[:, 5:].view(-1, 3, 4)
         sign = torch.where((by_face * by_face[:, :1]).sum(-1, keepdim=True) < 0, -1.0, 1.0)  # [U, 3, 1]
         corners = torch.cat([corners[:, :5], (by_face * sign).reshape(-1, 4)], -1)
         texels = self.interpolate(corners)  # [N, 9]
         return TexelFrames(texels[:, :3], _unit(texels[:, 5:]), texels[:, 3:5] / self.grid)
+
+    def place(
+        self, vertices: Tensor, offsets: Tensor, position_unit: float, position_limit: float, scale_log_limit: float | None,
+        texel_scale: float, normal_scale: float,
+    ) -> Geometry:  # fmt: skip
+        """Place the Gaussians on a mesh: `forward` and `place_gaussians`, compiled where that is possible.
+
+        Args:
+            vertices: [V, 3] metres.
+            offsets: [N, 10]; this and the other arguments as for `place_gaussians`.
+            position_unit: Metres.
+            position_limit: Metres.
+            scale_log_limit: Soft limit of the log scale, or None.
+            texel_scale: Relative to the texel's sides.
+            normal_scale: Relative to the texel's smaller side.
+        """
+        settings = (position_unit, position_limit, scale_log_limit, texel_scale, normal_scale)
+        compiled = vertices.device.type == "cpu" and vertices.dtype == offsets.dtype == torch.float32 and has_numba()
+        if not compiled:
+            return place_gaussians(self(vertices), offsets, *settings)
+        limits = (position_unit, position_limit, scale_log_limit or 0.0, texel_scale / self.grid, normal_scale / self.grid)
+        packed = np.array(limits, np.float32)
+        layout = (self.texel_corners.numpy(), self.barycentric.numpy())
+        return Geometry(*_Place.apply(self.corners(vertices), offsets, layout, packed))
+
+
+class _Place(torch.autograd.Function):
+    """`placing` as a differentiable function of corner values [T, 9] and offsets [N, 10]."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, corners: Tensor, offsets: Tensor, layout: tuple[np.ndarray, np.ndarray], settings: np.ndarray
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        from .placing import place_forward
+
+        corners, offsets = corners.detach().contiguous(), offsets.detach().contiguous()
+        ctx.save_for_backward(corners, offsets)
+        ctx.layout, ctx.settings = layout, settings
+        results = tuple(torch.empty((len(offsets), width)) for width in (3, 4, 3))
+        place_forward(corners.numpy(), *layout, offsets.numpy(), settings, *(result.numpy() for result in results))
+        return results
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        from .placing import place_backward, scatter
+
+        corners, offsets = (saved.numpy() for saved in ctx.saved_tensors)
+        g_offsets, g_texels = torch.empty((len(offsets), 10)), np.empty((len(offsets), 9), np.float32)
+        given = (gradient.contiguous().numpy() for gradient in gradients)
+        place_backward(corners, *ctx.layout, offsets, ctx.settings, *given, g_offsets.numpy(), g_texels)
+        if not ctx.needs_input_grad[0]:
+            return None, g_offsets, None, None
+        g_corners = torch.zeros(corners.shape)
+        scatter(corners, *ctx.layout, g_texels, g_corners.numpy())
+        return g_corners, g_offsets, None, None
 
 
 @dataclass
@@ -218,6 +282,12 @@ def place_gaussians(
         log_scale = torch.tanh(log_scale / scale_log_limit) * scale_log_limit
     base = torch.cat([frames.sizes * texel_scale, frames.sizes.amin(-1, keepdim=True) * normal_scale], -1)
     return Geometry(means, quats, base * log_scale.exp())
+
+
+@functools.lru_cache(maxsize=1)
+def has_numba() -> bool:
+    """Whether the compiled form of `TexelAnchor.place` can be used."""
+    return importlib.util.find_spec("numba") is not None
 
 
 def rotate(quats: Tensor, vectors: Tensor) -> Tensor:

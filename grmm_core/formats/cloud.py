@@ -166,13 +166,13 @@ def logit(opacities: np.ndarray) -> np.ndarray:
 
 def sigmoid(values: np.ndarray) -> np.ndarray:
     """Opacity of a logit, [...] float32; NaN stays NaN."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return (1.0 / (1.0 + np.exp(-values.astype(np.float32)))).astype(np.float32)
 
 
 def exp_scale(values: np.ndarray) -> np.ndarray:
     """Linear scale of a logarithm, [...] float32; what overflows becomes infinite and is dropped later."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         return np.exp(values.astype(np.float32))
 
 

@@ -189,7 +189,7 @@ def columns(rows: np.ndarray, names: list[str]) -> np.ndarray:
     """Scalar fields as one float32 array [rows, len(names)]; a view where they are neighbouring floats."""
     fields = rows.dtype.fields or {}
     offsets = [fields[name][1] for name in names]
-    neighbours = offsets == list(range(offsets[0], offsets[0] + 4 * len(names), 4))
+    neighbours = rows.shape[0] > 0 and offsets == list(range(offsets[0], offsets[0] + 4 * len(names), 4))
     if neighbours and all(fields[name][0] == np.dtype("<f4") for name in names):
         return np.ndarray((rows.shape[0], len(names)), np.float32, rows, offsets[0], (rows.strides[0], 4))
     result = np.empty((rows.shape[0], len(names)), np.float32)
@@ -233,7 +233,8 @@ def splats_from_rows(path: Path, rows: np.ndarray, kind: str = "splat PLY") -> S
     binding = None
     binding_name = next((name for name in ("binding_0", "binding") if name in names), None)
     if binding_name:
-        values = rows[binding_name].astype(np.float64)
+        with np.errstate(invalid="ignore"):  # a signalling NaN
+            values = rows[binding_name].astype(np.float64)
         if not ((values >= 0) & (values < 1 << 31) & (values == np.floor(values))).all():
             raise bad_file(path, kind, "its binding is not a triangle number for every splat")
         binding = values.astype(np.int32)

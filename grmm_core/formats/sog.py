@@ -112,7 +112,8 @@ class _Meta:
 
     def table(self, part: str) -> np.ndarray:
         """The table of 256 values of a part, float32."""
-        return self.numbers(part, "codebook", _TABLE).astype(np.float32)
+        with np.errstate(over="ignore"):  # what becomes infinite is dropped later
+            return self.numbers(part, "codebook", _TABLE).astype(np.float32)
 
     def picture(self, part: str, index: int) -> np.ndarray:
         """A picture as RGBA bytes, [height, width, 4]."""
@@ -161,8 +162,8 @@ def _decode(path: Path, name: str, data: bytes) -> np.ndarray:
 def _read_means(meta: _Meta, count: int) -> np.ndarray:
     low, high = meta.numbers("means", "mins", 3), meta.numbers("means", "maxs", 3)
     fine, coarse = (meta.pixels("means", i, count)[:, :3].astype(np.float64) for i in range(2))
-    values = low + (high - low) * ((fine + 256.0 * coarse) / 65535.0)
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = low + (high - low) * ((fine + 256.0 * coarse) / 65535.0)
         return (np.sign(values) * np.expm1(np.abs(values))).astype(np.float32)
 
 

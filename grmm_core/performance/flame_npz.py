@@ -123,7 +123,8 @@ def _track(
     array = array[None] if array.ndim == 1 else array
     if array.ndim != 2 or array.shape[1] != width or array.shape[0] not in (1, count):
         raise not_readable(path, KIND, f"its {name} has shape {array.shape} and not ({count}, {width})")
-    values = np.array(np.broadcast_to(array, (count, width)), np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        values = np.array(np.broadcast_to(array, (count, width)), np.float64)
     values[~(np.abs(values) < 1e6)] = np.nan
     return fill_missing(path, KIND, values, name, warnings)
 

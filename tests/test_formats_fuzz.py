@@ -1,0 +1,141 @@
+"""Damaged files of every format: only one-sentence errors, bounded memory. The slow version reports its counts with `-s`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fuzzing import fuzz, mutate
+from test_formats_avatars import cap4d_bytes, flame_track, lam_archive, seamed_mesh
+from test_formats_splats import make_cloud, ply_bytes, splat_rows
+
+from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.formats import read_splats, write_mesh, write_splats
+from grmm_core.formats.avatars import read_cap4d, read_gaussian_avatar, read_lam
+from grmm_core.formats.mesh import read_gltf_mesh
+from grmm_core.performance import Performance, read_performance, write_performance
+
+pytestmark = [
+    pytest.mark.skipif(sys.platform != "linux", reason="limits memory through /proc and setrlimit"),
+    pytest.mark.filterwarnings("error"),
+]
+
+QUICK, MANY = 30, 400  # damaged copies of each format
+
+
+def make_ply(folder):
+    write_splats(folder / "a.ply", make_cloud(40, 1))
+    return folder / "a.ply", read_splats
+
+
+def make_text_ply(folder):
+    (folder / "a.ply").write_bytes(ply_bytes(splat_rows(10), "ascii"))
+    return folder / "a.ply", read_splats
+
+
+def make_splat(folder):
+    write_splats(folder / "a.splat", make_cloud(40))
+    return folder / "a.splat", read_splats
+
+
+def make_spz(folder):
+    write_splats(folder / "a.spz", make_cloud(40, 1))
+    return folder / "a.spz", read_splats
+
+
+def make_spz_4(folder):
+    pytest.importorskip("zstandard")
+    write_splats(folder / "a.spz", make_cloud(40, 1), version=4)
+    return folder / "a.spz", read_splats
+
+
+def make_sog(folder):
+    pytest.importorskip("PIL")
+    write_splats(folder / "a.sog", make_cloud(40))
+    return folder / "a.sog", read_splats
+
+
+def make_gltf(folder):
+    write_splats(folder / "a.glb", make_cloud(40))
+    return folder / "a.glb", read_splats
+
+
+def make_gltf_mesh(folder):
+    write_mesh(folder / "a.glb", *seamed_mesh())
+    return folder / "a.glb", read_gltf_mesh
+
+
+def make_gaussian_avatar(folder):
+    write_splats(folder / "point_cloud.ply", replace(make_cloud(40), binding=np.arange(40, dtype=np.int32)))
+    return folder / "point_cloud.ply", read_gaussian_avatar
+
+
+def make_cap4d(folder):
+    (folder / "a.ply").write_bytes(cap4d_bytes()[0])
+    return folder / "a.ply", read_cap4d
+
+
+def make_lam(folder):
+    lam_archive(folder / "a.zip")
+    return folder / "a.zip", read_lam
+
+
+def weights(extension):
+    def make(folder):
+        performance = Performance(np.arange(20) / 30, np.full((20, 52), 0.25), 30.0, found=ARKIT_NAMES)
+        write_performance(folder / f"a{extension}", performance)
+        return folder / f"a{extension}", read_performance
+
+    return make
+
+
+def make_flame(folder):
+    write_performance(folder / "a.npz", flame_track())
+    return folder / "a.npz", read_performance
+
+
+FORMATS = {
+    "ply": make_ply,
+    "text ply": make_text_ply,
+    "splat": make_splat,
+    "spz": make_spz,
+    "spz 4": make_spz_4,
+    "sog": make_sog,
+    "gltf splats": make_gltf,
+    "gltf mesh": make_gltf_mesh,
+    "gaussian avatar": make_gaussian_avatar,
+    "cap4d": make_cap4d,
+    "lam": make_lam,
+    "arkit json": weights(".json"),
+    "live link csv": weights(".csv"),
+    "flame npz": make_flame,
+}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_damaged_files_give_one_sentence(tmp_path, name):
+    path, read = FORMATS[name](tmp_path)
+    outcomes = fuzz(read, path, QUICK, seed=1)
+    assert outcomes.total() == QUICK
+    assert outcomes["refused"] > 0, "the mutations do nothing"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORMATS)
+def test_many_damaged_files_give_one_sentence(tmp_path, name):
+    path, read = FORMATS[name](tmp_path)
+    start = time.perf_counter()
+    outcomes = fuzz(read, path, MANY, seed=2)
+    sys.stdout.write(f"\n{name}: {outcomes['refused']} refused, {outcomes['read']} read, {time.perf_counter() - start:.1f} s")
+    assert outcomes.total() == MANY
+
+
+def test_mutations_are_the_same_every_time():
+    import random
+
+    data = bytes(range(256)) * 4
+    assert [mutate(data, random.Random(3)) for _ in range(3)] == [mutate(data, random.Random(3)) for _ in range(3)]
+    assert mutate(data, random.Random(3)) != mutate(data, random.Random(4))

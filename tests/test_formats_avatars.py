@@ -12,8 +12,17 @@ from test_formats_splats import make_cloud, ply_bytes
 
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
 from grmm_core.expressions import ARKIT_NAMES
-from grmm_core.formats import write_mesh, write_splats
-from grmm_core.formats.avatars import GaussianAvatar, read_cap4d, read_gaussian_avatar, read_lam, write_gaussian_avatar
+from grmm_core.formats import SplatCloud, write_mesh, write_splats
+from grmm_core.formats.avatars import (
+    AnimatedAvatar,
+    GaussianAvatar,
+    LamAvatar,
+    read_avatar,
+    read_cap4d,
+    read_gaussian_avatar,
+    read_lam,
+    write_gaussian_avatar,
+)
 from grmm_core.formats.binding import bind_to_mesh, place_on_mesh, triangle_frames
 from grmm_core.formats.cloud import SH_C0
 from grmm_core.formats.mesh import Mesh, read_gltf_mesh, split_seams, vertex_normals, write_gltf_mesh
@@ -317,3 +326,20 @@ def test_obj_without_texture_coordinates(tmp_path):
     first = next(line for line in lines if line.startswith("f "))
     assert [int(word) - 1 for word in first.split()[1:]] == list(faces[0])
     assert np.loadtxt(io.StringIO("\n".join(line[2:] for line in lines if line.startswith("v ")))) == pytest.approx(vertices)
+
+
+def test_avatars_are_told_apart_by_what_is_in_them(tmp_path):
+    (tmp_path / "cap.ply").write_bytes(cap4d_bytes()[0])
+    lam_archive(tmp_path / "lam.zip")
+    bound = replace(make_cloud(5), binding=np.zeros(5, np.int32))
+    write_gaussian_avatar(tmp_path, GaussianAvatar(bound, flame_track()))
+    write_splats(tmp_path / "plain.ply", make_cloud(5))
+    write_splats(tmp_path / "plain.spz", make_cloud(5))
+    expected = {
+        "cap.ply": AnimatedAvatar, "lam.zip": LamAvatar, "point_cloud.ply": GaussianAvatar, ".": GaussianAvatar,
+        "plain.ply": SplatCloud, "plain.spz": SplatCloud,
+    }  # fmt: skip
+    for name, kind in expected.items():
+        assert type(read_avatar(tmp_path / name)) is kind
+    with pytest.raises(FileAccessError, match="does not exist"):
+        read_avatar(tmp_path / "none.ply")

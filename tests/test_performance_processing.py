@@ -12,10 +12,12 @@ from grmm_core.errors import FileFormatError, ShapeError
 from grmm_core.expressions import ARKIT_NAMES
 from grmm_core.performance import (
     REGIONS,
+    CleanOptions,
     Performance,
     apply_gain,
     calibrate_neutral,
     clamp,
+    clean,
     find_neutral_frames,
     read_performance,
     reduce_performance,
@@ -67,7 +69,8 @@ def test_a_lower_rate_keeps_the_height_of_blinks_and_the_depth_of_closures():
     for column, sign in ((BLINK, 1), (JAW, -1)):
         for start in np.arange(0.5, 9, 2.1):
             extremes = [
-                (sign * p.weights[(p.times > start) & (p.times < start + 2.1), column]).max() for p in (performance, plain, kept)
+                (sign * p.weights[(p.times > start) & (p.times < start + 2.1), column]).max()
+                for p in (performance, plain, kept)
             ]
             assert extremes[2] >= extremes[0] - 0.04
             lost.append(extremes[0] - extremes[1])
@@ -98,6 +101,25 @@ def test_shift_and_trim():
         trim(performance, 20, 30)
     with pytest.raises(ShapeError, match="frame rate"):
         resample(performance, 0)
+
+
+def test_cleaning_in_one_call_is_the_steps_in_order():
+    performance = talk(60)
+    options = CleanOptions(
+        start=1.0, end=8.0, neutral=range(60, 70), gains={"jaw": 1.5, "mouth": 12.0}, smoothing=0.4, fps=24, offset=2.0
+    )
+    seen = []
+    cleaned = clean(performance, options, seen.append)
+    steps = trim(calibrate_neutral(performance, range(60, 70)), 1.0, 8.0)
+    steps = shift(apply_gain(resample(smooth(resample(steps, 60, keep_peaks=False), 0.4), 24), options.gains), 2.0)
+    assert cleaned.weights == pytest.approx(steps.weights, abs=1e-6)
+    assert cleaned.times == pytest.approx(steps.times)
+    assert seen[-1] == 1.0
+    assert any("they were limited" in w for w in cleaned.warnings)
+    assert performance.warnings == []
+    untouched = clean(performance, CleanOptions())
+    assert np.array_equal(untouched.weights, performance.weights)
+    assert clean(performance, CleanOptions(neutral="auto")).weights.mean() < performance.weights.mean()
 
 
 def test_every_shape_is_in_one_region():
@@ -287,6 +309,21 @@ def test_retargeting_to_a_head_and_back_restores_the_weights():
     back = to_arkit(replace(there, jaw_rotation=None), head)
     assert back.weights == pytest.approx(performance.weights, abs=3e-3)
     assert any("up to 0 %" in w or "up to 1 %" in w for w in back.warnings)
+
+
+def test_retargeting_on_the_open_head():
+    from grmm_core.head import load_open_head
+
+    head, performance = load_open_head(), clamp(talk(30, 2))
+    there = to_expression(performance, head)
+    frame = 17
+    direct = head.vertices(np.zeros(0), there.expression[frame], np.zeros((5, 3)))
+    shapes = performance.weights[frame] @ head.arkit_to_expression
+    assert direct == pytest.approx(head.vertices(np.zeros(0), shapes, np.zeros((5, 3))), abs=1e-6)
+    assert there.jaw_rotation[:, 0].max() > 0.05, "the jaw part of jawOpen is carried by the joint"
+    back = to_arkit(replace(there, jaw_rotation=None), head)
+    moved = (back.weights - performance.weights) @ head.arkit_to_expression
+    assert np.abs(np.einsum("te,vce->tvc", moved[::10], head.expression_dirs)).max() < 2e-4  # metres
 
 
 def test_bounded_least_squares_matches_an_independent_solver():

@@ -15,17 +15,40 @@ import numpy as np
 from ..errors import FileAccessError, FileFormatError, ShapeError
 from ..performance.flame_npz import read_flame_npz
 from ..performance.types import Performance
+from . import read_splats
 from .archive import member, read_members
 from .binding import place_on_mesh
 from .cloud import SH_C0, SplatCloud, bad_file
 from .mesh import Mesh, read_gltf_mesh
-from .ply import columns, read_elements, read_ply, splats_from_rows, write_ply
+from .ply import columns, has_element, read_elements, read_ply, splats_from_rows, write_ply
 
 FLAME_TEETH_FACES = 10144
 PLY_NAME, TRACK_NAME = "point_cloud.ply", "flame_param.npz"
 _LAM_KIND, _CAP4D_KIND = "LAM archive", "CAP4D file"
 _LAM_LIMIT = 1 << 30
 _MAX_FRAMES = 100_000
+
+
+def read_avatar(path: str | os.PathLike[str]) -> GaussianAvatar | AnimatedAvatar | LamAvatar | SplatCloud:
+    """Read an avatar of another project, or plain splats, by what is in the file.
+
+    Args:
+        path: A .zip (LAM), a .ply (CAP4D, GaussianAvatars or 3DGS), a folder with `point_cloud.ply`, or any splat file.
+
+    Raises:
+        FileFormatError, FileAccessError, BackendError: As the readers of the formats.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".zip":
+        return read_lam(path)
+    if path.is_dir():
+        return read_gaussian_avatar(path)
+    if path.suffix.lower() != ".ply":
+        return read_splats(path)
+    if has_element(path, "base_vertex"):
+        return read_cap4d(path)
+    cloud = read_ply(path)
+    return cloud if cloud.binding is None else _with_track(path, cloud)
 
 
 @dataclass
@@ -56,7 +79,12 @@ def read_gaussian_avatar(path: str | os.PathLike[str]) -> GaussianAvatar:
     cloud = read_ply(path)
     if cloud.binding is None:
         raise FileFormatError(f"{path} is an ordinary splat file and no GaussianAvatars avatar; import it as splats.")
-    if int(cloud.binding.max()) >= FLAME_TEETH_FACES:
+    return _with_track(path, cloud)
+
+
+def _with_track(path: Path, cloud: SplatCloud) -> GaussianAvatar:
+    """Check bound splats and add the track that lies beside them."""
+    if cloud.binding is not None and int(cloud.binding.max()) >= FLAME_TEETH_FACES:
         raise FileFormatError(
             f"{path} is bound to more triangles than FLAME with teeth has ({FLAME_TEETH_FACES}); check its head model."
         )

@@ -91,6 +91,17 @@ def read_elements(path: Path, kind: str = KIND, data: bytes | None = None) -> Pl
         raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
 
 
+def has_element(path: Path, name: str) -> bool:
+    """Whether the header of a PLY file names an element. Raises as `read_elements`."""
+    try:
+        with path.open("rb") as file:
+            return any(element.name == name for element in _read_header(path, KIND, file)[1])
+    except FileNotFoundError as error:
+        raise FileAccessError(f"{path} does not exist; check the file name.") from error
+    except OSError as error:
+        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
+
+
 def _read_header(path: Path, kind: str, file: BinaryIO) -> tuple[str, list[_Element], list[str]]:
     if file.readline(16).strip() != b"ply":
         raise bad_file(path, kind, "it does not start with 'ply'")

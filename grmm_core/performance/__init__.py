@@ -9,17 +9,19 @@
 `curves`           `reduce_performance`: keys to a stated error
 `retarget`         `to_expression`, `to_arkit`
 `writing`          `write_performance`
+`pipeline`         `clean`: all of the cleaning in one call
 =================  =====================================================================================
 
 Called by the Blender importer and exporter and by the command line. Needs numpy only.
 
-A usual import: read, calibrate to the actor's neutral face, smooth, resample to the scene's rate, reduce to keys.
+A usual import: `read_performance`, `clean`, `reduce_performance`.
 """
 
 from __future__ import annotations
 
 from .curves import ReducedCurve, reduce_performance
 from .editing import REGIONS, apply_gain, calibrate_neutral, clamp, find_neutral_frames
+from .pipeline import CleanOptions, clean
 from .reading import read_performance
 from .retarget import to_arkit, to_expression
 from .smoothing import smooth
@@ -29,12 +31,14 @@ from .writing import write_performance
 
 __all__ = [
     "REGIONS",
+    "CleanOptions",
     "Performance",
     "Progress",
     "ReducedCurve",
     "apply_gain",
     "calibrate_neutral",
     "clamp",
+    "clean",
     "find_neutral_frames",
     "read_performance",
     "reduce_performance",

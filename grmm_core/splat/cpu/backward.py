@@ -96,7 +96,7 @@ def _replay_tile(
             shear = l12 * dy
             for bx in range(first_x, end_x):
                 s = l11 * (lane_x + spread(F(bx * BLOCK_X) - mx)) + shear
-                alpha = opacity * falloff(s, q, one, e1, e2, e3, e4, e5, farthest)
+                alpha = opacity * falloff(s * s + q * q, one, e1, e2, e3, e4, e5, farthest)
                 if not any_at_least(alpha, floor):
                     continue
                 alpha = choose(alpha, floor, choose(alpha, cap, cap, alpha), zero)

@@ -15,7 +15,7 @@ from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
 from .binning import BUCKETS, DIGITS, sort_by_depth
 from .jit import kernel
 from .projection import VALUES
-from .simd import WIDTH, any_at_least, choose, load, negative, spread, store
+from .simd import WIDTH, any_at_least, choose, load, negative, smaller, spread, store
 
 F = np.float32
 ONE, ZERO, HALF = F(1.0), F(0.0), F(0.5)
@@ -38,10 +38,9 @@ CONSTANTS = np.array([1.0, E1, E2, E3, E4, E5, FARTHEST, ALPHA_MIN, ALPHA_MAX, T
 
 
 @kernel
-def falloff(s, q, one, e1, e2, e3, e4, e5, farthest):  # noqa: ANN001, ANN201, PLR0913 - Lanes have no Python type
-    """Return e^(-8 (s^2 + q^2)) in each lane, not less than e^(-8 farthest); the others are the constants above."""
-    t = s * s + q * q
-    t = choose(t, farthest, farthest, t)
+def falloff(t, one, e1, e2, e3, e4, e5, farthest):  # noqa: ANN001, ANN201 - Lanes have no Python type
+    """Return e^(-8 t) in each lane, not less than e^(-8 farthest); the others are the constants above."""
+    t = smaller(t, farthest)
     tt = t * t
     p = (one + t * e1) + tt * ((e2 + t * e3) + tt * (e4 + t * e5))
     p = p * p
@@ -104,6 +103,8 @@ def _blend_tile(
     e4, e5, farthest, floor = spread(constants[4]), spread(constants[5]), spread(constants[6]), spread(constants[7])
     cap, stop, zero, tiny = spread(constants[8]), spread(constants[9]), spread(constants[10]), spread(constants[11])
     lane_x, lane_y = load(LANE_X, 0), load(LANE_Y, 0)
+    four, block_height = spread(F(BLOCK_X)), spread(F(BLOCK_Y))
+    step = np.int64(channels * WIDTH) << 32
     for batch in range(low, high, BATCH):
         if batch > low and all_ended(through):
             return batch
@@ -121,31 +122,30 @@ def _blend_tile(
                 flat[at + c] = record[VALUES + c]
             for c in range(features.shape[1]):
                 flat[at + BASE + c] = features[i, c]
-            across = end_x - first_x
-            bx, block = 0, first_y * BLOCKS_X + first_x
-            place = np.int64(block * channels * WIDTH) << 32 | at
-            step, turn = np.int64(channels * WIDTH) << 32, np.int64((BLOCKS_X - across + 1) * channels * WIDTH) << 32
-            x, y = F(first_x * BLOCK_X) - mx, F(first_y * BLOCK_Y) - my
-            for _ in range(across * (end_y - first_y)):
-                dy = lane_y + spread(y)
-                q = l22 * dy
-                s = l11 * (lane_x + spread(x)) + l12 * dy
-                alpha = opacity * falloff(s, q, one, e1, e2, e3, e4, e5, farthest)
-                alpha = choose(alpha, floor, choose(alpha, cap, cap, alpha), zero)
-                before = load(through, block * WIDTH)
-                after = before * (one - alpha)
-                weight = choose(after, stop, alpha * before, zero)
-                store(through, block * WIDTH, choose(after, stop, after, negative(before)))
-                store(weights, entries * WIDTH, weight)
-                places[np.uint64(entries)] = place
-                entries += 1 if any_at_least(weight, tiny) else 0
-                bx += 1
-                row_ends = bx == across
-                block += BLOCKS_X - across + 1 if row_ends else 1
-                place += turn if row_ends else step
-                x += F(BLOCK_X) - F(across * BLOCK_X) if row_ends else F(BLOCK_X)
-                y += F(BLOCK_Y) if row_ends else ZERO
-                bx = 0 if row_ends else bx
+            place = np.int64((first_y * BLOCKS_X + first_x) * channels * WIDTH) << 32 | at
+            dx = lane_x + spread(F(first_x * BLOCK_X) - mx)
+            dy = lane_y + spread(F(first_y * BLOCK_Y) - my)
+            s_row, q = l11 * dx + l12 * dy, l22 * dy
+            right, down_s, down_q = four * l11, block_height * l12, block_height * l22
+            for row in range(first_y * BLOCKS_X, end_y * BLOCKS_X, BLOCKS_X):
+                qq = q * q
+                s = s_row
+                here = place
+                for block in range(row + first_x, row + end_x):
+                    alpha = smaller(opacity * falloff(s * s + qq, one, e1, e2, e3, e4, e5, farthest), cap)
+                    s = s + right
+                    alpha = choose(alpha, floor, alpha, zero)
+                    before = load(through, block * WIDTH)
+                    after = before * (one - alpha)
+                    weight = choose(after, stop, alpha * before, zero)
+                    store(through, block * WIDTH, choose(after, stop, after, negative(before)))
+                    store(weights, entries * WIDTH, weight)
+                    places[np.uint64(entries)] = here
+                    entries += 1 if any_at_least(weight, tiny) else 0
+                    here += step
+                s_row = s_row + down_s
+                q = q + down_q
+                place += BLOCKS_X * step
         for entry in range(entries):
             weight = load(weights, entry * WIDTH)
             place = places[entry]

@@ -124,6 +124,16 @@ def choose(typing: Any, left: Any, right: Any, then: Any, otherwise: Any) -> Any
 
 
 @intrinsic
+def smaller(typing: Any, left: Any, right: Any) -> Any:
+    """smaller(a, b): the smaller one in each lane; b where a is not a number."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[0], args[1])
+
+    return LANES(left, right), generate
+
+
+@intrinsic
 def any_at_least(typing: Any, left: Any, right: Any) -> Any:
     """any_at_least(a, b): whether a >= b in any lane."""
 

@@ -17,6 +17,12 @@ _TINY_NORM = np.float32(1e-20)
 
 
 @numba.njit(inline="always", **_OPTIONS)
+def _bend(x):  # noqa: ANN001, ANN202
+    """Factor of the soft limit: with it x stays below 1, and the slope is its cube."""
+    return _ONE / math.sqrt(_ONE + x * x)
+
+
+@numba.njit(inline="always", **_OPTIONS)
 def _frame(corners, corner, barycentric, i):  # noqa: ANN001, ANN202 - numba infers scalar types
     """Position, sides and raw quaternion of texel i, and the signs that bring its corners' quaternions together."""
     a, b, c = corner[i, 0], corner[i, 1], corner[i, 2]
@@ -57,14 +63,16 @@ def place_forward(
         quats: Written, [N, 4].
         scales: Written, [N, 3].
     """
-    unit, limit, log_limit, texel_scale, normal_scale = settings[0], settings[1], settings[2], settings[3], settings[4]
+    unit, texel_scale, normal_scale = settings[0], settings[3], settings[4]
+    bound = unit / settings[1]
+    log_bound = _ONE / settings[2] if settings[2] > 0 else np.float32(0.0)
     for i in numba.prange(len(corner)):
         px, py, pz, width, height, w, x, y, z, _, _ = _frame(corners, corner, barycentric, i)
         inverse = _ONE / math.sqrt(max(w * w + x * x + y * y + z * z, _TINY_NORM))
         w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
-        mx = limit * math.tanh(offsets[i, 0] * unit / limit)
-        my = limit * math.tanh(offsets[i, 1] * unit / limit)
-        mz = limit * math.tanh(offsets[i, 2] * unit / limit)
+        mx = unit * offsets[i, 0] * _bend(offsets[i, 0] * bound)
+        my = unit * offsets[i, 1] * _bend(offsets[i, 1] * bound)
+        mz = unit * offsets[i, 2] * _bend(offsets[i, 2] * bound)
         tx, ty, tz = _TWO * (y * mz - z * my), _TWO * (z * mx - x * mz), _TWO * (x * my - y * mx)
         means[i, 0] = px + mx + w * tx + y * tz - z * ty
         means[i, 1] = py + my + w * ty + z * tx - x * tz
@@ -77,9 +85,7 @@ def place_forward(
         inverse = _ONE / math.sqrt(max(a * a + b * b + c * c + d * d, _TINY_NORM))
         quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3] = a * inverse, b * inverse, c * inverse, d * inverse
         for k in range(3):
-            grow = offsets[i, 7 + k]
-            if log_limit > 0:
-                grow = log_limit * math.tanh(grow / log_limit)
+            grow = offsets[i, 7 + k] * _bend(offsets[i, 7 + k] * log_bound)
             base = width * texel_scale if k == 0 else height * texel_scale if k == 1 else min(width, height) * normal_scale
             scales[i, k] = base * math.exp(grow)
 
@@ -103,21 +109,21 @@ def place_backward(
         g_offsets: Written, [N, 10].
         g_texels: Written: of the interpolated corner values, [N, 9], for `scatter`.
     """
-    unit, limit, log_limit, texel_scale, normal_scale = settings[0], settings[1], settings[2], settings[3], settings[4]
+    unit, texel_scale, normal_scale = settings[0], settings[3], settings[4]
+    bound = unit / settings[1]
+    log_bound = _ONE / settings[2] if settings[2] > 0 else np.float32(0.0)
     for i in numba.prange(len(corner)):
         _, _, _, width, height, w, x, y, z, _, _ = _frame(corners, corner, barycentric, i)
         inverse = _ONE / math.sqrt(max(w * w + x * x + y * y + z * z, _TINY_NORM))
         w, x, y, z = w * inverse, x * inverse, y * inverse, z * inverse
-        sx = math.tanh(offsets[i, 0] * unit / limit)
-        sy = math.tanh(offsets[i, 1] * unit / limit)
-        sz = math.tanh(offsets[i, 2] * unit / limit)
-        mx, my, mz = limit * sx, limit * sy, limit * sz
+        sx, sy, sz = _bend(offsets[i, 0] * bound), _bend(offsets[i, 1] * bound), _bend(offsets[i, 2] * bound)
+        mx, my, mz = unit * offsets[i, 0] * sx, unit * offsets[i, 1] * sy, unit * offsets[i, 2] * sz
         gx, gy, gz = g_means[i, 0], g_means[i, 1], g_means[i, 2]
         # rotation of the offset: y = m + 2 w (a x m) + 2 a x (a x m) with the quaternion (w, a)
         tx, ty, tz = _TWO * (y * gz - z * gy), _TWO * (z * gx - x * gz), _TWO * (x * gy - y * gx)
-        g_offsets[i, 0] = (gx - w * tx + y * tz - z * ty) * unit * (_ONE - sx * sx)
-        g_offsets[i, 1] = (gy - w * ty + z * tx - x * tz) * unit * (_ONE - sy * sy)
-        g_offsets[i, 2] = (gz - w * tz + x * ty - y * tx) * unit * (_ONE - sz * sz)
+        g_offsets[i, 0] = (gx - w * tx + y * tz - z * ty) * unit * sx * sx * sx
+        g_offsets[i, 1] = (gy - w * ty + z * tx - x * tz) * unit * sy * sy * sy
+        g_offsets[i, 2] = (gz - w * tz + x * ty - y * tx) * unit * sz * sz * sz
         cx, cy, cz = my * gz - mz * gy, mz * gx - mx * gz, mx * gy - my * gx  # m x g
         am, ag, gm = x * mx + y * my + z * mz, x * gx + y * gy + z * gz, gx * mx + gy * my + gz * mz
         hw = _TWO * (x * cx + y * cy + z * cz)  # g . (a x m) = a . (m x g)
@@ -148,11 +154,9 @@ def place_backward(
         # scales
         g_width = g_height = np.float32(0.0)
         for k in range(3):
-            grow, slope = offsets[i, 7 + k], _ONE
-            if log_limit > 0:
-                bent = math.tanh(grow / log_limit)
-                grow, slope = log_limit * bent, _ONE - bent * bent
-            factor = math.exp(grow) * g_scales[i, k]
+            bend = _bend(offsets[i, 7 + k] * log_bound)
+            slope = bend * bend * bend
+            factor = math.exp(offsets[i, 7 + k] * bend) * g_scales[i, k]
             if k == 0:
                 g_width += factor * texel_scale
                 g_offsets[i, 7] = factor * width * texel_scale * slope

@@ -41,7 +41,12 @@ def scene(count, channels=4, seed=0, dtype=torch.float32, spread=0.12, size=0.01
 
     features = normal(count, channels) if channels else None
     return Gaussians(
-        spread * normal(count, 3), normal(count, 4), size * torch.exp(0.5 * normal(count, 3)), uniform(count), uniform(count, 3), features
+        spread * normal(count, 3),
+        normal(count, 4),
+        size * torch.exp(0.5 * normal(count, 3)),
+        uniform(count),
+        uniform(count, 3),
+        features,
     )
 
 
@@ -258,3 +263,10 @@ def test_reference_gradients_equal_finite_differences(orthographic, antialiased)
     inputs = tuple(tensor.clone().requires_grad_() for tensor in (*inputs, torch.tensor([0.3, 0.6, 0.9], dtype=torch.float64)))
     assert picture(*inputs)[1].min().item() > 0.1
     assert torch.autograd.gradcheck(picture, inputs, eps=1e-6, atol=1e-6, rtol=1e-4)
+
+
+def test_the_cuda_backend_says_what_it_needs():
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device")
+    with pytest.raises(BackendError, match="CUDA"):
+        rasterize(scene(2), CAMERA, backend="cuda")

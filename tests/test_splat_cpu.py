@@ -69,13 +69,14 @@ SCENES = {
     "points": (lambda: changed(scene(100, seed=15), scales=torch.zeros(100, 3)), orbit()),
     "orthographic": (lambda: scene(200, seed=16), dataclasses.replace(orbit(), orthographic=True, fx=200.0, fy=180.0)),
     "crop": (lambda: scene(200, seed=17), orbit(64, 48).crop(19, 7, 30, 35)),
-    "shifted and mirrored": (lambda: scene(200, seed=18), dataclasses.replace(orbit(), fx=-90.0, fy=70.0, cx=-5.0, cy=60.0)),
+    "shifted, mirrored": (lambda: scene(200, seed=18), dataclasses.replace(orbit(), fx=-90.0, fy=70.0, cx=-5.0, cy=60.0)),
     "scaled world": (lambda: scene(200, seed=19), orbit().transformed(np.diag([2.0, 2.0, 2.0, 1.0]))),
 }
 
 
 def draw(gaussians, camera, backend, dtype, antialiased, background):
-    leaves = [None if getattr(gaussians, n) is None else getattr(gaussians, n).to(dtype).clone().requires_grad_() for n in NAMES]
+    leaves = [getattr(gaussians, name) for name in NAMES]
+    leaves = [None if leaf is None else leaf.to(dtype).clone().requires_grad_() for leaf in leaves]
     out = rasterize(Gaussians(*leaves), camera, background, backend, antialiased)
     pictures = [getattr(out, name) for name in OUTPUTS if getattr(out, name) is not None]
     random = torch.Generator().manual_seed(99)

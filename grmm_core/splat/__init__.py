@@ -7,7 +7,13 @@ Map:
     types.py      `Gaussians` in, `RasterOutput` out
     rules.py      the constants of 3DGS that all backends share, and a camera's numbers (`View`)
     reference.py  backend "torch": plain PyTorch, any device and float type; the others are tested against it
-    cpu/          backend "cpu": numba. function.py (autograd wrapper), projection.py, binning.py, forward.py, backward.py, jit.py
+    cpu/          backend "cpu": compiled with numba
+        function.py    the PyTorch operation; calls the others in this order
+        projection.py  Gaussians onto the picture plane, and the gradient of that
+        binning.py     lists of Gaussians per tile, sorted by depth
+        forward.py     blending of a tile
+        backward.py    gradients of a tile, and their sums per Gaussian
+        simd.py, threads.py, jit.py   vectors in kernels, the thread pool, how kernels compile
     cuda/         backend "cuda": adapter to gsplat, where that is installed
 
 Importing this package needs numpy only; torch, numba and gsplat are imported when a backend is used. Callers: the model's

@@ -95,10 +95,10 @@ def rasterize(
 ) -> RasterOutput:
     """Draw Gaussians: colour, cover, expected depth and features in one pass, differentiable in all of their parameters.
 
-    Exact 3DGS rules (`rules.py`): perspective expanded within 1.3 times the field of view, 0.3 px^2 dilation, Gaussians skipped
-    where they cover less than 1 / 255, cover capped at 0.999, a pixel ends before the Gaussian that would take its transmittance
-    below 1e-4, nothing nearer than 0.01 m; equal depths (as float32) keep the order of their index. Gaussians with non-finite
-    numbers are dropped. The camera gets no gradients.
+    Exact 3DGS rules (`rules.py`): perspective expanded within 1.3 times the field of view, 0.3 px^2 dilation, Gaussians
+    skipped where they cover less than 1 / 255, cover capped at 0.999, a pixel ends before the Gaussian that would take its
+    transmittance below 1e-4, nothing nearer than 0.01 m; equal depths (as float32) keep the order of their index. Gaussians
+    with non-finite numbers are dropped. The camera gets no gradients. The backend "cpu" computes in float32.
 
     Args:
         gaussians: The scene.
@@ -150,7 +150,8 @@ def rasterize_batch(
         gaussians: One scene seen by all cameras, or one per camera.
         cameras: The cameras; sizes may differ.
         background: As in `rasterize`, the same for all.
-        backend, antialiased: As in `rasterize`.
+        backend: As in `rasterize`.
+        antialiased: As in `rasterize`.
 
     Raises:
         ShapeError: The numbers of scenes and cameras differ, or a scene does not fit.

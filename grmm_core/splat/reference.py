@@ -1,8 +1,8 @@
 """The rasteriser in plain PyTorch: any device, any floating type, differentiated by autograd.
 
-The readable twin of the compiled backends; tests hold these to it. `api.rasterize` calls it as the backend "torch". It walks over
-square tiles, blends each tile's Gaussians as one [pixels, Gaussians] matrix, and recomputes that matrix in the backward pass,
-so that memory stays at one tile's matrix. Imports neither numba nor gsplat.
+The readable twin of the compiled backends; tests hold these to it. `api.rasterize` calls it as the backend "torch". It walks
+over square blocks, blends each block's Gaussians as one [pixels, Gaussians] matrix, and recomputes that matrix in the backward
+pass, so that memory stays at one block's matrix. Imports neither numba nor gsplat.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def project(gaussians: Gaussians, view: View, antialiased: bool) -> Projected:
             ],
             -2,
         )
-    # Rows of W = J R V with V = rotation * scales; the covariance is W W^T and its determinant |W0 x W1|^2, free of cancellation.
+    # Rows of W = J R V with V = rotation * scales; the covariance is W W^T, its determinant |W0 x W1|^2 free of cancellation.
     spread = jacobian @ rotation @ (rotation_matrices(quats) * scales[:, None, :])  # [V, 2, 3]
     first, second = spread.unbind(-2)
     a, b, c = first.square().sum(-1), (first * second).sum(-1), second.square().sum(-1)

@@ -1,9 +1,9 @@
 """Gradients of blending, tile by tile, compiled: replays each tile front to back and sums what every instance receives.
 
-With R the light that arrives from behind Gaussian i (weighted by the picture's gradient), q its values times that gradient, and T
-the transmittance before it: dL/dalpha = T q - R / (1 - alpha). R starts as the gradient times the finished picture and loses w q
-at every step, so no list of Gaussians per pixel is kept. An instance's sums go to a row of its own (`rows`, one per slot of
-`binning`): six moments (see `projection.MOMENTS`), then the gradients of its values.
+With R the light that arrives from behind Gaussian i (weighted by the picture's gradient), q its values times that gradient,
+and T the transmittance before it: dL/dalpha = T q - R / (1 - alpha). R starts as the gradient times the finished picture and
+loses w q at every step, so no list of Gaussians per pixel is kept. An instance's sums go to a row of its own (`rows`, one per
+slot of `binning`): the moments (see `projection.MOMENTS`), then the gradients of its values.
 """
 
 from __future__ import annotations
@@ -18,11 +18,12 @@ from .forward import (
     BLOCKS,
     BLOCKS_X,
     BLOCKS_Y,
+    GROUP,
     HALF,
     LANE_X,
     LANE_Y,
     ONE,
-    SQUEEZE,
+    SHRINK,
     ZERO,
     F,
     block_range,
@@ -32,7 +33,7 @@ from .forward import (
 )
 from .jit import kernel
 from .projection import MOMENTS, RECT, SLOT, TOUCHED, VALUES, unproject_one
-from .simd import WIDTH, any_at_least, choose, load, negative, spread, store, total
+from .simd import WIDTH, any_at_least, choose, load, negative, smaller, spread, store, store_totals
 
 
 @kernel
@@ -60,26 +61,27 @@ def _replay_tile(
     d_value: np.ndarray,
     rows: np.ndarray,
 ) -> None:
-    """Replay the instances low..high over one tile.
+    """Replay the instances low..high over the tile tile_x, tile_y.
 
-    Args:
+    Arrays, besides those of `replay`:
         pull: [BLOCKS * channels * WIDTH] gradient of the blended channels.
         behind: [BLOCKS * WIDTH] light from behind, R.
         through: [BLOCKS * WIDTH] transmittance, as `start_tile` leaves it.
         value, d_value: Scratch [channels], [channels * WIDTH].
-        rows: Output [slots, MOMENTS + channels].
+        rows: Output [slots, MOMENTS + channels], the channels padded as everywhere here.
     """
     channels = value.shape[0]
-    used = BASE + features.shape[1]
+    flat = rows.reshape(-1)
     one, e1, e2, e3 = spread(constants[0]), spread(constants[1]), spread(constants[2]), spread(constants[3])
     e4, e5, farthest, floor = spread(constants[4]), spread(constants[5]), spread(constants[6]), spread(constants[7])
     cap, stop, zero, tiny = spread(constants[8]), spread(constants[9]), spread(constants[10]), spread(constants[11])
     lane_x, lane_y = load(LANE_X, 0), load(LANE_Y, 0)
+    four, block_height = spread(F(BLOCK_X)), spread(F(BLOCK_Y))
     for n in range(low, high):
         i = gaussian[n]
         record = geometry[i]
         mx, my = record[0] - F(tile_x * TILE) - HALF, record[1] - F(tile_y * TILE) - HALF
-        l11, l12, l22 = spread(record[2] * SQUEEZE), spread(record[3] * SQUEEZE), spread(record[4] * SQUEEZE)
+        l11, l12, l22 = spread(record[2] * SHRINK), spread(record[3] * SHRINK), spread(record[4] * SHRINK)
         opacity = spread(record[5])
         first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
         first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
@@ -90,17 +92,17 @@ def _replay_tile(
         for c in range(channels):
             store(d_value, c * WIDTH, zero)
         g0, gs, gq, gss, gsq, gqq = zero, zero, zero, zero, zero, zero
-        for by in range(first_y, end_y):
-            dy = lane_y + spread(F(by * BLOCK_Y) - my)
-            q = l22 * dy
-            shear = l12 * dy
-            for bx in range(first_x, end_x):
-                s = l11 * (lane_x + spread(F(bx * BLOCK_X) - mx)) + shear
-                alpha = opacity * falloff(s * s + q * q, one, e1, e2, e3, e4, e5, farthest)
-                if not any_at_least(alpha, floor):
-                    continue
-                alpha = choose(alpha, floor, choose(alpha, cap, cap, alpha), zero)
-                block = by * BLOCKS_X + bx
+        dx = lane_x + spread(F(first_x * BLOCK_X) - mx)
+        dy = lane_y + spread(F(first_y * BLOCK_Y) - my)
+        s_row, q = l11 * dx + l12 * dy, l22 * dy
+        right, down_s, down_q = four * l11, block_height * l12, block_height * l22
+        for row in range(first_y * BLOCKS_X, end_y * BLOCKS_X, BLOCKS_X):
+            qq = q * q
+            s = s_row - right
+            for block in range(row + first_x, row + end_x):
+                s = s + right
+                alpha = smaller(opacity * falloff(s * s + qq, one, e1, e2, e3, e4, e5, farthest), cap)
+                alpha = choose(alpha, floor, alpha, zero)
                 before = load(through, block * WIDTH)
                 after = before * (one - alpha)
                 weight = choose(after, stop, alpha * before, zero)
@@ -109,7 +111,7 @@ def _replay_tile(
                     continue
                 at = block * channels * WIDTH
                 dot0, dot1, dot2, dot3 = zero, zero, zero, zero  # four chains, so that additions need not wait for each other
-                for c in range(0, channels, 4):
+                for c in range(0, channels, GROUP):
                     p0, p1 = load(pull, at + c * WIDTH), load(pull, at + (c + 1) * WIDTH)
                     p2, p3 = load(pull, at + (c + 2) * WIDTH), load(pull, at + (c + 3) * WIDTH)
                     dot0 = dot0 + p0 * spread(value[c])
@@ -131,12 +133,16 @@ def _replay_tile(
                 gss = gss + g * s * s
                 gsq = gsq + g * s * q
                 gqq = gqq + g * q * q
-        out = rows[_slot(whole[i], tile_x, tile_y)]
-        back = ONE / SQUEEZE
-        out[0], out[1], out[2] = total(g0), back * total(gs), back * total(gq)
-        out[3], out[4], out[5] = back * back * total(gss), back * back * total(gsq), back * back * total(gqq)
-        for c in range(used):
-            out[MOMENTS + c] = total(load(d_value, c * WIDTH))
+            s_row = s_row + down_s
+            q = q + down_q
+        to = np.int64(_slot(whole[i], tile_x, tile_y)) * rows.shape[1]
+        store_totals(flat, to, g0, gs, gq, gss)
+        store_totals(flat, to + 4, gsq, gqq, zero, zero)
+        to += MOMENTS
+        for c in range(0, channels, GROUP):
+            d0, d1 = load(d_value, c * WIDTH), load(d_value, (c + 1) * WIDTH)
+            d2, d3 = load(d_value, (c + 2) * WIDTH), load(d_value, (c + 3) * WIDTH)
+            store_totals(flat, to + c, d0, d1, d2, d3)
 
 
 @kernel
@@ -163,11 +169,11 @@ def replay(
 ) -> None:
     """Write the gradients of the instances of some tiles to `rows`.
 
-    Args:
+    Arguments by group:
         first_tile, end_tile, tiles_x, starts, gaussian, geometry, whole, features, constants: As in `forward.draw`.
         ends, rgb, alpha, depth, blended: What it returned.
         d_rgb, d_alpha, d_depth, d_blended: Gradients of the outputs.
-        rows: Output [M, MOMENTS + channels].
+        rows: Output [M, MOMENTS + padded(C)].
     """
     channels = padded(features.shape[1])
     pull = np.zeros(BLOCKS * channels * WIDTH, np.float32)
@@ -204,8 +210,9 @@ def replay(
                         arriving += g * blended[y, x, k]
                     behind[block * WIDTH + lane] = arriving
             _replay_tile(
-                low, end, gaussian, geometry, whole, features, tile % tiles_x, tile // tiles_x, constants, pull, behind, through, value, d_value, rows
-            )
+                low, end, gaussian, geometry, whole, features, tile % tiles_x, tile // tiles_x, constants,
+                pull, behind, through, value, d_value, rows,
+            )  # fmt: skip
         for n in range(max(end, low), high):
             row = rows[_slot(whole[gaussian[n]], tile % tiles_x, tile // tiles_x)]
             for c in range(row.shape[0]):
@@ -233,7 +240,7 @@ def collect(
 ) -> None:
     """Sum the rows of the Gaussians low..high and carry the sums back through the projection.
 
-    Args:
+    Arguments by group:
         low, high: A chunk.
         rows: Of `replay`.
         means, quats, scales, opacities, camera, geometry, whole: As in `projection.project`.

@@ -1,9 +1,9 @@
 """Which Gaussians each tile draws, nearest first. Compiled; `function.py` calls it between projection and blending.
 
-A pair of a Gaussian and a tile it may touch is an instance. A counting sort by tile, parallel over chunks of Gaussians, lists every
-tile's instances in the order of the Gaussians' indices; each tile then sorts its own list by depth, stably, so that ties stay in the
-order of the index. Every instance also has a slot, where the instances of one Gaussian lie together: the backward pass writes
-gradients there and sums them without two threads touching one number.
+A pair of a Gaussian and a tile it may touch is an instance. A counting sort by tile, parallel over chunks of Gaussians, lists
+every tile's instances in the order of the Gaussians' indices; each tile then sorts its own list by depth, stably, so that ties
+stay in the order of the index. Every instance also has a slot, where the instances of one Gaussian lie together: the backward
+pass writes gradients there and sums them without two threads touching one number.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ def place(histogram: np.ndarray, touched: np.ndarray, starts: np.ndarray) -> Non
     """Turn counts into positions.
 
     Args:
-        histogram: [chunks, tiles] int32, instances that a chunk of Gaussians has in a tile; replaced by the position of the first.
+        histogram: [chunks, tiles] int32, instances of a chunk of Gaussians in a tile; replaced by the first one's position.
         touched: [chunks] int64, instances of each chunk; replaced by the chunk's first slot.
         starts: Output [tiles + 1] int64, first instance of each tile.
     """
@@ -42,11 +42,14 @@ def place(histogram: np.ndarray, touched: np.ndarray, starts: np.ndarray) -> Non
 
 
 @kernel
-def fill(low: int, high: int, whole: np.ndarray, tiles_x: int, cursor: np.ndarray, first_slot: int, gaussian: np.ndarray) -> None:
+def fill(
+    low: int, high: int, whole: np.ndarray, tiles_x: int, cursor: np.ndarray, first_slot: int, gaussian: np.ndarray
+) -> None:
     """List the Gaussians low..high in their tiles and give them their slots.
 
     Args:
-        low, high: A chunk.
+        low: First Gaussian of a chunk.
+        high: Its end.
         whole: [N, RECORD] int32 view of the records.
         tiles_x: Tiles in a row of the grid.
         cursor: [tiles] int32, the chunk's row of `place`'s positions; advanced.

@@ -1,8 +1,9 @@
 """Blending, tile by tile, compiled: the hot loop of the forward pass. The twin of `reference.blend`.
 
-A tile is divided into blocks of 4 x 2 or 4 x 4 pixels, which fill the lanes of `simd`. It keeps, block by block, the channels blended
-so far (r, g, b, depth, features: WIDTH lanes each) and the transmittance; a pixel that has ended, or lies outside the picture, has
-its transmittance stored with a minus sign. Gaussians come front to back; each visits the blocks that its bounding box touches.
+A tile is divided into blocks of 4 x 2 or 4 x 4 pixels, which fill the lanes of `simd`. It keeps, block by block, the channels
+blended so far (r, g, b, depth, features: WIDTH lanes each) and the transmittance; a pixel that has ended, or lies outside the
+picture, has its transmittance stored with a minus sign. Gaussians come front to back; each visits the blocks that its bounding
+box touches.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
 from .binning import BUCKETS, DIGITS, sort_by_depth
 from .jit import kernel
-from .projection import VALUES
+from .projection import SQUEEZE, VALUES
 from .simd import WIDTH, any_at_least, choose, load, negative, smaller, spread, store
 
 F = np.float32
@@ -25,13 +26,13 @@ BLOCKS = BLOCKS_X * BLOCKS_Y
 LANE_X = (np.arange(WIDTH) % BLOCK_X).astype(np.float32)
 LANE_Y = (np.arange(WIDTH) // BLOCK_X).astype(np.float32)
 BATCH = 16  # Gaussians blended together; between batches it is seen whether all pixels of the tile have ended
+SHRINK = F(SQUEEZE)  # makes t in e^(-8 t) the sum of the squares of s and q
 BASE = 4  # channels before the features: r, g, b, depth
 GROUP = 4  # channels are padded to a multiple of this, so that loops can be unrolled
 
 # e^-8t = p(t)^8 with p = 1 - E1 t + E2 t^2 - ... for 0 <= t <= FARTHEST; relative error 2e-6
 E1, E2, E3, E4, E5 = -0.999994755, 0.499899775, -0.166028395, 0.0398483016, -0.00588524854
 FARTHEST = 0.7  # e^(-8 FARTHEST) is below ALPHA_MIN, so what is smaller need not be known
-SQUEEZE = F(0.25)  # applied to s and q, so that t is the sum of their squares
 
 # The kernels get these as an argument: the compiler would otherwise load every one of them anew in the innermost loop.
 CONSTANTS = np.array([1.0, E1, E2, E3, E4, E5, FARTHEST, ALPHA_MIN, ALPHA_MAX, TRANSMITTANCE_MIN, 0.0, 1e-30], np.float32)
@@ -50,12 +51,10 @@ def falloff(t, one, e1, e2, e3, e4, e5, farthest):  # noqa: ANN001, ANN201 - Lan
 
 @kernel
 def block_range(centre: float, half: float, size: int, blocks: int) -> tuple[int, int]:
-    """Return the blocks, first and end, of `size` pixels each, whose pixel centres may lie within `half` of `centre` (pixel
-    k of the tile has its centre at k).
-    """
+    """Return the blocks, first and end, of `size` pixels each, that have pixels within `half` of `centre` (pixel k is at k)."""
     edge = F(blocks * size - 1)
-    first = int(math.ceil(min(max(centre - half, ZERO), edge + ONE)))
-    last = int(math.floor(max(min(centre + half, edge), -ONE)))
+    first = math.ceil(min(max(centre - half, ZERO), edge + ONE))
+    last = math.floor(max(min(centre + half, edge), -ONE))
     return first // size, (last + size) // size
 
 
@@ -85,12 +84,12 @@ def _blend_tile(
     weights: np.ndarray,
     places: np.ndarray,
 ) -> int:
-    """Blend the instances low..high over one tile; return the end of those that were looked at.
+    """Blend the instances low..high over the tile whose corner is left_edge, top_edge; return the end of those looked at.
 
-    In batches, in two steps, neither of which branches on computed covers, which the processor could not predict: first the weight
-    of every Gaussian in every block that it touches, then the sums of weight times value.
+    In batches, in two steps, neither of which branches on computed covers, which the processor could not predict: first the
+    weight of every Gaussian in every block that it touches, then the sums of weight times value.
 
-    Args:
+    Arrays, besides those of `draw`:
         sums: [BLOCKS * channels * WIDTH] blended channels.
         through: [BLOCKS * WIDTH] transmittance.
         values: Scratch [BATCH, channels].
@@ -112,8 +111,8 @@ def _blend_tile(
         for n in range(batch, min(batch + BATCH, high)):
             i = gaussian[n]
             record = geometry[i]
-            mx, my = record[0] - left_edge - HALF, record[1] - top_edge - HALF  # pixel k of the tile is at coordinate k
-            l11, l12, l22 = spread(record[2] * SQUEEZE), spread(record[3] * SQUEEZE), spread(record[4] * SQUEEZE)
+            mx, my = record[0] - left_edge - HALF, record[1] - top_edge - HALF  # pixel k of the tile is at k
+            l11, l12, l22 = spread(record[2] * SHRINK), spread(record[3] * SHRINK), spread(record[4] * SHRINK)
             opacity = spread(record[5])
             first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
             first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
@@ -161,7 +160,7 @@ def _blend_tile(
 
 @kernel
 def start_tile(through: np.ndarray, columns: int, rows: int) -> None:
-    """Set the transmittance [BLOCKS * WIDTH] of a tile to one, and to ended outside its columns x rows pixels of the picture."""
+    """Set the transmittance [BLOCKS * WIDTH] of a tile to one, and to ended outside its columns x rows pixels."""
     for k in range(BLOCKS * WIDTH):
         block, lane = k // WIDTH, k % WIDTH
         x = block % BLOCKS_X * BLOCK_X + lane % BLOCK_X
@@ -229,7 +228,7 @@ def draw(
 ) -> None:
     """Sort and draw some tiles.
 
-    Args:
+    Arguments by group:
         first_tile, end_tile: Which.
         tiles_x: Tiles in a row of the grid.
         starts, gaussian: Instances, of `binning`; those of the tiles are sorted by depth in place.

@@ -107,7 +107,7 @@ def differentiate(
     inputs: list[np.ndarray], outputs: list[np.ndarray], drawing: Drawing, d_outputs: list[np.ndarray]
 ) -> list[np.ndarray]:
     """Return the gradients of `inputs`, given those of `outputs`; arrays as in `draw`."""
-    rows = np.empty((len(drawing.gaussian), projection.MOMENTS + forward.BASE + inputs[5].shape[1]), np.float32)
+    rows = np.empty((len(drawing.gaussian), projection.MOMENTS + forward.padded(inputs[5].shape[1])), np.float32)
     d_inputs = [np.zeros_like(array) for array in inputs]
     geometry, whole = drawing.geometry, drawing.whole
     groups = _pieces(len(drawing.ends), TILES_MIN, TASKS * thread_count())
@@ -168,7 +168,9 @@ class _Rasterize(torch.autograd.Function):
         return (*gradients, d_background, None, None)
 
 
-def rasterize_cpu(gaussians: Gaussians, view: View, background: Tensor | None = None, antialiased: bool = False) -> RasterOutput:
+def rasterize_cpu(
+    gaussians: Gaussians, view: View, background: Tensor | None = None, antialiased: bool = False
+) -> RasterOutput:
     """Draw Gaussians with the compiled kernels; arguments as in `reference.rasterize_reference`, computed in float32."""
     count = len(gaussians)
     features = gaussians.features

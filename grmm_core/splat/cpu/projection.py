@@ -3,11 +3,11 @@
 The twin of `reference.project`; `function.py` calls it. Numbers are float64 inside a Gaussian and float32 in memory: it costs
 nothing here and keeps needle-thin and huge Gaussians exact.
 
-A Gaussian's record (`geometry`, one cache line of 16 float32) holds its centre mx, my [px]; the Cholesky factor l11, l12, l22 of
-its conic, so that -ln(alpha / opacity) = (s^2 + q^2) / 2 with s = l11 dx + l12 dy and q = l22 dy, which lose no digits where
-Gaussians are long and thin; its opacity; half the width and height of the box outside which alpha is below ALPHA_MIN [px]; and its
-values r, g, b, depth; and, as integers, the rectangle of tiles that it may touch, its first slot and its number of tiles (see
-`binning.py`).
+A Gaussian's record (`geometry`, one cache line of 16 float32) holds its centre mx, my [px]; the Cholesky factor l11, l12, l22
+of its conic, so that -ln(alpha / opacity) = (s^2 + q^2) / 2 with s = l11 dx + l12 dy and q = l22 dy, which lose no digits
+where Gaussians are long and thin; its opacity; half the width and height of the box outside which alpha is below ALPHA_MIN
+[px]; its values r, g, b, depth; and, as integers, the rectangle of tiles that it may touch, its first slot and its number of
+tiles (see `binning.py`).
 
 The camera is one float64 array; the constants below name its entries.
 """
@@ -26,8 +26,11 @@ ROTATION, TRANSLATION, FOCAL, CENTRE, CLAMP, SIZE, ORTHOGRAPHIC, ANTIALIASED = 0
 CAMERA_LENGTH = 24
 RECORD = 16  # float32 numbers per Gaussian in `geometry`
 VALUES, DEPTH = 8, 11  # where r, g, b and the depth are
-RECT, SLOT, TOUCHED = 12, 14, 15  # where, as int32, the tiles' x0 | y0 << 16 and x1 | y1 << 16, the first slot, and the number of tiles are
-MOMENTS = 6  # leading entries of a gradient row: sums of g, g s, g q, g s^2, g s q, g q^2 with g = alpha dL/dalpha
+# Where, as int32, the tiles' x0 | y0 << 16 and x1 | y1 << 16, the first slot, and the number of tiles are.
+RECT, SLOT, TOUCHED = 12, 14, 15
+# Leading entries of a gradient row: sums of g, g s, g q, g s^2, g s q, g q^2 with g = alpha dL/dalpha, and two spare ones.
+MOMENTS = 8
+SQUEEZE = 0.25  # the tile kernels work with SQUEEZE s and SQUEEZE q, and so do the sums
 TILES_MAX = 1 << 14  # tiles in a row or column of the grid
 FAR_AWAY = 1e9  # pixels; Gaussians projected farther out or larger than this are dropped
 
@@ -142,8 +145,7 @@ def project(
 ) -> int:
     """Project the Gaussians low..high and count their tiles.
 
-    Args:
-        low, high: A chunk.
+    Arguments by group:
         means, quats, scales, opacities, colors, features: As in `Gaussians`, float32; features [N, 0] when there are none.
         camera: [CAMERA_LENGTH] float64.
         geometry: Output [N, RECORD] float32; undefined for Gaussians that are not seen, except for TOUCHED = 0.
@@ -224,8 +226,9 @@ def unproject_one(
     # Centre and dilated covariance [[a, b], [b, c]] from the whitened moments, with L = [[l11, l12], [0, l22]]:
     # d_centre = L^T (g w), d_covariance = L^T (g w w^T) L / 2 with w = (s, q).
     l11, l12, l22 = np.float64(record[2]), np.float64(record[3]), np.float64(record[4])
-    g, gs, gq = np.float64(moments[0]), np.float64(moments[1]), np.float64(moments[2])
-    gss, gsq, gqq = np.float64(moments[3]), np.float64(moments[4]), np.float64(moments[5])
+    once, twice = 1.0 / SQUEEZE, 1.0 / (SQUEEZE * SQUEEZE)
+    g, gs, gq = np.float64(moments[0]), once * moments[1], once * moments[2]
+    gss, gsq, gqq = twice * moments[3], twice * moments[4], twice * moments[5]
     d_centre_x = l11 * gs
     d_centre_y = l12 * gs + l22 * gq
     d_a = 0.5 * l11 * l11 * gss

@@ -1,8 +1,8 @@
 """Eight or sixteen float32 lanes as one value inside kernels.
 
 Numba's own vectoriser does not find the blocks of pixels that the tile kernels work on, so `Lanes` gives them to the compiler
-explicitly: one LLVM vector, which becomes one AVX or AVX-512 register, several SSE or NEON registers, whatever the processor has.
-There are sixteen lanes where the processor has registers for them, else eight. In a kernel,
+explicitly: one LLVM vector, which becomes one AVX or AVX-512 register, several SSE or NEON registers, whatever the processor
+has. There are sixteen lanes where the processor has registers for them, else eight. In a kernel,
 + - * / work lane by lane (multiply-adds are fused by the compiler), and the functions below do the rest.
 Used by `forward.py` and `backward.py`.
 """
@@ -71,14 +71,18 @@ for _symbol, _build in ((operator.add, "fadd"), (operator.sub, "fsub"), (operato
     _register(_symbol, _build)
 
 
+def _shuffle(builder: Any, left: Any, right: Any, order: list[int]) -> Any:
+    return builder.shuffle_vector(left, right, ir.Constant(ir.VectorType(_INDEX, len(order)), order))
+
+
 def _broadcast(builder: Any, scalar: Any) -> Any:
     single = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, _INDEX(0))
-    return builder.shuffle_vector(single, ir.Constant(_VECTOR, ir.Undefined), ir.Constant(ir.VectorType(_INDEX, WIDTH), [0] * WIDTH))
+    return _shuffle(builder, single, single, [0] * WIDTH)
 
 
 @intrinsic
 def spread(typing: Any, scalar: Any) -> Any:
-    """spread(x): the float32 x in all lanes."""
+    """The float32 `scalar` in all lanes."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return _broadcast(builder, context.cast(builder, args[0], sig.args[0], types.float32))
@@ -94,7 +98,7 @@ def _pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, inde
 
 @intrinsic
 def load(typing: Any, array: Any, index: Any) -> Any:
-    """load(array, i): lanes array[i : i + WIDTH] of a contiguous one-dimensional float32 array."""
+    """Lanes array[index : index + WIDTH] of a contiguous one-dimensional float32 array."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[1]), align=4)
@@ -104,7 +108,7 @@ def load(typing: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
-    """store(array, i, lanes): the reverse of `load`."""
+    """Write lanes to array[index : index + WIDTH]."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], args[1], sig.args[1]), align=4)
@@ -115,7 +119,7 @@ def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
 
 @intrinsic
 def choose(typing: Any, left: Any, right: Any, then: Any, otherwise: Any) -> Any:
-    """choose(a, b, x, y): in each lane x where a >= b, else y."""
+    """In each lane `then` where left >= right, else `otherwise`."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.select(builder.fcmp_ordered(">=", args[0], args[1]), args[2], args[3])
@@ -125,7 +129,7 @@ def choose(typing: Any, left: Any, right: Any, then: Any, otherwise: Any) -> Any
 
 @intrinsic
 def smaller(typing: Any, left: Any, right: Any) -> Any:
-    """smaller(a, b): the smaller one in each lane; b where a is not a number."""
+    """The smaller one in each lane; `right` where `left` is not a number."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[0], args[1])
@@ -135,7 +139,7 @@ def smaller(typing: Any, left: Any, right: Any) -> Any:
 
 @intrinsic
 def any_at_least(typing: Any, left: Any, right: Any) -> Any:
-    """any_at_least(a, b): whether a >= b in any lane."""
+    """Whether left >= right in any lane."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         mask = builder.bitcast(builder.fcmp_ordered(">=", args[0], args[1]), ir.IntType(WIDTH))
@@ -146,7 +150,7 @@ def any_at_least(typing: Any, left: Any, right: Any) -> Any:
 
 @intrinsic
 def negative(typing: Any, value: Any) -> Any:
-    """negative(a): -|a| in each lane."""
+    """Minus the absolute value of each lane."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         function = cgutils.get_or_insert_function(
@@ -157,18 +161,32 @@ def negative(typing: Any, value: Any) -> Any:
     return LANES(value), generate
 
 
+def _fold(builder: Any, left: Any, right: Any, group: int) -> Any:
+    """Add the halves of every `group` lanes: of `left` into the first halves of the result, of `right` into the second ones."""
+    half = group // 2
+    first, second = [], []
+    for start in range(0, WIDTH, group):
+        first += [*range(start, start + half), *range(WIDTH + start, WIDTH + start + half)]
+        second += [*range(start + half, start + group), *range(WIDTH + start + half, WIDTH + start + group)]
+    return builder.fadd(_shuffle(builder, left, right, first), _shuffle(builder, left, right, second))
+
+
 @intrinsic
-def total(typing: Any, value: Any) -> Any:
-    """total(a): the sum of the lanes, a float32."""
+def store_totals(typing: Any, array: Any, index: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Write the sums of the lanes of a, b, c and d to array[index : index + 4]."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        result = args[0]
-        step = WIDTH // 2
+        pairs = _fold(builder, args[2], args[3], WIDTH), _fold(builder, args[4], args[5], WIDTH)
+        sums = _fold(builder, *pairs, WIDTH // 2)  # a quarter of the lanes each, in the order a, c, b, d
+        step = WIDTH // 8
         while step:
-            order = [(lane + step) % WIDTH for lane in range(WIDTH)]
-            moved = builder.shuffle_vector(result, result, ir.Constant(ir.VectorType(_INDEX, WIDTH), order))
-            result = builder.fadd(result, moved)
+            sums = builder.fadd(sums, _shuffle(builder, sums, sums, [(lane + step) % WIDTH for lane in range(WIDTH)]))
             step //= 2
-        return builder.extract_element(result, _INDEX(0))
+        quarter = WIDTH // 4
+        four = _shuffle(builder, sums, sums, [0, 2 * quarter, quarter, 3 * quarter])
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        place = builder.gep(data, [context.cast(builder, args[1], sig.args[1], types.intp)])
+        builder.store(four, builder.bitcast(place, four.type.as_pointer()), align=4)
+        return context.get_dummy_value()
 
-    return types.float32(value), generate
+    return types.void(array, index, a, b, c, d), generate

@@ -1,7 +1,7 @@
 """A pool of threads for kernels that run without the interpreter lock.
 
-Plain threads instead of numba's own parallel loops: these take seconds to compile, and some of numba's thread layers end the process
-when two threads enter them at a time (Blender renders and draws its viewport from different ones) or after a fork.
+Plain threads instead of numba's own parallel loops: these take seconds to compile, and some of numba's thread layers end the
+process when two threads enter them at a time (Blender renders and draws its viewport from different ones) or after a fork.
 Used by `function.py`.
 """
 

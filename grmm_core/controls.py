@@ -41,7 +41,7 @@ ALIGNED_TO_ARKIT.flags.writeable = False
 
 
 class ExpressionBasis(Protocol):
-    """The part of `head.HeadModel` that `resolve` needs."""
+    """The part of `head.HeadModel` that `resolve` needs; `arkit_pose` [52, 5, 3] is read where there is one."""
 
     arkit_to_expression: np.ndarray  # [52, E]
     expression_pose: np.ndarray  # [E, 5, 3] radians
@@ -134,18 +134,22 @@ def resolve(controls: Controls, head: ExpressionBasis) -> ResolvedControls:
     """Combine sliders, coefficients and pose: linear in every control, so that Blender's drivers give the same numbers.
 
     expression = controls.expression + aligned @ recipes @ arkit_to_expression;
-    pose = controls.pose + sum_k expression_k expression_pose_k.
+    pose = controls.pose + sum_k expression_k expression_pose_k + aligned @ recipes @ arkit_pose.
 
     Raises:
         ControlError, ShapeError: As `Controls.validate`.
     """
     clean = controls.validate()
-    expression = (clean.aligned @ ALIGNED_TO_ARKIT) @ np.asarray(head.arkit_to_expression, np.float32)  # [E]
+    arkit = clean.aligned @ ALIGNED_TO_ARKIT  # [52]
+    expression = arkit @ np.asarray(head.arkit_to_expression, np.float32)  # [E]
     count = expression.shape[0]
     if clean.expression.size > count:
         raise ShapeError(f"Controls.expression has {clean.expression.size} values; this head model takes {count}.")
     expression[: clean.expression.size] += clean.expression
     pose = clean.pose + np.einsum("e,ejk->jk", expression, np.asarray(head.expression_pose, np.float32))
+    arkit_pose = getattr(head, "arkit_pose", None)  # FLAME: shapes turn joints of their own accord
+    if arkit_pose is not None:
+        pose = pose + np.einsum("a,ajk->jk", arkit, np.asarray(arkit_pose, np.float32))
     return ResolvedControls(expression, pose.astype(np.float32), clean.aligned)
 
 

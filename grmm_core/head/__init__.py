@@ -3,13 +3,16 @@
 ``model``       `HeadModel`, FLAME's format as numpy arrays; needs numpy only
 ``skinning``    linear blend skinning as pure functions, for numpy and torch
 ``open_head``   the project's own head and its relation to age, gender, ethnicity and weight
-``flame_file``  reading the user's FLAME file without executing it
+``flame``       a user's FLAME file completed to a `HeadModel`; its parts are ``flame_file`` (reading without executing),
+                ``flame_regions``, ``flame_teeth``, ``flame_uv`` (with ``flatten_disk``, ``mesh_topology``, ``uv_density``),
+                ``flame_align`` and ``flame_arkit``
 ``torch_head``  batched, differentiable twin for training; imported only where torch is
 """
 
 from __future__ import annotations
 
+from .flame import load_flame
 from .model import HeadModel
 from .open_head import PeopleModel, load_open_head, load_people_model, read_head
 
-__all__ = ["HeadModel", "PeopleModel", "load_open_head", "load_people_model", "read_head"]
+__all__ = ["HeadModel", "PeopleModel", "load_flame", "load_open_head", "load_people_model", "read_head"]

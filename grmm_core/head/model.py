@@ -47,6 +47,9 @@ class HeadModel:
         joint_names: root, neck, jaw, left_eye, right_eye.
         expression_pose: XYZ Euler angles in radians that a unit of each component adds to each joint, [E, 5, 3].
         arkit_to_expression: Expression coefficients of each ARKit shape, [52, E].
+        arkit_pose: XYZ Euler angles in radians that a unit of each ARKit shape adds to each joint, beside what its expression
+            coefficients add by `expression_pose`, [52, 5, 3]. Zero for the open head; FLAME's components turn no joint, so
+            its jaw and eyes are turned by this.
     """
 
     name: str
@@ -69,6 +72,7 @@ class HeadModel:
     landmarks68: tuple[np.ndarray, np.ndarray] | None = None
     landmarks478: tuple[np.ndarray, np.ndarray] | None = None
     joint_names: tuple[str, ...] = field(default=JOINT_NAMES)
+    arkit_pose: np.ndarray = field(default_factory=lambda: np.zeros((len(ARKIT_NAMES), JOINT_COUNT, 3), np.float32))
 
     def __post_init__(self) -> None:
         self._check_shapes()
@@ -228,6 +232,7 @@ class HeadModel:
             "weights": (vertices, JOINT_COUNT), "uv": (None, 2), "uv_faces": (faces, 3), "uv_islands": (faces,),
             "expression_pose": (self.expression_dirs.shape[-1], JOINT_COUNT, 3),
             "arkit_to_expression": (len(ARKIT_NAMES), self.expression_dirs.shape[-1]),
+            "arkit_pose": (len(ARKIT_NAMES), JOINT_COUNT, 3),
         }  # fmt: skip
         if self.posedirs is not None:
             wanted["posedirs"] = (vertices, 3, 9 * (JOINT_COUNT - 1))

@@ -22,6 +22,7 @@ from .model import HeadModel
 
 FORMAT = "grmm-head"
 VERSION = 1
+FLAME_SUFFIXES = (".pkl", ".npz")
 ASSET = Path(__file__).resolve().parent.parent / "assets" / "open_head.safetensors"
 
 
@@ -84,12 +85,16 @@ def load_people_model() -> PeopleModel:
 
 
 def read_head(path: str | os.PathLike[str]) -> HeadModel:
-    """Read a head model of this project's format.
+    """Read a head model: a file of this project's format, or a user's FLAME file (.pkl, .npz; see `flame.load_flame`).
 
     Raises:
         FileAccessError: Missing or unreadable.
         FileFormatError: Corrupt, another format, or a version that is not known.
     """
+    if Path(path).suffix.lower() in FLAME_SUFFIXES:
+        from .flame import load_flame  # it needs the open head itself
+
+        return load_flame(path)
     tensors, metadata = _read(path)
     try:
         regions = {name.partition(".")[2]: tensors[name] for name in tensors if name.startswith("region.")}

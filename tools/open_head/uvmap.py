@@ -13,12 +13,11 @@ import numpy as np
 import xatlas
 from scipy.ndimage import distance_transform_edt
 
+from grmm_core.head.uv_density import face_density, smoothstep
+
 from .flatten import boundary_loops, distortion, flatten
 from .topology import Topology
 
-BACK, FACE, BUST = 0.36, 1.0, 0.3  # densities; the face's is the unit
-EAR = 0.62
-EYE_REGION, LIP_REGION = 0.35, 0.3  # added
 FACE_STIFFNESS = 5.0  # how much more the face resists distortion
 ASPECT = 0.69  # height of the head's box over its width
 SEAM_TOP = 0.057  # metres: the seam runs from the back over the crown to this z (the hairline)
@@ -58,12 +57,6 @@ class _Island:
     corners: np.ndarray  # rows of plane, [m, 3]
 
 
-def smoothstep(values: np.ndarray, low: float, high: float) -> np.ndarray:
-    """0 below `low`, 1 above `high`, smooth between."""
-    t = np.clip((values - low) / (high - low), 0.0, 1.0)
-    return t * t * (3 - 2 * t)
-
-
 def build_uv(topology: Topology, template: np.ndarray, mouth: np.ndarray) -> UVMap:
     """Lay out all triangles.
 
@@ -85,18 +78,6 @@ def build_uv(topology: Topology, template: np.ndarray, mouth: np.ndarray) -> UVM
         which = np.flatnonzero(lining if part == "mouth" else face_part == part)
         islands += _charts(template, faces, which, part, density)
     return _assemble(islands, len(faces))
-
-
-def face_density(centres: np.ndarray) -> np.ndarray:
-    """Wanted density on the skin at points of the template [n, 3]."""
-    x, y, z = centres.T
-    density = BACK + (FACE - BACK) * smoothstep(z, -0.02, 0.055) * smoothstep(y, -0.115, -0.06)
-    ears = np.exp(-(((np.abs(x) - 0.073) / 0.02) ** 2 + (y / 0.035) ** 2 + (z / 0.03) ** 2))
-    density = np.maximum(density, BACK + (EAR - BACK) * ears)
-    for side in (-0.03, 0.03):
-        density = density + EYE_REGION * np.exp(-((x - side) ** 2 + (y - 0.036) ** 2 + (z - 0.09) ** 2) / 0.02**2)
-    density = density + LIP_REGION * np.exp(-((x / 0.03) ** 2 + ((y + 0.03) / 0.016) ** 2 + ((z - 0.1) / 0.03) ** 2))
-    return density * (1 - (1 - BUST / BACK) * smoothstep(-y, 0.1, 0.15))
 
 
 def _head_island(template: np.ndarray, faces: np.ndarray, which: np.ndarray) -> _Island:

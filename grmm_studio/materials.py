@@ -75,16 +75,19 @@ class Nodes:
         return node.outputs["Fac"]
 
     def image(self, name: str, pixels: Any) -> Any:
-        """Colour of a float texture [H, W, 3] whose first row is v = 0, used as it is."""
-        height, width = pixels.shape[:2]
-        old = bpy.data.images.get(name)
-        if old is not None:
-            bpy.data.images.remove(old)
-        image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)
-        rgba = np.ones((height, width, 4), np.float32)
-        rgba[..., :3] = pixels
-        image.pixels.foreach_set(rgba.ravel())
-        image.update()
+        """Colour of a float texture [H, W, 3] whose first row is v = 0, used as it is.
+
+        Images are never removed: with persistent data Cycles knows them by address, and a new image at the address of a
+        removed one would show the old pixels. So `name` must name the content, person and all.
+        """
+        image = bpy.data.images.get(name)
+        if image is None:
+            height, width = pixels.shape[:2]
+            image = bpy.data.images.new(name, width, height, float_buffer=True, is_data=True)
+            rgba = np.ones((height, width, 4), np.float32)
+            rgba[..., :3] = pixels
+            image.pixels.foreach_set(rgba.ravel())
+            image.update()
         return self.node("ShaderNodeTexImage", image=image, interpolation="Linear", extension="EXTEND").outputs[0]
 
     def ramp(self, value: Socket, low: float, high: float) -> Any:
@@ -104,8 +107,8 @@ class Nodes:
 def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.types.Material:
     """Skin from painted maps; wrinkle grooves deepen with the vertex attribute `wrinkle`."""
     n = Nodes("skin")
-    color = n.image("skin_albedo", textures.albedo)
-    parts = n.node("ShaderNodeSeparateColor", {0: n.image("skin_detail", textures.detail)}).outputs
+    color = n.image(f"{s.name}_albedo", textures.albedo)
+    parts = n.node("ShaderNodeSeparateColor", {0: n.image(f"{s.name}_detail", textures.detail)}).outputs
     groove = n.math("MULTIPLY", parts[1], n.attribute("wrinkle"))
     factor = tuple(float(v) for v in textures.groove_albedo)
     color = n.mix(n.math("MULTIPLY", groove, 0.5), color, n.mix(1.0, color, factor, "MULTIPLY"))

@@ -10,7 +10,6 @@ import gzip
 import io
 import random
 import re
-import resource
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -98,6 +97,8 @@ def _mutate_member(data: bytes, rng: random.Random) -> bytes:
 @contextmanager
 def memory_limit(extra: int) -> Iterator[None]:
     """Let the process take at most `extra` bytes more address space than it has now; beyond, Python raises MemoryError."""
+    import resource  # Unix only, and this module is imported everywhere
+
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
     resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + extra, hard))

@@ -318,7 +318,7 @@ def test_missing_files_and_folders(tmp_path):
 def test_progress_rises_and_cancel_passes_through(tmp_path):
     from grmm_core.errors import CancelledError
 
-    path = write_csv(tmp_path / "a.csv", smooth_weights(9000))
+    path = write_csv(tmp_path / "a.csv", smooth_weights(4500))
     seen = []
     read_performance(path, progress=seen.append)
     assert seen == sorted(seen)

@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import FileFormatError, ShapeError
 from ..expressions import ARKIT_NAMES
 from ..files import atomic_write_bytes
+from .arkit_json import JSON_TRACKS
 from .flame_npz import FLAME_EXPRESSIONS, FLAME_SHAPES
 from .live_link_csv import HEAD_SIGNS
 from .rotations import euler_to_axis_angle
@@ -70,13 +71,19 @@ def write_performance(path: str | os.PathLike[str], performance: Performance, pr
 
 def _json(performance: Performance, progress: Progress | None) -> bytes:
     rows = []
+    tracks = {key: getattr(performance, name) for key, name in JSON_TRACKS.items() if getattr(performance, name) is not None}
     for i, (time, weights) in enumerate(zip(performance.times.tolist(), performance.weights.tolist(), strict=True)):
-        rows.append('{"weights":[' + ",".join(f"{w:.7g}" for w in weights) + f'],"time":{time:.9g}}}')
+        extra = "".join(f',"{key}":[{_numbers(track[i].tolist())}]' for key, track in tracks.items())
+        rows.append(f'{{"weights":[{_numbers(weights)}],"time":{time:.9g}{extra}}}')
         _report(progress, i, performance.frame_count)
     # Written row by row: `json` would print every weight with the seventeen digits of double precision.
     metadata = {"fps": performance.fps, "frame_count": performance.frame_count}
     head = json.dumps({"names": list(ARKIT_NAMES), "metadata": metadata})
     return (head[:-1] + ',"frames":[\n' + ",\n".join(rows) + "\n]}\n").encode("ascii")
+
+
+def _numbers(values: list[float]) -> str:
+    return ",".join(f"{value:.7g}" for value in values)
 
 
 def _csv(performance: Performance, progress: Progress | None) -> bytes:

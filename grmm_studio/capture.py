@@ -110,7 +110,9 @@ def open_job(folder: Path, settings: CaptureSettings) -> None:
         known = read_manifest(folder).settings
         for key, value in values.items():
             if known.get(key) != value:
-                raise ConfigError(f"{folder} holds a capture with {key} {known.get(key)}, not {value}; use the same settings or another folder.")
+                raise ConfigError(
+                    f"{folder} holds a capture with {key} {known.get(key)}, not {value}; use the same settings or another folder."
+                )
         return
     names = [subject_name(settings.seed, i) for i in range(settings.subjects)]
     write_manifest(folder, Manifest("open_head", names, values, [n for i, n in enumerate(names) if held_out(i)]))
@@ -121,7 +123,9 @@ def subject_name(seed: int, index: int) -> str:
     return f"s{seed:04d}_{index:04d}"
 
 
-def run_job(folder: Path, settings: CaptureSettings, threads: int = 2, report: Callable[[Progress], None] = lambda _: None) -> int:
+def run_job(
+    folder: Path, settings: CaptureSettings, threads: int = 2, report: Callable[[Progress], None] = lambda _: None
+) -> int:
     """Render what is missing; returns the number of shots that this process made.
 
     Raises:
@@ -181,8 +185,13 @@ class _Worker:
         for camera in plan.cameras:
             rgb, mask, depth = self._studio.render(camera)
             pictures.append(Picture(rgb, mask, depth if s.depth else None))
-        views = tuple(self._view(index, number, i, name, camera) for i, (name, camera) in enumerate(zip(plan.camera_names, plan.cameras, strict=True)))
-        shot = Shot(self._subject.name, number, plan.kind, controls.aligned, controls.expression, controls.pose, views, self.folder)
+        views = tuple(
+            self._view(index, number, i, name, camera)
+            for i, (name, camera) in enumerate(zip(plan.camera_names, plan.cameras, strict=True))
+        )
+        shot = Shot(
+            self._subject.name, number, plan.kind, controls.aligned, controls.expression, controls.pose, views, self.folder
+        )
         write_shot(self.folder, shot, pictures)
 
     def close(self) -> None:
@@ -192,4 +201,6 @@ class _Worker:
 
     def _view(self, index: int, number: int, i: int, name: str, camera: Camera) -> View:
         stem = f"{number:04d}_{i:02d}"
-        return View(name, camera, f"{stem}.png", f"{stem}_z.png" if self.settings.depth else "", view_split(index, number, name))
+        return View(
+            name, camera, f"{stem}.png", f"{stem}_z.png" if self.settings.depth else "", view_split(index, number, name)
+        )

@@ -30,14 +30,23 @@ def scalp_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Su
     skin = skin[~np.isin(skin, region_vertices(head, "mouth_interior")).any(1)]
     corner = scalp_density(template, groom.receding, subject.hairline, subject.asymmetry)
     bound = corner[skin].max(1)
-    triangles, weights, rest = scatter(neutral, skin, template, np.maximum(bound, 0.02) * (bound > 0), int(groom.count * share * 1.15), g)
-    keep = g.random(len(rest)) < scalp_density(rest, groom.receding, subject.hairline, subject.asymmetry) / np.maximum(bound_of(corner, triangles), 0.02)
+    triangles, weights, rest = scatter(
+        neutral, skin, template, np.maximum(bound, 0.02) * (bound > 0), int(groom.count * share * 1.15), g
+    )
+    keep = g.random(len(rest)) < scalp_density(rest, groom.receding, subject.hairline, subject.asymmetry) / np.maximum(
+        bound_of(corner, triangles), 0.02
+    )
     triangles, weights, rest = triangles[keep], weights[keep], rest[keep]
     normals = mesh.normals(neutral)
     roots = (neutral[triangles] * weights[..., None]).sum(1)
     root_normals = (normals[triangles] * weights[..., None]).sum(1)
     root_normals /= np.linalg.norm(root_normals, axis=1, keepdims=True)
-    inner = np.concatenate([region_vertices(head, n) for n in ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")])
+    inner = np.concatenate(
+        [
+            region_vertices(head, n)
+            for n in ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
+        ]
+    )
     outside = np.ones(len(neutral), bool)
     outside[inner] = False
     fine = mesh.refine(neutral)
@@ -82,7 +91,11 @@ def face_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Sub
 def brow_density(points: np.ndarray, subject: Subject) -> np.ndarray:
     """Density of brow hair 0..1 at template points [..., 3]."""
     x = np.abs(points[..., 0])
-    middle = np.interp(x, BROW_X, BROW_Y) + subject.brow_height + 0.0012 * (subject.brow_arch - 0.8) * np.sin(np.clip((x - 0.01) / 0.04, 0, 1) * np.pi)
+    middle = (
+        np.interp(x, BROW_X, BROW_Y)
+        + subject.brow_height
+        + 0.0012 * (subject.brow_arch - 0.8) * np.sin(np.clip((x - 0.01) / 0.04, 0, 1) * np.pi)
+    )
     half = np.interp(x, BROW_X, BROW_HALF) * subject.brow_thickness
     off = np.abs(points[..., 1] - middle + 0.0006 * wave_noise(points, 0.006, subject.asymmetry)) / np.maximum(half, 1e-5)
     ends = smoothstep(0.0065, 0.012, x) * smoothstep(0.056, 0.049, x)
@@ -99,9 +112,13 @@ def _brows(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.
     triangles, weights, rest = triangles[keep], weights[keep], rest[keep]
     roots, normal = _roots(mesh, neutral, triangles, weights)
     along = np.clip((np.abs(rest[:, 0]) - 0.009) / 0.043, 0, 1)
-    off = (rest[:, 1] - np.interp(np.abs(rest[:, 0]), BROW_X, BROW_Y) - s.brow_height) / np.maximum(np.interp(np.abs(rest[:, 0]), BROW_X, BROW_HALF), 1e-4)
+    off = (rest[:, 1] - np.interp(np.abs(rest[:, 0]), BROW_X, BROW_Y) - s.brow_height) / np.maximum(
+        np.interp(np.abs(rest[:, 0]), BROW_X, BROW_HALF), 1e-4
+    )
     rise = np.interp(along, (0, 0.15, 0.45, 0.7, 1.0), (1.9, 0.9, 0.28, -0.15, -0.5)) - 0.30 * off
-    direction = np.stack([np.sign(rest[:, 0]) * np.interp(along, (0, 0.2, 1), (0.45, 1, 1)), rise, -0.25 * along], 1) + g.normal(0, 0.16, (len(rest), 3))
+    direction = np.stack(
+        [np.sign(rest[:, 0]) * np.interp(along, (0, 0.2, 1), (0.45, 1, 1)), rise, -0.25 * along], 1
+    ) + g.normal(0, 0.16, (len(rest), 3))
     direction = _tangent(direction, normal) + 0.22 * normal
     length = np.interp(along, (0, 0.3, 1), (0.0062, 0.0082, 0.0058)) * np.clip(g.normal(1, 0.18, len(rest)), 0.5, 1.4)
     points = _bent(roots, direction, normal, length, -0.16)
@@ -111,7 +128,9 @@ def _brows(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.
 def _beard(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Strands:
     template = np.asarray(head.v_template, float)
     skin = mesh.coarse_faces[mesh.materials[::4] == 0]
-    skin = skin[~np.isin(skin, region_vertices(head, "mouth_interior")).any(1) & ~np.isin(skin, region_vertices(head, "lips")).any(1)]
+    skin = skin[
+        ~np.isin(skin, region_vertices(head, "mouth_interior")).any(1) & ~np.isin(skin, region_vertices(head, "lips")).any(1)
+    ]
     density = beard_density(template, s.asymmetry)
     near = skin[density[skin].max(1) > 0.02]
     count = 12000 if s.beard < 0.006 else 9000
@@ -119,9 +138,15 @@ def _beard(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.
     keep = g.random(len(rest)) < beard_density(rest, s.asymmetry)
     triangles, weights, rest = triangles[keep], weights[keep], rest[keep]
     roots, normal = _roots(mesh, neutral, triangles, weights)
-    direction = np.stack([0.25 * np.sign(rest[:, 0]), np.full(len(rest), -1.0), np.full(len(rest), 0.1)], 1) + g.normal(0, 0.35, (len(rest), 3))
+    direction = np.stack([0.25 * np.sign(rest[:, 0]), np.full(len(rest), -1.0), np.full(len(rest), 0.1)], 1) + g.normal(
+        0, 0.35, (len(rest), 3)
+    )
     direction = _tangent(direction, normal) + 0.55 * normal
-    length = s.beard * np.clip(g.normal(1, 0.25, len(rest)), 0.4, 1.5) * np.where(rest[:, 1] > -0.028, np.minimum(1.0, 0.006 / s.beard), 1.0)
+    length = (
+        s.beard
+        * np.clip(g.normal(1, 0.25, len(rest)), 0.4, 1.5)
+        * np.where(rest[:, 1] > -0.028, np.minimum(1.0, 0.006 / s.beard), 1.0)
+    )
     points = _bent(roots, direction, normal, length, -0.12 if s.beard > 0.008 else 0.0)
     points[:, :, 0] += 0.0008 * (s.beard > 0.008) * np.sin(np.linspace(0, 7, SHORT_STEPS) + g.uniform(0, 6, (len(rest), 1)))
     return bind(neutral, triangles, weights, points, np.full(len(rest), 0.00009), g.normal(0, 1, len(rest)))
@@ -153,7 +178,14 @@ def _lashes(head: Head, neutral: np.ndarray, s: Subject, g: np.random.Generator)
         empty = np.zeros((0, 3))
         return Strands(empty.astype(int), empty, np.zeros((0, SHORT_STEPS, 3)), np.zeros(0), np.zeros(0))
     count = sum(len(f) for f in faces)
-    return bind(neutral, np.concatenate(faces), np.concatenate(weights), np.concatenate(points), np.full(count, 0.00009), np.full(count, 100.0))
+    return bind(
+        neutral,
+        np.concatenate(faces),
+        np.concatenate(weights),
+        np.concatenate(points),
+        np.full(count, 0.00009),
+        np.full(count, 100.0),
+    )
 
 
 def lash_edges(head: Head) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]:
@@ -202,7 +234,13 @@ def lash_edges(head: Head) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, boo
             loop.append(following[0])
         columns = (len(loop) - 2 * LASH_CARD_ROWS) // 2 + 1
         distance = np.array([np.linalg.norm(skin - template[v], axis=1).min() for v in loop])
-        near = np.array([np.roll(distance, -r)[:columns].sum() - np.roll(distance, -r)[columns + LASH_CARD_ROWS - 1 : 2 * columns + LASH_CARD_ROWS - 1].sum() for r in range(len(loop))])
+        near = np.array(
+            [
+                np.roll(distance, -r)[:columns].sum()
+                - np.roll(distance, -r)[columns + LASH_CARD_ROWS - 1 : 2 * columns + LASH_CARD_ROWS - 1].sum()
+                for r in range(len(loop))
+            ]
+        )
         turned = np.roll(loop, -int(near.argmin()))
         root = turned[:columns]
         tip = turned[columns + LASH_CARD_ROWS - 1 : 2 * columns + LASH_CARD_ROWS - 1][::-1]

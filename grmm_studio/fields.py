@@ -23,7 +23,9 @@ def smoothstep(low: float | np.ndarray, high: float | np.ndarray, x: np.ndarray)
     return t * t * (3.0 - 2.0 * t)
 
 
-def bump(points: np.ndarray, centre: tuple[float, float, float], radii: tuple[float, float, float], mirror: bool = True) -> np.ndarray:
+def bump(
+    points: np.ndarray, centre: tuple[float, float, float], radii: tuple[float, float, float], mirror: bool = True
+) -> np.ndarray:
     """Gaussian blob around a template point, on both sides where `mirror`; points [..., 3] -> [...]."""
     p = points.copy()
     if mirror:
@@ -90,7 +92,13 @@ def beard_density(points: np.ndarray, seed: int) -> np.ndarray:
     below_lip = bump(points, (0.013, -0.047, 0.104), (0.006, 0.006, 0.02))
     mouth = smoothstep(0.9, 1.2, ((x / 0.0265) ** 2 + ((y + 0.0325) / 0.0125) ** 2))
     jaw = cheeks * neck * front * (1 - 0.6 * below_lip)
-    return np.clip(np.maximum(jaw * mouth, np.clip(moustache, 0, 1) * smoothstep(0.85, 1.1, (x / 0.027) ** 2 + ((y + 0.0325) / 0.0115) ** 2)), 0, 1)
+    return np.clip(
+        np.maximum(
+            jaw * mouth, np.clip(moustache, 0, 1) * smoothstep(0.85, 1.1, (x / 0.027) ** 2 + ((y + 0.0325) / 0.0115) ** 2)
+        ),
+        0,
+        1,
+    )
 
 
 def redness(points: np.ndarray) -> np.ndarray:
@@ -107,7 +115,12 @@ def redness(points: np.ndarray) -> np.ndarray:
 
 def eye_shadow(points: np.ndarray) -> np.ndarray:
     """Darker, bluer skin below and around the eyes, 0..1; [...]."""
-    return np.clip(bump(points, (0.028, 0.0205, 0.092), (0.014, 0.006, 0.02)) + 0.6 * bump(points, (0.016, 0.033, 0.09), (0.005, 0.008, 0.015)), 0, 1)
+    return np.clip(
+        bump(points, (0.028, 0.0205, 0.092), (0.014, 0.006, 0.02))
+        + 0.6 * bump(points, (0.016, 0.033, 0.09), (0.005, 0.008, 0.015)),
+        0,
+        1,
+    )
 
 
 def wrinkle_lines(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -97,6 +97,7 @@ def make_groom(subject: Subject) -> Groom | None:
             top = _top(rest)[:, None]
             sides = np.stack([np.zeros(len(rest)), np.full(len(rest), -1.0), np.where(rest[:, 2] > 0, -0.45, -0.1)], -1)
             return _unit(top * comb(rest) + (1 - top) * sides)
+
         return field
 
     def graded(top_length: float, side_length: float) -> Field:
@@ -104,6 +105,7 @@ def make_groom(subject: Subject) -> Groom | None:
             low = smoothstep(-0.04, 0.06, rest[:, 1])
             sides = 0.004 + (side_length - 0.004) * low
             return scale * (sides + (top_length - sides) * _top(rest))
+
         return length
 
     def hanging(comb: Callable[[np.ndarray], np.ndarray], fall: float) -> Callable[[np.ndarray, np.ndarray, float], np.ndarray]:
@@ -116,64 +118,150 @@ def make_groom(subject: Subject) -> Groom | None:
             inward = -0.10 * np.sign(position[:, 0]) * smoothstep(0.02, -0.06, position[:, 1]) * (np.abs(position[:, 0]) > 0.06)
             fallen = np.stack([inward, np.full(len(rest), -1.0), np.where(position[:, 2] > 0.045, -0.45, 0.0)], -1)
             return _unit((1 - weight) * comb(rest) + weight * fallen)
+
         return field
 
     wave = s.hair_curl
     if style == "bald":
         return None
     if style == "buzz":
-        return Groom(9000, constant(0.0055 * scale), down_flow, short_field(_forward), constant(0.0), lift=1.0, stiffness=(0, 0.15),
-                     messiness=0.25, clumps=0, radius=0.00016, receding=_recede(s))
+        return Groom(
+            9000,
+            constant(0.0055 * scale),
+            down_flow,
+            short_field(_forward),
+            constant(0.0),
+            lift=1.0,
+            stiffness=(0, 0.15),
+            messiness=0.25,
+            clumps=0,
+            radius=0.00016,
+            receding=_recede(s),
+        )
     if style in ("crop", "receding"):
-        return Groom(8000, graded(0.036, 0.013), lambda r, p: 0.5 * _forward(r) + 0.3 * DOWN, short_field(_forward), constant(0.002),
-                     lift=1.0 * volume, stiffness=(0, 0.22), messiness=0.22, clumps=900, clumping=0.45, curl_radius=0.0018 * wave,
-                     curl_wavelength=0.018, receding=1.0 if style == "receding" else _recede(s))
+        return Groom(
+            8000,
+            graded(0.036, 0.013),
+            lambda r, p: 0.5 * _forward(r) + 0.3 * DOWN,
+            short_field(_forward),
+            constant(0.002),
+            lift=1.0 * volume,
+            stiffness=(0, 0.22),
+            messiness=0.22,
+            clumps=900,
+            clumping=0.45,
+            curl_radius=0.0018 * wave,
+            curl_wavelength=0.018,
+            receding=1.0 if style == "receding" else _recede(s),
+        )
     if style == "side_part":
+
         def comb(r: np.ndarray) -> np.ndarray:
             away = np.sign(r[:, 0] - sign * 0.036)
             return _unit(np.stack([away, np.full(len(r), 0.10), np.where(r[:, 2] > 0.05, 0.25, -0.25)], -1))
-        return Groom(8000, graded(0.075, 0.017), lambda r, p: 0.9 * comb(r) * _top(r)[:, None] + 0.4 * DOWN * (1 - _top(r))[:, None],
-                     short_field(comb), lambda r: 0.002 + 0.009 * volume * _top(r), lift=0.75 * volume, stiffness=(0, 0.30), messiness=0.09, hug=0.6,
-                     clumps=600, clumping=0.55, curl_radius=0.002 * wave, curl_wavelength=0.035, receding=_recede(s))
+
+        return Groom(
+            8000,
+            graded(0.075, 0.017),
+            lambda r, p: 0.9 * comb(r) * _top(r)[:, None] + 0.4 * DOWN * (1 - _top(r))[:, None],
+            short_field(comb),
+            lambda r: 0.002 + 0.009 * volume * _top(r),
+            lift=0.75 * volume,
+            stiffness=(0, 0.30),
+            messiness=0.09,
+            hug=0.6,
+            clumps=600,
+            clumping=0.55,
+            curl_radius=0.002 * wave,
+            curl_wavelength=0.035,
+            receding=_recede(s),
+        )
     if style == "slick_back":
+
         def comb(r: np.ndarray) -> np.ndarray:
             return _unit(np.stack([0.15 * np.sign(r[:, 0]), np.where(r[:, 2] > 0.03, 0.35, -0.25), np.full(len(r), -1.0)], -1))
 
         def back_field(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
             down = smoothstep(-0.02, -0.085, position[:, 2])[:, None]
             return _unit(comb(rest) * (1 - down) + DOWN * down)
-        return Groom(8000, graded(0.115, 0.055), lambda r, p: comb(r), back_field, lambda r: 0.003 + 0.006 * volume * _top(r), lift=0.45,
-                     stiffness=(0, 0.40), messiness=0.06, hug=0.6, clumps=450, clumping=0.7, receding=_recede(s) * 0.7)
+
+        return Groom(
+            8000,
+            graded(0.115, 0.055),
+            lambda r, p: comb(r),
+            back_field,
+            lambda r: 0.003 + 0.006 * volume * _top(r),
+            lift=0.45,
+            stiffness=(0, 0.40),
+            messiness=0.06,
+            hug=0.6,
+            clumps=450,
+            clumping=0.7,
+            receding=_recede(s) * 0.7,
+        )
     if style == "fringe":
+
         def comb(r: np.ndarray) -> np.ndarray:
-            return _unit(np.stack([0.30 * sign * np.ones(len(r)), np.full(len(r), -0.1), np.where(r[:, 2] > -0.02, 1.0, -0.7)], -1))
+            return _unit(
+                np.stack([0.30 * sign * np.ones(len(r)), np.full(len(r), -0.1), np.where(r[:, 2] > -0.02, 1.0, -0.7)], -1)
+            )
 
         def fringe_field(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
             over = smoothstep(0.06, 0.095, position[:, 2])[:, None]
             top = _top(rest)[:, None]
             sides = np.stack([np.zeros(len(rest)), np.full(len(rest), -1.0), np.where(rest[:, 2] > 0, -0.15, 0.0)], -1)
             return _unit(top * (comb(rest) * (1 - over) + (DOWN + 0.15 * comb(rest)) * over) + (1 - top) * sides)
+
         side = 0.13 if s.macros["female"] > 0.5 else 0.03
 
         def fringe_length(rest: np.ndarray) -> np.ndarray:
             # ends above the brows: the way over the forehead plus a few centimetres
             front = np.clip(0.105 - rest[:, 2], 0.0, 0.12)
-            return scale ** 0.3 * (_top(rest) * (0.042 + 0.75 * front) + (1 - _top(rest)) * side)
-        return Groom(8500, fringe_length, lambda r, p: comb(r) * _top(r)[:, None] + 0.4 * DOWN, fringe_field,
-                     lambda r: 0.003 + 0.005 * volume * _top(r), lift=0.7, stiffness=(0, 0.38), messiness=0.07, hug=0.5, clumps=600, clumping=0.55)
+            return scale**0.3 * (_top(rest) * (0.042 + 0.75 * front) + (1 - _top(rest)) * side)
+
+        return Groom(
+            8500,
+            fringe_length,
+            lambda r, p: comb(r) * _top(r)[:, None] + 0.4 * DOWN,
+            fringe_field,
+            lambda r: 0.003 + 0.005 * volume * _top(r),
+            lift=0.7,
+            stiffness=(0, 0.38),
+            messiness=0.07,
+            hug=0.5,
+            clumps=600,
+            clumping=0.55,
+        )
     if style in ("bob", "long", "wavy_long"):
         length = {"bob": 0.21, "long": 0.36, "wavy_long": 0.33}[style]
 
         def comb(r: np.ndarray) -> np.ndarray:
             return _parted(r, s.part, 0.55)
+
         waves = {"bob": 0.25 * wave, "long": 0.35 * wave, "wavy_long": 0.5 + 0.5 * wave}[style]
 
         def fall_length(rest: np.ndarray) -> np.ndarray:
             # one cutting line: hair from lower down is shorter
-            return scale ** 0.5 * np.maximum(length - 0.55 * (0.14 - rest[:, 1]), 0.06)
-        return Groom(8500, fall_length, lambda r, p: comb(r), hanging(comb, 0.35), lambda r: 0.003 + 0.007 * volume * smoothstep(0.0, 0.1, r[:, 1]),
-                     lift=0.4 * volume, stiffness=(0, 0.6), messiness=0.05, hug=0.6, clumps=420, clumping=0.6, curl_radius=0.0095 * waves,
-                     curl_wavelength=0.085, curl_cell=0.016, curl_spread=0.35, radius=0.00025)
+            return scale**0.5 * np.maximum(length - 0.55 * (0.14 - rest[:, 1]), 0.06)
+
+        return Groom(
+            8500,
+            fall_length,
+            lambda r, p: comb(r),
+            hanging(comb, 0.35),
+            lambda r: 0.003 + 0.007 * volume * smoothstep(0.0, 0.1, r[:, 1]),
+            lift=0.4 * volume,
+            stiffness=(0, 0.6),
+            messiness=0.05,
+            hug=0.6,
+            clumps=420,
+            clumping=0.6,
+            curl_radius=0.0095 * waves,
+            curl_wavelength=0.085,
+            curl_cell=0.016,
+            curl_spread=0.35,
+            radius=0.00025,
+        )
     if style in ("afro", "curly"):
         big = style == "afro"
 
@@ -181,13 +269,30 @@ def make_groom(subject: Subject) -> Groom | None:
             outward = _unit(position - np.array([0.0, 0.055, -0.01]))
             weight = 0.0 if big else np.clip(0.9 * t, 0, 1)
             return _unit(outward * (1 - 0.6 * weight) + weight * DOWN)
+
         base = 0.060 if big else (0.13 if s.macros["female"] > 0.5 else 0.055)
 
         def curly_length(rest: np.ndarray) -> np.ndarray:
             return scale * base * (0.35 + 0.65 * smoothstep(-0.05, 0.08, rest[:, 1])) * np.where(azimuth(rest) < 75, 0.8, 1.0)
-        return Groom(8500, curly_length, lambda r, p: np.zeros_like(r), out, constant(0.003), lift=1.0, stiffness=(0, 0.25), messiness=0.35 if big else 0.22,
-                     clumps=700 if big else 420, clumping=0.45, curl_radius=0.0035 if big else 0.0065, curl_wavelength=0.013 if big else 0.026,
-                     curl_cell=0.006, curl_spread=0.9 if big else 0.5, receding=_recede(s) * 0.5, radius=0.00023)
+
+        return Groom(
+            8500,
+            curly_length,
+            lambda r, p: np.zeros_like(r),
+            out,
+            constant(0.003),
+            lift=1.0,
+            stiffness=(0, 0.25),
+            messiness=0.35 if big else 0.22,
+            clumps=700 if big else 420,
+            clumping=0.45,
+            curl_radius=0.0035 if big else 0.0065,
+            curl_wavelength=0.013 if big else 0.026,
+            curl_cell=0.006,
+            curl_spread=0.9 if big else 0.5,
+            receding=_recede(s) * 0.5,
+            radius=0.00023,
+        )
     # ponytail, bun: combed to a knot; the tail itself is grown by `tail_points`
     knot = TAIL_ROOT if style == "ponytail" else BUN_ROOT
 
@@ -196,8 +301,21 @@ def make_groom(subject: Subject) -> Groom | None:
 
     def tied(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
         return _unit(knot + np.array([0, 0, -0.004]) - position)
-    return Groom(7500, tied_length, lambda r, p: _unit(knot - r), tied, constant(0.0028), lift=0.25, stiffness=(0, 0.75), messiness=0.04, hug=0.5,
-                 clumps=350, clumping=0.35, radius=0.00022)
+
+    return Groom(
+        7500,
+        tied_length,
+        lambda r, p: _unit(knot - r),
+        tied,
+        constant(0.0028),
+        lift=0.25,
+        stiffness=(0, 0.75),
+        messiness=0.04,
+        hug=0.5,
+        clumps=350,
+        clumping=0.35,
+        radius=0.00022,
+    )
 
 
 def _recede(s: Subject) -> float:

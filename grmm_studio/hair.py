@@ -89,11 +89,19 @@ def triangle_frames(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray
     return (p * weights[..., None]).sum(1), frame
 
 
-def bind(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, points: np.ndarray, radius: np.ndarray, tint: np.ndarray) -> Strands:
+def bind(
+    vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, points: np.ndarray, radius: np.ndarray, tint: np.ndarray
+) -> Strands:
     """Store world points [N, K, 3] in the frames of their triangles."""
     origin, frame = triangle_frames(vertices, faces, weights)
     local = (points - origin[:, None]) @ frame.transpose(0, 2, 1)
-    return Strands(faces.astype(np.int32), weights.astype(np.float32), local.astype(np.float32), radius.astype(np.float32), tint.astype(np.float32))
+    return Strands(
+        faces.astype(np.int32),
+        weights.astype(np.float32),
+        local.astype(np.float32),
+        radius.astype(np.float32),
+        tint.astype(np.float32),
+    )
 
 
 def scatter(
@@ -123,16 +131,23 @@ def scatter(
 
 
 def grow(
-    roots: np.ndarray, normals: np.ndarray, rest: np.ndarray, groom: Groom, surface: np.ndarray, surface_normals: np.ndarray,
+    roots: np.ndarray,
+    normals: np.ndarray,
+    rest: np.ndarray,
+    groom: Groom,
+    surface: np.ndarray,
+    surface_normals: np.ndarray,
     g: np.random.Generator,
 ) -> np.ndarray:
     """Grow scalp strands, [N, STEPS, 3].
 
     Args:
-        roots, normals: Root positions and skin normals on the person, [N, 3].
+        roots: Root positions on the person, [N, 3].
+        normals: Skin normals there, [N, 3].
         rest: Template positions of the roots, [N, 3].
         groom: The style.
-        surface, surface_normals: Points of the head that hair must not enter, [M, 3].
+        surface: Points of the head that hair must not enter, [M, 3].
+        surface_normals: Their normals, [M, 3].
         g: Generator.
     """
     count = len(roots)

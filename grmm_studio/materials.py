@@ -93,8 +93,17 @@ class Nodes:
     def ramp(self, value: Socket, low: float, high: float) -> Any:
         """Smooth step from 0 at low to 1 at high (either order)."""
         flip = low > high
-        node = self.node("ShaderNodeMapRange", {"Value": value, "From Min": min(low, high), "From Max": max(low, high),
-                                               "To Min": 1.0 if flip else 0.0, "To Max": 0.0 if flip else 1.0}, interpolation_type="SMOOTHSTEP")
+        node = self.node(
+            "ShaderNodeMapRange",
+            {
+                "Value": value,
+                "From Min": min(low, high),
+                "From Max": max(low, high),
+                "To Min": 1.0 if flip else 0.0,
+                "To Max": 0.0 if flip else 1.0,
+            },
+            interpolation_type="SMOOTHSTEP",
+        )
         return node.outputs[0]
 
     def finish(self, shader: Socket) -> bpy.types.Material:
@@ -118,7 +127,11 @@ def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.t
         "Base Color": color, "Roughness": parts[2], "Normal": normal, "IOR": 1.42, "Specular IOR Level": 0.42,
     }  # fmt: skip
     if subsurface:
-        inputs |= {"Subsurface Weight": 1.0, "Subsurface Radius": (1.0, 0.32, 0.17), "Subsurface Scale": 0.0028 if s.melanin < 1 else 0.0018}
+        inputs |= {
+            "Subsurface Weight": 1.0,
+            "Subsurface Radius": (1.0, 0.32, 0.17),
+            "Subsurface Scale": 0.0028 if s.melanin < 1 else 0.0018,
+        }
     return n.finish(n.node("ShaderNodeBsdfPrincipled", inputs).outputs[0])
 
 
@@ -129,15 +142,31 @@ def eye_material(s: Subject) -> bpy.types.Material:
     parts = n.node("ShaderNodeSeparateXYZ", {0: d}).outputs
     angle = n.math("ARCCOSINE", n.math("MINIMUM", n.math("MAXIMUM", parts[2], -1.0), 1.0))
     radial = n.math("ARCTAN2", parts[1], parts[0])
-    around = n.node("ShaderNodeCombineXYZ", {0: n.math("COSINE", radial), 1: n.math("SINE", radial), 2: n.math("MULTIPLY", angle, 1.2)}).outputs[0]
+    around = n.node(
+        "ShaderNodeCombineXYZ", {0: n.math("COSINE", radial), 1: n.math("SINE", radial), 2: n.math("MULTIPLY", angle, 1.2)}
+    ).outputs[0]
     fibres = n.noise(around, 9.0, 4.0, 0.7)
     crypts = n.noise(around, 3.0, 2.0, 0.5)
     share = n.math("DIVIDE", angle, s.iris_angle)
-    iris = n.mix(n.ramp(n.math("ADD", share, n.math("MULTIPLY", n.math("SUBTRACT", fibres, 0.5), 0.5)), 0.45, 0.75), s.iris_inner, s.iris)
-    iris = n.mix(n.ramp(fibres, 0.38, 0.66), n.mix(1.0, iris, (0.45, 0.45, 0.45), "MULTIPLY"), n.mix(1.0, iris, (1.55, 1.5, 1.45), "MULTIPLY"))
+    iris = n.mix(
+        n.ramp(n.math("ADD", share, n.math("MULTIPLY", n.math("SUBTRACT", fibres, 0.5), 0.5)), 0.45, 0.75), s.iris_inner, s.iris
+    )
+    iris = n.mix(
+        n.ramp(fibres, 0.38, 0.66),
+        n.mix(1.0, iris, (0.45, 0.45, 0.45), "MULTIPLY"),
+        n.mix(1.0, iris, (1.55, 1.5, 1.45), "MULTIPLY"),
+    )
     iris = n.mix(n.math("MULTIPLY", n.ramp(crypts, 0.5, 0.7), 0.4), iris, n.mix(1.0, iris, (0.5, 0.5, 0.5), "MULTIPLY"))
     iris = n.mix(n.ramp(share, 0.76, 1.0), iris, n.mix(1.0, iris, (0.16, 0.16, 0.18), "MULTIPLY"))
-    iris = n.mix(n.ramp(n.math("ADD", angle, n.math("MULTIPLY", n.math("SUBTRACT", fibres, 0.5), 0.02)), s.pupil_angle + 0.012, s.pupil_angle - 0.012), iris, (0.004, 0.004, 0.004))
+    iris = n.mix(
+        n.ramp(
+            n.math("ADD", angle, n.math("MULTIPLY", n.math("SUBTRACT", fibres, 0.5), 0.02)),
+            s.pupil_angle + 0.012,
+            s.pupil_angle - 0.012,
+        ),
+        iris,
+        (0.004, 0.004, 0.004),
+    )
     veins = n.ramp(n.math("ABSOLUTE", n.math("SUBTRACT", n.noise(d, 7.0, 5.0, 0.75), 0.5)), 0.035, 0.0)
     far = n.ramp(angle, s.iris_angle + 0.10, s.iris_angle + 0.75)
     sclera = n.mix(n.math("MULTIPLY", veins, n.math("MULTIPLY", far, 0.55)), s.sclera, (0.62, 0.16, 0.12))
@@ -191,10 +220,21 @@ def tongue_material(s: Subject) -> bpy.types.Material:
     furrow = n.ramp(n.math("ABSOLUTE", x), 0.0025, 0.0)
     color = n.mix(n.noise(rest, 150.0, 3.0), (0.56, 0.19, 0.18), (0.43, 0.12, 0.125))
     color = n.mix(n.math("MULTIPLY", furrow, 0.45), color, (0.30, 0.07, 0.07))
-    normal = n.node("ShaderNodeBump", {"Height": n.math("MULTIPLY", papillae, 0.0005), "Strength": 0.6, "Distance": 1.0}).outputs[0]
-    return n.finish(n.node("ShaderNodeBsdfPrincipled", {
-        "Base Color": color, "Roughness": 0.36, "Normal": normal, "Emission Color": color, "Emission Strength": 0.07,  # light scattered in the mouth
-    }).outputs[0])
+    normal = n.node(
+        "ShaderNodeBump", {"Height": n.math("MULTIPLY", papillae, 0.0005), "Strength": 0.6, "Distance": 1.0}
+    ).outputs[0]
+    return n.finish(
+        n.node(
+            "ShaderNodeBsdfPrincipled",
+            {
+                "Base Color": color,
+                "Roughness": 0.36,
+                "Normal": normal,
+                "Emission Color": color,
+                "Emission Strength": 0.07,  # light scattered in the mouth
+            },
+        ).outputs[0]
+    )
 
 
 def hair_material(name: str, color: tuple[float, float, float], variation: float, roots_dark: float) -> bpy.types.Material:
@@ -205,5 +245,8 @@ def hair_material(name: str, color: tuple[float, float, float], variation: float
     factor = n.math("MULTIPLY", bright, along)
     grey = n.node("ShaderNodeCombineColor", {0: factor, 1: factor, 2: factor}).outputs[0]
     tinted = n.mix(1.0, tuple(min(1.0, c) for c in color), grey, "MULTIPLY")
-    shader = n.node("ShaderNodeBsdfPrincipled", {"Base Color": tinted, "Roughness": 0.42, "Specular IOR Level": 0.45, "Specular Tint": (1.0, 0.93, 0.85)})
+    shader = n.node(
+        "ShaderNodeBsdfPrincipled",
+        {"Base Color": tinted, "Roughness": 0.42, "Specular IOR Level": 0.45, "Specular Tint": (1.0, 0.93, 0.85)},
+    )
     return n.finish(shader.outputs[0])

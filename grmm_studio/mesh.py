@@ -56,7 +56,11 @@ class RenderMesh:
     def build(head: Head) -> RenderMesh:
         """Subdivide the head's topology."""
         slot = np.full(len(head.v_template), SKIN)
-        for names, value in ((("left_eyeball", "right_eyeball"), EYE), (("upper_teeth", "lower_teeth"), TEETH), (("tongue",), TONGUE)):
+        for names, value in (
+            (("left_eyeball", "right_eyeball"), EYE),
+            (("upper_teeth", "lower_teeth"), TEETH),
+            (("tongue",), TONGUE),
+        ):
             for name in names:
                 slot[region_vertices(head, name)] = value
         lashes = np.zeros(len(head.v_template), bool)

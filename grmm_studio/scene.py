@@ -46,7 +46,16 @@ class _Prepared:
 class Studio:
     """The scene of one process."""
 
-    def __init__(self, head: Head, size: int, samples: int, varied_light: bool = False, subsurface: bool = True, threads: int = 2, texture_size: int = 768) -> None:
+    def __init__(
+        self,
+        head: Head,
+        size: int,
+        samples: int,
+        varied_light: bool = False,
+        subsurface: bool = True,
+        threads: int = 2,
+        texture_size: int = 768,
+    ) -> None:
         bpy.ops.wm.read_homefile(use_empty=True)
         self.head = head
         self.mesh = RenderMesh.build(head)
@@ -200,7 +209,14 @@ class Studio:
         background.inputs[1].default_value = 0.42
         self._background = background
         # yaw, pitch, distance, side (m), power (W): a ring of soft boxes, a slightly stronger one at the front left
-        rig = ((32, 28, 1.5, 0.9, 16.0), (-42, 18, 1.5, 0.9, 9.0), (120, 25, 1.6, 1.1, 8.0), (-120, 25, 1.6, 1.1, 8.0), (0, 75, 1.5, 1.0, 7.0), (180, 10, 1.7, 1.0, 6.0))
+        rig = (
+            (32, 28, 1.5, 0.9, 16.0),
+            (-42, 18, 1.5, 0.9, 9.0),
+            (120, 25, 1.6, 1.1, 8.0),
+            (-120, 25, 1.6, 1.1, 8.0),
+            (0, 75, 1.5, 1.0, 7.0),
+            (180, 10, 1.7, 1.0, 6.0),
+        )
         for i, (yaw, pitch, distance, side, power) in enumerate(rig):
             light = bpy.data.lights.new(f"soft{i}", "AREA")
             light.shape, light.size, light.energy = "SQUARE", side, power
@@ -227,7 +243,12 @@ class Studio:
         mesh.from_pydata(to_blender(fine).tolist(), [], render.faces.tolist())
         mesh.polygons.foreach_set("material_index", render.materials.astype(np.int32))
         mesh.polygons.foreach_set("use_smooth", np.ones(len(render.faces), bool))
-        for material in (skin_material(subject, textures, self.subsurface), eye_material(subject), teeth_material(subject), tongue_material(subject)):
+        for material in (
+            skin_material(subject, textures, self.subsurface),
+            eye_material(subject),
+            teeth_material(subject),
+            tongue_material(subject),
+        ):
             mesh.materials.append(material)
         rest = render.refine(template)
         line, _ = fields.wrinkle_lines(rest)
@@ -295,7 +316,9 @@ class Studio:
         count, steps = strands.local.shape[:2]
         ribbons = Ribbons.build(count, steps, self._subject.asymmetry)
         data = bpy.data.meshes.new(name)
-        corners = to_blender(ribbons.vertices(strands.points(self._neutral), strands.radius, fields.HEAD_CENTRE)).astype(np.float32)
+        corners = to_blender(ribbons.vertices(strands.points(self._neutral), strands.radius, fields.HEAD_CENTRE)).astype(
+            np.float32
+        )
         data.vertices.add(len(corners))
         data.vertices.foreach_set("co", corners.ravel())
         data.loops.add(ribbons.faces.size)
@@ -353,5 +376,3 @@ def _place_camera(item: Any, camera: Camera) -> None:
     data.clip_start, data.clip_end = 0.05, 20.0
     data.shift_x = (camera.width / 2 - camera.cx) / camera.width
     data.shift_y = (camera.cy - camera.height / 2) / camera.width
-
-

@@ -31,7 +31,9 @@ def write_sheet(folder: Path, target: Path, columns: int = 8, limit: int = 64, t
     sheet = Image.new("RGB", (columns * tile, rows * tile), (224, 224, 224))
     for i, (shot, view) in enumerate(chosen):
         rgb = np.round(data.picture(shot, view).over(BACKGROUND) * 255).astype(np.uint8)
-        sheet.paste(Image.fromarray(rgb).resize((tile, tile), Image.Resampling.LANCZOS), (i % columns * tile, i // columns * tile))
+        sheet.paste(
+            Image.fromarray(rgb).resize((tile, tile), Image.Resampling.LANCZOS), (i % columns * tile, i // columns * tile)
+        )
     buffer = io.BytesIO()
     sheet.save(buffer, "PNG")
     atomic_write_bytes(target, buffer.getvalue())

@@ -120,7 +120,9 @@ def _cameras(g: np.random.Generator, views: int, size: int) -> tuple[tuple[Camer
         if i < close:
             yaw, pitch = float(np.clip(g.normal(0, 24), -60, 60)), float(np.clip(g.normal(4, 9), -18, 28))
             target = np.array([0.0, 0.008, 0.055]) + g.uniform(-0.014, 0.014, 3)
-            cameras.append(Camera.orbit(size, size, yaw, pitch, DISTANCE * float(g.uniform(0.95, 1.1)), CLOSE_FOV, tuple(target)))
+            cameras.append(
+                Camera.orbit(size, size, yaw, pitch, DISTANCE * float(g.uniform(0.95, 1.1)), CLOSE_FOV, tuple(target))
+            )
             names.append("face")
         else:
             index = int(ring[i])

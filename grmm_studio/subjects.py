@@ -156,7 +156,9 @@ def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
 
     african, asian = float(races[0]), float(races[1])
     caucasian = float(races[2])
-    melanin = float(np.clip(african * g.normal(1.65, 0.35) + asian * g.normal(0.50, 0.22) + caucasian * g.normal(0.22, 0.15), 0.05, 2.25))
+    melanin = float(
+        np.clip(african * g.normal(1.65, 0.35) + asian * g.normal(0.50, 0.22) + caucasian * g.normal(0.22, 0.15), 0.05, 2.25)
+    )
     blood = float(np.clip(g.normal(0.50, 0.12), 0.28, 0.85))
     wrinkles = float(np.clip((age - 24) / 50 + g.normal(0, 0.08), 0.02, 1.0))
     lips_tone = g.uniform(0.0, 1.0) if female else g.uniform(0.0, 0.35)  # lipstick or simply redder
@@ -178,7 +180,11 @@ def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
     if beard_kind > 0.62:
         beard = float(g.choice([0.004, 0.010, 0.022]))
         stubble = max(stubble, 0.8)
-    sclera = np.array([0.70, 0.675, 0.645]) * g.uniform(0.92, 1.04) * np.array([1.0, 1.0 - 0.03 * g.random(), 1.0 - 0.09 * g.random()])
+    sclera = (
+        np.array([0.70, 0.675, 0.645])
+        * g.uniform(0.92, 1.04)
+        * np.array([1.0, 1.0 - 0.03 * g.random(), 1.0 - 0.09 * g.random()])
+    )
     return Subject(
         seed=seed, index=index, shape=shape, macros=macros, melanin=melanin, blood=blood, redness=float(g.uniform(0.2, 0.9)),
         lips=_triple(lips), pores=float(g.uniform(0.2, 1.0)),

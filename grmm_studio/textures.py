@@ -127,12 +127,24 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     color = _mix(smoothstep(0.58, 0.85, pores) * 0.30 * s.pores, color, dark)
     color = _mix(fields.eye_shadow(rest) * 0.55, color, dark)
     if s.freckles > 0.05:
-        zone = fields.bump(rest, (0.03, 0.008, 0.10), (0.035, 0.025, 0.05)) + fields.bump(rest, (0, 0.01, 0.115), (0.02, 0.02, 0.02), False) + 0.2
+        zone = (
+            fields.bump(rest, (0.03, 0.008, 0.10), (0.035, 0.025, 0.05))
+            + fields.bump(rest, (0, 0.01, 0.115), (0.02, 0.02, 0.02), False)
+            + 0.2
+        )
         zone = np.clip(zone * smoothstep(0.35, 0.6, noise(rest, 80.0, seed + 5)), 0, 1)
-        color = _mix(_dots(rest, zone, int(900 * s.freckles) + 60, (0.0005, 0.0014), g) * 0.65, color, skin_albedo(s.melanin + 0.7, s.blood + 0.15))
+        color = _mix(
+            _dots(rest, zone, int(900 * s.freckles) + 60, (0.0005, 0.0014), g) * 0.65,
+            color,
+            skin_albedo(s.melanin + 0.7, s.blood + 0.15),
+        )
     if s.spots > 0.02:
         count = int(22 * s.spots) + 1
-        color = _mix(_dots(rest, np.ones(len(rest)), count, (0.0008, 0.0020), g) * 0.8, color, skin_albedo(s.melanin + 1.2, s.blood + 0.3))
+        color = _mix(
+            _dots(rest, np.ones(len(rest)), count, (0.0008, 0.0020), g) * 0.8,
+            color,
+            skin_albedo(s.melanin + 1.2, s.blood + 0.3),
+        )
     if s.macros["age"] > 52:
         blotch = _dots(rest, np.ones(len(rest)), int((s.macros["age"] - 45) * 1.5), (0.0015, 0.0045), g)
         color = _mix(blotch * 0.35, color, skin_albedo(s.melanin + 0.45, s.blood + 0.1))
@@ -152,10 +164,16 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
         speckle = 0.25 + 0.55 * smoothstep(0.40, 0.70, noise(rest, 1100.0, seed + 6, 1))
         color = _mix(speckle * fields.beard_density(rest, seed) * s.stubble * (1 - lips), color, grown)
     lip = skin_albedo(s.melanin * 0.85, s.blood + 0.35) * np.array(s.lips)
-    lip = _mix(smoothstep(0.45, 0.75, lip_lines) * 0.4, np.broadcast_to(lip, rest.shape), skin_albedo(s.melanin * 1.05 + 0.1, s.blood + 0.8))
+    lip = _mix(
+        smoothstep(0.45, 0.75, lip_lines) * 0.4,
+        np.broadcast_to(lip, rest.shape),
+        skin_albedo(s.melanin * 1.05 + 0.1, s.blood + 0.8),
+    )
     edge = smoothstep(0.15, 0.85, lips + 0.25 * (small - 0.5))
     color = _mix(edge, color, lip)
-    lining = _mix(smoothstep(0.4, 0.7, large), np.broadcast_to(np.array([0.44, 0.13, 0.12]), rest.shape), np.array([0.30, 0.07, 0.07]))
+    lining = _mix(
+        smoothstep(0.4, 0.7, large), np.broadcast_to(np.array([0.44, 0.13, 0.12]), rest.shape), np.array([0.30, 0.07, 0.07])
+    )
     color = _mix(smoothstep(0.2, 0.9, mouth), color, lining)
 
     line, phase = fields.wrinkle_lines(rest)
@@ -164,8 +182,15 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     height = (pores - 0.5) * 0.00022 * (0.35 + 0.9 * s.pores) * (1 - 0.8 * mouth) * (1 - lips)
     height = height + (noise(rest, 190.0, seed + 9, 2) - 0.5) * 0.0006 * (0.35 + s.wrinkles) * (1 - mouth)
     height = height + (lip_lines - 0.5) * 0.0006 * lips
-    oily = np.clip(fields.bump(rest, (0, 0.03, 0.11), (0.02, 0.05, 0.03), False) + 0.6 * fields.bump(rest, (0, 0.085, 0.10), (0.035, 0.02, 0.03), False), 0, 1)
-    roughness = 0.56 - 0.10 * s.shine + 0.12 * (small - 0.5) - oily * (0.10 + 0.08 * s.shine) - 0.14 * lips - 0.28 * mouth + 0.2 * scalp
+    oily = np.clip(
+        fields.bump(rest, (0, 0.03, 0.11), (0.02, 0.05, 0.03), False)
+        + 0.6 * fields.bump(rest, (0, 0.085, 0.10), (0.035, 0.02, 0.03), False),
+        0,
+        1,
+    )
+    roughness = (
+        0.56 - 0.10 * s.shine + 0.12 * (small - 0.5) - oily * (0.10 + 0.08 * s.shine) - 0.14 * lips - 0.28 * mouth + 0.2 * scalp
+    )
     return SkinTextures(
         albedo=np.clip(color, 0, 1).astype(np.float16)[atlas.nearest],
         groove_albedo=np.asarray(dark / skin_albedo(s.melanin, s.blood)),

@@ -36,7 +36,9 @@ def _capture(folder: Path) -> tuple[Shot, Picture]:
     write_subject(folder, "anna", g.normal(size=300), {"age": 30})
     camera = Camera.orbit(SIZE, SIZE, 20, 5, 1.0, 20)
     view = View("c01", camera, "0002_00.png", "0002_00_z.png", "train")
-    shot = Shot("anna", 2, "mix", g.random(60, np.float32), g.random(100, np.float32), g.random((5, 3), np.float32), (view,), folder)
+    shot = Shot(
+        "anna", 2, "mix", g.random(60, np.float32), g.random(100, np.float32), g.random((5, 3), np.float32), (view,), folder
+    )
     mask = (g.random((SIZE, SIZE)) > 0.4).astype(np.float32)
     picture = Picture(g.random((SIZE, SIZE, 3), np.float32), mask, (mask * 1.1).astype(np.float32))
     write_shot(folder, shot, [picture])
@@ -142,7 +144,11 @@ def test_claims_exclude_each_other(tmp_path):
         assert mine
         script = "import sys\nfrom pathlib import Path\nfrom grmm_core.data.jobs import claim\nwith claim(Path(sys.argv[1])) as m: print(m)"
         result = subprocess.run(
-            [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True, cwd=Path(__file__).parent.parent
+            [sys.executable, "-c", script, str(path)],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=Path(__file__).parent.parent,
         )
         assert result.stdout.strip() == "False"
     assert not path.exists()

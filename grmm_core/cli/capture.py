@@ -19,16 +19,26 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("folder", metavar="DIR", type=Path, help="folder of the data set")
     parser.add_argument("--subjects", type=int, default=24, metavar="N", help="people (default: %(default)s)")
-    parser.add_argument("--expressions", default="all", metavar="all|NAMES", help="aligned expressions that are used (default: all 60)")
-    parser.add_argument("--shots", type=int, default=12, metavar="N", help="expression mixes of each person (default: %(default)s)")
-    parser.add_argument("--cameras", type=int, default=4, metavar="N", help="views of each shot, at most 24 (default: %(default)s)")
+    parser.add_argument(
+        "--expressions", default="all", metavar="all|NAMES", help="aligned expressions that are used (default: all 60)"
+    )
+    parser.add_argument(
+        "--shots", type=int, default=12, metavar="N", help="expression mixes of each person (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--cameras", type=int, default=4, metavar="N", help="views of each shot, at most 24 (default: %(default)s)"
+    )
     parser.add_argument("--size", type=int, default=384, metavar="PX", help="side of the pictures (default: %(default)s)")
-    parser.add_argument("--samples", type=int, default=4, metavar="N", help="samples a pixel before the denoiser (default: %(default)s)")
+    parser.add_argument(
+        "--samples", type=int, default=4, metavar="N", help="samples a pixel before the denoiser (default: %(default)s)"
+    )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of everything (default: %(default)s)")
     parser.add_argument("--varied-light", action="store_true", help="another light for every shot instead of the even rig")
     parser.add_argument("--subsurface", action="store_true", help="light scattering in the skin; slower")
     parser.add_argument("--no-depth", action="store_true", help="leave out the depth maps")
-    parser.add_argument("--threads", type=int, default=2, metavar="N", help="render threads of this process (default: %(default)s)")
+    parser.add_argument(
+        "--threads", type=int, default=2, metavar="N", help="render threads of this process (default: %(default)s)"
+    )
     parser.add_argument("--sheet", type=Path, metavar="FILE", help="only make a contact sheet of what the folder holds")
 
 
@@ -43,7 +53,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         args.console.message(f"{count} pictures on {args.sheet}")
         return {"pictures": count, "sheet": str(args.sheet)}
     if importlib.util.find_spec("bpy") is None:
-        raise RuntimeMissingError("Rendering needs Blender's Python module; install it with pip install bpy==4.5.15 on Python 3.11.")
+        raise RuntimeMissingError(
+            "Rendering needs Blender's Python module; install it with pip install bpy==4.5.15 on Python 3.11."
+        )
     from grmm_studio.capture import CaptureSettings, Progress, run_job
 
     settings = CaptureSettings(

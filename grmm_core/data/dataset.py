@@ -137,7 +137,9 @@ def read_manifest(folder: str | Path) -> Manifest:
     if values.get("format") != FORMAT:
         raise FileFormatError(f"{folder} is not a capture data set; choose a folder that grmm capture made.")
     if values.get("version") != VERSION:
-        raise FileFormatError(f"{folder} is a capture of version {values.get('version')}, this program reads {VERSION}; update it.")
+        raise FileFormatError(
+            f"{folder} is a capture of version {values.get('version')}, this program reads {VERSION}; update it."
+        )
     try:
         return Manifest(values["head"], list(values["subjects"]), dict(values["settings"]), list(values["held_out_people"]))
     except (KeyError, TypeError) as error:
@@ -177,7 +179,12 @@ def write_shot(folder: Path, shot: Shot, pictures: list[Picture]) -> None:
         if view.depth and picture.depth is not None:
             atomic_write_bytes(record.parent / view.depth, encode_depth(picture.depth))
     buffer = io.BytesIO()
-    np.savez(buffer, aligned=shot.aligned.astype(np.float32), expression=shot.expression.astype(np.float32), pose=shot.pose.astype(np.float32))
+    np.savez(
+        buffer,
+        aligned=shot.aligned.astype(np.float32),
+        expression=shot.expression.astype(np.float32),
+        pose=shot.pose.astype(np.float32),
+    )
     atomic_write_bytes(record.with_suffix(".npz"), buffer.getvalue())
     values = {
         "subject": shot.subject, "number": shot.number, "kind": shot.kind,
@@ -211,7 +218,9 @@ class CaptureDataset:
 
     def refresh(self) -> None:
         """Read records again; a running capture adds some."""
-        self.shots = [_read_shot(p) for name in self.manifest.subjects for p in sorted((self.folder / "shots" / name).glob("????.json"))]
+        self.shots = [
+            _read_shot(p) for name in self.manifest.subjects for p in sorted((self.folder / "shots" / name).glob("????.json"))
+        ]
 
     @property
     def subjects(self) -> list[str]:
@@ -248,12 +257,16 @@ class CaptureDataset:
         path = shot.folder / view.image
         rgba = _decode(path)
         if rgba.shape != (view.camera.height, view.camera.width, 4) or rgba.dtype != np.uint8:
-            raise FileFormatError(f"{path} is not the RGBA picture that its record describes; delete the shot's record and capture again.")
+            raise FileFormatError(
+                f"{path} is not the RGBA picture that its record describes; delete the shot's record and capture again."
+            )
         depth = None
         if view.depth:
             z = _decode(shot.folder / view.depth)
             if z.shape != rgba.shape[:2]:
-                raise FileFormatError(f"{shot.folder / view.depth} has another size than its picture; delete the record and capture again.")
+                raise FileFormatError(
+                    f"{shot.folder / view.depth} has another size than its picture; delete the record and capture again."
+                )
             depth = (z.astype(np.float32) * np.float32(DEPTH_UNIT)).astype(np.float32)
         return Picture(rgba[..., :3].astype(np.float32) / 255, rgba[..., 3].astype(np.float32) / 255, depth)
 

@@ -1,0 +1,167 @@
+"""The capture studio: people and shots come from seeds, strands follow the head, a job resumes and shares, Cycles renders."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from grmm_core.data.dataset import CaptureDataset
+from grmm_core.errors import ConfigError
+from grmm_core.expressions import ALIGNED_NAMES
+from grmm_core.head.open_head import load_open_head, load_people_model
+from grmm_studio.capture import CaptureSettings, held_out, job_order, open_job, view_split
+from grmm_studio.face_hair import face_strands, lash_edges, scalp_strands
+from grmm_studio.mesh import RenderMesh
+from grmm_studio.shots import expression_pool, make_shot
+from grmm_studio.subjects import HAIR_STYLES, draw_subject, skin_albedo
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def render_mesh(head):
+    return RenderMesh.build(head)
+
+
+def test_a_person_depends_on_seed_and_number_only():
+    people = load_people_model()
+    a, b, other = (draw_subject(5, i, people) for i in (3, 3, 4))
+    assert a.to_json() == b.to_json()
+    np.testing.assert_array_equal(a.shape, b.shape)
+    assert not np.allclose(a.shape, other.shape)
+    json.dumps(a.to_json())
+
+
+def test_people_are_varied():
+    people = [draw_subject(1, i, load_people_model()) for i in range(24)]
+    melanin = np.array([p.melanin for p in people])
+    assert melanin.min() < 0.4
+    assert melanin.max() > 1.2
+    assert len({p.hair_style for p in people}) >= 7
+    assert {p.hair_style for p in people} <= set(HAIR_STYLES)
+    assert 8 <= sum(p.macros["female"] > 0.5 for p in people) <= 16
+    assert all(p.stubble == 0 and p.beard == 0 for p in people if p.macros["female"] > 0.5)
+
+
+def test_skin_darkens_with_melanin_and_reddens_with_blood():
+    light, dark, bloody = skin_albedo(0.2, 0.5), skin_albedo(1.8, 0.5), skin_albedo(0.2, 1.0)
+    assert (dark < light).all()
+    assert bloody[1] / bloody[0] < light[1] / light[0]
+
+
+def test_shots_are_deterministic_and_valid():
+    for number in range(12):
+        shot, again = make_shot(2, 3, number, 4, 64), make_shot(2, 3, number, 4, 64)
+        np.testing.assert_array_equal(shot.aligned, again.aligned)
+        np.testing.assert_array_equal(shot.cameras[0].world_to_camera, again.cameras[0].world_to_camera)
+        assert shot.aligned.shape == (60,)
+        assert 0 <= shot.aligned.min() <= shot.aligned.max() <= 1
+        assert np.abs(shot.pose[1]).max() <= np.radians(17.1)
+        assert len(shot.cameras) == len(shot.camera_names) == 4
+    assert not make_shot(2, 3, 0, 1, 64).aligned.any()
+
+
+def test_every_expression_is_captured():
+    used = np.zeros(len(ALIGNED_NAMES))
+    for subject in range(24):
+        for number in range(12):
+            used = np.maximum(used, make_shot(0, subject, number, 1, 64).aligned)
+    assert used.min() > 0.3, [name for name, value in zip(ALIGNED_NAMES, used, strict=True) if value <= 0.3]
+
+
+def test_expression_pool():
+    assert expression_pool("all") == ALIGNED_NAMES
+    shot = make_shot(0, 0, 1, 1, 64, expression_pool("jawOpen, laugh"))
+    assert {name for name, weight in zip(ALIGNED_NAMES, shot.aligned, strict=True) if weight} <= {"jawOpen", "laugh"}
+    with pytest.raises(ConfigError, match="grin"):
+        expression_pool("jawOpen,grin")
+    with pytest.raises(ConfigError, match="25 cameras"):
+        make_shot(0, 0, 0, 25, 64)
+
+
+def test_job_order_interleaves_people_and_covers_everything():
+    order = [(person, number) for person, numbers in job_order(3, 10) for number in numbers]
+    assert len(order) == len(set(order)) == 30
+    assert {person for person, _ in order[:12]} == {0, 1, 2}
+
+
+def test_splits():
+    assert [i for i in range(24) if held_out(i)] == [11, 23]
+    assert view_split(11, 0, "face") == "person"
+    assert view_split(0, 6, "face") == "expression"
+    assert view_split(0, 1, "c05") == "camera"
+    assert view_split(0, 1, "c06") == "train"
+
+
+def test_a_job_with_other_settings_is_refused(tmp_path):
+    open_job(tmp_path, CaptureSettings(seed=1))
+    open_job(tmp_path, CaptureSettings(seed=1))
+    with pytest.raises(ConfigError, match="seed 1, not 2"):
+        open_job(tmp_path, CaptureSettings(seed=2))
+
+
+def test_fine_mesh_passes_through_the_model(head, render_mesh):
+    vertices = np.asarray(head.v_template, float)
+    fine = render_mesh.refine(vertices)
+    np.testing.assert_array_equal(fine[: len(vertices)], vertices)
+    middle = 0.5 * (vertices[render_mesh.edges[:, 0]] + vertices[render_mesh.edges[:, 1]])
+    assert np.linalg.norm(fine[len(vertices) :] - middle, axis=1).max() < 0.005
+    assert render_mesh.corner_uv(head).shape == (len(render_mesh.faces) * 3, 2)
+
+
+def test_lash_cards_have_root_and_tip(head):
+    cards = lash_edges(head)
+    assert len(cards) == 4
+    assert sum(upper for *_, upper in cards) == 2
+    for root, tip, _, _ in cards:
+        assert len(root) == len(tip)
+        assert not set(root) & set(tip)
+
+
+def test_strands_follow_the_head(head, render_mesh):
+    """A rigid motion of the head moves every strand with it; a subject's hair lies outside the skull."""
+    subject = draw_subject(1, 1, load_people_model())
+    neutral = np.asarray(head.vertices(subject.shape, np.zeros(1), np.zeros((5, 3))), float)
+    strands = face_strands(head, render_mesh, neutral, subject)
+    points = strands.points(neutral)
+    angle = 0.4
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    np.testing.assert_allclose(strands.points(neutral @ turn.T + 0.1), points @ turn.T + 0.1, atol=1e-6)
+    scalp = scalp_strands(head, render_mesh, neutral, subject, share=0.05)
+    assert scalp is not None
+    tips = scalp.points(neutral)[:, -1]
+    assert np.isfinite(tips).all()
+    assert (np.linalg.norm(tips - [0, 0.045, 0], axis=1) > 0.06).mean() > 0.98
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("bpy") is None, reason="needs bpy")
+def test_capture_with_cycles(tmp_path):
+    """Two tiny people: the picture agrees with mask, depth and parameters; a second run has nothing to do."""
+    command = [sys.executable, "-m", "grmm_core", "capture", str(tmp_path), "--subjects", "2", "--shots", "1", "--cameras", "1",
+               "--size", "64", "--samples", "1", "--seed", "2", "--json"]  # fmt: skip
+    for made in (2, 0):
+        result = subprocess.run(command, capture_output=True, text=True, timeout=500, cwd=ROOT, check=True)
+        assert json.loads(result.stdout.splitlines()[-1])["shots"] == made
+    data = CaptureDataset(tmp_path)
+    head = load_open_head()
+    for shot, view in data.views():
+        picture = data.picture(shot, view)
+        assert 0.1 < picture.mask.mean() < 0.95
+        vertices = head.vertices(data.shape(shot.subject), shot.expression, shot.pose)
+        nose = vertices[np.argmax(vertices[:, 2])]
+        x, y, z = view.camera.world_to_camera[:3, :3] @ nose + view.camera.world_to_camera[:3, 3]
+        column, row = int(view.camera.fx * x / z + view.camera.cx), int(view.camera.fy * y / z + view.camera.cy)
+        if 0 <= row < 64 and 0 <= column < 64 and picture.depth[row, column] > 0:
+            assert picture.depth[row, column] <= z + 0.02

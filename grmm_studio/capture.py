@@ -111,7 +111,7 @@ def open_job(folder: Path, settings: CaptureSettings) -> None:
         for key, value in values.items():
             if known.get(key) != value:
                 raise ConfigError(
-                    f"{folder} holds a capture with {key} {known.get(key)}, not {value}; use the same settings or another folder."
+                    f"{folder} holds a capture with {key} {known.get(key)}, not {value}; use the same or another folder."
                 )
         return
     names = [subject_name(settings.seed, i) for i in range(settings.subjects)]

@@ -124,8 +124,12 @@ def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.t
     height = n.math("SUBTRACT", parts[0], n.math("MULTIPLY", groove, 0.0018))
     normal = n.node("ShaderNodeBump", {"Height": height, "Strength": 0.6, "Distance": 1.0}).outputs[0]
     inputs: dict[str | int, Socket] = {
-        "Base Color": color, "Roughness": parts[2], "Normal": normal, "IOR": 1.42, "Specular IOR Level": 0.42,
-    }  # fmt: skip
+        "Base Color": color,
+        "Roughness": parts[2],
+        "Normal": normal,
+        "IOR": 1.42,
+        "Specular IOR Level": 0.42,
+    }
     if subsurface:
         inputs |= {
             "Subsurface Weight": 1.0,
@@ -172,9 +176,19 @@ def eye_material(s: Subject) -> bpy.types.Material:
     sclera = n.mix(n.math("MULTIPLY", veins, n.math("MULTIPLY", far, 0.55)), s.sclera, (0.62, 0.16, 0.12))
     sclera = n.mix(n.math("MULTIPLY", far, 0.35), sclera, (0.72, 0.45, 0.38))
     color = n.mix(n.ramp(angle, s.iris_angle - 0.025, s.iris_angle + 0.03), iris, sclera)
-    return n.finish(n.node("ShaderNodeBsdfPrincipled", {
-        "Base Color": color, "Roughness": 0.35, "Specular IOR Level": 0.3, "Coat Weight": 1.0, "Coat Roughness": 0.025, "Coat IOR": 1.38,
-    }).outputs[0])  # fmt: skip
+    return n.finish(
+        n.node(
+            "ShaderNodeBsdfPrincipled",
+            {
+                "Base Color": color,
+                "Roughness": 0.35,
+                "Specular IOR Level": 0.3,
+                "Coat Weight": 1.0,
+                "Coat Roughness": 0.025,
+                "Coat IOR": 1.38,
+            },
+        ).outputs[0]
+    )
 
 
 def teeth_material(s: Subject) -> bpy.types.Material:
@@ -206,9 +220,19 @@ def teeth_material(s: Subject) -> bpy.types.Material:
     pink = n.mix(n.noise(rest, 250.0), (0.52, 0.17, 0.16), (0.40, 0.10, 0.10))
     color = n.mix(gum, enamel, pink)
     normal = n.node("ShaderNodeBump", {"Height": n.math("MULTIPLY", body, 0.0009), "Strength": 0.8, "Distance": 1.0}).outputs[0]
-    return n.finish(n.node("ShaderNodeBsdfPrincipled", {
-        "Base Color": color, "Roughness": 0.18, "Normal": normal, "Specular IOR Level": 0.5, "Coat Weight": 0.3, "Coat Roughness": 0.05,
-    }).outputs[0])  # fmt: skip
+    return n.finish(
+        n.node(
+            "ShaderNodeBsdfPrincipled",
+            {
+                "Base Color": color,
+                "Roughness": 0.18,
+                "Normal": normal,
+                "Specular IOR Level": 0.5,
+                "Coat Weight": 0.3,
+                "Coat Roughness": 0.05,
+            },
+        ).outputs[0]
+    )
 
 
 def tongue_material(s: Subject) -> bpy.types.Material:

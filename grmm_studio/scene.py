@@ -20,7 +20,7 @@ from . import fields
 from .face_hair import face_strands, scalp_strands
 from .hair import Ribbons, Strands
 from .materials import eye_material, hair_material, skin_material, teeth_material, tongue_material
-from .mesh import EYE, Head, RenderMesh, region_vertices
+from .mesh import Head, RenderMesh, region_vertices
 from .subjects import Subject, hair_albedo
 from .textures import Atlas, SkinTextures, paint_skin
 
@@ -96,7 +96,7 @@ class Studio:
         self._neutral = prepared.neutral
         self._add_mesh(subject, prepared.textures)
         lash = hair_albedo(0.95, 0.0, 0.0)
-        brow = tuple(0.62 * c + 0.38 * l for c, l in zip(subject.hair_color, hair_albedo(0.8, 0, 0), strict=True))
+        brow = tuple(0.62 * c + 0.38 * d for c, d in zip(subject.hair_color, hair_albedo(0.8, 0, 0), strict=True))
         face, scalp = prepared.face, prepared.scalp
         dark = face.tint > LASH_TINT
         self._add_strands("lashes", _select(face, dark), hair_material("lashes", tuple(lash), 0.1, 0.0))

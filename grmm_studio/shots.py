@@ -22,11 +22,32 @@ FULL_FOV, CLOSE_FOV = 23.0, 12.0  # degrees
 HELD_OUT_CAMERAS = (5, 14)  # of 24
 NEUTRAL, SINGLE, MIX = "neutral", "single", "mix"
 # eyelids and mouth must be seen open and shut often: drawn more often than the rest
-FREQUENT = ("jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "mouthSmileLeft", "mouthSmileRight", "mouthFunnel", "mouthPucker",
-            "mouthUpperUpLeft", "mouthUpperUpRight", "mouthLowerDownLeft", "mouthLowerDownRight", "browInnerUp", *MIXTURE_NAMES)  # fmt: skip
+FREQUENT = (
+    "jawOpen",
+    "eyeBlinkLeft",
+    "eyeBlinkRight",
+    "mouthSmileLeft",
+    "mouthSmileRight",
+    "mouthFunnel",
+    "mouthPucker",
+    "mouthUpperUpLeft",
+    "mouthUpperUpRight",
+    "mouthLowerDownLeft",
+    "mouthLowerDownRight",
+    "browInnerUp",
+    *MIXTURE_NAMES,
+)
 # combinations nobody can make
-CONFLICTS = (("eyeBlink", "eyeWide"), ("jawLeft", "jawRight"), ("mouthLeft", "mouthRight"), ("mouthPucker", "mouthStretch"),
-             ("mouthSmile", "mouthFrown"), ("mouthFunnel", "mouthRoll"), ("browDown", "browOuterUp"), ("eyeLookUp", "eyeLookDown"))  # fmt: skip
+CONFLICTS = (
+    ("eyeBlink", "eyeWide"),
+    ("jawLeft", "jawRight"),
+    ("mouthLeft", "mouthRight"),
+    ("mouthPucker", "mouthStretch"),
+    ("mouthSmile", "mouthFrown"),
+    ("mouthFunnel", "mouthRoll"),
+    ("browDown", "browOuterUp"),
+    ("eyeLookUp", "eyeLookDown"),
+)
 
 
 @dataclass(frozen=True)

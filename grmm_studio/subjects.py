@@ -16,9 +16,21 @@ SHAPE_LIMIT = 2.2  # standard deviations
 
 # Hair: melanin 0..1 (white, blond ... black), redness 0..1
 HAIR_STYLES: tuple[str, ...] = (
-    "buzz", "crop", "side_part", "slick_back", "fringe", "bob", "long", "wavy_long", "afro", "curly", "ponytail", "bun",
-    "receding", "bald",
-)  # fmt: skip
+    "buzz",
+    "crop",
+    "side_part",
+    "slick_back",
+    "fringe",
+    "bob",
+    "long",
+    "wavy_long",
+    "afro",
+    "curly",
+    "ponytail",
+    "bun",
+    "receding",
+    "bald",
+)
 
 
 class ShapePrior(Protocol):
@@ -149,9 +161,14 @@ def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
     weight = float(np.clip(g.normal(0.5, 0.2), 0.05, 0.98))
     muscle = float(np.clip(g.normal(0.45 if female else 0.56, 0.15), 0.05, 0.95))
     macros = {
-        "age": age, "female": float(g.uniform(0.85, 1.0) if female else g.uniform(0.0, 0.15)), "african": float(races[0]),
-        "asian": float(races[1]), "caucasian": float(races[2]), "muscle": muscle, "weight": weight,
-    }  # fmt: skip
+        "age": age,
+        "female": float(g.uniform(0.85, 1.0) if female else g.uniform(0.0, 0.15)),
+        "african": float(races[0]),
+        "asian": float(races[1]),
+        "caucasian": float(races[2]),
+        "muscle": muscle,
+        "weight": weight,
+    }
     shape = _draw_shape(g, macros, prior)
 
     african, asian = float(races[0]), float(races[1])
@@ -186,20 +203,41 @@ def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
         * np.array([1.0, 1.0 - 0.03 * g.random(), 1.0 - 0.09 * g.random()])
     )
     return Subject(
-        seed=seed, index=index, shape=shape, macros=macros, melanin=melanin, blood=blood, redness=float(g.uniform(0.2, 0.9)),
-        lips=_triple(lips), pores=float(g.uniform(0.2, 1.0)),
-        freckles=float(np.clip(g.normal(0.05, 0.4), 0, 1) * (melanin < 0.45)), wrinkles=wrinkles,
-        spots=float(np.clip(g.normal(0.25 + 0.3 * (age > 50), 0.2), 0, 1)), shine=float(g.uniform(0.2, 0.9)), stubble=stubble, beard=beard,
-        iris=_triple(iris), iris_inner=_triple(inner), sclera=_triple(sclera), iris_angle=float(np.radians(g.uniform(22.5, 24.5))),
-        pupil_angle=float(np.radians(g.uniform(6.5, 10.0))), hair_style=hair_style, hair_color=_triple(hair_color),
-        hair_length=float(g.uniform(0.75, 1.25)), hair_curl=float(np.clip(g.beta(1.2, 3.0) + 0.3 * african, 0, 1)),
-        hair_volume=float(g.uniform(0.7, 1.4)), hairline=float(g.normal(0.0, 0.004) + (0.004 if age > 45 and not female else 0)),
-        part=float(g.choice([-1, 1]) * g.uniform(0.2, 0.8)), brow_thickness=float(g.uniform(0.65, 1.0) if female else g.uniform(0.9, 1.4)),
-        brow_height=float(g.normal(0, 0.0015)), brow_arch=float(g.uniform(0.8, 1.6) if female else g.uniform(0.3, 1.0)),
-        brow_density=float(g.uniform(0.6, 1.2)), lash_density=float(g.uniform(0.8, 1.3) if female else g.uniform(0.45, 0.8)),
+        seed=seed,
+        index=index,
+        shape=shape,
+        macros=macros,
+        melanin=melanin,
+        blood=blood,
+        redness=float(g.uniform(0.2, 0.9)),
+        lips=_triple(lips),
+        pores=float(g.uniform(0.2, 1.0)),
+        freckles=float(np.clip(g.normal(0.05, 0.4), 0, 1) * (melanin < 0.45)),
+        wrinkles=wrinkles,
+        spots=float(np.clip(g.normal(0.25 + 0.3 * (age > 50), 0.2), 0, 1)),
+        shine=float(g.uniform(0.2, 0.9)),
+        stubble=stubble,
+        beard=beard,
+        iris=_triple(iris),
+        iris_inner=_triple(inner),
+        sclera=_triple(sclera),
+        iris_angle=float(np.radians(g.uniform(22.5, 24.5))),
+        pupil_angle=float(np.radians(g.uniform(6.5, 10.0))),
+        hair_style=hair_style,
+        hair_color=_triple(hair_color),
+        hair_length=float(g.uniform(0.75, 1.25)),
+        hair_curl=float(np.clip(g.beta(1.2, 3.0) + 0.3 * african, 0, 1)),
+        hair_volume=float(g.uniform(0.7, 1.4)),
+        hairline=float(g.normal(0.0, 0.004) + (0.004 if age > 45 and not female else 0)),
+        part=float(g.choice([-1, 1]) * g.uniform(0.2, 0.8)),
+        brow_thickness=float(g.uniform(0.65, 1.0) if female else g.uniform(0.9, 1.4)),
+        brow_height=float(g.normal(0, 0.0015)),
+        brow_arch=float(g.uniform(0.8, 1.6) if female else g.uniform(0.3, 1.0)),
+        brow_density=float(g.uniform(0.6, 1.2)),
+        lash_density=float(g.uniform(0.8, 1.3) if female else g.uniform(0.45, 0.8)),
         teeth=_triple(np.array([0.78, 0.74, 0.64]) * g.uniform(0.85, 1.08) * np.array([1, 1, g.uniform(0.85, 1.05)])),
         asymmetry=int(g.integers(1 << 30)),
-    )  # fmt: skip
+    )
 
 
 def _draw_shape(g: np.random.Generator, macros: dict[str, float], prior: ShapePrior | None) -> np.ndarray:

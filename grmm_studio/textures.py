@@ -176,7 +176,7 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     )
     color = _mix(smoothstep(0.2, 0.9, mouth), color, lining)
 
-    line, phase = fields.wrinkle_lines(rest)
+    _, phase = fields.wrinkle_lines(rest)
     wave = 0.5 + 0.5 * np.sin(2 * np.pi * (phase + 2.2 * (noise(rest, 60.0, seed + 7, 2) - 0.5)))
     groove = wave**3 * smoothstep(0.30, 0.60, noise(rest, 95.0, seed + 8, 2))
     height = (pores - 0.5) * 0.00022 * (0.35 + 0.9 * s.pores) * (1 - 0.8 * mouth) * (1 - lips)

@@ -74,7 +74,7 @@ def test_broken_picture_is_named(tmp_path, keep):
     path = tmp_path / "shots" / "anna" / "0002_00.png"
     path.write_bytes(path.read_bytes()[:keep])
     data = CaptureDataset(tmp_path)
-    with pytest.raises(FileFormatError, match="0002_00.png"):
+    with pytest.raises(FileFormatError, match=r"0002_00\.png"):
         data.picture(*next(data.views()))
 
 
@@ -119,7 +119,7 @@ def test_missing_camera_is_an_error(tmp_path):
     values = json.loads(record.read_text())
     del values["views"][0]["camera"]
     record.write_text(json.dumps(values))
-    with pytest.raises(FileFormatError, match="0002.json"):
+    with pytest.raises(FileFormatError, match=r"0002\.json"):
         CaptureDataset(tmp_path)
 
 
@@ -142,7 +142,10 @@ def test_claims_exclude_each_other(tmp_path):
     path = tmp_path / "locks" / "a.lock"
     with claim(path) as mine:
         assert mine
-        script = "import sys\nfrom pathlib import Path\nfrom grmm_core.data.jobs import claim\nwith claim(Path(sys.argv[1])) as m: print(m)"
+        script = (
+            "import sys\nfrom pathlib import Path\nfrom grmm_core.data.jobs import claim\n"
+            "with claim(Path(sys.argv[1])) as mine: print(mine)"
+        )
         result = subprocess.run(
             [sys.executable, "-c", script, str(path)],
             capture_output=True,

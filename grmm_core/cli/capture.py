@@ -15,7 +15,7 @@ def add_parser(subparsers: Any) -> None:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "capture",
         help="render a training set of random people (needs bpy)",
-        description="Render random people with Cycles. Run the same command again to continue, or several times to share the work.",
+        description="Render random people with Cycles. Run it again to continue, several times to share the work.",
     )
     parser.add_argument("folder", metavar="DIR", type=Path, help="folder of the data set")
     parser.add_argument("--subjects", type=int, default=24, metavar="N", help="people (default: %(default)s)")

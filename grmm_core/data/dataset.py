@@ -187,9 +187,14 @@ def write_shot(folder: Path, shot: Shot, pictures: list[Picture]) -> None:
     )
     atomic_write_bytes(record.with_suffix(".npz"), buffer.getvalue())
     values = {
-        "subject": shot.subject, "number": shot.number, "kind": shot.kind,
-        "views": [{"name": v.name, "image": v.image, "depth": v.depth, "split": v.split, "camera": camera_to_json(v.camera)} for v in shot.views],
-    }  # fmt: skip
+        "subject": shot.subject,
+        "number": shot.number,
+        "kind": shot.kind,
+        "views": [
+            {"name": v.name, "image": v.image, "depth": v.depth, "split": v.split, "camera": camera_to_json(v.camera)}
+            for v in shot.views
+        ],
+    }
     atomic_write_bytes(record, json.dumps(values).encode())
 
 

@@ -332,7 +332,7 @@ def test_harmonics_reproduce_the_colours_seen(weights):
 
 @pytest.mark.slow
 def test_bench_measures_ratios(grmm, weights):
-    code, out, _ = grmm("bench", "--quick", "--weights", weights, "--json")
+    code, out, _ = grmm("bench", "--quick", "--weights", weights, "--threads", "1", "--json")
     figures = json.loads(out)
     assert code == 0
     assert sum(stage["share"] for stage in figures["stages"].values()) == pytest.approx(1.0)

@@ -30,7 +30,8 @@ FRAME_SIZE = 512
 RESOLUTIONS = (256, 512, 1024)
 LODS = (0, 1, 2)
 REFERENCE_LOD = 2  # the readable rasteriser is slow: compare on a sixteenth of the Gaussians
-REFERENCE_SIZE = 128
+REFERENCE_SIZE = 96
+REFERENCE_REPEATS = 2
 TILE_PIXELS = 256
 MATRIX = 1024  # side of the matrix product that gives the arithmetic speed of the machine
 ALTERNATIVES = {"gsplat": "needs CUDA", "diff_gaussian_rasterization": "needs CUDA; three channels"}
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         sections: dict[str, Callable[[], dict[str, Any]]] = {
             "stages": lambda: stages(session, avatar.id, repeats),
             "caching": lambda: caching(session, avatar.id, repeats),
-            "rasterisers": lambda: rasterisers(session, avatar.id, repeats),
+            "rasterisers": lambda: rasterisers(session, avatar.id),
             "resolution": lambda: scaling(session, avatar.id, repeats, resolutions, "size"),
             "detail": lambda: scaling(session, avatar.id, repeats, LODS, "lod"),
             "arithmetic": lambda: arithmetic(session, avatar.id, repeats),
@@ -155,7 +156,7 @@ def caching(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, An
     return {name: {"ratio": s / times["everything"], "ms": 1e3 * s} for name, s in times.items()}
 
 
-def rasterisers(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any]:
+def rasterisers(session: LocalSession, avatar_id: int) -> dict[str, Any]:
     """Compare the fastest rasteriser with the readable one, forward and with gradients."""
     import torch
 
@@ -180,8 +181,8 @@ def rasterisers(session: LocalSession, avatar_id: int, repeats: int) -> dict[str
         return step
 
     with torch.no_grad():
-        plain = best_times({backend: forward(backend) for backend in ("torch", fastest)}, repeats)
-    gradients = best_times({backend: both(backend) for backend in ("torch", fastest)}, repeats)
+        plain = best_times({backend: forward(backend) for backend in ("torch", fastest)}, REFERENCE_REPEATS)
+    gradients = best_times({backend: both(backend) for backend in ("torch", fastest)}, REFERENCE_REPEATS)
     return {
         "compared": f"{fastest} against torch, {len(gaussians)} Gaussians, {REFERENCE_SIZE}x{REFERENCE_SIZE}",
         "forward": {"times faster": plain["torch"] / plain[fastest], "ms": 1e3 * plain[fastest]},

@@ -5,7 +5,12 @@ The mesh and its materials are made once per person; a shot rewrites positions o
 
 from __future__ import annotations
 
+import atexit
+import os
+import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,6 +61,7 @@ class Studio:
         threads: int = 2,
         texture_size: int = 768,
     ) -> None:
+        atexit.register(_silence_exit)
         bpy.ops.wm.read_homefile(use_empty=True)
         self.head = head
         self.mesh = RenderMesh.build(head)
@@ -144,7 +150,8 @@ class Studio:
         """
         _place_camera(self._camera, camera)
         self.scene.render.resolution_x, self.scene.render.resolution_y = camera.width, camera.height
-        bpy.ops.render.render()
+        with _quiet():
+            bpy.ops.render.render()
         folder = Path(self._folder.name)
         rgba = _read_exr(folder / "rgba0001.exr")
         z = _read_exr(folder / "depth0001.exr")[..., 0]
@@ -337,6 +344,27 @@ class Studio:
         self.scene.collection.objects.link(item)
         self._objects.append(item)
         self._strands.append((item, strands, ribbons))
+
+
+def _silence_exit() -> None:
+    """At the end of the process Blender reports a few bytes of its own on the standard output, after our result."""
+    sys.stdout.flush()
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Drop what Blender's own code writes to the standard output: the command line keeps that for results."""
+    sys.stdout.flush()
+    saved = os.dup(1)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(nowhere)
 
 
 def linear_to_srgb(linear: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ def read_splats(path: str | os.PathLike[str], **options: Any) -> SplatCloud:
 
     Args:
         path: A .ply, .splat, .spz, .sog (or its meta.json), .glb or .gltf file.
-        options: Passed to the reader: `axes` for .ply, .splat and .sog.
+        options: Passed to the reader: `axes` for .ply, .splat and .sog; `decode` for .sog.
 
     Returns:
         The splats, y up; `warnings` says what was dropped or assumed.

@@ -14,6 +14,7 @@ import io
 import json
 import os
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from ..files import atomic_write, read_bytes
 from .archive import member, read_members, read_neighbour
 from .cloud import MAX_SPLATS, SplatCloud, bad_file, exp_scale, finish_reading, log_scale
 from .splat_file import to_byte
+
+Decoder = Callable[[bytes], np.ndarray]
 
 KIND = "SOG file"
 _LIMIT = 1 << 30
@@ -37,26 +40,28 @@ _KMEANS_ROUNDS = 8
 _OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # components stored for each largest one, of w, x, y, z
 
 
-def read_sog(path: Path, axes: str = "file") -> SplatCloud:
+def read_sog(path: Path, axes: str = "file", decode: Decoder | None = None) -> SplatCloud:
     """Read a `.sog` archive or a `meta.json` beside its pictures.
 
     Args:
         path: The file.
         axes: "file" turns y up, "y_up" keeps the numbers.
+        decode: Decodes a picture to RGBA bytes [height, width, 4], top row first, where Pillow is not installed.
 
     Raises:
         FileFormatError: Damaged, of another version, or pictures that do not fit the description.
-        BackendError: Pillow is not installed.
+        BackendError: Neither Pillow nor `decode` is there.
         FileAccessError: Missing or unreadable.
     """
-    _pillow(path)
+    if decode is None:
+        _pillow(path)
     if path.suffix.lower() == ".json":
         contents: dict[str, bytes] | None = None
         text = read_bytes(path, _META_LIMIT)
     else:
         contents = read_members(path, KIND, _LIMIT)
         text = member(path, KIND, contents, "meta.json")
-    meta = _Meta(path, text, contents)
+    meta = _Meta(path, text, contents, decode)
     count = meta.integer("count", 1, MAX_SPLATS)
     cloud = SplatCloud(
         _read_means(meta, count),
@@ -73,8 +78,8 @@ def read_sog(path: Path, axes: str = "file") -> SplatCloud:
 class _Meta:
     """The parsed `meta.json` with checked access to its tables and pictures."""
 
-    def __init__(self, path: Path, text: bytes, contents: dict[str, bytes] | None) -> None:
-        self.path, self.contents = path, contents
+    def __init__(self, path: Path, text: bytes, contents: dict[str, bytes] | None, decode: Decoder | None) -> None:
+        self.path, self.contents, self.decode = path, contents, decode
         self._pictures: dict[str, np.ndarray] = {}
         try:
             self.document = json.loads(text.decode("utf-8"))
@@ -126,7 +131,10 @@ class _Meta:
                 data = read_neighbour(self.path, KIND, name, _LIMIT)
             else:
                 data = member(self.path, KIND, self.contents, name)
-            self._pictures[name] = _decode(self.path, name, data)
+            pixels = self.decode(data) if self.decode else _decode(self.path, name, data)
+            if pixels.ndim != 3 or pixels.shape[2] != 4 or pixels.dtype != np.uint8:
+                raise bad_file(self.path, KIND, f"its picture {name[:60]!r} is not of bytes with four channels")
+            self._pictures[name] = pixels
         return self._pictures[name]
 
     def pixels(self, part: str, index: int, count: int) -> np.ndarray:

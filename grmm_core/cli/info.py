@@ -13,6 +13,8 @@ from typing import Any
 from .. import __version__
 from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
 from ..errors import ConfigError, GrmmError
+from ..head.flame import describe_flame
+from ..head.open_head import FLAME_SUFFIXES
 from ..tensorfile import read_metadata
 
 LIBRARIES = ("numpy", "torch", "numba", "pillow", "bpy", "gsplat")
@@ -25,7 +27,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "info", help="what is installed, or what is in a file", description="Show what is installed, or what is in a file."
     )
-    parser.add_argument("avatar", metavar="AVATAR", nargs="?", type=Path, help=f"a {EXTENSION} or .safetensors file")
+    parser.add_argument("avatar", metavar="AVATAR", nargs="?", type=Path, help=f"a {EXTENSION}, .safetensors or FLAME file")
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -67,8 +69,12 @@ def describe_file(path: Path) -> dict[str, Any]:
     """
     if path.suffix == ".safetensors":
         return describe_asset(path, strict=True)
+    if path.suffix.lower() in FLAME_SUFFIXES:
+        return describe_flame(path)
     if path.suffix != EXTENSION:
-        raise ConfigError(f"{path} is neither an avatar ({EXTENSION}) nor weights (.safetensors); give one of these.")
+        raise ConfigError(
+            f"{path} is no avatar ({EXTENSION}), weights (.safetensors) or FLAME model (.pkl, .npz); give one of these."
+        )
     header = read_avatar_header(path)
     avatar = load_avatar(path)
     return _header_facts(path, header) | {

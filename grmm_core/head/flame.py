@@ -27,7 +27,7 @@ from .flame_align import Correspondence, closest_on_surface, correspond
 from .flame_arkit import arkit_map
 from .flame_file import FLAME_FACES, MAX_FILE_BYTES, FlameArrays, read_flame_file, read_flame_masks
 from .flame_regions import FlameSurface, find_surface, name_regions
-from .flame_teeth import LOWER_ROWS, ROW, TEETH_VERTICES, UPPER_ROWS, Teeth, build_teeth
+from .flame_teeth import LOWER_ROWS, ROW, TEETH_FACES, TEETH_VERTICES, UPPER_ROWS, Teeth, build_teeth
 from .flame_uv import lay_out
 from .model import HeadModel
 from .open_head import load_open_head
@@ -74,6 +74,24 @@ def load_flame(
             _cache.pop(next(iter(_cache)))
         _cache[key] = complete_flame(arrays, name, path.name, regions, embedding)
     return _cache[key]
+
+
+def describe_flame(path: str | os.PathLike[str]) -> dict[str, object]:
+    """What a FLAME file holds, without completing it (`grmm info`). Raises as `load_flame`."""
+    path = Path(path)
+    flame = read_flame_file(path)
+    surface = find_surface(flame.v_template, flame.faces, path.name)
+    return {
+        "file": str(path),
+        "kind": "flame-head",
+        "name": _name(path.stem),
+        "vertices": len(flame.v_template),
+        "triangles": len(flame.faces),
+        "shape components": flame.shape_dirs.shape[2],
+        "expression components": flame.expression_dirs.shape[2],
+        "mouth opening vertices": len(surface.mouth_loop),
+        "with teeth": f"{len(flame.v_template) + TEETH_VERTICES} vertices, {len(flame.faces) + TEETH_FACES} triangles",
+    }
 
 
 def complete_flame(

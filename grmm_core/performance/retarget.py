@@ -39,6 +39,12 @@ def expression_features(head: ExpressionModel) -> np.ndarray:
     return np.concatenate([moves, turns], 1)
 
 
+def _arkit_pose(head: ExpressionModel) -> np.ndarray:
+    """Joint turns of the ARKit shapes beside those of their coefficients (FLAME has them), radians, [52, 5, 3]."""
+    pose = getattr(head, "arkit_pose", None)
+    return np.zeros((len(ARKIT_NAMES), len(JOINT_NAMES), 3)) if pose is None else np.asarray(pose, np.float64)
+
+
 def _turn_weight(coordinates: int) -> float:
     """Weight of a radian: a twentieth of the vertices moves with the lever."""
     return _LEVER * (coordinates / 3 / 20) ** 0.5
@@ -79,6 +85,7 @@ def to_expression(performance: Performance, head: ExpressionModel, keep_weights:
     mapping = np.asarray(head.arkit_to_expression, np.float64)
     expression = performance.weights.astype(np.float64) @ mapping  # [T, E]
     turns = np.einsum("te,ejk->tjk", expression, np.asarray(head.expression_pose, np.float64))
+    turns += np.einsum("ta,ajk->tjk", performance.weights.astype(np.float64), _arkit_pose(head))
     changes: dict[str, np.ndarray] = {}
     for joint, name in (("jaw", "jaw_rotation"), ("left_eye", "left_eye_rotation"), ("right_eye", "right_eye_rotation")):
         old = getattr(performance, name) if joint == "jaw" else None  # the eyes' own rotations repeat the eyeLook shapes
@@ -120,6 +127,7 @@ def to_arkit(performance: Performance, head: ExpressionModel, progress: Progress
         )
     features = expression_features(head)  # [E, F]
     shapes = np.asarray(head.arkit_to_expression, np.float64) @ features  # [52, F]
+    shapes[:, -15:] += _arkit_pose(head).reshape(len(ARKIT_NAMES), -1) * _turn_weight(features.shape[1] - 15)
     gram, cross = shapes @ shapes.T, features[:width] @ shapes.T
     targets = np.asarray(performance.expression, np.float64) @ cross  # [T, 52]
     total = _squares(performance.expression, features[:width])

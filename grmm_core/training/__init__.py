@@ -4,6 +4,7 @@ The map:
 
 ``config``      `TrainConfig`, read from TOML (numpy-free)
 ``losses``      every term of the objective as a pure function; also used by the fitting (``blur``: the window of SSIM)
+``perceptual``  features of a classification network, for eq. 16
 ``views``       what a training view is, and the reproducible choice of views, crops and backgrounds
 ``capture``     capture data sets as training views
 ``initialise``  mean colours from the pictures

@@ -56,6 +56,7 @@ class TrainConfig:
         refresh_every: Steps between looks for new shots of a capture that is still running; 0 for never.
         evaluate_views: Held-out views in an evaluation.
         threads: Of torch; 0 leaves its choice.
+        perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
     """
 
     model: GRMMConfig
@@ -88,6 +89,7 @@ class TrainConfig:
     evaluate_views: int = 16
     refresh_every: int = 0
     threads: int = 0
+    perceptual_network: str = ""
 
     def __post_init__(self) -> None:
         """Check ranges. Raises `ConfigError`."""

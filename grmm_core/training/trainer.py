@@ -36,6 +36,7 @@ from .config import TrainConfig
 from .initialise import initialise_colours
 from .losses import Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
 from .optimise import MovingAverage, parameter_groups, rate_factor
+from .perceptual import load_perceptual
 from .views import View, ViewSource, choose, shrink
 
 if TYPE_CHECKING:
@@ -89,6 +90,11 @@ class Trainer:
         self.shapes = torch.as_tensor(source.shapes, dtype=torch.float32, device=device)
         self.laplacian = vertex_laplacian(torch.from_numpy(head.faces.astype(np.int64)), head.vertex_count).to(device)
         self.loss_weights = weights_from(dict(config.losses))
+        self.perceptual = None
+        if self.loss_weights.perceptual:
+            if not config.perceptual_network:
+                raise ConfigError("The perceptual loss needs perceptual_network, such as mobilenet, or a weight of zero.")
+            self.perceptual = load_perceptual(config.perceptual_network).to(device)
         self.parameters: dict[str, nn.Parameter] = {"codes": self.codes, **dict(self.model.named_parameters())}
         self.optimiser = torch.optim.Adam(
             parameter_groups(self.model, self.codes, config), betas=(config.beta1, config.beta2), fused=True
@@ -169,7 +175,7 @@ class Trainer:
             view, background = choose(c, self.source, n, place, progress)
             rendering, codes = self.draw(view, background, refined)
             loss, terms = total_loss(
-                rendering, self._target(view, background), codes, self.laplacian, self.loss_weights, refined
+                rendering, self._target(view, background), codes, self.laplacian, self.loss_weights, refined, self.perceptual
             )
             value = float(loss.detach())
             if not np.isfinite(value):

@@ -73,7 +73,8 @@ def describe_file(path: Path) -> dict[str, Any]:
         return describe_flame(path)
     if path.suffix != EXTENSION:
         raise ConfigError(
-            f"{path} is no avatar ({EXTENSION}), weights (.safetensors) or FLAME model (.pkl, .npz); give one of these."
+            f"{path} is neither an avatar ({EXTENSION}), weights (.safetensors) nor a FLAME model (.pkl, .npz); "
+            "give one of these."
         )
     header = read_avatar_header(path)
     avatar = load_avatar(path)

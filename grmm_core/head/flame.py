@@ -25,7 +25,7 @@ from ..errors import FileFormatError
 from ..files import read_bytes
 from .flame_align import Correspondence, closest_on_surface, correspond
 from .flame_arkit import arkit_map
-from .flame_file import FLAME_FACES, MAX_FILE_BYTES, FlameArrays, read_flame_file, read_flame_masks
+from .flame_file import FLAME_FACES, MAX_FILE_BYTES, FlameArrays, read_flame_file, read_flame_masks, read_plain_npz
 from .flame_regions import FlameSurface, find_surface, name_regions
 from .flame_teeth import LOWER_ROWS, ROW, TEETH_FACES, TEETH_VERTICES, UPPER_ROWS, Teeth, build_teeth
 from .flame_uv import lay_out
@@ -142,12 +142,8 @@ def read_landmark_embedding(path: str | os.PathLike[str]) -> tuple[np.ndarray, n
         FileFormatError: Damaged, hostile, or not 68 landmarks on FLAME.
     """
     path = Path(path)
-    if path.suffix.lower() == ".npz":
-        from ..performance.npz import read_npz
-
-        fields: object = read_npz(path)[0]
-    else:
-        fields = load_restricted(read_bytes(path, limit=MAX_FILE_BYTES), path.name)
+    data = read_bytes(path, limit=MAX_FILE_BYTES)
+    fields = read_plain_npz(data, path.name) if data[:2] == b"PK" else load_restricted(data, path.name)
     if isinstance(fields, Mapping):
         for face_key, weight_key in _LANDMARK_KEYS:
             if face_key in fields and weight_key in fields:

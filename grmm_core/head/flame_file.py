@@ -64,7 +64,7 @@ def read_flame_file(path: str | os.PathLike[str]) -> FlameArrays:
     """
     path = Path(path)
     data = read_bytes(path, limit=MAX_FILE_BYTES)
-    fields = _read_npz(data, path.name) if data[:2] == b"PK" else load_restricted(data, path.name)
+    fields = read_plain_npz(data, path.name) if data[:2] == b"PK" else load_restricted(data, path.name)
     if not isinstance(fields, Mapping):
         raise FileFormatError(f"{path.name} holds no FLAME model; choose generic_model.pkl, flame2023.pkl or an npz of it.")
     return _validate(fields, path.name)
@@ -85,8 +85,8 @@ def read_flame_masks(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     return masks
 
 
-def _read_npz(data: bytes, label: str) -> dict[str, np.ndarray]:
-    """`np.load` without pickles, after the archive's declared sizes have been checked."""
+def read_plain_npz(data: bytes, label: str) -> dict[str, np.ndarray]:
+    """`np.load` without pickles, after the archive's declared sizes have been checked. Raises `FileFormatError`."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             if sum(info.file_size for info in archive.infolist()) > MAX_FILE_BYTES:

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from .flame_regions import FlameSurface
-from .flame_teeth import LOWER_ROWS, ROW, TEETH_FACES, UPPER_ROWS
+from .flame_teeth import LOWER_ROWS, ROW, TEETH_FACES, TEETH_VERTICES, UPPER_ROWS
 from .flatten_disk import fill_holes, flatten_disk, outline
 from .mesh_topology import boundary_loops, components, cut_along, directed_edges, is_disk, shortest_path
 from .uv_density import BACK
@@ -76,7 +76,7 @@ def lay_out(surface: FlameSurface, vertices: np.ndarray, faces: np.ndarray, dens
         islands += _eye_islands(vertices, faces, which, name)
     rest = np.setdiff1d(np.arange(own), np.concatenate([island.triangles for island in islands]))
     islands += _pieces(vertices, faces, rest, "other", np.full(len(vertices), BACK))
-    count = len(vertices) - 2 * 4 * ROW
+    count = len(vertices) - TEETH_VERTICES
     for name, rows, first in (("upper_teeth", UPPER_ROWS, own), ("lower_teeth", LOWER_ROWS, own + TEETH_FACES // 2)):
         which = np.arange(first, first + TEETH_FACES // 2)
         islands.append(_teeth_island(vertices, faces, which, name, rows, count))

@@ -4,7 +4,8 @@ Everything that moves a head goes through `HeadModel`: the add-on, the session, 
 `open_head.load_open_head` (the project's own, the default) and from the user's FLAME file. Needs numpy only; `torch_head`
 is the batched, differentiable twin for training. May import neither torch nor anything above it in the core's map.
 
-Units: metres and radians; y up, face towards +z, the subject's left at +x, origin between the ears.
+Units: metres and radians; y up, face towards +z, the subject's left at +x, origin between the ears (a user's
+FLAME keeps its own origin).
 """
 
 from __future__ import annotations

@@ -212,6 +212,8 @@ def test_flame_npz_rotations_are_the_same_turns(tmp_path):
     assert euler_to_matrix(performance.right_eye_rotation) == pytest.approx(axis_angle_to_matrix(arrays["eyes_pose"][:, 3:]))
     controls = performance.controls(3)
     assert controls.expression == pytest.approx(arrays["expr"][3])
+    assert controls.pose[0] == pytest.approx(performance.head_rotation[3], abs=1e-6)
+    assert controls.pose[1] == pytest.approx(performance.neck_rotation[3], abs=1e-6)
     assert controls.pose[2] == pytest.approx(performance.jaw_rotation[3])
 
 

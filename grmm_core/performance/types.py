@@ -93,13 +93,15 @@ class Performance:
         """Names of the per-frame Euler angles that are present."""
         return tuple(name for name in _ROTATIONS if getattr(self, name) is not None)
 
-    def controls(self, frame: int, head_joint: str = "neck") -> Controls:
+    def controls(self, frame: int, head_joint: str | None = None) -> Controls:
         """Return one frame as avatar controls.
 
         Args:
             frame: 0 .. frame_count - 1.
-            head_joint: Joint that takes `head_rotation` ("root" or "neck"). A neck rotation of the file is added.
+            head_joint: Joint that takes `head_rotation`; by default the root for FLAME tracks, which also turn the neck, and the
+                neck for ARKit recordings.
         """
+        head_joint = head_joint or ("root" if self.head_model == "flame" else "neck")
         result = Controls()
         result.aligned = np.zeros(len(ALIGNED_NAMES), np.float32)
         result.aligned[: len(ARKIT_NAMES)] = self.weights[frame]

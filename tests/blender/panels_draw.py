@@ -1,0 +1,57 @@
+"""Draw every panel of the extension on a recording layout: each property and operator named in it must exist."""
+
+from __future__ import annotations
+
+import bpy
+from support import empty_scene, module, report
+
+
+class Recorder:
+    """Stands in for UILayout: resolves what a panel draws and notes it."""
+
+    def __init__(self, notes: dict[str, list[str]]) -> None:
+        self.notes = notes
+
+    def prop(self, data: object, path: str, **options: object) -> None:
+        value = data.path_resolve(path)
+        if "index" in options:
+            value[options["index"]]
+        self.notes["properties"].append(path if "index" not in options else f"{path}[{options['index']}]")
+
+    def operator(self, name: str, **_: object) -> object:
+        kind, function = name.split(".")
+        self.notes["operators"].append(name)
+        properties = getattr(getattr(bpy.ops, kind), function).get_rna_type().properties
+
+        class Settable:
+            def __setattr__(self, attribute: str, value: object) -> None:
+                assert attribute in properties, f"{name} has no {attribute}"
+
+        return Settable()
+
+    def label(self, text: str = "", **_: object) -> None:
+        self.notes["labels"].append(text)
+
+    def row(self, **_: object) -> Recorder:
+        return Recorder(self.notes)
+
+    column = box = row
+
+
+def draw_all() -> dict[str, list[str]]:
+    notes: dict[str, list[str]] = {"properties": [], "operators": [], "labels": [], "panels": []}
+    for panel in module("grmm_blender.panels").CLASSES:
+        if panel.poll(bpy.context):
+            notes["panels"].append(panel.__name__)
+            # Blender alone can make instances of a panel's class; its content class is plain Python.
+            instance = type("Drawn", panel.__mro__[1:2], {})()
+            instance.layout = Recorder(notes)
+            instance.draw(bpy.context)
+    return notes
+
+
+empty_scene()
+report(without=draw_all())
+bpy.ops.grmm.add_head()
+report(head=draw_all())
+report(registered=[p.bl_rna.identifier for p in module("grmm_blender.panels").CLASSES if p.is_registered])

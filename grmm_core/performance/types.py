@@ -98,8 +98,8 @@ class Performance:
 
         Args:
             frame: 0 .. frame_count - 1.
-            head_joint: Joint that takes `head_rotation`; by default the root for FLAME tracks, which also turn the neck, and the
-                neck for ARKit recordings.
+            head_joint: Joint that takes `head_rotation`; by default the root for FLAME tracks, which also turn the neck, and
+                the neck for ARKit recordings.
         """
         head_joint = head_joint or ("root" if self.head_model == "flame" else "neck")
         result = Controls()

@@ -2,8 +2,8 @@
 
 The skin is one island, cut from the back of the neck over the crown to the hairline. The lips' inner side, the fronts and
 backs of the eyeballs and both rows of teeth have islands of their own. Everything is computed from the user's file with numpy
-alone and without random numbers, so the same file has the same layout everywhere: trained weights depend on it. Called by
-`flame`.
+alone and without random numbers, so that the same file has the same layout everywhere but for the last digits: trained weights
+depend on it. Called by `flame`.
 """
 
 from __future__ import annotations
@@ -291,7 +291,8 @@ def _place(sizes: np.ndarray, scale: float) -> np.ndarray | None:
     corners[0] = (0.5 - boxes[0, 0] / 2, 1 - GUTTER - boxes[0, 1])
     top = corners[0, 1] - GUTTER
     x, shelf = GUTTER, 0.0
-    for index in sorted(range(1, len(boxes)), key=lambda i: (-boxes[i, 1], i)):
+    # rounded: islands of the same height keep their order whatever the last digits are on this machine
+    for index in sorted(range(1, len(boxes)), key=lambda i: (-round(float(boxes[i, 1]), 3), i)):
         if x + boxes[index, 0] > 1 - GUTTER:
             top -= shelf + GUTTER
             x, shelf = GUTTER, 0.0

@@ -1,13 +1,15 @@
 """Blender operators, one topic a file. Each module has a tuple `CLASSES`.
 
-``add_head``  add an avatar to the scene
+``common``              what they share
+``add_head``            add an avatar to the scene
+``import_performance``  keyframes from ARKit JSON and Live Link Face CSV
 """
 
 from __future__ import annotations
 
-from . import add_head
+from . import add_head, import_performance
 
-_TOPICS = (add_head,)
+_TOPICS = (add_head, import_performance)
 
 CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)
 

@@ -60,7 +60,11 @@ def set_keys(
         values: [K].
         group: Channel group of a new curve.
     """
-    curve = bag.fcurves.find(path, index=index) or bag.fcurves.new(path, index=index, group_name=group)
+    curve = bag.fcurves.find(path, index=index)
+    if curve is None:
+        curve = bag.fcurves.new(path, index=index)
+        if group:  # not an argument of `new` in 4.5
+            curve.group = bag.groups.get(group) or bag.groups.new(group)
     kept = np.empty(len(curve.keyframe_points) * 2, np.float32)
     curve.keyframe_points.foreach_get("co", kept)
     kept = kept.reshape(-1, 2)
@@ -70,9 +74,8 @@ def set_keys(
     curve.keyframe_points.clear()
     curve.keyframe_points.add(len(points))
     curve.keyframe_points.foreach_set("co", points.ravel())
-    for point_type, name in (("LINEAR", "interpolation"),):
-        number = bpy.types.Keyframe.bl_rna.properties[name].enum_items[point_type].value
-        curve.keyframe_points.foreach_set(name, np.full(len(points), number, np.int32))
+    linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"].value
+    curve.keyframe_points.foreach_set("interpolation", np.full(len(points), linear, np.int32))
     curve.update()
     return curve
 

@@ -1,0 +1,53 @@
+"""What operators share: which avatar they work on, and how errors reach the user."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import TypeVar
+
+import bpy
+
+from ..grmm_blender.avatar import Avatar, avatar_of
+from ..grmm_core.errors import GrmmError
+
+Result = set[str]
+_Execute = TypeVar("_Execute", bound=Callable[..., Result])
+
+
+def active_avatar(context: bpy.types.Context) -> Avatar | None:
+    """Return the avatar of the active object (its head or its armature)."""
+    return avatar_of(context.object)
+
+
+def needs_avatar(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """`poll` of operators that work on the active avatar."""
+    avatar = active_avatar(context)
+    if avatar is None:
+        cls.poll_message_set("Select the head or the armature of a GRMM avatar")
+        return False
+    if not avatar.object.is_editable:
+        cls.poll_message_set("The avatar is linked; make a library override of it first")
+        return False
+    return True
+
+
+def reports_errors(execute: _Execute) -> _Execute:
+    """Decorate `execute` so that the core's errors become a report and a cancelled operator; defects of ours stay visible."""
+
+    @functools.wraps(execute)
+    def guarded(self: bpy.types.Operator, context: bpy.types.Context) -> Result:
+        try:
+            return execute(self, context)
+        except GrmmError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    return guarded
+
+
+def redraw_values(avatar: Avatar) -> None:
+    """Have Blender evaluate an avatar again after its custom properties were set from Python."""
+    avatar.object.update_tag()
+    if avatar.armature is not None:
+        avatar.armature.update_tag()

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib.util
 import json
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 import torch
 from model_fixtures import ColouredSpheres, small_head
 
-from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, TrainingError
+from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, RuntimeMissingError, TrainingError
 from grmm_core.model.weights import load_weights
 from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
 from grmm_core.training.optimise import MovingAverage, rate_factor
@@ -138,6 +139,15 @@ def test_unusable_folder_and_empty_data_are_explained(head, source, tmp_path):
     source.training = source.training[:0]
     with pytest.raises(TrainingError, match="no training views"):
         Trainer(config(), head, source, tmp_path)
+
+
+def test_curves_for_tensorboard(head, source, tmp_path):
+    if importlib.util.find_spec("tensorboard") is None:
+        with pytest.raises(RuntimeMissingError, match="pip install tensorboard"):
+            Trainer(config(tensorboard=True), head, source, tmp_path)
+        return
+    Trainer(config(tensorboard=True, steps=2), head, source, tmp_path).run()
+    assert list(tmp_path.glob("events.*"))
 
 
 def test_preview_is_a_picture(head, source, tmp_path):

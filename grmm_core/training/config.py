@@ -57,6 +57,7 @@ class TrainConfig:
         evaluate_views: Held-out views in an evaluation.
         threads: Of torch; 0 leaves its choice.
         perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
+        tensorboard: Also write curves for TensorBoard into the run's folder.
     """
 
     model: GRMMConfig
@@ -90,6 +91,7 @@ class TrainConfig:
     refresh_every: int = 0
     threads: int = 0
     perceptual_network: str = ""
+    tensorboard: bool = False
 
     def __post_init__(self) -> None:
         """Check ranges. Raises `ConfigError`."""
@@ -143,10 +145,10 @@ def train_config(model: Mapping[str, Any], training: Mapping[str, Any], losses: 
         raise ConfigError(f"There is no model preset {preset!r}; use one of {', '.join(PRESETS)}.")
     config = PRESETS[preset].replace(**model)
     known = {f.name: str(f.type) for f in dataclasses.fields(TrainConfig) if f.name not in ("model", "losses")}
-    kinds: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float), "str": str}
+    kinds: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float), "str": str, "bool": bool}
     for name, value in training.items():
         if name not in known:
             raise ConfigError(f"Unknown training setting {name!r}; known are {', '.join(sorted(known))}.")
-        if isinstance(value, bool) or not isinstance(value, kinds[known[name]]):
+        if isinstance(value, bool) != (known[name] == "bool") or not isinstance(value, kinds[known[name]]):
             raise ConfigError(f"The training setting {name} is {value!r}; it must be of type {known[name]}.")
     return TrainConfig(config, dict(losses), **training)

@@ -15,6 +15,7 @@ Used by the command line.
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 import json
 import logging
 import os
@@ -27,7 +28,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..errors import CancelledError, ConfigError, FileAccessError, TrainingError
+from ..errors import CancelledError, ConfigError, FileAccessError, RuntimeMissingError, TrainingError
 from ..files import describe_os_error
 from ..model.grmm import GRMM, Rendering
 from ..model.weights import WeightsInfo, head_fingerprint, save_weights
@@ -82,6 +83,9 @@ class Trainer:
         self.rank, self.world = _processes()
         if config.views_per_step % self.world:
             raise ConfigError(f"views_per_step {config.views_per_step} must be a multiple of the {self.world} processes.")
+        if self.world > 1 and config.minutes:
+            raise ConfigError("Several processes cannot follow the clock; set steps, and minutes to 0.")
+        self.curves = _tensorboard(self.folder) if config.tensorboard and self.rank == 0 else None
         torch.manual_seed(config.seed)
         self.model = GRMM(head, config.model).to(device)
         generator = torch.Generator().manual_seed(config.seed + _RANDOM_CODE_INIT)
@@ -315,6 +319,9 @@ class Trainer:
     def _log(self, metrics: dict[str, float]) -> None:
         if self.rank:
             return
+        if self.curves is not None:
+            for name, value in metrics.items():
+                self.curves.add_scalar(name, value, self.step_count)
         try:
             with (self.folder / METRICS).open("a", encoding="utf-8") as file:
                 file.write(json.dumps({k: round(v, 6) for k, v in metrics.items()}) + "\n")
@@ -335,6 +342,15 @@ class _Averaged:
     def __exit__(self, *_: object) -> None:
         if self.average:
             self.average.swap()
+
+
+def _tensorboard(folder: Path) -> Any:
+    """A writer of TensorBoard files. Raises `RuntimeMissingError` where the package is missing."""
+    if importlib.util.find_spec("tensorboard") is None:
+        raise RuntimeMissingError("TensorBoard is not installed; run pip install tensorboard, or switch the setting off.")
+    from torch.utils.tensorboard import SummaryWriter
+
+    return SummaryWriter(str(folder))
 
 
 def _processes() -> tuple[int, int]:

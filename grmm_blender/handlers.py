@@ -35,7 +35,9 @@ def _before_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Non
 def _on_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     playing = _is_playing()
     for avatar in avatars_in(scene):
-        _update(avatar, depsgraph, allow_detail=not playing or avatar.object.grmm.detail_in_playback)
+        wrote = _update(avatar, depsgraph, allow_detail=not playing or avatar.object.grmm.detail_in_playback)
+        if wrote and depsgraph.mode == "RENDER":
+            _animate_again(avatar)
 
 
 @persistent
@@ -60,16 +62,28 @@ def _on_playback_end(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> 
         _update(avatar, depsgraph)
 
 
-def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail: bool = True) -> None:
+def _animate_again(avatar: Avatar) -> None:
+    """Have the frame's animation evaluated once more after something was written.
+
+    What was written is copied into the evaluated scene, and with it the original's controls. In the depsgraph of a render
+    these are not those of the frame: only the window's own depsgraph hands animated values back to the originals.
+    """
+    for data in (avatar.object, avatar.object.data.shape_keys, avatar.armature):
+        if data is not None:
+            data.update_tag(refresh={"TIME"})
+
+
+def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail: bool = True) -> bool:
     global _busy
     detail = allow_detail and (_may_wait() or _is_ready())
     _busy = True
     try:
-        live.update(avatar, depsgraph, detail)
+        wrote = live.update(avatar, depsgraph, detail)
     finally:
         _busy = False
     if allow_detail and not detail and live.state_of(avatar).stale:
         _catch_up_later()
+    return wrote
 
 
 def _touched(updates: Iterable[bpy.types.DepsgraphUpdate]) -> list[Avatar]:

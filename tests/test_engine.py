@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from blender_process import RunBlender
 from exr import read_exr
+from PIL import Image
 
 pytestmark = pytest.mark.blender
 
@@ -111,3 +112,54 @@ def test_film_and_scene(render_script, blender_version):
     assert result["hidden"] == 0
     assert result["agx_alpha"] <= STEP
     assert result["agx_differs"] > 5
+
+
+def test_errors_say_what_is_wrong_and_leave_no_file(run_blender, weights, tmp_path, blender_version):
+    environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
+    done = run_blender("engine_errors.py", weights, tmp_path, python=blender_version, environment=environment)
+    messages, left = done.result["messages"], done.result["left"]
+    wanted = {
+        "nan": "jawOpen is not a finite number",
+        "missing_file": "missing.grmm does not exist",
+        "animation": "missing.grmm does not exist",
+        "broken_file": "broken.grmm",
+        "broken_file_exr": "broken.grmm",
+        "defect": "a defect",
+        "memory": "Not enough memory",
+        "no_camera": "camera",
+        "panoramic": "panoramic",
+        "uneven_scale": "uniform positive scale",
+        "empty_border": "",
+        "unwritable": "",
+        "no_runtime": "no_python",
+        "killed_during": "worker",
+    }
+    for name, text in wanted.items():
+        assert messages[name], name
+        assert text in messages[name], name
+        assert left[name] == [], name
+        assert "Traceback" not in messages[name]
+        assert len(messages[name].removeprefix("Error: ").splitlines()) <= 2, name
+    for name in ("worker", "killed_between"):
+        assert messages[name] == "", name
+        assert left[name] == ["picture.png"], name
+    assert done.result["after"] <= STEP
+    assert done.result["worker"] == "worker"
+    assert done.result["world"] == pytest.approx([255, 0, 0, 255])
+    assert "no visible GRMM avatar" in done.output
+
+
+def test_frames_in_any_order_and_process_are_the_same(render_script, blender_version, tmp_path):
+    render_script("engine_frames.py", "make", python=blender_version)
+    files = render_script("engine_frames.py", "open", python=blender_version)["files"]
+    assert len(files) == 4 + 4 + 2
+    pictures = {name: (tmp_path / name).read_bytes() for name in files}
+    for name in files:
+        frame = name.rpartition("_")[2]
+        np.testing.assert_array_equal(_pixels(tmp_path / name), _pixels(tmp_path / f"forwards_{frame}"), err_msg=name)
+    assert len({pictures[name] for name in files if name.startswith("forwards")}) == 4
+
+
+def _pixels(path: Path) -> np.ndarray:
+    with Image.open(path) as image:
+        return np.asarray(image.convert("RGBA"))

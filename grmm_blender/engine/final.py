@@ -50,8 +50,10 @@ def render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> No
     """
     try:
         _render(engine, depsgraph)
-    except CancelledError:
-        _log.info("The render was cancelled.")
+    except CancelledError as error:
+        # Blender stops by itself when it asked for this; else a blank picture would count as done.
+        if not engine.test_break():
+            engine.report({"ERROR"}, str(error))
     except GrmmError as error:
         engine.report({"ERROR"}, str(error))
     except Exception as error:  # noqa: BLE001 - see above: not even a defect of ours may leave here

@@ -1,0 +1,305 @@
+"""The extension's preferences: what runs the model, installing a runtime, diagnostics.
+
+Values reach other threads through `session_host.configure` only.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
+
+from ..grmm_core.errors import GrmmError
+from . import compat, diagnostics, runtime_install, session_host
+
+_POLL_SECONDS = 0.25
+
+_job: runtime_install.InstallJob | None = None
+
+
+def _apply(preferences: GRMM_AddonPreferences, _context: bpy.types.Context | None = None) -> None:
+    """Hand the values to the session host."""
+    python = bpy.path.abspath(preferences.worker_python) if preferences.worker_python else ""
+    session_host.configure(
+        session_host.RuntimeSettings(
+            mode=preferences.runtime,
+            python=python or runtime_install.installed_python(_folder()),
+            device=preferences.device,
+            threads=preferences.threads,
+            weights=bpy.path.abspath(preferences.weights) if preferences.weights else "",
+        )
+    )
+
+
+class GRMM_AddonPreferences(bpy.types.AddonPreferences):
+    """Preferences of the extension."""
+
+    bl_idname = compat.ROOT_PACKAGE
+
+    runtime: EnumProperty(
+        name="Run the Model",
+        description="Where the neural model runs",
+        items=(
+            ("auto", "Automatic", "In Blender where its Python has torch, else in a worker process"),
+            ("local", "In Blender", "In Blender's own Python, which needs torch"),
+            ("worker", "In a Worker", "In a process of its own: a crash or lack of memory there does not take Blender down"),
+        ),
+        default="auto",
+        update=_apply,
+    )
+    worker_python: StringProperty(
+        name="Worker's Python",
+        description="Python executable with torch and numba for the worker; empty for the installed runtime",
+        subtype="FILE_PATH",
+        update=_apply,
+    )
+    device: EnumProperty(
+        name="Device",
+        description="What the model computes on",
+        items=(
+            ("auto", "Automatic", "CUDA where it works, else the processor"),
+            ("cpu", "Processor", "All machines"),
+            ("cuda", "CUDA", "NVIDIA graphics card"),
+            ("mps", "Metal", "Apple graphics"),
+        ),
+        default="auto",
+        update=_apply,
+    )
+    threads: IntProperty(
+        name="Threads",
+        description="Processor threads for the model; 0 uses all",
+        default=0, min=0, max=1024,
+        update=_apply,
+    )  # fmt: skip
+    weights: StringProperty(
+        name="Weights",
+        description="Trained weights for the default avatar and random people; empty for those that come with the extension",
+        subtype="FILE_PATH",
+        update=_apply,
+    )
+    install_python: StringProperty(
+        name="Base Python",
+        description="Python that the runtime is built upon; empty for Blender's own",
+        subtype="FILE_PATH",
+    )
+    wheels: StringProperty(
+        name="Wheels",
+        description="Folder of wheels to install from without network; empty to fetch packages",
+        subtype="DIR_PATH",
+    )
+    index: StringProperty(
+        name="Package Index",
+        description="Address of a package index, for example one with smaller builds without CUDA; empty for the usual one",
+    )
+    show_install_options: BoolProperty(name="Options", description="Show where the runtime is installed from", default=False)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the preferences."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        status = session_host.runtime_status()
+        layout.label(text=status.message, icon="CHECKMARK" if status.available else "ERROR")
+        column = layout.column()
+        column.prop(self, "runtime")
+        row = column.row()
+        row.active = self.runtime != "local"
+        row.prop(self, "worker_python")
+        column.prop(self, "device")
+        column.prop(self, "threads")
+        column.prop(self, "weights")
+        self._draw_installation(layout.box())
+        layout.operator(GRMM_OT_copy_diagnostics.bl_idname, icon="COPYDOWN")
+
+    def _draw_installation(self, layout: bpy.types.UILayout) -> None:
+        facts = runtime_install.installed_facts(_folder())
+        if _job is not None and _job.running:
+            progress = _job.progress
+            layout.progress(factor=progress.fraction, text=progress.text)
+            layout.operator(GRMM_OT_cancel_runtime.bl_idname, icon="CANCEL")
+            return
+        if facts:
+            versions = ", ".join(f"{name} {facts[name]}" for name in ("python", "torch", "numba") if name in facts)
+            layout.label(text=f"Installed runtime: {versions}")
+        else:
+            layout.label(text="No runtime installed")
+        if _job is not None and _job.error:
+            layout.label(text=_job.error, icon="ERROR")
+        row = layout.row()
+        row.operator(
+            GRMM_OT_install_runtime.bl_idname,
+            text="Try Again" if _job is not None and _job.error else "Reinstall Runtime" if facts else "Install Runtime",
+            icon="IMPORT",
+        )
+        if facts:
+            row.operator(GRMM_OT_remove_runtime.bl_idname, icon="TRASH")
+        icon = "DISCLOSURE_TRI_DOWN" if self.show_install_options else "DISCLOSURE_TRI_RIGHT"
+        layout.prop(self, "show_install_options", icon=icon, emboss=False)
+        if self.show_install_options:
+            layout.prop(self, "install_python")
+            layout.prop(self, "wheels")
+            layout.prop(self, "index")
+
+
+class GRMM_OT_install_runtime(bpy.types.Operator):
+    """Install torch and what else the model needs into a folder of the extension's own."""
+
+    bl_idname = "grmm.install_runtime"
+    bl_label = "Install Runtime"
+    bl_description = "Install torch and what else the model needs into a folder of the extension's own; Blender stays usable"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "INTERNAL"}
+
+    wait: BoolProperty(name="Wait", description="Return when it is done, for scripts", default=False, options={"SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """One installation at a time, and with the user's permission to go online only."""
+        if _job is not None and _job.running:
+            cls.poll_message_set("An installation is running")
+            return False
+        if not bpy.app.online_access and not get().wheels:
+            cls.poll_message_set("Allow Online Access in Preferences > System, or choose a folder of wheels")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Start the installation."""
+        global _job
+        preferences = get()
+        wheels = bpy.path.abspath(preferences.wheels) if preferences.wheels else ""
+        if wheels and not Path(wheels).is_dir():
+            self.report({"ERROR"}, f"{wheels} is not a folder; choose the folder of wheels again.")
+            return {"CANCELLED"}
+        # Nothing may use the runtime while it is replaced.
+        session_host.shutdown()
+        python = bpy.path.abspath(preferences.install_python) if preferences.install_python else sys.executable
+        _job = runtime_install.InstallJob(runtime_install.InstallRequest(_folder(), python, wheels, preferences.index))
+        _job.start()
+        if not self.wait:
+            bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS)
+            return {"FINISHED"}
+        _job.wait()
+        _finish()
+        if _job.error:
+            self.report({"ERROR"}, _job.error)
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class GRMM_OT_cancel_runtime(bpy.types.Operator):
+    """Stop the installation."""
+
+    bl_idname = "grmm.cancel_runtime"
+    bl_label = "Cancel"
+    bl_description = "Stop the installation and remove what it fetched so far"
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only while one runs."""
+        return _job is not None and _job.running
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Stop it."""
+        _job.cancel()
+        return {"FINISHED"}
+
+
+class GRMM_OT_remove_runtime(bpy.types.Operator):
+    """Delete the installed runtime."""
+
+    bl_idname = "grmm.remove_runtime"
+    bl_label = "Remove"
+    bl_description = "Delete the installed runtime; avatars keep their rigs and can be rendered after another installation"
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Not while one is being installed."""
+        return _job is None or not _job.running
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Ask first."""
+        return context.window_manager.invoke_confirm(self, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Delete it."""
+        session_host.shutdown()
+        try:
+            runtime_install.remove(_folder())
+        except GrmmError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        _apply(get())
+        return {"FINISHED"}
+
+
+class GRMM_OT_copy_diagnostics(bpy.types.Operator):
+    """Copy a text about versions, devices and the runtime, for a bug report."""
+
+    bl_idname = "grmm.copy_diagnostics"
+    bl_label = "Copy Diagnostics"
+    bl_description = "Copy a text about versions, devices and the runtime to the clipboard, for a bug report"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Copy it."""
+        text = diagnostics.report()
+        if _job is not None and _job.log:
+            text += "\n\nInstallation's last lines:\n" + _job.log
+        context.window_manager.clipboard = text
+        self.report({"INFO"}, "The diagnostics are in the clipboard")
+        return {"FINISHED"}
+
+
+CLASSES = (
+    GRMM_OT_install_runtime,
+    GRMM_OT_cancel_runtime,
+    GRMM_OT_remove_runtime,
+    GRMM_OT_copy_diagnostics,
+    GRMM_AddonPreferences,
+)
+
+
+def get() -> GRMM_AddonPreferences:
+    """Return the preferences."""
+    return bpy.context.preferences.addons[compat.ROOT_PACKAGE].preferences
+
+
+def register() -> None:
+    """Use the saved values."""
+    _apply(get())
+
+
+def unregister() -> None:
+    """Stop an installation; there is nobody left to watch it."""
+    if bpy.app.timers.is_registered(_poll):
+        bpy.app.timers.unregister(_poll)
+    if _job is not None and _job.running:
+        _job.cancel()
+        _job.wait()
+
+
+def _folder() -> Path:
+    return Path(compat.user_folder(""))
+
+
+def _poll() -> float | None:
+    """Timer while an installation runs: show its progress, then use the result."""
+    manager = bpy.context.window_manager
+    for window in manager.windows if manager is not None else ():
+        for area in window.screen.areas:
+            if area.type == "PREFERENCES":
+                area.tag_redraw()
+    if _job is not None and _job.running:
+        return _POLL_SECONDS
+    _finish()
+    return None
+
+
+def _finish() -> None:
+    if _job is not None and not _job.error:
+        _apply(get())

@@ -16,7 +16,7 @@ import threading
 from dataclasses import dataclass
 from typing import Literal
 
-from ..grmm_core.errors import GrmmError
+from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from ..grmm_core.session import (
     WORKER_PYTHON_VARIABLE,
     AvatarInfo,
@@ -29,6 +29,10 @@ from ..grmm_core.session import (
 _log = logging.getLogger(__name__)
 
 SAMPLE_PREFIX = "sample:"
+NO_RUNTIME = (
+    "The model needs torch, which this Blender does not have; install the runtime, or choose a Python, "
+    "in the preferences of the GRMM extension."
+)
 CLASSES = ()
 
 Mode = Literal["auto", "local", "worker"]
@@ -84,6 +88,12 @@ def configure(settings: RuntimeSettings) -> None:
     shutdown()
 
 
+def settings() -> RuntimeSettings:
+    """Return the settings in use."""
+    with _lock:
+        return _settings
+
+
 def get_session() -> Session:
     """Return the session, made on the first call. Safe on any thread; never close the result.
 
@@ -102,6 +112,9 @@ def get_session() -> Session:
                     threads=_settings.threads or None,
                     weights=_settings.weights or None,
                 )
+            except RuntimeMissingError as error:
+                _last_error = NO_RUNTIME
+                raise RuntimeMissingError(NO_RUNTIME) from error
             except GrmmError as error:
                 _last_error = str(error)
                 raise
@@ -128,18 +141,18 @@ def open_avatar(source: str) -> AvatarInfo:
 def runtime_status() -> RuntimeStatus:
     """Return what runs the model, for panels; cheap, starts nothing."""
     with _lock:
-        session, settings, error = _session, _settings, _last_error
+        session, current, error = _session, _settings, _last_error
     if session is not None:
         details = session.status()
         where = "in Blender" if details.kind == "local" else "in a worker process"
         return RuntimeStatus(True, f"The model runs {where}.", details)
     if error:
         return RuntimeStatus(False, error)
-    if settings.mode != "worker" and has_torch():
+    if current.mode != "worker" and has_torch():
         return RuntimeStatus(True, "The model will run in Blender.")
-    if settings.python or settings.mode == "worker" or os.environ.get(WORKER_PYTHON_VARIABLE):
+    if current.mode != "local" and (current.python or os.environ.get(WORKER_PYTHON_VARIABLE) or has_torch()):
         return RuntimeStatus(True, "The model will run in a worker process.")
-    return RuntimeStatus(False, "No runtime: install one or choose a Python with torch in the extension's preferences.")
+    return RuntimeStatus(False, NO_RUNTIME)
 
 
 def memory_megabytes() -> float:

@@ -9,7 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from blender_process import RunBlender
+from blender_process import RunBlender, find_python
 
 pytestmark = pytest.mark.blender
 
@@ -48,16 +48,18 @@ def write_wheel(folder: Path, name: str, version: str) -> None:
         archive.writestr(f"{info}/RECORD", "\n".join([*record, f"{info}/RECORD,,"]) + "\n")
 
 
-def test_runtime_from_wheels(run_blender: RunBlender, blender_version: str, tmp_path: Path):
+@pytest.mark.parametrize("version", ["4.5", pytest.param("5.2", marks=pytest.mark.slow)])
+def test_runtime_from_wheels(run_blender: RunBlender, version: str, tmp_path: Path):
+    find_python(version)
     wheels, empty = tmp_path / "wheels", tmp_path / "empty"
     wheels.mkdir()
     empty.mkdir()
     for name, version in FAKES.items():
         write_wheel(wheels, name, version)
-    result = run_blender("preferences_runtime.py", wheels, empty, python=blender_version, fresh=True).result
+    result = run_blender("preferences_runtime.py", wheels, empty, python=version, fresh=True).result
     assert result["online"] is False
     assert result["offline_poll"] is False
-    assert "no package torch" in result["empty"]
+    assert "There is no package" in result["empty"]
     assert result["after_empty"] == []
     assert "is not a folder" in result["no_folder"]
     assert "cannot be started" in result["no_python"]
@@ -67,12 +69,11 @@ def test_runtime_from_wheels(run_blender: RunBlender, blender_version: str, tmp_
     assert result["installed"] == ""
     assert result["after_install"] == ["runtime"]
     assert result["facts"]["torch"] == "2.6.0"
-    assert result["python_there"]
+    assert result["found"]
     assert "runtime" in result["python"]
     assert result["progress"] == 1.0
     assert "torch 2.6.0" in result["diagnostics"]
     assert result["home"] not in result["diagnostics"]
-    assert (result["again"], result["after_again"]) == ("", ["runtime"])
     assert result["settings"] == ["cpu", 3, "worker"]
     assert result["after_remove"] == []
     assert result["python_after_remove"] == ""

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import atexit
 import functools
+import hashlib
 import importlib.util
 import json
 import os
@@ -33,6 +34,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = ROOT / "tests" / "blender"
 PYTHON_52_VARIABLE = "GRMM_BPY52_PYTHON"
+KERNEL_TIME = 1_700_000_000  # seconds; any constant
 DEFAULT_TIMEOUT = 180.0  # seconds; numba may compile for the first time
 
 
@@ -97,7 +99,36 @@ def user_folder(version: str) -> Path:
     folder = _temporary_folder()
     done = _launch(version, folder, "install.py", [str(extension_zip())], DEFAULT_TIMEOUT, enable=False)
     assert done.returncode == 0, done.output
+    _keep_kernels(folder / "extensions" / "user_default" / "grmm" / "grmm_core", version)
     return folder
+
+
+def _keep_kernels(core: Path, version: str) -> None:
+    """Lend the installed core the kernels that an earlier test run compiled, and take back what this run adds.
+
+    Compiling them takes longer than most tests. Numba accepts a compiled form when the source has the same time and size; the
+    store is named after the contents of all sources, so that nothing outdated can be lent.
+    """
+    folder = core / "splat" / "cpu"
+    sources = sorted(folder.glob("*.py"))
+    digest = hashlib.sha256(version.encode())
+    for source in sources:
+        digest.update(source.read_bytes())
+        os.utime(source, (KERNEL_TIME, KERNEL_TIME))
+    store = ROOT / "build" / "test-kernels" / digest.hexdigest()[:16]
+    cache = folder / "__pycache__"
+    if store.exists():
+        shutil.copytree(store, cache, dirs_exist_ok=True)
+
+    def take_back() -> None:
+        compiled = [path for path in cache.glob("*.nb*") if not (store / path.name).exists()]
+        if compiled:
+            store.mkdir(parents=True, exist_ok=True)
+            # The index of a kernel names its data files, so data goes first.
+            for path in sorted(cache.glob("*.nb*"), key=lambda path: path.suffix):
+                shutil.copy2(path, store)
+
+    atexit.register(take_back)
 
 
 def _run(

@@ -66,6 +66,16 @@ class Avatar:
                 return modifier.object
         return None
 
+    @property
+    def mesh_owner(self) -> bpy.types.Object | None:
+        """The head whose properties drive the mesh's shape keys: another one for a linked duplicate, None where none does."""
+        keys = self.object.data.shape_keys
+        data = keys.animation_data if keys is not None else None
+        for curve in data.drivers if data is not None else ():
+            for variable in curve.driver.variables:
+                return variable.targets[0].id
+        return None
+
     def controls(self, depsgraph: bpy.types.Depsgraph | None = None) -> Controls:
         """Return the controls of the current frame, not validated.
 

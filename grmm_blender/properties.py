@@ -7,12 +7,21 @@ from __future__ import annotations
 
 import bpy
 
+from ..grmm_core.expressions import JOINT_NAMES
+from .avatar import Avatar
+from .rig.build import show_source
 from .rig.identity import DEFAULT_SOURCE
 
 
 def _changed(self: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
     """Have the head looked at again (see `handlers`)."""
     self.id_data.update_tag()
+
+
+def _source_changed(self: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
+    """Give the rig the shape of the avatar that was named; a file that cannot be used is said in the panel."""
+    if self.is_avatar:
+        show_source(Avatar(self.id_data))
 
 
 class GRMM_PG_avatar(bpy.types.PropertyGroup):
@@ -29,11 +38,18 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
         description='The avatar that is drawn: "default", "sample:NUMBER", or a .grmm file',
         default=DEFAULT_SOURCE,
         subtype="FILE_PATH",
+        update=_source_changed,
     )
     head_name: bpy.props.StringProperty(
         name="Head model",
         description="Head model that the rig was built from",
         default="",
+        options={"HIDDEN"},
+    )
+    joint_offset: bpy.props.FloatVectorProperty(
+        name="Joint Offset",
+        description="From the joints that the armature was built with to those of the avatar, head axes, metres",
+        size=3 * len(JOINT_NAMES),
         options={"HIDDEN"},
     )
     live_detail: bpy.props.BoolProperty(

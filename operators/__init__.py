@@ -3,13 +3,14 @@
 ``common``              what they share
 ``add_head``            add an avatar to the scene
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV
+``edit``                reset, mirror, random expression and identity, independent copies
 """
 
 from __future__ import annotations
 
-from . import add_head, import_performance
+from . import add_head, edit, import_performance
 
-_TOPICS = (add_head, import_performance)
+_TOPICS = (add_head, import_performance, edit)
 
 CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)
 

@@ -67,6 +67,16 @@ def make_armature(context: bpy.types.Context, name: str, head: HeadModel, joints
     return obj
 
 
+def rest_joints(obj: bpy.types.Object) -> np.ndarray:
+    """Joints that an armature was built with, head axes, metres, [5, 3]; zero where a bone was removed."""
+    joints = np.zeros((len(JOINT_NAMES), 3), np.float32)
+    for joint, name in enumerate(JOINT_NAMES):
+        bone = obj.data.bones.get(name)
+        if bone is not None:
+            joints[joint] = REST_AXES.inverted() @ bone.head_local
+    return joints
+
+
 def shift_joints(obj: bpy.types.Object, shifts: np.ndarray, parents: list[int]) -> bool:
     """Move the joints with the person's shape.
 

@@ -1,12 +1,13 @@
-"""Puts an avatar into a scene. Called by the add-head operator."""
+"""Puts an avatar into a scene. Called by operators and by the source property."""
 
 from __future__ import annotations
 
 import bpy
 
+from ...grmm_core.errors import FileFormatError, GrmmError
 from ...grmm_core.expressions import ALIGNED_NAMES
 from ..avatar import Avatar
-from . import armature, drivers, mesh
+from . import armature, drivers, live, mesh
 from .definitions import (
     ALIGNED_RANGE,
     ARRAY_DESCRIPTIONS,
@@ -21,7 +22,7 @@ from .definitions import (
     Range,
     describe_aligned,
 )
-from .identity import Identity
+from .identity import Identity, read_identity
 
 MODIFIER_NAME = "Armature"
 
@@ -45,9 +46,9 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
     drivers.drive_shape_keys(obj, head)
     drivers.drive_bones(rig, obj, head, identity.resting_pose)
     _bind(obj, rig)
-    obj.grmm.is_avatar = True
-    obj.grmm.source = source
+    obj.grmm.source = source  # before it is an avatar: nothing has to be brought in step
     obj.grmm.head_name = head.name
+    obj.grmm.is_avatar = True
     rig.location = context.scene.cursor.location
     for other in context.selected_objects:
         other.select_set(False)
@@ -69,6 +70,64 @@ def add_properties(obj: bpy.types.Object, identity: Identity) -> None:
     for name, size in sizes.items():
         _add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])
     _add_property(obj, STRENGTH, 1.0, STRENGTH_RANGE, STRENGTH_DESCRIPTION)
+
+
+def show_source(avatar: Avatar) -> str:
+    """Give a rig the resting shape of its source after the source was changed; controls and animation stay.
+
+    Returns:
+        One sentence where that is not possible, else an empty string; panels show it too.
+    """
+    state = live.state_of(avatar)
+    try:
+        change_identity(avatar, read_identity(avatar.source))
+        state.message = ""
+    except GrmmError as error:
+        state.message = str(error)
+    return state.message
+
+
+def change_identity(avatar: Avatar, identity: Identity) -> None:
+    """Make a rig another person's.
+
+    Raises:
+        FileFormatError: The person belongs to another head model.
+        GrmmError: The head's mesh is linked or shared.
+    """
+    obj, rig, head = avatar.object, avatar.armature, identity.head
+    if head.name != obj.grmm.head_name:
+        raise FileFormatError(f"{identity.name} belongs to the head model {head.name!r}; add it as a head of its own.")
+    problem = live.limitation(avatar)
+    if problem:
+        raise FileFormatError(problem)
+    mesh.rebase(obj, identity.vertices)
+    drivers.set_resting_pose(rig, identity.resting_pose)
+    offset = identity.joints - armature.rest_joints(rig)  # [5, 3]
+    obj.grmm.joint_offset = offset.ravel().tolist()
+    for name, size in ((Z_ID, identity.z_id_size), (Z_EXP, identity.z_exp_size)):
+        values = obj[name].to_list()
+        if len(values) != size:
+            kept = (values + [0.0] * size)[:size]
+            _add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])
+            obj[name] = kept
+    live.state_of(avatar).shape_for = None
+    live.state_of(avatar).detail_for = None
+    obj.update_tag()
+    rig.update_tag()
+
+
+def make_independent(avatar: Avatar) -> None:
+    """Give a linked duplicate a mesh of its own, driven by its own properties."""
+    obj, owner = avatar.object, avatar.mesh_owner
+    obj.data = obj.data.copy()
+    for curve in obj.data.shape_keys.animation_data.drivers:
+        for variable in curve.driver.variables:
+            for target in variable.targets:
+                if target.id == owner:
+                    target.id = obj
+    live.state_of(avatar).shape_for = None
+    live.state_of(avatar).detail_for = None
+    obj.update_tag()
 
 
 def _add_property(obj: bpy.types.Object, name: str, value: float | list[float], limits: Range, description: str) -> None:

@@ -127,14 +127,36 @@ def _update_shape(avatar: Avatar, head: HeadModel, shape: np.ndarray, state: Liv
     state.shape_for = digest
     obj, rig, first = avatar.object, avatar.armature, leading_shapes(head)
     wrote = False
-    if obj.data.is_editable:
+    if _may_write(avatar):
         wrote = write_offsets(obj, SHAPE_REST_KEY, shape[first:] @ _small_shapes(head)[: shape[first:].size])
     if rig is not None and rig.is_editable:
-        shifts = head.joint_dirs[:, :, : shape.size] @ shape  # [5, 3]
+        shifts = head.joint_dirs[:, :, : shape.size] @ shape + np.reshape(obj.grmm.joint_offset, (-1, 3))  # [5, 3]
         if shift_joints(rig, shifts, joint_parents(head)):
             rig.update_tag(refresh={"DATA"})
             wrote = True
     return wrote
+
+
+def limitation(avatar: Avatar) -> str:
+    """Return one sentence where the mesh cannot follow all controls, else an empty string; GRMM renders always follow them."""
+    mesh, owner = avatar.object.data, avatar.mesh_owner
+    if owner not in (None, avatar.object):
+        return f"The mesh is shared with {owner.name} and follows that head; make this head independent."
+    if mesh.library is not None:
+        return "The mesh is linked and stays as it was saved; make a library override to animate it."
+    if mesh.override_library is not None:
+        return "The mesh is a library override: small shape components and learned detail stay as in the library."
+    if mesh.shape_keys is None:
+        return "The mesh has no shape keys any more and follows only the bones; add the head again."
+    if avatar.armature is None:
+        return "The armature is missing: neck, jaw and eyes cannot turn; add the head again."
+    return ""
+
+
+def _may_write(avatar: Avatar) -> bool:
+    """Whether the keys of the head's mesh are this avatar's, and can be written at all (Blender ignores it on overrides)."""
+    mesh = avatar.object.data
+    return mesh.library is None and mesh.override_library is None and avatar.mesh_owner in (None, avatar.object)
 
 
 @functools.lru_cache(maxsize=2)
@@ -148,7 +170,7 @@ def _update_detail(avatar: Avatar, head: HeadModel, controls: Controls, state: L
     """Write what the model and the pose correctives add to the unposed mesh into the residual key."""
     obj = avatar.object
     wanted = obj.grmm.live_detail or head.posedirs is not None
-    if not obj.data.is_editable or not (wanted or state.detail_for):
+    if not _may_write(avatar) or not (wanted or state.detail_for):
         state.stale = False
         return False
     digest = _digest(avatar, controls) if wanted else None

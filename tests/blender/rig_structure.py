@@ -1,0 +1,156 @@
+"""What a head consists of, and edits of it without the model: rig_structure.py."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+from rig_support import core_mesh, fresh_head, largest, mesh_of, new_head, randomise, update, without_detail
+from support import module, report
+
+live = module("grmm_blender.rig.live")
+avatars_in = module("grmm_blender.avatar").avatars_in
+
+
+def structure(avatar) -> dict:
+    head, rig = avatar.object, avatar.armature
+    drivers = [*head.data.shape_keys.animation_data.drivers, *rig.animation_data.drivers]
+    limits = {name: head.id_properties_ui(name).as_dict() for name in ("jawOpen", "shape", "z_exp", "residual_strength")}
+    return {
+        "driver_types": sorted({curve.driver.type for curve in drivers}),
+        "valid": all(curve.is_valid and curve.driver.is_valid for curve in drivers),
+        "keys": [key.name for key in head.data.shape_keys.key_blocks],
+        "properties": [key for key in head.keys() if key != "grmm"],  # noqa: SIM118
+        "overridable": all(head.is_property_overridable_library(f'["{n}"]') for n in ("jawOpen", "shape", "residual_strength")),
+        "limits": {n: [u["min"], u["max"], u["soft_min"], u["soft_max"], bool(u["description"])] for n, u in limits.items()},
+        "bones": sorted(bone.name for bone in rig.data.bones if not bone.name.startswith(("MCH-", "DEF-", "DRV-"))),
+        "preserve_volume": head.modifiers[0].use_deform_preserve_volume,
+        "uv_overlap_free": len(head.data.uv_layers) == 1,
+    }
+
+
+def names() -> dict:
+    definitions = module("grmm_blender.rig.definitions")
+    mirrored = definitions.mirrored
+    return {
+        "once": [mirrored(name) for name in definitions.ALIGNED_NAMES],
+        "twice": [mirrored(mirrored(name)) for name in definitions.ALIGNED_NAMES],
+        "examples": [
+            mirrored("jawLeft"), mirrored("left_eye"), mirrored("unitEyeLeftSlit"), definitions.label("mouthSmileLeft"),
+        ],
+        "regions": [name for region in definitions.REGIONS.values() for name in region],
+    }  # fmt: skip
+
+
+def bone_and_slider_add_up(avatar) -> float:
+    """Turn the jaw by hand while an expression opens it."""
+    avatar.object["jawOpen"] = 0.6
+    avatar.armature.pose.bones["jaw"].rotation_euler = (0.1, -0.05, 0.02)
+    update(avatar)
+    return largest(mesh_of(avatar) - core_mesh(avatar))
+
+
+def clamped(avatar) -> float:
+    avatar.object.keyframe_insert('["jawOpen"]', frame=1)
+    curve = next(iter(module("grmm_blender.rig.actions").action_curves(avatar.object)))
+    curve.keyframe_points[0].co[1] = 50.0
+    curve.update()
+    bpy.context.scene.frame_set(1)
+    value = float(avatar.controls().aligned[24])
+    avatar.object.animation_data_clear()
+    return value
+
+
+def not_a_number(avatar) -> list:
+    avatar.object["jawOpen"] = math.nan
+    update(avatar)
+    message = live.state_of(avatar).message
+    avatar.object["jawOpen"] = 0.0
+    update(avatar)
+    return [message, live.state_of(avatar).message, largest(mesh_of(avatar) - core_mesh(avatar))]
+
+
+def undone(avatar) -> dict:
+    """Undo a change of shape: mesh, joints and properties go back together."""
+    name = avatar.object.name
+    bpy.ops.ed.undo_push(message="before")
+    before = mesh_of(avatar)
+    randomise(avatar, np.random.default_rng(1))
+    bpy.ops.ed.undo_push(message="after")
+    changed = largest(mesh_of(avatar) - before)
+    bpy.ops.ed.undo()
+    again = module("grmm_blender.avatar").Avatar(bpy.data.objects[name])
+    update(again)
+    return {
+        "changed": changed,
+        "back": largest(mesh_of(again) - before),
+        "parity": largest(mesh_of(again) - core_mesh(again)),
+    }
+
+
+def duplicates() -> dict:
+    first = without_detail(fresh_head())
+    randomise(first, np.random.default_rng(2))
+    for obj in (first.object, first.armature):
+        obj.select_set(True)
+    bpy.ops.object.duplicate(linked=False)
+    second = next(a for a in avatars_in(bpy.context.scene) if a != first)
+    before = mesh_of(first)
+    randomise(second, np.random.default_rng(3))
+    full = {
+        "first": largest(mesh_of(first) - before),
+        "second": largest(mesh_of(second) - core_mesh(second)),
+        "apart": largest(mesh_of(second) - before),
+        "own_rig": second.armature != first.armature,
+    }
+    bpy.ops.object.select_all(action="DESELECT")
+    for obj in (first.object, first.armature):
+        obj.select_set(True)
+    bpy.ops.object.duplicate(linked=True)
+    third = next(a for a in avatars_in(bpy.context.scene) if a not in (first, second))
+    randomise(third, np.random.default_rng(4))
+    shared = {"message": live.limitation(third), "first": largest(mesh_of(first) - core_mesh(first))}
+    bpy.context.view_layer.objects.active = third.object
+    bpy.ops.grmm.make_independent()
+    randomise(third, np.random.default_rng(5))
+    shared |= {
+        "after": live.limitation(third),
+        "third": largest(mesh_of(third) - core_mesh(third)),
+        "first_after": largest(mesh_of(first) - core_mesh(first)),
+    }
+    # one deleted
+    for obj in (second.object, second.armature):
+        bpy.data.objects.remove(obj)
+    randomise(first, np.random.default_rng(6))
+    deleted = {"left": len(avatars_in(bpy.context.scene)), "parity": largest(mesh_of(first) - core_mesh(first))}
+    bpy.data.objects.remove(third.armature)
+    bpy.context.view_layer.update()
+    no_rig = {"message": live.limitation(third), "pose": largest(third.controls().pose)}
+    return {"full": full, "linked": shared, "deleted": deleted, "no_rig": no_rig}
+
+
+def elsewhere() -> dict:
+    """Heads added from edit-like modes, hidden collections, and with names taken."""
+    fresh_head()
+    rig = module("grmm_blender.avatar").avatar_of(bpy.context.object).armature
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="POSE")
+    polled = bpy.ops.grmm.add_head.poll()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    hidden = bpy.data.collections.new("hidden")
+    bpy.context.scene.collection.children.link(hidden)
+    layer = bpy.context.view_layer.layer_collection.children["hidden"]
+    bpy.context.view_layer.active_layer_collection = layer
+    layer.exclude = True
+    second = new_head()
+    return {"pose_mode": polled, "second": second.object.name in bpy.context.view_layer.objects, "name": second.name}
+
+
+avatar = without_detail(fresh_head())
+report(structure=structure(avatar), added=bone_and_slider_add_up(avatar), clamped=clamped(avatar))
+report(names=names())
+report(nan=not_a_number(avatar))
+report(undo=undone(avatar))
+report(**duplicates())
+report(elsewhere=elsewhere())

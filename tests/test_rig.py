@@ -1,0 +1,124 @@
+"""The rig in Blender: the same controls give the same vertices as the core, whatever sets them and however heads are copied."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from blender_process import RunBlender
+
+from grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
+from grmm_core.head import load_open_head
+
+pytestmark = pytest.mark.blender
+
+PARITY = 1e-5  # metres
+ANGLE = 1e-6  # radians
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("torch")
+    from tiny_model import write_tiny_weights
+
+    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
+
+
+def test_mesh_agrees_with_the_core(run_blender: RunBlender, blender_version: str, weights: Path):
+    environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
+    result = run_blender("rig_parity.py", weights, python=blender_version, environment=environment).result
+    assert result["rest"] < PARITY
+    assert max(result["model"]) < PARITY
+    assert max(result["head"]) < PARITY
+    assert max(result["frames"]) < PARITY
+    assert result["moved"] < 2 * PARITY  # the armature is scaled by two
+    assert max(result["controls"]) < ANGLE
+    for name, (error, effect) in result["single"].items():
+        assert error < PARITY, name
+        assert effect > 3 * PARITY, name
+
+
+@pytest.fixture(scope="module", params=["4.5", "5.2"])
+def structure(request: pytest.FixtureRequest, run_blender: RunBlender) -> dict:
+    from blender_process import find_python
+
+    find_python(request.param)
+    return run_blender("rig_structure.py", python=request.param).result
+
+
+def test_a_head_has_named_controls_with_ranges(structure):
+    found = structure["structure"]
+    head = load_open_head()
+    assert set(ALIGNED_NAMES) | {"shape", "expression", "z_id", "z_exp", "residual_strength"} == set(found["properties"])
+    assert set(head.expression_names) | {"shape.0", "residual", "visemeAA"} <= set(found["keys"])
+    assert found["keys"].index("residual") == len(found["keys"]) - 1
+    assert found["bones"] == sorted(JOINT_NAMES)
+    assert found["limits"]["jawOpen"] == [-1.0, 2.0, 0.0, 1.0, True]
+    assert all(limits[4] for limits in found["limits"].values())
+    assert found["overridable"]
+
+
+def test_drivers_need_no_scripts(structure):
+    assert structure["structure"]["driver_types"] == ["SUM"]
+    assert structure["structure"]["valid"]
+    assert not structure["structure"]["preserve_volume"]
+
+
+def test_hand_and_slider_add_up(structure):
+    assert structure["added"] < PARITY
+
+
+def test_keyed_values_stay_in_range(structure):
+    assert structure["clamped"] == 2.0
+
+
+def test_a_nan_control_is_a_message(structure):
+    message, after, error = structure["nan"]
+    assert "jawOpen" in message
+    assert message.count(".") == 1
+    assert after == ""
+    assert error < PARITY
+
+
+def test_undo_takes_mesh_and_joints_back(structure):
+    undo = structure["undo"]
+    assert undo["changed"] > 1e-3
+    assert undo["back"] < PARITY
+    assert undo["parity"] < PARITY
+
+
+def test_a_full_duplicate_is_independent(structure):
+    full = structure["full"]
+    assert full["own_rig"]
+    assert full["first"] == 0.0
+    assert full["second"] < PARITY
+    assert full["apart"] > 1e-3
+
+
+def test_a_linked_duplicate_says_what_it_shares(structure):
+    linked = structure["linked"]
+    assert "make this head independent" in linked["message"]
+    assert linked["first"] < PARITY  # the copy's values do not reach the mesh that they share
+    assert linked["after"] == ""
+    assert linked["third"] < PARITY
+    assert linked["first_after"] < PARITY
+
+
+def test_deleting_parts(structure):
+    assert structure["deleted"] == {"left": 2, "parity": pytest.approx(0.0, abs=PARITY)}
+    assert "armature is missing" in structure["no_rig"]["message"]
+    assert structure["no_rig"]["pose"] == 0.0
+
+
+def test_adding_heads_in_odd_places(structure):
+    assert structure["elsewhere"]["pose_mode"] is False
+    assert structure["elsewhere"]["second"] is True
+
+
+def test_names_sides_and_regions(structure):
+    names = structure["names"]
+    assert names["twice"] == list(ALIGNED_NAMES)
+    assert set(names["once"]) == set(ALIGNED_NAMES)
+    assert names["examples"] == ["jawRight", "right_eye", "unitEyeRightSlit", "Mouth Smile Left"]
+    assert sorted(names["regions"]) == sorted(ALIGNED_NAMES)

@@ -96,7 +96,8 @@ class Camera:
         """Return a camera on a sphere around `target` that looks at it.
 
         Args:
-            width, height: Picture size in pixels.
+            width: Pixels.
+            height: Pixels.
             yaw: Degrees; 0 sees the face from the front (+z), positive walks to the subject's left (+x).
             pitch: Degrees; positive looks from above.
             distance: Metres from the target.
@@ -123,7 +124,8 @@ class Camera:
         Args:
             view: World to OpenGL camera (x right, y up, z backward), [4, 4]; without scale.
             projection: Perspective or orthographic clip matrix, [4, 4]. Lens shift and pixel aspect are in it.
-            width, height: Picture size in pixels.
+            width: Pixels.
+            height: Pixels.
         """
         projection = np.asarray(projection, np.float64)
         orthographic = bool(abs(projection[3, 3]) > 0.5)

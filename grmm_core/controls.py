@@ -91,7 +91,7 @@ class Controls:
             raise ShapeError(f"Controls.pose has shape {clean['pose'].shape}; it must be ({len(JOINT_NAMES)}, 3).")
         for name, limit in _ARRAY_LIMITS.items():
             if clean[name].ndim != 1 or clean[name].size > limit:
-                raise ShapeError(f"Controls.{name} has shape {clean[name].shape}; it must be one row of at most {limit} values.")
+                raise ShapeError(f"Controls.{name} has shape {clean[name].shape}; it must be one row, at most {limit} long.")
         strength = float(clean.pop("residual_strength"))
         return replace(self, **clean, residual_strength=strength)
 
@@ -179,7 +179,7 @@ def _locate(name: str) -> list[tuple[str, tuple[int, ...]]]:
     if group == "eyes" and member in ("pitch", "yaw"):
         return [("pose", (JOINT_NAMES.index(eye), _AXES[member])) for eye in ("left_eye", "right_eye")]
     raise ControlError(
-        f"There is no control named {name!r}; use an ARKit name such as jawOpen, or expression.N, shape.N, jaw.x, neck.y, eyes.yaw."
+        f"There is no control named {name!r}; use an ARKit name such as jawOpen, or expression.N, shape.N, jaw.x, eyes.yaw."
     )
 
 

@@ -32,7 +32,9 @@ MIXTURES: MappingProxyType[str, MappingProxyType[str, float]] = MappingProxyType
     name: MappingProxyType(recipe)
     for name, recipe in {
         "visemeAA": {"jawOpen": 0.55, **_both("mouthLowerDown", 0.3), **_both("mouthUpperUp", 0.2)},
-        "visemeEE": {"jawOpen": 0.15, **_both("mouthSmile", 0.4), **_both("mouthStretch", 0.45), **_both("mouthLowerDown", 0.35)},
+        "visemeEE": {
+            "jawOpen": 0.15, **_both("mouthSmile", 0.4), **_both("mouthStretch", 0.45), **_both("mouthLowerDown", 0.35),
+        },
         "visemeOO": {"jawOpen": 0.2, "mouthPucker": 0.7, "mouthFunnel": 0.45},
         "visemeFV": {"jawOpen": 0.1, "mouthRollLower": 0.75, **_both("mouthUpperUp", 0.35)},
         "surprise": {

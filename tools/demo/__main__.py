@@ -51,7 +51,8 @@ def _run(out: Path, performance: Path, own: bool) -> int:
     print("demo: drawing the contact sheet", flush=True)
     with create_session() as session:
         write_sheet(out / "contact_sheet.png", session, sorted((out / "frames").glob("*.png")))
-    print(f"demo: done in {time.monotonic() - started:.0f} s; look at {out / 'contact_sheet.png'} and {out / 'performance.mp4'}")
+    seconds = time.monotonic() - started
+    print(f"demo: done in {seconds:.0f} s; look at {out / 'contact_sheet.png'} and {out / 'performance.mp4'}")
     return 0
 
 

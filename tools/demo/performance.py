@@ -48,7 +48,7 @@ def write_performance(path: Path) -> None:
     document = {
         "names": list(ARKIT_NAMES),
         "metadata": {"fps": FRAMES_PER_SECOND},
-        "frames": [{"weights": [round(float(w), 4) for w in row], "time": float(t)} for row, t in zip(weights, times, strict=True)],
+        "frames": [{"weights": np.round(row, 4).tolist(), "time": float(t)} for row, t in zip(weights, times, strict=True)],
     }
     path.write_text(json.dumps(document), encoding="utf-8")
 

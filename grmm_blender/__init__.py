@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import atexit
 import importlib
-import importlib.util
 from types import ModuleType
 
 import bpy
@@ -33,7 +32,6 @@ MODULES = (
     "..operators",
     ".panels",
     ".engine",
-    ".viewport",
     ".handlers",
     ".session_host",
 )
@@ -50,13 +48,7 @@ def register() -> None:
     atexit.register(unregister)
     try:
         for name in MODULES:
-            try:
-                module = importlib.import_module(name, __package__)
-            except ModuleNotFoundError as error:
-                if error.name == importlib.util.resolve_name(name, __package__):
-                    continue
-                raise
-            _register_module(module)
+            _register_module(importlib.import_module(name, __package__))
     except BaseException:
         unregister()
         raise

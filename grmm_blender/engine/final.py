@@ -162,7 +162,7 @@ def _frame_values(
     wanted = passes.session_passes(items)
     options = RenderOptions(
         refine=settings.use_refine,
-        passes=tuple(dict.fromkeys((*wanted, "alpha", "depth"))),
+        passes=tuple(dict.fromkeys((*wanted, "alpha", "depth"))),  # depth for what stands in front
         lod=int(settings.detail),
     )
     buffers = session_host.get_session().render(instances, frame.camera, options, engine.test_break)

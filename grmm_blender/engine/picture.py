@@ -22,12 +22,12 @@ class Visibility:
     """What scene meshes leave of avatars and background.
 
     Attributes:
-        avatars: Visible part of the avatars in each pixel, 0..1, [H, W].
-        background: Part of the background that no holdout object covers, 0..1, [H, W].
+        avatars: Visible part of the avatars in each pixel, 0..1, [H, W, 1]; None where nothing hides them.
+        background: Part of the background that no holdout object covers, 0..1, [H, W, 1]; None for all of it.
     """
 
-    avatars: np.ndarray
-    background: np.ndarray
+    avatars: np.ndarray | None = None
+    background: np.ndarray | None = None
 
 
 def visibility(
@@ -43,11 +43,12 @@ def visibility(
         clip: Nearest and farthest distance that the camera sees.
         film: The background is drawn, so that holdouts matter beside the avatars too.
     """
-    one = np.ones(depth.shape, np.float32)
-    covered = depth < EMPTY_DEPTH
     cut_background = film and len(occluders.holdouts) > 0
+    if not len(occluders.triangles) + len(occluders.holdouts):
+        return Visibility()
+    covered = depth < EMPTY_DEPTH
     if not cut_background and not covered.any():
-        return Visibility(one, one)
+        return Visibility()
     # Without holdouts only the part of the picture that avatars cover is of interest.
     rows, columns = np.nonzero(covered) if covered.any() else (np.array([0]), np.array([0]))
     y0, y1, x0, x1 = rows.min(), rows.max() + 1, columns.min(), columns.max() + 1
@@ -57,12 +58,13 @@ def visibility(
     part = camera.crop(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
     plain = triangle_depth(occluders.triangles, part, samples, clip[0], far)
     holdouts = triangle_depth(occluders.holdouts, part, samples, clip[0], far)
-    avatars, background = one.copy(), one.copy()
-    avatars[y0:y1, x0:x1] = visible_fraction(depth[y0:y1, x0:x1], np.minimum(plain, holdouts), samples)
+    avatars = np.ones((*depth.shape, 1), np.float32)
+    avatars[y0:y1, x0:x1, 0] = visible_fraction(depth[y0:y1, x0:x1], np.minimum(plain, holdouts), samples)
+    background = None
     if cut_background:
         cut = (holdouts < EMPTY) & (holdouts <= plain)
-        grid = cut.reshape(y1 - y0, samples, x1 - x0, samples)
-        background[y0:y1, x0:x1] = 1.0 - grid.mean(axis=(1, 3), dtype=np.float32)
+        grid = cut.reshape(depth.shape[0], samples, depth.shape[1], samples)
+        background = 1.0 - grid.mean(axis=(1, 3), dtype=np.float32)[..., None]
     return Visibility(avatars, background)
 
 
@@ -85,35 +87,59 @@ def pass_values(
     Returns:
         [H, W, channels] float32, top row first.
     """
-    shown = visible.avatars[..., None]
+    shown = visible.avatars
     if item.kind in ("combined", "raw"):
-        rgba = scene_linear_premultiplied(buffers["rgb" if item.kind == "combined" else "raw"], buffers["alpha"]) * shown
-        return over_world(rgba, world, visible.background[..., None])
-    if item.kind == "depth":
-        there = (np.clip(buffers["alpha"], 0, 1) * shown) > 0
+        rgb = buffers["rgb" if item.kind == "combined" else "raw"]
+        return _colors(rgb, buffers["alpha"], shown, visible.background, world)
+    if item.kind == "features":
+        values = np.zeros((*buffers["alpha"].shape[:2], FEATURES_IN_A_PASS), np.float32)
+        group = buffers["features"][..., item.group * FEATURES_IN_A_PASS : (item.group + 1) * FEATURES_IN_A_PASS]
+        values[..., : group.shape[-1]] = group
+    elif item.kind == "depth":
+        there = buffers["alpha"] > 0 if shown is None else (buffers["alpha"] > 0) & (shown > 0)
         return np.where(there, buffers["depth"], np.float32(EMPTY_DEPTH))
-    if item.kind == "mask":
-        return np.clip(buffers["alpha"], 0, 1) * shown
-    if item.kind == "avatar_mask":
+    elif item.kind == "normal":
+        return buffers["normal"] if shown is None else np.where(shown > 0, buffers["normal"], np.float32(0))
+    elif item.kind == "mask":
+        values = np.clip(buffers["alpha"], 0, 1)
+    else:
         # Several instances of an avatar share its mask; one that this view layer hides has none.
         own = [index for index, name in enumerate(avatar_names) if name == item.avatar]
-        return np.clip(buffers["mask"][..., own].sum(axis=-1, keepdims=True), 0, 1).astype(np.float32) * shown
-    if item.kind == "normal":
-        return np.where(shown > 0, buffers["normal"], np.float32(0))
-    features = buffers["features"] * shown
-    start = item.group * FEATURES_IN_A_PASS
-    result = np.zeros((*shown.shape[:2], FEATURES_IN_A_PASS), np.float32)
-    group = features[..., start : start + FEATURES_IN_A_PASS]
-    result[..., : group.shape[-1]] = group
+        values = np.clip(buffers["mask"][..., own].sum(axis=-1, keepdims=True), 0, 1).astype(np.float32)
+    return values if shown is None else values * shown
+
+
+def _colors(
+    rgb: np.ndarray,
+    alpha: np.ndarray,
+    shown: np.ndarray | None,
+    uncut: np.ndarray | None,
+    world: np.ndarray | None,
+) -> np.ndarray:
+    """Return scene-linear premultiplied colour over the world, [H, W, 4].
+
+    Args:
+        rgb: Premultiplied display sRGB, [H, W, 3].
+        alpha: Coverage, [H, W, 1].
+        shown: Part of the avatars that no mesh hides, [H, W, 1], or None.
+        uncut: Part of the background that no holdout cuts, [H, W, 1], or None.
+        world: Scene-linear colour, [3], or None for nothing.
+    """
+    result = np.zeros((*alpha.shape[:2], 4), np.float32)
+    if world is not None:
+        result[:] = np.append(world, 1.0)
+        if uncut is not None:
+            result *= uncut
+    rows, columns = np.flatnonzero(alpha.any(axis=(1, 2))), np.flatnonzero(alpha.any(axis=(0, 2)))
+    if not len(rows):
+        return result
+    # The costly part of the arithmetic is done where avatars are.
+    box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+    front = scene_linear_premultiplied(rgb[box], alpha[box])
+    if shown is not None:
+        front *= shown[box]
+    result[box] = front if world is None else front + (1.0 - front[..., 3:]) * result[box]
     return result
-
-
-def over_world(rgba: np.ndarray, world: np.ndarray | None, uncut: np.ndarray) -> np.ndarray:
-    """Put premultiplied linear `rgba` [H, W, 4] over the world's colour where no holdout cuts it, `uncut` [H, W, 1]."""
-    if world is None:
-        return rgba.astype(np.float32)
-    behind = (1.0 - rgba[..., 3:]) * uncut
-    return np.concatenate([rgba[..., :3] + behind * world, rgba[..., 3:] + behind], axis=-1).astype(np.float32)
 
 
 def blender_rows(values: np.ndarray) -> np.ndarray:

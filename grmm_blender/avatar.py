@@ -8,6 +8,7 @@ count as they do for the mesh. Imports neither torch nor the session.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -56,7 +57,11 @@ class Avatar:
         stored = self.object.grmm.source
         if not stored or stored == DEFAULT_SOURCE or stored.startswith(_SAMPLE_PREFIX):
             return stored or DEFAULT_SOURCE
-        return bpy.path.abspath(stored, library=self.object.library)
+        path = bpy.path.abspath(stored, library=self.object.library)
+        known = self.object.grmm.known_path
+        if known and stored.startswith("//") and not Path(path).exists() and Path(known).exists():
+            return known  # appended from a file elsewhere, whose folder the relative name meant
+        return path
 
     @property
     def armature(self) -> bpy.types.Object | None:

@@ -40,6 +40,12 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
         subtype="FILE_PATH",
         update=_source_changed,
     )
+    known_path: bpy.props.StringProperty(
+        name="Known Path",
+        description="Where the source was when it was last read; found there again after the object was appended elsewhere",
+        default="",
+        options={"HIDDEN"},
+    )
     head_name: bpy.props.StringProperty(
         name="Head model",
         description="Head model that the rig was built from",

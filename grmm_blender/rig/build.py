@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 
 from ...grmm_core.errors import FileFormatError, GrmmError
@@ -49,6 +51,7 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
     obj.grmm.source = source  # before it is an avatar: nothing has to be brought in step
     obj.grmm.head_name = head.name
     obj.grmm.is_avatar = True
+    obj.grmm.known_path = known_path(Avatar(obj))
     rig.location = context.scene.cursor.location
     for other in context.selected_objects:
         other.select_set(False)
@@ -102,6 +105,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
         raise FileFormatError(problem)
     mesh.rebase(obj, identity.vertices)
     drivers.set_resting_pose(rig, identity.resting_pose)
+    obj.grmm.known_path = known_path(avatar)
     offset = identity.joints - armature.rest_joints(rig)  # [5, 3]
     obj.grmm.joint_offset = offset.ravel().tolist()
     for name, size in ((Z_ID, identity.z_id_size), (Z_EXP, identity.z_exp_size)):
@@ -114,6 +118,12 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
     live.state_of(avatar).detail_for = None
     obj.update_tag()
     rig.update_tag()
+
+
+def known_path(avatar: Avatar) -> str:
+    """Absolute file name of a source that is a file, else an empty string."""
+    path = Path(avatar.source)
+    return str(path) if path.is_absolute() and path.exists() else ""
 
 
 def make_independent(avatar: Avatar) -> None:

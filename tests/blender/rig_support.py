@@ -67,14 +67,14 @@ def mesh_of(avatar: Any) -> np.ndarray:
     return np.stack([points[:, 0], points[:, 2], -points[:, 1]], 1)
 
 
-def core_mesh(avatar: Any, controls: Any = None) -> np.ndarray:
-    """What the core's head model makes of an avatar's controls, without learned detail, [V, 3]."""
+def core_mesh(avatar: Any, controls: Any = None, displacement: np.ndarray | None = None) -> np.ndarray:
+    """What the core's head model makes of an avatar's controls, with a given displacement or none, [V, 3]."""
     controls = controls or avatar.controls()
     identity = module("grmm_blender.rig.identity").read_identity(avatar.source)
     resolved = module("grmm_core.controls").resolve(controls, identity.head)
     shape = identity.shape.copy()
     shape[: controls.shape.size] += controls.shape
-    return identity.head.vertices(shape, resolved.expression, resolved.pose)
+    return identity.head.vertices(shape, resolved.expression, resolved.pose, displacement)
 
 
 def model_mesh(avatar: Any, controls: Any = None) -> np.ndarray:

@@ -1,0 +1,118 @@
+"""Append, link and override a saved head, change who it is, lose its file: files_libraries.py WEIGHTS FOLDER."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from render_support import use_weights
+from rig_support import core_mesh, largest, mesh_of, model_mesh, randomise, without_detail
+from support import empty_scene, module, report
+
+weights, folder = sys.argv[1], Path(sys.argv[2])
+library = folder / "head.blend"
+live = module("grmm_blender.rig.live")
+avatar_of, avatars_in = (getattr(module("grmm_blender.avatar"), name) for name in ("avatar_of", "avatars_in"))
+
+
+def bring(link: bool):
+    """Bring the head of the library into an empty file; returns its head object."""
+    empty_scene()
+    use_weights(weights)
+    with bpy.data.libraries.load(str(library), link=link) as (there, here):
+        here.objects = [name for name in there.objects if "Camera" not in name]
+    for obj in here.objects:
+        bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.update()
+    return next(obj for obj in here.objects if obj.type == "MESH")
+
+
+def appended() -> dict:
+    avatar = without_detail(avatar_of(bring(link=False)))
+    avatar.object.animation_data_clear()
+    randomise(avatar, np.random.default_rng(0))
+    return {"parity": largest(mesh_of(avatar) - core_mesh(avatar)), "source": Path(avatar.source).name}
+
+
+def linked() -> dict:
+    avatar = avatar_of(bring(link=True))
+    bpy.context.view_layer.objects.active = avatar.object
+    return {
+        "message": live.limitation(avatar),
+        "poll": bpy.ops.grmm.reset.poll(),
+        "source": Path(avatar.source).exists(),
+        "parity": largest(mesh_of(avatar) - model_mesh(avatar)),
+    }
+
+
+def overridden() -> dict:
+    head = bring(link=True)
+    override = head.override_hierarchy_create(bpy.context.scene, bpy.context.view_layer, do_fully_editable=True)
+    for obj in list(bpy.context.scene.collection.objects):
+        if obj.library is not None:
+            bpy.context.scene.collection.objects.unlink(obj)
+    avatar = avatar_of(override)
+    bpy.context.view_layer.update()
+    before = mesh_of(avatar)
+    override["browInnerUp"] = 0.9
+    avatar.armature.pose.bones["jaw"].rotation_euler = (0.2, 0.0, 0.0)
+    override.update_tag()
+    avatar.armature.update_tag()
+    bpy.context.view_layer.update()
+    moved = largest(mesh_of(avatar) - before)
+    message = live.limitation(avatar)
+    file = folder / "override.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(file))
+    bpy.context.scene.frame_set(1)
+    after = mesh_of(avatar)
+    bpy.ops.wm.open_mainfile(filepath=str(file))
+    again = avatars_in(bpy.context.scene)[0]
+    bpy.context.scene.frame_set(1)
+    return {
+        "moved": moved,
+        "message": message,
+        "kept": [round(float(again.controls().aligned[2]), 4), round(float(again.controls().pose[2, 0]), 4)],
+        "reloaded": largest(mesh_of(again) - after),
+    }
+
+
+def another_person() -> dict:
+    """Change the source of a head in place, to another person, to nobody, and back."""
+    avatar = avatar_of(bring(link=False))
+    avatar.object.animation_data_clear()
+    randomise(avatar, np.random.default_rng(1))
+    before = mesh_of(avatar)
+    stored = avatar.source
+    avatar.object.grmm.source = "sample:9"
+    bpy.context.view_layer.update()
+    other = {"parity": largest(mesh_of(avatar) - model_mesh(avatar)), "changed": largest(mesh_of(avatar) - before)}
+    kept = mesh_of(avatar)
+    avatar.object.grmm.source = str(folder / "gone.grmm")
+    bpy.context.view_layer.update()
+    missing = {"message": live.state_of(avatar).message, "mesh": largest(mesh_of(avatar) - kept)}
+    avatar.object.grmm.source = stored
+    bpy.context.view_layer.update()
+    back = {"mesh": largest(mesh_of(avatar) - before), "message": live.state_of(avatar).message}
+    return {"other": other, "missing": missing, "back": back}
+
+
+def bad_files() -> list[str]:
+    """Messages of the add operator for files that cannot be used."""
+    empty_scene()
+    messages = []
+    (folder / "broken.grmm").write_bytes((folder / "person.grmm").read_bytes()[:500])
+    for name in ("gone.grmm", "broken.grmm", ""):
+        try:
+            bpy.ops.grmm.add_head(person="FILE", filepath=str(folder / name) if name else "")
+        except RuntimeError as error:
+            messages.append(str(error).strip().splitlines()[0].removeprefix("Error: "))
+    return [*messages, str(len(bpy.data.objects))]
+
+
+report(appended=appended())
+report(linked=linked())
+report(overridden=overridden())
+report(person=another_person())
+report(bad=bad_files())

@@ -4,6 +4,7 @@ The map, from the ground up; each part uses only those above it:
 
 ``errors`` ``files`` ``tensorfile``     typed errors, whole-or-nothing writes, the tensor file format
 ``camera`` ``expressions`` ``controls`` what every part agrees on: cameras, names, one frame of animation
+``kernels``                             how compiled kernels are cached
 ``head``                                the mesh model (open head, or FLAME from the user's file)
 ``splat``                               the differentiable Gaussian rasteriser and its backends
 ``model``                               the paper's decoders, UV-anchored Gaussians and refinement network

@@ -11,18 +11,20 @@ import math
 import numba
 import numpy as np
 
-_OPTIONS = {"cache": True, "fastmath": True, "boundscheck": False, "error_model": "numpy"}
+from ..kernels import compiled
+
+_OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
 _TINY_NORM = np.float32(1e-20)
 
 
-@numba.njit(inline="always", **_OPTIONS)
+@compiled(inline="always", **_OPTIONS)
 def _bend(x):  # noqa: ANN001, ANN202
     """Factor of the soft limit: with it x stays below 1, and the slope is its cube."""
     return _ONE / math.sqrt(_ONE + x * x)
 
 
-@numba.njit(inline="always", **_OPTIONS)
+@compiled(inline="always", **_OPTIONS)
 def _frame(corners, corner, barycentric, i):  # noqa: ANN001, ANN202 - numba infers scalar types
     """Position, sides and raw quaternion of texel i, and the signs that bring its corners' quaternions together."""
     a, b, c = corner[i, 0], corner[i, 1], corner[i, 2]
@@ -45,7 +47,7 @@ def _frame(corners, corner, barycentric, i):  # noqa: ANN001, ANN202 - numba inf
     return px, py, pz, width, height, q0, q1, q2, q3, sb, sc
 
 
-@numba.njit(parallel=True, **_OPTIONS)
+@compiled(parallel=True, **_OPTIONS)
 def place_forward(
     corners: np.ndarray, corner: np.ndarray, barycentric: np.ndarray, offsets: np.ndarray, settings: np.ndarray,
     means: np.ndarray, quats: np.ndarray, scales: np.ndarray,
@@ -90,7 +92,7 @@ def place_forward(
             scales[i, k] = base * math.exp(grow)
 
 
-@numba.njit(parallel=True, **_OPTIONS)
+@compiled(parallel=True, **_OPTIONS)
 def place_backward(
     corners: np.ndarray, corner: np.ndarray, barycentric: np.ndarray, offsets: np.ndarray, settings: np.ndarray,
     g_means: np.ndarray, g_quats: np.ndarray, g_scales: np.ndarray, g_offsets: np.ndarray, g_texels: np.ndarray,
@@ -175,7 +177,7 @@ def place_backward(
         g_texels[i, 7], g_texels[i, 8] = (hy - y * along) * inverse, (hz - z * along) * inverse
 
 
-@numba.njit(**_OPTIONS)
+@compiled(**_OPTIONS)
 def scatter(
     corners: np.ndarray, corner: np.ndarray, barycentric: np.ndarray, g_texels: np.ndarray, g_corners: np.ndarray
 ) -> None:

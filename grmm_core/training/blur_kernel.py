@@ -5,14 +5,16 @@ from __future__ import annotations
 import numba
 import numpy as np
 
+from ..kernels import compiled
 
-@numba.njit(cache=True, fastmath=True, boundscheck=False)
+
+@compiled(fastmath=True, boundscheck=False)
 def _accumulate(target: np.ndarray, source: np.ndarray, weight: np.float32) -> None:
     for x in range(len(target)):
         target[x] += weight * source[x]
 
 
-@numba.njit(cache=True, parallel=True, fastmath=True, boundscheck=False)
+@compiled(parallel=True, fastmath=True, boundscheck=False)
 def separable(
     source: np.ndarray, result: np.ndarray, window: np.ndarray, rows: np.ndarray, columns: np.ndarray, normalise_first: bool
 ) -> None:

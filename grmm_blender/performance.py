@@ -7,7 +7,7 @@ a slot each, so that a performance is one thing in the action editor and can be 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import bpy
@@ -15,12 +15,14 @@ import numpy as np
 
 from ..grmm_core.errors import ConfigError, FileFormatError
 from ..grmm_core.expressions import ARKIT_NAMES
-from ..grmm_core.performance import Performance
+from ..grmm_core.performance import CleanOptions, Performance, clean
+from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
 from .avatar import Avatar
-from .rig.actions import ensure_bag, set_keys
+from .rig.actions import ensure_bag, find_curve, linear_keys, reduced_keys, replace_keys
 from .rig.definitions import ALIGNED_RANGE, ARRAY_RANGES, EXPRESSION, REGIONS, property_path
 
 EyeSource = Literal["AUTO", "SHAPES", "ROTATIONS"]
+Keys = Literal["FRAMES", "REDUCED", "SAMPLES"]
 _EYE_SHAPES = "eyeLook"
 _EYES = {"left_eye": "left_eye_rotation", "right_eye": "right_eye_rotation"}
 _REGION_OF = {name: region for region, names in REGIONS.items() for name in names}
@@ -34,47 +36,69 @@ class ImportOptions:
     Attributes:
         start: Scene frame of the recording's start.
         fps: Scene frames per second.
-        whole_frames: One key on each scene frame, interpolated between samples; else one key for each sample.
+        keys: One on each scene frame, as few as `max_error` allows, or one for each recorded sample.
+        max_error: Largest deviation of a weight for reduced keys.
         gain: Factor of the weights.
-        rotation_gain: Factor of head and joint rotations.
+        rotation_gain: Factor of all rotations.
+        neutral: Take the actor's resting face, found in the recording, off it.
+        smoothing: 0..1.
+        limit: Keep weights within 0..1.
         head_joint: Bone that takes the rotation of the head; "" for none.
         eyes: Take the eyes from the eyeLook shapes, from the recorded rotations, or from whichever the file has.
     """
 
     start: float = 1.0
     fps: float = 24.0
-    whole_frames: bool = True
+    keys: Keys = "FRAMES"
+    max_error: float = 0.01
     gain: float = 1.0
     rotation_gain: float = 1.0
+    neutral: bool = False
+    smoothing: float = 0.0
+    limit: bool = True
     head_joint: str = "neck"
     eyes: EyeSource = "AUTO"
 
 
 @dataclass(frozen=True)
 class Channel:
-    """One curve: values at the samples' times.
+    """One curve.
 
     Attributes:
         bone: Bone whose rotation it is, or "" for a property of the head object.
         path: Data path on the armature or head object.
         index: Index in the property.
         group: Channel group.
-        values: [T].
+        limits: Range of the property.
+        values: Values at the performance's times, [T].
     """
 
     bone: str
     path: str
     index: int
     group: str
+    limits: tuple[float, float]
     values: np.ndarray
 
 
+def prepare(performance: Performance, options: ImportOptions) -> Performance:
+    """Clean a recording as the options say; at the scene's rate, unless every sample gets a key. Raises `ShapeError`."""
+    wanted = CleanOptions(
+        neutral="auto" if options.neutral else None,
+        gains={"all": options.gain} if options.gain != 1.0 else {},
+        smoothing=options.smoothing,
+        fps=None if options.keys == "SAMPLES" else options.fps,
+        limit=options.limit,
+    )
+    return clean(performance, wanted)
+
+
 def channels_of(performance: Performance, options: ImportOptions, flame_head: bool = False) -> list[Channel]:
-    """Return the curves that a performance gives.
+    """Return the curves that a prepared performance gives.
 
     Args:
-        performance: What was read.
-        options: What to take, and gains.
+        performance: Of `prepare`.
+        options: What to take.
         flame_head: The avatar's head model understands FLAME's expression coefficients.
 
     Raises:
@@ -87,67 +111,80 @@ def channels_of(performance: Performance, options: ImportOptions, flame_head: bo
     has_shapes = any(name.startswith(_EYE_SHAPES) for name in performance.found)
     has_rotations = performance.left_eye_rotation is not None or performance.right_eye_rotation is not None
     rotate_eyes = has_rotations and (options.eyes == "ROTATIONS" or (options.eyes == "AUTO" and not has_shapes))
+    limits = (ALIGNED_RANGE.low, ALIGNED_RANGE.high)
     result: list[Channel] = []
     for k, name in enumerate(ARKIT_NAMES):
         if name in performance.found and not (rotate_eyes and name.startswith(_EYE_SHAPES)):
-            values = (performance.weights[:, k] * options.gain).clip(ALIGNED_RANGE.low, ALIGNED_RANGE.high)
-            result.append(Channel("", property_path(name), 0, _REGION_OF[name], values))
+            result.append(Channel("", property_path(name), 0, _REGION_OF[name], limits, performance.weights[:, k]))
     if performance.expression is not None:
-        limits = ARRAY_RANGES[EXPRESSION]
+        limits = (ARRAY_RANGES[EXPRESSION].low, ARRAY_RANGES[EXPRESSION].high)
         for k, values in enumerate(performance.expression.T):
-            clipped = (values * options.gain).clip(limits.low, limits.high)
-            result.append(Channel("", property_path(EXPRESSION), k, "Expression", clipped))
+            result.append(Channel("", property_path(EXPRESSION), k, "Expression", limits, values * options.gain))
     for bone, angles in _rotations(performance, options, rotate_eyes).items():
         path = f'pose.bones["{bone}"].rotation_euler'
-        result += [Channel(bone, path, axis, bone, angles[:, axis] * options.rotation_gain) for axis in range(3)]
+        for axis in range(3):
+            result.append(Channel(bone, path, axis, bone, (-np.inf, np.inf), angles[:, axis] * options.rotation_gain))
     if not result:
         raise FileFormatError("The performance holds nothing that this head can play; choose a file with ARKit weights.")
-    return result
+    return [replace(channel, values=np.clip(channel.values, *channel.limits)) for channel in result]
 
 
-def sample_frames(performance: Performance, options: ImportOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Return the scene frames of the samples [T], and those that get keys [K].
-
-    Raises:
-        ConfigError: The performance would end behind Blender's last frame.
-    """
-    frames = options.start + (performance.times - performance.times[0]) * options.fps
-    if abs(frames).max() > MAX_FRAME:
-        raise ConfigError(f"The performance would end at frame {frames[-1]:.0f}, beyond Blender's last; start it earlier.")
-    if not options.whole_frames:
-        return frames, frames
-    # a recording that ends within a rounding error of a frame still has that frame
-    keys = np.arange(np.ceil(frames[0] - 1e-4), np.floor(frames[-1] + 1e-4) + 1.0)
-    return frames, keys if keys.size else frames[:1]
-
-
-def apply_performance(avatar: Avatar, performance: Performance, options: ImportOptions, name: str) -> tuple[float, float]:
+def apply_performance(avatar: Avatar, performance: Performance, options: ImportOptions, name: str) -> ImportedRange:
     """Write a performance as keys; keys of the same curves at other times stay.
 
     Args:
         avatar: Whose rig plays it.
-        performance: What was read.
+        performance: As read.
         options: How.
         name: Name of a new action.
 
-    Returns:
-        First and last frame with a key.
-
     Raises:
-        FileFormatError, ConfigError: See `channels_of` and `sample_frames`.
+        FileFormatError, ShapeError: See `channels_of` and `prepare`.
+        ConfigError: The performance would end behind Blender's last frame.
     """
-    channels = channels_of(performance, options, flame_head=avatar.object.grmm.head_name.startswith("flame"))
-    frames, keys = sample_frames(performance, options)
+    prepared = prepare(performance, options)
+    channels = channels_of(prepared, options, flame_head=avatar.object.grmm.head_name.startswith("flame"))
+    seconds = prepared.times - prepared.times[0]
+    frames = options.start + seconds * options.fps
+    if abs(frames).max() > MAX_FRAME:
+        raise ConfigError(f"The performance would end at frame {frames[-1]:.0f}, beyond Blender's last; start it earlier.")
     head_bag = ensure_bag(avatar.object, name)
-    rig = avatar.armature
-    rig_bag = None
+    rig, rig_bag = avatar.armature, None
     if rig is not None and any(channel.bone for channel in channels):
         has_own = rig.animation_data is not None and rig.animation_data.action is not None
         rig_bag = ensure_bag(rig, name, None if has_own else avatar.object.animation_data.action)
-    for channel, bag in _placed(channels, head_bag, rig_bag):
-        values = channel.values if keys is frames else np.interp(keys, frames, channel.values)
-        set_keys(bag, channel.path, channel.index, keys, values, channel.group)
-    return float(keys[0]), float(keys[-1])
+    placed = list(_placed(channels, head_bag, rig_bag))
+    if options.keys == "REDUCED":
+        errors = np.array([DEFAULT_ANGLE_ERROR if channel.bone else options.max_error for channel, _ in placed])
+        values = np.stack([channel.values for channel, _ in placed], 1)
+        curves = reduce_curves(seconds, values, errors)
+    count = 0
+    for k, (channel, bag) in enumerate(placed):
+        curve = find_curve(bag, channel.path, channel.index, channel.group)
+        if options.keys == "REDUCED":
+            keys = reduced_keys(curves[k], options.start, options.fps)
+        else:
+            keys = linear_keys(frames, channel.values)
+        count += len(keys.points)
+        replace_keys(curve, keys, (frames[0], frames[-1]))
+    return ImportedRange(float(frames[0]), float(frames[-1]), len(placed), count, tuple(prepared.warnings))
+
+
+@dataclass(frozen=True)
+class ImportedRange:
+    """What `apply_performance` wrote.
+
+    Attributes:
+        first, last: Scene frames.
+        curves, keys: How many.
+        warnings: Sentences about what was repaired, missing or limited.
+    """
+
+    first: float
+    last: float
+    curves: int
+    keys: int
+    warnings: tuple[str, ...]
 
 
 def _placed(

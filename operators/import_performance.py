@@ -26,10 +26,22 @@ class GRMM_OT_import_performance(bpy.types.Operator):
     filepath: bpy.props.StringProperty(name="File", description="Performance file", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default="*.json;*.csv;*.txt;*.npz", options={"HIDDEN"})
     start: bpy.props.FloatProperty(name="Start Frame", description="Scene frame on which the recording starts", default=1.0)
-    whole_frames: bpy.props.BoolProperty(
-        name="Keys on Whole Frames",
-        description="One key on each scene frame, interpolated from the recording; otherwise one key for each recorded sample",
-        default=True,
+    keys: bpy.props.EnumProperty(
+        name="Keys",
+        description="Where keys are set",
+        items=(
+            ("FRAMES", "Every Frame", "One key on each scene frame; peaks between two frames move to the nearer one"),
+            ("REDUCED", "Reduced", "As few keys as the largest error allows, with handles: easy to edit"),
+            ("SAMPLES", "Every Sample", "One key for each recorded sample, also between frames"),
+        ),
+        default="FRAMES",
+    )
+    max_error: bpy.props.FloatProperty(
+        name="Largest Error",
+        description="How far reduced keys may deviate from the recording",
+        default=0.01,
+        min=0.0005,
+        max=0.2,
     )
     fps: bpy.props.FloatProperty(
         name="Recorded Rate",
@@ -44,6 +56,15 @@ class GRMM_OT_import_performance(bpy.types.Operator):
     rotation_gain: bpy.props.FloatProperty(
         name="Rotation Gain", description="Factor of head and eye rotations", default=1.0, min=-4.0, max=4.0, soft_min=0.0
     )
+    neutral: bpy.props.BoolProperty(
+        name="Calibrate Neutral Face",
+        description="Find the actor's resting face in the recording and make it the neutral one",
+        default=False,
+    )
+    smoothing: bpy.props.FloatProperty(
+        name="Smoothing", description="Remove tracking noise", default=0.0, min=0.0, max=1.0, subtype="FACTOR"
+    )
+    limit: bpy.props.BoolProperty(name="Limit", description="Keep expression weights within 0 and 1", default=True)
     head: bpy.props.EnumProperty(
         name="Head Rotation",
         description="Which bone takes the recorded rotation of the head",
@@ -75,6 +96,18 @@ class GRMM_OT_import_performance(bpy.types.Operator):
 
     poll = classmethod(needs_avatar)
 
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the options in the file browser's side panel."""
+        layout = self.layout
+        layout.use_property_split = True
+        for name in ("start", "set_range", "fps", "keys"):
+            layout.prop(self, name)
+        row = layout.row()
+        row.active = self.keys == "REDUCED"
+        row.prop(self, "max_error")
+        for name in ("gain", "limit", "neutral", "smoothing", "head", "eyes", "rotation_gain", "landscape"):
+            layout.prop(self, name)
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Open the file browser, unless a file was dropped."""
         if self.filepath:
@@ -95,19 +128,25 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         options = ImportOptions(
             start=self.start,
             fps=scene.render.fps / scene.render.fps_base,
-            whole_frames=self.whole_frames,
+            keys=self.keys,
+            max_error=self.max_error,
             gain=self.gain,
             rotation_gain=self.rotation_gain,
+            neutral=self.neutral,
+            smoothing=self.smoothing,
+            limit=self.limit,
             head_joint="" if self.head == "NONE" else self.head,
             eyes=self.eyes,
         )
-        first, last = apply_performance(active_avatar(context), performance, options, Path(path).stem)
+        written = apply_performance(active_avatar(context), performance, options, Path(path).stem)
         if self.set_range:
-            scene.frame_start, scene.frame_end = max(round(first), 0), max(round(last), 0)
+            scene.frame_start, scene.frame_end = max(round(written.first), 0), max(round(written.last), 0)
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-        for sentence in performance.warnings[:_MAX_WARNINGS]:
+        for sentence in written.warnings[:_MAX_WARNINGS]:
             self.report({"WARNING"}, sentence)
-        self.report({"INFO"}, f"Imported {performance.frame_count} samples as frames {first:g} to {last:g}")
+        self.report(
+            {"INFO"}, f"Imported frames {written.first:g} to {written.last:g}: {written.curves} curves, {written.keys} keys"
+        )
         return {"FINISHED"}
 
 

@@ -7,11 +7,16 @@ the importers of performances.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
+from ...grmm_core.performance.curves import ReducedCurve
+
 _LAYER = "Layer"
+_SAME_FRAME = 1e-3
+_KINDS = ("interpolation", "handle_left_type", "handle_right_type")
 
 
 def action_curves(obj: bpy.types.ID) -> Iterator[bpy.types.FCurve]:
@@ -47,17 +52,42 @@ def ensure_bag(obj: bpy.types.ID, name: str, action: bpy.types.Action | None = N
     return strip.channelbag(data.action_slot, ensure=True)
 
 
-def set_keys(
-    bag: bpy.types.ActionChannelbag, path: str, index: int, frames: np.ndarray, values: np.ndarray, group: str = ""
-) -> bpy.types.FCurve:
-    """Replace the keys of a curve between the first and the last of `frames`; keys outside stay.
+@dataclass(frozen=True)
+class Keys:
+    """Keys of one curve.
+
+    Attributes:
+        points: Frame and value, frames increasing, [K, 2].
+        left, right: Handles before and after each key, [K, 2].
+        interpolation: "LINEAR" or "BEZIER".
+    """
+
+    points: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    interpolation: str
+
+
+def linear_keys(frames: np.ndarray, values: np.ndarray) -> Keys:
+    """A key on each of `frames` [K] with `values` [K], straight in between."""
+    points = np.stack([frames, values], 1)
+    return Keys(points, points, points, "LINEAR")
+
+
+def reduced_keys(curve: ReducedCurve, start: float, fps: float) -> Keys:
+    """Keys of a curve in seconds, as scene frames from `start`."""
+    scale, shift = np.array([fps, 1.0]), np.array([start, 0.0])
+    points = np.stack([curve.times, curve.values], 1)
+    return Keys(points * scale + shift, curve.left * scale + shift, curve.right * scale + shift, curve.interpolation.upper())
+
+
+def find_curve(bag: bpy.types.ActionChannelbag, path: str, index: int, group: str = "") -> bpy.types.FCurve:
+    """Return the curve of a property, made where it is missing.
 
     Args:
         bag: Of `ensure_bag`.
         path: Data path of the property.
         index: Index in the property, 0 for single ones.
-        frames: Increasing, [K].
-        values: [K].
         group: Channel group of a new curve.
     """
     curve = bag.fcurves.find(path, index=index)
@@ -65,19 +95,32 @@ def set_keys(
         curve = bag.fcurves.new(path, index=index)
         if group:  # not an argument of `new` in 4.5
             curve.group = bag.groups.get(group) or bag.groups.new(group)
-    kept = np.empty(len(curve.keyframe_points) * 2, np.float32)
-    curve.keyframe_points.foreach_get("co", kept)
-    kept = kept.reshape(-1, 2)
-    outside = (kept[:, 0] < frames[0] - 1e-3) | (kept[:, 0] > frames[-1] + 1e-3)
-    points = np.concatenate([kept[outside], np.stack([frames, values], 1).astype(np.float32)])
-    points = points[np.argsort(points[:, 0], kind="stable")]
-    curve.keyframe_points.clear()
-    curve.keyframe_points.add(len(points))
-    curve.keyframe_points.foreach_set("co", points.ravel())
-    linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"].value
-    curve.keyframe_points.foreach_set("interpolation", np.full(len(points), linear, np.int32))
-    curve.update()
     return curve
+
+
+def replace_keys(curve: bpy.types.FCurve, keys: Keys, span: tuple[float, float]) -> None:
+    """Put keys in the place of those between the frames of `span`; keys outside stay as they are."""
+    points = curve.keyframe_points
+    old = {name: np.empty(len(points) * 2, np.float32) for name in ("co", "handle_left", "handle_right")}
+    for name, values in old.items():
+        points.foreach_get(name, values)
+    kinds = {name: np.empty(len(points), np.int32) for name in _KINDS}
+    for name, values in kinds.items():
+        points.foreach_get(name, values)
+    frames = old["co"][::2]
+    outside = (frames < span[0] - _SAME_FRAME) | (frames > span[1] + _SAME_FRAME)
+    new = {"co": keys.points, "handle_left": keys.left, "handle_right": keys.right}
+    merged = {name: np.concatenate([old[name].reshape(-1, 2)[outside], new[name].astype(np.float32)]) for name in old}
+    order = np.argsort(merged["co"][:, 0], kind="stable")
+    new_kinds = {"interpolation": keys.interpolation, "handle_left_type": "FREE", "handle_right_type": "FREE"}
+    points.clear()
+    points.add(len(order))
+    for name, kept in kinds.items():
+        number = bpy.types.Keyframe.bl_rna.properties[name].enum_items[new_kinds[name]].value
+        points.foreach_set(name, np.concatenate([kept[outside], np.full(len(keys.points), number, np.int32)])[order])
+    for name, values in merged.items():
+        points.foreach_set(name, values[order].ravel())
+    curve.update()
 
 
 def _bag(action: bpy.types.Action, slot: bpy.types.ActionSlot) -> bpy.types.ActionChannelbag | None:

@@ -33,7 +33,7 @@ def joint_parents(head: HeadModel) -> list[int]:
 
 def driven_joints(head: HeadModel) -> list[int]:
     """Joints that expressions rotate."""
-    return [j for j in range(len(JOINT_NAMES)) if np.asarray(head.expression_pose)[:, j].any()]
+    return [j for j in range(len(JOINT_NAMES)) if head.expression_pose[:, j].any() or head.arkit_pose[:, j].any()]
 
 
 def make_armature(context: bpy.types.Context, name: str, head: HeadModel, joints: np.ndarray) -> bpy.types.Object:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
+from ...grmm_core.controls import ALIGNED_TO_ARKIT
 from ...grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
 from ...grmm_core.head import HeadModel
 from .armature import DRIVEN_PREFIX, driven_joints
@@ -62,7 +63,9 @@ def drive_bones(armature: bpy.types.Object, obj: bpy.types.Object, head: HeadMod
     inputs, others = expression_inputs(head)
     poses = np.asarray(head.expression_pose)  # [E, 5, 3]
     sources = [(name, inputs[k], poses[k]) for k, name in enumerate(head.expression_names)]
-    sources += [(name, [property_path(name)], np.einsum("e,ejk->jk", row, poses)) for name, row in others.items()]
+    sources += [(f"{name}.recipe", [property_path(name)], np.einsum("e,ejk->jk", row, poses)) for name, row in others.items()]
+    own = np.einsum("ma,ajk->mjk", ALIGNED_TO_ARKIT, head.arkit_pose)  # [60, 5, 3]; FLAME's shapes turn joints themselves
+    sources += [(f"{name}.own", [property_path(name)], own[k]) for k, name in enumerate(ALIGNED_NAMES)]
     for joint in driven_joints(head):
         bone = armature.pose.bones[DRIVEN_PREFIX + JOINT_NAMES[joint]]
         for axis in range(3):

@@ -1,0 +1,174 @@
+"""Import performances onto a head: performance_import.py FOLDER (with the files of test_blender_performance)."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+from rig_support import core_mesh, fresh_head, largest, mesh_of, without_detail
+from support import module, report
+
+folder = Path(sys.argv[1])
+actions = module("grmm_blender.rig.actions")
+read_performance = module("grmm_core.performance").read_performance
+ARKIT = module("grmm_core.expressions").ARKIT_NAMES
+scene = bpy.context.scene
+
+
+def new_head():
+    global scene
+    avatar = without_detail(fresh_head())
+    scene = bpy.context.scene
+    scene.render.fps = 30
+    return avatar
+
+
+def curves_of(obj) -> dict:
+    return {(curve.data_path, curve.array_index): curve for curve in actions.action_curves(obj)}
+
+
+def speech() -> dict:
+    avatar = new_head()
+    bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), start=5)
+    recorded = read_performance(folder / "speech.json")
+    found, meshes = [], []
+    for k in range(0, recorded.frame_count, 37):
+        scene.frame_set(5 + k)
+        found.append(largest(avatar.controls().aligned[:52] - recorded.weights[k].clip(0, 1)))
+        meshes.append(largest(mesh_of(avatar) - core_mesh(avatar)))
+    curves = curves_of(avatar.object)
+    return {
+        "error": max(found),
+        "parity": max(meshes),
+        "range": [scene.frame_start, scene.frame_end],
+        "groups": sorted({curve.group.name for curve in curves.values()}),
+        "curves": len(curves),
+        "action": avatar.object.animation_data.action.name,
+    }
+
+
+def rate_and_gain() -> dict:
+    """The same recording in a 24 fps scene, stronger, twice on one curve."""
+    avatar = new_head()
+    scene.render.fps = 24
+    bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), start=1, gain=0.5)
+    recorded = read_performance(folder / "speech.json")
+    jaw = ARKIT.index("jawOpen")
+    scene.frame_set(1 + 48)  # two seconds
+    half = float(avatar.controls().aligned[jaw] / recorded.weights[60, jaw])
+    last = scene.frame_end
+    bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), start=1001, set_range=False)
+    scene.frame_set(1 + 48)
+    kept = float(avatar.controls().aligned[jaw] / recorded.weights[60, jaw])
+    scene.frame_set(1001 + 48)
+    full = float(avatar.controls().aligned[jaw] / recorded.weights[60, jaw])
+    return {"half": half, "last": last, "kept": kept, "full": full, "end": scene.frame_end}
+
+
+def reduced() -> dict:
+    avatar = new_head()
+    bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), keys="REDUCED", max_error=0.02)
+    recorded = read_performance(folder / "speech.json").weights.clip(0, 1)
+    keys = sum(len(curve.keyframe_points) for curve in curves_of(avatar.object).values())
+    errors = []
+    for k in range(0, len(recorded), 7):
+        scene.frame_set(1 + k)
+        errors.append(largest(avatar.controls().aligned[:52] - recorded[k]))
+    return {"keys": keys, "all": recorded.size, "error": max(errors)}
+
+
+def live_link() -> dict:
+    avatar = new_head()
+    bpy.ops.grmm.import_performance(filepath=str(folder / "live_link.csv"), keys="SAMPLES")
+    recorded = read_performance(folder / "live_link.csv")
+    scene.frame_set(11)  # a third of a second: sample 20 of 60 a second
+    controls = avatar.controls()
+    result = {
+        "neck": largest(controls.pose[1] - recorded.head_rotation[20]),
+        "eyes": largest(controls.pose[3:]),
+        "smile": float(controls.aligned[ARKIT.index("mouthSmileLeft")]),
+        "slots": sorted(slot.name_display for slot in avatar.object.animation_data.action.slots),
+        "shared": avatar.armature.animation_data.action == avatar.object.animation_data.action,
+        "samples": len(next(iter(curves_of(avatar.object).values())).keyframe_points),
+    }
+    avatar = new_head()
+    bpy.ops.grmm.import_performance(filepath=str(folder / "live_link.csv"), eyes="ROTATIONS", head="NONE")
+    scene.frame_set(11)
+    controls = avatar.controls()
+    result |= {
+        "eye_bones": largest(controls.pose[3] - recorded.left_eye_rotation[20]),
+        "eye_shapes": largest(controls.aligned[[i for i, n in enumerate(ARKIT) if n.startswith("eyeLook")]]),
+        "no_neck": largest(controls.pose[1]),
+    }
+    return result
+
+
+def messages() -> dict:
+    """What the operator says to files it cannot use, and what is left of them."""
+    avatar = new_head()
+    result = {}
+    for name in ("gone.json", "empty.json", "unknown.csv", "truncated.json", "flame.npz", ""):
+        try:
+            bpy.ops.grmm.import_performance(filepath=str(folder / name) if name else "")
+            result[name] = "accepted"
+        except RuntimeError as error:
+            result[name] = str(error).strip().splitlines()[0].removeprefix("Error: ")
+    try:
+        bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), start=1e7)
+    except RuntimeError as error:
+        result["far"] = str(error).strip().splitlines()[0].removeprefix("Error: ")
+    bpy.ops.object.select_all(action="DESELECT")
+    bpy.context.view_layer.objects.active = None
+    return {
+        "messages": result,
+        "untouched": avatar.object.animation_data is None or not curves_of(avatar.object),
+        "poll": bpy.ops.grmm.import_performance.poll(),
+    }
+
+
+def edits() -> dict:
+    """Mirror, reset, random: on a posed head."""
+    avatar = new_head()
+    head, bones = avatar.object, avatar.armature.pose.bones
+    head["mouthSmileLeft"], head["jawLeft"] = 0.8, 0.3
+    head["expression"][52] = 0.4  # unitEyeLeftClosure
+    bones["left_eye"].rotation_euler, bones["neck"].rotation_euler = (0.1, 0.2, 0.0), (0.1, 0.3, -0.1)
+    bpy.ops.grmm.mirror(direction="LEFT")
+    copied = [head["mouthSmileRight"], head["jawRight"], head["jawLeft"], *bones["right_eye"].rotation_euler]
+    copied += [head["expression"][52], head["expression"][55], bones["neck"].rotation_euler[1]]
+    head["mouthSmileRight"] = 0.1
+    bpy.ops.grmm.mirror()
+    swapped = [head["mouthSmileLeft"], head["mouthSmileRight"], head["jawRight"], *bones["neck"].rotation_euler]
+    bpy.ops.grmm.reset(what="EXPRESSION", region="Mouth")
+    reset = [head["mouthSmileLeft"], head["jawRight"]]
+    scene.tool_settings.use_keyframe_insert_auto = True
+    scene.frame_set(9)
+    bpy.ops.grmm.reset()
+    rest = [largest(avatar.controls().pose), largest(avatar.controls().aligned), float(head["residual_strength"])]
+    keyed = len(curves_of(head)) > 60 and all(c.keyframe_points[0].co[0] == 9 for c in curves_of(head).values())
+    scene.tool_settings.use_keyframe_insert_auto = False
+    drawn = []
+    for seed in (3, 3, 4):
+        bpy.ops.grmm.random_expression(seed=seed)
+        drawn.append(avatar.controls().aligned.copy())
+    bpy.ops.grmm.random_identity(seed=5)
+    return {
+        "copied": [float(v) for v in copied],
+        "swapped": [float(v) for v in swapped],
+        "reset": [float(v) for v in reset],
+        "rest": rest,
+        "keyed": keyed,
+        "same": largest(drawn[0] - drawn[1]),
+        "other": largest(drawn[0] - drawn[2]),
+        "largest": largest(drawn[2]),
+        "shape": largest(avatar.controls().shape),
+        "parity": largest(mesh_of(avatar) - core_mesh(avatar)),
+    }
+
+
+report(speech=speech(), rate=rate_and_gain())
+report(reduced=reduced())
+report(live_link=live_link())
+report(messages=messages())
+report(edits=edits())

@@ -8,6 +8,7 @@ The map:
 ``views``       what a training view is, and the reproducible choice of views, crops and backgrounds
 ``capture``     capture data sets as training views
 ``initialise``  mean colours from the pictures
+``warm_start``  networks of an earlier run, for other people
 ``optimise``    parameter groups, schedule, moving average
 ``checkpoint``  whole-or-nothing checkpoints as tensor files
 ``trainer``     `Trainer`: the loop

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -52,6 +53,16 @@ def save_checkpoint(
     write_tensors(path, tensors, {_KEY: json.dumps(header, sort_keys=True)})
 
 
+def read_state(metadata: Mapping[str, str]) -> dict[str, Any] | None:
+    """Return the state in a tensor file's metadata; None where the file is no checkpoint that this version reads."""
+    try:
+        state = json.loads(metadata.get(_KEY, ""))
+    except ValueError:
+        return None
+    known = isinstance(state, dict) and state.get("format") == FORMAT and state.get("version") == VERSION
+    return state if known else None
+
+
 def load_checkpoint(
     path: str | os.PathLike[str],
     parameters: dict[str, Tensor],
@@ -68,12 +79,8 @@ def load_checkpoint(
         FileFormatError: Damaged, of another format or version, or of a model of other sizes.
     """
     tensors, metadata = read_tensors(path)
-    try:
-        state: dict[str, Any] = json.loads(metadata.get(_KEY, ""))
-        known = state.get("format") == FORMAT and state.get("version") == VERSION
-    except (ValueError, AttributeError):
-        known = False
-    if not known:
+    state = read_state(metadata)
+    if state is None:
         raise FileFormatError(f"{path} is not a checkpoint that this version reads; start the training anew in another folder.")
 
     def array(name: str, like: Tensor | None) -> Tensor:

@@ -56,6 +56,7 @@ class TrainConfig:
         refresh_every: Steps between looks for new shots of a capture that is still running; 0 for never.
         evaluate_views: Held-out views in an evaluation.
         threads: Of torch; 0 leaves its choice.
+        init_from: Weights file or checkpoint whose networks, maps and expression codes a new run starts from, see `warm_start`.
         perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
         tensorboard: Also write curves for TensorBoard into the run's folder.
     """
@@ -90,6 +91,7 @@ class TrainConfig:
     evaluate_views: int = 16
     refresh_every: int = 0
     threads: int = 0
+    init_from: str = ""
     perceptual_network: str = ""
     tensorboard: bool = False
 

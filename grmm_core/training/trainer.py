@@ -39,6 +39,7 @@ from .losses import Target, psnr, ssim, total_loss, vertex_laplacian, weights_fr
 from .optimise import MovingAverage, parameter_groups, rate_factor
 from .perceptual import load_perceptual
 from .views import View, ViewSource, choose, shrink
+from .warm_start import warm_start
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -162,7 +163,10 @@ class Trainer:
     def start(self) -> None:
         """Prepare what depends on the data, once, before the first step of a new run."""
         if not self.started and self.step_count == 0:
-            initialise_colours(self.model, self.source, _COLOUR_VIEWS, self.config.seed)
+            if self.config.init_from:
+                warm_start(self.config.init_from, self.model, self.codes)
+            else:
+                initialise_colours(self.model, self.source, _COLOUR_VIEWS, self.config.seed)
             if self.average:
                 self.average = MovingAverage(self.parameters.values(), self.config.ema, self.config.ema_every)
         self.started = True

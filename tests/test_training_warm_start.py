@@ -1,0 +1,84 @@
+"""A run that starts from the networks of another one, with other people."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from model_fixtures import SHAPES, ColouredSpheres, small_head
+
+from grmm_core.errors import ConfigError, FileAccessError, FileFormatError
+from grmm_core.tensorfile import write_tensors
+from grmm_core.training.config import train_config
+from grmm_core.training.trainer import CHECKPOINT, Trainer
+
+QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
+
+
+class ThreeSpheres(ColouredSpheres):
+    def __init__(self):
+        super().__init__()
+        self.people = ("x", "y", "z")
+        self.shapes = np.zeros((3, SHAPES), np.float32)
+
+
+def config(model=None, **settings):
+    return train_config({"preset": "tiny", **(model or {})}, {"warmup_steps": 5, **QUIET, **settings}, {"perceptual": 0.0})
+
+
+@pytest.fixture(scope="module")
+def head():
+    return small_head()
+
+
+@pytest.fixture(scope="module")
+def trained(head, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    trainer = Trainer(config(steps=60, ema=0.5), head, ColouredSpheres(), folder)
+    trainer.run()
+    trainer.save()
+    trainer.save_weights(folder / "w.safetensors", {})
+    return trainer
+
+
+@pytest.mark.parametrize(("name", "tolerance"), [(CHECKPOINT, 0.0), ("w.safetensors", 2e-3)])
+def test_networks_are_taken_and_people_are_new(head, trained, tmp_path, name, tolerance):
+    cold = Trainer(config(), head, ThreeSpheres(), tmp_path / "cold")
+    warm = Trainer(config(init_from=str(trained.folder / name)), head, ThreeSpheres(), tmp_path / "warm")
+    before = warm.codes.detach().clone()
+    warm.start()
+    with trained.averaged():
+        for key, value in trained.model.named_parameters():
+            torch.testing.assert_close(warm.parameters[key], value, rtol=tolerance, atol=tolerance)
+        mean = trained.codes.detach().mean(0)
+    assert warm.codes.shape == (3, 6)
+    torch.testing.assert_close(warm.codes, before + mean, rtol=0, atol=1e-5)
+    for one, parameter in zip(warm.average.values, warm.average.parameters, strict=True):
+        torch.testing.assert_close(one, parameter.detach(), rtol=0, atol=0)
+    cold.start()
+    assert warm.step()["loss"] < 0.8 * cold.step()["loss"]
+
+
+def test_a_resumed_run_keeps_its_own_state(head, trained, tmp_path):
+    settings = {"init_from": str(trained.folder / CHECKPOINT), "steps": 3}
+    first = Trainer(config(**settings), head, ThreeSpheres(), tmp_path)
+    first.run()
+    second = Trainer(config(**settings), head, ThreeSpheres(), tmp_path)
+    assert second.resume()
+    second.start()
+    torch.testing.assert_close(second.codes, first.codes, rtol=0, atol=0)
+
+
+def test_files_that_do_not_fit_are_explained(head, trained, tmp_path):
+    def start(path, model=None):
+        Trainer(config(model, init_from=str(path)), head, ThreeSpheres(), tmp_path / "run").start()
+
+    with pytest.raises(ConfigError, match=r"z_exp|codes|mesh_decoder|decoders"):
+        start(trained.folder / CHECKPOINT, {"z_exp": 7})
+    with pytest.raises(ConfigError, match=r"w\.safetensors does not fit"):
+        start(trained.folder / "w.safetensors", {"z_exp": 7})
+    with pytest.raises(FileAccessError, match="does not exist"):
+        start(tmp_path / "none.safetensors")
+    write_tensors(tmp_path / "other.safetensors", {"x": np.zeros(3, np.float32)}, {"grmm": '{"format": "other"}'})
+    with pytest.raises(FileFormatError):
+        start(tmp_path / "other.safetensors")

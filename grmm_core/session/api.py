@@ -36,6 +36,8 @@ PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "featur
 EMPTY_DEPTH = 1.0e10
 """Depth in metres of pixels that no Gaussian covers: Blender's value for an empty Z pass."""
 MAX_LOD = 3
+CLOUD_TERMS = (1, 4, 9, 16)
+"""Numbers of spherical harmonics that a cloud may have: those of the degrees 0 to 3."""
 PORTRAIT_DISTANCE = 1.1
 PORTRAIT_FOV = 23.0
 """Metres and degrees of a camera that shows the whole head with hair, as in the training pictures."""
@@ -129,11 +131,43 @@ class GaussianArrays:
 
 
 @dataclass(frozen=True)
+class CloudArrays:
+    """Gaussians that did not come from the model, in head axes (y up), to be drawn beside avatars: see `Session.put_cloud`.
+
+    Attributes:
+        means: Centres in metres, [N, 3].
+        quats: Quaternions wxyz, [N, 4].
+        scales: Standard deviations in metres along the local axes, [N, 3].
+        opacities: 0..1, [N].
+        harmonics: Spherical harmonics of display sRGB as in 3DGS, [N, K, 3] with K 1, 4, 9 or 16.
+    """
+
+    means: np.ndarray
+    quats: np.ndarray
+    scales: np.ndarray
+    opacities: np.ndarray
+    harmonics: np.ndarray
+
+    def __post_init__(self) -> None:
+        count = len(self.means)
+        terms = self.harmonics.shape[1] if self.harmonics.ndim == 3 else 0
+        shapes = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
+        if terms not in CLOUD_TERMS:
+            found = self.harmonics.shape
+            raise ShapeError(f"CloudArrays.harmonics has the shape {found}; [N, K, 3] with K 1, 4, 9 or 16 is needed.")
+        for name, shape in {**shapes, "harmonics": (count, terms, 3)}.items():
+            array = np.ascontiguousarray(getattr(self, name), np.float32)
+            if array.shape != shape:
+                raise ShapeError(f"CloudArrays.{name} has the shape {array.shape}; {shape} is needed.")
+            object.__setattr__(self, name, array)
+
+
+@dataclass(frozen=True)
 class Instance:
     """One avatar placed in the world for one picture.
 
     Attributes:
-        avatar_id: `AvatarInfo.id`.
+        avatar_id: `AvatarInfo.id`, or what `Session.put_cloud` returned.
         controls: Its expression and pose.
         model_to_world: Head space to world, [4, 4]: rotation, translation, one uniform scale. The camera of `render` is in
             the same world. From a Blender matrix M of the head object: M @ HEAD_TO_BLENDER.
@@ -243,7 +277,17 @@ class Session(Protocol):
         ...
 
     def release(self, avatar_id: int) -> None:
-        """Forget an avatar and what was cached for it. Unknown ids are ignored."""
+        """Forget an avatar, or a cloud, and what was cached for it. Unknown ids are ignored."""
+        ...
+
+    def put_cloud(self, name: str, version: str, cloud: CloudArrays) -> int:
+        """Keep Gaussians that come from elsewhere, to be drawn as an `Instance` with the id returned; controls do nothing.
+
+        Args:
+            name: Whose Gaussians these are. A cloud put under the same name before is replaced and keeps its id.
+            version: Changes whenever the Gaussians do; with the version that is already there nothing is copied.
+            cloud: The Gaussians.
+        """
         ...
 
     def deform(self, avatar_id: int, controls: Controls) -> Deformation:

@@ -25,6 +25,7 @@ from ..errors import GrmmError, SessionError
 from .api import (
     AvatarInfo,
     CancelCheck,
+    CloudArrays,
     Deformation,
     GaussianArrays,
     Instance,
@@ -73,6 +74,8 @@ class WorkerSession:
         self._next_id = 0
         self._sources: dict[int, SourceKey] = {}  # every avatar ever opened here, for a restart
         self._infos: dict[int, AvatarInfo] = {}
+        self._clouds: dict[int, tuple[str, str, CloudArrays]] = {}  # name, version, Gaussians; kept for a restart too
+        self._stale: set[int] = set()  # clouds that the running worker has in an older version
         self._remote: dict[int, int] = {}  # our ids to those of the running worker
         self._finalizer: weakref.finalize | None = None
 
@@ -93,9 +96,23 @@ class WorkerSession:
         with self._lock:
             self._sources.pop(avatar_id, None)
             self._infos.pop(avatar_id, None)
+            self._clouds.pop(avatar_id, None)
             remote = self._remote.pop(avatar_id, None)
             if remote is not None and self._worker is not None and self._worker.alive:
                 self._call("release", {"avatar_id": remote})
+
+    def put_cloud(self, name: str, version: str, cloud: CloudArrays) -> int:
+        """See `Session.put_cloud`. Sent with the first picture that shows it."""
+        with self._lock:
+            self._check_open()
+            number = next((number for number, known in self._clouds.items() if known[0] == name), None)
+            if number is None:
+                self._next_id += 1
+                number = self._next_id
+            if number not in self._clouds or self._clouds[number][1] != version:
+                self._clouds[number] = (name, version, cloud)
+                self._stale.add(number)
+            return number
 
     def deform(self, avatar_id: int, controls: Controls) -> Deformation:
         """See `Session.deform`."""
@@ -195,7 +212,14 @@ class WorkerSession:
         return self._call("open", {"source": key.name})
 
     def _remote_id(self, avatar_id: int) -> int:
-        """Return the worker's id of an avatar, opening it there if this worker is a new one."""
+        """Return the worker's id of an avatar or a cloud, bringing it there if this worker does not have it."""
+        if avatar_id in self._clouds:
+            if avatar_id not in self._remote or avatar_id in self._stale:
+                name, version, cloud = self._clouds[avatar_id]
+                sent = self._call("put_cloud", {"name": name, "version": version, "cloud": cloud})
+                self._remote[avatar_id] = sent
+                self._stale.discard(avatar_id)
+            return self._remote[avatar_id]
         if avatar_id not in self._sources:
             raise SessionError(f"There is no avatar {avatar_id} in this session; open it first.")
         if avatar_id not in self._remote:

@@ -20,14 +20,14 @@ import numpy as np
 from ..camera import Camera
 from ..controls import Controls
 from ..errors import SessionError
-from .api import AvatarInfo, Deformation, GaussianArrays, Instance, RenderOptions, SessionStatus
+from .api import AvatarInfo, CloudArrays, Deformation, GaussianArrays, Instance, RenderOptions, SessionStatus
 from .arena import SharedArena
 
 MAX_MESSAGE_BYTES = 16 << 20
 _LENGTH = struct.Struct("<I")
 _TYPES = {
     kind.__name__: kind
-    for kind in (Camera, Controls, AvatarInfo, Deformation, GaussianArrays, Instance, RenderOptions, SessionStatus)
+    for kind in (Camera, Controls, AvatarInfo, CloudArrays, Deformation, GaussianArrays, Instance, RenderOptions, SessionStatus)
 }
 _DTYPES = frozenset({"<f4", "<f8", "<i4", "<i8", "|u1", "|b1"})
 

@@ -31,6 +31,7 @@ from ..model.refine import depth_range
 from ..model.texels import matrix_to_quaternion, multiply_quaternions
 from ..splat import Gaussians, RasterOutput, rasterize
 from .api import EMPTY_DEPTH, CancelCheck, Instance, RenderOptions
+from .clouds import OpenCloud
 from .evaluate import Evaluator, Inputs, OpenAvatar
 
 NORMAL_CHANNELS = 3
@@ -39,11 +40,16 @@ _MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined
 
 @dataclass(frozen=True)
 class Placed:
-    """An instance with what `local` looked up for it."""
+    """An instance with what `local` looked up for it; a cloud has no inputs and no model."""
 
-    target: OpenAvatar
-    inputs: Inputs
+    target: OpenAvatar | OpenCloud
+    inputs: Inputs | None
     instance: Instance
+
+    @property
+    def model(self) -> GRMM | None:
+        """The network that the Gaussians come from."""
+        return self.target.model if isinstance(self.target, OpenAvatar) else None
 
 
 @dataclass(frozen=True)
@@ -102,9 +108,9 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
     count = 0
     if wants_features:
         for item in placed:
-            key = id(item.target.model)
-            if key not in features:
-                features[key] = slice(count, count + item.target.model.config.features)
+            key = id(item.model)
+            if item.model is not None and key not in features:
+                features[key] = slice(count, count + item.model.config.features)
                 count = features[key].stop
     normals = coverage = None
     if "normal" in options.passes:
@@ -121,9 +127,13 @@ def _gaussians(
 ) -> Gaussians:
     """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space."""
     model_to_world = item.instance.model_to_world
-    direction = camera.transformed(model_to_world).view_direction(np.array(HEAD_CENTRE))
-    own = evaluator.gaussians(item.target, item.inputs, direction, options.lod)
-    own_slice = channels.features.get(id(item.target.model))
+    local_camera = camera.transformed(model_to_world)
+    if isinstance(item.target, OpenCloud):
+        own = item.target.seen_from(local_camera, options.lod)
+    else:
+        direction = local_camera.view_direction(np.array(HEAD_CENTRE))
+        own = evaluator.gaussians(item.target, item.inputs, direction, options.lod)
+    own_slice = None if item.model is None else channels.features.get(id(item.model))
     if channels.count == 0:
         stacked = None
     elif own_slice is not None and own_slice == slice(0, channels.count):
@@ -132,7 +142,7 @@ def _gaussians(
         stacked = own.means.new_zeros((len(own), channels.count))
         if own_slice is not None:
             stacked[:, own_slice] = own.features
-        if channels.normals is not None:
+        if channels.normals is not None and isinstance(item.target, OpenAvatar):
             normals = evaluator.normals(item.target, item.inputs, options.lod)
             rotation = _rotation(model_to_world, normals)
             stacked[:, channels.normals] = normals @ rotation.T
@@ -166,14 +176,15 @@ def _refine(placed: Sequence[Placed], raster: RasterOutput, channels: _Channels,
     coverage = None if channels.coverage is None else raster.features[..., channels.coverage]  # [H, W, K]
     limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
     result = raster.rgb
-    models: dict[int, GRMM] = {id(item.target.model): item.target.model for item in placed}
+    models: dict[int, GRMM] = {id(item.model): item.model for item in placed if item.model is not None}
+    mixed = len({id(item.model) for item in placed}) > 1  # several weights, or clouds that no network may touch
     for key, model in models.items():
         check()
         if model.refinement is None:
             continue
         share = None
-        if len(models) > 1:
-            own = [k for k, item in enumerate(placed) if id(item.target.model) == key]
+        if mixed:
+            own = [k for k, item in enumerate(placed) if item.model is model]
             share = coverage[..., own].sum(-1)  # [H, W]
         region = _covered_region(raster.alpha if share is None else share, model)
         if region is None:

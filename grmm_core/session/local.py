@@ -34,6 +34,7 @@ from .api import (
     PORTRAIT_FOV,
     AvatarInfo,
     CancelCheck,
+    CloudArrays,
     Deformation,
     GaussianArrays,
     Instance,
@@ -41,6 +42,7 @@ from .api import (
     SessionStatus,
     check_render_size,
 )
+from .clouds import OpenCloud
 from .compose import Placed, compose
 from .evaluate import Evaluator, Inputs, OpenAvatar
 from .models import LoadedModel, ModelStore
@@ -119,6 +121,7 @@ class LocalSession:
         self.evaluator = Evaluator(cache_bytes)
         self._avatars: dict[int, OpenAvatar] = {}
         self._infos: dict[int, AvatarInfo] = {}
+        self._clouds: dict[int, OpenCloud] = {}
         self._next_id = 0
 
     @_guarded
@@ -145,7 +148,19 @@ class LocalSession:
         """See `Session.release`."""
         self._avatars.pop(avatar_id, None)
         self._infos.pop(avatar_id, None)
+        self._clouds.pop(avatar_id, None)
         self.evaluator.cache.drop(avatar_id)
+
+    @_guarded
+    def put_cloud(self, name: str, version: str, cloud: CloudArrays) -> int:
+        """See `Session.put_cloud`."""
+        known = next((cloud for cloud in self._clouds.values() if cloud.name == name), None)
+        if known is None:
+            self._next_id += 1
+        number = self._next_id if known is None else known.id
+        if known is None or known.version != version:
+            self._clouds[number] = OpenCloud.make(number, name, version, cloud, self._device)
+        return number
 
     @_guarded
     def deform(self, avatar_id: int, controls: Controls) -> Deformation:
@@ -186,6 +201,9 @@ class LocalSession:
         check_render_size(camera)
         placed = []
         for instance in instances:
+            if instance.avatar_id in self._clouds:
+                placed.append(Placed(self._clouds[instance.avatar_id], None, instance))
+                continue
             target = self.target(instance.avatar_id)
             placed.append(Placed(target, self.evaluator.inputs(target, instance.controls), instance))
         return compose(placed, self.evaluator, camera, options, should_cancel)
@@ -215,6 +233,7 @@ class LocalSession:
             self._closed = True
             self._avatars.clear()
             self._infos.clear()
+            self._clouds.clear()
             self.evaluator.cache.clear()
 
     def __enter__(self) -> Self:

@@ -8,38 +8,19 @@ refinement network and its depth range look at the whole avatar: a region then e
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
-from ...grmm_core.camera import Camera
-from ...grmm_core.errors import CancelledError, GrmmError, ShapeError
-from ...grmm_core.session import Instance, RenderOptions
+from ...grmm_core.errors import CancelledError, GrmmError
 from .. import session_host
-from . import collect, occluders, passes, picture, snapshot
-from .snapshot import AvatarShot, Region
+from . import collect, occluders, passes, picture, pipeline, snapshot
+from .pipeline import DrawSettings, Frame
+from .snapshot import Region
 
 _log = logging.getLogger(__name__)
 
 NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > GRMM Head."
-
-
-@dataclass(frozen=True)
-class Frame:
-    """Everything of one moment that a picture is made from.
-
-    Attributes:
-        avatars: Avatars to draw.
-        camera: Camera of the full picture.
-        occluders: Meshes that hide.
-        clip: Nearest and farthest distance that the camera sees, metres.
-    """
-
-    avatars: list[AvatarShot]
-    camera: Camera
-    occluders: snapshot.Occluders
-    clip: tuple[float, float]
 
 
 def render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
@@ -71,7 +52,7 @@ def describe_defect(error: Exception) -> str:
 def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
     scene = depsgraph.scene_eval
     view_layer = depsgraph.view_layer
-    settings = scene.grmm_render
+    settings = DrawSettings(scene.grmm_render.use_refine, int(scene.grmm_render.detail), scene.grmm_render.occlusion_samples)
     width, height = engine.resolution_x, engine.resolution_y
     region = snapshot.render_region(scene.render, width, height)
     items = passes.layer_passes(view_layer, collect.avatar_names(scene))
@@ -91,7 +72,7 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
 def _view_values(
     engine: bpy.types.RenderEngine,
     depsgraph: bpy.types.Depsgraph,
-    settings: bpy.types.PropertyGroup,
+    settings: DrawSettings,
     items: list[passes.RenderPass],
     world: np.ndarray | None,
     region: Region,
@@ -99,14 +80,14 @@ def _view_values(
 ) -> dict[str, np.ndarray]:
     """Return the passes of one eye, each [H, W, C] of the region."""
     scene = depsgraph.scene_eval
-    if not (scene.render.use_motion_blur and settings.motion_steps > 1):
+    if not scene.render.use_motion_blur:
         frame = take_frame(engine, depsgraph)
         if not frame.avatars:
             engine.report({"WARNING"}, NO_AVATARS)
-        return _frame_values(engine, frame, settings, items, world, region, progress)
+        return pipeline.frame_values(frame, settings, items, world, region, engine.test_break, progress)
     # Blur: the mean of pictures spread evenly over the shutter time. Positions and codes cannot be averaged, so depth and
     # normals are those of the middle of the shutter.
-    steps = settings.motion_steps
+    steps = scene.grmm_render.motion_steps
     start = scene.frame_current_final
     total: dict[str, np.ndarray] = {}
     offsets = _shutter_offsets(scene.render.motion_blur_position, scene.render.motion_blur_shutter, steps)
@@ -114,7 +95,8 @@ def _view_values(
         for step, offset in enumerate(offsets):
             _set_time(engine, start + offset)
             part = progress.part(step / steps, 1.0 / steps)
-            found = _frame_values(engine, take_frame(engine, depsgraph), settings, items, world, region, part)
+            frame = take_frame(engine, depsgraph)
+            found = pipeline.frame_values(frame, settings, items, world, region, engine.test_break, part)
             for item in items:
                 if item.kind in ("depth", "normal"):
                     if step == steps // 2:
@@ -133,63 +115,8 @@ def take_frame(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -
     scene = depsgraph.scene_eval
     camera = snapshot.full_camera(engine, depsgraph, engine.resolution_x, engine.resolution_y)
     avatars = collect.avatars(depsgraph)
-    found = snapshot.Occluders()
-    if scene.grmm_render.use_occlusion or any(a.shot.holdout for a in avatars):
-        found = occluders.collect(
-            depsgraph,
-            camera,
-            {name for a in avatars for name in a.object_names},
-            {name for a in avatars if a.shot.holdout for name in a.object_names},
-        )
-    shots = [a.shot for a in avatars if not a.shot.holdout]
-    return Frame(shots, camera, found, snapshot.clip_range(engine, depsgraph))
-
-
-def _frame_values(
-    engine: bpy.types.RenderEngine,
-    frame: Frame,
-    settings: bpy.types.PropertyGroup,
-    items: list[passes.RenderPass],
-    world: np.ndarray | None,
-    region: Region,
-    progress: _Progress,
-) -> dict[str, np.ndarray]:
-    if engine.test_break():
-        raise CancelledError("The render was cancelled.")
-    progress(0.0, "opening avatars")
-    instances = open_instances(frame.avatars)
-    progress(0.1, f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}")
-    wanted = passes.session_passes(items)
-    options = RenderOptions(
-        refine=settings.use_refine,
-        passes=tuple(dict.fromkeys((*wanted, "alpha", "depth"))),  # depth for what stands in front
-        lod=int(settings.detail),
-    )
-    buffers = session_host.get_session().render(instances, frame.camera, options, engine.test_break)
-    progress(0.8, "putting the scene in front")
-    rows = slice(frame.camera.height - region.y - region.height, frame.camera.height - region.y)
-    columns = slice(region.x, region.x + region.width)
-    buffers = {name: buffer[rows, columns] for name, buffer in buffers.items()}
-    camera = snapshot.crop_camera(frame.camera, region)
-    visible = picture.visibility(
-        frame.occluders, buffers["depth"][..., 0], camera, settings.occlusion_samples, frame.clip, film=world is not None
-    )
-    names = [shot.name for shot in frame.avatars]
-    values = {item.name: picture.pass_values(item, buffers, visible, world, names) for item in items}
-    progress(1.0, "done")
-    return values
-
-
-def open_instances(shots: list[AvatarShot]) -> list[Instance]:
-    """Open the avatars in the session and place them. Errors name the avatar."""
-    instances = []
-    for shot in shots:
-        try:
-            info = session_host.open_avatar(shot.source)
-            instances.append(Instance(info.id, shot.controls.validate(), shot.model_to_world))
-        except (ShapeError, GrmmError) as error:
-            raise type(error)(f"{shot.name}: {error}") from error
-    return instances
+    meshes = occluders.collect(depsgraph, camera, avatars, scene.grmm_render.use_occlusion)
+    return Frame([a.shot for a in avatars if not a.shot.holdout], camera, meshes, snapshot.clip_range(engine, depsgraph))
 
 
 def _write(

@@ -10,22 +10,59 @@ import bpy
 import numpy as np
 
 from ...grmm_core.camera import Camera
+from .collect import Collected
 from .snapshot import Occluders
 
 _MESH_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
 
+class MeshCache:
+    """Triangles of objects, kept between the updates of a viewport, so that an update costs what changed.
+
+    One for each viewport. Instances are not kept: what geometry nodes generate changes under one name.
+    """
+
+    def __init__(self) -> None:
+        self._triangles: dict[int, np.ndarray] = {}  # by session uid of the object
+
+    def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Drop what an update of the depsgraph has changed."""
+        for update in depsgraph.updates:
+            if not update.is_updated_geometry:
+                continue
+            if isinstance(update.id, bpy.types.Object):
+                self._triangles.pop(update.id.original.session_uid, None)
+            else:
+                self._triangles.clear()  # data that several objects may share
+
+    def get(self, candidate: bpy.types.Object) -> np.ndarray:
+        """Return the triangles of an evaluated object, [T, 3, 3] in its own space."""
+        key = candidate.original.session_uid
+        if key not in self._triangles:
+            self._triangles[key] = _triangles(candidate)
+        return self._triangles[key]
+
+
 def collect(
-    depsgraph: bpy.types.Depsgraph, camera: Camera, avatar_objects: set[str], holdout_objects: set[str]
+    depsgraph: bpy.types.Depsgraph,
+    camera: Camera | None,
+    avatars: list[Collected],
+    use_scene: bool = True,
+    kept: MeshCache | None = None,
 ) -> Occluders:
     """Return the triangles of all visible meshes that touch the picture.
 
     Args:
         depsgraph: Evaluated scene.
-        camera: Camera of the rendered region; what lies wholly beside or behind it is left out.
-        avatar_objects: Names of the original objects that are drawn as Gaussians.
-        holdout_objects: Names of those whose avatar is a holdout: their meshes cut instead.
+        camera: Camera of the picture: what lies wholly beside or behind it is left out; None keeps everything.
+        avatars: Avatars of the depsgraph. Their meshes hide nothing, but those of holdout avatars cut.
+        use_scene: Other meshes hide avatars as well.
+        kept: Triangles of earlier calls.
     """
+    avatar_objects = {name for avatar in avatars for name in avatar.object_names}
+    holdout_objects = {name for avatar in avatars if avatar.shot.holdout for name in avatar.object_names}
+    if not use_scene and not holdout_objects:
+        return Occluders()
     view_layer = depsgraph.view_layer
     cache: dict[int, np.ndarray] = {}
     plain: list[np.ndarray] = []
@@ -36,20 +73,24 @@ def collect(
             continue
         original = candidate.original
         is_avatar = original.name in avatar_objects
-        if is_avatar and original.name not in holdout_objects:
+        if original.name not in holdout_objects if is_avatar else not use_scene:
             continue
         # What an instance may hide follows from the object that stands in the scene.
         owner = (instance.parent or candidate).original if instance.is_instance else original
         if owner.indirect_only_get(view_layer=view_layer):
             continue
         matrix = np.array(instance.matrix_world, np.float64)
-        if not _touches(camera, np.array(candidate.bound_box, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]):
+        box = np.array(candidate.bound_box, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+        if camera is not None and not _touches(camera, box):
             continue
         # Instances of one object share its mesh.
         key = candidate.as_pointer()
-        if key not in cache:
-            cache[key] = _triangles(candidate)
-        local = cache[key]
+        if kept is not None and not instance.is_instance:
+            local = kept.get(candidate)
+        else:
+            if key not in cache:
+                cache[key] = _triangles(candidate)
+            local = cache[key]
         if not len(local):
             continue
         world = (local @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)

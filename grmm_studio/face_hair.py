@@ -13,6 +13,7 @@ from .mesh import Head, RenderMesh, region_vertices
 from .subjects import Subject
 
 SHORT_STEPS = 5
+COUNT_SHARE, WIDENING = 0.75, 1.7  # fewer, wider strips: pictures of a few samples a pixel are not speckled
 LASH_CARD_ROWS = 4  # quads across a lash card
 BROW_X = (0.008, 0.014, 0.024, 0.035, 0.044, 0.053)
 BROW_Y = (0.0530, 0.0550, 0.0580, 0.0600, 0.0580, 0.0515)
@@ -31,7 +32,7 @@ def scalp_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Su
     corner = scalp_density(template, groom.receding, subject.hairline, subject.asymmetry)
     bound = corner[skin].max(1)
     triangles, weights, rest = scatter(
-        neutral, skin, template, np.maximum(bound, 0.02) * (bound > 0), int(groom.count * share * 1.15), g
+        neutral, skin, template, np.maximum(bound, 0.02) * (bound > 0), int(groom.count * share * 1.15 * COUNT_SHARE), g
     )
     keep = g.random(len(rest)) < scalp_density(rest, groom.receding, subject.hairline, subject.asymmetry) / np.maximum(
         bound_of(corner, triangles), 0.02
@@ -62,7 +63,7 @@ def scalp_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Su
     stray = ((points[..., 2] > 0.025) & (points[..., 1] < -0.065) & (np.abs(points[..., 0]) < 0.055)).any(1)
     points, triangles, weights = points[~stray], triangles[~stray], weights[~stray]
     tail = tail_points(subject, g, STEPS)
-    radius = np.full(len(points), groom.radius)
+    radius = np.full(len(points), groom.radius * WIDENING)
     if len(tail):
         moved = tail + _local_shift(neutral, template, tail[:, 0])[:, None]
         nearest = _nearest_face(skin, template, np.array([0.0, 0.09, -0.09]))
@@ -70,7 +71,7 @@ def scalp_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Su
         middle = np.full((len(tail), 3), 1 / 3)
         points = np.concatenate([points, moved])
         triangles, weights = np.concatenate([triangles, faces]), np.concatenate([weights, middle])
-        radius = np.concatenate([radius, np.full(len(tail), groom.radius * 1.2)])
+        radius = np.concatenate([radius, np.full(len(tail), groom.radius * WIDENING * 1.2)])
     return bind(neutral, triangles, weights, points, radius, g.normal(0, 1, len(points)))
 
 

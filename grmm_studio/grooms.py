@@ -233,7 +233,7 @@ def make_groom(subject: Subject) -> Groom | None:
             clumping=0.55,
         )
     if style in ("bob", "long", "wavy_long"):
-        length = {"bob": 0.21, "long": 0.36, "wavy_long": 0.33}[style]
+        length = {"bob": 0.20, "long": 0.275, "wavy_long": 0.27}[style]
 
         def comb(r: np.ndarray) -> np.ndarray:
             return _parted(r, s.part, 0.55)
@@ -283,9 +283,9 @@ def make_groom(subject: Subject) -> Groom | None:
             constant(0.003),
             lift=1.0,
             stiffness=(0, 0.25),
-            messiness=0.35 if big else 0.22,
+            messiness=0.22 if big else 0.16,
             clumps=700 if big else 420,
-            clumping=0.45,
+            clumping=0.25 if big else 0.4,
             curl_radius=0.0035 if big else 0.0065,
             curl_wavelength=0.013 if big else 0.026,
             curl_cell=0.006,

@@ -16,6 +16,7 @@ from .textures import SkinTextures
 
 Socket = Any  # a bpy node socket, or a constant for it
 TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068)  # from the middle outwards, metres
+MOUTH_GLOW = 0.10  # of the colour: light that bounces in the mouth more often than the render follows it
 ARC_RANGE = 0.05  # metres mapped to 0..1 of the tooth ramp
 
 
@@ -129,6 +130,8 @@ def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.t
         "Normal": normal,
         "IOR": 1.42,
         "Specular IOR Level": 0.42,
+        "Emission Color": color,
+        "Emission Strength": n.math("MULTIPLY", n.attribute("mouth"), MOUTH_GLOW),
     }
     if subsurface:
         inputs |= {
@@ -228,6 +231,8 @@ def teeth_material(s: Subject) -> bpy.types.Material:
                 "Roughness": 0.18,
                 "Normal": normal,
                 "Specular IOR Level": 0.5,
+                "Emission Color": color,
+                "Emission Strength": MOUTH_GLOW,
                 "Coat Weight": 0.3,
                 "Coat Roughness": 0.05,
             },
@@ -255,7 +260,7 @@ def tongue_material(s: Subject) -> bpy.types.Material:
                 "Roughness": 0.36,
                 "Normal": normal,
                 "Emission Color": color,
-                "Emission Strength": 0.07,  # light scattered in the mouth
+                "Emission Strength": MOUTH_GLOW,
             },
         ).outputs[0]
     )

@@ -18,6 +18,7 @@ from typing import Any
 import bpy
 import numpy as np
 from mathutils import Matrix
+from scipy.spatial import cKDTree
 
 from grmm_core.camera import Camera
 
@@ -30,6 +31,7 @@ from .subjects import Subject, hair_albedo
 from .textures import Atlas, SkinTextures, paint_skin
 
 LASH_TINT = 50.0  # strands of a larger tint are lashes
+LOCKS = 260  # of the scalp hair that differ in colour
 UPPER_GUM, LOWER_GUM = 0.0105, 0.0095  # crown heights in metres from the tips
 
 
@@ -263,7 +265,12 @@ class Studio:
         self._move_lines = line
         base = self._neutral[render.coarse_faces]
         self._rest_area = np.linalg.norm(np.cross(base[:, 1] - base[:, 0], base[:, 2] - base[:, 0]), axis=1)
-        values = {"wrinkle": self._age_lines, "arc": fields.tooth_arc(rest), "crown": self._crowns(rest)}
+        values = {
+            "wrinkle": self._age_lines,
+            "arc": fields.tooth_arc(rest),
+            "crown": self._crowns(rest),
+            "mouth": self._mask("mouth_interior"),
+        }
         for name, value in values.items():
             attribute = mesh.attributes.new(name, "FLOAT", "POINT")
             attribute.data.foreach_set("value", np.ascontiguousarray(value, np.float32))
@@ -334,7 +341,7 @@ class Studio:
         data.polygons.foreach_set("loop_start", np.arange(0, ribbons.faces.size, 3, dtype=np.int32))
         data.polygons.foreach_set("use_smooth", np.ones(len(ribbons.faces), bool))
         g = np.random.default_rng(self._subject.asymmetry + 1)
-        tint = np.repeat(np.clip(0.5 + 0.22 * g.normal(0, 1, count), 0, 1), 2 * steps)
+        tint = np.repeat(np.clip(0.5 + 0.2 * _locks(strands, self._neutral, g) + 0.08 * g.normal(0, 1, count), 0, 1), 2 * steps)
         along = np.tile(np.repeat(np.linspace(0, 1, steps), 2), count)
         for key, value in (("tint", tint), ("along", along)):
             data.attributes.new(key, "FLOAT", "POINT").data.foreach_set("value", value.astype(np.float32))
@@ -370,6 +377,12 @@ def _quiet() -> Iterator[None]:
 def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
     """Display sRGB of linear values 0..1."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(np.maximum(linear, 1e-8), 1 / 2.4) - 0.055)
+
+
+def _locks(strands: Strands, neutral: np.ndarray, g: np.random.Generator) -> np.ndarray:
+    """Normal numbers that strands with neighbouring tips share, [N]: hair differs by lock more than by strand."""
+    tips = strands.points(neutral)[:, -1]
+    return g.normal(0, 1, LOCKS)[cKDTree(tips[g.integers(len(tips), size=LOCKS)]).query(tips)[1]]
 
 
 def _select(strands: Strands, mask: np.ndarray) -> Strands:

@@ -121,8 +121,8 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     color = np.broadcast_to(skin_albedo(s.melanin, s.blood), rest.shape)
     red, dark = skin_albedo(s.melanin * 1.02, s.blood + 0.55), skin_albedo(s.melanin * 1.25 + 0.07, s.blood * 1.12)
     color = _mix(fields.redness(rest) * s.redness * 0.75, color, red)
-    color = _mix(smoothstep(0.42, 0.75, large) * 0.40, color, red)
-    color = _mix(smoothstep(0.45, 0.8, small) * 0.45, color, dark)
+    color = _mix(smoothstep(0.42, 0.75, large) * 0.24, color, red)
+    color = _mix(smoothstep(0.45, 0.8, small) * 0.30, color, dark)
     color = _mix(smoothstep(0.55, 0.8, noise(rest, 21.0, seed + 4, 3)) * 0.30, color, dark)
     color = _mix(smoothstep(0.58, 0.85, pores) * 0.30 * s.pores, color, dark)
     color = _mix(fields.eye_shadow(rest) * 0.55, color, dark)
@@ -134,14 +134,14 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
         )
         zone = np.clip(zone * smoothstep(0.35, 0.6, noise(rest, 80.0, seed + 5)), 0, 1)
         color = _mix(
-            _dots(rest, zone, int(900 * s.freckles) + 60, (0.0005, 0.0014), g) * 0.65,
+            _dots(rest, zone, int(700 * s.freckles) + 40, (0.0005, 0.0012), g) * 0.42,
             color,
-            skin_albedo(s.melanin + 0.7, s.blood + 0.15),
+            skin_albedo(s.melanin + 0.5, s.blood + 0.15),
         )
     if s.spots > 0.02:
-        count = int(22 * s.spots) + 1
+        count = int(14 * s.spots) + 1
         color = _mix(
-            _dots(rest, np.ones(len(rest)), count, (0.0008, 0.0020), g) * 0.8,
+            _dots(rest, np.ones(len(rest)), count, (0.0008, 0.0018), g) * 0.7,
             color,
             skin_albedo(s.melanin + 1.2, s.blood + 0.3),
         )

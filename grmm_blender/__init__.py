@@ -6,9 +6,11 @@
 ``preferences``    the extension's preferences: runtime, diagnostics
 ``properties``     properties of avatars and scenes
 ``avatar`` ``rig``  the avatar as a Python object; armature, shape keys, drivers
+``splats``         splat clouds: imported splat files and other projects' avatars
 ``handlers``       frame change, load and save
 ``panels``         user interface
 ``engine``         the GRMM render engine
+``production``     composites, pose library, turntables, contact sheets, presets, menus, translations
 ``viewport``       drawing splats in the 3D viewport
 ``..operators``    operators, one topic a file
 =================  ======================================================================================
@@ -29,9 +31,11 @@ import bpy
 MODULES = (
     ".preferences",
     ".properties",
+    ".splats.properties",
     "..operators",
     ".panels",
     ".engine",
+    ".production",
     ".handlers",
     ".session_host",
 )

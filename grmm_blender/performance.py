@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import bpy
 import numpy as np
@@ -20,6 +20,9 @@ from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
 from .avatar import Avatar
 from .rig.actions import ensure_bag, find_curve, linear_keys, reduced_keys, replace_keys
 from .rig.definitions import ALIGNED_RANGE, ARRAY_RANGES, EXPRESSION, REGIONS, property_path
+
+if TYPE_CHECKING:
+    from .splats.rigged import Puppet
 
 EyeSource = Literal["AUTO", "SHAPES", "ROTATIONS"]
 Keys = Literal["FRAMES", "REDUCED", "SAMPLES"]
@@ -80,6 +83,11 @@ class Channel:
     limits: tuple[float, float]
     values: np.ndarray
 
+    @property
+    def property_name(self) -> str:
+        """Name of the head object's property, "" for a bone."""
+        return "" if self.bone else self.path.split('"')[1]
+
 
 def prepare(performance: Performance, options: ImportOptions) -> Performance:
     """Clean a recording as the options say; at the scene's rate, unless every sample gets a key. Raises `ShapeError`."""
@@ -129,11 +137,11 @@ def channels_of(performance: Performance, options: ImportOptions, flame_head: bo
     return [replace(channel, values=np.clip(channel.values, *channel.limits)) for channel in result]
 
 
-def apply_performance(avatar: Avatar, performance: Performance, options: ImportOptions, name: str) -> ImportedRange:
+def apply_performance(avatar: Avatar | Puppet, performance: Performance, options: ImportOptions, name: str) -> ImportedRange:
     """Write a performance as keys; keys of the same curves at other times stay.
 
     Args:
-        avatar: Whose rig plays it.
+        avatar: Whose rig plays it; channels that it does not have are left out.
         performance: As read.
         options: How.
         name: Name of a new action.
@@ -144,6 +152,9 @@ def apply_performance(avatar: Avatar, performance: Performance, options: ImportO
     """
     prepared = prepare(performance, options)
     channels = channels_of(prepared, options, flame_head=avatar.object.grmm.head_name.startswith("flame"))
+    channels = [channel for channel in channels if channel.bone or channel.property_name in avatar.object]
+    if not channels:
+        raise FileFormatError(f"{avatar.object.name} has none of the controls that the performance moves; choose another file.")
     seconds = prepared.times - prepared.times[0]
     frames = options.start + seconds * options.fps
     if abs(frames).max() > MAX_FRAME:

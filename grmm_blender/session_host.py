@@ -14,7 +14,7 @@ import logging
 import os
 import threading
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from ..grmm_core.session import (
@@ -25,6 +25,9 @@ from ..grmm_core.session import (
     create_session,
     has_torch,
 )
+
+if TYPE_CHECKING:
+    from .splats import CloudShot
 
 _log = logging.getLogger(__name__)
 
@@ -76,6 +79,7 @@ _lock = threading.Lock()
 _settings = RuntimeSettings()
 _session: Session | None = None
 _last_error = ""
+_clouds: set[int] = set()  # ids of splat clouds in the session
 
 
 def configure(settings: RuntimeSettings) -> None:
@@ -138,6 +142,23 @@ def open_avatar(source: str) -> AvatarInfo:
     return session.open(source)
 
 
+def open_cloud(shot: CloudShot) -> int:
+    """Hand a splat cloud to the session, where it is not there already; returns its id for `Instance`."""
+    number = get_session().put_cloud(shot.key, shot.version, shot.arrays)
+    with _lock:
+        _clouds.add(number)
+    return number
+
+
+def release_clouds() -> None:
+    """Forget all splat clouds; called when another file is opened."""
+    with _lock:
+        session, numbers = _session, set(_clouds)
+        _clouds.clear()
+    for number in numbers if session is not None else ():
+        session.release(number)
+
+
 def runtime_status() -> RuntimeStatus:
     """Return what runs the model, for panels; cheap, starts nothing."""
     with _lock:
@@ -167,6 +188,7 @@ def shutdown() -> None:
     global _session
     with _lock:
         session, _session = _session, None
+        _clouds.clear()
     if session is not None:
         session.close()
 

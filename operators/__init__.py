@@ -3,14 +3,15 @@
 ``common``              what they share
 ``add_head``            add an avatar to the scene
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV
+``import_splats``       splat files and other projects' avatars
 ``edit``                reset, mirror, random expression and identity, independent copies
 """
 
 from __future__ import annotations
 
-from . import add_head, edit, import_performance
+from . import add_head, edit, import_performance, import_splats
 
-_TOPICS = (add_head, import_performance, edit)
+_TOPICS = (add_head, import_performance, import_splats, edit)
 
 CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)
 

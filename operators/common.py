@@ -9,6 +9,7 @@ from typing import TypeVar
 import bpy
 
 from ..grmm_blender.avatar import Avatar, avatar_of
+from ..grmm_blender.splats.rigged import Puppet, is_puppet
 from ..grmm_core.errors import GrmmError
 
 Result = set[str]
@@ -18,6 +19,24 @@ _Execute = TypeVar("_Execute", bound=Callable[..., Result])
 def active_avatar(context: bpy.types.Context) -> Avatar | None:
     """Return the avatar of the active object (its head or its armature)."""
     return avatar_of(context.object)
+
+
+def active_performer(context: bpy.types.Context) -> Avatar | Puppet | None:
+    """Return what can play a performance: the active avatar, or an imported one with ARKit controls."""
+    obj = context.object
+    return active_avatar(context) or (Puppet(obj) if is_puppet(obj) else None)
+
+
+def needs_performer(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """`poll` of operators that key the active avatar, or an imported one."""
+    performer = active_performer(context)
+    if performer is None:
+        cls.poll_message_set("Select the head or the armature of an avatar")
+        return False
+    if not performer.object.is_editable:
+        cls.poll_message_set("The avatar is linked; make a library override of it first")
+        return False
+    return True
 
 
 def needs_avatar(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:

@@ -10,7 +10,7 @@ import bpy
 from ..grmm_blender.performance import ImportOptions, apply_performance
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.performance import read_performance
-from .common import Result, active_avatar, needs_avatar, reports_errors
+from .common import Result, active_performer, needs_performer, reports_errors
 
 _MAX_WARNINGS = 5
 
@@ -94,7 +94,7 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         name="Set Scene Range", description="Let the scene start and end with the performance", default=True
     )
 
-    poll = classmethod(needs_avatar)
+    poll = classmethod(needs_performer)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options in the file browser's side panel."""
@@ -138,7 +138,7 @@ class GRMM_OT_import_performance(bpy.types.Operator):
             head_joint="" if self.head == "NONE" else self.head,
             eyes=self.eyes,
         )
-        written = apply_performance(active_avatar(context), performance, options, Path(path).stem)
+        written = apply_performance(active_performer(context), performance, options, Path(path).stem)
         if self.set_range:
             scene.frame_start, scene.frame_end = max(round(written.first), 0), max(round(written.last), 0)
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
@@ -161,7 +161,7 @@ class GRMM_FH_performance(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         """Only where an avatar is active."""
-        return context.area is not None and context.area.type == "VIEW_3D" and active_avatar(context) is not None
+        return context.area is not None and context.area.type == "VIEW_3D" and active_performer(context) is not None
 
 
 def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:

@@ -13,20 +13,22 @@ import numpy as np
 from ...grmm_core.camera import Camera
 from ...grmm_core.controls import Controls
 from ...grmm_core.errors import ConfigError
+from ..splats import CloudShot
 
 SUPPORTED_CAMERAS = ("PERSP", "ORTHO")
 
 
 @dataclass(frozen=True)
 class AvatarShot:
-    """An avatar as it is in one frame.
+    """An avatar, or a splat cloud, as it is in one frame.
 
     Attributes:
-        name: Name of its head object.
-        source: What `session_host.open_avatar` takes.
+        name: Name of its head object, or of the cloud object.
+        source: What `session_host.open_avatar` takes; "" for a cloud.
         controls: Expression and pose.
         model_to_world: Head space to Blender's world, [4, 4].
         holdout: It cuts a hole instead of being drawn.
+        cloud: What `session_host.open_cloud` takes, for a cloud.
     """
 
     name: str
@@ -34,6 +36,7 @@ class AvatarShot:
     controls: Controls
     model_to_world: np.ndarray
     holdout: bool = False
+    cloud: CloudShot | None = None
 
 
 @dataclass(frozen=True)

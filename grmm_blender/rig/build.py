@@ -63,7 +63,7 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
 def add_properties(obj: bpy.types.Object, identity: Identity) -> None:
     """Create the custom properties that are the avatar's controls, at rest."""
     for name in ALIGNED_NAMES:
-        _add_property(obj, name, 0.0, ALIGNED_RANGE, describe_aligned(name))
+        add_property(obj, name, 0.0, ALIGNED_RANGE, describe_aligned(name))
     sizes = {
         SHAPE: identity.head.shape_count,
         EXPRESSION: identity.head.expression_count,
@@ -71,8 +71,10 @@ def add_properties(obj: bpy.types.Object, identity: Identity) -> None:
         Z_EXP: identity.z_exp_size,
     }
     for name, size in sizes.items():
-        _add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])
-    _add_property(obj, STRENGTH, 1.0, STRENGTH_RANGE, STRENGTH_DESCRIPTION)
+        if size == 0:  # a head that no network draws has no codes
+            continue
+        add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])
+    add_property(obj, STRENGTH, 1.0, STRENGTH_RANGE, STRENGTH_DESCRIPTION)
 
 
 def show_source(avatar: Avatar) -> str:
@@ -112,7 +114,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
         values = obj[name].to_list()
         if len(values) != size:
             kept = (values + [0.0] * size)[:size]
-            _add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])
+            add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])
             obj[name] = kept
     live.state_of(avatar).shape_for = None
     live.state_of(avatar).detail_for = None
@@ -140,7 +142,8 @@ def make_independent(avatar: Avatar) -> None:
     obj.update_tag()
 
 
-def _add_property(obj: bpy.types.Object, name: str, value: float | list[float], limits: Range, description: str) -> None:
+def add_property(obj: bpy.types.Object, name: str, value: float | list[float], limits: Range, description: str) -> None:
+    """Create one custom property with range and tooltip, which library overrides may change."""
     obj[name] = value
     obj.id_properties_ui(name).update(
         min=limits.low,

@@ -44,11 +44,11 @@ def drive_shape_keys(obj: bpy.types.Object, head: HeadModel) -> None:
     keys = obj.data.shape_keys.key_blocks
     inputs, others = expression_inputs(head)
     for k in range(leading_shapes(head)):
-        _drive(keys[shape_key_name(k)], "value", -1, obj, [property_path(SHAPE, k)])
+        drive_sum(keys[shape_key_name(k)], "value", -1, obj, [property_path(SHAPE, k)])
     for name, paths in zip(head.expression_names, inputs, strict=True):
-        _drive(keys[name], "value", -1, obj, paths)
+        drive_sum(keys[name], "value", -1, obj, paths)
     for name in others:
-        _drive(keys[mixture_key_name(name, head)], "value", -1, obj, [property_path(name)])
+        drive_sum(keys[mixture_key_name(name, head)], "value", -1, obj, [property_path(name)])
 
 
 def drive_bones(armature: bpy.types.Object, obj: bpy.types.Object, head: HeadModel, resting: np.ndarray) -> None:
@@ -76,11 +76,11 @@ def drive_bones(armature: bpy.types.Object, obj: bpy.types.Object, head: HeadMod
                 term = f"{name}.{_AXES[axis]}"
                 bone[term] = 0.0
                 terms.append(bone.path_from_id() + property_path(term))
-                _drive(bone, property_path(term), -1, obj, paths, slope=float(pose[joint, axis]))
+                drive_sum(bone, property_path(term), -1, obj, paths, slope=float(pose[joint, axis]))
             rest = resting_term(axis)
             bone[rest] = float(resting[joint, axis])
             terms.append(bone.path_from_id() + property_path(rest))
-            _drive(bone, "rotation_euler", axis, armature, terms)
+            drive_sum(bone, "rotation_euler", axis, armature, terms)
 
 
 def resting_term(axis: int) -> str:
@@ -107,7 +107,7 @@ def resting_pose(armature: bpy.types.Object | None) -> np.ndarray:
     return pose
 
 
-def _drive(
+def drive_sum(
     owner: bpy.types.bpy_struct,
     path: str,
     index: int,

@@ -6,19 +6,22 @@ no runtime. Used by `build` and the relink operator; imports neither bpy nor tor
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from ...grmm_core.avatar import AssetReference, load_avatar
-from ...grmm_core.errors import FileFormatError
-from ...grmm_core.head import HeadModel, load_open_head
+from ...grmm_core.errors import FileAccessError, FileFormatError
+from ...grmm_core.head import HeadModel, load_flame, load_open_head
 from ...grmm_core.head.open_head import ASSET as OPEN_HEAD_ASSET
 from ...grmm_core.tensorfile import read_tensors
 from .. import session_host
 
 DEFAULT_SOURCE = "default"
 OPEN_HEAD = "open_head"
+FLAME_PREFIX = "flame:"
 # as `grmm_core.model.weights` writes them; that module needs torch, and a head is added without a runtime too
 _WEIGHTS = OPEN_HEAD_ASSET.parent / "weights" / "default.safetensors"
 _DEFAULT_SHAPE, _DEFAULT_Z_ID, _CODES = "people/default_shape", "people/default_z_id", "model/aligned_codes"
@@ -35,6 +38,7 @@ class Identity:
         shape: Its own shape coefficients, [<=S]; the rig's resting mesh.
         expression: Its own offset to the expression coefficients, [<=E].
         z_id_size, z_exp_size: Length of the residual codes.
+        offset: What the person's resting mesh has beyond the shape coefficients, metres, [V, 3], or None.
     """
 
     name: str
@@ -43,11 +47,13 @@ class Identity:
     expression: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     z_id_size: int = _PAPER_SIZES[0]
     z_exp_size: int = _PAPER_SIZES[1]
+    offset: np.ndarray | None = None
 
     @property
     def vertices(self) -> np.ndarray:
         """The resting mesh before skinning, head space, metres, [V, 3]."""
-        return self.head.shaped(self.shape, self.expression)
+        shaped = self.head.shaped(self.shape, self.expression)
+        return shaped if self.offset is None else shaped + self.offset
 
     @property
     def joints(self) -> np.ndarray:
@@ -86,10 +92,27 @@ def read_identity(source: str) -> Identity:
 
 
 def load_head(reference: AssetReference) -> HeadModel:
-    """Return an installed head model by name. Raises `FileFormatError` where there is none of that name."""
+    """Return an installed head model by name, or the user's FLAME file by `FLAME_PREFIX` and its path.
+
+    Raises:
+        FileFormatError: There is none of that name.
+        FileAccessError: The FLAME file is gone.
+    """
     if reference.name == OPEN_HEAD:
         return load_open_head()
+    if reference.name.startswith(FLAME_PREFIX):
+        path = Path(reference.name.removeprefix(FLAME_PREFIX))
+        try:
+            return _flame(path, path.stat().st_mtime_ns)
+        except OSError as error:
+            raise FileAccessError(f"The FLAME file {path} cannot be read; put it back or import the avatar again.") from error
     raise FileFormatError(f"The head model {reference.name!r} is not installed; use an avatar of the open head.")
+
+
+@functools.lru_cache(maxsize=2)
+def _flame(path: Path, stamp: int) -> HeadModel:
+    """Read a FLAME file once for each time that it was written; asked for on every frame."""
+    return load_flame(path)
 
 
 def _default() -> Identity:

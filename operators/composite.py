@@ -1,0 +1,65 @@
+"""Set up a composite of a Cycles or EEVEE scene with its avatars in one click, and take it away again."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import bpy
+
+from ..grmm_blender.composite import scenes
+from .common import Result, reports_errors
+
+
+class GRMM_OT_composite_set_up(bpy.types.Operator):
+    """Render the avatars with GRMM and everything else with the scene's engine, put together by the compositor."""
+
+    bl_idname = "grmm.composite_set_up"
+    bl_label = "Composite Avatars"
+    bl_description = (
+        "Render the avatars with GRMM in a scene of their own and everything else with this scene's engine, "
+        "put together by the compositor; again: put it right"
+    )
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with avatars, and another engine than GRMM."""
+        if context.scene.render.engine == scenes.ENGINE:
+            cls.poll_message_set("The GRMM engine renders this scene already; choose Cycles or EEVEE")
+            return False
+        if not scenes.drawn_objects(context.scene):
+            cls.poll_message_set("The scene has no GRMM avatar")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Set it up."""
+        partner = scenes.set_up(context.scene)
+        self.report({"INFO"}, f"The scene {partner.name} renders the avatars")
+        return {"FINISHED"}
+
+
+class GRMM_OT_composite_remove(bpy.types.Operator):
+    """Remove the composite: its nodes and the avatars' scene."""
+
+    bl_idname = "grmm.composite_remove"
+    bl_label = "Remove Composite"
+    bl_description = "Remove the compositing nodes and the scene that renders the avatars; your own nodes stay"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only where there is one."""
+        if scenes.partner_of(context.scene) is None:
+            cls.poll_message_set("This scene has no composite")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Remove it."""
+        scenes.remove(context.scene)
+        return {"FINISHED"}
+
+
+CLASSES = (GRMM_OT_composite_set_up, GRMM_OT_composite_remove)

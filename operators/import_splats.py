@@ -1,0 +1,140 @@
+"""Import splat files and other projects' avatars: .ply, .splat, .spz, .sog, glTF with KHR_gaussian_splatting, LAM's .zip."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+
+from ..grmm_blender.performance import ImportOptions, apply_performance
+from ..grmm_blender.splats.rigged import Imported, import_file
+from ..grmm_core.errors import FileAccessError
+from .common import Result, reports_errors
+
+EXTENSIONS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".zip")
+_MAX_WARNINGS = 5
+
+
+class GRMM_OT_import_splats(bpy.types.Operator):
+    """Add the Gaussians of splat files, or avatars of other projects, to the scene."""
+
+    bl_idname = "grmm.import_splats"
+    bl_label = "Import Splats"
+    bl_description = (
+        "Add the Gaussians of splat files (3DGS, .splat, SPZ, SOG, glTF) "
+        "or avatars of other projects (GaussianAvatars, LAM, CAP4D)"
+    )
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    filepath: bpy.props.StringProperty(name="File", description="Splat file", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
+    files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"})
+    filter_glob: bpy.props.StringProperty(
+        default=";".join(f"*{extension}" for extension in EXTENSIONS) + ";meta.json", options={"HIDDEN"}
+    )
+    turned: bpy.props.BoolProperty(
+        name="Turn Upside Down",
+        description="Turn plain splats by half a turn: for files that were written with the other axis up",
+        default=False,
+    )
+    flame_file: bpy.props.StringProperty(
+        name="FLAME File",
+        description="Your own FLAME model (generic_model.pkl or flame2023.pkl), which carries GaussianAvatars' splats",
+        subtype="FILE_PATH",
+        default="",
+    )
+    animation: bpy.props.BoolProperty(
+        name="Animation", description="Key the performance that lies beside a GaussianAvatars file", default=True
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """New objects are made in object mode."""
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Go to object mode first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Open the file browser, unless files were dropped."""
+        if self.filepath or self.files:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Import every chosen file."""
+        names = [Path(bpy.path.abspath(self.directory)) / item.name for item in self.files if item.name]
+        paths = names or ([Path(bpy.path.abspath(self.filepath))] if self.filepath else [])
+        if not paths:
+            raise FileAccessError("No splat file is chosen; choose a file.")
+        manager = context.window_manager
+        manager.progress_begin(0, len(paths))
+        try:
+            for number, path in enumerate(paths):
+                manager.progress_update(number)
+                self._import(context, path)
+        finally:
+            manager.progress_end()
+        return {"FINISHED"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the options in the file browser's side panel."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "turned")
+        box = layout.column(heading="GaussianAvatars")
+        box.prop(self, "flame_file")
+        box.prop(self, "animation")
+
+    def _import(self, context: bpy.types.Context, path: Path) -> None:
+        made = import_file(context, path, flame=self.flame_file, turned=self.turned)
+        warnings = list(made.warnings)
+        if made.track is not None and self.animation:
+            warnings += self._animate(context, made, path)
+        for sentence in dict.fromkeys(warnings[:_MAX_WARNINGS]):
+            self.report({"WARNING"}, sentence)
+        frames = f", {made.frames} frames" if made.frames else ""
+        self.report({"INFO"}, f"Imported {made.objects[0].name}: {made.splats} splats{frames}")
+
+    def _animate(self, context: bpy.types.Context, made: Imported, path: Path) -> list[str]:
+        scene = context.scene
+        rate = scene.render.fps / scene.render.fps_base
+        options = ImportOptions(start=scene.frame_start, fps=rate, head_joint="root", limit=False)
+        name = path.name if path.is_dir() else path.parent.name
+        written = apply_performance(made.avatar, made.track, options, f"{name} track")
+        moved = made.track.translation is not None and bool(made.track.translation.any())
+        return [*written.warnings, *(["The track's movement of the whole head through space was left out."] if moved else [])]
+
+
+class GRMM_FH_splats(bpy.types.FileHandler):
+    """Take splat files that are dropped into the 3D viewport."""
+
+    bl_idname = "GRMM_FH_splats"
+    bl_label = "GRMM Splats"
+    bl_import_operator = GRMM_OT_import_splats.bl_idname
+    bl_file_extensions = ".ply;.splat;.spz;.sog;.glb"
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Only in 3D viewports."""
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    self.layout.operator(GRMM_OT_import_splats.bl_idname, text="GRMM Splats and Avatars (.ply, .splat, .spz, .sog, .glb, .zip)")
+
+
+CLASSES = (GRMM_OT_import_splats, GRMM_FH_splats)
+
+
+def register() -> None:
+    """Add the menu entry."""
+    bpy.types.TOPBAR_MT_file_import.append(_menu)
+
+
+def unregister() -> None:
+    """Remove the menu entry."""
+    bpy.types.TOPBAR_MT_file_import.remove(_menu)

@@ -10,12 +10,15 @@
 ``occluders``      the meshes of a depsgraph
 ``snapshot``       camera, region and world as plain values; the types that carry a frame
 ``picture``        from the session's buffers to pass values (numpy only)
+``pipeline``       a frame from plain values to pass values, on any thread
+``view``           the rendered viewport, on Blender's main thread
+``view_jobs``      its pictures, on a thread of their own
 =================  ==============================================================================
 """
 
 from __future__ import annotations
 
-from . import render_engine, settings, ui
+from . import render_engine, settings, ui, view
 
 CLASSES = (*settings.CLASSES, *render_engine.CLASSES, *ui.CLASSES)
 
@@ -24,9 +27,11 @@ def register() -> None:
     """Attach settings and panels."""
     settings.register()
     ui.register()
+    view.register()
 
 
 def unregister() -> None:
     """Take back `register`."""
+    view.unregister()
     ui.unregister()
     settings.unregister()

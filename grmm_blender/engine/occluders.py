@@ -26,14 +26,10 @@ class MeshCache:
         self._triangles: dict[int, np.ndarray] = {}  # by session uid of the object
 
     def forget_changed(self, depsgraph: bpy.types.Depsgraph) -> None:
-        """Drop what an update of the depsgraph has changed."""
+        """Drop what an update of the depsgraph has changed. Changed data is there with every object that uses it."""
         for update in depsgraph.updates:
-            if not update.is_updated_geometry:
-                continue
-            if isinstance(update.id, bpy.types.Object):
+            if update.is_updated_geometry and isinstance(update.id, bpy.types.Object):
                 self._triangles.pop(update.id.original.session_uid, None)
-            else:
-                self._triangles.clear()  # data that several objects may share
 
     def get(self, candidate: bpy.types.Object) -> np.ndarray:
         """Return the triangles of an evaluated object, [T, 3, 3] in its own space."""

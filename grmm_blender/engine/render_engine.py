@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from . import collect, final, passes
+from .view import ViewRenderer
 
 
 class GRMM_RenderEngine(bpy.types.RenderEngine):
@@ -16,6 +19,16 @@ class GRMM_RenderEngine(bpy.types.RenderEngine):
     bl_use_exclude_layers = True
     bl_use_eevee_viewport = True  # material preview shows the scene with EEVEE
 
+    _view = None  # a `ViewRenderer` once the viewport is drawn; Blender would take an annotation for a property
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._view = None
+
+    def __del__(self) -> None:
+        if self._view is not None:
+            self._view.close()
+
     def update_render_passes(self, scene: bpy.types.Scene, renderlayer: bpy.types.ViewLayer) -> None:
         """Tell Blender which passes there are."""
         passes.register_passes(self, scene, renderlayer, collect.avatar_names(scene))
@@ -23,6 +36,19 @@ class GRMM_RenderEngine(bpy.types.RenderEngine):
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Render one view layer of one frame."""
         final.render(self, depsgraph)
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Follow a change of the scene in a rendered viewport."""
+        self._viewport().update(depsgraph)
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Draw a rendered viewport."""
+        self._viewport().draw(self, context, depsgraph)
+
+    def _viewport(self) -> ViewRenderer:
+        if self._view is None:
+            self._view = ViewRenderer()
+        return self._view
 
 
 CLASSES = (GRMM_RenderEngine,)

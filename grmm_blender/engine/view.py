@@ -1,0 +1,200 @@
+"""The rendered viewport: `RenderEngine.view_update` and `view_draw` end here.
+
+On Blender's main thread: copy the scene when it changes, ask `view_jobs` for pictures when scene or view change, and draw the
+newest picture as a texture. A timer redraws the viewport when a picture has come. What cannot be drawn is said in a line of
+text in the viewport's corner.
+"""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass
+
+import bpy
+import gpu
+import numpy as np
+from bpy.app.handlers import persistent
+from gpu_extras.presets import draw_texture_2d
+
+from ...grmm_core.camera import Camera
+from ...grmm_core.errors import GrmmError
+from . import collect, occluders, snapshot, view_jobs
+from .pipeline import DrawSettings, Frame
+from .snapshot import AvatarShot, Occluders
+from .view_jobs import ViewJobs, ViewRequest
+
+_POLL_SECONDS = 0.03
+_EDGE_SAMPLES = 2
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """The scene as of the last change."""
+
+    avatars: list[AvatarShot]
+    occluders: Occluders
+    world: np.ndarray | None
+    preview: DrawSettings
+    final: DrawSettings
+
+
+class ViewRenderer:
+    """What one viewport needs between two draws."""
+
+    def __init__(self, jobs: ViewJobs | None = None) -> None:
+        """Prepare; `jobs` draws the pictures (its own when None)."""
+        self._jobs = jobs or ViewJobs()
+        self._meshes = occluders.MeshCache()
+        self._scene: _Scene | None = None
+        self._shown: tuple[_Scene, Camera] | None = None
+        self._texture: gpu.types.GPUTexture | None = None
+        self._level = ""
+        self._error = ""
+        _viewports.add(self)
+
+    def update(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Copy the scene after a change."""
+        self._meshes.forget_changed(depsgraph)
+        try:
+            self._scene, self._error = self._copy(depsgraph), ""
+        except GrmmError as error:
+            self._error = str(error)
+
+    def draw(self, engine: bpy.types.RenderEngine, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Draw the newest picture, and ask for a newer one if the view is another by now."""
+        if self._scene is None and not self._error:
+            self.update(depsgraph)
+        width, height = context.region.width, context.region.height
+        if self._scene is not None:
+            self._request(context)
+        found = self._jobs.take()
+        if found is not None:
+            self._texture, self._level = _texture(found.values), found.level
+        if self._texture is not None:
+            gpu.state.blend_set("ALPHA_PREMULT")
+            engine.bind_display_space_shader(depsgraph.scene)
+            draw_texture_2d(self._texture, (0, 0), width, height)
+            engine.unbind_display_space_shader()
+            gpu.state.blend_set("NONE")
+        engine.update_stats("GRMM", self.status())
+        if self._jobs.busy:
+            redraw_when_ready()
+
+    def status(self) -> str:
+        """Return what the viewport shows, for its corner: an error, or how far the picture is."""
+        error = self._error or self._jobs.error
+        if error:
+            return error
+        if self._scene is not None and not self._scene.avatars:
+            return "No visible avatar"
+        if self._texture is None:
+            return "Loading the model"
+        return "Preview" if self._level == "preview" else ""
+
+    @property
+    def has_news(self) -> bool:
+        """Whether it should be drawn again."""
+        return self._jobs.has_news
+
+    @property
+    def busy(self) -> bool:
+        """Whether a picture is on its way."""
+        return self._jobs.busy
+
+    def close(self) -> None:
+        """Stop drawing; the viewport is gone."""
+        self._jobs.close()
+
+    def _copy(self, depsgraph: bpy.types.Depsgraph) -> _Scene:
+        scene = depsgraph.scene_eval
+        settings = scene.grmm_render
+        avatars = collect.avatars(depsgraph)
+        return _Scene(
+            [avatar.shot for avatar in avatars if not avatar.shot.holdout],
+            occluders.collect(depsgraph, None, avatars, settings.use_occlusion, self._meshes),
+            None if scene.render.film_transparent else snapshot.world_color(scene),
+            DrawSettings(refine=False, lod=int(settings.viewport_detail), samples=1),
+            DrawSettings(refine=settings.use_viewport_refine, samples=_EDGE_SAMPLES),
+        )
+
+    def _request(self, context: bpy.types.Context) -> None:
+        camera = view_camera(context.region, context.region_data)
+        # During a final render the model is busy; the viewport keeps its picture.
+        if self._is_shown(camera) or bpy.app.is_job_running("RENDER"):
+            return
+        self._shown = (self._scene, camera)
+        space = context.space_data
+        frame = Frame(self._scene.avatars, camera, self._scene.occluders, (space.clip_start, space.clip_end))
+        self._jobs.request(ViewRequest(frame, self._scene.preview, self._scene.final, self._scene.world))
+
+    def _is_shown(self, camera: Camera) -> bool:
+        if self._shown is None or self._shown[0] is not self._scene:
+            return False
+        return same_camera(self._shown[1], camera)
+
+
+_viewports: weakref.WeakSet[ViewRenderer] = weakref.WeakSet()
+
+
+def view_camera(region: bpy.types.Region, region_data: bpy.types.RegionView3D) -> Camera:
+    """Return the camera of a 3D viewport, in whatever way it looks."""
+    view = np.array(region_data.view_matrix, np.float64)
+    return Camera.from_opengl(view, np.array(region_data.window_matrix, np.float64), region.width, region.height)
+
+
+def same_camera(one: Camera, other: Camera) -> bool:
+    """Whether two cameras show the same picture."""
+    names = ("fx", "fy", "cx", "cy", "width", "height", "orthographic")
+    return all(getattr(one, name) == getattr(other, name) for name in names) and np.array_equal(
+        one.world_to_camera, other.world_to_camera
+    )
+
+
+def redraw_when_ready() -> None:
+    """Draw the rendered viewports again as soon as one of them has something new."""
+    if not bpy.app.timers.is_registered(_poll):
+        bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS)
+
+
+def _poll() -> float | None:
+    viewports = list(_viewports)
+    more = any(viewport.busy for viewport in viewports)  # asked first, so that nothing that ends meanwhile goes unseen
+    if any(viewport.has_news for viewport in viewports):
+        manager = bpy.context.window_manager
+        for window in manager.windows if manager is not None else ():
+            for area in window.screen.areas:
+                if area.type == "VIEW_3D" and area.spaces.active.shading.type == "RENDERED":
+                    area.tag_redraw()
+    return _POLL_SECONDS if more else None
+
+
+def _texture(values: np.ndarray) -> gpu.types.GPUTexture:
+    """Return a picture [H, W, 4], bottom row first, as a texture."""
+    height, width = values.shape[:2]
+    buffer = gpu.types.Buffer("FLOAT", width * height * 4, np.ascontiguousarray(values, np.float32).reshape(-1))
+    return gpu.types.GPUTexture((width, height), format="RGBA16F", data=buffer)
+
+
+@persistent
+def _give_way(*_: object) -> None:
+    """The rig's handlers, or a final render, need the model next."""
+    view_jobs.give_way()
+
+
+_HANDLERS = (bpy.app.handlers.frame_change_pre, bpy.app.handlers.depsgraph_update_pre, bpy.app.handlers.render_pre)
+
+
+def register() -> None:
+    """Follow Blender's events."""
+    for handlers in _HANDLERS:
+        handlers.append(_give_way)
+
+
+def unregister() -> None:
+    """Take back `register`, and end what is being drawn."""
+    for handlers in _HANDLERS:
+        if _give_way in handlers:
+            handlers.remove(_give_way)
+    view_jobs.close_all()
+    if bpy.app.timers.is_registered(_poll):
+        bpy.app.timers.unregister(_poll)

@@ -1,0 +1,215 @@
+"""Pictures for the rendered viewport, drawn on a thread: a cheap one at once, a good one when the view rests.
+
+One `ViewJobs` a viewport. The newest request wins: a preview that has begun is finished, so that playback shows something, but
+a good picture is given up as soon as there is a newer request, or as soon as Blender's main thread needs the model for the
+rig (`give_way`). The thread ends when there is nothing left to do. Touches none of Blender's data.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import threading
+import weakref
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ...grmm_core.errors import CancelledError, GrmmError
+from . import picture, pipeline
+from .passes import RenderPass
+from .pipeline import DrawSettings, Frame
+from .snapshot import Region
+
+REST_SECONDS = 0.15  # without a newer request before the good picture is begun
+PREVIEW_PIXELS = 320 * 240  # what a preview is scaled down to
+_COMBINED = [RenderPass("combined", "Combined", "RGBA", "COLOR")]
+
+_log = logging.getLogger(__name__)
+
+Level = Literal["preview", "final"]
+
+
+@dataclass(frozen=True)
+class ViewRequest:
+    """What a viewport shows.
+
+    Attributes:
+        frame: Scene and camera; the camera has the size of the viewport.
+        preview: How the cheap picture is drawn.
+        final: How the good picture is drawn.
+        world: Scene-linear colour of the background, [3], or None for a transparent film.
+    """
+
+    frame: Frame
+    preview: DrawSettings
+    final: DrawSettings
+    world: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class ViewPicture:
+    """A finished picture.
+
+    Attributes:
+        values: Scene-linear premultiplied RGBA, [H, W, 4] float32, bottom row first.
+        level: How good it is.
+        request: What it shows.
+    """
+
+    values: np.ndarray
+    level: Level
+    request: ViewRequest
+
+
+class ViewJobs:
+    """Draws the newest request; see the module."""
+
+    def __init__(self, wait_for_rest: Callable[[Callable[[], bool]], object] | None = None) -> None:
+        """Prepare; nothing runs before the first request.
+
+        Args:
+            wait_for_rest: Called between the cheap and the good picture with a function that says whether there is something
+                newer; returns when the view has rested or there is. None waits `REST_SECONDS`.
+        """
+        self._wait_for_rest = wait_for_rest or self._wait_a_moment
+        self._changed = threading.Condition()
+        self._wanted: ViewRequest | None = None
+        self._picture: ViewPicture | None = None
+        self._error = ""
+        self._thread: threading.Thread | None = None
+        self._closed = False
+        self._in_the_way = False  # the good picture that is being drawn keeps the main thread from the model
+        _live.add(self)
+
+    def request(self, request: ViewRequest) -> None:
+        """Ask for a picture; returns at once."""
+        with self._changed:
+            if self._closed:
+                return
+            self._wanted = request
+            self._error = ""
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="GRMM viewport", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def take(self) -> ViewPicture | None:
+        """Return a picture that was finished since the last call, else None."""
+        with self._changed:
+            found, self._picture = self._picture, None
+            return found
+
+    @property
+    def busy(self) -> bool:
+        """Whether a picture is being drawn, or waits to be taken."""
+        with self._changed:
+            return self._thread is not None or self._picture is not None
+
+    @property
+    def has_news(self) -> bool:
+        """Whether a draw would show something else than the last one."""
+        with self._changed:
+            return self._picture is not None or bool(self._error)
+
+    @property
+    def error(self) -> str:
+        """One sentence if the newest request failed, else empty."""
+        with self._changed:
+            return self._error
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until nothing is left to do; returns whether that came."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._thread is None, timeout)
+
+    def give_way(self) -> None:
+        """Let go of the model soon: a good picture is begun again later, a cheap one is nearly done anyway."""
+        with self._changed:
+            self._in_the_way = True
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Give up what is being drawn."""
+        with self._changed:
+            self._closed = True
+            self._wanted = None
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        done: ViewRequest | None = None
+        while True:
+            with self._changed:
+                request = self._wanted
+                if request is None or request is done:
+                    self._thread = None
+                    self._changed.notify_all()
+                    return
+            try:
+                if self._draw(request):
+                    done = request
+            except CancelledError:
+                continue
+            except GrmmError as error:
+                done = request
+                self._fail(request, str(error))
+            except Exception as error:  # noqa: BLE001 - a thread has no caller that would hear of it
+                done = request
+                _log.exception("The viewport's picture failed.")
+                self._fail(request, f"The viewport's picture failed ({type(error).__name__}: {error}).")
+
+    def _draw(self, request: ViewRequest) -> bool:
+        """Draw both pictures of a request; returns whether that was done."""
+        camera = request.frame.camera
+        scale = min(1.0, (PREVIEW_PIXELS / (camera.width * camera.height)) ** 0.5)
+        small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+        self._publish(request, "preview", dataclasses.replace(request.frame, camera=small), request.preview)
+        while True:
+            with self._changed:
+                self._in_the_way = False
+            self._wait_for_rest(lambda: self._wanted is not request or self._in_the_way)
+            if self._wanted is not request:
+                return False
+            try:
+                self._publish(request, "final", request.frame, request.final)
+            except CancelledError:
+                if self._wanted is request:
+                    continue  # it only gave way
+                raise
+            return True
+
+    def _publish(self, request: ViewRequest, level: Level, frame: Frame, settings: DrawSettings) -> None:
+        def given_up() -> bool:
+            return self._closed or (level == "final" and (self._in_the_way or self._wanted is not request))
+
+        region = Region(0, 0, frame.camera.width, frame.camera.height)
+        values = pipeline.frame_values(frame, settings, _COMBINED, request.world, region, given_up)
+        rows = picture.blender_rows(values["Combined"]).reshape(region.height, region.width, 4)
+        with self._changed:
+            self._picture = ViewPicture(rows, level, request)
+
+    def _wait_a_moment(self, is_outdated: Callable[[], bool]) -> None:
+        with self._changed:
+            self._changed.wait_for(is_outdated, REST_SECONDS)
+
+    def _fail(self, request: ViewRequest, message: str) -> None:
+        with self._changed:
+            if self._wanted is request:
+                self._error = message
+
+
+_live: weakref.WeakSet[ViewJobs] = weakref.WeakSet()
+
+
+def give_way() -> None:
+    """Have all viewports let go of the model; see `ViewJobs.give_way`."""
+    for jobs in list(_live):
+        jobs.give_way()
+
+
+def close_all() -> None:
+    """Give up all pictures; called when the engine is unregistered."""
+    for jobs in list(_live):
+        jobs.close()

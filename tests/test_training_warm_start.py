@@ -59,6 +59,19 @@ def test_networks_are_taken_and_people_are_new(head, trained, tmp_path, name, to
     assert warm.step()["loss"] < 0.8 * cold.step()["loss"]
 
 
+def test_a_model_with_more_basis_maps_keeps_the_trained_ones(head, trained, tmp_path):
+    path = str(trained.folder / CHECKPOINT)
+    warm = Trainer(config({"basis_maps": 5}, init_from=path), head, ThreeSpheres(), tmp_path / "more")
+    fresh = warm.model.decoders.basis["colour"].detach().clone()
+    warm.start()
+    basis = warm.model.decoders.basis["colour"].detach()
+    with trained.averaged():
+        torch.testing.assert_close(basis[:3], trained.model.decoders.basis["colour"].detach(), rtol=0, atol=0)
+    torch.testing.assert_close(basis[3:], fresh[3:], rtol=0, atol=0)
+    with pytest.raises(ConfigError, match="does not fit"):
+        Trainer(config({"basis_maps": 2}, init_from=path), head, ThreeSpheres(), tmp_path / "fewer").start()
+
+
 def test_a_resumed_run_keeps_its_own_state(head, trained, tmp_path):
     settings = {"init_from": str(trained.folder / CHECKPOINT), "steps": 3}
     first = Trainer(config(**settings), head, ThreeSpheres(), tmp_path)

@@ -1,7 +1,8 @@
 """Starting a run from trained networks with other people.
 
-A weights file or a checkpoint of a model of the same sizes gives networks, maps and the table of expression codes; people's
-identity codes are new, spread around the mean of the old ones, because the people are others. Used by `trainer`.
+A weights file or a checkpoint of a model of the same sizes (or with fewer basis maps) gives networks, maps and the table of
+expression codes; people's identity codes are new, spread around the mean of the old ones, because the people are others. Used
+by `trainer`.
 """
 
 from __future__ import annotations
@@ -41,15 +42,22 @@ def warm_start(path: str | os.PathLike[str], model: GRMM, codes: Tensor) -> None
     parameters, mean = _read(path, model)
     for name, parameter in model.named_parameters():
         value = parameters.get(name)
-        if value is None or value.shape != parameter.shape:
+        if value is None or not _fits(name, value, parameter):
             found = "is missing" if value is None else f"has the shape {tuple(value.shape)}"
             raise ConfigError(
                 f"{path} does not fit this model: {name} {found}, not {tuple(parameter.shape)}; use its own configuration."
             )
     for name, parameter in model.named_parameters():
-        parameter.copy_(parameters[name])
+        parameter[: len(parameters[name])].copy_(parameters[name])
     if mean.shape == codes.shape[1:]:  # without residuals the codes are not used, and those of a file are shapes
         codes += mean.to(codes)
+
+
+def _fits(name: str, value: Tensor, parameter: Tensor) -> bool:
+    """Whether a trained parameter can be copied; a new model may have more basis maps, of which the last stay random."""
+    if ".basis" in f".{name}":
+        return value.shape[1:] == parameter.shape[1:] and len(value) <= len(parameter)
+    return value.shape == parameter.shape
 
 
 def _read(path: str | os.PathLike[str], model: GRMM) -> tuple[dict[str, Tensor], Tensor]:

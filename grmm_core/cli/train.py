@@ -21,7 +21,11 @@ def add_parser(subparsers: Any) -> None:
         description="Train a model. Ctrl-C saves a checkpoint, --resume continues. Processes: torchrun -m grmm_core train.",
     )
     parser.add_argument("config", metavar="CONFIG", help="TOML file, or one of the project's: small, paper")
-    parser.add_argument("--data", nargs="+", metavar="DIR", required=True, help="data sets that `grmm capture` wrote")
+    parser.add_argument(
+        "--data", nargs="+", metavar="DIR", required=True,
+        help="data sets of grmm capture, or of VHAP, RenderMe-360, NeRSemble (found by looking at the folder)",
+    )  # fmt: skip
+    parser.add_argument("--head", metavar="FILE", help="your FLAME file, for data sets with FLAME parameters")
     parser.add_argument("--out", default="out/training", metavar="DIR", help="folder for checkpoints, previews and weights")
     parser.add_argument("--resume", action="store_true", help="continue from the checkpoint in the folder")
     parser.add_argument("--follow", action="store_true", help="the captures are still running: take up new shots now and then")
@@ -32,13 +36,14 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Train, and write the weights at the end. Raises `GrmmError`s."""
+    from ..head import load_flame
     from ..training.capture import capture_views
     from ..training.config import load_config
     from ..training.trainer import CHECKPOINT, Trainer
 
     settings = ({"refresh_every": FOLLOW_STEPS} if args.follow else {}) | _settings(args.set)
     config = load_config(args.config, settings)
-    source, head = capture_views(args.data, args.follow)
+    source, head = capture_views(args.data, args.follow, load_flame(args.head) if args.head else None)
     person = _person(source.people, args.default_person)
     if (Path(args.out) / CHECKPOINT).exists() and not args.resume:
         raise ConfigError(f"{args.out} holds a checkpoint already; add --resume or choose another folder with --out.")

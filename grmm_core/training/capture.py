@@ -105,22 +105,26 @@ class CapturedViews:
             self._room += _size(self._cache.popitem(last=False)[1])
 
 
-def capture_views(folders: Sequence[str | os.PathLike[str]], follow: bool = False) -> tuple[CapturedViews, HeadModel]:
-    """Open capture folders and the head model that they were made with.
+def capture_views(
+    folders: Sequence[str | os.PathLike[str]], follow: bool = False, head: HeadModel | None = None
+) -> tuple[CapturedViews, HeadModel]:
+    """Open data folders of any known format, and the head model that they were made with.
 
     Args:
-        folders: Capture folders.
+        folders: Data folders, see `data.readers`.
         follow: See `CapturedViews`.
+        head: The user's FLAME for data with FLAME parameters; the open head when None.
 
     Raises:
         FileAccessError, FileFormatError: A folder is missing or not a capture.
-        ConfigError: The folders belong to different head models, or to one that is not the open head.
+        ConfigError: The folders belong to different head models, or to another one than `head`.
         TrainingError: No view to train on.
     """
+    from ..data.readers import open_dataset
     from ..head import load_open_head
 
-    datasets = [CaptureDataset(os.fspath(folder)) for folder in folders]
-    head = load_open_head()
+    datasets = [open_dataset(folder, head) for folder in folders]
+    head = load_open_head() if head is None else head
     for dataset in datasets:
         if dataset.manifest.head != head.name:
             raise ConfigError(f"{dataset.folder} was made with the head model {dataset.manifest.head!r}, not {head.name!r}.")

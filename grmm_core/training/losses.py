@@ -133,7 +133,12 @@ def l1_loss(a: Tensor, b: Tensor) -> Tensor:
 
 
 def ssim(a: Tensor, b: Tensor) -> Tensor:
-    """Mean structural similarity of two pictures [H, W, C] with values 0..1 (Gaussian window, sigma 1.5, 11 pixels).
+    """Mean structural similarity of two pictures [H, W, C] with values 0..1; see `ssim_map`."""
+    return ssim_map(a, b).mean()
+
+
+def ssim_map(a: Tensor, b: Tensor) -> Tensor:
+    """Structural similarity at each pixel of two pictures [H, W, C], [C, H, W] (Gaussian window, sigma 1.5, 11 pixels).
 
     Windows that leave the picture are cut and renormalised.
     """
@@ -145,7 +150,7 @@ def ssim(a: Tensor, b: Tensor) -> Tensor:
     mean_product, mean_squares = mean_a * mean_b, mean_a.square() + mean_b.square()
     contrast = (2.0 * (product - mean_product) + SSIM_C2) / (squares - mean_squares + SSIM_C2)
     luminance = (2.0 * mean_product + SSIM_C1) / (mean_squares + SSIM_C1)
-    return (luminance * contrast).mean()
+    return luminance * contrast
 
 
 def depth_loss(depth: Tensor, alpha: Tensor, target: Tensor) -> Tensor:

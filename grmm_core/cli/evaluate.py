@@ -1,0 +1,208 @@
+"""`grmm evaluate`: how good trained weights are on captured data."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import FileAccessError
+from ..files import atomic_write_bytes, describe_os_error
+from .common import DEVICES, positive_int
+from .console import _plain
+
+if TYPE_CHECKING:
+    from ..evaluation.protocols import Evaluation, Result
+    from ..evaluation.scene import Scene
+
+PROTOCOLS = ("reconstruction", "novel-view", "expression", "person", "monocular", "transfer")
+CODES, ALL = "codes", "all"
+METHODS = ("codes", "fast", "standard", "high")
+DEFAULT_LIMIT = 60
+TRANSFER_PEOPLE = 6  # in a sheet
+RESULT, TABLE = "evaluation.json", "evaluation.md"
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the command."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "evaluate",
+        help="measure trained weights on captured data",
+        description="Measure trained weights: held-out views, expressions and people; with and without refinement and "
+        "residuals; by region. Writes JSON, a table and pictures.",
+    )
+    parser.add_argument("weights", metavar="WEIGHTS", help="weights file, or the name of weights that come with the package")
+    parser.add_argument("--data", nargs="+", metavar="DIR", required=True, help="data sets with held-out views and people")
+    parser.add_argument("--head", metavar="FILE", help="your FLAME file, for data and weights on FLAME")
+    parser.add_argument(
+        "--protocol", nargs="+", choices=(*PROTOCOLS, CODES, ALL), default=[ALL], metavar="NAME",
+        help=f"{', '.join(PROTOCOLS)}, {CODES} or {ALL} (default: all)",
+    )  # fmt: skip
+    parser.add_argument("-o", "--output", metavar="DIR", type=Path, help="folder for JSON, table and pictures")
+    parser.add_argument(
+        "--limit", type=_count, default=DEFAULT_LIMIT, metavar="N", help="views of a protocol, 0 for all (default: %(default)s)"
+    )
+    parser.add_argument("--people", type=_count, default=0, metavar="N", help="held-out people to fit (default: all)")
+    parser.add_argument("--size", type=positive_int, metavar="PX", help="reduce pictures to this longer side")
+    parser.add_argument(
+        "--fit", choices=METHODS, default="fast",
+        help="how people are fitted from one view: by the presets of grmm fit, or by their codes alone (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--ablation", metavar="WEIGHTS", help="second weights, trained without residuals, on the same views")
+    parser.add_argument("--no-ablations", action="store_true", help="do not draw again with residual codes switched off")
+    parser.add_argument("--no-regions", action="store_true", help="do not measure by region of the head")
+    parser.add_argument(
+        "--perceptual", default="auto", metavar="NETWORK",
+        help="auto, none, mobilenet, mobilenet:FILE or vgg19:FILE (default: MobileNetV2 where its package is installed)",
+    )  # fmt: skip
+    parser.add_argument("--lpips", metavar="FILE", help="also LPIPS, with these weights (VGG16 and linear layers)")
+    parser.add_argument("--seed", type=_count, default=0, help="of the choice of views (default: %(default)s)")
+    parser.add_argument("--device", choices=DEVICES, default="auto", help="where the model runs (default: %(default)s)")
+    parser.add_argument("--threads", type=positive_int, metavar="N", help="CPU threads (default: all)")
+
+
+def run(args: argparse.Namespace) -> dict[str, Any]:
+    """Evaluate, write the files, and return the figures without those of single views."""
+    import torch
+
+    from ..data.readers import open_dataset
+    from ..evaluation import report
+    from ..evaluation.protocols import Evaluation, Settings
+    from ..evaluation.scene import Scene
+    from ..head import load_flame
+    from ..session.models import resolve_weights
+    from .train import _device
+
+    if args.threads:
+        torch.set_num_threads(args.threads)
+    if args.output is not None:
+        _make_folder(args.output)
+    device = _device(args.device)
+    names = _protocols(args.protocol)
+    settings = Settings(
+        args.limit, args.people, args.size or 0, args.fit, not args.no_ablations, not args.no_regions,
+        _distances(args, device), args.seed,
+    )  # fmt: skip
+    head = load_flame(args.head) if args.head else None
+    datasets = [open_dataset(folder, head) for folder in args.data]
+    scene = Scene(resolve_weights(args.weights), device, head=head)
+    ablation = Scene(resolve_weights(args.ablation), device, head=head) if args.ablation else None
+    facts = _facts(args, scene, ablation)
+    summaries: dict[str, Any] = {}
+    with args.console.progress("evaluating", 1000 * len(names)) as bar:
+        state = {"place": 0, "shown": 0}
+
+        def advance(text: str, share: float) -> None:
+            target = max(state["shown"], int(1000 * (state["place"] + share)))
+            bar.advance(target - state["shown"], text)
+            state["shown"] = target
+
+        evaluation = Evaluation(scene, datasets, settings, ablation, advance)
+        for place, name in enumerate(names):
+            state["place"] = place
+            if name == CODES:
+                facts[CODES] = _codes(scene, args.output, advance)
+            else:
+                result = evaluation.run(name)
+                summaries[name] = report.summary(result)
+                if args.output is not None:
+                    _write_pictures(evaluation, result, args.output)
+            if args.output is not None:  # after each protocol: what is measured is not lost when a later one fails
+                _write(args.output, {**facts, "protocols": summaries}, _text(facts, summaries))
+    args.console.line(_text(facts, summaries))
+    if args.output is not None:
+        args.console.line(f"Wrote {args.output / RESULT}, {TABLE} and pictures.")
+    short = {name: {k: v for k, v in values.items() if k != "rows"} for name, values in summaries.items()}
+    return {**facts, "protocols": short}
+
+
+def _protocols(names: list[str]) -> list[str]:
+    return [*PROTOCOLS, CODES] if ALL in names else list(dict.fromkeys(names))
+
+
+def _facts(args: argparse.Namespace, scene: Scene, ablation: Scene | None) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "weights": scene.info.name, "weights sha256": scene.info.sha256, "data": [Path(d).name for d in args.data],
+        "limit": args.limit, "fit": args.fit, "seed": args.seed, "background": "black",
+    }  # fmt: skip
+    if args.size:
+        facts["size"] = args.size
+    if ablation is not None:
+        kind = "trained with residuals, other weights" if ablation.residuals else "trained without residuals (eq. 21)"
+        facts["second model"] = {"weights": ablation.info.name, "sha256": ablation.info.sha256, "kind": kind}
+    return facts
+
+
+def _text(facts: dict[str, Any], summaries: dict[str, Any]) -> str:
+    from ..evaluation import report
+
+    text = report.table(summaries) if summaries else ""
+    codes = facts.get(CODES)
+    if codes:
+        text += report.codes_table(codes)
+    return text
+
+
+def _codes(scene: Scene, output: Path | None, advance: Any) -> dict[str, Any]:
+    from ..evaluation.codes import separation
+    from ..evaluation.strips import write_pictures
+
+    figures = separation(scene, lambda text, share: advance(text, 0.5 * share))
+    if output is not None:
+        figures |= write_pictures(scene, output, report=lambda text, share: advance(text, 0.5 + 0.5 * share))
+    return figures
+
+
+def _write_pictures(evaluation: Evaluation, result: Result, folder: Path) -> None:
+    from ..evaluation import report
+    from ..evaluation.strips import transfer_sheet
+    from ..evaluation.views import load
+    from ..images import write_png
+
+    rows = []
+    for row in report.picked(result.rows):
+        view = load(row.sample, evaluation.settings.size)
+        drawn = evaluation.scene.draw(row.person, row.sample.shot, view.camera)
+        image, raw = (picture.clamp(0, 1).cpu().numpy() for picture in (drawn.image, drawn.raw))
+        rows.append([view.image, image, raw, report.error_map(image, view.image)])
+    write_png(folder / f"{result.name}.png", report.sheet(rows))
+    if result.name == "transfer":
+        people = list({row.person.name: row.person for row in result.rows}.values())
+        write_png(folder / "transfer_expressions.png", report.sheet(transfer_sheet(evaluation.scene, people[:TRANSFER_PEOPLE])))
+
+
+def _distances(args: argparse.Namespace, device: str) -> dict[str, Any]:
+    from ..training.perceptual import MOBILENET_PACKAGE, load_perceptual
+
+    source = args.perceptual
+    if source == "auto":
+        source = "mobilenet" if importlib.util.find_spec(MOBILENET_PACKAGE) is not None else "none"
+    distances: dict[str, Any] = {}
+    if source != "none":
+        network = load_perceptual(source).to(device)
+        distances[network.name] = network
+    if args.lpips:
+        from ..evaluation.lpips import load_lpips
+
+        distances["LPIPS (VGG)"] = load_lpips(args.lpips).to(device)
+    return distances
+
+
+def _write(folder: Path, values: dict[str, Any], text: str) -> None:
+    atomic_write_bytes(folder / RESULT, (json.dumps(_plain(values), indent=1, ensure_ascii=False) + "\n").encode())
+    atomic_write_bytes(folder / TABLE, text.encode())
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"Cannot make the folder {folder}: {describe_os_error(error)}; choose another.") from error
+
+
+def _count(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and int(text) < 1 << 31):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
+    return int(text)

@@ -1,0 +1,19 @@
+"""How good a model is: protocols, figures, tables and pictures.
+
+The map:
+
+``metrics``    errors of one picture: whole frame, inside the mask, by region (``lpips``: from a user's weights)
+``regions``    which region of the head each pixel shows
+``scene``      a trained model that draws captured views, with parts switched off on request
+``views``      which views of a capture a protocol uses
+``fit``        a held-out person's codes from one view
+``protocols``  the protocols: views in, rows of numbers out
+``codes``      whether identity and expression are separate, and smooth
+``strips``     pictures of codes: random people, interpolations, transfer
+``report``     rows to JSON, tables and picture sheets
+
+Uses `model`, `head`, `data`, `training` (losses, perceptual networks) and `fitting`. Called by the command line
+(`grmm evaluate`). Everything but `views` and `report` imports torch.
+"""
+
+from __future__ import annotations

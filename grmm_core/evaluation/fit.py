@@ -1,0 +1,159 @@
+"""A held-out person's codes from one captured view, whose head parameters are known exactly.
+
+By `fitting.invert` as users get it (eq. 19 and 20), or by a short search of the codes alone (eq. 19) that needs nothing but the
+model. Both see one picture; shape, expression, pose and camera are the capture's, so that errors of tracking stay out of the
+figures (the monocular protocol has them in). Used by `protocols`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..controls import ALIGNED_TO_ARKIT
+from ..fitting.types import LANDMARK_COUNT, PhotoTrack
+from ..head import HeadModel
+from ..training.losses import l1_loss, ssim
+from ..training.views import View, crop_to_person, shrink
+from .scene import Person, Scene
+from .views import LoadedView, Sample
+
+logger = logging.getLogger(__name__)
+
+CODES = "codes"
+METHODS = (CODES, "fast", "standard", "high")
+"""`CODES` is the search of this module, the others are presets of the fitting."""
+STEPS = 120
+RATE = 0.04  # of Adam, for codes of about unit size
+PRIOR = 2e-4
+MARGIN = 8  # pixels around the person
+FIT_SIZE = 384  # pixels
+_L1, _SSIM = 0.8, 0.2
+_GREY = 0.5
+
+Progress = Callable[[float], None]
+
+
+def fit_person(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, method: str, progress: Progress) -> Person:
+    """Fit a person.
+
+    Args:
+        scene: Model.
+        sample: The view.
+        view: Its picture.
+        shape: Shape coefficients of the person, [S].
+        method: One of `METHODS`.
+        progress: Called with 0..1.
+
+    Raises:
+        GrmmError: As the fitting does.
+    """
+    if method == CODES or not scene.residuals:  # without residual codes there is nothing to search
+        return search_codes(scene, sample, view, shape, progress)
+    from ..fitting.invert import invert
+
+    track = exact_track(scene.head, sample, view, shape)
+    with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as work:
+        avatar = invert(
+            [track], scene.model, scene.head, method, work=Path(work),
+            progress=_first_number(progress), cancelled=lambda: False,
+        )  # fmt: skip
+    return dataclasses.replace(scene.from_avatar(avatar), name=sample.shot.subject)
+
+
+def exact_track(head: HeadModel, sample: Sample, view: LoadedView, shape: np.ndarray) -> PhotoTrack:
+    """What perfect tracking would find in a captured view."""
+    shot = sample.shot
+    alpha = view.mask[..., None]
+    vertices = head.vertices(shape, shot.expression, shot.pose)
+    landmarks = projected(head.landmark_positions(vertices, LANDMARK_COUNT), view.camera)
+    return PhotoTrack(
+        source=sample.name, image=view.image + (1.0 - alpha) * _GREY, mask=view.mask, valid=np.ones_like(view.mask),
+        camera=view.camera, photo_camera=view.camera, shape=shape, expression=shot.expression,
+        pose=shot.pose - head.pose_of(shot.expression), landmarks=landmarks, landmarks_fitted=landmarks,
+        arkit=np.clip(shot.aligned @ ALIGNED_TO_ARKIT, 0.0, 1.0),
+    )  # fmt: skip
+
+
+def projected(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """Pixels [N, 2] of points [N, 3] in head space."""
+    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    z = np.ones(len(local)) if camera.orthographic else local[:, 2]
+    return np.stack([camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy], -1)
+
+
+def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, progress: Progress) -> Person:
+    """Search z_id and the offset of z_exp that draw a view best (eq. 19), from the training people's mean.
+
+    Args:
+        scene: Model.
+        sample: The view.
+        view: Its picture.
+        shape: Shape coefficients, [S].
+        progress: Called with 0..1.
+    """
+    start = scene.made(sample.shot.subject, scene.mean_code.cpu().numpy(), shape)
+    if not scene.residuals:
+        return start
+    target = _fit_view(sample, view)
+    image, mask = scene.tensor(target.image) / 255.0, scene.tensor(target.mask) / 255.0
+    expression, pose = scene.tensor(sample.shot.expression), scene.tensor(sample.shot.pose)
+    base = scene.expression_code(start, sample.shot)
+    spread = _spread(scene)
+    step_id, offset = torch.zeros_like(start.z_id), torch.zeros_like(start.z_exp)
+    parameters = [step_id.requires_grad_(), offset.requires_grad_()]
+    optimiser = torch.optim.Adam(parameters, lr=RATE, betas=(0.9, 0.99))
+    background = np.random.default_rng(0)
+    for step in range(STEPS):
+        for group in optimiser.param_groups:
+            group["lr"] = RATE * 0.5 * (1.0 + float(np.cos(np.pi * step / STEPS)))
+        colour = scene.tensor(background.random(3))
+        rendering = scene.model.render(
+            target.camera, shape=start.shape, expression=expression, pose=pose, z_id=start.z_id + step_id * spread,
+            z_exp=base + offset, background=colour, backend=scene.backend,
+        )  # fmt: skip
+        truth = image + (1.0 - mask)[..., None] * colour
+        loss = sum(_L1 * l1_loss(p, truth) + _SSIM * (1.0 - ssim(p, truth)) for p in (rendering.image, rendering.raw))
+        loss = loss + PRIOR * (step_id.square().mean() + offset.square().mean())
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        optimiser.step()
+        progress((step + 1) / STEPS)
+    logger.info("%s: loss %.4f after %d steps", sample.name, float(loss.detach()), STEPS)
+    z_id = (start.z_id + step_id * spread).detach()
+    return dataclasses.replace(start, z_id=z_id, z_exp=offset.detach())
+
+
+def _fit_view(sample: Sample, view: LoadedView) -> View:
+    """The view cut to the person and not larger than needed."""
+    image, mask = (np.round(array * 255.0).astype(np.uint8) for array in (view.image, view.mask))
+    shot = sample.shot
+    whole = View(0, sample.name, view.camera, image, mask, view.depth, shot.aligned, shot.expression, shot.pose)
+    return crop_to_person(shrink(whole, FIT_SIZE), MARGIN)
+
+
+def _spread(scene: Scene) -> Tensor:
+    """Standard deviation of the training people's codes, [Z]: how far a step of 1 goes."""
+    codes = scene.info.z_id
+    if len(codes) < 2:
+        return torch.ones_like(scene.mean_code)
+    return scene.tensor(codes.std(0)).clamp(min=1e-3)
+
+
+def _first_number(progress: Progress) -> Callable[..., None]:
+    """Adapt to reports with several arguments: the first fraction among them counts."""
+
+    def report(*values: object, **_: object) -> None:
+        fraction = next((value for value in values if isinstance(value, float)), None)
+        if fraction is not None:
+            progress(min(max(fraction, 0.0), 1.0))
+
+    return report

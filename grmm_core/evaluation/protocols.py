@@ -1,0 +1,251 @@
+"""The protocols: which views are drawn of whom, and what is measured.
+
+``reconstruction``  training views of training people (the setting of the paper's residual ablation)
+``novel-view``      cameras that were held out, training people
+``expression``      expressions that were held out, training people
+``person``          people who were held out, fitted from one view, on all their other views
+``transfer``        the same fits driven with other expressions than the photo's
+``monocular``       the photo itself (the paper's table 3): fitted and measured in one view
+
+Used by the command line.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, CaptureDataset
+from ..errors import ConfigError
+from ..training.losses import psnr
+from .fit import CODES, fit_person
+from .metrics import Distance, Errors, errors_of
+from .regions import region_pixels, triangle_groups
+from .scene import FULL, Person, Scene
+from .views import LoadedView, Sample, limited, load, samples, source_view
+
+logger = logging.getLogger(__name__)
+
+RECONSTRUCTION, NOVEL_VIEW, EXPRESSION = "reconstruction", "novel-view", "expression"
+PERSON, TRANSFER, MONOCULAR = "person", "transfer", "monocular"
+SPLIT_OF = {RECONSTRUCTION: TRAIN, NOVEL_VIEW: HELD_OUT_CAMERA, EXPRESSION: HELD_OUT_EXPRESSION}
+FITTED = (PERSON, TRANSFER, MONOCULAR)
+PROTOCOLS = (RECONSTRUCTION, NOVEL_VIEW, EXPRESSION, PERSON, TRANSFER, MONOCULAR)
+
+
+@dataclass
+class Settings:
+    """How to evaluate.
+
+    Attributes:
+        limit: Views of a protocol; 0 for all.
+        people: Held-out people who are fitted; 0 for all.
+        size: Longer side of the pictures in pixels; 0 keeps them.
+        method: How people are fitted, see `fit.METHODS`.
+        ablations: Also draw with residual codes switched off.
+        regions: Also measure by region.
+        distances: Perceptual networks by name.
+        seed: Of the choice of views.
+    """
+
+    limit: int = 60
+    people: int = 0
+    size: int = 0
+    method: str = CODES
+    ablations: bool = True
+    regions: bool = True
+    distances: Mapping[str, Distance] = field(default_factory=dict)
+    seed: int = 0
+
+
+@dataclass
+class Row:
+    """One view's figures.
+
+    Attributes:
+        sample: The view.
+        person: Who was drawn.
+        errors: Of the refined picture.
+        raw: Of the splatted picture; the same without a refinement network.
+        variants: Form of the residuals to (PSNR, PSNR inside the mask) in dB.
+        ablation: PSNR and PSNR inside the mask of the second model, or None.
+    """
+
+    sample: Sample
+    person: Person
+    errors: Errors
+    raw: Errors
+    variants: dict[str, tuple[float, float]] = field(default_factory=dict)
+    ablation: tuple[float, float] | None = None
+
+
+@dataclass
+class Result:
+    """What a protocol gave.
+
+    Attributes:
+        name: Of `PROTOCOLS`.
+        rows: One a view.
+        source: Fitted person to the view that they were fitted from.
+    """
+
+    name: str
+    rows: list[Row]
+    source: dict[str, Sample] = field(default_factory=dict)
+
+
+class Evaluation:
+    """Runs protocols on one model; people who were fitted are kept.
+
+    Args:
+        scene: Model.
+        datasets: Captures of the same head model.
+        settings: How.
+        ablation: A second model that draws the same views, trained without residuals (eq. 21) for the paper's ablation.
+        report: Called with a text and the share of the protocol that is done.
+
+    Raises:
+        ConfigError: A capture belongs to another head model.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        datasets: Sequence[CaptureDataset],
+        settings: Settings,
+        ablation: Scene | None = None,
+        report: Callable[[str, float], None] | None = None,
+    ) -> None:
+        from .scene import check_heads
+
+        check_heads(scene, {str(dataset.folder): dataset.manifest.head for dataset in datasets})
+        self.scene, self.datasets, self.settings, self.ablation = scene, tuple(datasets), settings, ablation
+        self._report = report or (lambda _text, _share: None)
+        self._groups = triangle_groups(scene.head)
+        self._fitted: dict[tuple[int, str], Person] = {}
+
+    def run(self, protocol: str) -> Result:
+        """Run one protocol.
+
+        Raises:
+            ConfigError: There is no such protocol, or the captures hold no views for it.
+            FileAccessError, FileFormatError: A picture cannot be used; it is named.
+        """
+        if protocol not in PROTOCOLS:
+            raise ConfigError(f"There is no protocol {protocol!r}; use {', '.join(PROTOCOLS)}.")
+        chosen, source = self._fitted_views(protocol) if protocol in FITTED else (self._trained_views(protocol), {})
+        rows: list[Row] = []
+        for number, (sample, person) in enumerate(chosen):
+            rows.append(self.measure(sample, person))
+            self._report(f"{protocol} {sample.name}", (number + 1) / len(chosen))
+        return Result(protocol, rows, source)
+
+    def measure(self, sample: Sample, person: Person) -> Row:
+        """Draw one view and compare it with the truth."""
+        view = load(sample, self.settings.size)
+        truth, mask = self.scene.tensor(view.image), self.scene.tensor(view.mask)
+        rendering = self.scene.draw(person, sample.shot, view.camera)
+        regions = self._regions(sample, view) if self.settings.regions else {}
+        errors = errors_of(rendering.image, truth, mask, regions, self.settings.distances)
+        refined = self.scene.model.refinement is not None
+        raw = errors_of(rendering.raw, truth, mask, regions) if refined else errors
+        row = Row(sample, person, errors, raw)
+        if self.settings.ablations:
+            for variant in self.scene.variants:
+                if variant != FULL:
+                    image = self.scene.draw(person, sample.shot, view.camera, variant).image.clamp(0, 1)
+                    row.variants[variant] = (psnr(image, truth), psnr(image, truth, mask))
+        other = self._other(sample)
+        if self.ablation is not None and other is not None:
+            image = self.ablation.draw(other, sample.shot, view.camera).image.clamp(0, 1)
+            row.ablation = (psnr(image, truth), psnr(image, truth, mask))
+        return row
+
+    def fitted(self, place: int, name: str) -> tuple[Person, Sample]:
+        """The held-out person `name` of the capture number `place`, fitted once, and the view used."""
+        dataset = self.datasets[place]
+        source = source_view([s for s in samples((dataset,), HELD_OUT_PERSON) if s.shot.subject == name])
+        if (place, name) not in self._fitted:
+            view = load(source, self.settings.size)
+            self._fitted[place, name] = fit_person(
+                self.scene, source, view, dataset.shape(name), self.settings.method,
+                lambda share: self._report(f"fitting {name}", share),
+            )  # fmt: skip
+        return self._fitted[place, name], source
+
+    def held_out(self) -> list[tuple[int, str]]:
+        """Held-out people with views, as capture number and name; at most `settings.people`, spread over all."""
+        people = [
+            (place, name)
+            for place, dataset in enumerate(self.datasets)
+            for name in dataset.subjects
+            if any(view.split == HELD_OUT_PERSON for shot in dataset.shots if shot.subject == name for view in shot.views)
+        ]
+        limit = self.settings.people
+        if limit and len(people) > limit:
+            people = [people[i] for i in np.linspace(0, len(people) - 1, limit).round().astype(int)]
+        return people
+
+    def _trained_views(self, protocol: str) -> list[tuple[Sample, Person]]:
+        known: list[tuple[Sample, Person]] = []
+        for dataset in self.datasets:
+            people = {name: self.scene.person(dataset, name) for name in dataset.subjects}
+            for sample in samples((dataset,), SPLIT_OF[protocol]):
+                person = people[sample.shot.subject]
+                if person is not None:
+                    known.append((sample, person))
+        if not known:
+            raise ConfigError(
+                f"The data holds no views for the protocol {protocol} of people whom these weights know; "
+                "give the data that the weights were trained on."
+            )
+        picked = limited([sample for sample, _ in known], self.settings.limit, self.settings.seed)
+        persons = {id(sample): person for sample, person in known}
+        return [(sample, persons[id(sample)]) for sample in picked]
+
+    def _fitted_views(self, protocol: str) -> tuple[list[tuple[Sample, Person]], dict[str, Sample]]:
+        people = self.held_out()
+        if not people:
+            raise ConfigError(
+                f"The data holds no held-out people for the protocol {protocol}; capture with more people or another seed."
+            )
+        persons: dict[tuple[int, str], Person] = {}
+        source: dict[str, Sample] = {}
+        candidates: list[Sample] = []
+        places: dict[int, tuple[int, str]] = {}
+        for place, name in people:
+            persons[place, name], source[name] = self.fitted(place, name)
+            photo = source[name]
+            for sample in self._views_of(place, name):
+                same = sample.shot is photo.shot and sample.view is photo.view
+                fits = same if protocol == MONOCULAR else not same
+                if protocol == TRANSFER:
+                    fits = sample.shot is not photo.shot and not sample.neutral
+                if fits:
+                    candidates.append(sample)
+                    places[id(sample)] = (place, name)
+        if not candidates:
+            raise ConfigError(f"The held-out people have no views for the protocol {protocol}; capture more views of them.")
+        picked = limited(candidates, self.settings.limit, self.settings.seed)
+        return [(sample, persons[places[id(sample)]]) for sample in picked], source
+
+    def _views_of(self, place: int, name: str) -> Iterator[Sample]:
+        yield from (s for s in samples((self.datasets[place],), HELD_OUT_PERSON) if s.shot.subject == name)
+
+    def _regions(self, sample: Sample, view: LoadedView) -> dict[str, np.ndarray]:
+        shape = sample.dataset.shape(sample.shot.subject)
+        vertices = self.scene.head.vertices(shape, sample.shot.expression, sample.shot.pose)
+        return region_pixels(self.scene.head, self._groups, vertices, view.camera, view.mask, view.depth)
+
+    def _other(self, sample: Sample) -> Person | None:
+        """The person of a view in the second model: trained, or for one without residuals any, by the shape."""
+        if self.ablation is None:
+            return None
+        known = self.ablation.person(sample.dataset, sample.shot.subject)
+        if known is None and not self.ablation.residuals:
+            shape = sample.dataset.shape(sample.shot.subject)
+            known = self.ablation.made(sample.shot.subject, shape, shape)
+        return known

@@ -1,0 +1,150 @@
+"""A trained model that draws captured views, with parts switched off on request. Used by `protocols` and `codes`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..camera import Camera
+from ..errors import ConfigError
+from ..model.grmm import GRMM, Rendering
+from ..model.weights import WeightsInfo, load_weights
+
+if TYPE_CHECKING:
+    from ..avatar import Avatar
+    from ..data.dataset import CaptureDataset, Shot
+    from ..head import HeadModel
+
+FULL, NO_EXPRESSION_CODE, MEAN_CODES = "full", "z_exp off", "z_id mean, z_exp off"
+VARIANTS = (FULL, NO_EXPRESSION_CODE, MEAN_CODES)
+"""What of the residual codes is used. These switch codes of one model off; the paper's ablation trains another model."""
+
+
+@dataclass(frozen=True)
+class Person:
+    """Whom a model can draw.
+
+    Attributes:
+        name: For tables.
+        z_id: Identity code, [Z].
+        z_exp: Added to the code of every expression, [Y].
+        shape: Shape coefficients, [S].
+        model: The scene's model, or a copy with changed decoders.
+    """
+
+    name: str
+    z_id: Tensor
+    z_exp: Tensor
+    shape: Tensor
+    model: GRMM
+
+
+class Scene:
+    """A trained model with its people.
+
+    Args:
+        path: Weights file.
+        device: Torch device.
+        backend: Rasteriser backend.
+        head: Head model; the open head when None.
+
+    Raises:
+        FileAccessError, FileFormatError: As `load_weights`.
+    """
+
+    def __init__(
+        self, path: str | os.PathLike[str], device: str = "cpu", backend: str = "auto", head: HeadModel | None = None
+    ) -> None:
+        self.path = Path(path)
+        model, info = load_weights(path, head)
+        self.model: GRMM = model.requires_grad_(False).to(device)
+        self.info: WeightsInfo = info
+        self.backend = backend
+        self.head: HeadModel = model.head_model
+        self.mean_code = self.tensor(info.z_id.mean(0) if len(info.z_id) else info.default_z_id)
+
+    @property
+    def residuals(self) -> bool:
+        """Whether the model has residual codes; without, it is the ablation of eq. 21."""
+        return self.model.config.residuals
+
+    @property
+    def variants(self) -> tuple[str, ...]:
+        """Forms in which the model can be judged."""
+        return VARIANTS if self.residuals else (FULL,)
+
+    def tensor(self, array: np.ndarray) -> Tensor:
+        """Return an array as a float32 tensor on the model's device."""
+        return torch.as_tensor(np.array(array, np.float32), device=self.model.device)
+
+    def person(self, dataset: CaptureDataset, name: str) -> Person | None:
+        """The trained person of a capture's name; None where the model was not trained on them."""
+        for known in (name, f"{dataset.folder.name}/{name}"):
+            if known in self.info.people:
+                row = self.info.people.index(known)
+                return self.made(known, self.info.z_id[row], self.info.shapes[row])
+        return None
+
+    def made(self, name: str, z_id: np.ndarray, shape: np.ndarray) -> Person:
+        """A person of given code and shape. Without residuals the shape is the code."""
+        code = self.tensor(z_id if self.residuals else shape)
+        return Person(name, code, torch.zeros(self.model.z_exp_size, device=self.model.device), self.tensor(shape), self.model)
+
+    def from_avatar(self, avatar: Avatar) -> Person:
+        """The person in an avatar, with its changes of the decoders."""
+        from ..session.models import with_deltas
+
+        model = with_deltas(self.model, avatar.deltas, Path(avatar.name)) if avatar.deltas else self.model
+        shape = avatar.shape[: self.head.shape_count]
+        z_exp = avatar.z_exp if self.residuals else np.zeros(self.model.z_exp_size)
+        return Person(
+            avatar.name, self.tensor(avatar.z_id if self.residuals else shape), self.tensor(z_exp), self.tensor(shape), model
+        )
+
+    def expression_code(self, person: Person, shot: Shot) -> Tensor:
+        """z_exp of a shot's expression for a person, [Y]."""
+        aligned, expression = self.tensor(shot.aligned), self.tensor(shot.expression)
+        code = self.model.z_expression(aligned, expression=expression)
+        return code + person.z_exp if self.residuals else code
+
+    def draw(self, person: Person, shot: Shot, camera: Camera, variant: str = FULL, background: float = 0.0) -> Rendering:
+        """Draw a person with a shot's expression and pose.
+
+        Raises:
+            ConfigError: The model has no residual codes to switch off.
+        """
+        if variant not in self.variants:
+            raise ConfigError(f"The weights {self.info.name!r} cannot be drawn with {variant}; they have no residual codes.")
+        z_exp = self.expression_code(person, shot)
+        z_id = person.z_id
+        if variant != FULL:
+            z_exp = torch.zeros_like(z_exp)
+        if variant == MEAN_CODES:
+            z_id = self.mean_code
+        with torch.no_grad():
+            return person.model.render(
+                camera, shape=person.shape, expression=self.tensor(shot.expression), pose=self.tensor(shot.pose),
+                z_id=z_id, z_exp=z_exp, background=(background,) * 3, backend=self.backend,
+            )  # fmt: skip
+
+
+def check_heads(scene: Scene, heads: Mapping[str, str]) -> None:
+    """Refuse captures of another head model.
+
+    Args:
+        scene: Model.
+        heads: Folder to the name of its head model.
+
+    Raises:
+        ConfigError: They differ.
+    """
+    for folder, name in heads.items():
+        if name != scene.head.name:
+            raise ConfigError(f"{folder} was made with the head model {name!r}, the weights with {scene.head.name!r}.")

@@ -35,6 +35,7 @@ MODULES = (
     "..operators",
     ".panels",
     ".engine",
+    ".viewport",
     ".production",
     ".handlers",
     ".session_host",

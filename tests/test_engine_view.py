@@ -25,7 +25,9 @@ def test_pictures_are_made_on_a_thread_and_the_newest_request_wins(run_blender: 
     assert found["errors"][1] == ""
     assert "ZeroDivisionError" in found["errors"][2]
     assert found["closed"] == ["begin preview g 320x240", "cancelled preview g 320x240"]
-    assert found["closed_ended"] and found["closed_picture"] and not found["closed_busy"]
+    assert found["closed_ended"]
+    assert found["closed_picture"]
+    assert not found["closed_busy"]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ text in the viewport's corner.
 from __future__ import annotations
 
 import weakref
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import gpu
@@ -124,7 +124,13 @@ class ViewRenderer:
             return
         self._shown = (self._scene, camera)
         space = context.space_data
-        frame = Frame(self._scene.avatars, camera, self._scene.occluders, (space.clip_start, space.clip_end))
+        clip = (space.clip_start, space.clip_end)
+        if camera.orthographic:
+            # Such a view shows what is behind its plane too: draw it from farther back.
+            matrix = camera.world_to_camera.copy()
+            matrix[2, 3] += space.clip_end
+            camera, clip = replace(camera, world_to_camera=matrix), (clip[0], 2.0 * clip[1])
+        frame = Frame(self._scene.avatars, camera, self._scene.occluders, clip)
         self._jobs.request(ViewRequest(frame, self._scene.preview, self._scene.final, self._scene.world))
 
     def _is_shown(self, camera: Camera) -> bool:

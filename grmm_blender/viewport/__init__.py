@@ -1,0 +1,39 @@
+"""Splats in Blender's solid and material preview viewports, drawn with the `gpu` module on any graphics card.
+
+One `Viewport` for each 3D region. On the main thread, when Blender draws the region: copy the scene when it changed, ask
+`jobs` for Gaussians and their order, draw the newest that came. On a thread: Gaussians from the model or from cloud objects,
+packing, sorting. The picture is blended in display colours in a buffer of its own, as the rasteriser does, and then put into
+the viewport with one depth for each pixel, so that it hides objects and is hidden by them.
+
+=============  =================================================================================
+``settings``   `Scene.grmm_viewport`
+``overlay``    Blender's drawing callbacks and events; one `Viewport` for each region
+``drawing``    textures, batches, draw calls
+``shaders``    the GLSL
+``jobs``       the thread
+``arrays``     Gaussians as arrays in world space, packing, sorting (numpy only)
+``sources``    what a scene shows: avatars and splat clouds
+``pace``       which level of detail holds the frame rate (plain Python)
+``panel``      user interface
+=============  =================================================================================
+
+The rendered viewport is the engine's (`engine.view`).
+"""
+
+from __future__ import annotations
+
+from . import overlay, panel, settings
+
+CLASSES = (*settings.CLASSES, *panel.CLASSES)
+
+
+def register() -> None:
+    """Attach the settings and start drawing."""
+    settings.register()
+    overlay.register()
+
+
+def unregister() -> None:
+    """Take back `register`."""
+    overlay.unregister()
+    settings.unregister()

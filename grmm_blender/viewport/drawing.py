@@ -1,0 +1,176 @@
+"""Draw calls of the splat viewport: Gaussians into buffers of their own, then into the viewport. Main thread only.
+
+The buffers hold display colours, so that soft edges mix as in the rasteriser whatever the viewport's own buffer does, and 16
+bits a channel, so that hundreds of thin layers do not lose precision.
+"""
+
+from __future__ import annotations
+
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+from mathutils import Matrix
+
+from ...grmm_core.camera import Camera
+from ...grmm_core.splat.rules import NEAR, View
+from . import shaders
+from .arrays import TEXTURE_WIDTH, Packed
+
+DEPTH_COVER = 0.5  # from this cover on, splats hide what Blender draws later
+SHOWN_COVER = 1.0 / 510.0
+MESH_SLACK = 0.004  # of the distance: splats stay this much before the avatar's own mesh, whose pixels Blender jitters
+_NOTHING = 1.0e10  # metres; depth where there is no mesh
+_ORTHO_NEAR = -1.0e9  # an orthographic viewport sees what is behind its plane too
+
+
+class SplatPicture:
+    """Textures and buffers of one viewport."""
+
+    def __init__(self) -> None:
+        self._size = (0, 0)
+        self._color: gpu.types.GPUTexture | None = None
+        self._moment: gpu.types.GPUTexture | None = None
+        self._mesh: gpu.types.GPUTexture | None = None
+        self._mesh_depth: gpu.types.GPUTexture | None = None  # a frame buffer does not keep its textures alive
+        self._target: gpu.types.GPUFrameBuffer | None = None
+        self._mesh_target: gpu.types.GPUFrameBuffer | None = None
+        self._packed: Packed | None = None
+        self._splats: gpu.types.GPUTexture | None = None
+        self._ordered: np.ndarray | None = None
+        self._order: gpu.types.GPUTexture | None = None
+        self._meshes: tuple[np.ndarray, ...] | None = None
+        self._mesh_batch: gpu.types.GPUBatch | None = None
+        self._mesh_origin = np.zeros(3)
+        self._quad: gpu.types.GPUBatch | None = None
+
+    def draw(
+        self,
+        packed: Packed,
+        order: np.ndarray,
+        camera: Camera,
+        projection: np.ndarray,
+        meshes: tuple[np.ndarray, ...] = (),
+    ) -> None:
+        """Draw into the buffer that is bound, of the camera's size, between the objects that are there already.
+
+        Args:
+            packed: Gaussians.
+            order: Their order, see `arrays.depth_order`; of a slightly older camera is good enough.
+            camera: Of the viewport.
+            projection: OpenGL projection matrix of the viewport, [4, 4]: its depth is compared and written.
+            meshes: World triangles [T, 3, 3] that the splats replace and Blender has drawn.
+        """
+        if not len(packed):
+            return
+        self._upload(packed, order, meshes)
+        self._resize(camera.width, camera.height)
+        reference = float(camera.world_to_camera[2, :3] @ packed.origin + camera.world_to_camera[2, 3])
+        blend, test, mask = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
+        try:
+            self._draw_meshes(camera, projection)
+            self._draw_splats(packed, camera, reference)
+            self._draw_screen(projection, reference)
+        finally:
+            gpu.state.blend_set(blend)
+            gpu.state.depth_test_set(test)
+            gpu.state.depth_mask_set(mask)
+
+    def read(self) -> np.ndarray:
+        """Return what `draw` blended, premultiplied display RGBA [H, W, 4], top row first; for tests."""
+        with self._target.bind():
+            buffer = gpu.state.active_framebuffer_get()
+            values = np.array(buffer.read_color(0, 0, *self._size, 4, 0, "FLOAT").to_list(), np.float32)
+        return values.reshape(self._size[1], self._size[0], 4)[::-1]
+
+    def _draw_splats(self, packed: Packed, camera: Camera, reference: float) -> None:
+        view = View.of(camera)
+        shader = shaders.splat_shader()
+        with self._target.bind():
+            # Cleared through the bound buffer: both targets at once.
+            self._target.clear(color=(0.0, 0.0, 0.0, 0.0))
+            gpu.state.depth_test_set("NONE")
+            gpu.state.depth_mask_set(False)
+            gpu.state.blend_set("ALPHA_PREMULT")
+            shader.bind()
+            _set_rows(shader, camera, packed.origin)
+            shader.uniform_float("bounds", tuple(view.clamp))
+            shader.uniform_float("lens", (view.fx, view.fy, 0.0, 0.0))
+            shader.uniform_float("lens_reference", (view.cx, view.cy, reference, 0.0))
+            near = _ORTHO_NEAR if view.orthographic else NEAR
+            shader.uniform_float("size_near", (view.width, view.height, near, float(view.orthographic)))
+            shader.uniform_sampler("splats", self._splats)
+            shader.uniform_sampler("order", self._order)
+            self._quad.draw_instanced(shader, instance_count=len(packed))
+
+    def _draw_meshes(self, camera: Camera, projection: np.ndarray) -> None:
+        if self._mesh_batch is None:
+            return
+        shader = shaders.mesh_shader()
+        with self._mesh_target.bind():
+            gpu.state.depth_test_set("LESS_EQUAL")
+            gpu.state.depth_mask_set(True)  # also what clearing depth needs
+            self._mesh_target.clear(color=(_NOTHING,) * 4, depth=1.0)
+            gpu.state.blend_set("NONE")
+            shader.bind()
+            _set_rows(shader, camera, self._mesh_origin)
+            shader.uniform_float("projection", Matrix(projection.tolist()))
+            self._mesh_batch.draw(shader)
+
+    def _draw_screen(self, projection: np.ndarray, reference: float) -> None:
+        shader = shaders.screen_shader()
+        shader.bind()
+        terms = projection[2, 2], projection[2, 3], projection[3, 2], projection[3, 3]
+        shader.uniform_float("depth_terms", tuple(float(term) for term in terms))
+        shader.uniform_sampler("colors", self._color)
+        shader.uniform_sampler("moments", self._moment)
+        shader.uniform_sampler("meshes", self._mesh)
+        gpu.state.blend_set("ALPHA_PREMULT")
+        gpu.state.depth_test_set("LESS_EQUAL")
+        slack = MESH_SLACK if self._mesh_batch is not None else 0.0
+        # Thin cover must not hide what other tools draw behind it, so it writes no depth.
+        for low, high, writes in ((SHOWN_COVER, DEPTH_COVER, False), (DEPTH_COVER, 2.0, True)):
+            gpu.state.depth_mask_set(writes)
+            shader.uniform_float("range", (low, high, reference, slack))
+            self._quad.draw(shader)
+
+    def _upload(self, packed: Packed, order: np.ndarray, meshes: tuple[np.ndarray, ...]) -> None:
+        if self._quad is None:
+            corners = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]], np.float32)
+            self._quad = batch_for_shader(shaders.screen_shader(), "TRI_STRIP", {"corner": corners})
+        if packed is not self._packed:
+            self._packed, self._splats = packed, _texture(packed.texels, "RGBA32F")
+        if order is not self._ordered:
+            self._ordered, self._order = order, _texture(order, "R32F")
+        if meshes is not self._meshes:
+            self._meshes, self._mesh_batch = meshes, None
+            corners = np.concatenate([np.zeros((0, 3, 3)), *meshes]).reshape(-1, 3)
+            if len(corners):
+                self._mesh_origin = corners.mean(axis=0)
+                positions = (corners - self._mesh_origin).astype(np.float32)
+                self._mesh_batch = batch_for_shader(shaders.mesh_shader(), "TRIS", {"position": positions})
+
+    def _resize(self, width: int, height: int) -> None:
+        if self._size == (width, height):
+            return
+        self._size = (width, height)
+        self._color = gpu.types.GPUTexture(self._size, format="RGBA16F")
+        self._moment = gpu.types.GPUTexture(self._size, format="RGBA16F")
+        self._mesh = gpu.types.GPUTexture(self._size, format="R32F")
+        self._mesh_depth = gpu.types.GPUTexture(self._size, format="DEPTH_COMPONENT32F")
+        self._target = gpu.types.GPUFrameBuffer(color_slots=(self._color, self._moment))
+        self._mesh_target = gpu.types.GPUFrameBuffer(depth_slot=self._mesh_depth, color_slots=(self._mesh,))
+
+
+def _set_rows(shader: gpu.types.GPUShader, camera: Camera, origin: np.ndarray) -> None:
+    """Set world to camera for coordinates relative to `origin`."""
+    matrix = camera.world_to_camera
+    translation = matrix[:3, :3] @ origin + matrix[:3, 3]
+    for name, row, shift in zip(("row_x", "row_y", "row_z"), matrix[:3, :3], translation, strict=True):
+        shader.uniform_float(name, (*(float(value) for value in row), float(shift)))
+
+
+def _texture(values: np.ndarray, texture_format: str) -> gpu.types.GPUTexture:
+    """Return [rows, TEXTURE_WIDTH] or [rows, TEXTURE_WIDTH, 4] float32 as a texture."""
+    data = np.ascontiguousarray(values, np.float32).reshape(-1)  # other types give garbage
+    buffer = gpu.types.Buffer("FLOAT", len(data), data)
+    return gpu.types.GPUTexture((TEXTURE_WIDTH, values.shape[0]), format=texture_format, data=buffer)

@@ -1,0 +1,227 @@
+"""Gaussians and their order for one viewport, made on a thread so that Blender never waits for them.
+
+The newest request wins. While something changes, Gaussians come in the level of detail that the request allows; when the view
+rests they come once more in full, with the colours of the present view. A moved camera costs a new order only. The thread ends
+when there is nothing left to do. Touches none of Blender's data.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...grmm_core.camera import Camera
+from ...grmm_core.errors import GrmmError
+from ..engine.snapshot import AvatarShot
+from . import arrays, sources
+from .arrays import Packed
+from .pace import Pace
+from .sources import SceneShots
+
+REST_SECONDS = 0.2  # without a newer request before full detail is made
+MOVING_DEGREES = 8.0  # that an avatar may have turned before its colours are made anew while the view moves
+RESTING_DEGREES = 0.5  # the same when it rests
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class SplatRequest:
+    """What a viewport shows.
+
+    Attributes:
+        scene: Avatars and clouds; its `shots` are the same object as long as nothing changed.
+        camera: Of the viewport.
+        level: Level of detail while something changes.
+        finest: Level of detail when nothing does.
+    """
+
+    scene: SceneShots
+    camera: Camera
+    level: int
+    finest: int
+
+
+@dataclass(frozen=True)
+class Drawable:
+    """What can be drawn.
+
+    Attributes:
+        packed: Gaussians.
+        order: Their order for the camera, see `arrays.depth_order`.
+        request: What was asked for.
+        level: Level of detail.
+        messages: What cannot be shown, a sentence each.
+    """
+
+    packed: Packed
+    order: np.ndarray
+    request: SplatRequest
+    level: int
+    messages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Made:
+    """Packed Gaussians and what they were made for."""
+
+    scene: SceneShots
+    level: int
+    directions: tuple[np.ndarray, ...]
+    packed: Packed
+    messages: tuple[str, ...]
+
+
+class SplatJobs:
+    """Makes what the newest request needs; see the module."""
+
+    def __init__(
+        self,
+        clock: Callable[[], float] = time.perf_counter,
+        wait_for_rest: Callable[[Callable[[], bool]], object] | None = None,
+    ) -> None:
+        """Prepare; nothing runs before the first request.
+
+        Args:
+            clock: Seconds.
+            wait_for_rest: Called before full detail is made with a function that says whether there is something newer;
+                returns when the view has rested or there is. None waits `REST_SECONDS`.
+        """
+        self.pace = Pace()
+        self._clock = clock
+        self._wait_for_rest = wait_for_rest or self._wait_a_moment
+        self._changed = threading.Condition()
+        self._wanted: SplatRequest | None = None
+        self._done: Drawable | None = None
+        self._thread: threading.Thread | None = None
+        self._made: _Made | None = None  # of the thread
+        self._parts: dict[int, tuple[AvatarShot, int, np.ndarray, arrays.WorldGaussians]] = {}  # of the thread
+
+    def request(self, request: SplatRequest | None) -> None:
+        """Ask for something; returns at once. None gives up."""
+        with self._changed:
+            self._wanted = request
+            if self._thread is None and request is not None:
+                self._thread = threading.Thread(target=self._run, name="GRMM splats", daemon=True)
+                self._thread.start()
+            self._changed.notify_all()
+
+    def take(self) -> Drawable | None:
+        """Return what was finished since the last call, else None."""
+        with self._changed:
+            found, self._done = self._done, None
+            return found
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is being made, or waits to be taken."""
+        with self._changed:
+            return self._thread is not None or self._done is not None
+
+    @property
+    def has_news(self) -> bool:
+        """Whether something waits to be taken."""
+        with self._changed:
+            return self._done is not None
+
+    def wait(self, timeout: float) -> bool:
+        """Wait until nothing is left to do; returns whether that came."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._thread is None, timeout)
+
+    def _run(self) -> None:
+        done: SplatRequest | None = None
+        while True:
+            with self._changed:
+                request = self._wanted
+                if request is None or request is done:
+                    self._thread = None
+                    self._changed.notify_all()
+                    return
+            try:
+                self._serve(request)
+            except Exception as error:  # noqa: BLE001 - a thread has no caller that would hear of it
+                _log.exception("The viewport's splats failed.")
+                empty = arrays.pack(arrays.WorldGaussians.concatenate([]))
+                text = f"Splats cannot be shown ({type(error).__name__}: {error})."
+                self._publish(Drawable(empty, arrays.depth_order(empty, request.camera), request, request.level, (text,)))
+            done = request
+
+    def _serve(self, request: SplatRequest) -> None:
+        made = self._made
+        if made is None or not self._serves(made, request, request.level, MOVING_DEGREES):
+            made = self._make(request, request.level)
+        self._show(made, request)
+        self._wait_for_rest(lambda: self._wanted is not request)
+        if self._wanted is request and not self._serves(made, request, request.finest, RESTING_DEGREES, exact=True):
+            self._show(self._make(request, request.finest), request)
+
+    def _serves(self, made: _Made, request: SplatRequest, level: int, degrees: float, exact: bool = False) -> bool:
+        """Whether Gaussians fit a request; finer ones than needed do, unless `exact`."""
+        if made.scene.shots is not request.scene.shots or made.level > level or (exact and made.level != level):
+            return False
+        return all(
+            _angle(direction, sources.view_direction(shot, request.camera)) <= degrees
+            for direction, shot in zip(made.directions, request.scene.shots, strict=True)
+        )
+
+    def _make(self, request: SplatRequest, level: int) -> _Made:
+        started = self._clock()
+        found, messages = [], [request.scene.message] if request.scene.message else []
+        directions = tuple(sources.view_direction(shot, request.camera) for shot in request.scene.shots)
+        parts = {}
+        for index, (shot, direction) in enumerate(zip(request.scene.shots, directions, strict=True)):
+            known = self._parts.get(index)
+            if known is not None and known[1] == level and same_shot(known[0], shot) and _angle(known[2], direction) == 0.0:
+                part = known[3]
+            else:
+                try:
+                    part = sources.world_gaussians(shot, request.camera, level)
+                except GrmmError as error:
+                    messages.append(str(error) if shot.name in str(error) else f"{shot.name}: {error}")
+                    continue
+            parts[index] = (shot, level, direction, part)
+            found.append(part)
+        self._parts = parts
+        packed = arrays.pack(arrays.WorldGaussians.concatenate(found))
+        self.pace.record(level, self._clock() - started)
+        self._made = _Made(request.scene, level, directions, packed, tuple(messages))
+        return self._made
+
+    def _show(self, made: _Made, request: SplatRequest) -> None:
+        order = arrays.depth_order(made.packed, request.camera)
+        self._publish(Drawable(made.packed, order, request, made.level, made.messages))
+
+    def _publish(self, drawable: Drawable) -> None:
+        with self._changed:
+            self._done = drawable
+
+    def _wait_a_moment(self, is_outdated: Callable[[], bool]) -> None:
+        with self._changed:
+            self._changed.wait_for(is_outdated, REST_SECONDS)
+
+
+def _angle(one: np.ndarray, other: np.ndarray) -> float:
+    """Degrees between unit vectors; exactly 0 for equal ones."""
+    if np.array_equal(one, other):
+        return 0.0
+    return float(np.degrees(np.arccos(np.clip(one @ other, -1.0, 1.0))))
+
+
+def same_shot(one: AvatarShot, other: AvatarShot) -> bool:
+    """Whether two shots have the same Gaussians in the world."""
+    if (one.source, one.cloud and (one.cloud.key, one.cloud.version)) != (
+        other.source,
+        other.cloud and (other.cloud.key, other.cloud.version),
+    ) or not np.array_equal(one.model_to_world, other.model_to_world):
+        return False
+    return all(
+        np.array_equal(getattr(one.controls, field.name), getattr(other.controls, field.name))
+        for field in dataclasses.fields(one.controls)
+    )

@@ -1,0 +1,64 @@
+"""`Scene.grmm_viewport`: how splats are shown in solid and material preview viewports."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.props import BoolProperty, EnumProperty, PointerProperty
+
+from ..engine.settings import DETAIL_ITEMS
+
+HOLD_RATE, FULL, MESH = "HOLD_RATE", "FULL", "MESH"
+PLAYBACK_ITEMS = (
+    (HOLD_RATE, "Hold Frame Rate", "Use the finest level of detail that keeps up with the frame rate, else the mesh"),
+    (FULL, "Full", "Keep the chosen level of detail even where splats come late"),
+    (MESH, "Mesh", "Show the mesh alone"),
+)
+
+
+def _redraw(_settings: GRMM_ViewportSettings, context: bpy.types.Context) -> None:
+    from .overlay import redraw_viewports
+
+    redraw_viewports()
+
+
+class GRMM_ViewportSettings(bpy.types.PropertyGroup):
+    """How splats are shown in the 3D viewports of a scene."""
+
+    use_splats: BoolProperty(
+        name="Splats",
+        description="Draw avatars and splat clouds as Gaussians in solid and material preview viewports, not refined",
+        default=True,
+        update=_redraw,
+    )
+    detail: EnumProperty(
+        name="Detail",
+        description="How many of the Gaussians are drawn when nothing moves",
+        items=DETAIL_ITEMS,
+        default="0",
+        update=_redraw,
+    )
+    playback: EnumProperty(
+        name="Playback",
+        description="What is shown while an animation plays",
+        items=PLAYBACK_ITEMS,
+        default=HOLD_RATE,
+    )
+    use_status: BoolProperty(
+        name="Status Text",
+        description="Say in the viewport's corner when something else than the full detail is shown, and why",
+        default=True,
+        update=_redraw,
+    )
+
+
+CLASSES = (GRMM_ViewportSettings,)
+
+
+def register() -> None:
+    """Attach the settings to scenes."""
+    bpy.types.Scene.grmm_viewport = PointerProperty(type=GRMM_ViewportSettings)
+
+
+def unregister() -> None:
+    """Detach the settings."""
+    del bpy.types.Scene.grmm_viewport

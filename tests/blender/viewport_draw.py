@@ -1,0 +1,221 @@
+"""Splats drawn by the gpu module into an offscreen buffer: viewport_draw.py WEIGHTS FOLDER
+
+The test compares what this stores with the CPU rasteriser, which Blender 5.2 does not have.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+from mathutils import Matrix
+from render_support import heads, new_scene
+from support import module, report
+
+weights, folder = sys.argv[1], Path(sys.argv[2])
+gpu.init()
+SIZE = 200, 160
+scene = new_scene(weights, size=SIZE)
+camera_class = module("grmm_core.camera").Camera
+arrays = module("grmm_blender.viewport.arrays")
+drawing = module("grmm_blender.viewport.drawing")
+jobs_module = module("grmm_blender.viewport.jobs")
+overlay = module("grmm_blender.viewport.overlay")
+target = gpu.types.GPUOffScreen(*SIZE, format="RGBA16F")
+stored: dict[str, np.ndarray] = {}
+
+
+def in_buffer(*calls) -> np.ndarray:
+    """Carry out draw calls one after another in an empty buffer; returns [H, W, 4], top row first."""
+    with target.bind():
+        buffer = gpu.state.active_framebuffer_get()
+        buffer.clear(color=(0.0, 0.0, 0.0, 0.0), depth=1.0)
+        for call in calls:
+            call()
+        values = np.array(buffer.read_color(0, 0, *SIZE, 4, 0, "FLOAT").to_list(), np.float32)
+    return values.reshape(SIZE[1], SIZE[0], 4)[::-1]
+
+
+def store_camera(name: str, camera) -> None:
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.orthographic)
+    stored[f"{name}_camera"] = np.array(numbers, np.float64)
+    stored[f"{name}_matrix"] = camera.world_to_camera
+
+
+# Random Gaussians, near and far, thin and thick, far from the world's origin; both projections, off centre.
+rng = np.random.default_rng(5)
+count = 3000
+quats = rng.normal(size=(count, 4)).astype(np.float32)
+scales = np.exp(rng.uniform(np.log(5e-4), np.log(0.03), (count, 3))).astype(np.float32)
+local = rng.normal(scale=0.12, size=(count, 3)).astype(np.float32)
+opacities = rng.uniform(0.02, 1.0, count).astype(np.float32)
+colors = rng.uniform(size=(count, 3)).astype(np.float32)
+placement = np.diag([1.5, 1.5, 1.5, 1.0])
+placement[:3, 3] = (1000.0, -2000.0, 30.0)
+world = arrays.WorldGaussians.place(local, quats, scales, opacities, colors, placement)
+packed = arrays.pack(world)
+stored |= {"means": local, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors, "placement": placement}
+view = np.linalg.inv(placement @ np.diag([1 / 1.5] * 3 + [1]))
+view[2, 3] -= 0.8  # OpenGL: in front is negative z
+for kind in ("perspective", "orthographic"):
+    if kind == "perspective":
+        projection = np.array([[2.2, 0, 0.1, 0], [0, 2.75, -0.05, 0], [0, 0, -1.002, -0.02], [0, 0, -1, 0]], np.float64)
+    else:
+        projection = np.array([[2.5, 0, 0, 0.1], [0, 3.1, 0, 0], [0, 0, -0.01, -0.1], [0, 0, 0, 1]], np.float64)
+    camera = camera_class.from_opengl(view, projection, *SIZE)
+    picture = drawing.SplatPicture()
+    order = arrays.depth_order(packed, camera)
+    stored[kind] = in_buffer(lambda: picture.draw(packed, order, camera, projection))  # noqa: B023 - called at once
+    store_camera(kind, camera)
+depths = packed.offsets @ camera.world_to_camera[2, :3].astype(np.float32)
+ordered = depths[order.reshape(-1)[:count].astype(int)]
+report(sorted=bool((np.diff(ordered) <= 0).all()), permutation=len(set(order.reshape(-1)[:count].tolist())) == count)
+
+
+# An avatar through a viewport that looks through the scene's camera.
+space = next(a.spaces.active for s in bpy.data.screens for a in s.areas if a.type == "VIEW_3D")
+space.shading.type = "SOLID"
+depsgraph = bpy.context.evaluated_depsgraph_get()
+eye = scene.camera.evaluated_get(depsgraph)
+region_data = SimpleNamespace(
+    view_matrix=eye.matrix_world.inverted(), window_matrix=eye.calc_matrix_camera(depsgraph, x=SIZE[0], y=SIZE[1])
+)
+context = SimpleNamespace(
+    region=SimpleNamespace(width=SIZE[0], height=SIZE[1]), region_data=region_data, space_data=space, scene=scene
+)
+viewport = overlay.Viewport(jobs_module.SplatJobs(wait_for_rest=lambda is_outdated: None))
+
+
+def draw(playing: bool = False) -> None:
+    viewport.draw(context, bpy.context.evaluated_depsgraph_get(), playing)
+
+
+def settle() -> None:
+    in_buffer(draw)
+    if not viewport.jobs.wait(120):
+        raise RuntimeError("the splats do not come")
+    in_buffer(draw)
+
+
+def triangles(corners: np.ndarray, color: tuple[float, ...]) -> None:
+    """Draw world triangles as Blender draws objects: with depth."""
+    gpu.matrix.load_matrix(region_data.view_matrix)
+    gpu.matrix.load_projection_matrix(region_data.window_matrix)
+    gpu.state.depth_test_set("LESS_EQUAL")
+    gpu.state.depth_mask_set(True)
+    shader = gpu.shader.from_builtin("UNIFORM_COLOR")
+    shader.uniform_float("color", color)
+    batch_for_shader(shader, "TRIS", {"pos": np.ascontiguousarray(corners.reshape(-1, 3), np.float32)}).draw(shader)
+    gpu.state.depth_test_set("NONE")
+    gpu.state.depth_mask_set(False)
+    gpu.matrix.load_matrix(Matrix.Identity(4))
+    gpu.matrix.load_projection_matrix(Matrix.Identity(4))
+
+
+def wall(y: float, x0: float, x1: float) -> np.ndarray:
+    a, b, c, d = (x0, y, -3), (x1, y, -3), (x1, y, 3), (x0, y, 3)
+    return np.array([a, b, c, a, c, d], np.float64)
+
+
+first = in_buffer(draw)
+statuses = [viewport.status()]
+settle()
+alone = in_buffer(draw)
+statuses.append(viewport.status())
+stored["avatar"] = alone
+store_camera("avatar", viewport._asked.camera)
+stored["avatar_placement"] = viewport._scene.shots[0].model_to_world
+info = module("grmm_blender.session_host").open_avatar(viewport._scene.shots[0].source)
+direction = module("grmm_blender.viewport.sources").view_direction(viewport._scene.shots[0], viewport._asked.camera)
+found = module("grmm_blender.session_host").get_session().gaussians(info.id, viewport._scene.shots[0].controls, direction)
+for name in ("means", "quats", "scales", "opacities", "colors"):
+    stored[f"avatar_{name}"] = getattr(found, name)
+solid = alone[..., 3] > 0.98
+RED, BLUE = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
+half = SIZE[0] // 2
+front = in_buffer(lambda: triangles(wall(-0.5, -9, 9), RED), draw)
+behind = in_buffer(lambda: triangles(wall(0.6, -9, 9), RED), draw)
+later = in_buffer(draw, lambda: triangles(wall(0.6, -9, 9), BLUE))
+later_front = in_buffer(draw, lambda: triangles(wall(-0.5, -9, 9), BLUE))
+own = viewport._scene.meshes
+report(
+    statuses=statuses,
+    nothing_at_first=float(first.max()),
+    covered=float(solid.mean()),
+    hidden_by_front=float(np.abs(front - RED).max()),
+    over_behind=float(np.abs(behind[solid] - alone[solid]).max()),
+    beside_behind=float(np.abs(behind[0, 0] - RED).max()),
+    hides_later=float(np.abs(later[solid] - alone[solid]).max()),
+    hidden_by_later=float(np.abs(later_front - BLUE).max()),
+    own_mesh=float((np.abs(in_buffer(lambda: triangles(own[0], RED), draw)[solid] - alone[solid]).max(-1) > 0.03).mean()),
+    own_triangles=len(own[0]),
+)
+
+# Bounds instead of the mesh: nothing to stand before any more. In an edit mode the mesh alone is shown.
+head = heads(scene)[0]
+head.display_type = "BOUNDS"
+overlay._on_change()
+in_buffer(draw)
+report(bounds_meshes=len(viewport._scene.meshes))
+head.display_type = "TEXTURED"
+bpy.context.view_layer.objects.active = head
+bpy.ops.object.mode_set(mode="SCULPT")
+overlay._on_change()
+report(sculpt=float(in_buffer(draw).max()))
+bpy.ops.object.mode_set(mode="OBJECT")
+
+# Only what has changed is made anew.
+overlay._on_change()
+settle()
+before = viewport._drawable.packed
+overlay._on_change()
+settle()
+report(nothing_changed=viewport._drawable.packed is before)
+head["jawOpen"] = 1.0
+head.update_tag()
+bpy.context.view_layer.update()
+overlay._on_change()
+settle()
+report(pose_changed=float(np.abs(in_buffer(draw) - alone).mean()))
+
+# Playback: the mesh where it is wanted, or where nothing keeps up.
+settings = scene.grmm_viewport
+settings.playback = "MESH"
+report(mesh=[float(in_buffer(lambda: draw(playing=True)).max()), viewport.status()])
+settings.playback = "HOLD_RATE"
+in_buffer(lambda: draw(playing=True))
+for level in range(4):
+    viewport.jobs.pace.record(level, 60.0)
+report(too_slow=[float(in_buffer(lambda: draw(playing=True)).max()), viewport.status()])
+settings.playback = "FULL"
+report(full=float(in_buffer(lambda: draw(playing=True))[..., 3].max()), after=viewport.status())
+
+# An avatar that cannot be drawn says why; a splat cloud beside it is drawn all the same.
+sources = module("grmm_core.session").CloudArrays
+cloud_class = module("grmm_core.formats").SplatCloud
+build = module("grmm_blender.splats.build")
+sphere = rng.normal(size=(500, 3))
+sphere = (0.1 * sphere / np.linalg.norm(sphere, axis=-1, keepdims=True)).astype(np.float32)
+harmonics = np.zeros((500, 4, 3), np.float32)
+harmonics[:, 0, 0] = 1.7
+cloud = cloud_class(sphere, quats[:500], np.full((500, 3), 0.02, np.float32), np.full(500, 0.9, np.float32), harmonics)
+ball = build.new_cloud("Ball", cloud)
+scene.collection.objects.link(ball)
+head.grmm.source = str(folder / "missing.grmm")
+bpy.context.view_layer.update()
+overlay._on_change()
+settle()
+picture = in_buffer(draw)
+middle = picture[SIZE[1] // 2, SIZE[0] // 2]
+report(cloud=[float(value) for value in middle], error=viewport.status())
+report(shot_names=[shot.name for shot in viewport._scene.shots])
+
+# A panel for all of it is registered, and drawing callbacks are not: there are no windows here.
+report(panel=hasattr(bpy.types, "GRMM_PT_splat_viewport"), callbacks=len(overlay._callbacks))
+np.savez(folder / "viewport.npz", **stored)
+viewport.jobs.request(None)

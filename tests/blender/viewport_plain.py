@@ -1,0 +1,93 @@
+"""The splat viewport's thread and arithmetic, on a Blender without graphics: viewport_plain.py WEIGHTS"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+from render_support import new_scene
+from support import module, report
+
+arrays = module("grmm_blender.viewport.arrays")
+camera_class = module("grmm_core.camera").Camera
+controls_class = module("grmm_core.controls").Controls
+errors = module("grmm_core.errors")
+jobs_module = module("grmm_blender.viewport.jobs")
+overlay = module("grmm_blender.viewport.overlay")
+pace_class = module("grmm_blender.viewport.pace").Pace
+shot_class = module("grmm_blender.engine.snapshot").AvatarShot
+sources = module("grmm_blender.viewport.sources")
+
+# A scene with a head works on without a graphics card, whatever Blender reports of changes.
+scene = new_scene(sys.argv[1], size=(16, 16))
+scene.frame_set(2)
+scene.grmm_viewport.detail = "1"
+bpy.ops.render.render()
+report(callbacks=len(overlay._callbacks), rendered=True)
+
+# The level of detail follows measured times; the first one is that of loading.
+pace = pace_class()
+pace.record(0, 100.0)
+levels = [pace.level(0, 0.04)]
+report(first_measure=levels[0])
+for level, seconds in ((0, 0.2), (1, 0.1), (2, 0.09), (3, 0.08)):
+    pace.record(level, seconds)
+    if level < 2:
+        levels.append(pace.level(0, 0.04))
+levels.append(pace.level(0, 0.04))
+pace.forget()
+levels.append(pace.level(0, 0.04))
+report(levels=levels)
+
+# The thread, with a clock that goes one second a look, and Gaussians from a stand-in.
+log: list[list[object]] = []
+plan = SimpleNamespace(error=None)
+
+
+def world_gaussians(shot, camera, lod):
+    log.append([shot.name, lod, float(np.linalg.norm(sources.view_direction(shot, camera)))])
+    if plan.error is not None:
+        raise plan.error
+    return arrays.WorldGaussians(np.eye(3), np.ones((3, 6), np.float32), np.ones((3, 3), np.float32), np.ones(3, np.float32))
+
+
+sources.world_gaussians = world_gaussians
+ticks = itertools.count()
+jobs = jobs_module.SplatJobs(clock=lambda: float(next(ticks)), wait_for_rest=lambda is_outdated: None)
+
+
+def served(scene_shots, yaw: float) -> list[list[object]]:
+    log.clear()
+    camera = camera_class.orbit(64, 64, yaw=yaw)
+    jobs.request(jobs_module.SplatRequest(scene_shots, camera, level=2, finest=0))
+    if not jobs.wait(60):
+        raise RuntimeError("stuck")
+    return [list(entry) for entry in log]
+
+
+shots = sources.SceneShots((shot_class("a", "default", controls_class(), np.eye(4)),))
+report(made=served(shots, 0.0))
+report(camera_moved=served(shots, 0.2))
+# Turned so far that colours are stale: they come in the moving level first, then in full.
+report(turned=served(shots, 40.0))
+plan.error = errors.SessionError("The model worker ended.")
+served(sources.SceneShots(tuple([*shots.shots])), 0.0)
+served(sources.SceneShots((shot_class("a", "default", controls_class(), np.eye(4) * 1.0),)), 80.0)
+report(error=list(jobs.take().messages))
+plan.error = ZeroDivisionError("oops")
+served(sources.SceneShots((shot_class("a", "default", controls_class(), np.eye(4) * 1.0),)), 120.0)
+report(defect=list(jobs.take().messages))
+
+# More than fits is thinned out; what is not finite is left out.
+arrays.MAX_GAUSSIANS = 100
+many = 1001
+large = arrays.WorldGaussians(
+    np.zeros((many, 3)), np.zeros((many, 6), np.float32), np.zeros((many, 3), np.float32), np.zeros(many, np.float32)
+)
+means = np.array([[0.0, 0, 0], [np.nan, 0, 0], [1, 0, 0]], np.float32)
+placed = arrays.WorldGaussians.place(means, np.eye(4, dtype=np.float32)[[0, 0, 0]], np.ones((3, 3), np.float32),
+                                     np.ones(3, np.float32), np.ones((3, 3), np.float32), np.eye(4))  # fmt: skip
+report(thinned=len(arrays.pack(large)), finite=len(placed))

@@ -1,0 +1,272 @@
+"""Photos to tracks: find the face, fit the head model, frame the working picture as the training pictures are.
+
+`analyse_photo` opens a photo and finds its faces (the user may then choose); `track_photos` does the rest for one person.
+Called by the fit's `api` and by the fit panel's job. Needs torch and Pillow; knows nothing of the networks that are fitted.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..camera import Camera
+from ..errors import CancelledError, ConfigError, NoFaceError, ShapeError
+from ..head.model import HeadModel
+from ..photo.faces import Face, find_faces
+from ..photo.load import Photo, load_photo
+from ..photo.person import person_mask
+from .landmark_priors import FULL_FRAME
+from .landmark_rig import LandmarkRig
+from .landmark_stage import LandmarkFit, Observation, fit_landmarks
+from .types import PhotoTrack
+
+logger = logging.getLogger(__name__)
+
+DEFAULT_SIZE = 512
+MIN_FACE = 64.0  # pixels of the face's longer side; below this nothing of a person can be seen
+FRAME_TARGET = (0.0, -0.002, 0.0)  # head space: what the training pictures of the whole head look at
+FRAME_HALF = 0.224  # metres from there to the picture's edge (1.1 m away, angle of view 23 degrees)
+PADDING_GREY = 0.5
+_EXIF_IFD, _EXIF_FOCAL_35MM = 0x8769, 0xA405
+_FOCAL_RANGE = (8.0, 1200.0)  # millimetres; files state 0 for "unknown"
+_ANALYSE_SHARE, _LANDMARK_SHARE = 0.5, 0.3  # of the time, for the progress
+
+
+@dataclass(frozen=True)
+class AnalysedPhoto:
+    """An opened photo and the faces in it.
+
+    Attributes:
+        photo: Its pixels.
+        faces: The largest first.
+        focal: Focal length in pixels of `photo.pixels` that the file states, or None.
+    """
+
+    photo: Photo
+    faces: tuple[Face, ...]
+    focal: float | None = None
+
+
+def analyse_photo(path: str | os.PathLike[str]) -> AnalysedPhoto:
+    """Open a photo and find the faces.
+
+    Raises:
+        FileAccessError, FileFormatError: See `load_photo`.
+        NoFaceError: There is no face, or none is large enough to be fitted.
+    """
+    photo = load_photo(path)
+    return _with_faces(photo, _stated_focal(Path(path), photo))
+
+
+def analyse_picture(pixels: np.ndarray, name: str = "picture") -> AnalysedPhoto:
+    """Find the faces of a picture in memory, display sRGB 0..1, [H, W, 3]. Raises `NoFaceError`."""
+    return _with_faces(Photo(Path(name), np.asarray(pixels, np.float32), None, 1.0), None)
+
+
+def _with_faces(photo: Photo, focal: float | None) -> AnalysedPhoto:
+    name = photo.path.name
+    try:
+        faces = find_faces(photo.pixels)
+    except NoFaceError as error:
+        raise NoFaceError(f"No face was found in {name}; use a photo where the whole face is visible and sharp.") from error
+    large = tuple(face for face in faces if _face_size(face) >= MIN_FACE)
+    if not large:
+        raise NoFaceError(
+            f"The face in {name} is only {_face_size(faces[0]):.0f} pixels high; use a photo where it has at least "
+            f"{MIN_FACE:.0f}, better 200."
+        )
+    return AnalysedPhoto(photo, large, focal)
+
+
+def track_photos(
+    photos: Sequence[str | os.PathLike[str] | AnalysedPhoto],
+    head: HeadModel,
+    *,
+    faces: Sequence[int] | None = None,
+    masks: Sequence[np.ndarray | None] | None = None,
+    size: int = DEFAULT_SIZE,
+    progress: Callable[[float], None] | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> list[PhotoTrack]:
+    """Fit the head model to one or several photos of one person.
+
+    Args:
+        photos: Files, or photos that were analysed before.
+        head: Head model with 478 landmarks.
+        faces: Which face of each photo, in the order of `AnalysedPhoto.faces`; the largest (0) where not given.
+        masks: The person's outline in each photo, 0..1, [H, W] of any resolution of the upright photo; None finds it.
+        size: Side of the working pictures in pixels.
+        progress: Called with 0..1.
+        cancelled: Asked often; True ends the work.
+
+    Returns:
+        One track for each photo, all with the same shape.
+
+    Raises:
+        CancelledError: `cancelled` said so.
+        NoFaceError, FileAccessError, FileFormatError: A photo cannot be used; the message names it.
+        ConfigError: No photo, or a face was chosen that is not there.
+        ShapeError: The head model has no 478 landmarks.
+    """
+    if not photos:
+        raise ConfigError("No photo was given; choose at least one.")
+    report = _Reporter(progress, cancelled)
+    rig = LandmarkRig(head)
+    analysed: list[AnalysedPhoto] = []
+    for index, item in enumerate(photos):
+        report(_ANALYSE_SHARE * index / len(photos))
+        analysed.append(item if isinstance(item, AnalysedPhoto) else analyse_photo(item))
+    chosen = [_chosen_face(item, faces[i] if faces is not None and i < len(faces) else 0) for i, item in enumerate(analysed)]
+    observations = [_observation(item, face) for item, face in zip(analysed, chosen, strict=True)]
+    fit = fit_landmarks(observations, rig, progress=lambda f: report(_ANALYSE_SHARE + _LANDMARK_SHARE * f))
+    tracks = []
+    for index, (item, face) in enumerate(zip(analysed, chosen, strict=True)):
+        report(_ANALYSE_SHARE + _LANDMARK_SHARE)
+        mask = masks[index] if masks is not None and index < len(masks) else None
+        tracks.append(_framed(item, face, fit, index, size, mask))
+    report(1.0)
+    return tracks
+
+
+class _Reporter:
+    """Forwards progress and turns a wish to cancel into the error that ends the work."""
+
+    def __init__(self, progress: Callable[[float], None] | None, cancelled: Callable[[], bool] | None) -> None:
+        self._progress, self._cancelled = progress, cancelled
+
+    def __call__(self, fraction: float) -> None:
+        if self._cancelled is not None and self._cancelled():
+            raise CancelledError("The fit was cancelled.")
+        if self._progress is not None:
+            self._progress(min(max(fraction, 0.0), 1.0))
+
+
+def _face_size(face: Face) -> float:
+    return float(max(face.box[2] - face.box[0], face.box[3] - face.box[1]))
+
+
+def _chosen_face(item: AnalysedPhoto, index: int) -> Face:
+    if not 0 <= index < len(item.faces):
+        raise ConfigError(
+            f"{item.photo.path.name} shows {len(item.faces)} usable face(s), numbered from 0; there is no face {index}."
+        )
+    return item.faces[index]
+
+
+def _observation(item: AnalysedPhoto, face: Face) -> Observation:
+    height, width = item.photo.pixels.shape[:2]
+    return Observation(face.landmarks.astype(np.float64), face.arkit, width, height, item.focal)
+
+
+def _stated_focal(path: Path, photo: Photo) -> float | None:
+    """Focal length in pixels from the file's 35 mm equivalent, or None. A missing or odd entry is no error."""
+    from PIL import Image
+
+    try:
+        with Image.open(path) as image:
+            value = float(image.getexif().get_ifd(_EXIF_IFD).get(_EXIF_FOCAL_35MM, 0) or 0)
+    except (OSError, ValueError, TypeError, SyntaxError, ZeroDivisionError):
+        return None
+    if not _FOCAL_RANGE[0] <= value <= _FOCAL_RANGE[1]:
+        return None
+    return value / FULL_FRAME * max(photo.pixels.shape[:2])
+
+
+def _framed(
+    item: AnalysedPhoto, face: Face, fit: LandmarkFit, index: int, size: int, mask: np.ndarray | None
+) -> PhotoTrack:
+    """Cut the working picture out of the photo and move everything into it."""
+    photo, camera, view = item.photo, fit.cameras[index], fit.views[index]
+    left, top, side = frame_of(camera)
+    scale = size / side
+    image = cut_square(photo.pixels, left, top, side, size, PADDING_GREY)
+    inside = np.ones(photo.pixels.shape[:2], np.float32)
+    valid = cut_square(inside[:, :, None], left, top, side, size, 0.0)[:, :, 0]
+    if mask is None:
+        outline = person_mask(image)
+    else:
+        outline = cut_square(_fitted_mask(mask, photo)[:, :, None], left, top, side, size, 0.0)[:, :, 0]
+    if photo.alpha is not None:
+        outline = outline * cut_square(photo.alpha[:, :, None], left, top, side, size, 0.0)[:, :, 0]
+    height, width = photo.pixels.shape[:2]
+    whole = (max(1, round(width / photo.scale)), max(1, round(height / photo.scale)))
+    origin = np.array([left, top])
+    return PhotoTrack(
+        source=photo.path.name,
+        image=image,
+        mask=np.clip(outline * valid, 0.0, 1.0),
+        valid=valid,
+        camera=replace(
+            camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=(camera.cx - left) * scale, cy=(camera.cy - top) * scale,
+            width=size, height=size,
+        ),
+        photo_camera=camera.resized(*whole),
+        shape=fit.shape,
+        expression=view.expression,
+        pose=view.pose,
+        landmarks=(face.landmarks[:, :2] - origin) * scale,
+        landmarks_fitted=(fit.landmarks[index] - origin) * scale,
+        arkit=face.arkit,
+        presence=face.presence,
+    )  # fmt: skip
+
+
+def frame_of(camera: Camera) -> tuple[float, float, float]:
+    """Square around the head as the training pictures are framed: left, top and side in pixels of the camera's picture."""
+    x, y, z = camera.world_to_camera[:3, :3] @ np.array(FRAME_TARGET) + camera.world_to_camera[:3, 3]
+    half = camera.fx * FRAME_HALF / z
+    return camera.fx * x / z + camera.cx - half, camera.fy * y / z + camera.cy - half, 2.0 * half
+
+
+def cut_square(picture: np.ndarray, left: float, top: float, side: float, size: int, outside: float) -> np.ndarray:
+    """Resample a square of a picture, averaging where it shrinks.
+
+    Args:
+        picture: [H, W, C] float32.
+        left: Left edge in pixels; may lie outside, as may the others.
+        top: Upper edge.
+        side: Side in pixels.
+        size: Side of the result in pixels.
+        outside: Value beyond the picture.
+
+    Returns:
+        [size, size, C] float32, 0..1.
+    """
+    from PIL import Image
+
+    height, width = picture.shape[:2]
+    margin = 4  # the resampling filter looks a little beyond the square
+    x0, y0 = int(np.floor(left)) - margin, int(np.floor(top)) - margin
+    x1, y1 = int(np.ceil(left + side)) + margin, int(np.ceil(top + side)) + margin
+    part = picture[max(y0, 0) : max(y1, 0), max(x0, 0) : max(x1, 0)]
+    pads = ((max(-y0, 0), max(y1 - max(height, y0), 0)), (max(-x0, 0), max(x1 - max(width, x0), 0)), (0, 0))
+    part = np.pad(part, pads, constant_values=outside)
+    box = (left - x0, top - y0, left - x0 + side, top - y0 + side)
+    planes = [
+        np.asarray(Image.fromarray(np.ascontiguousarray(part[:, :, c])).resize((size, size), Image.Resampling.BICUBIC, box))
+        for c in range(part.shape[2])
+    ]
+    return np.clip(np.stack(planes, axis=2), 0.0, 1.0).astype(np.float32)
+
+
+def _fitted_mask(mask: np.ndarray, photo: Photo) -> np.ndarray:
+    """A user's mask at the photo's resolution, [H, W]."""
+    from PIL import Image
+
+    values = np.asarray(mask, np.float32)
+    if values.ndim != 2 or not np.isfinite(values).all():
+        raise ShapeError(f"The mask has shape {values.shape}; give one channel (H, W) with values 0 to 1.")
+    height, width = photo.pixels.shape[:2]
+    if values.shape == (height, width):
+        return values
+    if abs(values.shape[1] / values.shape[0] - width / height) > 0.02 * width / height:
+        raise ShapeError(
+            f"The mask has {values.shape[1]}x{values.shape[0]} pixels, another proportion than {photo.path.name}; "
+            "make it from the upright photo."
+        )
+    return np.asarray(Image.fromarray(values).resize((width, height), Image.Resampling.BILINEAR))

@@ -1,0 +1,175 @@
+"""The landmark stage on people whose parameters are known: the head's own landmarks, projected."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grmm_core.camera import Camera
+from grmm_core.errors import ShapeError
+from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.fitting.landmark_priors import FACE_OVAL
+from grmm_core.fitting.landmark_rig import LandmarkRig
+from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
+from grmm_core.fitting.measure import aligned, shape_error
+from grmm_core.head.open_head import load_open_head
+
+SIZE = 512
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def rig(head):
+    return LandmarkRig(head)
+
+
+def person(seed, count=300):
+    return np.random.default_rng([seed, 5]).normal(0.0, 0.8, count)
+
+
+def expression(**values):
+    result = np.zeros(100)
+    for name, value in values.items():
+        result[ARKIT_NAMES.index(name)] = value
+    return result
+
+
+def observe(rig, shape, coefficients, camera, pose=None, noise=0.0, seed=0, focal=None):
+    """What a perfect (or noisy) landmark network would report."""
+    points = rig.positions(shape, coefficients, np.zeros((5, 3)) if pose is None else pose)
+    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    pixels = local[:, :2] / local[:, 2:] * camera.fx + [camera.cx, camera.cy]
+    depth = (local[:, 2] - local[:, 2].mean()) * camera.fx / local[:, 2].mean()
+    landmarks = np.concatenate([pixels, depth[:, None]], axis=1)
+    landmarks[:, :2] += np.random.default_rng(seed).normal(0.0, 1.0, (478, 2)) * noise
+    return Observation(landmarks, coefficients[:52], camera.width, camera.height, focal)
+
+
+def eye_distance(observation):
+    return np.linalg.norm(observation.landmarks[263, :2] - observation.landmarks[33, :2])
+
+
+def reprojection(fit, observation, index=0):
+    return np.linalg.norm(fit.landmarks[index] - observation.landmarks[:, :2], axis=1).mean() / eye_distance(observation)
+
+
+def angle_between(a, b):
+    return np.degrees(np.arccos(np.clip((np.trace(a @ b.T) - 1.0) / 2.0, -1.0, 1.0)))
+
+
+def test_rig_is_the_heads_landmarks(head, rig):
+    g = np.random.default_rng(0)
+    shape, coefficients, pose = g.normal(size=300), g.uniform(0, 0.6, 100), g.normal(size=(5, 3)) * 0.1
+    vertices = head.vertices(shape, coefficients, head.pose_of(coefficients, pose))
+    np.testing.assert_allclose(
+        rig.positions(shape, coefficients, pose), head.landmark_positions(vertices, 478), atol=2e-6
+    )
+
+
+def test_derivatives_are_those_of_finite_differences(rig):
+    g = np.random.default_rng(1)
+    point = [g.normal(size=300), g.uniform(0, 0.6, 100), g.normal(size=(5, 3)) * 0.1]
+    derivatives = rig.linearise(*point)[1:]
+    for index, derivative in enumerate(derivatives):
+        direction = g.normal(size=point[index].shape) * 1e-5
+        high, low = ([*point[:index], point[index] + sign * direction, *point[index + 1 :]] for sign in (1, -1))
+        expected = (rig.positions(*high) - rig.positions(*low)) / 2.0
+        result = np.tensordot(derivative, direction, axes=direction.ndim)
+        assert np.abs(result - expected).max() < 1e-6 * np.abs(expected).max() + 1e-12
+
+
+def test_one_photo_of_a_known_person(head, rig):
+    shape, coefficients = person(4) * 1.6, expression(jawOpen=0.5, mouthSmileLeft=0.6, mouthSmileRight=0.6, eyeBlinkLeft=0.8)
+    camera = Camera.orbit(SIZE, SIZE, yaw=22.0, pitch=8.0, distance=1.2, fov=22.0)
+    observation = observe(rig, shape, coefficients, camera)
+    # the reported coefficients are off: they are a start value only
+    fit = fit_landmarks([replace(observation, arkit=np.clip(observation.arkit * 0.7 + 0.05, 0, 1))], rig)
+    assert reprojection(fit, observation) < 0.02
+    assert angle_between(fit.cameras[0].world_to_camera[:3, :3], camera.world_to_camera[:3, :3]) < 4.0
+    assert shape_error(head, fit.shape, shape) < 0.75 * shape_error(head, np.zeros(300), shape)
+    for name, value in (("jawOpen", 0.5), ("mouthSmileLeft", 0.6), ("eyeBlinkLeft", 0.8), ("eyeBlinkRight", 0.0)):
+        assert fit.views[0].expression[ARKIT_NAMES.index(name)] == pytest.approx(value, abs=0.25), name
+
+
+def test_more_photos_tell_more_of_the_shape(head, rig):
+    errors = {1: [], 4: []}
+    for seed in range(2):
+        shape = person(seed)
+        cameras = [Camera.orbit(SIZE, SIZE, yaw=yaw, pitch=4.0, distance=1.2) for yaw in (0.0, 30.0, -30.0, 55.0)]
+        observations = [observe(rig, shape, expression(jawOpen=0.2 * i), c, noise=1.5, seed=i) for i, c in enumerate(cameras)]
+        for count, values in errors.items():
+            fit = fit_landmarks(observations[:count], rig)
+            assert len(fit.cameras) == count
+            values.append(shape_error(head, fit.shape, shape))
+    assert np.mean(errors[4]) < 0.85 * np.mean(errors[1])
+
+
+def test_wrong_landmarks_do_little_harm(head, rig):
+    shape, camera = person(7), Camera.orbit(SIZE, SIZE, yaw=-10.0, distance=1.2)
+    clean = observe(rig, shape, np.zeros(100), camera)
+    spoilt = clean.landmarks.copy()
+    spoilt[np.random.default_rng(0).permutation(478)[:40], :2] += 0.8 * eye_distance(clean)
+    result = fit_landmarks([replace(clean, landmarks=spoilt)], rig)
+    assert reprojection(result, clean) < 0.012
+
+
+def test_gaze_follows_the_irises(head, rig):
+    pose = np.zeros((5, 3))
+    pose[3:, 1], pose[3:, 0] = 0.25, 0.1  # to the subject's left, down
+    camera = Camera.orbit(SIZE, SIZE, yaw=5.0, distance=1.2)
+    fit = fit_landmarks([observe(rig, person(2) * 0.5, np.zeros(100), camera, pose)], rig)
+    view = fit.views[0]
+    gaze = head.pose_of(view.expression, view.pose)[3:]
+    np.testing.assert_allclose(gaze[:, :2], pose[3:, :2], atol=0.08)
+
+
+def test_a_stated_focal_length_gives_the_distance(rig):
+    camera = Camera.orbit(SIZE, SIZE, distance=2.4, fov=11.0)
+    fit = fit_landmarks([observe(rig, np.zeros(300), np.zeros(100), camera, focal=camera.fx)], rig)
+    assert np.linalg.norm(fit.cameras[0].position) == pytest.approx(2.4, rel=0.12)
+    assert fit.cameras[0].fx == pytest.approx(camera.fx, rel=0.12)
+
+
+def test_profile_relies_on_the_visible_side(rig):
+    shape, camera = person(5), Camera.orbit(SIZE, SIZE, yaw=65.0, distance=1.2)
+    observation = observe(rig, shape, np.zeros(100), camera)
+    landmarks = observation.landmarks.copy()
+    far_side = [i for i in FACE_OVAL if landmarks[i, 2] > 0.3 * np.abs(landmarks[:, 2]).max()]
+    landmarks[far_side, :2] += 0.15 * np.ptp(landmarks[:, 1])  # what hides there is a guess of the network
+    fit = fit_landmarks([replace(observation, landmarks=landmarks)], rig)
+    assert angle_between(fit.cameras[0].world_to_camera[:3, :3], camera.world_to_camera[:3, :3]) < 6.0
+
+
+def test_expressions_stay_in_their_range(rig):
+    g = np.random.default_rng(4)
+    observation = observe(rig, person(1), expression(jawOpen=1.0, mouthPucker=1.0), Camera.orbit(SIZE, SIZE), noise=12.0)
+    fit = fit_landmarks([replace(observation, arkit=g.uniform(0, 1, 52))], rig)
+    coefficients = fit.views[0].expression[:52]
+    assert coefficients.min() >= 0.0
+    assert coefficients.max() <= 1.1
+
+
+def test_unusable_landmarks_are_refused(rig):
+    observation = observe(rig, np.zeros(300), np.zeros(100), Camera.orbit(SIZE, SIZE))
+    with pytest.raises(ShapeError, match="478"):
+        fit_landmarks([replace(observation, landmarks=observation.landmarks[:68])], rig)
+    with pytest.raises(ShapeError, match="No photo"):
+        fit_landmarks([], rig)
+
+
+def test_alignment_undoes_a_similarity():
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    c, s = np.cos(0.4), np.sin(0.4)
+    turned = 1.3 * points @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [1.0, -2.0, 0.5]
+    np.testing.assert_allclose(aligned(points, turned), turned, atol=1e-12)
+
+
+def test_shape_error_does_not_see_the_size_of_a_head(head):
+    assert shape_error(head, np.zeros(300), np.zeros(300)) < 1e-6
+    assert shape_error(head, person(1), person(2)) > 1.0

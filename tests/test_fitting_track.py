@@ -1,0 +1,201 @@
+"""Real photos to tracks: landmark error, framing, choice of the face, bad input, cancelling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+image_module = pytest.importorskip("PIL.Image")
+
+from grmm_core.errors import CancelledError, ConfigError, FileFormatError, NoFaceError, ShapeError  # noqa: E402
+from grmm_core.expressions import ARKIT_NAMES  # noqa: E402
+from grmm_core.fitting.overlay import overlay_picture, track_vertices  # noqa: E402
+from grmm_core.fitting.track import AnalysedPhoto, analyse_photo, cut_square, frame_of, track_photos  # noqa: E402
+from grmm_core.head.open_head import load_open_head  # noqa: E402
+
+SIZE = 256
+PORTRAITS = ("p01_astronaut_collins.jpg", "p02_grace_hopper.jpg", "p05_ted_cruz.jpg", "p07_mazie_hirono.jpg")
+
+
+@pytest.fixture(scope="module")
+def folder(repository):
+    path = repository.parent / "shared" / "photos"
+    if not path.is_dir():
+        pytest.skip("the test photos are not beside this checkout")
+    return path
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def analysed(folder):
+    cache: dict[str, AnalysedPhoto] = {}
+
+    def get(name):
+        if name not in cache:
+            cache[name] = analyse_photo(folder / name)
+        return cache[name]
+
+    return get
+
+
+@pytest.fixture(scope="module")
+def tracked(analysed, head):
+    cache = {}
+
+    def get(name):
+        if name not in cache:
+            (cache[name],) = track_photos([analysed(name)], head, size=SIZE)
+        return cache[name]
+
+    return get
+
+
+@pytest.mark.parametrize("name", PORTRAITS)
+def test_portraits_are_tracked_closely(tracked, name):
+    track = tracked(name)
+    assert track.landmark_error < 0.03  # of the eye distance
+    assert track.image.shape == (SIZE, SIZE, 3)
+    assert 0.4 < np.linalg.norm(track.camera.position) < 4.0
+    assert track.presence > 0.9
+
+
+def test_the_smile_is_found(tracked):
+    expression = tracked("p01_astronaut_collins.jpg").expression
+    serious = tracked("p02_grace_hopper.jpg").expression
+    smile = ARKIT_NAMES.index("mouthSmileLeft")
+    assert expression[smile] > 0.4
+    assert serious[smile] < 0.3
+
+
+def test_the_working_picture_is_framed_as_the_training_pictures(tracked):
+    track = tracked("p07_mazie_hirono.jpg")
+    left, top, side = frame_of(track.camera)
+    np.testing.assert_allclose([left, top, side], [0.0, 0.0, SIZE], atol=1e-3 * SIZE)
+
+
+def test_both_cameras_see_the_same(tracked, head):
+    track = tracked("p05_ted_cruz.jpg")
+    points = track_vertices(track, head)[::50].astype(np.float64)
+    rays = []
+    for camera in (track.camera, track.photo_camera):
+        local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        rays.append(local[:, :2] / local[:, 2:])
+    np.testing.assert_allclose(rays[0], rays[1], atol=1e-9)
+    assert (track.photo_camera.width, track.photo_camera.height) == (1024, 1024)
+
+
+def test_fitted_landmarks_are_those_of_the_track(tracked, head):
+    track = tracked("p02_grace_hopper.jpg")
+    points = head.landmark_positions(track_vertices(track, head), 478).astype(np.float64)
+    camera = track.camera
+    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    pixels = local[:, :2] / local[:, 2:] * camera.fx + [camera.cx, camera.cy]
+    np.testing.assert_allclose(pixels, track.landmarks_fitted, atol=0.02)
+
+
+def test_mask_is_the_person(tracked):
+    track = tracked("p07_mazie_hirono.jpg")
+    x, y = track.landmarks.mean(0).astype(int)
+    assert track.mask[y, x] > 0.9
+    assert track.mask[:12, :12].mean() < 0.2
+
+
+def test_the_faces_of_two_people_can_be_chosen(analysed, head):
+    pair = analysed("m01_two_people.jpg")
+    assert len(pair.faces) == 2
+    first, second = (track_photos([pair], head, faces=[i], size=SIZE)[0] for i in (0, 1))
+    assert abs(first.photo_camera.world_to_camera[0, 3] - second.photo_camera.world_to_camera[0, 3]) > 0.05
+    with pytest.raises(ConfigError, match="no face 2"):
+        track_photos([pair], head, faces=[2], size=SIZE)
+
+
+def test_photos_of_one_person_share_the_shape(analysed, head):
+    item = analysed("p01_astronaut_collins.jpg")
+    tracks = track_photos([item, item], head, size=SIZE)
+    np.testing.assert_array_equal(tracks[0].shape, tracks[1].shape)
+    assert len(tracks) == 2
+
+
+def test_a_given_mask_is_used(analysed, head):
+    item = analysed("p02_grace_hopper.jpg")
+    height, width = item.photo.pixels.shape[:2]
+    mask = np.zeros((height // 2, width // 2), np.float32)
+    mask[:, : width // 4] = 1.0
+    (track,) = track_photos([item], head, masks=[mask], size=SIZE)
+    middle = int(track.photo_camera.cx * 0 + track.camera.cx)  # the photo's middle column in the working picture
+    assert track.mask[SIZE // 2, max(middle - 25, 1)] > 0.9
+    assert track.mask[SIZE // 2, min(middle + 25, SIZE - 1)] < 0.1
+    with pytest.raises(ShapeError, match="proportion"):
+        track_photos([item], head, masks=[np.ones((50, 200), np.float32)], size=SIZE)
+
+
+def test_progress_grows_and_cancelling_ends_the_work(analysed, head):
+    seen = []
+    track_photos([analysed("p02_grace_hopper.jpg")], head, size=SIZE, progress=seen.append)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+    assert len(seen) > 4
+    with pytest.raises(CancelledError):
+        track_photos([analysed("p02_grace_hopper.jpg")], head, size=SIZE, cancelled=lambda: True)
+
+
+@pytest.mark.parametrize("name", ["n01_cat.jpg", "n02_coffee.jpg"])
+def test_a_photo_without_a_face_is_named(folder, name):
+    with pytest.raises(NoFaceError, match=name):
+        analyse_photo(folder / name)
+
+
+def test_a_tiny_face_is_refused_in_one_sentence(folder, tmp_path):
+    portrait = image_module.open(folder / "p05_ted_cruz.jpg").convert("RGB").resize((80, 80))
+    canvas = image_module.new("RGB", (500, 400), (120, 120, 130))
+    canvas.paste(portrait, (200, 150))
+    canvas.save(tmp_path / "far.png")
+    with pytest.raises(NoFaceError, match=r"far\.png"):
+        analyse_photo(tmp_path / "far.png")
+
+
+def test_damaged_files_are_refused_in_one_sentence(folder, tmp_path):
+    (tmp_path / "half.jpg").write_bytes((folder / "p05_ted_cruz.jpg").read_bytes()[:20000])
+    (tmp_path / "text.jpg").write_text("no picture")
+    for name in ("half.jpg", "text.jpg"):
+        with pytest.raises(FileFormatError, match=name):
+            analyse_photo(tmp_path / name)
+
+
+def test_a_stated_focal_length_is_read(folder, tmp_path):
+    photo = image_module.open(folder / "p02_grace_hopper.jpg").convert("RGB")
+    exif = image_module.Exif()
+    exif.get_ifd(0x8769)[0xA405] = 72
+    photo.save(tmp_path / "exif.jpg", exif=exif)
+    assert analyse_photo(tmp_path / "exif.jpg").focal == pytest.approx(72 / 36 * max(photo.size))
+
+
+def test_no_photo_is_an_error(head):
+    with pytest.raises(ConfigError, match="No photo"):
+        track_photos([], head)
+
+
+def test_squares_beyond_the_picture_are_filled():
+    picture = np.full((40, 60, 1), 0.75, np.float32)
+    result = cut_square(picture, -20.0, -20.0, 80.0, 80, 0.25)[:, :, 0]
+    np.testing.assert_allclose(result[25:55, 25:], 0.75, atol=0.01)
+    np.testing.assert_allclose(result[:15], 0.25, atol=0.01)
+    assert (cut_square(picture, 100.0, 100.0, 30.0, 16, 0.25) == np.float32(0.25)).all()
+
+
+def test_overlay_shows_found_and_fitted_landmarks(tracked, head):
+    track = tracked("p01_astronaut_collins.jpg")
+    plain = overlay_picture(track, head, wire=False, landmarks=False)
+    assert np.abs(plain / 255.0 - track.image).max() < 0.01
+    drawn = overlay_picture(track, head, scale=2)
+    assert drawn.shape == (2 * SIZE, 2 * SIZE, 3)
+    changed = np.abs(drawn[::2, ::2].astype(int) - plain).max(axis=2) > 30
+    ys, xs = np.nonzero(changed)
+    low, high = track.landmarks.min(0), track.landmarks.max(0)
+    inside = (xs > low[0] - 40) & (xs < high[0] + 40) & (ys > low[1] - 60)
+    assert inside.mean() > 0.6

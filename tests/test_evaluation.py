@@ -286,3 +286,55 @@ def test_lpips_from_a_users_file(tmp_path):
     del state["lin4.model.1.weight"]
     with pytest.raises(FileFormatError, match="lin4"):
         Lpips(state)
+
+
+# --- fitting as users do ---------------------------------------------------------------------------------------------
+
+
+def test_exact_tracks_are_what_the_capture_says(scene, folder):
+    from grmm_core.evaluation.fit import exact_track, track_shot
+
+    dataset = CaptureDataset(folder)
+    sample = next(s for s in samples([dataset], "person") if s.shot.number == 1)
+    view = load(sample)
+    track = exact_track(scene.head, sample, view, dataset.shape(HELD_OUT))
+    shot = track_shot(sample, track, scene.head)
+    np.testing.assert_allclose(shot.pose, sample.shot.pose, atol=1e-6)  # the jaw that jawOpen turns is not counted twice
+    assert track.arkit[24] == pytest.approx(0.6)
+    inside = (track.landmarks > 0).all() and (track.landmarks < 48).all()
+    assert inside
+    np.testing.assert_allclose(track.image[0, 0], 0.5)  # nobody is in the corner
+
+
+@pytest.mark.parametrize("found", [True, False])
+def test_monocular_protocol_tracks_the_photo(scene, folder, monkeypatch, found):
+    from dataclasses import replace
+
+    from grmm_core.errors import NoFaceError
+    from grmm_core.evaluation import fit
+    from grmm_core.fitting import track as tracking
+
+    runs = evaluation(scene, folder, method="fast", ablations=False)
+    photo = source_view([s for s in samples([CaptureDataset(folder)], "person")])
+    exact = fit.exact_track(scene.head, photo, load(photo), CaptureDataset(folder).shape(HELD_OUT))
+
+    def track(paths, head, masks):
+        if not found:
+            raise NoFaceError("There is no face in photo.png; choose another photo.")
+        assert paths[0].exists()
+        assert masks[0].shape == (48, 48)
+        return [replace(exact, source="photo.png")]
+
+    def inverted(scene, track, name, method, progress):
+        code = scene.info.z_id.mean(0) + 0.7 * (scene.info.z_id[2] - scene.info.z_id[3])
+        return scene.made(name, code, track.shape)
+
+    monkeypatch.setattr(tracking, "track_photos", track)
+    monkeypatch.setattr(fit, "_inverted", inverted)
+    if not found:
+        with pytest.raises(ConfigError, match="No face"):
+            runs.run("monocular")
+        return
+    result = runs.run("monocular")
+    assert len(result.rows) == 1
+    assert result.rows[0].errors.psnr_mask > 25.0  # soft edges over grey instead of black

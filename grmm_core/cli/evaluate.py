@@ -8,7 +8,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import FileAccessError
+from ..errors import ConfigError, FileAccessError
 from ..files import atomic_write_bytes, describe_os_error
 from .common import DEVICES, positive_int
 from .console import _plain
@@ -105,8 +105,17 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             if name == CODES:
                 facts[CODES] = _codes(scene, args.output, advance)
             else:
-                result = evaluation.run(name)
+                try:
+                    result = evaluation.run(name)
+                except ConfigError as error:
+                    if ALL not in args.protocol:
+                        raise
+                    facts.setdefault("skipped", {})[name] = str(error)  # the data holds no views for it
+                    args.console.message(f"{name}: skipped. {error}")
+                    continue
                 summaries[name] = report.summary(result)
+                found = summaries[name]["refined"]
+                args.console.message(f"{name}: {len(result.rows)} views, {found['psnr_mask']:.2f} dB in the mask")
                 if args.output is not None:
                     _write_pictures(evaluation, result, args.output)
             if args.output is not None:  # after each protocol: what is measured is not lost when a later one fails
@@ -158,15 +167,12 @@ def _codes(scene: Scene, output: Path | None, advance: Any) -> dict[str, Any]:
 def _write_pictures(evaluation: Evaluation, result: Result, folder: Path) -> None:
     from ..evaluation import report
     from ..evaluation.strips import transfer_sheet
-    from ..evaluation.views import load
     from ..images import write_png
 
     rows = []
     for row in report.picked(result.rows):
-        view = load(row.sample, evaluation.settings.size)
-        drawn = evaluation.scene.draw(row.person, row.sample.shot, view.camera)
-        image, raw = (picture.clamp(0, 1).cpu().numpy() for picture in (drawn.image, drawn.raw))
-        rows.append([view.image, image, raw, report.error_map(image, view.image)])
+        truth, image, raw = (picture.astype("float32") / 255.0 for picture in row.pictures)
+        rows.append([truth, image, raw, report.error_map(image, truth)])
     write_png(folder / f"{result.name}.png", report.sheet(rows))
     if result.name == "transfer":
         people = list({row.person.name: row.person for row in result.rows}.values())

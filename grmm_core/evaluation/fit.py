@@ -19,8 +19,10 @@ from torch import Tensor
 
 from ..camera import Camera
 from ..controls import ALIGNED_TO_ARKIT
+from ..data.dataset import Shot
 from ..fitting.types import LANDMARK_COUNT, PhotoTrack
 from ..head import HeadModel
+from ..images import quantize, write_png
 from ..training.losses import l1_loss, ssim
 from ..training.views import View, crop_to_person, shrink
 from .scene import Person, Scene
@@ -38,6 +40,7 @@ MARGIN = 8  # pixels around the person
 FIT_SIZE = 384  # pixels
 _L1, _SSIM = 0.8, 0.2
 _GREY = 0.5
+_TRACKED_SHARE, _FIRST_SHARE = 0.1, 0.3  # of the time, for the progress
 
 Progress = Callable[[float], None]
 
@@ -58,15 +61,50 @@ def fit_person(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray
     """
     if method == CODES or not scene.residuals:  # without residual codes there is nothing to search
         return search_codes(scene, sample, view, shape, progress)
+    return _inverted(scene, exact_track(scene.head, sample, view, shape), sample.shot.subject, method, progress)
+
+
+def fit_photo(scene: Scene, sample: Sample, view: LoadedView, method: str, progress: Progress) -> tuple[Person, PhotoTrack]:
+    """Fit a person as users do: from the picture alone, tracked by `fitting.track`.
+
+    Args:
+        scene: Model.
+        sample: The view.
+        view: Its picture.
+        method: One of `METHODS` but not `CODES`.
+        progress: Called with 0..1.
+
+    Returns:
+        The person, and what the tracking found.
+
+    Raises:
+        NoFaceError: No face is found in the picture.
+    """
+    from ..fitting.track import track_photos
+
+    with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as folder:
+        path = Path(folder) / "photo.png"
+        write_png(path, quantize(view.image + (1.0 - view.mask[..., None]) * _GREY))
+        track = track_photos([path], scene.head, masks=[view.mask])[0]
+    progress(_TRACKED_SHARE)
+    rest = 1.0 - _TRACKED_SHARE
+    return _inverted(scene, track, sample.shot.subject, method, lambda share: progress(_TRACKED_SHARE + rest * share)), track
+
+
+def track_shot(sample: Sample, track: PhotoTrack, head: HeadModel) -> Shot:
+    """A tracked photo as a shot of the evaluation; its aligned weights are those of the capture."""
+    pose = head.pose_of(track.expression, track.pose)
+    return dataclasses.replace(sample.shot, expression=track.expression, pose=pose)
+
+
+def _inverted(scene: Scene, track: PhotoTrack, name: str, method: str, progress: Progress) -> Person:
+    from ..fitting.invert import CODES as FIRST
     from ..fitting.invert import invert
 
-    track = exact_track(scene.head, sample, view, shape)
-    with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as work:
-        avatar = invert(
-            [track], scene.model, scene.head, method, work=Path(work),
-            progress=_first_number(progress), cancelled=lambda: False,
-        )  # fmt: skip
-    return dataclasses.replace(scene.from_avatar(avatar), name=sample.shot.subject)
+    def report(stage: str, share: float, *_: object) -> None:
+        progress(_FIRST_SHARE * share if stage == FIRST else _FIRST_SHARE + (1.0 - _FIRST_SHARE) * share)
+
+    return scene.from_avatar(invert([track], scene.model, scene.head, method, info=scene.info, name=name, progress=report))
 
 
 def exact_track(head: HeadModel, sample: Sample, view: LoadedView, shape: np.ndarray) -> PhotoTrack:
@@ -146,14 +184,3 @@ def _spread(scene: Scene) -> Tensor:
     if len(codes) < 2:
         return torch.ones_like(scene.mean_code)
     return scene.tensor(codes.std(0)).clamp(min=1e-3)
-
-
-def _first_number(progress: Progress) -> Callable[..., None]:
-    """Adapt to reports with several arguments: the first fraction among them counts."""
-
-    def report(*values: object, **_: object) -> None:
-        fraction = next((value for value in values if isinstance(value, float)), None)
-        if fraction is not None:
-            progress(min(max(fraction, 0.0), 1.0))
-
-    return report

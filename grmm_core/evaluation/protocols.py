@@ -5,13 +5,14 @@
 ``expression``      expressions that were held out, training people
 ``person``          people who were held out, fitted from one view, on all their other views
 ``transfer``        the same fits driven with other expressions than the photo's
-``monocular``       the photo itself (the paper's table 3): fitted and measured in one view
+``monocular``       the photo itself (the paper's table 3): tracked, fitted and measured in one view
 
 Used by the command line.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -19,9 +20,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, CaptureDataset
-from ..errors import ConfigError
+from ..errors import ConfigError, NoFaceError
+from ..images import quantize
 from ..training.losses import psnr
-from .fit import CODES, fit_person
+from .fit import CODES, fit_person, fit_photo, track_shot
 from .metrics import Distance, Errors, errors_of
 from .regions import region_pixels, triangle_groups
 from .scene import FULL, Person, Scene
@@ -72,6 +74,7 @@ class Row:
         raw: Of the splatted picture; the same without a refinement network.
         variants: Form of the residuals to (PSNR, PSNR inside the mask) in dB.
         ablation: PSNR and PSNR inside the mask of the second model, or None.
+        pictures: Truth, refined and splatted picture, each [H, W, 3] uint8.
     """
 
     sample: Sample
@@ -80,6 +83,7 @@ class Row:
     raw: Errors
     variants: dict[str, tuple[float, float]] = field(default_factory=dict)
     ablation: tuple[float, float] | None = None
+    pictures: tuple[np.ndarray, ...] = ()
 
 
 @dataclass
@@ -90,11 +94,13 @@ class Result:
         name: Of `PROTOCOLS`.
         rows: One a view.
         source: Fitted person to the view that they were fitted from.
+        failures: Photos that could not be used, with the reason.
     """
 
     name: str
     rows: list[Row]
     source: dict[str, Sample] = field(default_factory=dict)
+    failures: list[str] = field(default_factory=list)
 
 
 class Evaluation:
@@ -136,6 +142,8 @@ class Evaluation:
         """
         if protocol not in PROTOCOLS:
             raise ConfigError(f"There is no protocol {protocol!r}; use {', '.join(PROTOCOLS)}.")
+        if protocol == MONOCULAR and self.settings.method != CODES:
+            return self._tracked_photos()
         chosen, source = self._fitted_views(protocol) if protocol in FITTED else (self._trained_views(protocol), {})
         rows: list[Row] = []
         for number, (sample, person) in enumerate(chosen):
@@ -143,16 +151,25 @@ class Evaluation:
             self._report(f"{protocol} {sample.name}", (number + 1) / len(chosen))
         return Result(protocol, rows, source)
 
-    def measure(self, sample: Sample, person: Person) -> Row:
-        """Draw one view and compare it with the truth."""
-        view = load(sample, self.settings.size)
+    def measure(self, sample: Sample, person: Person, view: LoadedView | None = None, photo: bool = False) -> Row:
+        """Draw one view and compare it with the truth.
+
+        Args:
+            sample: The view.
+            person: Whom to draw.
+            view: Its picture; loaded when None.
+            photo: It is the photo that the person was fitted to.
+        """
+        view = load(sample, self.settings.size) if view is None else view
         truth, mask = self.scene.tensor(view.image), self.scene.tensor(view.mask)
-        rendering = self.scene.draw(person, sample.shot, view.camera)
-        regions = self._regions(sample, view) if self.settings.regions else {}
+        rendering = self.scene.draw(person, sample.shot, view.camera, photo=photo)
+        own = person.shape.cpu().numpy() if photo else None  # what the tracking found
+        regions = self._regions(sample, view, own) if self.settings.regions else {}
         errors = errors_of(rendering.image, truth, mask, regions, self.settings.distances)
         refined = self.scene.model.refinement is not None
         raw = errors_of(rendering.raw, truth, mask, regions) if refined else errors
-        row = Row(sample, person, errors, raw)
+        pictures = tuple(quantize(picture.cpu().numpy()) for picture in (truth, rendering.image, rendering.raw))
+        row = Row(sample, person, errors, raw, pictures=pictures)
         if self.settings.ablations:
             for variant in self.scene.variants:
                 if variant != FULL:
@@ -163,6 +180,33 @@ class Evaluation:
             image = self.ablation.draw(other, sample.shot, view.camera).image.clamp(0, 1)
             row.ablation = (psnr(image, truth), psnr(image, truth, mask))
         return row
+
+    def _tracked_photos(self) -> Result:
+        """The monocular protocol with the project's own tracking."""
+        result = Result(MONOCULAR, [])
+        people = self._people_to_fit(MONOCULAR)
+        for number, (place, name) in enumerate(people):
+            photo = source_view(list(self._views_of(place, name)))
+            view = load(photo, self.settings.size)
+
+            def report(share: float, name: str = name, number: int = number) -> None:
+                self._report(f"fitting {name} from the photo alone", (number + share) / len(people))
+
+            try:
+                person, track = fit_photo(self.scene, photo, view, self.settings.method, report)
+            except NoFaceError as error:
+                logger.warning("%s: %s", photo.name, error)
+                result.failures.append(f"{photo.name}: {error}")
+                continue
+            shot = track_shot(photo, track, self.scene.head)
+            alpha = track.mask[..., None]
+            tracked = LoadedView(track.camera, track.image * alpha, track.mask, None)
+            row = self.measure(dataclasses.replace(photo, shot=shot), person, tracked, photo=True)
+            result.rows.append(row)
+            result.source[name] = photo
+        if not result.rows:
+            raise ConfigError("No face was found in any held-out person's picture; choose a larger --size.")
+        return result
 
     def fitted(self, place: int, name: str) -> tuple[Person, Sample]:
         """The held-out person `name` of the capture number `place`, fitted once, and the view used."""
@@ -207,11 +251,7 @@ class Evaluation:
         return [(sample, persons[id(sample)]) for sample in picked]
 
     def _fitted_views(self, protocol: str) -> tuple[list[tuple[Sample, Person]], dict[str, Sample]]:
-        people = self.held_out()
-        if not people:
-            raise ConfigError(
-                f"The data holds no held-out people for the protocol {protocol}; capture with more people or another seed."
-            )
+        people = self._people_to_fit(protocol)
         persons: dict[tuple[int, str], Person] = {}
         source: dict[str, Sample] = {}
         candidates: list[Sample] = []
@@ -232,11 +272,19 @@ class Evaluation:
         picked = limited(candidates, self.settings.limit, self.settings.seed)
         return [(sample, persons[places[id(sample)]]) for sample in picked], source
 
+    def _people_to_fit(self, protocol: str) -> list[tuple[int, str]]:
+        people = self.held_out()
+        if not people:
+            raise ConfigError(
+                f"The data holds no held-out people for the protocol {protocol}; capture with more people or another seed."
+            )
+        return people
+
     def _views_of(self, place: int, name: str) -> Iterator[Sample]:
         yield from (s for s in samples((self.datasets[place],), HELD_OUT_PERSON) if s.shot.subject == name)
 
-    def _regions(self, sample: Sample, view: LoadedView) -> dict[str, np.ndarray]:
-        shape = sample.dataset.shape(sample.shot.subject)
+    def _regions(self, sample: Sample, view: LoadedView, shape: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        shape = sample.dataset.shape(sample.shot.subject) if shape is None else shape
         vertices = self.scene.head.vertices(shape, sample.shot.expression, sample.shot.pose)
         return region_pixels(self.scene.head, self._groups, vertices, view.camera, view.mask, view.depth)
 

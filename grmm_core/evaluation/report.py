@@ -52,6 +52,8 @@ def summary(result: Result) -> dict[str, Any]:
     }
     if result.source:
         values["fitted from"] = {person: sample.name for person, sample in result.source.items()}
+    if result.failures:
+        values["failures"] = list(result.failures)
     values["rows"] = [_row(row) for row in rows]
     return values
 

@@ -37,6 +37,7 @@ class Person:
         z_exp: Added to the code of every expression, [Y].
         shape: Shape coefficients, [S].
         model: The scene's model, or a copy with changed decoders.
+        photo_code: z_exp as a whole in the photo that the person was fitted to, [Y], or None.
     """
 
     name: str
@@ -44,6 +45,7 @@ class Person:
     z_exp: Tensor
     shape: Tensor
     model: GRMM
+    photo_code: Tensor | None = None
 
 
 class Scene:
@@ -98,15 +100,18 @@ class Scene:
         return Person(name, code, torch.zeros(self.model.z_exp_size, device=self.model.device), self.tensor(shape), self.model)
 
     def from_avatar(self, avatar: Avatar) -> Person:
-        """The person in an avatar, with its changes of the decoders."""
+        """The person in an avatar, with its changes of the decoders; of the first photo also the code of its expression."""
         from ..session.models import with_deltas
 
         model = with_deltas(self.model, avatar.deltas, Path(avatar.name)) if avatar.deltas else self.model
         shape = avatar.shape[: self.head.shape_count]
         z_exp = avatar.z_exp if self.residuals else np.zeros(self.model.z_exp_size)
-        return Person(
-            avatar.name, self.tensor(avatar.z_id if self.residuals else shape), self.tensor(z_exp), self.tensor(shape), model
-        )
+        photo = None
+        if self.model.aligned_codes is not None and "z_exp" in avatar.tracking and "aligned" in avatar.tracking:
+            own, aligned = (self.tensor(avatar.tracking[name][0]) for name in ("z_exp", "aligned"))
+            photo = (aligned @ self.model.aligned_codes).detach() + self.tensor(z_exp) + own
+        code = self.tensor(avatar.z_id if self.residuals else shape)
+        return Person(avatar.name, code, self.tensor(z_exp), self.tensor(shape), model, photo)
 
     def expression_code(self, person: Person, shot: Shot) -> Tensor:
         """z_exp of a shot's expression for a person, [Y]."""
@@ -114,15 +119,25 @@ class Scene:
         code = self.model.z_expression(aligned, expression=expression)
         return code + person.z_exp if self.residuals else code
 
-    def draw(self, person: Person, shot: Shot, camera: Camera, variant: str = FULL, background: float = 0.0) -> Rendering:
+    def draw(
+        self, person: Person, shot: Shot, camera: Camera, variant: str = FULL, background: float = 0.0, photo: bool = False
+    ) -> Rendering:
         """Draw a person with a shot's expression and pose.
+
+        Args:
+            person: Whom.
+            shot: Expression and pose.
+            camera: In head space.
+            variant: One of `variants`.
+            background: Grey behind the head.
+            photo: The shot is the photo that the person was fitted to: use the code found there.
 
         Raises:
             ConfigError: The model has no residual codes to switch off.
         """
         if variant not in self.variants:
             raise ConfigError(f"The weights {self.info.name!r} cannot be drawn with {variant}; they have no residual codes.")
-        z_exp = self.expression_code(person, shot)
+        z_exp = person.photo_code if photo and person.photo_code is not None else self.expression_code(person, shot)
         z_id = person.z_id
         if variant != FULL:
             z_exp = torch.zeros_like(z_exp)

@@ -8,7 +8,7 @@ Layout, version 1. Metadata of the tensor file (all strings):
                     photos [{name, sha256}], date, licence}, camera or null, thumbnail (PNG, base64)
 
 Tensors, float32: ``z_id`` [Z], ``z_exp`` [Y], ``shape`` [300], ``expression`` [<=100], ``pose`` [5, 3],
-``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter.
+``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact).
 
 Called by sessions, fitting, the command line and Blender's panels (`read_avatar_header`). Needs numpy only.
 """
@@ -75,7 +75,7 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
     }
     tensors = {name: getattr(avatar, name) for name in _ARRAYS}
     tensors |= {_TRACKING + name: array for name, array in avatar.tracking.items()}
-    tensors |= {_DELTA + name: array for name, array in avatar.deltas.items()}
+    tensors |= {_DELTA + name: _compact(array) for name, array in avatar.deltas.items()}
     metadata = {
         "format": FORMAT_NAME,
         "format_version": str(FORMAT_VERSION),
@@ -191,6 +191,13 @@ def _camera_from_json(value: Any) -> Camera | None:
         value["height"],
         bool(value["orthographic"]),
     )
+
+
+def _compact(array: np.ndarray) -> np.ndarray:
+    """Half precision where that loses nothing: fitting rounds its changes to it, which halves the file."""
+    with np.errstate(over="ignore"):
+        half = array.astype(np.float16)
+    return half if np.array_equal(half, array) else array
 
 
 def _with_prefix(tensors: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

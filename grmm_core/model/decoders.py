@@ -126,10 +126,14 @@ class AttributeDecoders(nn.Module):
 
     def opacities(self, z_id: Tensor) -> Tensor:
         """Phi_alpha: opacity 0..1 of each Gaussian from z_id [Z]: [N]."""
+        return torch.sigmoid(self.opacity_logits(z_id))
+
+    def opacity_logits(self, z_id: Tensor) -> Tensor:
+        """Logits of `opacities`, [N]; fitting adds to them."""
         logits = self._decode(self.opacity, self.opacity_mean, z_id[None])
         added = self._basis("opacity", z_id, 1)
         logits = logits if added is None else logits + added
-        return torch.sigmoid(logits[:, 0] + self.opacity_bias)
+        return logits[:, 0] + self.opacity_bias
 
     def colours(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
         """Phi_app: display sRGB [N, 3] and features [N, F] from z_id [Z] and the unit view direction [3]."""

@@ -19,6 +19,7 @@ import torch
 from ..avatar import AssetReference, Avatar
 from ..errors import BackendError, FileAccessError, FileFormatError
 from ..expressions import ALIGNED_NAMES
+from ..model.config import COLOUR_CHANNELS, TRANSFORM_CHANNELS
 from ..model.grmm import GRMM
 from ..model.weights import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, WeightsInfo, load_weights, weights_path
 
@@ -144,18 +145,32 @@ def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: Path) -> GR
         FileFormatError: A parameter is unknown or of another shape.
     """
     parameters = dict(model.named_parameters())
+    maps = _absent_maps(model)
     for name, delta in deltas.items():
-        if name not in parameters or tuple(parameters[name].shape) != delta.shape:
+        shape = tuple(parameters[name].shape) if name in parameters else maps.get(name)
+        if shape != delta.shape:
             raise FileFormatError(f"{path} changes the parameter {name[:80]!r}, which the weights do not have; make it anew.")
     memo: dict[int, object] = {id(value): value for name, value in parameters.items() if name not in deltas}
     memo |= {id(value): value for value in model.buffers()}
     memo[id(model.head_model)] = model.head_model
     changed = copy.deepcopy(model, memo)
+    for name in deltas:
+        if name in maps:  # the paper's form has no mean maps; an avatar may still bring its own
+            empty = torch.zeros(maps[name], dtype=model.dtype, device=model.device)
+            setattr(changed.decoders, name.rpartition(".")[2], torch.nn.Parameter(empty, requires_grad=False))
     with torch.no_grad():
         for name, value in changed.named_parameters():
             if name in deltas:
                 value.add_(torch.tensor(deltas[name], dtype=value.dtype, device=value.device))
     return changed
+
+
+def _absent_maps(model: GRMM) -> dict[str, tuple[int, int]]:
+    """Mean maps that the model's configuration leaves out, by parameter name, with the shapes they would have."""
+    config = model.config
+    widths = {"transform": TRANSFORM_CHANNELS, "opacity": 1, "appearance": COLOUR_CHANNELS + config.features}
+    count = model.gaussian_count
+    return {} if config.mean_maps else {f"decoders.{name}_mean": (count, width) for name, width in widths.items()}
 
 
 def first_line(error: BaseException) -> str:

@@ -1,0 +1,308 @@
+"""Stage 2 (eq. 20): the decoders are tuned to the photos while the codes stay, near the pretrained solution.
+
+What is tuned: full-resolution maps of colour, opacity, position and scale, added to the decoders' outputs (an avatar's own
+mean maps), and in the larger presets the decoders' networks as well. The maps can show every texel that a photo shows; the
+networks change all texels together. The refinement network stays.
+
+What keeps the rest intact:
+
+- `Locality`, the paper's L_loc after PTI (Roich et al. 2022): at random codes at a fixed distance from the fitted ones the
+  tuned networks must decode what the frozen ones do.
+- The maps are pulled to zero, more for skin than for hair, and at the end they are spread from texels that a photo shows to
+  the others along the surface and across the plane of symmetry (`surface`): no border runs where the photo's view ends.
+
+Called by `invert`. Imports torch.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from ..model.grmm import GRMM
+from ..model.texels import rotate
+from ..training.losses import Perceptual
+from .codes import CodePrior, Codes, Tick, background
+from .colour import recolour
+from .objective import FIT_WEIGHTS, Drawn, Look, contributions, decode, draw, fit_loss, mesh, spread_to_colours
+from .presets import DecoderSettings
+from .surface import INNER, SCALP, SKIN, Surface
+from .views import FitView
+
+LOCALITY_WEIGHT = 0.1  # lambda_loc of eq. 20
+LOCALITY_DISTANCE = 0.5
+"""Distance of the random codes from the fitted ones: this times the mean distance of two training people in z_id, and times
+the mean length of the aligned expressions' codes in z_exp. Half of the codes keep the fitted z_id: other expressions of the
+same person."""
+LOCALITY_CODES = 8  # drawn once; their frozen attributes are kept
+NETWORKS = ("transform", "opacity", "appearance")
+RATES = {"colour": 0.012, "opacity": 0.06, "position": 0.02, "scale": 0.03, "networks": 3e-4}
+END_RATE = 0.15
+PULL = {  # of squared maps in skin, scalp, inner parts; positions in the model's unit (10 mm)
+    "colour": (0.02, 0.02, 0.05), "opacity": (0.01, 0.002, 0.02), "position": (4.0, 0.4, 8.0), "scale": (0.2, 0.05, 0.4),
+}  # fmt: skip
+WIDTHS = {"colour": 3, "opacity": 1, "position": 3, "scale": 3}
+HALF_SEEN_PIXELS = 0.5  # contribution, in pixels, at which a texel counts as half seen
+GRAZING = (0.05, 0.35)  # cosine between normal and view below which colours say nothing, and above which they count fully
+SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colours
+REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
+COLOUR_ROUNDS = 3  # of `Tuner.match_colours` at the beginning of each level and at the end
+
+
+class Locality:
+    """L_loc: mean absolute difference of decoded attributes, tuned against frozen, at random codes."""
+
+    def __init__(self, model: GRMM, prior: CodePrior, codes: Codes, view: FitView, seed: int = 0) -> None:
+        generator = torch.Generator().manual_seed(seed)
+        z_exp = codes.expression_code(model, view)
+        id_distance, exp_distance = code_distances(model, prior)
+        self.view = view
+        self.bank: list[tuple[Tensor, Tensor, Look]] = []
+        for number in range(LOCALITY_CODES):
+            draw_id = torch.randn(len(prior.directions), generator=generator).to(z_exp)
+            z_id = codes.z_id if number % 2 else _towards(codes.z_id, prior.code(draw_id), id_distance)
+            if model.aligned_codes is None:
+                towards = torch.randn(len(z_exp), generator=generator).to(z_exp)
+            else:
+                pick = torch.randint(len(model.aligned_codes), (1,), generator=generator)
+                towards = model.aligned_codes[int(pick)].detach()
+            near = _towards(z_exp, towards, exp_distance)
+            with torch.no_grad():
+                self.bank.append((z_id, near, decode(model, z_id, near, view.camera)))
+
+    def __call__(self, tuned: GRMM, step: int) -> Tensor:
+        """The loss at one of the codes, in turn."""
+        z_id, z_exp, frozen = self.bank[step % len(self.bank)]
+        look = decode(tuned, z_id, z_exp, self.view.camera)
+        pairs = [
+            (look.offsets, frozen.offsets), (torch.sigmoid(look.logits), torch.sigmoid(frozen.logits)),
+            (look.colours, frozen.colours), (look.features, frozen.features),
+        ]  # fmt: skip
+        return torch.stack([(a - b).abs().mean() for a, b in pairs if a.numel()]).sum()
+
+
+def code_distances(model: GRMM, prior: CodePrior) -> tuple[float, float]:
+    """Distances in z_id and z_exp at which locality is asked for."""
+    spread = (2.0 * prior.directions.square().sum()) ** 0.5  # of two draws, root mean square
+    length = 1.0 if model.aligned_codes is None else float(model.aligned_codes.detach().norm(dim=1).mean())
+    return LOCALITY_DISTANCE * float(spread), LOCALITY_DISTANCE * length
+
+
+def _towards(start: Tensor, target: Tensor, distance: float) -> Tensor:
+    offset = target - start
+    return start + offset * (distance / offset.norm().clamp(min=1e-6))
+
+
+class Tuner:
+    """The optimisation of stage 2; its state can be saved at any step.
+
+    Args:
+        model: Frozen.
+        prior: For the locality's random codes.
+        codes: Result of stage 1.
+        levels: The photos at each level's size.
+        surface: Texels.
+        settings: Steps, and whether networks are tuned.
+        locality: Factor of L_loc; 0 leaves it out (the ablation).
+        perceptual: Distance of two pictures, or None.
+    """
+
+    def __init__(
+        self, model: GRMM, prior: CodePrior, codes: Codes, levels: Sequence[Sequence[FitView]], surface: Surface,
+        settings: DecoderSettings, locality: float = LOCALITY_WEIGHT, perceptual: Perceptual | None = None,
+    ) -> None:  # fmt: skip
+        self.model, self.codes, self.surface, self.settings = model, codes, surface, settings
+        self.levels, self.perceptual, self.locality_weight = [list(level) for level in levels], perceptual, locality
+        self.tuned = _tunable_copy(model) if settings.networks else model
+        self.step_count = 0
+        self.last_drawn = (0, 0)  # level and photo
+        first = self.levels[0]
+        with torch.no_grad():
+            self.z_exp = [codes.expression_code(model, view) for view in first]
+            self.meshes = [mesh(model, view, codes.z_id, z) for view, z in zip(first, self.z_exp, strict=True)]
+            self.looks = [decode(model, codes.z_id, z, view.camera) for view, z in zip(first, self.z_exp, strict=True)]
+            self.tint = recolour(self.looks[0].colours, codes.maps, surface) - self.looks[0].colours  # [N, 3]
+        count = model.gaussian_count
+        self.maps = {
+            name: torch.zeros(count, width, dtype=model.dtype, device=model.device, requires_grad=True)
+            for name, width in WIDTHS.items()
+        }
+        pulls = {name: torch.tensor([PULL[name][g] for g in (SKIN, SCALP, INNER)]).to(self.tint) for name in WIDTHS}
+        self.pulls = {name: pull[surface.group][:, None] for name, pull in pulls.items()}  # [N, 1]
+        groups = [{"params": [value], "peak": RATES[name]} for name, value in self.maps.items()]
+        if settings.networks:
+            groups.append({"params": self.network_parameters(), "peak": RATES["networks"]})
+            self.locality = Locality(model, prior, codes, first[0]) if locality else None
+        else:
+            self.locality = None
+        self.optimiser = torch.optim.Adam([{**g, "lr": g["peak"]} for g in groups], betas=(0.9, 0.98), eps=1e-12)
+        zeros = torch.zeros(count, dtype=model.dtype, device=model.device)
+        self.seen, self.seen_shape, self.seen_by = zeros, zeros, [zeros] * len(first)
+
+    @property
+    def total(self) -> int:
+        """Steps of all levels."""
+        return sum(steps for _, steps in self.settings.levels)
+
+    def network_parameters(self) -> list[Tensor]:
+        """Parameters of the tuned networks."""
+        return [p for name in NETWORKS for p in getattr(self.tuned.decoders, name).parameters()]
+
+    def look(self, index: int) -> Look:
+        """Attributes of a photo's expression with the maps."""
+        base = self.looks[index]
+        if self.settings.networks:
+            base = decode(self.tuned, self.codes.z_id, self.z_exp[index], self.levels[0][index].camera)
+        return self.changed(base)
+
+    def changed(self, base: Look) -> Look:
+        """Add the maps to decoded attributes."""
+        maps = self.maps
+        zero = torch.zeros_like(base.offsets[:, 3:7])
+        return Look(
+            base.offsets + torch.cat([maps["position"], zero, maps["scale"]], 1), base.logits + maps["opacity"][:, 0],
+            base.colours + self.tint + maps["colour"], base.features,
+        )  # fmt: skip
+
+    def run(self, tick: Tick) -> None:
+        """Do the steps that are left; `tick` may raise `CancelledError`."""
+        while self.step_count < self.total:
+            level, start = self._level()
+            if self.step_count == start:
+                self.look_around(level)
+                self.match_colours(level, COLOUR_ROUNDS)
+            drawn = self.step(level)
+            tick(self.step_count / self.total, drawn if self.step_count % 8 == 1 else None)
+        self.look_around(len(self.levels) - 1)
+        self.match_colours(len(self.levels) - 1, COLOUR_ROUNDS)
+
+    def _level(self) -> tuple[int, int]:
+        start = 0
+        for number, (_, steps) in enumerate(self.settings.levels):
+            if self.step_count < start + steps:
+                return number, start
+            start += steps
+        return len(self.settings.levels) - 1, start
+
+    def step(self, level: int) -> Drawn:
+        """One step on one photo, in turn. Returns the picture."""
+        progress = self.step_count / self.total
+        factor = min(1.0, (self.step_count + 1) / 4) * (END_RATE + (1 - END_RATE) * (1 - progress))
+        for group in self.optimiser.param_groups:
+            group["lr"] = group["peak"] * factor
+        index = self.step_count % len(self.looks)
+        self.last_drawn = (level, index)
+        refined = (self.step_count // len(self.looks)) % REFINED_EVERY == REFINED_EVERY - 1
+        view, light = self.levels[level][index], self.codes.light
+        self.optimiser.zero_grad(set_to_none=True)
+        drawn = draw(self.model, view.camera, self.meshes[index], self.look(index), refined)
+        drawn = drawn.relit(light.gain[index], light.offset[index])
+        pictures = ("image",) if refined else ("raw",)
+        loss = fit_loss(drawn, view, background(self.step_count, view), FIT_WEIGHTS, self.perceptual, pictures)
+        if self.locality is not None:
+            loss = loss + self.locality_weight * self.locality(self.tuned, self.step_count)
+        loss.backward()
+        with torch.no_grad():
+            for name, value in self.maps.items():  # the gradient of the mean of pull * value^2
+                value.grad.addcmul_(self.pulls[name], value, value=2.0 / len(value))
+        self.optimiser.step()
+        self.step_count += 1
+        return Drawn(drawn.image.detach(), drawn.raw.detach(), drawn.alpha.detach())
+
+    @torch.no_grad()
+    def match_colours(self, level: int, rounds: int) -> None:
+        """Bring every shown Gaussian's colour nearer to the photos at once (see `spread_to_colours`)."""
+        light = self.codes.light
+        for _ in range(rounds):
+            change, weight = torch.zeros_like(self.tint), 0.0
+            for index, view in enumerate(self.levels[level]):
+                look = self.look(index)
+                drawn = draw(self.model, view.camera, self.meshes[index], look).relit(light.gain[index], light.offset[index])
+                target = view.image * drawn.alpha[..., None]
+                both = 0.5 * ((target - drawn.image) + (target - drawn.raw)) / light.gain[index]
+                step = spread_to_colours(self.model, view, self.meshes[index], look, both * view.inside[..., None])
+                shown = self.seen_by[index][:, None]
+                change, weight = change + shown * step, weight + shown
+            self.maps["colour"] += change / torch.as_tensor(weight).clamp(min=1.0)
+
+    @torch.no_grad()
+    def look_around(self, level: int) -> None:
+        """Find out what each photo shows now; what was shown once stays known."""
+        for index, view in enumerate(self.levels[level]):
+            look = self.look(index)
+            frames = self.model.anchor(self.meshes[index])
+            normals = rotate(frames.quats, frames.quats.new_tensor([0.0, 0.0, 1.0]).expand(len(frames.quats), 3))
+            centre = torch.as_tensor(view.camera.position, dtype=normals.dtype, device=normals.device)
+            facing = (normals * torch.nn.functional.normalize(centre - frames.positions, dim=1)).sum(1)
+            frontal = ((facing - GRAZING[0]) / (GRAZING[1] - GRAZING[0])).clamp(0, 1)
+            frontal = torch.where(self.surface.group == SCALP, torch.ones_like(frontal), frontal)  # hair stands off
+            shown = contributions(self.model, view, self.meshes[index], look, view.inside)
+            tested = contributions(self.model, view, self.meshes[index], look, view.weight)
+            self.seen_by[index] = frontal * shown / (shown + HALF_SEEN_PIXELS)
+            self.seen = torch.maximum(self.seen, self.seen_by[index])
+            self.seen_shape = torch.maximum(self.seen_shape, tested / (tested + HALF_SEEN_PIXELS))
+
+    @torch.no_grad()
+    def changes(self, fill: bool = True) -> dict[str, Tensor]:
+        """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
+        maps = {name: value.detach() for name, value in self.maps.items()}
+        if fill:
+            maps["colour"] = self.surface.fill(maps["colour"], self.seen)
+            maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
+            for name in ("position", "scale"):
+                maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
+        features = torch.zeros(len(self.tint), self.model.config.features).to(self.tint)
+        rotation = torch.zeros(len(self.tint), 4).to(self.tint)
+        deltas = {
+            "decoders.transform_mean": torch.cat([maps["position"], rotation, maps["scale"]], 1),
+            "decoders.opacity_mean": maps["opacity"],
+            "decoders.appearance_mean": torch.cat([self.tint + maps["colour"], features], 1),
+        }
+        if self.settings.networks:
+            frozen = dict(self.model.named_parameters())
+            for name, value in self.tuned.named_parameters():
+                if value is not frozen[name]:
+                    deltas[name] = value.detach() - frozen[name].detach()
+        return deltas
+
+    # --- state -----------------------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything that resuming needs, by name."""
+        tensors = {"step": torch.tensor([self.step_count]), "seen": self.seen, "seen_shape": self.seen_shape}
+        tensors["seen_by"] = torch.stack(self.seen_by)
+        for number, parameter in enumerate(self._parameters()):
+            tensors[f"{number}.value"] = parameter.detach()
+            for name, value in self.optimiser.state.get(parameter, {}).items():
+                tensors[f"{number}.{name}"] = value
+        return tensors
+
+    @torch.no_grad()
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Go on from `state`; KeyError or RuntimeError where it is of another model."""
+        for number, parameter in enumerate(self._parameters()):
+            parameter.copy_(tensors[f"{number}.value"])
+            names = ("step", "exp_avg", "exp_avg_sq")
+            if f"{number}.exp_avg" in tensors:
+                self.optimiser.state[parameter] = {name: tensors[f"{number}.{name}"].clone() for name in names}
+        self.seen, self.seen_shape = tensors["seen"].clone(), tensors["seen_shape"].clone()
+        self.seen_by = list(tensors["seen_by"].clone())
+        self.step_count = int(tensors["step"][0])
+
+    def _parameters(self) -> list[Tensor]:
+        return [parameter for group in self.optimiser.param_groups for parameter in group["params"]]
+
+
+def _tunable_copy(model: GRMM) -> GRMM:
+    """A model whose decoder networks are its own and need gradients; everything else is shared."""
+    own = {id(p) for name in NETWORKS for p in getattr(model.decoders, name).parameters()}
+    memo: dict[int, object] = {id(p): p for p in model.parameters() if id(p) not in own}
+    memo |= {id(value): value for value in model.buffers()}
+    memo[id(model.head_model)] = model.head_model
+    tuned = copy.deepcopy(model, memo)
+    for name in NETWORKS:
+        getattr(tuned.decoders, name).requires_grad_(True)
+    return tuned

@@ -1,0 +1,293 @@
+"""Tracked photos to an avatar: stage 1 (`codes`), stage 2 (`decoders`), their progress, cancelling and resuming.
+
+Called by `api` and the evaluation. Imports torch.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..avatar import Avatar
+from ..errors import CancelledError, ConfigError, SessionError
+from ..expressions import ALIGNED_NAMES
+from ..head import HeadModel
+from ..images import quantize
+from ..model.grmm import GRMM
+from ..model.weights import WeightsInfo
+from ..training.losses import Perceptual
+from .checkpoint import job_key, load_codes, resume_tuner, save_codes, save_tuner
+from .codes import Codes, code_prior, expression_code, fit_codes
+from .colour import recolour
+from .decoders import LOCALITY_WEIGHT, Tuner
+from .objective import Drawn, decode, draw, mesh
+from .presets import Preset, preset_named
+from .result import make_avatar
+from .surface import Surface, texel_surface
+from .types import PhotoTrack
+from .views import FitView, fit_view
+
+CODES, DECODERS = "codes", "decoders"
+SAVE_SECONDS = 20.0
+PREVIEW_SECONDS = 2.0
+_GREY = 0.5
+_DECODE_COST = 0.12  # of a step's decoders, in units of a megapixel drawn and differentiated: for the time left
+
+Progress = Callable[[str, float, float, "np.ndarray | None"], None]
+"""Called with the stage, its share done 0..1, the seconds left (NaN while unknown) and sometimes a preview [H, W, 3] uint8."""
+
+logger = logging.getLogger(__name__)
+
+
+def invert(
+    tracks: Sequence[PhotoTrack],
+    model: GRMM,
+    head: HeadModel,
+    preset: str | Preset = "standard",
+    *,
+    info: WeightsInfo | None = None,
+    name: str = "Person",
+    work: Path | None = None,
+    progress: Progress | None = None,
+    cancelled: Callable[[], bool] | None = None,
+    second_stage: bool = True,
+    locality: float = LOCALITY_WEIGHT,
+    perceptual: Perceptual | None = None,
+) -> Avatar:
+    """Fit codes and decoders to tracked photos of one person.
+
+    Args:
+        tracks: Photos, the one whose light the avatar shall have first.
+        model: Trained model on any device; it is not changed.
+        head: The model's head.
+        preset: "fast", "standard", "high", or settings.
+        info: What the weights file says; its training people are the prior of z_id.
+        name: Display name of the avatar.
+        work: Folder for the state, from which the same call goes on; None keeps none.
+        progress: Called often.
+        cancelled: Asked often; True ends the work with the state saved.
+        second_stage: False stops after eq. 19 (the ablation).
+        locality: lambda_loc of eq. 20; 0 leaves it out (the ablation).
+        perceptual: Network of eq. 16's L_perc, or None to leave it out.
+
+    Raises:
+        ConfigError: No photo, no such preset, or the weights' information is missing.
+        CancelledError: `cancelled` said so.
+        SessionError: Out of memory.
+        FileAccessError: The work folder cannot be written.
+    """
+    if not tracks or info is None:
+        raise ConfigError("An avatar is made from at least one tracked photo and trained weights; give both.")
+    if head is not model.head_model and head.name != model.head_model.name:
+        raise ConfigError(f"The photos were tracked with the head {head.name!r}, the weights belong to another; use theirs.")
+    settings = preset_named(preset) if isinstance(preset, str) else preset
+    try:
+        with torch.enable_grad():
+            return _Inversion(
+                tracks, model, settings, info, name, work, progress, cancelled, second_stage, locality, perceptual
+            ).run()
+    except (MemoryError, torch.OutOfMemoryError) as error:
+        raise _out_of_memory() from error
+    except RuntimeError as error:  # torch reports a failed allocation on the CPU as a plain RuntimeError
+        if "alloc" not in str(error):
+            raise
+        raise _out_of_memory() from error
+
+
+def _out_of_memory() -> SessionError:
+    return SessionError("Fitting ran out of memory; choose the preset fast, fewer photos, or close other programs.")
+
+
+class _Inversion:
+    """One run of `invert`."""
+
+    def __init__(
+        self, tracks: Sequence[PhotoTrack], model: GRMM, preset: Preset, info: WeightsInfo, name: str, work: Path | None,
+        progress: Progress | None, cancelled: Callable[[], bool] | None, second_stage: bool, locality: float,
+        perceptual: Perceptual | None,
+    ) -> None:  # fmt: skip
+        self.tracks, self.model, self.preset, self.info, self.name = tracks, model, preset, info, name
+        self.work, self.second_stage, self.locality, self.perceptual = work, second_stage, locality, perceptual
+        self.key = job_key(tracks, info, preset, locality)
+        self.clock = _Clock(progress, cancelled, preset, second_stage)
+        self.saved = time.monotonic()
+
+    def run(self) -> Avatar:
+        """Do what is left of the job."""
+        was = [parameter.requires_grad for parameter in self.model.parameters()]
+        self.model.requires_grad_(False)
+        try:
+            surface = texel_surface(self.model)
+            codes = self._codes(surface)
+            if self.second_stage:
+                deltas = self._decoders(codes, surface)
+            else:
+                deltas = _tint_only(self.model, codes, surface, self.views(self.preset.codes.side))
+            return self._avatar(codes, deltas)
+        finally:
+            for parameter, needed in zip(self.model.parameters(), was, strict=True):
+                parameter.requires_grad_(needed)
+
+    def views(self, side: int) -> list[FitView]:
+        """The photos at a size."""
+        model = self.model
+        return [
+            fit_view(track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device)
+            for index, track in enumerate(self.tracks)
+        ]
+
+    def _codes(self, surface: Surface) -> Codes:
+        like = self.model.anchor.barycentric
+        known = None if self.work is None else load_codes(self.work, self.key, like)
+        if known is not None:
+            logger.info("the codes are known from before")
+            return known
+        settings = self.preset.codes
+        views = self.views(settings.side)
+
+        def tick(share: float, drawn: Drawn | None) -> None:
+            self.clock.report(CODES, share, lambda: None if drawn is None else preview(views[0], drawn))
+            self.clock.check()
+
+        codes = fit_codes(
+            self.model, code_prior(self.info, self.model), views, self.views(settings.small_side), surface, settings, tick,
+            self.perceptual,
+        )  # fmt: skip
+        if self.work is not None:
+            save_codes(self.work, self.key, codes)
+        return codes
+
+    def _decoders(self, codes: Codes, surface: Surface) -> dict[str, Tensor]:
+        settings = self.preset.decoders
+        levels = [self.views(side) for side, _ in settings.levels]
+        prior = code_prior(self.info, self.model)
+        tuner = Tuner(self.model, prior, codes, levels, surface, settings, self.locality, self.perceptual)
+        if self.work is not None and resume_tuner(self.work, self.key, tuner):
+            logger.info("going on after step %d of %d", tuner.step_count, tuner.total)
+
+        def tick(share: float, drawn: Drawn | None) -> None:
+            level, index = tuner.last_drawn
+            self.clock.report(DECODERS, share, lambda: preview(levels[level][index], drawn) if drawn is not None else None)
+            if self.clock.wants_to_stop or time.monotonic() - self.saved > SAVE_SECONDS:
+                self._save(tuner)
+            self.clock.check()
+
+        tuner.run(tick)
+        self._save(tuner)
+        return tuner.changes()
+
+    def _save(self, tuner: Tuner) -> None:
+        if self.work is not None:
+            save_tuner(self.work, self.key, tuner)
+        self.saved = time.monotonic()
+
+    def _avatar(self, codes: Codes, deltas: dict[str, Tensor]) -> Avatar:
+        views = self.views(self.preset.decoders.levels[-1][0])
+        tracking = {
+            "aligned": torch.stack([view.aligned for view in views]),
+            "z_exp": codes.photo_z_exp,
+            "light": torch.stack([codes.light.gain, codes.light.offset], 1),
+        }
+        arrays = {name: value.cpu().numpy() for name, value in tracking.items()}
+        avatar = make_avatar(
+            self.name, self.tracks, self.info, codes.z_id.cpu().numpy(), codes.z_exp.cpu().numpy(),
+            {name: value.cpu().numpy() for name, value in deltas.items()}, arrays,
+        )  # fmt: skip
+        self.clock.report(DECODERS, 1.0, lambda: None)
+        return avatar
+
+
+def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]) -> dict[str, Tensor]:
+    """Stage 1 as an avatar: the colour maps alone."""
+    with torch.no_grad():
+        colours = decode(model, codes.z_id, codes.expression_code(model, views[0]), views[0].camera).colours
+        tint = recolour(colours, codes.maps, surface) - colours
+        return {"decoders.appearance_mean": torch.cat([tint, tint.new_zeros(len(tint), model.config.features)], 1)}
+
+
+def photo_errors(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = 512) -> list[float]:
+    """RMSE of an avatar's picture in each photo's view, inside the part of the person that the model has.
+
+    Args:
+        model: With the avatar's own changes (`session.models.with_deltas`).
+        avatar: Fitted to these photos.
+        tracks: Photos.
+        side: Longer side of the picture.
+    """
+    errors = []
+    z_id, shared = (torch.as_tensor(np.array(a), device=model.device) for a in (avatar.z_id, avatar.z_exp))
+    for index, track in enumerate(tracks):
+        view = fit_view(track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device)
+        own = torch.as_tensor(np.array(avatar.tracking["z_exp"][index]), device=model.device)
+        gain, offset = torch.as_tensor(np.array(avatar.tracking["light"][index]), device=model.device)
+        with torch.no_grad():
+            z_exp = expression_code(model, view, shared + own)
+            code = z_id if model.config.residuals else view.shape
+            drawn = draw(model, view.camera, mesh(model, view, code, z_exp), decode(model, code, z_exp, view.camera))
+            drawn = drawn.relit(gain, offset)
+            grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
+            shown = drawn.image + (1.0 - drawn.alpha)[..., None] * grey
+            error = (shown.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.inside
+            errors.append(float((error.sum() / view.inside.sum().clamp(min=1.0)).sqrt()))
+    return errors
+
+
+def preview(view: FitView, drawn: Drawn) -> np.ndarray:
+    """The photo and, beside it, the avatar in its place, [H, 2 W, 3] uint8."""
+    behind = (1.0 - drawn.alpha)[..., None] * view.image
+    both = torch.cat([view.image, drawn.image + behind], 1)
+    return quantize(both.detach().cpu().numpy())
+
+
+class _Clock:
+    """Reports progress with the time left, and stops the work on request."""
+
+    def __init__(
+        self, progress: Progress | None, cancelled: Callable[[], bool] | None, preset: Preset, second_stage: bool
+    ) -> None:
+        self._progress, self._cancelled = progress, cancelled
+        codes, decoders = _work(preset)
+        self._shares = {CODES: codes, DECODERS: decoders if second_stage else 0.0}
+        self._start, self._first, self._shown = time.monotonic(), None, 0.0
+
+    def report(self, stage: str, share: float, picture: Callable[[], np.ndarray | None]) -> None:
+        """Tell the share done of a stage; the picture is made at most every few seconds."""
+        if self._progress is None:
+            return
+        now = time.monotonic()
+        whole = sum(self._shares.values())
+        done = (share * self._shares[stage] + (self._shares[CODES] if stage == DECODERS else 0.0)) / max(whole, 1e-9)
+        if self._first is None:  # what was done in an earlier run took no time in this one
+            self._first = done
+        fresh = done - self._first
+        left = (now - self._start) / fresh * (1.0 - done) if fresh > 0.02 else float("nan")
+        image = None
+        if now - self._shown > PREVIEW_SECONDS:
+            image = picture()
+            self._shown = now if image is not None else self._shown
+        self._progress(stage, share, left, image)
+
+    @property
+    def wants_to_stop(self) -> bool:
+        """Whether the user has cancelled."""
+        return self._cancelled is not None and self._cancelled()
+
+    def check(self) -> None:
+        """Raise `CancelledError` if the user has cancelled."""
+        if self.wants_to_stop:
+            raise CancelledError("The fit was cancelled.")
+
+
+def _work(preset: Preset) -> tuple[float, float]:
+    """Expected work of the stages, in a unit of its own."""
+    codes, levels = preset.codes, preset.decoders.levels
+    first = (codes.starts * codes.trial_steps + codes.steps) * (codes.side**2 / 1e6 + _DECODE_COST)
+    first += codes.candidates * (codes.small_side**2 / 1e6 + _DECODE_COST / 2)
+    extra = 2 * _DECODE_COST if preset.decoders.networks else 0.0
+    return first, sum(steps * (side**2 / 2e6 + 0.03 + extra) for side, steps in levels)

@@ -1,0 +1,74 @@
+"""How much work a fit is: `fast`, `standard`, `high`. Used by the whole inversion; needs the standard library only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..errors import ConfigError
+
+
+@dataclass(frozen=True)
+class CodeSettings:
+    """Stage 1.
+
+    Attributes:
+        side: Longer side of the picture, pixels.
+        small_side: Of the picture on which starts are compared.
+        candidates: Training people who are compared.
+        starts: Starts that are followed.
+        trial_steps: Steps of each.
+        steps: Steps of the best.
+    """
+
+    side: int
+    small_side: int
+    candidates: int
+    starts: int
+    trial_steps: int
+    steps: int
+
+
+@dataclass(frozen=True)
+class DecoderSettings:
+    """Stage 2.
+
+    Attributes:
+        levels: Longer side of the picture and steps, one after another.
+        networks: Tune the decoders' networks too, not their maps only.
+    """
+
+    levels: tuple[tuple[int, int], ...]
+    networks: bool
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A named amount of work.
+
+    Attributes:
+        name: "fast", "standard" or "high".
+        codes: Stage 1.
+        decoders: Stage 2.
+    """
+
+    name: str
+    codes: CodeSettings
+    decoders: DecoderSettings
+
+
+PRESETS: dict[str, Preset] = {
+    "fast": Preset("fast", CodeSettings(192, 96, 24, 2, 8, 20), DecoderSettings(((256, 40), (384, 60)), False)),
+    "standard": Preset(
+        "standard", CodeSettings(256, 128, 64, 3, 16, 60), DecoderSettings(((256, 80), (384, 160), (512, 160)), True)
+    ),
+    "high": Preset(
+        "high", CodeSettings(320, 160, 256, 4, 24, 120), DecoderSettings(((256, 150), (512, 350), (768, 400)), True)
+    ),
+}
+
+
+def preset_named(name: str) -> Preset:
+    """Return a preset. Raises `ConfigError`."""
+    if name not in PRESETS:
+        raise ConfigError(f"There is no preset {name!r}; use {', '.join(PRESETS)}.")
+    return PRESETS[name]

@@ -1,0 +1,103 @@
+"""From the inversion's tensors to an avatar, and from an avatar back to what its photos showed.
+
+`photo_controls` and `photo_camera` need numpy only, so that Blender's panel can set the rig as a photo shows it.
+Called by `invert`, the evaluation, the command line and Blender.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..avatar import AssetReference, Avatar, PhotoRecord, Provenance
+from ..avatar.make import MADE_BY
+from ..avatar.types import SHAPE_SIZE
+from ..camera import Camera
+from ..controls import ALIGNED_TO_ARKIT, Controls
+from ..errors import ShapeError
+from ..head import HeadModel
+from .types import PhotoTrack
+
+if TYPE_CHECKING:
+    from ..model.weights import WeightsInfo
+
+LICENCE = "Shows a real person. To be used only with that person's agreement."
+_HALF_MAX = 60000.0
+
+
+def make_avatar(
+    name: str, tracks: Sequence[PhotoTrack], info: WeightsInfo, z_id: np.ndarray, z_exp: np.ndarray,
+    deltas: Mapping[str, np.ndarray], tracking: Mapping[str, np.ndarray],
+) -> Avatar:  # fmt: skip
+    """Put an avatar together; its photos are named without hashes (see `with_photos`).
+
+    Args:
+        name: Display name.
+        tracks: Photos.
+        info: Weights that the codes belong to.
+        z_id: [Z].
+        z_exp: [Y].
+        deltas: Changes of the weights by parameter name; rounded to half precision, in which they are stored.
+        tracking: Further arrays, one row a photo: aligned [P, 60], z_exp [P, Y], light [P, 2, 3], rmse [P].
+    """
+    shape = np.zeros(SHAPE_SIZE, np.float32)
+    shape[: len(tracks[0].shape)] = tracks[0].shape[:SHAPE_SIZE]
+    cameras = [track.photo_camera for track in tracks]
+    numbers = [(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in cameras]
+    found = {
+        "expression": np.stack([track.expression for track in tracks]),
+        "pose": np.stack([track.pose for track in tracks]),
+        "camera_matrix": np.stack([c.world_to_camera for c in cameras]),
+        "camera_numbers": np.array(numbers),
+    }
+    return Avatar(
+        name=name,
+        head=AssetReference(info.head_name, info.head_sha256),
+        weights=AssetReference(info.name, info.sha256),
+        z_id=z_id,
+        z_exp=z_exp,
+        shape=shape,
+        camera=cameras[0],
+        tracking={**found, **tracking},
+        deltas={key: _rounded(value) for key, value in deltas.items()},
+        provenance=Provenance(
+            made_by=MADE_BY, from_photos=True, photos=tuple(PhotoRecord(track.source, "") for track in tracks), licence=LICENCE,
+        ),
+    )  # fmt: skip
+
+
+def _rounded(array: np.ndarray) -> np.ndarray:
+    """What half precision holds of an array, float32."""
+    return np.clip(array, -_HALF_MAX, _HALF_MAX).astype(np.float16).astype(np.float32)
+
+
+def photo_camera(avatar: Avatar, index: int = 0) -> Camera:
+    """Camera of a whole photo in head space. Raises `ShapeError` where the avatar has no such photo."""
+    matrix, numbers = _row(avatar, "camera_matrix", index), _row(avatar, "camera_numbers", index)
+    fx, fy, cx, cy, width, height = (float(value) for value in numbers)
+    return Camera(matrix.astype(np.float64), fx, fy, cx, cy, round(width), round(height))
+
+
+def photo_controls(avatar: Avatar, head: HeadModel, index: int = 0) -> Controls:
+    """Controls that show the avatar as it is in a photo.
+
+    Raises:
+        ShapeError: The avatar has no such photo.
+    """
+    expression, aligned = _row(avatar, "expression", index), _row(avatar, "aligned", index)
+    by_name = aligned @ ALIGNED_TO_ARKIT @ np.asarray(head.arkit_to_expression, np.float32)  # [E]
+    return Controls(
+        aligned=aligned.copy(),
+        expression=expression - by_name[: len(expression)],
+        pose=_row(avatar, "pose", index).copy(),
+        z_exp=_row(avatar, "z_exp", index).copy(),
+    )
+
+
+def _row(avatar: Avatar, name: str, index: int) -> np.ndarray:
+    table = avatar.tracking.get(name)
+    if table is None or not 0 <= index < len(table):
+        raise ShapeError(f"The avatar {avatar.name!r} does not know its photo {index + 1}; make it from photos again.")
+    return table[index]

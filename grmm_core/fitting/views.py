@@ -1,0 +1,151 @@
+"""Tracked photos as fitting targets: cut around the head, reduced, with the pixels that the model can explain.
+
+The model has a head, a neck and the top of the shoulders. What else of the person the photo shows (clothes, arms, hair that
+falls far below the chin) is no target: such pixels get weight 0 in every loss. The background is one: nothing of the avatar
+may be there.
+
+Called by `codes`, `decoders`, `invert` and the evaluation. Imports torch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ..camera import Camera
+from ..head import HeadModel
+from ..zbuffer import EMPTY, triangle_depth
+from .types import PhotoTrack
+
+MARGIN_SIDE, MARGIN_TOP, MARGIN_BOTTOM = 0.18, 0.22, 0.03  # of the head's height in the picture, around the mesh
+BODY_BELOW_CHIN = 0.06  # of the head's height: where clothes may begin
+BODY_MASK = 0.05  # coverage above which a pixel counts as the person's
+MESH_MARGIN = 0.015  # of the head's height by which the mesh is widened before what lies outside counts as body
+_CHIN_LANDMARK = 152
+_MULTIPLE = 16  # pixels: the refinement network folds and halves
+
+
+@dataclass(frozen=True)
+class FitView:
+    """One photo at one resolution.
+
+    Attributes:
+        index: Number of the photo.
+        camera: Of this picture, in head space.
+        image: Photo, display sRGB 0..1, [H, W, 3].
+        mask: Coverage by the person, [H, W].
+        weight: 0 where a pixel is no target, else 1, [H, W].
+        shape: [S]. expression: [E]. pose: with the part that the expression turns, [5, 3].
+        aligned: Weights of the aligned expressions that the tracked expression stands for, [60].
+    """
+
+    index: int
+    camera: Camera
+    image: Tensor
+    mask: Tensor
+    weight: Tensor
+    shape: Tensor
+    expression: Tensor
+    pose: Tensor
+    aligned: Tensor
+
+    @property
+    def inside(self) -> Tensor:
+        """Pixels of the person that are targets, [H, W] 0..1."""
+        return self.mask * self.weight
+
+    def target(self, background: Tensor) -> Tensor:
+        """The photo's person over a colour [3]: [H, W, 3]."""
+        mask = self.mask[..., None]
+        return self.image * mask + (1.0 - mask) * background
+
+
+def aligned_weights(expression: np.ndarray, head: HeadModel, count: int) -> np.ndarray:
+    """Weights 0..1 of the first 52 aligned expressions that come nearest to coefficients [E]; [count].
+
+    For the open head these are its first 52 coefficients.
+    """
+    recipe = np.asarray(head.arkit_to_expression, np.float64)  # [52, E]
+    given = np.zeros(recipe.shape[1])
+    given[: len(expression)] = expression
+    solution, *_ = np.linalg.lstsq(recipe.T, given, rcond=None)
+    weights = np.zeros(count, np.float32)
+    weights[: len(solution)] = np.clip(solution, 0.0, 1.0)
+    return weights
+
+
+def fit_view(
+    track: PhotoTrack, head: HeadModel, index: int, side: int, aligned_count: int, dtype: torch.dtype,
+    device: torch.device | str = "cpu",
+) -> FitView:  # fmt: skip
+    """Prepare a photo.
+
+    Args:
+        track: Tracked photo.
+        head: Mesh model.
+        index: Number of the photo.
+        side: Longer side of the picture, pixels; a photo that shows the head smaller is not enlarged.
+        aligned_count: Number of aligned expressions.
+        dtype: Of the tensors.
+        device: Of the tensors.
+    """
+    pose = head.pose_of(track.expression, track.pose)
+    vertices = head.vertices(track.shape, track.expression, pose)
+    pixels = project(vertices, track.camera)
+    left, top, right, bottom = head_window(pixels, track.camera)
+    weight = track.valid * (1.0 - _body(track, vertices[head.faces], pixels))
+    camera = track.camera.crop(left, top, right - left, bottom - top)
+    image, mask, weight = (array[top:bottom, left:right] for array in (track.image, track.mask, weight))
+    scale = min(1.0, side / max(camera.width, camera.height))
+    width, height = (max(_MULTIPLE, round(n * scale / _MULTIPLE) * _MULTIPLE) for n in (camera.width, camera.height))
+
+    def resized(array: np.ndarray) -> Tensor:
+        planes = torch.tensor(np.ascontiguousarray(array), dtype=dtype)
+        planes = (planes if planes.ndim == 3 else planes[..., None]).permute(2, 0, 1)[None]
+        small = functional.interpolate(planes, (height, width), mode="bilinear", antialias=True, align_corners=False)
+        return small[0].permute(1, 2, 0).to(device)
+
+    return FitView(
+        index, camera.resized(width, height), resized(image), resized(mask)[..., 0],
+        (resized(weight)[..., 0] > 0.5).to(dtype),
+        *(torch.tensor(a, dtype=dtype, device=device) for a in (track.shape, track.expression, pose)),
+        torch.tensor(aligned_weights(track.expression, head, aligned_count), dtype=dtype, device=device),
+    )  # fmt: skip
+
+
+def project(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """Pixel coordinates of points [N, 3] in head space: [N, 2]."""
+    local = np.asarray(points, np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    divisor = np.ones(len(local)) if camera.orthographic else np.maximum(local[:, 2], 1e-6)
+    return np.stack([camera.fx * local[:, 0] / divisor + camera.cx, camera.fy * local[:, 1] / divisor + camera.cy], -1)
+
+
+def head_window(pixels: np.ndarray, camera: Camera) -> tuple[int, int, int, int]:
+    """Left, top, right, bottom of the part of a picture that the head with hair can fill."""
+    low, high = pixels.min(0), pixels.max(0)
+    height = float(high[1] - low[1])
+    left, top = max(0, int(low[0] - MARGIN_SIDE * height)), max(0, int(low[1] - MARGIN_TOP * height))
+    right = min(camera.width, int(np.ceil(high[0] + MARGIN_SIDE * height)))
+    bottom = min(camera.height, int(np.ceil(high[1] + MARGIN_BOTTOM * height)))
+    if right - left < _MULTIPLE or bottom - top < _MULTIPLE:  # the head is outside: leave the picture as it is
+        return 0, 0, camera.width, camera.height
+    return left, top, right, bottom
+
+
+def _body(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """1 where the photo shows parts of the person that the model does not have, [H, W]."""
+    camera = track.camera
+    height = float(np.ptp(pixels[:, 1]))
+    covered = torch.tensor(triangle_depth(triangles, camera) < EMPTY, dtype=torch.float32)
+    reach = max(1, round(MESH_MARGIN * height))
+    widened = functional.max_pool2d(covered[None, None], 2 * reach + 1, 1, reach)[0, 0].numpy()
+    down = camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])  # the head's down on the picture
+    down = down / max(float(np.linalg.norm(down)), 1e-6)
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    chin = track.landmarks_fitted[_CHIN_LANDMARK]
+    below = (columns - chin[0]) * down[0] + (rows - chin[1]) * down[1]
+    return ((below > BODY_BELOW_CHIN * height) & (widened < 0.5) & (track.mask > BODY_MASK)).astype(np.float32)

@@ -1,0 +1,294 @@
+"""Inversion (eq. 19 and 20) of pictures that a small model made itself: the person is known, and so is the way back."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from model_fixtures import small_head  # noqa: E402
+
+from grmm_core.avatar import load_avatar, save_avatar  # noqa: E402
+from grmm_core.camera import Camera  # noqa: E402
+from grmm_core.controls import Controls, resolve  # noqa: E402
+from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError  # noqa: E402
+from grmm_core.expressions import ALIGNED_NAMES  # noqa: E402
+from grmm_core.fitting.codes import code_prior, expression_code  # noqa: E402
+from grmm_core.fitting.colour import PhotoLight, recolour, solve_maps, unchanged  # noqa: E402
+from grmm_core.fitting.decoders import Locality, code_distances  # noqa: E402
+from grmm_core.fitting.invert import invert, photo_errors  # noqa: E402
+from grmm_core.fitting.objective import decode, draw, mesh  # noqa: E402
+from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset, preset_named  # noqa: E402
+from grmm_core.fitting.result import photo_camera, photo_controls  # noqa: E402
+from grmm_core.fitting.surface import SKIN, texel_surface  # noqa: E402
+from grmm_core.fitting.types import PhotoTrack  # noqa: E402
+from grmm_core.fitting.views import fit_view, project  # noqa: E402
+from grmm_core.model.config import PRESETS as MODEL_PRESETS  # noqa: E402
+from grmm_core.model.grmm import GRMM  # noqa: E402
+from grmm_core.model.weights import WeightsInfo  # noqa: E402
+from grmm_core.session.models import with_deltas  # noqa: E402
+
+SIZE = 96
+QUICK = Preset("quick", CodeSettings(64, 48, 4, 1, 0, 10), DecoderSettings(((64, 8), (96, 10)), False))
+TUNING = Preset("tuning", CodeSettings(64, 48, 2, 1, 0, 2), DecoderSettings(((64, 12),), True))
+
+
+@pytest.fixture(scope="module")
+def person():
+    """A model, what its weights file would say, and the code of somebody who is not among the training people."""
+    torch.manual_seed(3)
+    model = GRMM(small_head(), MODEL_PRESETS["tiny"].replace(grid=64, decoder_grid=16))
+    with torch.no_grad():
+        model.decoders.appearance_mean[:, :3].uniform_(0.3, 0.7)
+        model.decoders.basis["colour"].normal_(std=0.08)
+        model.refinement.exit.weight.normal_(std=0.02)
+    rng = np.random.default_rng(4)
+    codes = rng.normal(size=(5, model.z_id_size)).astype(np.float32)
+    info = WeightsInfo(
+        "small", model.head_model.name, "", model.config, people=tuple("abcde"), z_id=codes,
+        shapes=np.zeros((5, 4), np.float32), default_z_id=codes.mean(0), default_shape=np.zeros(4, np.float32),
+    )  # fmt: skip
+    return model.eval(), info, codes[1] * 0.6 + codes[3] * 0.4
+
+
+def photo(model, z_id, yaw=0.0, gain=1.0, smile=0.0, brown=0.0):
+    """A picture of a person with exact tracking."""
+    head = model.head_model
+    expression = np.zeros(head.expression_count, np.float32)
+    expression[head.expression_names.index("mouthSmileLeft")] = smile
+    shape, pose = np.zeros(head.shape_count, np.float32), np.zeros((5, 3), np.float32)
+    camera = Camera.orbit(SIZE, SIZE, yaw=yaw, distance=0.9, fov=20.0)
+    aligned = np.zeros(len(ALIGNED_NAMES), np.float32)
+    aligned[: len(expression)] = expression[: len(ALIGNED_NAMES)]
+    with torch.no_grad():
+        rendering = model.render(
+            camera, shape=torch.tensor(shape), expression=torch.tensor(expression), pose=torch.tensor(pose),
+            z_id=torch.tensor(z_id), z_exp=model.z_expression(torch.tensor(aligned)),
+        )  # fmt: skip
+    mask = rendering.alpha.numpy()
+    image = rendering.image.numpy() * gain * np.array([1.0, 1.0 - 0.5 * brown, 1.0 - brown], np.float32)
+    vertices = head.vertices(shape, expression, pose)
+    landmarks = np.repeat(project(vertices[:1], camera), 478, 0)
+    return PhotoTrack(
+        source=f"yaw {yaw}.jpg", image=np.clip(image + 0.5 * (1 - mask[..., None]), 0, 1), mask=mask, valid=np.ones_like(mask),
+        camera=camera, photo_camera=camera.resized(2 * SIZE, 2 * SIZE), shape=shape, expression=expression, pose=pose,
+        landmarks=landmarks, landmarks_fitted=landmarks, arkit=expression[:52],
+    )  # fmt: skip
+
+
+def test_both_stages_bring_the_avatar_nearer_to_the_photo(person):
+    model, info, z_id = person
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    tracks = [photo(model, z_id, brown=0.4)]
+    errors = []
+    for second in (False, True):
+        avatar = invert(tracks, model, model.head_model, QUICK, info=info, second_stage=second)
+        errors += photo_errors(with_deltas(model, avatar.deltas, "avatar"), avatar, tracks, SIZE)
+    plain = dataclasses.replace(avatar, z_id=info.z_id.mean(0))
+    start = photo_errors(model, plain, tracks, SIZE)[0]
+    assert errors[0] < 0.6 * start
+    assert errors[1] < 0.6 * errors[0]
+    assert errors[1] < 0.03
+    assert set(avatar.deltas) == {f"decoders.{name}_mean" for name in ("transform", "opacity", "appearance")}
+    for name, value in model.state_dict().items():
+        assert torch.equal(value, before[name]), f"{name} of the shared model was changed"
+
+
+def test_the_avatar_says_that_it_was_made_from_photos_and_knows_how_they_were(person, tmp_path):
+    model, info, z_id = person
+    tracks = [photo(model, z_id, yaw=20.0, smile=0.7)]
+    avatar = invert(tracks, model, model.head_model, QUICK, info=info, second_stage=False, name="Ada")
+    save_avatar(avatar, tmp_path / "ada.grmm")
+    avatar = load_avatar(tmp_path / "ada.grmm")
+    assert avatar.provenance.from_photos
+    assert [record.name for record in avatar.provenance.photos] == ["yaw 20.0.jpg"]
+    assert "agreement" in avatar.provenance.licence
+    np.testing.assert_allclose(photo_camera(avatar).world_to_camera, tracks[0].photo_camera.world_to_camera, atol=1e-6)
+    assert (avatar.camera.width, avatar.camera.fx) == (2 * SIZE, tracks[0].photo_camera.fx)
+    resolved = resolve(photo_controls(avatar, model.head_model), model.head_model)
+    np.testing.assert_allclose(resolved.expression, tracks[0].expression, atol=1e-6)
+    assert not avatar.expression.any(), "the avatar rests with a neutral face"
+    with pytest.raises(ShapeError, match="photo 2"):
+        photo_controls(avatar, model.head_model, 1)
+
+
+def test_changes_are_stored_in_half_precision_without_loss(person, tmp_path):
+    model, info, z_id = person
+    avatar = invert([photo(model, z_id)], model, model.head_model, QUICK, info=info)
+    path = tmp_path / "a.grmm"
+    save_avatar(avatar, path)
+    loaded = load_avatar(path)
+    values = sum(array.size for array in avatar.deltas.values())
+    assert path.stat().st_size < 2.2 * values + 40_000
+    for name, array in avatar.deltas.items():
+        np.testing.assert_array_equal(loaded.deltas[name], array)
+    odd = dataclasses.replace(avatar, deltas={"x": np.array([1.0, 1e-3 + 1e-9, 7e4], np.float32)})
+    save_avatar(odd, path)
+    np.testing.assert_array_equal(load_avatar(path).deltas["x"], odd.deltas["x"])
+
+
+def test_several_photos_of_other_exposure_make_one_person(person):
+    model, info, z_id = person
+    tracks = [photo(model, z_id, yaw=-25.0), photo(model, z_id, yaw=25.0, gain=0.6, smile=0.5)]
+    avatar = invert(tracks, model, model.head_model, QUICK, info=info)
+    tuned = with_deltas(model, avatar.deltas, "avatar")
+    np.testing.assert_allclose(avatar.tracking["light"][0], [[1, 1, 1], [0, 0, 0]])
+    assert 0.4 < avatar.tracking["light"][1, 0].mean() < 0.8
+    assert max(photo_errors(tuned, avatar, tracks, SIZE)) < 0.05
+    unseen = [photo(model, z_id, yaw=0.0)]  # between the photos
+    between = dataclasses.replace(avatar, tracking={**avatar.tracking, "z_exp": np.zeros_like(avatar.tracking["z_exp"])})
+    assert photo_errors(tuned, between, unseen, SIZE)[0] < 0.06
+
+
+def test_cancel_leaves_a_state_from_which_the_fit_goes_on_to_the_same_result(person, tmp_path):
+    model, info, z_id = person
+    tracks = [photo(model, z_id, brown=0.3)]
+    whole = invert(tracks, model, model.head_model, TUNING, info=info)
+    seen = []
+
+    def progress(stage, share, left, picture):
+        seen.append((stage, share))
+
+    with pytest.raises(CancelledError):
+        invert(
+            tracks, model, model.head_model, TUNING, info=info, work=tmp_path, progress=progress,
+            cancelled=lambda: bool(seen) and seen[-1][0] == "decoders" and seen[-1][1] >= 0.5,
+        )  # fmt: skip
+    assert not list(tmp_path.glob("*.tmp"))
+    seen.clear()
+    resumed = invert(tracks, model, model.head_model, TUNING, info=info, work=tmp_path, progress=progress)
+    assert {stage for stage, _ in seen} == {"decoders"}, "stage 1 was done before"
+    assert min(share for _, share in seen) > 0.5
+    for name, array in whole.deltas.items():
+        np.testing.assert_allclose(resumed.deltas[name], array, atol=2e-3, err_msg=name)
+    # the state of another job is not taken
+    seen.clear()
+    other = [photo(model, z_id, brown=0.2)]
+    invert(other, model, model.head_model, TUNING, info=info, work=tmp_path, progress=progress)
+    assert "codes" in {stage for stage, _ in seen}
+
+
+def test_a_damaged_state_is_done_anew(person, tmp_path):
+    model, info, z_id = person
+    tracks = [photo(model, z_id)]
+    first = invert(tracks, model, model.head_model, TUNING, info=info, work=tmp_path)
+    for path in tmp_path.iterdir():
+        path.write_bytes(path.read_bytes()[:-100])
+    again = invert(tracks, model, model.head_model, TUNING, info=info, work=tmp_path)
+    np.testing.assert_allclose(again.z_id, first.z_id, atol=1e-4)
+
+
+def test_networks_are_tuned_and_locality_holds_them(person):
+    model, info, z_id = person
+    tracks = [photo(model, z_id, brown=0.5)]
+    prior = code_prior(info, model)
+    changes = []
+    for weight in (0.0, 30.0):
+        avatar = invert(tracks, model, model.head_model, TUNING, info=info, locality=weight)
+        networks = {name: value for name, value in avatar.deltas.items() if not name.endswith("_mean")}
+        assert any(np.abs(value).max() > 0 for value in networks.values())
+        tuned = with_deltas(model, networks, "avatar")
+        rng = torch.Generator().manual_seed(11)
+        moved = 0.0
+        for _ in range(6):  # other people
+            code, z_exp = prior.code(torch.randn(len(prior.directions), generator=rng)), torch.zeros(model.z_exp_size)
+            with torch.no_grad():
+                moved += float((tuned.offsets(code, z_exp) - model.offsets(code, z_exp)).abs().mean())
+        changes.append(moved)
+    assert changes[1] < 0.8 * changes[0]
+
+
+def test_locality_codes_are_at_the_documented_distance(person):
+    model, info, z_id = person
+    prior = code_prior(info, model)
+    view = fit_view(photo(model, z_id), model.head_model, 0, 64, len(ALIGNED_NAMES), model.dtype)
+    fitted = torch.tensor(z_id)
+    codes = type("Fitted", (), {"z_id": fitted, "expression_code": lambda self, m, v: torch.zeros(m.z_exp_size)})()
+    locality = Locality(model, prior, codes, view)
+    id_distance, exp_distance = code_distances(model, prior)
+    spread = np.sqrt(2.0 * np.var(info.z_id, axis=0, ddof=1).sum())
+    assert id_distance == pytest.approx(0.5 * spread, rel=1e-4)
+    for number, (near, z_exp, _) in enumerate(locality.bank):
+        assert float((near - fitted).norm()) == pytest.approx(0.0 if number % 2 else id_distance, abs=1e-4)
+        assert float(z_exp.norm()) == pytest.approx(exp_distance, rel=1e-3)
+        assert float(locality(model, number).detach()) == 0.0
+
+
+def test_colour_maps_are_found_exactly(person):
+    model, _, z_id = person
+    surface = texel_surface(model)
+    view = fit_view(photo(model, z_id), model.head_model, 0, 96, len(ALIGNED_NAMES), model.dtype)
+    code = torch.tensor(z_id)
+    with torch.no_grad():
+        z_exp = expression_code(model, view, torch.zeros(model.z_exp_size))
+        vertices, look = mesh(model, view, code, z_exp), decode(model, code, z_exp, view.camera)
+        wanted = unchanged(code)
+        wanted[SKIN] = torch.tensor([[0.7, 0.05, 0.0], [0.0, 0.8, 0.1], [0.05, 0.0, 0.5], [0.1, 0.02, -0.03]])
+        drawn = draw(model, view.camera, vertices, look.recoloured(recolour(look.colours, wanted, surface)), refined=False)
+        picture = drawn.raw / drawn.alpha[..., None].clamp(min=1e-3)
+        target = dataclasses.replace(view, image=picture, mask=(drawn.alpha > 0.9).to(code))
+        found = solve_maps(model, [target], [vertices], [look], surface, PhotoLight.even(1, code))
+        shown = draw(model, view.camera, vertices, look.recoloured(recolour(look.colours, found, surface)), refined=False).raw
+    assert float((shown - drawn.raw)[target.mask > 0].abs().mean()) < 0.01
+
+
+def test_filling_spreads_from_seen_to_unseen_texels_and_over_the_plane_of_symmetry(person):
+    model, _, _ = person
+    surface = texel_surface(model)
+    x = model.anchor(model.head.v_template).positions[:, 0]
+    count = model.gaussian_count
+    values = torch.where(x > 0.02, 1.0, 0.0)[:, None]
+    seen = (x > 0.02).to(values.dtype)
+    filled = surface.fill(values, seen)
+    assert float((filled[seen > 0] - 1.0).abs().max()) < 0.05
+    assert float(filled[(x < -0.03)].mean()) > 0.7, "the mirrored side takes over"
+    assert float(surface.fill(torch.ones(count, 1), torch.zeros(count)).abs().max()) == 0.0, "nothing seen changes nothing"
+
+
+def test_clothes_are_no_target_but_the_background_beside_the_head_is(person):
+    model, _, z_id = person
+    track = photo(model, z_id)
+    mask = track.mask.copy()
+    mask[-20:] = 1.0  # shoulders wider than the model
+    lower = np.array(track.landmarks_fitted)
+    lower[:, 1] = 60.0  # the chin
+    track = dataclasses.replace(track, mask=mask, landmarks_fitted=lower)
+    view = fit_view(track, model.head_model, 0, SIZE, len(ALIGNED_NAMES), model.dtype)
+    assert float(view.weight[-1, 0]) == 0.0
+    assert float(view.weight[0, 0]) == 1.0
+    assert float(view.weight[view.weight.shape[0] // 2, view.weight.shape[1] // 2]) == 1.0
+
+
+def test_an_avatar_may_bring_mean_maps_to_a_model_without(person):
+    head = small_head()
+    torch.manual_seed(0)
+    plain = GRMM(head, MODEL_PRESETS["tiny"].replace(mean_maps=False))
+    change = np.zeros((plain.gaussian_count, 1), np.float32)
+    change[3] = 2.0
+    code = torch.zeros(plain.z_id_size)
+    changed = with_deltas(plain, {"decoders.opacity_mean": change}, "avatar")
+    with torch.no_grad():
+        difference = changed.decoders.opacity_logits(code) - plain.decoders.opacity_logits(code)
+    np.testing.assert_allclose(difference.numpy(), change[:, 0], atol=1e-5)
+    with pytest.raises(FileFormatError, match="opacity_mean"):
+        with_deltas(plain, {"decoders.opacity_mean": change[:-1]}, "avatar")
+
+
+def test_wrong_arguments_are_refused_in_one_sentence(person):
+    model, info, z_id = person
+    track = photo(model, z_id)
+    with pytest.raises(ConfigError, match="at least one"):
+        invert([], model, model.head_model, QUICK, info=info)
+    with pytest.raises(ConfigError, match="at least one"):
+        invert([track], model, model.head_model, QUICK)
+    with pytest.raises(ConfigError, match="no preset 'quickest'"):
+        preset_named("quickest")
+
+
+def test_controls_of_a_photo_are_controls(person):
+    model, info, z_id = person
+    avatar = invert([photo(model, z_id)], model, model.head_model, QUICK, info=info, second_stage=False)
+    assert isinstance(photo_controls(avatar, model.head_model), Controls)

@@ -1,0 +1,310 @@
+"""Photos to a `.grmm` file: analysis, tracking, inversion, thumbnail, provenance.
+
+    result = fit(["anna.jpg"], "anna.grmm", preset="fast", progress=show)
+
+The work folder keeps what an interrupted fit has done; the avatar's file appears when it is complete, or not at all.
+Called by the command line and by Blender's fit job. Importing this module is light; calling `fit` imports torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import hashlib
+import json
+import logging
+import os
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..avatar import EXTENSION, Avatar, PhotoRecord, save_avatar
+from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
+from ..files import atomic_write_bytes, describe_os_error, read_bytes
+from ..images import encode_png, quantize
+from .presets import preset_named
+from .types import PhotoTrack, load_tracks, save_tracks
+
+if TYPE_CHECKING:
+    from ..head import HeadModel
+    from ..model.grmm import GRMM
+
+STAGES = ("analyse", "track", "codes", "decoders")
+TRACKS_FILE, JOB_FILE, PREVIEW_FILE = "tracks.safetensors", "job.json", "preview.png"
+WORK_SUFFIX = ".fit"
+MAX_PHOTOS = 16
+MAX_PHOTO_BYTES = 1 << 30
+THUMBNAIL_PIXELS = 192
+
+Progress = Callable[[str, float, float, str], None]
+"""Called with the stage, its share done 0..1, the seconds left (NaN while unknown) and the path of a preview or ""."""
+Faces = Callable[[str, np.ndarray], None]
+"""Called for each photo with its path and the faces' boxes, [K, 4] pixels: left, top, right, bottom."""
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A finished fit.
+
+    Attributes:
+        path: The avatar's file.
+        avatar: What is in it.
+        seconds: Time taken, without what an earlier, interrupted run did.
+        rmse: Root mean square colour error in each photo's view, inside the mask.
+        landmark_error: Mean landmark distance of each photo relative to the eye distance.
+    """
+
+    path: Path
+    avatar: Avatar
+    seconds: float
+    rmse: tuple[float, ...]
+    landmark_error: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What identifies a fit in its work folder."""
+
+    photos: tuple[PhotoRecord, ...]
+    face: int
+    masks: tuple[str, ...]
+
+    def to_json(self) -> bytes:
+        return json.dumps(dataclasses.asdict(self), sort_keys=True).encode()
+
+
+def fit(
+    photos: Sequence[str | os.PathLike[str]],
+    output: str | os.PathLike[str],
+    *,
+    preset: str = "standard",
+    face: int = 0,
+    masks: Sequence[str | os.PathLike[str]] = (),
+    weights: str | os.PathLike[str] | None = None,
+    device: str = "auto",
+    threads: int | None = None,
+    work: str | os.PathLike[str] | None = None,
+    resume: bool = False,
+    name: str = "",
+    progress: Progress | None = None,
+    on_faces: Faces | None = None,
+    cancelled: Callable[[], bool] | None = None,
+) -> FitResult:
+    """Make an avatar of the person in one or several photos and write it.
+
+    The persons in the photos must have agreed; the file says that it was made from photos and names them with their hashes.
+
+    Args:
+        photos: Files, the one whose light the avatar shall have first.
+        output: `.grmm` file to write.
+        preset: "fast", "standard" or "high".
+        face: Which face, counted from 0, the largest first, where a photo shows several.
+        masks: Pictures of the person's outline (white on black), one for each photo, in its order; empty finds the outline.
+        weights: Name of installed weights, or a file; None for the embedded ones.
+        device: "auto", "cpu", "cuda" or "mps".
+        threads: CPU threads; None leaves it to the libraries.
+        work: Folder for the state; None is a folder beside the output. It is removed when the avatar is written, unless given.
+        resume: Go on from the state in the work folder, if it is of the same photos; otherwise it is overwritten.
+        name: Display name of the avatar; the output's file name when empty.
+        progress: Called often.
+        on_faces: Called when the faces of a photo are known.
+        cancelled: Asked often; True ends the work with the state saved.
+
+    Raises:
+        NoFaceError, FileAccessError, FileFormatError: A photo, mask, or the output cannot be used.
+        ConfigError: Wrong arguments.
+        CancelledError: `cancelled` said so; the same call with `resume` goes on.
+        SessionError: Out of memory.
+    """
+    output = Path(output)
+    settings = preset_named(preset)
+    _check(photos, output, masks)
+    job = _Job(
+        tuple(PhotoRecord(Path(photo).name, _hash(photo)) for photo in photos), face, tuple(_hash(mask) for mask in masks)
+    )
+    begin = time.monotonic()
+    folder = Path(work) if work is not None else output.with_name(output.name + WORK_SUFFIX)
+    _prepare(folder, job, resume)
+    relay = _Relay(progress, cancelled, folder)
+    relay.check()
+
+    from ..session.local import choose_device, limit_rasteriser_threads
+    from ..session.models import ModelStore, with_deltas
+    from .invert import invert, photo_errors
+
+    if threads is not None:
+        import torch
+
+        torch.set_num_threads(threads)
+        limit_rasteriser_threads(threads)
+    loaded = ModelStore(weights, choose_device(device)).default()
+    head = loaded.model.head_model
+    tracks = _tracks(photos, job, head, masks, folder, resume, relay, on_faces)
+    avatar = invert(
+        tracks, loaded.model, head, settings, info=loaded.info, name=name or output.stem, work=folder,
+        progress=relay.with_picture, cancelled=cancelled,
+    )  # fmt: skip
+    person = with_deltas(loaded.model, avatar.deltas, output) if avatar.deltas else loaded.model
+    rmse = photo_errors(person, avatar, tracks)
+    landmarks = [track.landmark_error for track in tracks]
+    provenance = dataclasses.replace(
+        avatar.provenance, photos=job.photos, date=datetime.datetime.now(datetime.UTC).date().isoformat()
+    )
+    tracking = {**avatar.tracking, "rmse": np.array(rmse, np.float32), "landmark_error": np.array(landmarks, np.float32)}
+    picture = thumbnail(person, avatar)
+    avatar = dataclasses.replace(avatar, provenance=provenance, tracking=tracking, thumbnail=picture)
+    relay.check()
+    save_avatar(avatar, output)
+    if work is None:
+        shutil.rmtree(folder, ignore_errors=True)
+    return FitResult(output, avatar, time.monotonic() - begin, tuple(rmse), tuple(landmarks))
+
+
+def thumbnail(model: GRMM, avatar: Avatar, pixels: int = THUMBNAIL_PIXELS) -> bytes:
+    """PNG of an avatar's neutral face, straight colour with alpha.
+
+    Args:
+        model: With the avatar's own changes.
+        avatar: Person.
+        pixels: Side.
+    """
+    import torch
+
+    from ..camera import Camera
+    from ..color import straight_rgba
+    from ..session.api import PORTRAIT_DISTANCE, PORTRAIT_FOV
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.array(array, np.float32), device=model.device)
+
+    head = model.head_model
+    camera = Camera.orbit(pixels, pixels, distance=PORTRAIT_DISTANCE, fov=PORTRAIT_FOV)
+    shape, expression = tensor(avatar.shape[: head.shape_count]), tensor(np.zeros(head.expression_count))
+    with torch.no_grad():
+        rendering = model.render(
+            camera, shape=shape, expression=expression, pose=tensor(np.zeros((5, 3))),
+            z_id=model.z_identity(tensor(avatar.z_id), shape),
+            z_exp=tensor(avatar.z_exp) if model.config.residuals else expression,
+        )  # fmt: skip
+    rgb, alpha = (part.cpu().numpy() for part in (rendering.image, rendering.alpha[..., None]))
+    return encode_png(quantize(straight_rgba(rgb, alpha)))
+
+
+class _Relay:
+    """Forwards progress, writes previews, and turns a wish to cancel into the error that ends the work."""
+
+    def __init__(self, progress: Progress | None, cancelled: Callable[[], bool] | None, folder: Path) -> None:
+        self._progress, self._cancelled, self._folder = progress, cancelled, folder
+        self._preview = ""
+
+    def check(self) -> None:
+        """Raise `CancelledError` if the user has cancelled."""
+        if self.wants_to_stop():
+            raise CancelledError("The fit was cancelled.")
+
+    def wants_to_stop(self) -> bool:
+        """Whether the user has cancelled."""
+        return self._cancelled is not None and self._cancelled()
+
+    def __call__(self, stage: str, share: float) -> None:
+        """Report a stage without picture or time."""
+        self.check()
+        if self._progress is not None:
+            self._progress(stage, min(max(share, 0.0), 1.0), float("nan"), self._preview)
+
+    def with_picture(self, stage: str, share: float, left: float, picture: np.ndarray | None) -> None:
+        """Report a stage of the inversion."""
+        if self._progress is None:
+            return
+        if picture is not None:
+            path = self._folder / PREVIEW_FILE
+            atomic_write_bytes(path, encode_png(picture))
+            self._preview = str(path)
+        self._progress(stage, min(max(share, 0.0), 1.0), left, self._preview)
+
+
+def _tracks(
+    photos: Sequence[str | os.PathLike[str]], job: _Job, head: HeadModel, masks: Sequence[str | os.PathLike[str]], folder: Path,
+    resume: bool, relay: _Relay, on_faces: Faces | None,
+) -> list[PhotoTrack]:  # fmt: skip
+    """Track the photos, or read what an interrupted run has tracked."""
+    from .track import analyse_photo, track_photos
+
+    path = folder / TRACKS_FILE
+    if resume and path.exists():
+        try:
+            known = load_tracks(path)
+            if len(known) == len(photos):
+                return known
+        except (FileFormatError, FileAccessError) as error:
+            logger.warning("the photos are tracked anew: %s", error)
+    analysed = []
+    for index, photo in enumerate(photos):
+        relay("analyse", index / len(photos))
+        found = analyse_photo(photo)
+        if on_faces is not None:
+            on_faces(os.fspath(photo), np.stack([one.box for one in found.faces]) / found.photo.scale)
+        if job.face >= len(found.faces):
+            raise ConfigError(
+                f"{Path(photo).name} shows {len(found.faces)} usable face{'s' * (len(found.faces) != 1)}, "
+                f"and face {job.face + 1} was chosen; choose a number from 1 to {len(found.faces)}."
+            )
+        analysed.append(found)
+    relay("analyse", 1.0)
+    outlines = [_read_mask(mask) for mask in masks] or None
+    tracks = track_photos(
+        analysed, head, faces=[job.face] * len(analysed), masks=outlines,
+        progress=lambda share: relay("track", share), cancelled=relay.wants_to_stop,
+    )  # fmt: skip
+    save_tracks(path, tracks)
+    return tracks
+
+
+def _check(photos: Sequence[str | os.PathLike[str]], output: Path, masks: Sequence[str | os.PathLike[str]]) -> None:
+    """Refuse what cannot work before minutes are spent."""
+    if not photos:
+        raise ConfigError("No photo was given; choose at least one.")
+    if len(photos) > MAX_PHOTOS:
+        raise ConfigError(f"{len(photos)} photos were given; use at most {MAX_PHOTOS}.")
+    if masks and len(masks) != len(photos):
+        raise ConfigError(f"{len(masks)} masks were given for {len(photos)} photos; give one for each, or none.")
+    if output.suffix != EXTENSION:
+        raise ConfigError(f"{output.name} does not end in {EXTENSION}; name the avatar's file NAME{EXTENSION}.")
+    if not output.parent.is_dir():
+        raise FileAccessError(f"The folder {output.parent} does not exist; make it or choose another one.")
+    if output.is_dir():
+        raise FileAccessError(f"{output} is a folder; give a file name.")
+
+
+def _hash(path: str | os.PathLike[str]) -> str:
+    return hashlib.sha256(read_bytes(path, limit=MAX_PHOTO_BYTES)).hexdigest()
+
+
+def _prepare(folder: Path, job: _Job, resume: bool) -> None:
+    """Make the work folder; forget the state of another job, or all where nothing is to be resumed."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / JOB_FILE
+        if not (resume and path.exists() and path.read_bytes() == job.to_json()):
+            for stale in (*folder.glob("*.safetensors"), folder / PREVIEW_FILE):
+                stale.unlink(missing_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"Cannot write {folder}: {describe_os_error(error)}; choose another folder.") from error
+    atomic_write_bytes(folder / JOB_FILE, job.to_json())
+
+
+def _read_mask(path: str | os.PathLike[str]) -> np.ndarray:
+    """A mask picture as coverage 0..1, [H, W]: its alpha where it has one, else its brightness."""
+    from ..photo.load import load_photo
+
+    photo = load_photo(path)
+    if photo.alpha is not None and photo.alpha.min() < 1.0:
+        return photo.alpha
+    return photo.pixels.mean(-1)

@@ -14,7 +14,12 @@ Map:
         forward.py     blending of a tile
         backward.py    gradients of a tile, and their sums per Gaussian
         simd.py, threads.py, jit.py   vectors in kernels, the thread pool, how kernels compile
-    cuda/         backend "cuda": adapter to gsplat, where that is installed
+        count.py       how much work a drawing was, for `grmm bench`
+    cuda/         backend "cuda": gsplat where that is installed, else own kernels without nvcc
+        adapter.py     the choice between them; a check of the graphics card
+        function.py    the PyTorch operation around the kernels
+        kernels.cu     the kernels; source.py puts the constants in front of them
+        compile.py, launch.py   NVRTC and the CUDA driver
 
 Importing this package needs numpy only; torch, numba and gsplat are imported when a backend is used. Callers: the model's
 renderer, training, fitting, sessions. It knows nothing of heads.

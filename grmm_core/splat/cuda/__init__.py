@@ -1,1 +1,1 @@
-"""The CUDA backend; see `grmm_core.splat` for the map. Imports gsplat: import it only when it is used."""
+"""The CUDA backend; see `grmm_core.splat` for the map. Imports torch: import it only when it is used."""

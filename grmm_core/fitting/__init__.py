@@ -1,7 +1,8 @@
 """From photos to an avatar (paper, section 3.5).
 
 ``types``              what tracking finds in one photo, and its file
-``landmark_rig``       the head model's landmarks with exact derivatives
+``point_rig``          points of the head, such as landmarks, with exact derivatives
+``solver``             robust least squares over cameras, shape, expression and pose
 ``landmark_priors``    how exact landmarks are, how likely expressions and cameras
 ``landmark_stage``     camera, shape, expression and pose from landmarks
 ``photometric_stage``  light, and the refinement by outline and shading

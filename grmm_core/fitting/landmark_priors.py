@@ -2,7 +2,7 @@
 
 The figures were measured on pictures of synthetic people with known parameters (errors of the landmark network against the
 projected truth, in units of the distance of the outer eye corners), rounded, and loosened where real photos differ.
-Used by `landmark_stage`. Needs numpy only.
+Used by the stages. Needs numpy only.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from ..expressions import ARKIT_NAMES
 from ..head.model import JOINT_COUNT, HeadModel
-from .landmark_rig import LandmarkRig
+from .point_rig import LandmarkRig
 from .types import LANDMARK_COUNT
 
 if TYPE_CHECKING:
-    from .landmark_stage import View
+    from .solver import View
 
 # MediaPipe's indices. The rest of the skin has no feature to hold on to and is spread from these by the network.
 FACE_OVAL = (

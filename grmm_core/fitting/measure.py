@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..head.model import HeadModel
+from .landmark_stage import similarity
 
 REGIONS = ("face", "ears")
 _MILLIMETRES = 1000.0
@@ -54,11 +55,8 @@ def shape_error(head: HeadModel, shape: np.ndarray, truth: np.ndarray, regions: 
 
 def aligned(points: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Move points [N, 3] by the similarity that brings them nearest to `target` [N, 3] (Umeyama 1991)."""
-    a, b = points - points.mean(0), target - target.mean(0)
-    u, values, vt = np.linalg.svd(b.T @ a)
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    scale = (values * sign).sum() / max((a * a).sum(), 1e-30)
-    return scale * a @ ((u * sign) @ vt).T + target.mean(0)
+    rotation, scale, shift = similarity(points, target)
+    return scale * points @ rotation.T + shift
 
 
 def measure_shapes(

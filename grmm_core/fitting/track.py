@@ -21,8 +21,8 @@ from ..photo.faces import Face, find_faces
 from ..photo.load import Photo, load_photo
 from ..photo.person import person_mask
 from .landmark_priors import FULL_FRAME
-from .landmark_rig import LandmarkRig
 from .landmark_stage import LandmarkFit, Observation, fit_landmarks
+from .point_rig import LandmarkRig
 from .types import PhotoTrack
 
 logger = logging.getLogger(__name__)

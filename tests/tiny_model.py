@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 
-def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", preset: str = "tiny", **changes) -> Path:
-    """Write random weights of a configuration on the open head; every part of the network does something."""
+def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", preset: str = "tiny", head=None, **changes) -> Path:
+    """Write random weights of a configuration, on the open head unless told; every part of the network does something."""
     import torch
 
     from grmm_core.head import load_open_head
@@ -17,7 +17,7 @@ def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", preset: st
     from grmm_core.model.weights import WeightsInfo, head_fingerprint, save_weights
 
     torch.manual_seed(seed)
-    head = load_open_head()
+    head = head or load_open_head()
     model = GRMM(head, PRESETS[preset].replace(**changes))
     with torch.no_grad():
         for head_of in (model.mesh_decoder.identity, model.mesh_decoder.expression):

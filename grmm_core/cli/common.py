@@ -22,9 +22,10 @@ def add_output(parser: argparse.ArgumentParser, text: str) -> None:
 
 
 def add_model(parser: argparse.ArgumentParser) -> None:
-    """Add --device, --weights and --threads."""
+    """Add --device, --weights, --head and --threads."""
     parser.add_argument("--device", choices=DEVICES, default="auto", help="where the model runs (default: %(default)s)")
     parser.add_argument("--weights", metavar="NAME|FILE", help="trained weights (default: the embedded ones)")
+    parser.add_argument("--head", metavar="FILE", help="your FLAME file, for weights that were trained on FLAME")
     parser.add_argument("--threads", type=positive_int, metavar="N", help="CPU threads (default: all)")
 
 

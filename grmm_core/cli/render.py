@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     camera = Camera.orbit(*args.size, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
     options = RenderOptions(refine=not args.no_refine, passes=passes, lod=args.lod, background=args.background)
-    with create_session(weights=args.weights, device=args.device, threads=args.threads) as session:
+    with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.open(args.avatar)
         start = time.perf_counter()
         buffers = session.render([Instance(avatar.id, controls)], camera, options)

@@ -20,7 +20,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Draw the person and write the file."""
     check_folder(args.output)
-    with create_session(weights=args.weights, device=args.device, threads=args.threads) as session:
+    with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.sample(args.seed)
         session.save(avatar.id, args.output)
     args.console.line(f"Wrote {args.output} ({avatar.name}).")

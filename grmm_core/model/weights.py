@@ -260,7 +260,7 @@ def _own_head(path: str | os.PathLike[str], name: str) -> HeadModel:
 
     head = load_open_head()
     if head.name != name:
-        raise FileFormatError(f"{path} was trained on the head model {name!r}; give the path of that model.")
+        raise FileFormatError(f"{path} was trained on the head model {name!r}; give the file of that head model (--head).")
     return head
 
 

@@ -65,6 +65,7 @@ def create_session(
     weights: str | os.PathLike[str] | None = None,
     device: str = "auto",
     threads: int | None = None,
+    head: str | os.PathLike[str] | None = None,
 ) -> Session:
     """Return a session. It is cheap: the model is loaded by the first call or by `warm_up`.
 
@@ -74,6 +75,7 @@ def create_session(
         weights: Name of installed weights or a file, for "default" and `sample`; None for the embedded ones.
         device: "auto", "cpu", "cuda" or "mps".
         threads: CPU threads for the model; None leaves it to the libraries.
+        head: The user's FLAME file (.pkl, .npz) or another head file, for weights that were trained on that head model.
 
     Raises:
         RuntimeMissingError: Torch is neither here nor behind `python`.
@@ -87,11 +89,11 @@ def create_session(
             raise RuntimeMissingError("Torch is not installed in this Python; install it or use a worker with another Python.")
         from .local import LocalSession
 
-        return LocalSession(weights=weights, device=device, threads=threads)
+        return LocalSession(weights=weights, device=device, threads=threads, head=head)
     if mode == "auto" and not interpreter:
         raise RuntimeMissingError(
             f"Torch is not installed in this Python; choose a Python that has it (or set {WORKER_PYTHON_VARIABLE})."
         )
     from .client import WorkerSession
 
-    return WorkerSession(interpreter or sys.executable, weights=weights, device=device, threads=threads)
+    return WorkerSession(interpreter or sys.executable, weights=weights, device=device, threads=threads, head=head)

@@ -13,6 +13,7 @@ import os
 import threading
 import weakref
 from collections.abc import Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
@@ -53,6 +54,7 @@ class WorkerSession:
         device: str = "auto",
         threads: int | None = None,
         timeout: float = CALL_TIMEOUT,
+        head: str | os.PathLike[str] | None = None,
     ) -> None:
         """Prepare a session; the process starts with the first call or `warm_up`.
 
@@ -62,9 +64,13 @@ class WorkerSession:
             device: As `LocalSession`.
             threads: As `LocalSession`.
             timeout: Seconds that one call may take before the worker counts as hung and is ended.
+            head: As `LocalSession`.
         """
         self._python = python
-        self._settings = {"weights": None if weights is None else os.fspath(weights), "device": device, "threads": threads}
+        self._settings = {
+            "weights": None if weights is None else os.fspath(weights), "device": device, "threads": threads,
+            "head": None if head is None else os.fspath(Path(head).absolute()),
+        }  # fmt: skip
         self._timeout = timeout
         self._lock = threading.RLock()
         self._worker: WorkerProcess | None = None

@@ -164,13 +164,13 @@ class Evaluator:
 
         def make() -> tuple[Tensor]:
             model = target.model
-            return (model.offsets(self._tensor(model, inputs.z_id), self._tensor(model, inputs.z_exp)),)
+            return target.loaded.offsets(self._tensor(model, inputs.z_id), self._tensor(model, inputs.z_exp))
 
         return self.cache.get((target.id, "offsets", *inputs.code_key), make)[0]
 
     def opacity(self, target: OpenAvatar, inputs: Inputs) -> Tensor:
         """Return Phi_alpha's opacities, [N]."""
-        make = lambda: (target.model.opacity(self._tensor(target.model, inputs.z_id)),)  # noqa: E731
+        make = lambda: target.loaded.opacity(self._tensor(target.model, inputs.z_id))  # noqa: E731
         return self.cache.get((target.id, "opacity", inputs.identity_key), make)[0]
 
     def appearance(self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray) -> tuple[Tensor, Tensor]:
@@ -179,7 +179,7 @@ class Evaluator:
 
         def make() -> tuple[Tensor, Tensor]:
             model = target.model
-            return model.appearance(self._tensor(model, inputs.z_id), self._tensor(model, direction))
+            return target.loaded.appearance(self._tensor(model, inputs.z_id), self._tensor(model, direction))
 
         return self.cache.get((target.id, "appearance", inputs.identity_key, direction.tobytes()), make)
 

@@ -99,6 +99,7 @@ class LocalSession:
         device: str = "auto",
         threads: int | None = None,
         cache_bytes: int = CACHE_BYTES,
+        head: str | os.PathLike[str] | None = None,
     ) -> None:
         """Prepare a session; weights are read by the first call or `warm_up`.
 
@@ -107,6 +108,7 @@ class LocalSession:
             device: "auto", "cpu", "cuda" or "mps".
             threads: CPU threads; None leaves it to the libraries.
             cache_bytes: Limit of what is kept between calls (see `evaluate`).
+            head: Head file (the user's FLAME model) for weights that were trained on another head than the open one.
 
         Raises:
             BackendError: The device is not there.
@@ -117,7 +119,7 @@ class LocalSession:
         self._threads = threads
         if threads is not None:
             limit_rasteriser_threads(threads)
-        self._store = ModelStore(weights, self._device)
+        self._store = ModelStore(weights, self._device, head)
         self.evaluator = Evaluator(cache_bytes)
         self._avatars: dict[int, OpenAvatar] = {}
         self._infos: dict[int, AvatarInfo] = {}

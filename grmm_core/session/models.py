@@ -10,7 +10,7 @@ import hashlib
 import logging
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +19,11 @@ import torch
 from ..avatar import AssetReference, Avatar
 from ..errors import BackendError, FileAccessError, FileFormatError
 from ..expressions import ALIGNED_NAMES
+from ..head import HeadModel, load_open_head, read_head
 from ..model.config import COLOUR_CHANNELS, TRANSFORM_CHANNELS
 from ..model.grmm import GRMM
-from ..model.weights import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, WeightsInfo, load_weights, weights_path
+from ..model.weights import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, WeightsInfo, load_weights, read_info, weights_path
+from .graphs import Replayed
 
 WEIGHTS_SUFFIX = ".safetensors"
 
@@ -36,24 +38,38 @@ class LoadedModel:
         model: In evaluation mode on the session's device.
         info: What its weights file says.
         codes: Table Z of aligned expression codes, [60, Y], or [60, 0] without residuals.
+        opacity, appearance, offsets: The model's decoders as functions to tuples of tensors, replayed on a graphics card.
     """
 
     model: GRMM
     info: WeightsInfo
     codes: np.ndarray
+    opacity: Replayed = field(init=False, repr=False)
+    appearance: Replayed = field(init=False, repr=False)
+    offsets: Replayed = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        model = self.model
+        object.__setattr__(self, "opacity", Replayed(lambda z_id: (model.opacity(z_id),)))
+        object.__setattr__(self, "appearance", Replayed(lambda z_id, view: model.appearance(z_id, view)))
+        object.__setattr__(self, "offsets", Replayed(lambda z_id, z_exp: (model.offsets(z_id, z_exp),)))
 
 
 class ModelStore:
     """Loads weights on demand and keeps them."""
 
-    def __init__(self, weights: str | os.PathLike[str] | None, device: torch.device) -> None:
+    def __init__(
+        self, weights: str | os.PathLike[str] | None, device: torch.device, head: str | os.PathLike[str] | None = None
+    ) -> None:
         """Remember which weights are the default; nothing is read yet.
 
         Args:
             weights: Name of installed weights, or a file; None for the embedded ones.
             device: Where models go.
+            head: Head file for weights of another head model than the open one.
         """
         self._default_path = resolve_weights(weights)
+        self._head_path = None if head is None else Path(head)
         self._device = device
         self._models: dict[Path, LoadedModel] = {}
 
@@ -111,15 +127,23 @@ class ModelStore:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
+    def _head_of(self, path: Path) -> HeadModel | None:
+        """Return the head model that weights ask for; None for the open head, and where the user named no other one."""
+        if self._head_path is None or read_info(path).head_name == load_open_head().name:
+            return None
+        return read_head(self._head_path)
+
     def _load(self, path: Path) -> LoadedModel:
         if path not in self._models:
-            model, info = load_weights(path)
+            model, info = load_weights(path, self._head_of(path))
             model.requires_grad_(False)
             try:
                 model.to(self._device)
             except RuntimeError as error:  # torch's only type for a device that is broken or full
                 reason = first_line(error)
                 raise BackendError(f"The device {self._device} cannot hold the model ({reason}); use cpu.") from error
+            # On CPUs that were measured bfloat16 is slower; on a card it doubles the convolutions' speed.
+            model.half_refinement = self._device.type == "cuda" and torch.cuda.is_bf16_supported()
             codes = np.zeros((len(ALIGNED_NAMES), 0), np.float32)
             if model.aligned_codes is not None:
                 codes = model.aligned_codes.float().cpu().numpy()

@@ -1,0 +1,45 @@
+"""Weights trained on a FLAME head, in both sessions: the user names the FLAME file, and gets one sentence without it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from flame_files import write_flame_pickle
+from flame_head_files import flame_head_fields
+from tiny_model import write_tiny_weights
+
+from grmm_core.camera import Camera
+from grmm_core.controls import Controls
+from grmm_core.errors import FileFormatError
+from grmm_core.head import load_flame
+from grmm_core.session import Instance, RenderOptions, create_session
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("flame")
+    flame = folder / "flame2023.pkl"
+    write_flame_pickle(flame, flame_head_fields())
+    return flame, write_tiny_weights(folder / "on_flame.safetensors", head=load_flame(flame))
+
+
+@pytest.mark.parametrize("mode", ["local", "worker"])
+def test_weights_of_a_flame_head(files, mode):
+    flame, weights = files
+    with create_session(mode, weights=weights, head=flame) as session:
+        info = session.open("default")
+        head = load_flame(flame)
+        assert (info.head_name, info.vertex_count) == (head.name, len(head.v_template))
+        mesh = session.deform(info.id, Controls().set_named({"jawOpen": 0.5}))
+        rest = session.deform(info.id, Controls())
+        assert np.abs(mesh.vertices - rest.vertices).max() > 0.005
+        alpha = session.render([Instance(info.id)], Camera.orbit(48, 48), RenderOptions(passes=("alpha",)))["alpha"]
+        assert alpha.max() > 0.5
+
+
+def test_weights_of_a_flame_head_without_the_file(files):
+    with create_session("local", weights=files[1]) as session, pytest.raises(FileFormatError, match="--head"):
+        session.open("default")

@@ -15,6 +15,10 @@ from typing import BinaryIO
 
 from .errors import FileAccessError
 
+_PREFIX, _SUFFIX = ".grmm-", ".tmp"
+TEMPORARY_PATTERN = f"{_PREFIX}*{_SUFFIX}"
+"""Names of files that are being written; a killed process leaves one behind."""
+
 
 def describe_os_error(error: OSError) -> str:
     """Return the system's reason in lower case, without path and number ("no space left on device")."""
@@ -36,7 +40,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
     """
     path = Path(path)
     try:
-        descriptor, temporary = tempfile.mkstemp(prefix=".grmm-", suffix=".tmp", dir=path.parent)
+        descriptor, temporary = tempfile.mkstemp(prefix=_PREFIX, suffix=_SUFFIX, dir=path.parent)
     except OSError as error:
         raise FileAccessError(
             f"Cannot write {path}: {describe_os_error(error)}; choose another folder or change its permissions."

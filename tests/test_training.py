@@ -63,6 +63,17 @@ def test_colours_start_from_the_pictures(head, source, tmp_path):
     np.testing.assert_allclose(colours.mean(0).detach().numpy(), np.array([0.55, 0.4, 0.55]) * 0.7, atol=0.08)
 
 
+def test_training_without_residuals(head, source, tmp_path):
+    plain = train_config({"preset": "tiny", "residuals": False}, {"steps": 3, **QUIET}, {**LOSSES, "code": 0.0})
+    trainer = Trainer(plain, head, source, tmp_path)
+    trainer.run()
+    assert trainer.codes.grad is None
+    trainer.save_weights(tmp_path / "w.safetensors", {})
+    model, info = load_weights(tmp_path / "w.safetensors", head)
+    assert model.aligned_codes is None
+    np.testing.assert_array_equal(info.z_id, info.shapes)
+
+
 def test_resume_repeats_the_run_exactly(head, source, tmp_path):
     settings = {"steps": 12, "refine_from": 0.3, "crop_size": 32, "crop_share": 0.5, "half_until": 0.2, "ema_every": 2}
     whole = Trainer(config(**settings), head, source, tmp_path / "whole")

@@ -204,3 +204,23 @@ def test_two_processes_do_what_one_does(tmp_path, repository):
     one, two = (torch.load(tmp_path / f"result{n}.pt", weights_only=True) for n in (1, 2))
     for name, value in one.items():
         torch.testing.assert_close(two[name], value, rtol=1e-4, atol=1e-5, msg=lambda m, n=name: f"{n}: {m}")
+
+
+def test_each_process_has_a_card_of_its_own(monkeypatch):
+    from grmm_core.cli.train import _device
+
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert _device("auto") == _device("cuda") == "cuda"
+    monkeypatch.setenv("LOCAL_RANK", "1")
+    assert _device("auto") == _device("cuda") == "cuda:1"
+    assert _device("cpu") == "cpu"
+    assert _device("cuda:0") == "cuda:0"
+
+
+def test_settings_of_the_command_line():
+    from grmm_core.cli.train import _settings
+
+    values = _settings(["steps=3", "ema=0.5", "tensorboard=true", "init_from=a/b.safetensors", "name=x=y"])
+    assert values == {"steps": 3, "ema": 0.5, "tensorboard": True, "init_from": "a/b.safetensors", "name": "x=y"}
+    with pytest.raises(ConfigError, match="NAME=VALUE"):
+        _settings(["steps"])

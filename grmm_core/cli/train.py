@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 from pathlib import Path
 from types import FrameType
@@ -91,12 +92,15 @@ class _StopOnInterrupt:
 
 
 def _settings(assignments: list[str]) -> dict[str, Any]:
-    """Parse NAME=VALUE with whole numbers, numbers or text."""
+    """Parse NAME=VALUE with true or false, whole numbers, numbers or text."""
     values: dict[str, Any] = {}
     for text in assignments:
         name, separator, value = text.partition("=")
         if not separator:
             raise ConfigError(f"{text!r} is not of the form NAME=VALUE; write for example steps=2000.")
+        if value in ("true", "false"):
+            values[name.strip()] = value == "true"
+            continue
         for kind in (int, float, str):
             try:
                 values[name.strip()] = kind(value)
@@ -120,7 +124,8 @@ def _device(name: str) -> str:
     from ..errors import BackendError
 
     if name == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
+        name = "cuda" if torch.cuda.is_available() else "cpu"
     if name.startswith("cuda") and not torch.cuda.is_available():
         raise BackendError("There is no CUDA device; use --device cpu.")
-    return name
+    # under torchrun each process has a card of its own
+    return f"cuda:{os.environ['LOCAL_RANK']}" if name == "cuda" and "LOCAL_RANK" in os.environ else name

@@ -10,6 +10,7 @@ The map:
 ``initialise``  mean colours from the pictures
 ``warm_start``  networks of an earlier run, for other people
 ``optimise``    parameter groups, schedule, moving average
+``precision``   bfloat16 convolutions
 ``checkpoint``  whole-or-nothing checkpoints as tensor files
 ``trainer``     `Trainer`: the loop
 ``preview``     picture sheets

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ import torch
 from torch import Tensor
 
 from ..errors import FileFormatError
+from ..files import TEMPORARY_PATTERN, atomic_write_bytes, read_bytes
 from ..tensorfile import read_tensors, write_tensors
 
 FORMAT = "grmm-checkpoint"
@@ -110,3 +112,33 @@ def load_checkpoint(
             optimiser.state[parameters[name]] = {k: v if k == "step" else v.to(device) for k, v in values.items()}
     torch.set_rng_state(rng)
     return state
+
+
+def tidy(folder: Path, metrics: str, step: int) -> None:
+    """Remove what a killed run left after its last checkpoint: half-written files, and numbers of steps that are done again.
+
+    Args:
+        folder: Of the run; no other process writes to it.
+        metrics: Name of its file of one JSON object a line.
+        step: Steps that the checkpoint holds.
+
+    Raises:
+        FileAccessError: The folder is not writable.
+    """
+    for leftover in folder.glob(TEMPORARY_PATTERN):
+        leftover.unlink(missing_ok=True)
+    path = folder / metrics
+    if not path.exists():
+        return
+    lines = read_bytes(path).decode("utf-8", "replace").splitlines(keepends=True)
+    kept = [line for line in lines if _step_of(line) <= step]
+    if len(kept) < len(lines):
+        atomic_write_bytes(path, "".join(kept).encode())
+
+
+def _step_of(line: str) -> float:
+    """Step of a line of numbers; infinite for one that was not written to its end."""
+    try:
+        return float(json.loads(line)["step"]) if line.endswith("\n") else float("inf")
+    except (ValueError, KeyError, TypeError):
+        return float("inf")

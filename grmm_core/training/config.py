@@ -21,6 +21,7 @@ from ..files import read_bytes
 from ..model.config import PRESETS, GRMMConfig
 
 CONFIG_FOLDER = Path(__file__).resolve().parent / "configs"
+PRECISIONS = ("float32", "bfloat16")
 _MAX_FILE_BYTES = 1 << 20
 
 
@@ -56,6 +57,7 @@ class TrainConfig:
         refresh_every: Steps between looks for new shots of a capture that is still running; 0 for never.
         evaluate_views: Held-out views in an evaluation.
         threads: Of torch; 0 leaves its choice.
+        precision: float32, or bfloat16 for the convolutions, see `precision`.
         init_from: Weights file or checkpoint whose networks, maps and expression codes a new run starts from, see `warm_start`.
         perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
         tensorboard: Also write curves for TensorBoard into the run's folder.
@@ -91,6 +93,7 @@ class TrainConfig:
     evaluate_views: int = 16
     refresh_every: int = 0
     threads: int = 0
+    precision: str = "float32"
     init_from: str = ""
     perceptual_network: str = ""
     tensorboard: bool = False
@@ -105,6 +108,8 @@ class TrainConfig:
             value = getattr(self, f.name)
             if f.type in ("int", "float") and not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"The training setting {f.name} is {value}; it must be a number of 0 or more.")
+        if self.precision not in PRECISIONS:
+            raise ConfigError(f"The training setting precision is {self.precision!r}; use {' or '.join(PRECISIONS)}.")
         for name in ("steps", "views_per_step", "ema_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"The training setting {name} is {getattr(self, name)}; it must be at least 1.")

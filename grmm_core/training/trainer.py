@@ -32,12 +32,13 @@ from ..errors import CancelledError, ConfigError, FileAccessError, RuntimeMissin
 from ..files import describe_os_error
 from ..model.grmm import GRMM, Rendering
 from ..model.weights import WeightsInfo, head_fingerprint, save_weights
-from .checkpoint import load_checkpoint, save_checkpoint
+from .checkpoint import load_checkpoint, save_checkpoint, tidy
 from .config import TrainConfig
 from .initialise import initialise_colours
 from .losses import Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
 from .optimise import MovingAverage, parameter_groups, rate_factor
 from .perceptual import load_perceptual
+from .precision import use_precision
 from .views import View, ViewSource, choose, shrink
 from .warm_start import warm_start
 
@@ -81,7 +82,7 @@ class Trainer:
             raise FileAccessError(f"Cannot use the folder {folder}: {describe_os_error(error)}; choose another.") from error
         if config.threads:
             torch.set_num_threads(config.threads)
-        self.rank, self.world = _processes()
+        self.rank, self.world = _processes(device)
         if config.views_per_step % self.world:
             raise ConfigError(f"views_per_step {config.views_per_step} must be a multiple of the {self.world} processes.")
         if self.world > 1 and config.minutes:
@@ -89,6 +90,7 @@ class Trainer:
         self.curves = _tensorboard(self.folder) if config.tensorboard and self.rank == 0 else None
         torch.manual_seed(config.seed)
         self.model = GRMM(head, config.model).to(device)
+        use_precision(self.model, config.precision)
         generator = torch.Generator().manual_seed(config.seed + _RANDOM_CODE_INIT)
         codes = torch.randn(len(source.people), config.model.z_id, generator=generator) * config.code_init
         self.codes = nn.Parameter(codes.to(device))  # z_id of each person, [P, Z]
@@ -296,6 +298,8 @@ class Trainer:
         if tuple(state.get("people", ())) != tuple(self.source.people):
             raise ConfigError("The checkpoint is of other people than this data set has; use its data or another folder.")
         self.step_count, self.seconds, self.started = int(state["step"]), float(state["seconds"]), True
+        if self.rank == 0:
+            tidy(self.folder, METRICS, self.step_count)
         return True
 
     def save_weights(self, path: str | os.PathLike[str], provenance: dict[str, Any], default_person: int | None = None) -> None:
@@ -357,10 +361,10 @@ def _tensorboard(folder: Path) -> Any:
     return SummaryWriter(str(folder))
 
 
-def _processes() -> tuple[int, int]:
+def _processes(device: str) -> tuple[int, int]:
     """Rank and number of processes; starts torch's process group under ``torchrun``."""
     if "WORLD_SIZE" not in os.environ or int(os.environ["WORLD_SIZE"]) == 1:
         return 0, 1
     if not torch.distributed.is_initialized():
-        torch.distributed.init_process_group("nccl" if torch.cuda.is_available() else "gloo")
+        torch.distributed.init_process_group("nccl" if str(device).startswith("cuda") else "gloo")
     return torch.distributed.get_rank(), torch.distributed.get_world_size()

@@ -265,6 +265,46 @@ def test_reference_gradients_equal_finite_differences(orthographic, antialiased)
     assert torch.autograd.gradcheck(picture, inputs, eps=1e-6, atol=1e-6, rtol=1e-4)
 
 
+@each_backend
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_motion_is_a_moved_camera(backend, orthographic):
+    camera = dataclasses.replace(orbit(), orthographic=orthographic, fx=90.0, fy=80.0)
+    turn, shift = np.array([0.1, -0.2, 0.05]), np.array([0.01, -0.02, 0.03])
+    x, y, z = turn
+    matrix = np.eye(4)
+    matrix[:3, :3] = torch.linalg.matrix_exp(torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]])).numpy()
+    matrix[:3, 3] = shift
+    scaled = camera.transformed(np.diag([2.0, 2.0, 2.0, 1.0]))
+    for start in (camera, scaled):
+        there = dataclasses.replace(start, world_to_camera=matrix @ start.world_to_camera)
+        expected = rasterize(scene(100), there, None, backend)
+        out = rasterize(scene(100), start, None, backend, motion=torch.from_numpy(np.concatenate([turn, shift])))
+        assert expected.alpha.max() > 0.2
+        for name in ("rgb", "alpha", "depth", "features"):
+            torch.testing.assert_close(getattr(out, name), getattr(expected, name), atol=2e-3, rtol=2e-3)
+    with pytest.raises(ShapeError, match="motion"):
+        rasterize(scene(3), camera, motion=torch.zeros(3))
+
+
+@each_backend
+@pytest.mark.parametrize("start", [0.0, 0.02])
+def test_gradients_of_the_camera_against_finite_differences(backend, start):
+    def loss(motion, name, dtype):
+        out = rasterize(scene(60, dtype=dtype, size=0.03), orbit(24, 20), (0.5, 0.2, 0.1), name, motion=motion)
+        return (out.rgb * torch.linspace(-1, 1, 24)[:, None]).sum() + out.depth.mean() + out.features.square().mean()
+
+    motion = torch.full((6,), start, dtype=torch.float64, requires_grad=True)
+    dtype = torch.float64 if backend == "torch" else torch.float32
+    got = torch.autograd.grad(loss(motion, backend, dtype), motion)[0]
+    step = 1e-6
+    for k in range(6):
+        delta = torch.zeros(6, dtype=torch.float64)
+        delta[k] = step
+        above, below = (loss(motion.detach() + sign * delta, "torch", torch.float64) for sign in (1, -1))
+        expected = ((above - below) / (2 * step)).item()
+        assert got[k].item() == pytest.approx(expected, rel=2e-3, abs=2e-3 * got.abs().max().item())
+
+
 def test_the_cuda_backend_says_what_it_needs():
     if torch.cuda.is_available():
         pytest.skip("there is a CUDA device")

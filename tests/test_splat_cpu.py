@@ -200,3 +200,46 @@ def test_a_picture_wider_than_the_tile_grid_is_refused():
 
     with pytest.raises(BackendError, match="too large"):
         rasterize(scene(1), Camera(np.eye(4), 1.0, 1.0, 0.0, 0.0, 1 << 19, 1), backend="cpu")
+
+
+def test_blocks_are_found_exactly():
+    """Against every pixel of the tile: no block that a Gaussian reaches is missed, and few others are listed."""
+    from grmm_core.splat.cpu import blocks
+    from grmm_core.splat.cpu.projection import REACH, SQUEEZE, VALUES
+
+    rng = np.random.default_rng(31)
+    count, listed, reached = 400, 0, 0
+    places = np.zeros((blocks.BATCH, VALUES), np.float32)
+    pairs = np.empty((blocks.BATCH + 1) * blocks.BLOCKS, np.int32)
+    first = np.empty(blocks.BATCH + 1, np.int64)
+    for _ in range(count):
+        places[0, :2] = rng.uniform(-30, 60, 2)
+        places[0, 2], places[0, 4] = np.exp(rng.uniform(-4, 0.6, 2))  # from round to needles
+        places[0, 3] = rng.normal() * places[0, 2]
+        places[0, REACH] = SQUEEZE**2 * rng.uniform(0.5, 11.0)
+        found = blocks.find_blocks(1, places, np.float32(16), np.float32(0), pairs, first)
+        x, y = np.meshgrid(np.arange(16) + 16.5 - places[0, 0], np.arange(16) + 0.5 - places[0, 1])
+        s, q = places[0, 2] * x + places[0, 3] * y, places[0, 4] * y
+        inside = SQUEEZE**2 * (s * s + q * q) <= places[0, REACH] * (1 - 1e-5)
+        number = np.arange(16)[:, None] // blocks.BLOCK_Y * blocks.BLOCKS_X + np.arange(16) // blocks.BLOCK_X
+        wanted = set(np.unique(number[inside]).tolist())
+        assert wanted <= set(pairs[:found].tolist())
+        assert len(set(pairs[:found].tolist())) == found
+        listed, reached = listed + found, reached + len(wanted)
+    assert reached > 500
+    assert listed < 1.2 * reached
+
+
+def test_work_is_counted():
+    from grmm_core.splat.cpu import count, function
+    from grmm_core.splat.rules import View
+
+    many, camera = scene(200, seed=32), orbit()
+    inputs = [getattr(many, name).numpy() for name in NAMES]
+    _, drawing = function.draw(inputs, np.zeros((1, 1, 3), np.float32), View.of(camera), False)
+    work = count.count_work(drawing, camera.width, camera.height)
+    # Blended pairs by the reference: every Gaussian alone adds to alpha exactly where it is blended; count with one feature each.
+    marked = dataclasses.replace(many, features=torch.eye(200))
+    expected = int((rasterize(marked, camera, backend="torch").features > 0).sum())
+    assert work.needed == pytest.approx(expected, rel=1e-3)
+    assert work.needed < work.blended <= work.evaluated < work.instances * 256

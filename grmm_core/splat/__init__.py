@@ -6,11 +6,13 @@ Map:
     api.py        checks, choice of the backend, `rasterize`, `rasterize_batch`, `available_backends`
     types.py      `Gaussians` in, `RasterOutput` out
     rules.py      the constants of 3DGS that all backends share, and a camera's numbers (`View`)
+    motion.py     gradients for the camera's pose
     reference.py  backend "torch": plain PyTorch, any device and float type; the others are tested against it
     cpu/          backend "cpu": compiled with numba
         function.py    the PyTorch operation; calls the others in this order
         projection.py  Gaussians onto the picture plane, and the gradient of that
         binning.py     lists of Gaussians per tile, sorted by depth
+        blocks.py      a tile's blocks of pixels: which Gaussian reaches which
         forward.py     blending of a tile
         backward.py    gradients of a tile, and their sums per Gaussian
         simd.py, threads.py, jit.py   vectors in kernels, the thread pool, how kernels compile

@@ -112,13 +112,14 @@ def rasterize(
     backend: Backend = "auto",
     antialiased: bool = False,
     frame: Camera | None = None,
+    motion: Tensor | None = None,
 ) -> RasterOutput:
     """Draw Gaussians: colour, cover, expected depth and features in one pass, differentiable in all of their parameters.
 
     Exact 3DGS rules (`rules.py`): perspective expanded within 1.3 times the field of view, 0.3 px^2 dilation, Gaussians
     skipped where they cover less than 1 / 255, cover capped at 0.999, a pixel ends before the Gaussian that would take its
     transmittance below 1e-4, nothing nearer than 0.01 m; equal depths (as float32) keep the order of their index. Gaussians
-    with non-finite numbers are dropped. The camera gets no gradients. The backend "cpu" computes in float32.
+    with non-finite numbers are dropped. The backends "cpu" and "cuda" compute in float32.
 
     Args:
         gaussians: The scene.
@@ -127,6 +128,8 @@ def rasterize(
         backend: "torch", "cpu", "cuda", or the fastest that is there for the tensors' device.
         antialiased: Compensate opacities for the dilation (Mip-Splatting), which keeps small Gaussians from swelling.
         frame: The camera of the whole picture where `camera` is a crop of it; see `rules.View.of`.
+        motion: [6] rotation vector (radians) and translation (metres) in the camera's axes, applied to the scene in front of
+            it; zeros change nothing. This is how a camera's pose gets gradients.
 
     Raises:
         ShapeError: A tensor's shape, type or device does not fit.
@@ -136,6 +139,10 @@ def rasterize(
         raise RuntimeMissingError("Drawing Gaussians needs torch, which is not installed here.")
     gaussians.validate()
     ground = _background(background, gaussians, camera)
+    if motion is not None:
+        from .motion import moved
+
+        gaussians, camera = moved(gaussians, camera, motion)
     view = View.of(camera, frame)
     name = choose_backend(gaussians.means.device.type) if backend == "auto" else backend
     if name == "torch":

@@ -4,6 +4,9 @@ With R the light that arrives from behind Gaussian i (weighted by the picture's 
 and T the transmittance before it: dL/dalpha = T q - R / (1 - alpha). R starts as the gradient times the finished picture and
 loses w q at every step, so no list of Gaussians per pixel is kept. An instance's sums go to a row of its own (`rows`, one per
 slot of `binning`): the moments (see `projection.MOMENTS`), then the gradients of its values.
+
+A batch takes three steps: weights and alpha / (1 - alpha) of every pair of a Gaussian and a block; for each block q and R along
+its Gaussians, which gives g = alpha dL/dalpha; for each Gaussian the sums over its blocks, which stay in registers.
 """
 
 from __future__ import annotations
@@ -11,23 +14,25 @@ from __future__ import annotations
 import numpy as np
 
 from ..rules import TILE
-from .forward import (
+from .blocks import (
     BASE,
+    BATCH,
     BLOCK_X,
     BLOCK_Y,
     BLOCKS,
     BLOCKS_X,
-    BLOCKS_Y,
     GROUP,
     HALF,
-    LANE_X,
-    LANE_Y,
     ONE,
+    PIXEL_X,
+    PIXEL_Y,
+    ROOM,
     SHRINK,
     ZERO,
     F,
-    block_range,
     falloff,
+    find_blocks,
+    gather,
     padded,
     start_tile,
 )
@@ -57,92 +62,136 @@ def _replay_tile(
     pull: np.ndarray,
     behind: np.ndarray,
     through: np.ndarray,
-    value: np.ndarray,
-    d_value: np.ndarray,
+    values: np.ndarray,
+    places: np.ndarray,
+    pairs: np.ndarray,
+    first: np.ndarray,
+    weights: np.ndarray,
+    ratios: np.ndarray,
+    sources: np.ndarray,
+    counts: np.ndarray,
+    entries: np.ndarray,
     rows: np.ndarray,
 ) -> None:
     """Replay the instances low..high over the tile tile_x, tile_y.
 
-    Arrays, besides those of `replay`:
+    Arrays, besides those of `replay` and `forward._blend_tile`:
         pull: [BLOCKS * channels * WIDTH] gradient of the blended channels.
         behind: [BLOCKS * WIDTH] light from behind, R.
         through: [BLOCKS * WIDTH] transmittance, as `start_tile` leaves it.
-        value, d_value: Scratch [channels], [channels * WIDTH].
+        ratios: Scratch like `weights`: alpha / (1 - alpha), negative where alpha is capped; then g.
+        entries: Scratch [BLOCKS * BATCH + 1] int64: places in `weights`, by Gaussian; `first` becomes the first of each one.
         rows: Output [slots, MOMENTS + channels], the channels padded as everywhere here.
     """
-    channels = value.shape[0]
-    flat = rows.reshape(-1)
+    channels = values.shape[1]
+    flat, out = values.reshape(-1), rows.reshape(-1)
     one, e1, e2, e3 = spread(constants[0]), spread(constants[1]), spread(constants[2]), spread(constants[3])
     e4, e5, farthest, floor = spread(constants[4]), spread(constants[5]), spread(constants[6]), spread(constants[7])
     cap, stop, zero, tiny = spread(constants[8]), spread(constants[9]), spread(constants[10]), spread(constants[11])
-    lane_x, lane_y = load(LANE_X, 0), load(LANE_Y, 0)
-    four, block_height = spread(F(BLOCK_X)), spread(F(BLOCK_Y))
-    for n in range(low, high):
-        i = gaussian[n]
-        record = geometry[i]
-        mx, my = record[0] - F(tile_x * TILE) - HALF, record[1] - F(tile_y * TILE) - HALF
-        l11, l12, l22 = spread(record[2] * SHRINK), spread(record[3] * SHRINK), spread(record[4] * SHRINK)
-        opacity = spread(record[5])
-        first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
-        first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
-        for c in range(BASE):
-            value[c] = record[VALUES + c]
-        for c in range(features.shape[1]):
-            value[BASE + c] = features[i, c]
-        for c in range(channels):
-            store(d_value, c * WIDTH, zero)
-        g0, gs, gq, gss, gsq, gqq = zero, zero, zero, zero, zero, zero
-        dx = lane_x + spread(F(first_x * BLOCK_X) - mx)
-        dy = lane_y + spread(F(first_y * BLOCK_Y) - my)
-        s_row, q = l11 * dx + l12 * dy, l22 * dy
-        right, down_s, down_q = four * l11, block_height * l12, block_height * l22
-        for row in range(first_y * BLOCKS_X, end_y * BLOCKS_X, BLOCKS_X):
-            qq = q * q
-            s = s_row - right
-            for block in range(row + first_x, row + end_x):
-                s = s + right
-                alpha = smaller(opacity * falloff(s * s + qq, one, e1, e2, e3, e4, e5, farthest), cap)
+    capped = spread(constants[12])
+    left, top = F(tile_x * TILE), F(tile_y * TILE)
+    for batch in range(low, high, BATCH):
+        end = min(batch + BATCH, high)
+        gather(batch, end, gaussian, geometry, features, values, places)
+        find_blocks(end - batch, places, left, top, pairs, first)
+        for block in range(BLOCKS):
+            counts[block] = block * ROOM
+        listed = 0
+        pair = 0
+        for k in range(end - batch):
+            place = places[k]
+            mx, my = spread(place[0] - left - HALF), spread(place[1] - top - HALF)
+            l11, l12, l22 = spread(place[2] * SHRINK), spread(place[3] * SHRINK), spread(place[4] * SHRINK)
+            opacity = spread(place[5])
+            pair_end = first[k + 1]
+            first[k] = listed
+            while pair < pair_end:
+                block = pairs[pair] % BLOCKS
+                dx, dy = load(PIXEL_X, block * WIDTH) - mx, load(PIXEL_Y, block * WIDTH) - my
+                s, q = l11 * dx + l12 * dy, l22 * dy
+                alpha = smaller(opacity * falloff(s * s + q * q, one, e1, e2, e3, e4, e5, farthest), cap)
                 alpha = choose(alpha, floor, alpha, zero)
                 before = load(through, block * WIDTH)
                 after = before * (one - alpha)
                 weight = choose(after, stop, alpha * before, zero)
                 store(through, block * WIDTH, choose(after, stop, after, negative(before)))
-                if not any_at_least(weight, tiny):
-                    continue
-                at = block * channels * WIDTH
+                ratio = choose(weight, tiny, alpha / (one - alpha), zero)
+                entry = counts[block]
+                store(weights, entry * WIDTH, weight)
+                store(ratios, entry * WIDTH, choose(alpha, cap, capped, ratio))
+                sources[entry] = k * channels
+                entries[listed] = entry
+                used = 1 if any_at_least(weight, tiny) else 0
+                counts[block] = entry + used
+                listed += used
+                pair += 1
+        first[end - batch] = listed
+        for block in range(BLOCKS):
+            at = block * channels * WIDTH
+            rest = load(behind, block * WIDTH)
+            for entry in range(block * ROOM, counts[block]):
+                source = sources[entry]
                 dot0, dot1, dot2, dot3 = zero, zero, zero, zero  # four chains, so that additions need not wait for each other
                 for c in range(0, channels, GROUP):
-                    p0, p1 = load(pull, at + c * WIDTH), load(pull, at + (c + 1) * WIDTH)
-                    p2, p3 = load(pull, at + (c + 2) * WIDTH), load(pull, at + (c + 3) * WIDTH)
-                    dot0 = dot0 + p0 * spread(value[c])
-                    dot1 = dot1 + p1 * spread(value[c + 1])
-                    dot2 = dot2 + p2 * spread(value[c + 2])
-                    dot3 = dot3 + p3 * spread(value[c + 3])
-                    store(d_value, c * WIDTH, load(d_value, c * WIDTH) + weight * p0)
-                    store(d_value, (c + 1) * WIDTH, load(d_value, (c + 1) * WIDTH) + weight * p1)
-                    store(d_value, (c + 2) * WIDTH, load(d_value, (c + 2) * WIDTH) + weight * p2)
-                    store(d_value, (c + 3) * WIDTH, load(d_value, (c + 3) * WIDTH) + weight * p3)
-                dot = (dot0 + dot1) + (dot2 + dot3)
-                rest = load(behind, block * WIDTH) - weight * dot
-                store(behind, block * WIDTH, rest)
-                g = alpha * (before * dot - rest / (one - alpha))
-                g = choose(weight, tiny, choose(alpha, cap, zero, g), zero)
+                    dot0 = dot0 + load(pull, at + c * WIDTH) * spread(flat[source + c])
+                    dot1 = dot1 + load(pull, at + (c + 1) * WIDTH) * spread(flat[source + c + 1])
+                    dot2 = dot2 + load(pull, at + (c + 2) * WIDTH) * spread(flat[source + c + 2])
+                    dot3 = dot3 + load(pull, at + (c + 3) * WIDTH) * spread(flat[source + c + 3])
+                light = load(weights, entry * WIDTH) * ((dot0 + dot1) + (dot2 + dot3))
+                rest = rest - light
+                ratio = load(ratios, entry * WIDTH)
+                store(ratios, entry * WIDTH, choose(ratio, zero, light - ratio * rest, zero))
+            store(behind, block * WIDTH, rest)
+        for k in range(end - batch):
+            to = np.int64(_slot(whole[gaussian[batch + k]], tile_x, tile_y)) * rows.shape[1]
+            place = places[k]
+            mx, my = spread(place[0] - left - HALF), spread(place[1] - top - HALF)
+            l11, l12, l22 = spread(place[2] * SHRINK), spread(place[3] * SHRINK), spread(place[4] * SHRINK)
+            g0, gs, gq, gss, gsq, gqq = zero, zero, zero, zero, zero, zero
+            for number in range(first[k], first[k + 1]):
+                entry = entries[number]
+                block = entry // ROOM
+                dx, dy = load(PIXEL_X, block * WIDTH) - mx, load(PIXEL_Y, block * WIDTH) - my
+                s, q = l11 * dx + l12 * dy, l22 * dy
+                g = load(ratios, entry * WIDTH)
                 g0 = g0 + g
                 gs = gs + g * s
                 gq = gq + g * q
                 gss = gss + g * s * s
                 gsq = gsq + g * s * q
                 gqq = gqq + g * q * q
-            s_row = s_row + down_s
-            q = q + down_q
-        to = np.int64(_slot(whole[i], tile_x, tile_y)) * rows.shape[1]
-        store_totals(flat, to, g0, gs, gq, gss)
-        store_totals(flat, to + 4, gsq, gqq, zero, zero)
-        to += MOMENTS
-        for c in range(0, channels, GROUP):
-            d0, d1 = load(d_value, c * WIDTH), load(d_value, (c + 1) * WIDTH)
-            d2, d3 = load(d_value, (c + 2) * WIDTH), load(d_value, (c + 3) * WIDTH)
-            store_totals(flat, to + c, d0, d1, d2, d3)
+            store_totals(out, to, g0, gs, gq, gss)
+            store_totals(out, to + 4, gsq, gqq, zero, zero)
+            to += MOMENTS
+            c = 0
+            while c + 2 * GROUP <= channels:
+                d0, d1, d2, d3, d4, d5, d6, d7 = zero, zero, zero, zero, zero, zero, zero, zero
+                for number in range(first[k], first[k + 1]):
+                    entry = entries[number]
+                    weight = load(weights, entry * WIDTH)
+                    at = (entry // ROOM * channels + c) * WIDTH
+                    d0 = d0 + weight * load(pull, at)
+                    d1 = d1 + weight * load(pull, at + WIDTH)
+                    d2 = d2 + weight * load(pull, at + 2 * WIDTH)
+                    d3 = d3 + weight * load(pull, at + 3 * WIDTH)
+                    d4 = d4 + weight * load(pull, at + 4 * WIDTH)
+                    d5 = d5 + weight * load(pull, at + 5 * WIDTH)
+                    d6 = d6 + weight * load(pull, at + 6 * WIDTH)
+                    d7 = d7 + weight * load(pull, at + 7 * WIDTH)
+                store_totals(out, to + c, d0, d1, d2, d3)
+                store_totals(out, to + c + GROUP, d4, d5, d6, d7)
+                c += 2 * GROUP
+            if c < channels:
+                d0, d1, d2, d3 = zero, zero, zero, zero
+                for number in range(first[k], first[k + 1]):
+                    entry = entries[number]
+                    weight = load(weights, entry * WIDTH)
+                    at = (entry // ROOM * channels + c) * WIDTH
+                    d0 = d0 + weight * load(pull, at)
+                    d1 = d1 + weight * load(pull, at + WIDTH)
+                    d2 = d2 + weight * load(pull, at + 2 * WIDTH)
+                    d3 = d3 + weight * load(pull, at + 3 * WIDTH)
+                store_totals(out, to + c, d0, d1, d2, d3)
 
 
 @kernel
@@ -179,8 +228,15 @@ def replay(
     pull = np.zeros(BLOCKS * channels * WIDTH, np.float32)
     behind = np.zeros(BLOCKS * WIDTH, np.float32)
     through = np.zeros(BLOCKS * WIDTH, np.float32)
-    value = np.zeros(channels, np.float32)
-    d_value = np.zeros(channels * WIDTH, np.float32)
+    values = np.zeros((BATCH, channels), np.float32)
+    places = np.empty((BATCH, VALUES), np.float32)
+    pairs = np.empty((BATCH + 1) * BLOCKS, np.int32)
+    first = np.empty(BATCH + 1, np.int64)
+    weights = np.empty(BLOCKS * ROOM * WIDTH, np.float32)
+    ratios = np.empty(BLOCKS * ROOM * WIDTH, np.float32)
+    sources = np.empty(BLOCKS * ROOM, np.int64)
+    counts = np.empty(BLOCKS, np.int64)
+    entries = np.empty(BLOCKS * BATCH + 1, np.int64)
     picture_height, picture_width = alpha.shape
     for tile in range(first_tile, end_tile):
         low, high, end = starts[tile], starts[tile + 1], ends[tile]
@@ -211,7 +267,7 @@ def replay(
                     behind[block * WIDTH + lane] = arriving
             _replay_tile(
                 low, end, gaussian, geometry, whole, features, tile % tiles_x, tile // tiles_x, constants,
-                pull, behind, through, value, d_value, rows,
+                pull, behind, through, values, places, pairs, first, weights, ratios, sources, counts, entries, rows,
             )  # fmt: skip
         for n in range(max(end, low), high):
             row = rows[_slot(whole[gaussian[n]], tile % tiles_x, tile // tiles_x)]

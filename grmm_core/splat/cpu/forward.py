@@ -1,71 +1,42 @@
 """Blending, tile by tile, compiled: the hot loop of the forward pass. The twin of `reference.blend`.
 
-A tile is divided into blocks of 4 x 2 or 4 x 4 pixels, which fill the lanes of `simd`. It keeps, block by block, the channels
-blended so far (r, g, b, depth, features: WIDTH lanes each) and the transmittance; a pixel that has ended, or lies outside the
-picture, has its transmittance stored with a minus sign. Gaussians come front to back; each visits the blocks that its bounding
-box touches.
+A tile keeps, block by block (see `blocks.py`), the channels blended so far (r, g, b, depth, features: WIDTH lanes each) and the
+transmittance; a pixel that has ended, or lies outside the picture, has its transmittance stored with a minus sign. A batch of
+Gaussians is blended in two steps: first the weight of every Gaussian in every block that it reaches, listed by block; then, for
+each block, the sums of weight times value, which stay in registers for the whole batch.
 """
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
+from ..rules import TILE
 from .binning import BUCKETS, DIGITS, sort_by_depth
+from .blocks import (
+    BASE,
+    BATCH,
+    BLOCK_X,
+    BLOCK_Y,
+    BLOCKS,
+    BLOCKS_X,
+    HALF,
+    ONE,
+    PIXEL_X,
+    PIXEL_Y,
+    ROOM,
+    SHRINK,
+    ZERO,
+    F,
+    all_ended,
+    falloff,
+    find_blocks,
+    gather,
+    padded,
+    start_tile,
+)
 from .jit import kernel
-from .projection import SQUEEZE, VALUES
+from .projection import VALUES
 from .simd import WIDTH, any_at_least, choose, load, negative, smaller, spread, store
-
-F = np.float32
-ONE, ZERO, HALF = F(1.0), F(0.0), F(0.5)
-BLOCK_X, BLOCK_Y = 4, WIDTH // 4  # pixels
-BLOCKS_X, BLOCKS_Y = TILE // BLOCK_X, TILE // BLOCK_Y
-BLOCKS = BLOCKS_X * BLOCKS_Y
-LANE_X = (np.arange(WIDTH) % BLOCK_X).astype(np.float32)
-LANE_Y = (np.arange(WIDTH) // BLOCK_X).astype(np.float32)
-BATCH = 16  # Gaussians blended together; between batches it is seen whether all pixels of the tile have ended
-SHRINK = F(SQUEEZE)  # makes t in e^(-8 t) the sum of the squares of s and q
-BASE = 4  # channels before the features: r, g, b, depth
-GROUP = 4  # channels are padded to a multiple of this, so that loops can be unrolled
-
-# e^-8t = p(t)^8 with p = 1 - E1 t + E2 t^2 - ... for 0 <= t <= FARTHEST; relative error 2e-6
-E1, E2, E3, E4, E5 = -0.999994755, 0.499899775, -0.166028395, 0.0398483016, -0.00588524854
-FARTHEST = 0.7  # e^(-8 FARTHEST) is below ALPHA_MIN, so what is smaller need not be known
-
-# The kernels get these as an argument: the compiler would otherwise load every one of them anew in the innermost loop.
-CONSTANTS = np.array([1.0, E1, E2, E3, E4, E5, FARTHEST, ALPHA_MIN, ALPHA_MAX, TRANSMITTANCE_MIN, 0.0, 1e-30], np.float32)
-
-
-@kernel
-def falloff(t, one, e1, e2, e3, e4, e5, farthest):  # noqa: ANN001, ANN201 - Lanes have no Python type
-    """Return e^(-8 t) in each lane, not less than e^(-8 farthest); the others are the constants above."""
-    t = smaller(t, farthest)
-    tt = t * t
-    p = (one + t * e1) + tt * ((e2 + t * e3) + tt * (e4 + t * e5))
-    p = p * p
-    p = p * p
-    return p * p
-
-
-@kernel
-def block_range(centre: float, half: float, size: int, blocks: int) -> tuple[int, int]:
-    """Return the blocks, first and end, of `size` pixels each, that have pixels within `half` of `centre` (pixel k is at k)."""
-    edge = F(blocks * size - 1)
-    first = math.ceil(min(max(centre - half, ZERO), edge + ONE))
-    last = math.floor(max(min(centre + half, edge), -ONE))
-    return first // size, (last + size) // size
-
-
-@kernel
-def all_ended(through: np.ndarray) -> bool:
-    """Return whether every pixel of a tile has ended; `through` [BLOCKS * WIDTH]."""
-    brightest = load(through, 0)
-    for b in range(1, BLOCKS):
-        other = load(through, b * WIDTH)
-        brightest = choose(brightest, other, brightest, other)
-    return not any_at_least(brightest, spread(ZERO))
 
 
 @kernel
@@ -75,97 +46,103 @@ def _blend_tile(
     gaussian: np.ndarray,
     geometry: np.ndarray,
     features: np.ndarray,
-    left_edge: float,
-    top_edge: float,
+    left: float,
+    top: float,
     constants: np.ndarray,
     sums: np.ndarray,
     through: np.ndarray,
     values: np.ndarray,
-    weights: np.ndarray,
     places: np.ndarray,
+    pairs: np.ndarray,
+    first: np.ndarray,
+    weights: np.ndarray,
+    sources: np.ndarray,
+    counts: np.ndarray,
 ) -> int:
-    """Blend the instances low..high over the tile whose corner is left_edge, top_edge; return the end of those looked at.
+    """Blend the instances low..high over the tile whose corner is left, top; return the end of those looked at.
 
-    In batches, in two steps, neither of which branches on computed covers, which the processor could not predict: first the
-    weight of every Gaussian in every block that it touches, then the sums of weight times value.
-
-    Arrays, besides those of `draw`:
+    Arrays, besides those of `draw` and `blocks`:
         sums: [BLOCKS * channels * WIDTH] blended channels.
         through: [BLOCKS * WIDTH] transmittance.
-        values: Scratch [BATCH, channels].
-        weights: Scratch [BATCH * BLOCKS * WIDTH].
-        places: Scratch [BATCH * BLOCKS] int64: of each entry of `weights`, the position of the sums << 32 | that of the values.
+        weights: Scratch [BLOCKS * ROOM * WIDTH]: weights of a batch, by block.
+        sources: Scratch [BLOCKS * ROOM] int64: where the values of each weight's Gaussian begin.
+        counts: Scratch [BLOCKS] int64: end of each block's weights.
     """
     channels = values.shape[1]
     flat = values.reshape(-1)
     one, e1, e2, e3 = spread(constants[0]), spread(constants[1]), spread(constants[2]), spread(constants[3])
     e4, e5, farthest, floor = spread(constants[4]), spread(constants[5]), spread(constants[6]), spread(constants[7])
     cap, stop, zero, tiny = spread(constants[8]), spread(constants[9]), spread(constants[10]), spread(constants[11])
-    lane_x, lane_y = load(LANE_X, 0), load(LANE_Y, 0)
-    four, block_height = spread(F(BLOCK_X)), spread(F(BLOCK_Y))
-    step = np.int64(channels * WIDTH) << 32
     for batch in range(low, high, BATCH):
         if batch > low and all_ended(through):
             return batch
-        entries = 0
-        for n in range(batch, min(batch + BATCH, high)):
-            i = gaussian[n]
-            record = geometry[i]
-            mx, my = record[0] - left_edge - HALF, record[1] - top_edge - HALF  # pixel k of the tile is at k
-            l11, l12, l22 = spread(record[2] * SHRINK), spread(record[3] * SHRINK), spread(record[4] * SHRINK)
-            opacity = spread(record[5])
-            first_x, end_x = block_range(mx, record[6], BLOCK_X, BLOCKS_X)
-            first_y, end_y = block_range(my, record[7], BLOCK_Y, BLOCKS_Y)
-            at = (n - batch) * channels
-            for c in range(BASE):
-                flat[at + c] = record[VALUES + c]
-            for c in range(features.shape[1]):
-                flat[at + BASE + c] = features[i, c]
-            place = np.int64((first_y * BLOCKS_X + first_x) * channels * WIDTH) << 32 | at
-            dx = lane_x + spread(F(first_x * BLOCK_X) - mx)
-            dy = lane_y + spread(F(first_y * BLOCK_Y) - my)
-            s_row, q = l11 * dx + l12 * dy, l22 * dy
-            right, down_s, down_q = four * l11, block_height * l12, block_height * l22
-            for row in range(first_y * BLOCKS_X, end_y * BLOCKS_X, BLOCKS_X):
-                qq = q * q
-                s = s_row
-                here = place
-                for block in range(row + first_x, row + end_x):
-                    alpha = smaller(opacity * falloff(s * s + qq, one, e1, e2, e3, e4, e5, farthest), cap)
-                    s = s + right
-                    alpha = choose(alpha, floor, alpha, zero)
-                    before = load(through, block * WIDTH)
-                    after = before * (one - alpha)
-                    weight = choose(after, stop, alpha * before, zero)
-                    store(through, block * WIDTH, choose(after, stop, after, negative(before)))
-                    store(weights, entries * WIDTH, weight)
-                    places[np.uint64(entries)] = here
-                    entries += 1 if any_at_least(weight, tiny) else 0
-                    here += step
-                s_row = s_row + down_s
-                q = q + down_q
-                place += BLOCKS_X * step
-        for entry in range(entries):
-            weight = load(weights, entry * WIDTH)
-            place = places[entry]
-            to, at = place >> 32, place & 0xFFFFFFFF
-            for c in range(0, channels, GROUP):
-                here = to + c * WIDTH
-                store(sums, here, load(sums, here) + weight * spread(flat[at + c]))
-                store(sums, here + WIDTH, load(sums, here + WIDTH) + weight * spread(flat[at + c + 1]))
-                store(sums, here + 2 * WIDTH, load(sums, here + 2 * WIDTH) + weight * spread(flat[at + c + 2]))
-                store(sums, here + 3 * WIDTH, load(sums, here + 3 * WIDTH) + weight * spread(flat[at + c + 3]))
+        end = min(batch + BATCH, high)
+        gather(batch, end, gaussian, geometry, features, values, places)
+        found = find_blocks(end - batch, places, left, top, pairs, first)
+        for block in range(BLOCKS):
+            counts[block] = block * ROOM
+        for pair in range(found):
+            k, block = pairs[pair] // BLOCKS, pairs[pair] % BLOCKS
+            place = places[k]
+            mx, my = place[0] - left - HALF, place[1] - top - HALF
+            l11, l12, l22 = spread(place[2] * SHRINK), spread(place[3] * SHRINK), spread(place[4] * SHRINK)
+            dx, dy = load(PIXEL_X, block * WIDTH) - spread(mx), load(PIXEL_Y, block * WIDTH) - spread(my)
+            s, q = l11 * dx + l12 * dy, l22 * dy
+            alpha = smaller(spread(place[5]) * falloff(s * s + q * q, one, e1, e2, e3, e4, e5, farthest), cap)
+            alpha = choose(alpha, floor, alpha, zero)
+            before = load(through, block * WIDTH)
+            after = before * (one - alpha)
+            weight = choose(after, stop, alpha * before, zero)
+            store(through, block * WIDTH, choose(after, stop, after, negative(before)))
+            entry = counts[block]
+            store(weights, entry * WIDTH, weight)
+            sources[entry] = k * channels
+            counts[block] = entry + (1 if any_at_least(weight, tiny) else 0)
+        for block in range(BLOCKS):
+            entry_low, entry_high = block * ROOM, counts[block]
+            if entry_high == entry_low:
+                continue
+            to = block * channels * WIDTH
+            c = 0
+            while c + 8 <= channels:
+                a0, a1, a2, a3 = load(sums, to), load(sums, to + WIDTH), load(sums, to + 2 * WIDTH), load(sums, to + 3 * WIDTH)
+                a4, a5 = load(sums, to + 4 * WIDTH), load(sums, to + 5 * WIDTH)
+                a6, a7 = load(sums, to + 6 * WIDTH), load(sums, to + 7 * WIDTH)
+                for entry in range(entry_low, entry_high):
+                    weight = load(weights, entry * WIDTH)
+                    at = sources[entry] + c
+                    a0 = a0 + weight * spread(flat[at])
+                    a1 = a1 + weight * spread(flat[at + 1])
+                    a2 = a2 + weight * spread(flat[at + 2])
+                    a3 = a3 + weight * spread(flat[at + 3])
+                    a4 = a4 + weight * spread(flat[at + 4])
+                    a5 = a5 + weight * spread(flat[at + 5])
+                    a6 = a6 + weight * spread(flat[at + 6])
+                    a7 = a7 + weight * spread(flat[at + 7])
+                store(sums, to, a0)
+                store(sums, to + WIDTH, a1)
+                store(sums, to + 2 * WIDTH, a2)
+                store(sums, to + 3 * WIDTH, a3)
+                store(sums, to + 4 * WIDTH, a4)
+                store(sums, to + 5 * WIDTH, a5)
+                store(sums, to + 6 * WIDTH, a6)
+                store(sums, to + 7 * WIDTH, a7)
+                to += 8 * WIDTH
+                c += 8
+            if c < channels:
+                a0, a1, a2, a3 = load(sums, to), load(sums, to + WIDTH), load(sums, to + 2 * WIDTH), load(sums, to + 3 * WIDTH)
+                for entry in range(entry_low, entry_high):
+                    weight = load(weights, entry * WIDTH)
+                    at = sources[entry] + c
+                    a0 = a0 + weight * spread(flat[at])
+                    a1 = a1 + weight * spread(flat[at + 1])
+                    a2 = a2 + weight * spread(flat[at + 2])
+                    a3 = a3 + weight * spread(flat[at + 3])
+                store(sums, to, a0)
+                store(sums, to + WIDTH, a1)
+                store(sums, to + 2 * WIDTH, a2)
+                store(sums, to + 3 * WIDTH, a3)
     return high
-
-
-@kernel
-def start_tile(through: np.ndarray, columns: int, rows: int) -> None:
-    """Set the transmittance [BLOCKS * WIDTH] of a tile to one, and to ended outside its columns x rows pixels."""
-    for k in range(BLOCKS * WIDTH):
-        block, lane = k // WIDTH, k % WIDTH
-        x = block % BLOCKS_X * BLOCK_X + lane % BLOCK_X
-        y = block // BLOCKS_X * BLOCK_Y + lane // BLOCK_X
-        through[k] = ONE if x < columns and y < rows else -ONE
 
 
 @kernel
@@ -184,6 +161,8 @@ def _write_tile(
     blended: np.ndarray,
 ) -> None:
     """Write a blended tile's pixels to the picture."""
+    count, width = blended.shape[2], blended.shape[1]
+    out = blended.reshape(-1)
     for r in range(rows):
         y = y0 + r
         by = min(y, background.shape[0] - 1)
@@ -192,20 +171,18 @@ def _write_tile(
             bx = min(x, background.shape[1] - 1)
             block, lane = r // BLOCK_Y * BLOCKS_X + c // BLOCK_X, r % BLOCK_Y * BLOCK_X + c % BLOCK_X
             left = abs(through[block * WIDTH + lane])
-            pixel = sums[block * channels * WIDTH + lane :]
+            at = block * channels * WIDTH + lane
             for k in range(3):
-                rgb[y, x, k] = pixel[k * WIDTH] + left * background[by, bx, k]
+                rgb[y, x, k] = sums[at + k * WIDTH] + left * background[by, bx, k]
             cover = ONE - left
             alpha[y, x] = cover
-            depth[y, x] = pixel[3 * WIDTH] / cover if cover > ZERO else ZERO
-            for k in range(blended.shape[2]):
-                blended[y, x, k] = pixel[(BASE + k) * WIDTH]
-
-
-@kernel
-def padded(count: int) -> int:
-    """Return the number of channels kept per block for `count` features."""
-    return (BASE + count + GROUP - 1) // GROUP * GROUP
+            depth[y, x] = sums[at + 3 * WIDTH] / cover if cover > ZERO else ZERO
+            # Unsigned, so that the compiler need not look for negative indices.
+            source, to = np.uint64(at + BASE * WIDTH), np.uint64((y * width + x) * count)
+            for _ in range(count):
+                out[to] = sums[source]
+                to += np.uint64(1)
+                source += np.uint64(WIDTH)
 
 
 @kernel
@@ -244,8 +221,12 @@ def draw(
     sums = np.empty(BLOCKS * channels * WIDTH, np.float32)
     through = np.empty(BLOCKS * WIDTH, np.float32)
     values = np.zeros((BATCH, channels), np.float32)
-    weights = np.empty(BATCH * BLOCKS * WIDTH, np.float32)
-    places = np.empty(BATCH * BLOCKS, np.int64)
+    places = np.empty((BATCH, VALUES), np.float32)
+    pairs = np.empty((BATCH + 1) * BLOCKS, np.int32)
+    first = np.empty(BATCH + 1, np.int64)
+    weights = np.empty(ROOM * BLOCKS * WIDTH, np.float32)
+    sources = np.empty(ROOM * BLOCKS, np.int64)
+    counts = np.empty(BLOCKS, np.int64)
     most = 0
     for tile in range(first_tile, end_tile):
         most = max(most, starts[tile + 1] - starts[tile])
@@ -261,7 +242,8 @@ def draw(
             sums[:] = ZERO
             start_tile(through, columns, rows)
             ends[tile] = _blend_tile(
-                low, high, gaussian, geometry, features, F(x0), F(y0), constants, sums, through, values, weights, places
+                low, high, gaussian, geometry, features, F(x0), F(y0), constants, sums, through, values, places, pairs, first,
+                weights, sources, counts,
             )
             _write_tile(x0, y0, columns, rows, sums, through, channels, background, rgb, alpha, depth, blended)
         else:

@@ -15,7 +15,7 @@ from torch import Tensor
 from ...errors import BackendError
 from ..rules import TILE, View
 from ..types import Gaussians, RasterOutput
-from . import backward, binning, forward, projection
+from . import backward, binning, blocks, forward, projection
 from .threads import for_each, thread_count
 
 TASKS = 16  # parallel tasks per thread, so that threads end together
@@ -97,7 +97,7 @@ def draw(inputs: list[np.ndarray], background: np.ndarray, view: View, antialias
     for_each(
         len(groups),
         lambda k: forward.draw(
-            *groups[k], tiles_x, starts, gaussian, geometry, whole, inputs[5], background, forward.CONSTANTS, *outputs, ends
+            *groups[k], tiles_x, starts, gaussian, geometry, whole, inputs[5], background, blocks.CONSTANTS, *outputs, ends
         ),
     )
     return outputs, Drawing(camera, tiles_x, geometry, whole, starts, ends, gaussian)
@@ -107,7 +107,7 @@ def differentiate(
     inputs: list[np.ndarray], outputs: list[np.ndarray], drawing: Drawing, d_outputs: list[np.ndarray]
 ) -> list[np.ndarray]:
     """Return the gradients of `inputs`, given those of `outputs`; arrays as in `draw`."""
-    rows = np.empty((len(drawing.gaussian), projection.MOMENTS + forward.padded(inputs[5].shape[1])), np.float32)
+    rows = np.empty((len(drawing.gaussian), projection.MOMENTS + blocks.padded(inputs[5].shape[1])), np.float32)
     d_inputs = [np.zeros_like(array) for array in inputs]
     geometry, whole = drawing.geometry, drawing.whole
     groups = _pieces(len(drawing.ends), TILES_MIN, TASKS * thread_count())
@@ -115,7 +115,7 @@ def differentiate(
         len(groups),
         lambda k: backward.replay(
             *groups[k], drawing.tiles_x, drawing.starts, drawing.ends, drawing.gaussian, geometry, whole, inputs[5],
-            forward.CONSTANTS, *outputs, *d_outputs, rows,
+            blocks.CONSTANTS, *outputs, *d_outputs, rows,
         ),
     )  # fmt: skip
     chunks = _pieces(len(inputs[0]), CHUNK_MIN, TASKS * thread_count())

@@ -5,9 +5,9 @@ nothing here and keeps needle-thin and huge Gaussians exact.
 
 A Gaussian's record (`geometry`, one cache line of 16 float32) holds its centre mx, my [px]; the Cholesky factor l11, l12, l22
 of its conic, so that -ln(alpha / opacity) = (s^2 + q^2) / 2 with s = l11 dx + l12 dy and q = l22 dy, which lose no digits
-where Gaussians are long and thin; its opacity; half the width and height of the box outside which alpha is below ALPHA_MIN
-[px]; its values r, g, b, depth; and, as integers, the rectangle of tiles that it may touch, its first slot and its number of
-tiles (see `binning.py`).
+where Gaussians are long and thin; its opacity; the largest SQUEEZE^2 (s^2 + q^2) at which alpha still reaches ALPHA_MIN, and a
+spare number; its values r, g, b, depth; and, as integers, the rectangle of tiles that it may touch, its first slot and its
+number of tiles (see `binning.py`).
 
 The camera is one float64 array; the constants below name its entries.
 """
@@ -25,6 +25,8 @@ from .jit import kernel
 ROTATION, TRANSLATION, FOCAL, CENTRE, CLAMP, SIZE, ORTHOGRAPHIC, ANTIALIASED = 0, 9, 12, 14, 16, 20, 22, 23
 CAMERA_LENGTH = 24
 RECORD = 16  # float32 numbers per Gaussian in `geometry`
+REACH = 6  # where a record says how large SQUEEZE^2 (s^2 + q^2) may be
+REACH_MARGIN = 1e-3  # for rounding, also of Gaussians far outside a tile
 VALUES, DEPTH = 8, 11  # where r, g, b and the depth are
 # Where, as int32, the tiles' x0 | y0 << 16 and x1 | y1 << 16, the first slot, and the number of tiles are.
 RECT, SLOT, TOUCHED = 12, 14, 15
@@ -118,8 +120,7 @@ def _project_one(
     record[3] = -b / math.sqrt(c * det_dilated)
     record[4] = 1.0 / math.sqrt(c)
     record[5] = cover
-    record[6] = half_x
-    record[7] = half_y
+    record[REACH] = reach * SQUEEZE * SQUEEZE + REACH_MARGIN
     record[DEPTH] = z
     x0, y0 = int(max(low_x, 0.0)) // TILE, int(max(low_y, 0.0)) // TILE
     x1 = int(min(high_x, camera[20] - 1.0)) // TILE + 1

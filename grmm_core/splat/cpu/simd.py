@@ -138,6 +138,41 @@ def smaller(typing: Any, left: Any, right: Any) -> Any:
 
 
 @intrinsic
+def larger(typing: Any, left: Any, right: Any) -> Any:
+    """The larger one in each lane; `right` where `left` is not a number."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.select(builder.fcmp_ordered(">", args[0], args[1]), args[0], args[1])
+
+    return LANES(left, right), generate
+
+
+@intrinsic
+def append_at_least(typing: Any, array: Any, position: Any, base: Any, left: Any, right: Any) -> Any:
+    """Write base + lane of every lane where left >= right to array[position:] (int32); return how many there are."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        mask = builder.fcmp_ordered(">=", args[3], args[4])
+        bits = builder.bitcast(mask, ir.IntType(WIDTH))
+        vector = ir.VectorType(_INDEX, WIDTH)
+        number = context.cast(builder, args[2], sig.args[2], types.int32)
+        first = builder.insert_element(ir.Constant(vector, ir.Undefined), number, _INDEX(0))
+        numbers = builder.add(_shuffle(builder, first, first, [0] * WIDTH), ir.Constant(vector, list(range(WIDTH))))
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        place = builder.gep(data, [context.cast(builder, args[1], sig.args[1], types.intp)])
+        pointer = builder.bitcast(place, _INDEX.as_pointer())
+        keep = cgutils.get_or_insert_function(
+            builder.module,
+            ir.FunctionType(ir.VoidType(), [vector, _INDEX.as_pointer(), mask.type]),
+            f"llvm.masked.compressstore.v{WIDTH}i32",
+        )
+        builder.call(keep, [numbers, pointer, mask])
+        return builder.zext(builder.ctpop(bits), ir.IntType(64))
+
+    return types.int64(array, position, base, left, right), generate
+
+
+@intrinsic
 def any_at_least(typing: Any, left: Any, right: Any) -> Any:
     """Whether left >= right in any lane."""
 

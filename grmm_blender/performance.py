@@ -6,8 +6,9 @@ a slot each, so that a performance is one thing in the action editor and can be 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import bpy
@@ -15,13 +16,14 @@ import numpy as np
 
 from ..grmm_core.errors import ConfigError, FileFormatError
 from ..grmm_core.expressions import ARKIT_NAMES
-from ..grmm_core.performance import CleanOptions, Performance, clean
+from ..grmm_core.performance import CleanOptions, Performance, Progress, clean, to_arkit
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
 from .avatar import Avatar
 from .rig.actions import ensure_bag, find_curve, linear_keys, reduced_keys, replace_keys
 from .rig.definitions import ALIGNED_RANGE, ARRAY_RANGES, EXPRESSION, REGIONS, property_path
 
 if TYPE_CHECKING:
+    from ..grmm_core.head import HeadModel
     from .splats.rigged import Puppet
 
 EyeSource = Literal["AUTO", "SHAPES", "ROTATIONS"]
@@ -30,6 +32,13 @@ _EYE_SHAPES = "eyeLook"
 _EYES = {"left_eye": "left_eye_rotation", "right_eye": "right_eye_rotation"}
 _REGION_OF = {name: region for region, names in REGIONS.items() for name in names}
 MAX_FRAME = 1_048_574  # Blender's last frame
+NEEDS_FLAME = (
+    "The performance has FLAME expression coefficients, which this head does not have; "
+    "choose your own FLAME file in the import options to turn them into ARKit weights."
+)
+_FRAMES = re.compile(r"([0-9]{1,7})(?:\s*-\s*([0-9]{1,7}))?")
+_MAX_NEUTRAL = 100_000
+_PREPARED, _REDUCED = 0.4, 0.8  # of the progress
 
 
 @dataclass(frozen=True)
@@ -42,10 +51,14 @@ class ImportOptions:
         keys: One on each scene frame, as few as `max_error` allows, or one for each recorded sample.
         max_error: Largest deviation of a weight for reduced keys.
         gain: Factor of the weights.
+        region_gains: Further factors by region of `grmm_core.performance.REGIONS`.
         rotation_gain: Factor of all rotations.
-        neutral: Take the actor's resting face, found in the recording, off it.
+        neutral: Frames of the recording in which the actor rests, counted from 0; "auto" finds them; None takes nothing off.
         smoothing: 0..1.
         limit: Keep weights within 0..1.
+        offset: Seconds by which everything is moved against `start`.
+        first, last: Seconds of the recording to use; no `last` for all.
+        angle_error: Largest deviation of an angle for reduced keys, radians.
         head_joint: Bone that takes the rotation of the head; "" for none.
         eyes: Take the eyes from the eyeLook shapes, from the recorded rotations, or from whichever the file has.
     """
@@ -55,10 +68,15 @@ class ImportOptions:
     keys: Keys = "FRAMES"
     max_error: float = 0.01
     gain: float = 1.0
+    region_gains: Mapping[str, float] = field(default_factory=dict)
     rotation_gain: float = 1.0
-    neutral: bool = False
+    neutral: Sequence[int] | Literal["auto"] | None = None
     smoothing: float = 0.0
     limit: bool = True
+    offset: float = 0.0
+    first: float = 0.0
+    last: float | None = None
+    angle_error: float = DEFAULT_ANGLE_ERROR
     head_joint: str = "neck"
     eyes: EyeSource = "AUTO"
 
@@ -89,16 +107,52 @@ class Channel:
         return "" if self.bone else self.path.split('"')[1]
 
 
-def prepare(performance: Performance, options: ImportOptions) -> Performance:
+def prepare(performance: Performance, options: ImportOptions, progress: Progress | None = None) -> Performance:
     """Clean a recording as the options say; at the scene's rate, unless every sample gets a key. Raises `ShapeError`."""
+    gains = {name: gain for name, gain in {"all": options.gain, **options.region_gains}.items() if gain != 1.0}
     wanted = CleanOptions(
-        neutral="auto" if options.neutral else None,
-        gains={"all": options.gain} if options.gain != 1.0 else {},
+        start=options.first,
+        end=options.last,
+        neutral=options.neutral,
+        gains=gains,
         smoothing=options.smoothing,
         fps=None if options.keys == "SAMPLES" else options.fps,
         limit=options.limit,
     )
-    return clean(performance, wanted)
+    return clean(performance, wanted, progress)
+
+
+def parse_frames(text: str) -> tuple[int, ...]:
+    """Return the frame numbers of a list such as "0, 12-15". Raises `ConfigError` for anything else."""
+    frames: list[int] = []
+    for part in filter(None, (part.strip() for part in text.split(","))):
+        match = _FRAMES.fullmatch(part)
+        low, high = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if high < low or high - low > _MAX_NEUTRAL:
+            raise ConfigError(f"{part[:40]!r} is no frame number and no range of frames; write something like 0, 12-15.")
+        frames.extend(range(low, high + 1))
+    if not frames:
+        raise ConfigError("No neutral frames are named; write something like 0, 12-15.")
+    return tuple(frames)
+
+
+def for_head(performance: Performance, flame_head: bool, flame: HeadModel | None, progress: Progress | None) -> Performance:
+    """Return a performance that a head can play: FLAME's coefficients become ARKit weights for any other head.
+
+    Args:
+        performance: As read.
+        flame_head: The head understands FLAME's coefficients.
+        flame: The user's FLAME head, which says what they mean; None where none was named.
+        progress: Called with the fraction done.
+
+    Raises:
+        FileFormatError: FLAME's coefficients, and no FLAME head to understand them by.
+    """
+    if performance.expression is None or flame_head:
+        return performance
+    if flame is None:
+        raise FileFormatError(NEEDS_FLAME)
+    return to_arkit(performance, flame, progress)
 
 
 def channels_of(performance: Performance, options: ImportOptions, flame_head: bool = False) -> list[Channel]:
@@ -113,9 +167,7 @@ def channels_of(performance: Performance, options: ImportOptions, flame_head: bo
         FileFormatError: The performance is for another head model, or holds nothing that can be used.
     """
     if performance.expression is not None and not flame_head:
-        raise FileFormatError(
-            "The performance has FLAME expression coefficients, which the open head does not have; choose ARKit weights."
-        )
+        raise FileFormatError(NEEDS_FLAME)
     has_shapes = any(name.startswith(_EYE_SHAPES) for name in performance.found)
     has_rotations = performance.left_eye_rotation is not None or performance.right_eye_rotation is not None
     rotate_eyes = has_rotations and (options.eyes == "ROTATIONS" or (options.eyes == "AUTO" and not has_shapes))
@@ -137,7 +189,9 @@ def channels_of(performance: Performance, options: ImportOptions, flame_head: bo
     return [replace(channel, values=np.clip(channel.values, *channel.limits)) for channel in result]
 
 
-def apply_performance(avatar: Avatar | Puppet, performance: Performance, options: ImportOptions, name: str) -> ImportedRange:
+def apply_performance(
+    avatar: Avatar | Puppet, performance: Performance, options: ImportOptions, name: str, progress: Progress | None = None
+) -> ImportedRange:
     """Write a performance as keys; keys of the same curves at other times stay.
 
     Args:
@@ -145,18 +199,21 @@ def apply_performance(avatar: Avatar | Puppet, performance: Performance, options
         performance: As read.
         options: How.
         name: Name of a new action.
+        progress: Called with the fraction done.
 
     Raises:
         FileFormatError, ShapeError: See `channels_of` and `prepare`.
         ConfigError: The performance would end behind Blender's last frame.
     """
-    prepared = prepare(performance, options)
+    report = progress or (lambda fraction: None)
+    prepared = prepare(performance, options, lambda fraction: report(_PREPARED * fraction))
     channels = channels_of(prepared, options, flame_head=avatar.object.grmm.head_name.startswith("flame"))
     channels = [channel for channel in channels if channel.bone or channel.property_name in avatar.object]
     if not channels:
         raise FileFormatError(f"{avatar.object.name} has none of the controls that the performance moves; choose another file.")
     seconds = prepared.times - prepared.times[0]
-    frames = options.start + seconds * options.fps
+    start = options.start + options.offset * options.fps
+    frames = start + seconds * options.fps
     if abs(frames).max() > MAX_FRAME:
         raise ConfigError(f"The performance would end at frame {frames[-1]:.0f}, beyond Blender's last; start it earlier.")
     head_bag = ensure_bag(avatar.object, name)
@@ -166,18 +223,20 @@ def apply_performance(avatar: Avatar | Puppet, performance: Performance, options
         rig_bag = ensure_bag(rig, name, None if has_own else avatar.object.animation_data.action)
     placed = list(_placed(channels, head_bag, rig_bag))
     if options.keys == "REDUCED":
-        errors = np.array([DEFAULT_ANGLE_ERROR if channel.bone else options.max_error for channel, _ in placed])
+        errors = np.array([options.angle_error if channel.bone else options.max_error for channel, _ in placed])
         values = np.stack([channel.values for channel, _ in placed], 1)
-        curves = reduce_curves(seconds, values, errors)
+        share = _REDUCED - _PREPARED
+        curves = reduce_curves(seconds, values, errors, progress=lambda fraction: report(_PREPARED + share * fraction))
     count = 0
     for k, (channel, bag) in enumerate(placed):
         curve = find_curve(bag, channel.path, channel.index, channel.group)
         if options.keys == "REDUCED":
-            keys = reduced_keys(curves[k], options.start, options.fps)
+            keys = reduced_keys(curves[k], start, options.fps)
         else:
             keys = linear_keys(frames, channel.values)
         count += len(keys.points)
         replace_keys(curve, keys, (frames[0], frames[-1]))
+        report(_REDUCED + (1.0 - _REDUCED) * (k + 1) / len(placed))
     return ImportedRange(float(frames[0]), float(frames[-1]), len(placed), count, tuple(prepared.warnings))
 
 

@@ -4,14 +4,18 @@
 ``add_head``            add an avatar to the scene
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV
 ``import_splats``       splat files and other projects' avatars
+``export_splats``       splat files, meshes, GaussianAvatars' folders
+``export_animation``    performance files; caches through Blender's Alembic and USD exporters
+``fit``                 avatars from photos
+``stepwise``            long exports with progress and cancel
 ``edit``                reset, mirror, random expression and identity, independent copies
 """
 
 from __future__ import annotations
 
-from . import add_head, edit, import_performance, import_splats
+from . import add_head, edit, export_animation, export_splats, fit, import_performance, import_splats
 
-_TOPICS = (add_head, import_performance, import_splats, edit)
+_TOPICS = (add_head, import_performance, import_splats, export_splats, export_animation, edit, fit)
 
 CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
 import bpy
 
 from ..grmm_blender.avatar import Avatar, avatar_of
-from ..grmm_blender.splats.rigged import Puppet, is_puppet
-from ..grmm_core.errors import GrmmError
+from ..grmm_blender.exporting import performer_of
+from ..grmm_blender.splats.rigged import Puppet
+from ..grmm_core.errors import FileAccessError, GrmmError
 
 Result = set[str]
 _Execute = TypeVar("_Execute", bound=Callable[..., Result])
@@ -23,8 +25,7 @@ def active_avatar(context: bpy.types.Context) -> Avatar | None:
 
 def active_performer(context: bpy.types.Context) -> Avatar | Puppet | None:
     """Return what can play a performance: the active avatar, or an imported one with ARKit controls."""
-    obj = context.object
-    return active_avatar(context) or (Puppet(obj) if is_puppet(obj) else None)
+    return performer_of(context.object)
 
 
 def needs_performer(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
@@ -63,6 +64,22 @@ def reports_errors(execute: _Execute) -> _Execute:
             return {"CANCELLED"}
 
     return guarded
+
+
+def output_path(filepath: str, extensions: tuple[str, ...], default: str) -> Path:
+    """Return the absolute path of a file to write, with `default` added where it has none of the extensions.
+
+    Raises:
+        FileAccessError: No file is chosen, or its folder does not exist.
+    """
+    if not filepath:
+        raise FileAccessError("No file is chosen; choose a file name.")
+    path = Path(bpy.path.abspath(filepath))
+    if path.suffix.lower() not in extensions:
+        path = path.with_name(path.name + default)
+    if not path.parent.is_dir():
+        raise FileAccessError(f"{path.parent} is not a folder; create it or choose another.")
+    return path
 
 
 def redraw_values(avatar: Avatar) -> None:

@@ -1,18 +1,26 @@
-"""Import a recorded performance as keyframes: ARKit JSON, Live Link Face CSV."""
+"""Import a recorded performance as keyframes: ARKit JSON, Live Link Face CSV, FLAME parameters."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import bpy
 
-from ..grmm_blender.performance import ImportOptions, apply_performance
+from ..grmm_blender.performance import ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
 from ..grmm_core.errors import FileAccessError
-from ..grmm_core.performance import read_performance
+from ..grmm_core.head import load_flame
+from ..grmm_core.performance import REGIONS, Progress, read_performance
+from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
 from .common import Result, active_performer, needs_performer, reports_errors
 
 _MAX_WARNINGS = 5
+_HUNDRED = 100
+_READ, _RETARGETED = 0.3, 0.4  # of the progress
+
+
+def _gain(name: str, description: str) -> Any:
+    return bpy.props.FloatProperty(name=name, description=description, default=1.0, min=0.0, max=4.0, soft_max=2.0)
 
 
 class GRMM_OT_import_performance(bpy.types.Operator):
@@ -20,7 +28,7 @@ class GRMM_OT_import_performance(bpy.types.Operator):
 
     bl_idname = "grmm.import_performance"
     bl_label = "Import Performance"
-    bl_description = "Key the active avatar with a recorded performance (ARKit JSON, Live Link Face CSV)"
+    bl_description = "Key the active avatar with a recorded performance (ARKit JSON, Live Link Face CSV, FLAME npz)"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: bpy.props.StringProperty(name="File", description="Performance file", subtype="FILE_PATH", options={"SKIP_SAVE"})
@@ -50,19 +58,63 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         min=0.0,
         max=1000.0,
     )
-    gain: bpy.props.FloatProperty(
-        name="Gain", description="Factor of the expression weights", default=1.0, min=0.0, max=4.0, soft_max=2.0
+    angle_error: bpy.props.FloatProperty(
+        name="Largest Angle Error",
+        description="How far reduced keys of rotations may deviate from the recording",
+        default=DEFAULT_ANGLE_ERROR,
+        min=0.0005,
+        max=0.2,
+        subtype="ANGLE",
     )
+    offset: bpy.props.FloatProperty(
+        name="Time Offset",
+        description="Seconds by which the recording is moved against the start frame, to bring it in step with sound",
+        default=0.0,
+        soft_min=-2.0,
+        soft_max=2.0,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+    )
+    first: bpy.props.FloatProperty(
+        name="From", description="First second of the recording that is used", default=0.0, min=0.0, unit="TIME_ABSOLUTE"
+    )
+    last: bpy.props.FloatProperty(
+        name="To", description="Last second that is used; 0 for all", default=0.0, min=0.0, unit="TIME_ABSOLUTE"
+    )
+    gain: _gain("Gain", "Factor of all expression weights")
+    gain_brows: _gain("Brows", "Further factor of the brows")
+    gain_eyelids: _gain("Eyelids", "Further factor of blinks, squints and wide eyes")
+    gain_gaze: _gain("Gaze", "Further factor of the eyeLook shapes")
+    gain_cheeks: _gain("Cheeks", "Further factor of the cheeks")
+    gain_nose: _gain("Nose", "Further factor of the nose")
+    gain_jaw: _gain("Jaw", "Further factor of the jaw")
+    gain_mouth: _gain("Mouth", "Further factor of the mouth")
+    gain_tongue: _gain("Tongue", "Further factor of the tongue")
     rotation_gain: bpy.props.FloatProperty(
         name="Rotation Gain", description="Factor of head and eye rotations", default=1.0, min=-4.0, max=4.0, soft_min=0.0
     )
-    neutral: bpy.props.BoolProperty(
-        name="Calibrate Neutral Face",
-        description="Find the actor's resting face in the recording and make it the neutral one",
-        default=False,
+    neutral: bpy.props.EnumProperty(
+        name="Neutral Face",
+        description="The actor's resting face, which becomes the avatar's neutral one",
+        items=(
+            ("NONE", "As Recorded", "Take nothing off"),
+            ("AUTO", "Find It", "Find the calmest frames of the recording"),
+            ("FRAMES", "From Frames", "Frames of the recording that you name"),
+        ),
+        default="NONE",
+    )
+    neutral_frames: bpy.props.StringProperty(
+        name="Frames",
+        description="Frames of the recording in which the actor rests, counted from 0, such as 0, 12-15",
+        default="0",
     )
     smoothing: bpy.props.FloatProperty(
-        name="Smoothing", description="Remove tracking noise", default=0.0, min=0.0, max=1.0, subtype="FACTOR"
+        name="Smoothing",
+        description="Remove tracking noise and keep blinks and closed lips",
+        default=0.0,
+        min=0.0,
+        max=1.0,
+        subtype="FACTOR",
     )
     limit: bpy.props.BoolProperty(name="Limit", description="Keep expression weights within 0 and 1", default=True)
     head: bpy.props.EnumProperty(
@@ -90,6 +142,12 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         description="The phone was held sideways while Live Link Face recorded",
         default=False,
     )
+    flame_file: bpy.props.StringProperty(
+        name="FLAME File",
+        description="Your own FLAME model, which says what the coefficients of a FLAME performance mean on another head",
+        subtype="FILE_PATH",
+        default="",
+    )
     set_range: bpy.props.BoolProperty(
         name="Set Scene Range", description="Let the scene start and end with the performance", default=True
     )
@@ -100,12 +158,26 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         """Draw the options in the file browser's side panel."""
         layout = self.layout
         layout.use_property_split = True
-        for name in ("start", "set_range", "fps", "keys"):
-            layout.prop(self, name)
-        row = layout.row()
-        row.active = self.keys == "REDUCED"
-        row.prop(self, "max_error")
-        for name in ("gain", "limit", "neutral", "smoothing", "head", "eyes", "rotation_gain", "landscape"):
+        for names in (("start", "offset", "set_range"), ("first", "last", "fps")):
+            column = layout.column(align=True)
+            for name in names:
+                column.prop(self, name)
+        layout.prop(self, "keys")
+        if self.keys == "REDUCED":
+            column = layout.column(align=True)
+            column.prop(self, "max_error")
+            column.prop(self, "angle_error")
+        layout.prop(self, "neutral")
+        if self.neutral == "FRAMES":
+            layout.prop(self, "neutral_frames")
+        layout.prop(self, "smoothing")
+        column = layout.column(align=True)
+        column.prop(self, "gain")
+        for region in REGIONS:
+            column.prop(self, f"gain_{region}")
+        column.prop(self, "rotation_gain")
+        layout.prop(self, "limit")
+        for name in ("head", "eyes", "landscape", "flame_file"):
             layout.prop(self, name)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
@@ -120,25 +192,13 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         """Read the file and write the keys."""
         if not self.filepath:
             raise FileAccessError("No performance file is chosen; choose a file.")
+        manager = context.window_manager
+        manager.progress_begin(0, _HUNDRED)
+        try:
+            written = self._import(context, Path(bpy.path.abspath(self.filepath)))
+        finally:
+            manager.progress_end()
         scene = context.scene
-        path = bpy.path.abspath(self.filepath)
-        performance = read_performance(
-            path, fps=self.fps or None, orientation="landscape" if self.landscape else "portrait"
-        )
-        options = ImportOptions(
-            start=self.start,
-            fps=scene.render.fps / scene.render.fps_base,
-            keys=self.keys,
-            max_error=self.max_error,
-            gain=self.gain,
-            rotation_gain=self.rotation_gain,
-            neutral=self.neutral,
-            smoothing=self.smoothing,
-            limit=self.limit,
-            head_joint="" if self.head == "NONE" else self.head,
-            eyes=self.eyes,
-        )
-        written = apply_performance(active_performer(context), performance, options, Path(path).stem)
         if self.set_range:
             scene.frame_start, scene.frame_end = max(round(written.first), 0), max(round(written.last), 0)
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
@@ -149,6 +209,42 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         )
         return {"FINISHED"}
 
+    def _import(self, context: bpy.types.Context, path: Path) -> ImportedRange:
+        """Read, retarget, clean and key, with progress at the mouse pointer."""
+        performer = active_performer(context)
+
+        def part(start: float, end: float) -> Progress:
+            return lambda done: context.window_manager.progress_update(int(_HUNDRED * (start + (end - start) * done)))
+
+        orientation = "landscape" if self.landscape else "portrait"
+        performance = read_performance(path, fps=self.fps or None, orientation=orientation, progress=part(0.0, _READ))
+        on_flame = performer.object.grmm.head_name.startswith("flame")
+        flame = load_flame(bpy.path.abspath(self.flame_file)) if self.flame_file and not on_flame else None
+        performance = for_head(performance, on_flame, flame, part(_READ, _RETARGETED))
+        return apply_performance(performer, performance, self._options(context), path.stem, part(_RETARGETED, 1.0))
+
+    def _options(self, context: bpy.types.Context) -> ImportOptions:
+        render = context.scene.render
+        neutral = {"NONE": None, "AUTO": "auto"}.get(self.neutral, ())
+        return ImportOptions(
+            start=self.start,
+            fps=render.fps / render.fps_base,
+            keys=self.keys,
+            max_error=self.max_error,
+            angle_error=self.angle_error,
+            gain=self.gain,
+            region_gains={region: getattr(self, f"gain_{region}") for region in REGIONS},
+            rotation_gain=self.rotation_gain,
+            neutral=parse_frames(self.neutral_frames) if neutral == () else neutral,
+            smoothing=self.smoothing,
+            limit=self.limit,
+            offset=self.offset,
+            first=self.first,
+            last=self.last or None,
+            head_joint="" if self.head == "NONE" else self.head,
+            eyes=self.eyes,
+        )
+
 
 class GRMM_FH_performance(bpy.types.FileHandler):
     """Take performance files that are dropped into the 3D viewport."""
@@ -156,7 +252,7 @@ class GRMM_FH_performance(bpy.types.FileHandler):
     bl_idname = "GRMM_FH_performance"
     bl_label = "GRMM Performance"
     bl_import_operator = GRMM_OT_import_performance.bl_idname
-    bl_file_extensions = ".json;.csv"
+    bl_file_extensions = ".json;.csv;.npz"
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -165,7 +261,7 @@ class GRMM_FH_performance(bpy.types.FileHandler):
 
 
 def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    self.layout.operator(GRMM_OT_import_performance.bl_idname, text="GRMM Performance (.json, .csv)")
+    self.layout.operator(GRMM_OT_import_performance.bl_idname, text="GRMM Performance (.json, .csv, .npz)")
 
 
 CLASSES = (GRMM_OT_import_performance, GRMM_FH_performance)

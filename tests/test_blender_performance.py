@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from blender_process import RunBlender, find_python
+from flame_files import write_flame_pickle
+from flame_head_files import flame_head_fields
 
 from grmm_core.expressions import ARKIT_NAMES
 
@@ -40,6 +42,14 @@ def write_files(folder: Path) -> None:
     (folder / "live_link.csv").write_text("\n".join(rows))
     (folder / "unknown.csv").write_text("Timecode,Wobble\n10:00:00:00.000,0.5\n")
     zeros = np.zeros((10, 3), np.float32)
+    generator = np.random.default_rng(6)
+    np.savez(
+        folder / "talk.npz",
+        expr=generator.normal(0, 0.5, (10, 100)).astype(np.float32),
+        rotation=generator.normal(0, 0.1, (10, 3)),
+        neck_pose=generator.normal(0, 0.1, (10, 3)),
+        jaw_pose=np.abs(generator.normal(0, 0.1, (10, 3))) * [1, 0, 0],
+    )
     np.savez(folder / "flame.npz", expr=np.ones((10, 100), np.float32), rotation=zeros, neck_pose=zeros, jaw_pose=zeros)
 
 
@@ -48,6 +58,7 @@ def imported(request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_f
     find_python(request.param)
     folder = tmp_path_factory.mktemp("performances")
     write_files(folder)
+    write_flame_pickle(folder / "flame2023.pkl", flame_head_fields())
     return run_blender("performance_import.py", folder, python=request.param).result
 
 
@@ -76,6 +87,19 @@ def test_reduced_keys_keep_to_their_error(imported):
     assert reduced["keys"] < reduced["all"] / 5
 
 
+def test_cleaning_options_do_what_the_core_does(imported):
+    cleaned = imported["cleaned"]
+    assert cleaned["error"] < SINGLE
+    assert cleaned["range"] == [16, 16 + 90]
+
+
+def test_flame_parameters_play_on_the_open_head(imported):
+    flame = imported["flame"]
+    assert flame["error"] < SINGLE
+    assert flame["moved"] > 0.2
+    assert flame["neck"] < SINGLE
+
+
 def test_live_link_turns_neck_and_eyes(imported):
     found = imported["live_link"]
     assert found["neck"] < 1e-4
@@ -96,6 +120,9 @@ def test_unusable_files_are_one_sentence(imported):
     assert "unknown.csv" in messages["unknown.csv"]
     assert "truncated.json" in messages["truncated.json"]
     assert "FLAME" in messages["flame.npz"]
+    for text in ("", "x", "5-2"):
+        assert "write something like" in messages[f"neutral {text}"]
+    assert "Neutral frames must be" in messages["neutral 9999"]
     assert "choose a file" in messages[""]
     assert "beyond Blender's last" in messages["far"]
     for message in messages.values():

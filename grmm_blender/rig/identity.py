@@ -23,7 +23,7 @@ DEFAULT_SOURCE = "default"
 OPEN_HEAD = "open_head"
 FLAME_PREFIX = "flame:"
 # as `grmm_core.model.weights` writes them; that module needs torch, and a head is added without a runtime too
-_WEIGHTS = OPEN_HEAD_ASSET.parent / "weights" / "default.safetensors"
+DEFAULT_WEIGHTS = OPEN_HEAD_ASSET.parent / "weights" / "default.safetensors"
 _DEFAULT_SHAPE, _DEFAULT_Z_ID, _CODES = "people/default_shape", "people/default_z_id", "model/aligned_codes"
 _PAPER_SIZES = (512, 256)  # z_id, z_exp
 
@@ -57,8 +57,9 @@ class Identity:
 
     @property
     def joints(self) -> np.ndarray:
-        """Rest joints, head space, metres, [5, 3]."""
-        return self.head.joints(self.shape)
+        """Rest joints, head space, metres, [5, 3]; offsets move them as the regressor says, as FLAME trackers have it."""
+        joints = self.head.joints(self.shape)
+        return joints if self.offset is None else joints + np.asarray(self.head.J_regressor @ self.offset, np.float32)
 
     @property
     def resting_pose(self) -> np.ndarray:
@@ -117,12 +118,12 @@ def _flame(path: Path, stamp: int) -> HeadModel:
 
 def _default() -> Identity:
     head = load_open_head()
-    if not _WEIGHTS.exists():  # a development checkout before training
+    if not DEFAULT_WEIGHTS.exists():  # a development checkout before training
         return Identity("Open head", head, np.zeros(head.shape_count, np.float32))
-    tensors, _ = read_tensors(_WEIGHTS)
+    tensors, _ = read_tensors(DEFAULT_WEIGHTS)
     try:
         shape = tensors[_DEFAULT_SHAPE][: head.shape_count].astype(np.float32)
         z_id_size, z_exp_size = tensors[_DEFAULT_Z_ID].shape[0], tensors[_CODES].shape[1]
     except (KeyError, IndexError) as error:
-        raise FileFormatError(f"{_WEIGHTS} is not a usable weights file; install the add-on again.") from error
+        raise FileFormatError(f"{DEFAULT_WEIGHTS} is not a usable weights file; install the add-on again.") from error
     return Identity("Default head", head, shape, z_id_size=z_id_size, z_exp_size=z_exp_size)

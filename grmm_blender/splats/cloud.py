@@ -108,6 +108,17 @@ class Cloud:
         found = self.shot(depsgraph).arrays
         return SplatCloud(found.means, found.quats, found.scales, np.clip(found.opacities, 0.0, 1.0), found.harmonics)
 
+    def resting(self) -> SplatCloud:
+        """Return the Gaussians as they were imported or last edited, whatever moves them, as `splats` does."""
+        found = _in_head_axes(self._raw(self.object.data))
+        return SplatCloud(found.means, found.quats, found.scales, np.clip(found.opacities, 0.0, 1.0), found.harmonics)
+
+    def binding(self) -> np.ndarray:
+        """Return the carrier's triangle of each Gaussian, [N] int32. Raises `FileFormatError` for a free cloud."""
+        if TRIANGLE not in self.object.data.attributes:
+            raise FileFormatError(f"{self.name} is not bound to a mesh; export it as splats.")
+        return read_attribute(self.object.data, TRIANGLE).astype(np.int32)
+
     def _raw(self, mesh: bpy.types.Mesh) -> dict[str, np.ndarray]:
         """Attributes of a mesh by name, in Blender's axes, with the harmonics under "sh" [N, K, 3]."""
         wanted = [POSITION, ROTATION, SCALE, OPACITY]

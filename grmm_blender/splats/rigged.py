@@ -34,6 +34,7 @@ NEEDS_FLAME = (
     "{path} is a GaussianAvatars avatar, whose splats ride on the FLAME head, which may not be distributed; choose your own "
     "FLAME file (generic_model.pkl or flame2023.pkl) in the import options."
 )
+PERSON_SHAPE = "flame_shape"  # property of a head that carries splats: the person's own shape coefficients
 _FRAME_KEY = "frame {number}"
 
 
@@ -195,6 +196,7 @@ def _add_gaussian_avatar(
     carrier = rigged.object
     carrier.grmm.head_name = reference
     carrier.grmm.live_detail = False
+    carrier[PERSON_SHAPE] = shape.tolist()
     carrier.grmm_cloud.carries = True
     resting = place_on_mesh(avatar.cloud, identity.vertices, head.faces)
     resting.binding = avatar.cloud.binding

@@ -18,10 +18,11 @@ from ..controls import Controls
 from ..errors import ConfigError
 from ..expressions import ALIGNED_NAMES
 from ..files import atomic_write_bytes
-from ..formats import SplatCloud, write_mesh, write_splats
+from ..formats import write_mesh, write_splats
 from ..head import HeadModel, load_open_head
 from ..session import MAX_LOD, AvatarInfo, Session, create_session
-from ..session.harmonics import MAX_DEGREE, fit_harmonics
+from ..session.exporting import morph_targets, splat_cloud
+from ..session.harmonics import MAX_DEGREE
 from .common import add_avatar, add_controls, add_model, add_output, check_folder, controls_of
 
 SUFFIXES = (".ply", ".spz", ".splat", ".glb", ".obj", ".npz")
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise ConfigError(f"A mesh cannot be written as {suffix}; use .glb or .obj.")
     check_folder(path)
     controls = controls_of(args)
-    with create_session(weights=args.weights, device=args.device, threads=args.threads) as session:
+    with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.open(args.avatar)
         if suffix == ".npz":
             count = _write_arrays(path, session, avatar, controls, args)
@@ -69,13 +70,6 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     return {"file": str(path), "avatar": avatar.name, "bytes": path.stat().st_size, **count}
 
 
-def splat_cloud(session: Session, avatar_id: int, controls: Controls, sh_degree: int, lod: int) -> SplatCloud:
-    """Return an avatar's Gaussians with fitted view dependence."""
-    found = session.gaussians(avatar_id, controls, lod=lod)
-    harmonics = fit_harmonics(session, avatar_id, controls, sh_degree, lod)
-    return SplatCloud(found.means, found.quats, found.scales, np.clip(found.opacities, 0.0, 1.0), harmonics)
-
-
 def _write_mesh(
     path: Path, session: Session, avatar: AvatarInfo, controls: Controls, args: argparse.Namespace
 ) -> dict[str, int]:
@@ -84,11 +78,7 @@ def _write_mesh(
     morphs: dict[str, np.ndarray] = {}
     if path.suffix.lower() == ".glb":
         with args.console.progress("expressions", len(ALIGNED_NAMES)) as bar:
-            for k, name in enumerate(ALIGNED_NAMES):
-                raised = controls.validate()
-                raised.aligned[k] += 1.0
-                morphs[name] = session.deform(avatar.id, raised).vertices - vertices
-                bar.advance(note=name)
+            morphs = morph_targets(session, avatar.id, controls, report=lambda name: bar.advance(note=name))
     write_mesh(path, vertices, head.faces, head.uv, head.uv_faces, morphs or None)
     return {"vertices": len(vertices), "faces": len(head.faces), **({"morphs": len(morphs)} if morphs else {})}
 

@@ -104,6 +104,44 @@ def live_link() -> dict:
     return result
 
 
+def cleaned() -> dict:
+    """Neutral frames, gain per region, offset, a part of the recording: what the core makes of the same options."""
+    avatar = new_head()
+    core = module("grmm_core.performance")
+    recorded = core.read_performance(folder / "speech.json")
+    bpy.ops.grmm.import_performance(
+        filepath=str(folder / "speech.json"), start=1, neutral="FRAMES", neutral_frames="3, 10-12", gain=0.9, gain_jaw=0.5,
+        gain_mouth=0.8, smoothing=0.3, offset=0.5, first=1.0, last=4.0,
+    )  # fmt: skip
+    wanted = core.clean(
+        recorded,
+        core.CleanOptions(start=1.0, end=4.0, neutral=(3, 10, 11, 12), gains={"all": 0.9, "jaw": 0.5, "mouth": 0.8},
+                          smoothing=0.3, fps=30),
+    )  # fmt: skip
+    errors = []
+    for k in (0, 20, 90):
+        scene.frame_set(1 + 15 + k)
+        errors.append(largest(avatar.controls().aligned[:52] - wanted.weights[k]))
+    return {"error": max(errors), "range": [scene.frame_start, scene.frame_end]}
+
+
+def flame_on_ours() -> dict:
+    """FLAME's coefficients on the open head, by way of the user's FLAME file."""
+    avatar = new_head()
+    core = module("grmm_core.performance")
+    head = module("grmm_core.head").load_flame(folder / "flame2023.pkl")
+    bpy.ops.grmm.import_performance(
+        filepath=str(folder / "talk.npz"), flame_file=str(folder / "flame2023.pkl"), fps=30, eyes="ROTATIONS"
+    )
+    wanted = core.to_arkit(core.read_performance(folder / "talk.npz", fps=30), head)
+    scene.frame_set(1 + 5)
+    return {
+        "error": largest(avatar.controls().aligned[:52] - wanted.weights[5]),
+        "moved": largest(wanted.weights),
+        "neck": largest(avatar.controls().pose[1] - wanted.neck_rotation[5] - wanted.head_rotation[5]),
+    }
+
+
 def messages() -> dict:
     """What the operator says to files it cannot use, and what is left of them."""
     avatar = new_head()
@@ -118,6 +156,11 @@ def messages() -> dict:
         bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), start=1e7)
     except RuntimeError as error:
         result["far"] = str(error).strip().splitlines()[0].removeprefix("Error: ")
+    for text in ("", "x", "5-2", "9999"):
+        try:
+            bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), neutral="FRAMES", neutral_frames=text)
+        except RuntimeError as error:
+            result[f"neutral {text}"] = str(error).strip().splitlines()[0].removeprefix("Error: ")
     bpy.ops.object.select_all(action="DESELECT")
     bpy.context.view_layer.objects.active = None
     return {
@@ -170,5 +213,6 @@ def edits() -> dict:
 report(speech=speech(), rate=rate_and_gain())
 report(reduced=reduced())
 report(live_link=live_link())
+report(cleaned=cleaned(), flame=flame_on_ours())
 report(messages=messages())
 report(edits=edits())

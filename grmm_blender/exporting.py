@@ -1,0 +1,294 @@
+"""From the scene to what the core's writers take: splats, meshes, performances. Called by the export operators.
+
+Avatars are exported in their own space (head axes, y up, metres), without the placement of their object: what another program
+then places. Splats carry the unrefined colours, which look right without the network.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ..grmm_core.avatar import AssetReference
+from ..grmm_core.controls import ALIGNED_TO_ARKIT, Controls, resolve
+from ..grmm_core.errors import ConfigError, FileAccessError, FileFormatError
+from ..grmm_core.expressions import ARKIT_NAMES, JOINT_NAMES
+from ..grmm_core.formats import SplatCloud, write_mesh
+from ..grmm_core.formats.avatars import GaussianAvatar, write_gaussian_avatar
+from ..grmm_core.formats.binding import bind_to_mesh
+from ..grmm_core.head import HeadModel, load_flame
+from ..grmm_core.head.flame_transfer import FlameFit, bind_to_flame, fit_flame
+from ..grmm_core.head.skinning import euler_matrices
+from ..grmm_core.performance import Performance, to_expression
+from ..grmm_core.performance.rotations import matrix_to_euler, unwrap_euler
+from ..grmm_core.session.exporting import morph_targets, splat_cloud
+from . import session_host
+from .avatar import Avatar, avatar_of
+from .rig.identity import FLAME_PREFIX, load_head
+from .splats.cloud import Cloud, clouds_in, is_cloud, resting_positions, triangles
+from .splats.rigged import PERSON_SHAPE, Puppet, is_puppet
+
+_TINY = 1e-5  # radians or weight: what counts as never moved
+NEEDS_FLAME = "FLAME parameters need your own FLAME file (generic_model.pkl or flame2023.pkl); choose it in the export options."
+
+
+@dataclass(frozen=True)
+class SplatOptions:
+    """How splats are exported.
+
+    Attributes:
+        degree: Of the spherical harmonics, 0..3.
+        lod: Level of detail: each keeps a quarter of an avatar's Gaussians.
+        canonical: The resting pose and expression instead of the frame's.
+    """
+
+    degree: int = 1
+    lod: int = 0
+    canonical: bool = False
+
+
+def splat_target(obj: bpy.types.Object | None, scene: bpy.types.Scene) -> Avatar | Cloud | None:
+    """Return what an object's splats are exported from: its cloud, the cloud that it carries, or its avatar."""
+    if is_cloud(obj):
+        return Cloud(obj)
+    avatar = avatar_of(obj)
+    carrier = avatar.object if avatar is not None else obj
+    if carrier is not None and carrier.type == "MESH" and carrier.grmm_cloud.carries:
+        return next((cloud for cloud in clouds_in(scene) if cloud.carrier == carrier), None)
+    return avatar
+
+
+def splats_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: SplatOptions) -> SplatCloud:
+    """Return the splats of the depsgraph's moment, head axes.
+
+    Raises:
+        GrmmError: The model cannot run, or the cloud was damaged by edits.
+    """
+    if isinstance(target, Cloud):
+        return target.resting() if options.canonical else target.splats(depsgraph)
+    info = session_host.open_avatar(target.source)
+    controls = _controls(target, depsgraph, options.canonical)
+    return splat_cloud(session_host.get_session(), info.id, controls, options.degree, options.lod)
+
+
+def write_avatar_mesh(path: Path, avatar: Avatar, depsgraph: bpy.types.Depsgraph, canonical: bool, morphs: bool) -> int:
+    """Write an avatar's mesh with the learned displacement; returns the number of morph targets.
+
+    Args:
+        path: .obj or .glb.
+        avatar: Of the open head, or of a head that carries splats.
+        depsgraph: Evaluated scene.
+        canonical: The resting pose instead of the frame's.
+        morphs: Add the 52 ARKit shapes (.glb only).
+
+    Raises:
+        GrmmError: The model cannot run, or the file cannot be written.
+    """
+    head = load_head(AssetReference(avatar.object.grmm.head_name))
+    controls = _controls(avatar, depsgraph, canonical)
+    names = ARKIT_NAMES if morphs and path.suffix.lower() == ".glb" else ()
+    if avatar.object.grmm_cloud.carries:
+        vertices, targets = _head_mesh(avatar, head, controls, names)
+    else:
+        session = session_host.get_session()
+        number = session_host.open_avatar(avatar.source).id
+        vertices = session.deform(number, controls).vertices
+        targets = morph_targets(session, number, controls, names)
+    write_mesh(path, vertices, head.faces, head.uv, head.uv_faces, targets or None)
+    return len(targets)
+
+
+def frames_between(start: int, end: int, step: int = 1) -> list[int]:
+    """Frame numbers of an export. Raises `ConfigError` when there are none."""
+    frames = list(range(start, end + 1, max(1, step)))
+    if not frames:
+        raise ConfigError(f"There is no frame from {start} to {end}; set the last frame after the first.")
+    return frames
+
+
+@contextlib.contextmanager
+def kept_frame(scene: bpy.types.Scene) -> Iterator[None]:
+    """Come back to the scene's frame at the end."""
+    frame, part = scene.frame_current, scene.frame_subframe
+    try:
+        yield
+    finally:
+        scene.frame_set(frame, subframe=part)
+
+
+def sample_controls(avatar: Avatar | Puppet, scene: bpy.types.Scene, frames: list[int]) -> Iterator[Controls]:
+    """Yield the controls of each frame. The scene stands at another frame afterwards (see `kept_frame`)."""
+    detail = avatar.object.grmm.live_detail
+    try:
+        avatar.object.grmm.live_detail = False  # the model need not follow a walk through the frames
+        for frame in frames:
+            scene.frame_set(frame)
+            depsgraph = bpy.context.evaluated_depsgraph_get()
+            wrapped = avatar if isinstance(avatar, Avatar) else Avatar(avatar.object)
+            yield wrapped.controls(depsgraph)
+    finally:
+        avatar.object.grmm.live_detail = detail
+
+
+def recorded(avatar: Avatar | Puppet, controls: list[Controls], frames: list[int], fps: float) -> Performance:
+    """Return sampled controls as ARKit weights with head, jaw and eye rotations.
+
+    Mixtures become the ARKit shapes that they are made of. The eyes' rotations are whole: bones and eyeLook shapes together, as
+    Live Link Face records them. What the format cannot hold is a warning.
+    """
+    weights = np.stack([frame.aligned @ ALIGNED_TO_ARKIT for frame in controls])
+    poses = np.stack([frame.pose for frame in controls]).astype(np.float64)  # [T, 5, 3]
+    warnings = []
+    if any(frame.expression.size and np.abs(frame.expression).max() > _TINY for frame in controls):
+        warnings.append("Raw expression coefficients are animated; ARKit weights cannot hold them and they were left out.")
+    whole_eyes = poses[:, 3:]
+    if isinstance(avatar, Avatar):
+        head = load_head(AssetReference(avatar.object.grmm.head_name))
+        whole_eyes = np.stack([resolve(frame, head).pose[3:] for frame in controls])
+        if np.abs(poses[:, 3:]).max() > _TINY and np.abs(weights[:, _EYE_LOOKS]).max() > _TINY:
+            warnings.append("Eye bones and eyeLook shapes are both animated; import the file with the eyes from its rotations.")
+    moved = {name: np.abs(poses[:, joint]).max() > _TINY for joint, name in enumerate(JOINT_NAMES)}
+    turned = None
+    if moved["root"] or moved["neck"]:
+        turned = unwrap_euler(matrix_to_euler(euler_matrices(poses[:, 0]) @ euler_matrices(poses[:, 1])))
+    eyes = [whole_eyes[:, side] if np.abs(whole_eyes[:, side]).max() > _TINY else None for side in (0, 1)]
+    return Performance(
+        (np.array(frames) - frames[0]) / fps,
+        weights,
+        fps,
+        "scene",
+        ARKIT_NAMES,
+        head_rotation=turned,
+        jaw_rotation=poses[:, 2] if moved["jaw"] else None,
+        left_eye_rotation=eyes[0],
+        right_eye_rotation=eyes[1],
+        warnings=warnings,
+    )
+
+
+def recorded_flame(avatar: Avatar, controls: list[Controls], frames: list[int], fps: float, flame: str) -> Performance:
+    """Return sampled controls as FLAME's parameters.
+
+    On a FLAME head these are its own; for a head of ours the ARKit weights are retargeted to the user's FLAME file.
+
+    Raises:
+        FileFormatError: No FLAME file was named, or it is none.
+    """
+    head = flame_head(avatar)
+    if head is None:
+        if not flame:
+            raise FileFormatError(NEEDS_FLAME)
+        return to_expression(recorded(avatar, controls, frames, fps), load_flame(bpy.path.abspath(flame)))
+    found = [resolve(frame, head) for frame in controls]
+    poses = np.stack([frame.pose for frame in found]).astype(np.float64)
+    return Performance(
+        (np.array(frames) - frames[0]) / fps,
+        np.zeros((len(frames), len(ARKIT_NAMES)), np.float32),
+        fps,
+        "scene",
+        head_rotation=poses[:, 0],
+        neck_rotation=poses[:, 1],
+        jaw_rotation=poses[:, 2],
+        left_eye_rotation=poses[:, 3],
+        right_eye_rotation=poses[:, 4],
+        expression=np.stack([frame.expression for frame in found]),
+        head_model="flame",
+    )
+
+
+def flame_head(avatar: Avatar) -> HeadModel | None:
+    """Return the FLAME head that a rig was built from, None for a head of ours."""
+    name = avatar.object.grmm.head_name
+    return load_head(AssetReference(name)) if name.startswith(FLAME_PREFIX) else None
+
+
+def gaussian_avatar(
+    avatar: Avatar, cloud: Cloud | None, track: Performance, flame: str, options: SplatOptions
+) -> GaussianAvatar:
+    """Return an avatar as GaussianAvatars store it: splats bound to FLAME's triangles, and FLAME's parameters.
+
+    Args:
+        avatar: A FLAME head with its cloud, or a head of ours, which is transferred to the user's FLAME.
+        cloud: The splats that a FLAME head carries, None for a head of ours.
+        track: Of `recorded_flame`.
+        flame: The user's FLAME file, for a head of ours.
+        options: Degree and detail of the splats.
+
+    Raises:
+        GrmmError: As `recorded_flame`; the model cannot run.
+    """
+    if cloud is not None:
+        head = load_head(AssetReference(avatar.object.grmm.head_name))
+        shape, offset = carried_person(avatar, head)
+        faces = triangles(avatar.object.data)
+        bound = bind_to_mesh(cloud.resting(), head.shaped(shape) + offset, faces, cloud.binding())
+        return GaussianAvatar(bound, replace(track, shape=shape, static_offset=offset))
+    head = load_flame(bpy.path.abspath(flame))
+    session, number = session_host.get_session(), session_host.open_avatar(avatar.source).id
+    controls = _controls(avatar, bpy.context.evaluated_depsgraph_get(), canonical=True)
+    fit: FlameFit = fit_flame(session.deform(number, controls).vertices, head)
+    bound = bind_to_flame(splat_cloud(session, number, controls, options.degree, options.lod), fit, head)
+    return GaussianAvatar(bound, replace(track, static_offset=fit.offset))
+
+
+def save_gaussian_avatar(folder: Path, avatar: GaussianAvatar) -> None:
+    """Write `point_cloud.ply` and `flame_param.npz` into a folder, made where it is missing. Raises `FileAccessError`."""
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"The folder {folder} cannot be made; choose a folder that can be written to.") from error
+    write_gaussian_avatar(folder, avatar)
+
+
+def carried_person(avatar: Avatar, head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return the person of a head that carries splats: shape coefficients [S], and what the mesh has beyond them [V, 3]."""
+    resting = resting_positions(avatar.object.data)
+    vertices = np.stack([resting[:, 0], resting[:, 2], -resting[:, 1]], -1)
+    stored = avatar.object.get(PERSON_SHAPE)
+    shape = np.zeros(head.shape_count, np.float32)
+    if stored is not None:
+        known = np.array(stored.to_list(), np.float32)[: head.shape_count]
+        shape[: known.size] = known
+    return shape, (vertices - head.shaped(shape)).astype(np.float32)
+
+
+def performer_of(obj: bpy.types.Object | None) -> Avatar | Puppet | None:
+    """Return what plays a performance: an avatar, or an imported one with ARKit controls."""
+    return avatar_of(obj) or (Puppet(obj) if is_puppet(obj) else None)
+
+
+_EYE_LOOKS = [k for k, name in enumerate(ARKIT_NAMES) if name.startswith("eyeLook")]
+
+
+def _controls(avatar: Avatar, depsgraph: bpy.types.Depsgraph, canonical: bool) -> Controls:
+    found = avatar.controls(depsgraph)
+    if not canonical:
+        return found
+    return Controls(shape=found.shape, z_id=found.z_id, residual_strength=found.residual_strength)
+
+
+def _head_mesh(
+    avatar: Avatar, head: HeadModel, controls: Controls, names: tuple[str, ...]
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Mesh of a head that no network draws, and its morph targets."""
+    shape, offset = carried_person(avatar, head)
+
+    def posed(wanted: Controls) -> np.ndarray:
+        found = resolve(wanted, head)
+        own = shape.copy()
+        own[: wanted.shape.size] += wanted.shape
+        return head.vertices(own, found.expression, found.pose, offset)
+
+    vertices = posed(controls)
+    targets = {}
+    for name in names:
+        raised = controls.validate()
+        raised.aligned[ARKIT_NAMES.index(name)] += 1.0
+        targets[name] = posed(raised) - vertices
+    return vertices, targets
+

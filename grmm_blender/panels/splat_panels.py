@@ -1,0 +1,84 @@
+"""The panel of imported splat clouds: where they come from, what moves them, sliders where they have ARKit shapes.
+
+Stands in the sidebar's GRMM tab while a splat cloud is selected.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import bpy
+
+from ..rig.definitions import REGIONS, label, mirrored, property_path
+from ..splats.cloud import Cloud, is_cloud
+from ..splats.rigged import is_puppet
+from .avatar_panels import CATEGORY
+
+
+class GRMM_PT_splats(bpy.types.Panel):
+    """Where the splats come from and what moves them."""
+
+    bl_label = "Splats"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = CATEGORY
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With a splat cloud selected."""
+        return is_cloud(context.object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Source, carrier, import and export."""
+        layout = self.layout
+        layout.use_property_split = True
+        cloud = Cloud(context.object)
+        settings = cloud.object.grmm_cloud
+        layout.label(text=f"{cloud.count:,} splats", icon="OUTLINER_OB_POINTCLOUD")
+        row = layout.row()
+        row.enabled = False
+        row.prop(settings, "source")
+        if settings.carrier is not None:
+            layout.prop(settings, "carrier")
+        column = layout.column(align=True)
+        if is_puppet(cloud.object):
+            column.operator("grmm.import_performance", icon="ANIM_DATA")
+        column.operator("grmm.export_splats", icon="EXPORT")
+
+
+class GRMM_PT_splat_expression(bpy.types.Panel):
+    """ARKit sliders of an imported avatar, by region."""
+
+    bl_label = "Expression"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = CATEGORY
+    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With an imported avatar that has ARKit shapes."""
+        return is_puppet(context.object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """One box for each region."""
+        obj = context.object
+        for region, names in REGIONS.items():
+            present = [name for name in names if name in obj]
+            if not present:
+                continue
+            box = self.layout.box().column(align=True)
+            box.label(text=region)
+            drawn: set[str] = set()
+            for name in present:
+                if name in drawn:
+                    continue
+                # The subject's right side stands on the left, as it does on the face that looks at the animator.
+                pair = [n for n in dict.fromkeys((mirrored(name), name)) if n in present] if name.endswith("Left") else [name]
+                row = box.row(align=True)
+                for member in pair:
+                    row.prop(obj, property_path(member), text=label(member), slider=True)
+                drawn.update(pair)
+
+
+CLASSES = (GRMM_PT_splats, GRMM_PT_splat_expression)

@@ -1,0 +1,59 @@
+"""What exporters take from a session: an avatar's splats with view dependence, and its aligned expressions as morph targets.
+
+Called by `grmm export` and by Blender's exporters. Exported colours are those that look right alone, without the refinement
+network. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from ..controls import Controls
+from ..expressions import ALIGNED_NAMES
+from ..formats import SplatCloud
+from .api import Session
+from .harmonics import fit_harmonics
+
+
+def splat_cloud(session: Session, avatar_id: int, controls: Controls, sh_degree: int, lod: int = 0) -> SplatCloud:
+    """Return an avatar's Gaussians with fitted view dependence, head axes.
+
+    Args:
+        session: Where the avatar is open.
+        avatar_id: The avatar.
+        controls: Expression and pose.
+        sh_degree: 0 to 3.
+        lod: As `Session.gaussians`.
+    """
+    found = session.gaussians(avatar_id, controls, lod=lod)
+    harmonics = fit_harmonics(session, avatar_id, controls, sh_degree, lod)
+    return SplatCloud(found.means, found.quats, found.scales, np.clip(found.opacities, 0.0, 1.0), harmonics)
+
+
+def morph_targets(
+    session: Session,
+    avatar_id: int,
+    controls: Controls,
+    names: Sequence[str] = ALIGNED_NAMES,
+    report: Callable[[str], None] | None = None,
+) -> dict[str, np.ndarray]:
+    """Return how aligned expressions at 1 move the posed vertices, [V, 3] metres each, by name.
+
+    Args:
+        session: Where the avatar is open.
+        avatar_id: The avatar.
+        controls: Expression and pose that they are added to.
+        names: Which of the 60.
+        report: Told the name of each that is done.
+    """
+    resting = session.deform(avatar_id, controls).vertices
+    morphs: dict[str, np.ndarray] = {}
+    for name in names:
+        raised = controls.validate()
+        raised.aligned[ALIGNED_NAMES.index(name)] += 1.0
+        morphs[name] = session.deform(avatar_id, raised).vertices - resting
+        if report:
+            report(name)
+    return morphs

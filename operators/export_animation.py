@@ -1,0 +1,193 @@
+"""Export an avatar's animation: performance files (CSV, JSON, npz), and caches through Blender's Alembic and USD exporters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ..grmm_blender import exporting
+from ..grmm_blender.avatar import Avatar, avatar_of
+from ..grmm_core.errors import FileAccessError, FileFormatError
+from ..grmm_core.performance import write_performance
+from .common import Result, active_performer, output_path, reports_errors
+from .stepwise import FrameRange, Stepwise
+
+PERFORMANCES = (
+    (".json", "ARKit JSON (.json)", "Weights of the 52 ARKit shapes, with head, jaw and eye rotations"),
+    (".csv", "Live Link Face (.csv)", "As the Live Link Face app writes it"),
+    (".npz", "FLAME (.npz)", "FLAME's expression coefficients and joint rotations, as GaussianAvatars and VHAP store them"),
+)
+CACHES = (
+    (".abc", "Alembic (.abc)", "Moving mesh, through Blender's Alembic exporter"),
+    (".usdc", "USD (.usdc)", "Moving mesh, through Blender's USD exporter"),
+)
+
+
+class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, ExportHelper):
+    """Write the animation of the active avatar as a performance file."""
+
+    bl_idname = "grmm.export_performance"
+    bl_label = "Export Performance"
+    bl_description = "Write the animation of the active avatar, as the scene plays it, as a performance file"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    filename_ext = ".json"
+    check_extension = None
+    filter_glob: bpy.props.StringProperty(default="*.json;*.csv;*.npz", options={"HIDDEN"})
+    format: bpy.props.EnumProperty(
+        name="Format", description="File format, where the name does not say", items=PERFORMANCES, default=".json"
+    )
+    flame_file: bpy.props.StringProperty(
+        name="FLAME File",
+        description="Your own FLAME model, for .npz files of an avatar of the open head",
+        subtype="FILE_PATH",
+        default="",
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With something that performs."""
+        if active_performer(context) is None:
+            cls.poll_message_set("Select the head or the armature of an avatar")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Choose a file, or start the steps."""
+        return self.start(context) if self.running else ExportHelper.invoke(self, context, event)
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Write."""
+        return self.run(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the options in the file browser's side panel."""
+        layout = self.layout
+        layout.use_property_split = True
+        for name in ("format", "first", "last"):
+            layout.prop(self, name)
+        if self.format == ".npz":
+            layout.prop(self, "flame_file")
+
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """Walk through the frames, then write."""
+        path = output_path(self.filepath, tuple(item[0] for item in PERFORMANCES), self.format)
+        scene, performer = context.scene, active_performer(context)
+        is_flame = path.suffix.lower() == ".npz"
+        if is_flame and not isinstance(performer, Avatar):
+            raise FileFormatError(f"{performer.object.name} has no FLAME parameters; export ARKit weights (.json or .csv).")
+        if is_flame and exporting.flame_head(performer) is None and not self.flame_file:
+            raise FileFormatError(exporting.NEEDS_FLAME)
+        frames = self.frames(context)
+        rate = scene.render.fps / scene.render.fps_base
+        controls = []
+        with exporting.kept_frame(scene):
+            for found in exporting.sample_controls(performer, scene, frames):
+                controls.append(found)
+                yield 0.95 * len(controls) / len(frames)
+        if is_flame:
+            performance = exporting.recorded_flame(performer, controls, frames, rate, self.flame_file)
+        else:
+            performance = exporting.recorded(performer, controls, frames, rate)
+        if path.suffix.lower() == ".csv" and performance.jaw_rotation is not None:
+            performance.warnings.append("The jaw bone is animated; Live Link Face files cannot hold it and it was left out.")
+        write_performance(path, performance)
+        self.said = [*performance.warnings], f"Wrote {len(frames)} frames to {path.name}"
+        yield 1.0
+
+    def finished(self, context: bpy.types.Context) -> None:
+        """Say what was written and what was left out."""
+        for sentence in self.said[0]:
+            self.report({"WARNING"}, sentence)
+        self.report({"INFO"}, self.said[1])
+
+
+class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):
+    """Write the active avatar's moving mesh through Blender's own Alembic or USD exporter."""
+
+    bl_idname = "grmm.export_cache"
+    bl_label = "Export Mesh Cache"
+    bl_description = "Write the active avatar's moving mesh, with its learned displacement, as Alembic or USD"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    filename_ext = ".abc"
+    check_extension = None
+    filter_glob: bpy.props.StringProperty(default="*.abc;*.usd;*.usdc;*.usda", options={"HIDDEN"})
+    format: bpy.props.EnumProperty(
+        name="Format", description="File format, where the name does not say", items=CACHES, default=".abc"
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With an avatar, in object mode."""
+        if avatar_of(context.object) is None or context.mode != "OBJECT":
+            cls.poll_message_set("Select the head or the armature of a GRMM avatar, in object mode")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Select the head, and let Blender export it."""
+        path = output_path(self.filepath, (".abc", ".usd", ".usdc", ".usda"), self.format)
+        frames = self.frames(context)
+        first, last = frames[0], frames[-1]
+        scene, avatar = context.scene, avatar_of(context.object)
+        selected, active = list(context.selected_objects), context.view_layer.objects.active
+        kept = scene.frame_start, scene.frame_end
+        try:
+            for obj in selected:
+                obj.select_set(False)
+            avatar.object.select_set(True)
+            context.view_layer.objects.active = avatar.object
+            scene.frame_start, scene.frame_end = first, last  # all that the USD exporter looks at
+            with exporting.kept_frame(scene):
+                self._export(path, first, last)
+        except RuntimeError as error:  # how Blender's exporters say that they could not write
+            reason = str(error).strip().rstrip(".")
+            raise FileAccessError(f"Blender could not write {path} ({reason}); check the folder.") from error
+        finally:
+            scene.frame_start, scene.frame_end = kept
+            for obj in context.selected_objects:
+                obj.select_set(False)
+            for obj in selected:
+                obj.select_set(True)
+            context.view_layer.objects.active = active
+        self.report({"INFO"}, f"Wrote {len(frames)} frames to {path.name}")
+        return {"FINISHED"}
+
+    @staticmethod
+    def _export(path: Path, first: int, last: int) -> None:
+        if path.suffix.lower() == ".abc":
+            bpy.ops.wm.alembic_export(
+                "EXEC_DEFAULT", filepath=str(path), start=first, end=last, selected=True, as_background_job=False,
+                uvs=True, normals=True, face_sets=True, flatten=False, export_hair=False, export_particles=False,
+            )  # fmt: skip
+        else:
+            bpy.ops.wm.usd_export(
+                "EXEC_DEFAULT", filepath=str(path), selected_objects_only=True, export_animation=True,
+                export_uvmaps=True, export_normals=True, export_armatures=False, export_shapekeys=False,
+                export_custom_properties=False,
+            )  # fmt: skip
+
+
+def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    layout = self.layout
+    layout.operator(GRMM_OT_export_performance.bl_idname, text="GRMM Performance (.json, .csv, .npz)")
+    layout.operator(GRMM_OT_export_cache.bl_idname, text="GRMM Mesh Cache (.abc, .usdc)")
+
+
+CLASSES = (GRMM_OT_export_performance, GRMM_OT_export_cache)
+
+
+def register() -> None:
+    """Add the menu entries."""
+    bpy.types.TOPBAR_MT_file_export.append(_menu)
+
+
+def unregister() -> None:
+    """Remove the menu entries."""
+    bpy.types.TOPBAR_MT_file_export.remove(_menu)

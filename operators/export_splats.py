@@ -1,0 +1,253 @@
+"""Export avatars and splat clouds: splat files (one, or one a frame), meshes with morph targets, GaussianAvatars' folders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ..grmm_blender import exporting
+from ..grmm_blender.avatar import avatar_of
+from ..grmm_blender.exporting import SplatOptions, splat_target
+from ..grmm_blender.splats.cloud import Cloud
+from ..grmm_core.errors import FileAccessError, FileFormatError
+from ..grmm_core.formats import write_splats
+from ..grmm_core.formats.avatars import PLY_NAME, TRACK_NAME
+from ..grmm_core.formats.sequence import frame_path
+from .common import Result, output_path, reports_errors
+from .stepwise import FrameRange, Stepwise
+
+FORMATS = (
+    (".ply", "3DGS (.ply)", "Uncompressed, as written by 3D Gaussian Splatting; read by nearly every splat program"),
+    (".spz", "SPZ (.spz)", "Compressed to about a tenth"),
+    (".splat", ".splat", "32 bytes a splat, no view dependence; read by web viewers"),
+    (".sog", "SOG (.sog)", "Compressed pictures, as PlayCanvas uses; needs Pillow in Blender's Python"),
+    (".glb", "glTF (.glb)", "glTF with KHR_gaussian_splatting"),
+)
+_DEGREE = {
+    "name": "View Dependence",
+    "description": "Degree of the spherical harmonics that follow how the avatar's colours change with the view; 0 for none",
+    "default": 1, "min": 0, "max": 3,
+}  # fmt: skip
+
+
+class GRMM_OT_export_splats(Stepwise, FrameRange, bpy.types.Operator, ExportHelper):
+    """Write the active avatar, or splat cloud, as splats for other programs."""
+
+    bl_idname = "grmm.export_splats"
+    bl_label = "Export Splats"
+    bl_description = "Write the active avatar or splat cloud as Gaussians for other programs"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    filename_ext = ".ply"
+    check_extension = None  # the format decides; see `check`
+    filter_glob: bpy.props.StringProperty(default=";".join(f"*{item[0]}" for item in FORMATS), options={"HIDDEN"})
+    format: bpy.props.EnumProperty(name="Format", description="File format", items=FORMATS, default=".ply")
+    pose: bpy.props.EnumProperty(
+        name="Pose",
+        description="What is written",
+        items=(
+            ("FRAME", "This Frame", "Pose and expression of the scene's frame"),
+            ("CANONICAL", "At Rest", "The neutral face, not turned"),
+            ("SEQUENCE", "Sequence", "A file for every frame, numbered; #### in the name is where the number goes"),
+        ),
+        default="FRAME",
+    )
+    degree: bpy.props.IntProperty(**_DEGREE)
+    lod: bpy.props.IntProperty(
+        name="Reduction", description="Each step keeps a quarter of an avatar's Gaussians, larger ones", default=0, min=0, max=3
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With something to export."""
+        if splat_target(context.object, context.scene) is None:
+            cls.poll_message_set("Select an avatar or a splat cloud")
+            return False
+        return True
+
+    def check(self, context: bpy.types.Context) -> bool:
+        """Keep the file's extension that of the format."""
+        path = Path(self.filepath)
+        known = [item[0] for item in FORMATS]
+        wanted = str(path.with_suffix(self.format) if path.suffix.lower() in known else f"{path}{self.format}")
+        changed = bool(path.name) and wanted != self.filepath
+        if changed:
+            self.filepath = wanted
+        return changed
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Choose a file, or start the steps."""
+        if self.running:
+            return self.start(context)
+        self.filename_ext = self.format
+        return ExportHelper.invoke(self, context, event)
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Write."""
+        return self.run(context)
+
+    def is_slow(self, context: bpy.types.Context) -> bool:
+        """Sequences are."""
+        return self.pose == "SEQUENCE"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the options in the file browser's side panel."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "format")
+        layout.prop(self, "pose")
+        if self.pose == "SEQUENCE":
+            column = layout.column(align=True)
+            column.prop(self, "first")
+            column.prop(self, "last")
+        if not isinstance(splat_target(context.object, context.scene), Cloud):
+            layout.prop(self, "degree")
+            layout.prop(self, "lod")
+
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """Write one file after the other."""
+        path = output_path(self.filepath, tuple(item[0] for item in FORMATS), self.format)
+        target = splat_target(context.object, context.scene)
+        options = SplatOptions(self.degree, self.lod, self.pose == "CANONICAL")
+        scene = context.scene
+        self.written: list[Path] = []
+        if self.pose != "SEQUENCE":
+            write_splats(path, exporting.splats_of(target, context.evaluated_depsgraph_get(), options))
+            self.written.append(path)
+            yield 1.0
+            return
+        frames = self.frames(context)
+        with exporting.kept_frame(scene):
+            for number, frame in enumerate(frames):
+                scene.frame_set(frame)
+                cloud = exporting.splats_of(target, context.evaluated_depsgraph_get(), options)
+                self.written.append(frame_path(path, frame))
+                write_splats(self.written[-1], cloud)
+                yield (number + 1) / len(frames)
+
+    def finished(self, context: bpy.types.Context) -> None:
+        """Say what was written."""
+        count, first = len(self.written), self.written[0]
+        self.report({"INFO"}, f"Wrote {first.name}" if count == 1 else f"Wrote {count} files to {first.parent}")
+
+
+class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
+    """Write the active avatar's mesh, with the learned displacement and ARKit morph targets."""
+
+    bl_idname = "grmm.export_mesh"
+    bl_label = "Export Head Mesh"
+    bl_description = "Write the active avatar's mesh with its learned displacement and, in glTF, ARKit morph targets"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    filename_ext = ".glb"
+    check_extension = None
+    filter_glob: bpy.props.StringProperty(default="*.glb;*.obj", options={"HIDDEN"})
+    canonical: bpy.props.BoolProperty(
+        name="At Rest", description="The neutral face, not turned, instead of the scene's frame", default=True
+    )
+    morphs: bpy.props.BoolProperty(
+        name="ARKit Morph Targets", description="Add the 52 ARKit shapes (glTF only)", default=True
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With an avatar."""
+        if avatar_of(context.object) is None:
+            cls.poll_message_set("Select the head or the armature of a GRMM avatar")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Write."""
+        path = output_path(self.filepath, (".glb", ".obj"), self.filename_ext)
+        depsgraph = context.evaluated_depsgraph_get()
+        count = exporting.write_avatar_mesh(path, avatar_of(context.object), depsgraph, self.canonical, self.morphs)
+        self.report({"INFO"}, f"Wrote {path.name}" + (f" with {count} morph targets" if count else ""))
+        return {"FINISHED"}
+
+
+class GRMM_OT_export_gaussian_avatar(Stepwise, FrameRange, bpy.types.Operator):
+    """Write the active avatar and its animation as GaussianAvatars store them."""
+
+    bl_idname = "grmm.export_gaussian_avatar"
+    bl_label = "Export GaussianAvatars Folder"
+    bl_description = f"Write {PLY_NAME} (splats bound to FLAME's triangles) and {TRACK_NAME} (the animation) into a folder"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    directory: bpy.props.StringProperty(name="Folder", description="Folder for the two files", subtype="DIR_PATH")
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    flame_file: bpy.props.StringProperty(
+        name="FLAME File",
+        description="Your own FLAME model (generic_model.pkl or flame2023.pkl), which an avatar of the open head is moved to",
+        subtype="FILE_PATH",
+        default="",
+    )
+    degree: bpy.props.IntProperty(**_DEGREE)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """With an avatar."""
+        return GRMM_OT_export_mesh.poll.__func__(cls, context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Choose a folder, or start the steps."""
+        if self.running:
+            return self.start(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Write."""
+        return self.run(context)
+
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """Sample the animation, then write both files."""
+        scene, avatar = context.scene, avatar_of(context.object)
+        if not self.directory:
+            raise FileAccessError("No folder is chosen; choose a folder.")
+        if exporting.flame_head(avatar) is None and not self.flame_file:
+            raise FileFormatError(exporting.NEEDS_FLAME)
+        target = splat_target(context.object, scene)
+        frames = self.frames(context)
+        rate = scene.render.fps / scene.render.fps_base
+        controls = []
+        with exporting.kept_frame(scene):
+            for found in exporting.sample_controls(avatar, scene, frames):
+                controls.append(found)
+                yield 0.9 * len(controls) / len(frames)
+        track = exporting.recorded_flame(avatar, controls, frames, rate, self.flame_file)
+        cloud = target if isinstance(target, Cloud) else None
+        made = exporting.gaussian_avatar(avatar, cloud, track, self.flame_file, SplatOptions(self.degree))
+        self.folder = Path(bpy.path.abspath(self.directory))
+        exporting.save_gaussian_avatar(self.folder, made)
+        self.counts = made.cloud.count, len(frames)
+        yield 1.0
+
+    def finished(self, context: bpy.types.Context) -> None:
+        """Say what was written."""
+        self.report({"INFO"}, f"Wrote {self.counts[0]} splats and {self.counts[1]} frames to {self.folder}")
+
+
+def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    layout = self.layout
+    layout.operator(GRMM_OT_export_splats.bl_idname, text="GRMM Splats (.ply, .spz, .splat, .sog, .glb)")
+    layout.operator(GRMM_OT_export_mesh.bl_idname, text="GRMM Head Mesh (.glb, .obj)")
+    layout.operator(GRMM_OT_export_gaussian_avatar.bl_idname, text="GRMM GaussianAvatars Folder")
+
+
+CLASSES = (GRMM_OT_export_splats, GRMM_OT_export_mesh, GRMM_OT_export_gaussian_avatar)
+
+
+def register() -> None:
+    """Add the menu entries."""
+    bpy.types.TOPBAR_MT_file_export.append(_menu)
+
+
+def unregister() -> None:
+    """Remove the menu entries."""
+    bpy.types.TOPBAR_MT_file_export.remove(_menu)

@@ -1,0 +1,161 @@
+"""Avatars from photos: choose photos, look at what is found, fit, cancel, resume."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+
+from ..grmm_blender import session_host
+from ..grmm_blender.fitting import watch
+from ..grmm_blender.fitting.job import FitJob, FitRequest
+from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings, work_folder
+from ..grmm_core.errors import ConfigError, FileAccessError
+from .common import Result, reports_errors
+
+_EXTENSIONS = "*.jpg;*.jpeg;*.png;*.webp;*.tif;*.tiff;*.bmp"
+
+
+def _idle(cls: type[bpy.types.Operator], _context: bpy.types.Context) -> bool:
+    """`poll`: no fit is running."""
+    if watch.job() is not None and watch.job().running:
+        cls.poll_message_set("A fit is running; wait or cancel it")
+        return False
+    return True
+
+
+def _with_photos(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """`poll`: photos are chosen and no fit is running."""
+    if not photo_paths(settings(context)):
+        cls.poll_message_set("Choose a photo first")
+        return False
+    return _idle(cls, context)
+
+
+class GRMM_OT_fit_add_photos(bpy.types.Operator):
+    """Choose photos of one person."""
+
+    bl_idname = "grmm.fit_add_photos"
+    bl_label = "Add Photos"
+    bl_description = "Choose one or several photos of one person, who has agreed"
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
+
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(default=_EXTENSIONS, options={"HIDDEN"})
+    poll = classmethod(_idle)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Open the file browser."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Append what was chosen."""
+        chosen = settings(context)
+        names = [str(Path(self.directory) / file.name) for file in self.files if file.name] or [self.filepath]
+        known = {photo.path for photo in chosen.photos}
+        for name in names:
+            if name and name not in known:
+                chosen.photos.add().path = name
+        chosen.active = max(0, len(chosen.photos) - 1)
+        return {"FINISHED"}
+
+
+class GRMM_OT_fit_remove_photo(bpy.types.Operator):
+    """Take the active photo off the list."""
+
+    bl_idname = "grmm.fit_remove_photo"
+    bl_label = "Remove Photo"
+    bl_description = "Take the active photo off the list"
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
+    poll = classmethod(_with_photos)
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Remove it."""
+        chosen = settings(context)
+        chosen.photos.remove(min(chosen.active, len(chosen.photos) - 1))
+        chosen.active = max(0, min(chosen.active, len(chosen.photos) - 1))
+        return {"FINISHED"}
+
+
+class GRMM_OT_fit_look(bpy.types.Operator):
+    """Find faces, landmarks and outline, and show them."""
+
+    bl_idname = "grmm.fit_look"
+    bl_label = "Find Faces"
+    bl_description = "Find faces, landmarks and the outline in the photos, to check the choice before fitting"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+    poll = classmethod(_with_photos)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Start the job."""
+        chosen = settings(context)
+        look = Path(bpy.app.tempdir) / "grmm_found"
+        request = FitRequest(photo_paths(chosen), look=look, face=chosen.face, masks=mask_paths(chosen))
+        return _run(self, context, request)
+
+
+class GRMM_OT_fit_photos(bpy.types.Operator):
+    """Make an avatar of the person in the photos and add it to the scene."""
+
+    bl_idname = "grmm.fit_photos"
+    bl_label = "Make Avatar"
+    bl_description = "Make an avatar of the person in the photos, in a process of its own, and add it to the scene"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    resume: bpy.props.BoolProperty(
+        name="Resume", description="Go on with a fit of the same photos that was interrupted", default=False
+    )
+    poll = classmethod(_with_photos)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Start the job; in background wait for it."""
+        chosen, runtime = settings(context), session_host.settings()
+        output = output_path(chosen)
+        if not output.parent.is_dir():
+            raise FileAccessError(f"The folder {output.parent} does not exist; choose another avatar file.")
+        some = [photo for photo in chosen.photos if photo.path and photo.mask]
+        if some and not mask_paths(chosen):
+            raise ConfigError("Only some photos have an outline; give one for each, or none.")
+        request = FitRequest(
+            photo_paths(chosen), output, preset=chosen.preset, face=chosen.face, masks=mask_paths(chosen),
+            work=work_folder(output), resume=self.resume, weights=runtime.weights, device=runtime.device,
+            threads=runtime.threads,
+        )  # fmt: skip
+        return _run(self, context, request)
+
+
+class GRMM_OT_fit_cancel(bpy.types.Operator):
+    """Stop the running fit; its state is kept for a resume."""
+
+    bl_idname = "grmm.fit_cancel"
+    bl_label = "Cancel"
+    bl_description = "Stop the running fit; what it has done is kept, so that it can be resumed"
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """While a fit runs."""
+        return watch.job() is not None and watch.job().running
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Ask it to end."""
+        watch.job().cancel()
+        return {"FINISHED"}
+
+
+def _run(operator: bpy.types.Operator, context: bpy.types.Context, request: FitRequest) -> Result:
+    """Start a job; a window goes on, background mode waits. Raises `GrmmError`s."""
+    watch.start(FitJob.start(session_host.job_python(), request), request)
+    if bpy.app.background:
+        watch.job().wait()
+        operator.report({"INFO"}, watch.finish(context))
+    return {"FINISHED"}
+
+
+CLASSES = (GRMM_OT_fit_add_photos, GRMM_OT_fit_remove_photo, GRMM_OT_fit_look, GRMM_OT_fit_photos, GRMM_OT_fit_cancel)

@@ -1,8 +1,8 @@
 """`python -m tools.compare_renderer --node-modules DIR`: an exported avatar in another project's renderer, beside ours.
 
 The avatar is exported as .ply (or as --format says), and drawn from the same cameras by PlayCanvas's `splat-transform` (npm),
-which shares no code with us, and by our rasteriser from the same file. Reports the PSNR of each view and writes OUT/views.png with
-rows of theirs, ours, and the difference.
+which shares no code with us, and by our rasteriser from the same file. Reports the PSNR of each view and writes OUT/views.png
+with rows of theirs, ours, and the difference.
 
 Needs `npm install @playcanvas/splat-transform` and a WebGPU device. Without a graphics card Vulkan's software device will do;
 where it is not found by itself, name its description: VK_ICD_FILENAMES=/usr/lib/chromium/vk_swiftshader_icd.json.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..evaluation.scene import Scene
 
 PROTOCOLS = ("reconstruction", "novel-view", "expression", "person", "monocular", "transfer")
-CODES, ALL = "codes", "all"
+CODES, ALL, MONOCULAR = "codes", "all", "monocular"
 METHODS = ("codes", "fast", "standard", "high")
 DEFAULT_LIMIT = 60
 TRANSFER_PEOPLE = 6  # in a sheet
@@ -81,6 +81,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         _make_folder(args.output)
     device = _device(args.device)
     names = _protocols(args.protocol)
+    if not any((Path(folder) / "dataset.json").exists() for folder in args.data) and MONOCULAR in args.protocol:
+        return _photos(args, device)
     settings = Settings(
         args.limit, args.people, args.size or 0, args.fit, not args.no_ablations, not args.no_regions,
         _distances(args, device), args.seed,
@@ -125,6 +127,35 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         args.console.line(f"Wrote {args.output / RESULT}, {TABLE} and pictures.")
     short = {name: {k: v for k, v in values.items() if k != "rows"} for name, values in summaries.items()}
     return {**facts, "protocols": short}
+
+
+def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:
+    """The monocular protocol on folders of real photos: figures in the photos' views, avatars and sheets."""
+    from ..evaluation.fitting import evaluate_photos, photos_in, photos_table
+
+    if args.output is None:
+        raise ConfigError("Photos are judged by looking at their sheets; give a folder for them with --output.")
+    preset = args.fit if args.fit != CODES else "fast"
+    results = {}
+    for folder in args.data:
+        if not photos_in(folder):
+            raise ConfigError(f"{folder} holds neither a data set nor photos; choose another folder.")
+        out = args.output if len(args.data) == 1 else args.output / Path(folder).name
+        with args.console.progress("fitting", 1000) as bar:
+            shown = 0
+
+            def advance(text: str, share: float) -> None:
+                nonlocal shown
+                bar.advance(max(0, int(1000 * share) - shown), text)
+                shown = max(shown, int(1000 * share))
+
+            results[Path(folder).name] = evaluate_photos(
+                folder, args.weights, out, preset, device=device, distances=_distances(args, device), report=advance
+            )
+    text = "\n".join(photos_table(result) for result in results.values())
+    _write(args.output, {"weights": args.weights, "monocular": results}, text)
+    args.console.line(text)
+    return results
 
 
 def _protocols(names: list[str]) -> list[str]:

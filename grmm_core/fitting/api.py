@@ -59,6 +59,7 @@ class FitResult:
         seconds: Time taken, without what an earlier, interrupted run did.
         rmse: Root mean square colour error in each photo's view, inside the mask.
         landmark_error: Mean landmark distance of each photo relative to the eye distance.
+        tracks: What tracking found in the photos.
     """
 
     path: Path
@@ -66,6 +67,7 @@ class FitResult:
     seconds: float
     rmse: tuple[float, ...]
     landmark_error: tuple[float, ...]
+    tracks: tuple[PhotoTrack, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class _Job:
     """What identifies a fit in its work folder."""
 
     photos: tuple[PhotoRecord, ...]
-    face: int
+    faces: tuple[int, ...]
     masks: tuple[str, ...]
 
     def to_json(self) -> bytes:
@@ -85,7 +87,7 @@ def fit(
     output: str | os.PathLike[str],
     *,
     preset: str = "standard",
-    face: int = 0,
+    faces: Sequence[int] = (0,),
     masks: Sequence[str | os.PathLike[str]] = (),
     weights: str | os.PathLike[str] | None = None,
     device: str = "auto",
@@ -105,7 +107,7 @@ def fit(
         photos: Files, the one whose light the avatar shall have first.
         output: `.grmm` file to write.
         preset: "fast", "standard" or "high".
-        face: Which face, counted from 0, the largest first, where a photo shows several.
+        faces: Which face of each photo, counted from 0, the largest first; a single number counts for all photos.
         masks: Pictures of the person's outline (white on black), one for each photo, in its order; empty finds the outline.
         weights: Name of installed weights, or a file; None for the embedded ones.
         device: "auto", "cpu", "cuda" or "mps".
@@ -125,9 +127,10 @@ def fit(
     """
     output = Path(output)
     settings = preset_named(preset)
-    _check(photos, output, masks)
+    _check(photos, output, masks, faces)
+    chosen = tuple(faces) if len(faces) == len(photos) else tuple(faces) * len(photos)
     job = _Job(
-        tuple(PhotoRecord(Path(photo).name, _hash(photo)) for photo in photos), face, tuple(_hash(mask) for mask in masks)
+        tuple(PhotoRecord(Path(photo).name, _hash(photo)) for photo in photos), chosen, tuple(_hash(mask) for mask in masks)
     )
     begin = time.monotonic()
     folder = Path(work) if work is not None else output.with_name(output.name + WORK_SUFFIX)
@@ -164,7 +167,7 @@ def fit(
     save_avatar(avatar, output)
     if work is None:
         shutil.rmtree(folder, ignore_errors=True)
-    return FitResult(output, avatar, time.monotonic() - begin, tuple(rmse), tuple(landmarks))
+    return FitResult(output, avatar, time.monotonic() - begin, tuple(rmse), tuple(landmarks), tuple(tracks))
 
 
 def thumbnail(model: GRMM, avatar: Avatar, pixels: int = THUMBNAIL_PIXELS) -> bytes:
@@ -251,36 +254,55 @@ def _tracks(
         found = analyse_photo(photo)
         if on_faces is not None:
             on_faces(os.fspath(photo), np.stack([one.box for one in found.faces]) / found.photo.scale)
-        if job.face >= len(found.faces):
-            raise ConfigError(
-                f"{Path(photo).name} shows {len(found.faces)} usable face{'s' * (len(found.faces) != 1)}, "
-                f"and face {job.face + 1} was chosen; choose a number from 1 to {len(found.faces)}."
-            )
+        _check_face(photo, job.faces[index], len(found.faces))
         analysed.append(found)
     relay("analyse", 1.0)
-    outlines = [_read_mask(mask) for mask in masks] or None
+    outlines = [read_mask(mask) for mask in masks] or None
     tracks = track_photos(
-        analysed, head, faces=[job.face] * len(analysed), masks=outlines,
+        analysed, head, faces=job.faces, masks=outlines,
         progress=lambda share: relay("track", share), cancelled=relay.wants_to_stop,
     )  # fmt: skip
     save_tracks(path, tracks)
     return tracks
 
 
-def _check(photos: Sequence[str | os.PathLike[str]], output: Path, masks: Sequence[str | os.PathLike[str]]) -> None:
+def _check(
+    photos: Sequence[str | os.PathLike[str]], output: Path, masks: Sequence[str | os.PathLike[str]], faces: Sequence[int]
+) -> None:  # fmt: skip
     """Refuse what cannot work before minutes are spent."""
-    if not photos:
-        raise ConfigError("No photo was given; choose at least one.")
-    if len(photos) > MAX_PHOTOS:
-        raise ConfigError(f"{len(photos)} photos were given; use at most {MAX_PHOTOS}.")
-    if masks and len(masks) != len(photos):
-        raise ConfigError(f"{len(masks)} masks were given for {len(photos)} photos; give one for each, or none.")
+    _check_photos(photos, masks, faces)
     if output.suffix != EXTENSION:
         raise ConfigError(f"{output.name} does not end in {EXTENSION}; name the avatar's file NAME{EXTENSION}.")
     if not output.parent.is_dir():
         raise FileAccessError(f"The folder {output.parent} does not exist; make it or choose another one.")
     if output.is_dir():
         raise FileAccessError(f"{output} is a folder; give a file name.")
+
+
+def check_masks(photos: Sequence[str | os.PathLike[str]], masks: Sequence[str | os.PathLike[str]]) -> None:
+    """Refuse a number of outlines that is not the photos'. Raises `ConfigError`."""
+    if masks and len(masks) != len(photos):
+        raise ConfigError(f"{len(masks)} masks were given for {len(photos)} photos; give one for each, or none.")
+
+
+def _check_photos(
+    photos: Sequence[str | os.PathLike[str]], masks: Sequence[str | os.PathLike[str]], faces: Sequence[int]
+) -> None:
+    if not photos:
+        raise ConfigError("No photo was given; choose at least one.")
+    if len(photos) > MAX_PHOTOS:
+        raise ConfigError(f"{len(photos)} photos were given; use at most {MAX_PHOTOS}.")
+    check_masks(photos, masks)
+    if len(faces) not in (1, len(photos)):
+        raise ConfigError(f"{len(faces)} faces were chosen for {len(photos)} photos; choose one for each, or one for all.")
+
+
+def _check_face(photo: str | os.PathLike[str], face: int, count: int) -> None:
+    if not 0 <= face < count:
+        raise ConfigError(
+            f"{Path(photo).name} shows {count} usable face{'s' * (count != 1)}, and face {face + 1} was chosen; "
+            f"choose a number from 1 to {count}."
+        )
 
 
 def _hash(path: str | os.PathLike[str]) -> str:
@@ -300,8 +322,8 @@ def _prepare(folder: Path, job: _Job, resume: bool) -> None:
     atomic_write_bytes(folder / JOB_FILE, job.to_json())
 
 
-def _read_mask(path: str | os.PathLike[str]) -> np.ndarray:
-    """A mask picture as coverage 0..1, [H, W]: its alpha where it has one, else its brightness."""
+def read_mask(path: str | os.PathLike[str]) -> np.ndarray:
+    """A mask picture as coverage 0..1, [H, W]: its alpha where it has one, else its brightness. Raises as `load_photo`."""
     from ..photo.load import load_photo
 
     photo = load_photo(path)

@@ -45,6 +45,8 @@ PULL = {  # of squared maps in skin, scalp, inner parts; positions in the model'
     "colour": (0.02, 0.02, 0.05), "opacity": (0.01, 0.002, 0.02), "position": (4.0, 0.4, 8.0), "scale": (0.2, 0.05, 0.4),
 }  # fmt: skip
 WIDTHS = {"colour": 3, "opacity": 1, "position": 3, "scale": 3}
+DETAIL_TEXELS, TONE_TEXELS = 3.0, 40.0  # lengths below which colours are detail, and above which they are a general tone
+COLOUR_REST = 5e-4  # pulls unseen colours to the general tone; the reach is some 45 texels
 HALF_SEEN_PIXELS = 0.5  # contribution, in pixels, at which a texel counts as half seen
 GRAZING = (0.05, 0.35)  # cosine between normal and view below which colours say nothing, and above which they count fully
 SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colours
@@ -96,6 +98,16 @@ def _towards(start: Tensor, target: Tensor, distance: float) -> Tensor:
     return start + offset * (distance / offset.norm().clamp(min=1e-6))
 
 
+def start_colours(colours: Tensor, codes: Codes, surface: Surface) -> Tensor:
+    """Stage 1's colours with the skin smoothed: freckles are the training people's, and this person's come from the photo.
+
+    Freckles that were only painted over would come out where an expression moves the Gaussians, since several make a pixel.
+    """
+    recoloured = recolour(colours, codes.maps, surface)
+    even = surface.smooth(recoloured, DETAIL_TEXELS)
+    return torch.where((surface.group == SKIN)[:, None], even, recoloured)
+
+
 class Tuner:
     """The optimisation of stage 2; its state can be saved at any step.
 
@@ -124,7 +136,7 @@ class Tuner:
             self.z_exp = [codes.expression_code(model, view) for view in first]
             self.meshes = [mesh(model, view, codes.z_id, z) for view, z in zip(first, self.z_exp, strict=True)]
             self.looks = [decode(model, codes.z_id, z, view.camera) for view, z in zip(first, self.z_exp, strict=True)]
-            self.tint = recolour(self.looks[0].colours, codes.maps, surface) - self.looks[0].colours  # [N, 3]
+            self.tint = start_colours(self.looks[0].colours, codes, surface) - self.looks[0].colours  # [N, 3]
         count = model.gaussian_count
         self.maps = {
             name: torch.zeros(count, width, dtype=model.dtype, device=model.device, requires_grad=True)
@@ -250,7 +262,7 @@ class Tuner:
         """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
         maps = {name: value.detach() for name, value in self.maps.items()}
         if fill:
-            maps["colour"] = self.surface.fill(maps["colour"], self.seen)
+            maps["colour"] = self._filled_colours(maps["colour"])
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
@@ -267,6 +279,20 @@ class Tuner:
                 if value is not frozen[name]:
                     deltas[name] = value.detach() - frozen[name].detach()
         return deltas
+
+    def _filled_colours(self, changes: Tensor) -> Tensor:
+        """Changes of colour [N, 3] with those of unseen texels.
+
+        What is filled in on skin and scalp is the tone, not the change: the decoded tone may be wrong just where nothing is
+        seen, as on lids. The hair's detail stays the decoded one.
+        """
+        start = self.looks[0].colours + self.tint
+        tone = self.surface.smooth(start, TONE_TEXELS)
+        detail = start - self.surface.smooth(start, DETAIL_TEXELS)
+        filled = tone + self.surface.fill(start + changes - tone, self.seen, rest=COLOUR_REST) + detail
+        unseen = (1.0 - self.seen)[:, None]
+        outer = changes * (1.0 - unseen) + (filled - start) * unseen
+        return torch.where((self.surface.group == INNER)[:, None], self.surface.fill(changes, self.seen), outer)
 
     # --- state -----------------------------------------------------------------------------------------------------
 

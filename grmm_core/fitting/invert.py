@@ -36,6 +36,7 @@ from .views import FitView, fit_view
 CODES, DECODERS = "codes", "decoders"
 SAVE_SECONDS = 20.0
 PREVIEW_SECONDS = 2.0
+MEASURED_SIDE = 512
 _GREY = 0.5
 _DECODE_COST = 0.12  # of a step's decoders, in units of a megapixel drawn and differentiated: for the time left
 
@@ -211,8 +212,10 @@ def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]
         return {"decoders.appearance_mean": torch.cat([tint, tint.new_zeros(len(tint), model.config.features)], 1)}
 
 
-def photo_errors(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = 512) -> list[float]:
-    """RMSE of an avatar's picture in each photo's view, inside the part of the person that the model has.
+def photo_pictures(
+    model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE
+) -> list[tuple[FitView, Drawn]]:
+    """An avatar drawn as each of its photos shows it, under that photo's exposure.
 
     Args:
         model: With the avatar's own changes (`session.models.with_deltas`).
@@ -220,7 +223,7 @@ def photo_errors(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side
         tracks: Photos.
         side: Longer side of the picture.
     """
-    errors = []
+    pictures = []
     z_id, shared = (torch.as_tensor(np.array(a), device=model.device) for a in (avatar.z_id, avatar.z_exp))
     for index, track in enumerate(tracks):
         view = fit_view(track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device)
@@ -230,11 +233,18 @@ def photo_errors(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side
             z_exp = expression_code(model, view, shared + own)
             code = z_id if model.config.residuals else view.shape
             drawn = draw(model, view.camera, mesh(model, view, code, z_exp), decode(model, code, z_exp, view.camera))
-            drawn = drawn.relit(gain, offset)
-            grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
-            shown = drawn.image + (1.0 - drawn.alpha)[..., None] * grey
-            error = (shown.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.inside
-            errors.append(float((error.sum() / view.inside.sum().clamp(min=1.0)).sqrt()))
+        pictures.append((view, drawn.relit(gain, offset)))
+    return pictures
+
+
+def photo_errors(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE) -> list[float]:
+    """RMSE in each photo's view, inside the part of the person that the model has. Arguments as `photo_pictures`."""
+    errors = []
+    for view, drawn in photo_pictures(model, avatar, tracks, side):
+        grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
+        shown = drawn.image + (1.0 - drawn.alpha)[..., None] * grey
+        error = (shown.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.inside
+        errors.append(float((error.sum() / view.inside.sum().clamp(min=1.0)).sqrt()))
     return errors
 
 

@@ -68,7 +68,15 @@ class Surface:
         links, degree = self.links[int(mirrored)], self.degrees[int(mirrored)][:, None]
         known = SEEN_WEIGHT * seen[:, None]
         diagonal = known + degree + rest
-        return _conjugate_gradients(lambda x: diagonal * x - links(x), known * values, values * (known / diagonal), diagonal)
+        start = values * (known / diagonal)
+        return _conjugate_gradients(lambda x: diagonal * x - links(x), known * values, start, diagonal)
+
+    def smooth(self, values: Tensor, texels: float) -> Tensor:
+        """Values [N, C] smoothed along the surface over some texels (the membrane's length of decay)."""
+        weight = 1.0 / texels**2
+        diagonal = weight + self.degrees[0][:, None]
+        links = self.links[0]
+        return _conjugate_gradients(lambda x: diagonal * x - links(x), weight * values, values, diagonal)
 
 
 def texel_surface(model: GRMM) -> Surface:

@@ -22,10 +22,14 @@ from ..zbuffer import EMPTY, triangle_depth
 from .types import PhotoTrack
 
 MARGIN_SIDE, MARGIN_TOP, MARGIN_BOTTOM = 0.18, 0.22, 0.03  # of the head's height in the picture, around the mesh
-BODY_BELOW_CHIN = 0.06  # of the head's height: where clothes may begin
+BODY_BELOW_CHIN = -0.1  # of the head's height: collars and shoulders may begin so far above the chin
+SURELY_BODY = 0.12  # likewise: below this it is clothes
+HAIR_NEARER = 0.7  # a pixel is hair where it is so much nearer to the hair's colour than to the clothes'
+COLOURS_DIFFER = 0.15  # distance of these colours from which they can be told apart
 BODY_MASK = 0.05  # coverage above which a pixel counts as the person's
 MESH_MARGIN = 0.015  # of the head's height by which the mesh is widened before what lies outside counts as body
-_CHIN_LANDMARK = 152
+_CHIN_LANDMARK, _FOREHEAD_LANDMARK = 152, 10
+_FEW_PIXELS = 30
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
 
@@ -142,10 +146,23 @@ def _body(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> np.nd
     height = float(np.ptp(pixels[:, 1]))
     covered = torch.tensor(triangle_depth(triangles, camera) < EMPTY, dtype=torch.float32)
     reach = max(1, round(MESH_MARGIN * height))
-    widened = functional.max_pool2d(covered[None, None], 2 * reach + 1, 1, reach)[0, 0].numpy()
+    widened = functional.max_pool2d(covered[None, None], 2 * reach + 1, 1, reach)[0, 0].numpy() > 0.5
     down = camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])  # the head's down on the picture
     down = down / max(float(np.linalg.norm(down)), 1e-6)
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-    chin = track.landmarks_fitted[_CHIN_LANDMARK]
+    chin, forehead = (track.landmarks_fitted[i] for i in (_CHIN_LANDMARK, _FOREHEAD_LANDMARK))
     below = (columns - chin[0]) * down[0] + (rows - chin[1]) * down[1]
-    return ((below > BODY_BELOW_CHIN * height) & (widened < 0.5) & (track.mask > BODY_MASK)).astype(np.float32)
+    outside = (track.mask > BODY_MASK) & ~widened
+    above = (columns - forehead[0]) * down[0] + (rows - forehead[1]) * down[1] < -0.05 * height
+    hair = _median(track, (track.mask > 0.5) & above)
+    clothes = _median(track, (track.mask > 0.5) & outside & (below > SURELY_BODY * height))
+    body = outside & (below > BODY_BELOW_CHIN * height)
+    if hair is not None and clothes is not None and np.linalg.norm(hair - clothes) > COLOURS_DIFFER:
+        nearer = np.linalg.norm(track.image - hair, axis=-1) < HAIR_NEARER * np.linalg.norm(track.image - clothes, axis=-1)
+        body &= ~(nearer & (below < SURELY_BODY * height))
+    return body.astype(np.float32)
+
+
+def _median(track: PhotoTrack, pixels: np.ndarray) -> np.ndarray | None:
+    """Middle colour of some pixels, [3]; None of too few."""
+    return np.median(track.image[pixels], axis=0) if int(pixels.sum()) >= _FEW_PIXELS else None

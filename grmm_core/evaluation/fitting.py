@@ -1,0 +1,255 @@
+"""How good fits are: real photos with sheets to look at, and what the stages do to synthetic people whose truth is known.
+
+``evaluate_photos``   a folder of photos, fitted as users do: errors in the photo's view, a sheet each
+``compare_stages``    stage 2 off, on, and on without locality: the input view against other views and other expressions
+``compare_counts``    one, two and four photos: new views
+``shape_errors``      the tracked shape against the true one, millimetres
+
+Called by the command line (`grmm evaluate --protocol monocular` on a folder of photos) and by whoever measures. Imports torch.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..avatar import Avatar
+from ..camera import Camera
+from ..controls import Controls, resolve
+from ..errors import GrmmError, NoFaceError
+from ..fitting.api import fit
+from ..fitting.invert import invert, photo_pictures
+from ..fitting.presets import Preset
+from ..fitting.types import PhotoTrack
+from ..head import HeadModel
+from ..images import write_png
+from ..model.grmm import GRMM
+from ..session.models import with_deltas
+from .fit import exact_track
+from .metrics import Distance, errors_of
+from .report import sheet
+from .scene import Person, Scene
+from .views import Sample, load
+
+PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
+NEW_VIEWS = (-30.0, 30.0, 60.0)  # degrees
+EXPRESSIONS: dict[str, dict[str, float]] = {
+    "smile": {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0},
+    "jaw": {"jawOpen": 0.7},
+    "blink": {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
+    "pucker": {"mouthPucker": 1.0},
+}  # fmt: skip
+STAGES: dict[str, dict[str, Any]] = {
+    "stage 1": {"second_stage": False},
+    "stage 2": {},
+    "stage 2 without locality": {"locality": 0.0},
+}
+COUNTS = (1, 2, 4)
+SHEET_PIXELS = 320
+MEASURED_PIXELS = 512
+_GREY = 0.5
+_DISTANCE, _FOV = 1.1, 20.0
+_FACE_REGIONS = ("face", "lips", "lids", "brows")
+
+Report = Callable[[str, float], None]
+
+
+def photos_in(folder: str | Path) -> list[Path]:
+    """Photos of a folder by their suffix, sorted; empty where there are none."""
+    path = Path(folder)
+    return sorted(p for p in path.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES) if path.is_dir() else []
+
+
+def evaluate_photos(
+    folder: str | Path, weights: str | Path | None, out: str | Path, preset: str = "standard", *, device: str = "auto",
+    distances: Mapping[str, Distance] | None = None, report: Report | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """Fit every photo of a folder without hand work, measure it in its own view, and write avatars and sheets.
+
+    Args:
+        folder: Photos of people who agreed.
+        weights: Name of installed weights, or a file; None for the embedded ones.
+        out: Folder for NAME.grmm and NAME.png.
+        preset: Of the fit.
+        device: Where the model runs.
+        distances: Perceptual networks by name.
+        report: Called with the photo's name and the share done.
+
+    Returns:
+        Figures of each photo by file name (or the sentence why there is no avatar), and their means.
+    """
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    photos = photos_in(folder)
+    rows: dict[str, dict[str, Any]] = {}
+    scene = Scene(_weights(weights), "cpu" if device == "auto" else device)
+    for number, photo in enumerate(photos):
+
+        def show(_stage: str, share: float, _left: float, _preview: str, number: int = number, photo: Path = photo) -> None:
+            if report is not None:
+                report(photo.name, (number + share) / len(photos))
+
+        try:
+            result = fit([photo], out / f"{photo.stem}.grmm", preset=preset, weights=weights, device=device, progress=show)
+        except GrmmError as error:
+            rows[photo.name] = {"error": str(error)}
+            continue
+        model = with_deltas(scene.model, result.avatar.deltas, result.path)
+        rows[photo.name] = photo_figures(model, result.avatar, result.tracks, distances)
+        rows[photo.name]["seconds"] = round(result.seconds, 1)
+        write_png(out / f"{photo.stem}.png", photo_sheet(model, result.avatar, result.tracks[0]))
+    fitted = [row for row in rows.values() if "error" not in row]
+    names = sorted({name for row in fitted for name, value in row.items() if isinstance(value, float)})
+    means = {name: float(np.mean([row[name] for row in fitted if name in row])) for name in names}
+    return {"preset": preset, "photos": rows, "mean": means, "fitted": len(fitted)}
+
+
+def photos_table(result: Mapping[str, Any]) -> str:
+    """The figures of `evaluate_photos` as Markdown."""
+    names = [name for name in ("rmse", "psnr", "ssim", "landmark_error") if name in result["mean"]]
+    names += [name for name in result["mean"] if name not in (*names, "seconds")]
+    lines = ["| photo | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
+    for photo, row in (*result["photos"].items(), ("mean", result["mean"])):
+        cells = [row["error"]] if "error" in row else [f"{row[name]:.3f}" if name in row else "" for name in names]
+        lines.append(f"| {photo} | " + " | ".join(cells + [""] * (len(names) - len(cells))) + " |")
+    heading = f"Preset {result['preset']}, {result['fitted']} of {len(result['photos'])} photos fitted"
+    return "\n".join([heading, "", *lines, ""])
+
+
+def photo_figures(
+    model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], distances: Mapping[str, Distance] | None = None
+) -> dict[str, float]:
+    """Means over an avatar's photos: rmse, psnr, ssim inside the mask, perceptual distances, landmark error."""
+    sums: dict[str, list[float]] = {}
+    for (view, drawn), track in zip(photo_pictures(model, avatar, tracks, MEASURED_PIXELS), tracks, strict=True):
+        grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
+        counts = view.weight[..., None]
+        shown = (drawn.image + (1.0 - drawn.alpha)[..., None] * grey) * counts
+        errors = errors_of(shown, view.target(grey) * counts, view.inside, distances=distances)
+        found = {"rmse": errors.rmse_mask, "psnr": errors.psnr_mask, "ssim": errors.ssim_mask, **errors.perceptual}
+        for name, value in {**found, "landmark_error": track.landmark_error}.items():
+            sums.setdefault(name, []).append(value)
+    return {name: float(np.mean(values)) for name, values in sums.items()}
+
+
+def photo_sheet(model: GRMM, avatar: Avatar, track: PhotoTrack, pixels: int = SHEET_PIXELS) -> np.ndarray:
+    """Photo, fit, three new views; below the neutral face and four expressions. Returns uint8."""
+    view, drawn = photo_pictures(model, avatar, [track], pixels)[0]
+    fitted = drawn.image + (1.0 - drawn.alpha)[..., None] * _GREY
+    upper = [view.image.cpu().numpy(), fitted.cpu().numpy()]
+    upper += [portrait(model, avatar, {}, pixels, yaw) for yaw in NEW_VIEWS]
+    lower = [portrait(model, avatar, values, pixels) for values in ({}, *EXPRESSIONS.values())]
+    return sheet([upper, lower])
+
+
+def portrait(model: GRMM, avatar: Avatar, controls: Mapping[str, float], pixels: int, yaw: float = 0.0) -> np.ndarray:
+    """An avatar over grey, [pixels, pixels, 3]."""
+    head = model.head_model
+    resolved = resolve(Controls().set_named(controls), head)
+
+    def tensor(array: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.array(array, np.float32), device=model.device)
+
+    expression, shape = tensor(resolved.expression), tensor(avatar.shape[: head.shape_count])
+    offset = tensor(avatar.z_exp) if model.config.residuals else None
+    with torch.no_grad():
+        picture = model.render(
+            Camera.orbit(pixels, pixels, yaw=yaw, distance=_DISTANCE, fov=_FOV), shape=shape, expression=expression,
+            pose=tensor(resolved.pose), z_id=model.z_identity(tensor(avatar.z_id), shape),
+            z_exp=model.z_expression(tensor(resolved.aligned), offset, expression), background=(_GREY,) * 3,
+        ).image  # fmt: skip
+    return picture.clamp(0, 1).cpu().numpy()
+
+
+def compare_stages(
+    scene: Scene, source: Sample, others: Mapping[str, Sequence[Sample]], preset: str | Preset = "standard", size: int = 384
+) -> dict[str, dict[str, float]]:
+    """Fit one captured view with exact tracking, stage by stage, and measure it and other views of the person.
+
+    Args:
+        scene: Model that was not trained on the person.
+        source: View that is fitted.
+        others: Groups of further views by name, such as "other views" and "other expressions".
+        preset: Of the fit.
+        size: Longer side of the pictures.
+
+    Returns:
+        PSNR inside the mask in dB for each of `STAGES`: of the input and of each group.
+    """
+    shape = source.dataset.shape(source.shot.subject)
+    track = exact_track(scene.head, source, load(source, size), shape)
+    results = {}
+    for name, switches in STAGES.items():
+        avatar = invert([track], scene.model, scene.head, preset, info=scene.info, name=source.shot.subject, **switches)
+        person = scene.from_avatar(avatar)
+        results[name] = {"input": psnr_of_views(scene, person, [source], size)}
+        results[name] |= {group: psnr_of_views(scene, person, views, size) for group, views in others.items()}
+    return results
+
+
+def compare_counts(
+    scene: Scene, sources: Sequence[Sample], unseen: Sequence[Sample], preset: str | Preset = "standard", size: int = 384,
+    counts: Sequence[int] = COUNTS,
+) -> dict[int, float]:  # fmt: skip
+    """PSNR inside the mask in unseen views by the number of photos, exact tracking. Arguments as `compare_stages`."""
+    results = {}
+    for count in counts:
+        chosen = sources[:count]
+        shape = chosen[0].dataset.shape(chosen[0].shot.subject)
+        tracks = [exact_track(scene.head, sample, load(sample, size), shape) for sample in chosen]
+        person = scene.from_avatar(invert(tracks, scene.model, scene.head, preset, info=scene.info))
+        results[count] = psnr_of_views(scene, person, unseen, size)
+    return results
+
+
+def psnr_of_views(scene: Scene, person: Person, samples: Sequence[Sample], size: int) -> float:
+    """Mean PSNR inside the mask of a person in captured views, dB."""
+    values = []
+    for sample in samples:
+        view = load(sample, size)
+        with torch.no_grad():
+            image = scene.draw(person, sample.shot, view.camera).image
+        errors = errors_of(image, scene.tensor(view.image), scene.tensor(view.mask))
+        if math.isfinite(errors.psnr_mask):
+            values.append(errors.psnr_mask)
+    return float(np.mean(values)) if values else math.nan
+
+
+def shape_errors(scene: Scene, samples: Sequence[Sample], size: int = 512) -> dict[str, float]:
+    """Error in millimetres of the shape that tracking finds in single captured pictures; where it finds no face, NaN."""
+    from ..fitting.track import analyse_picture, track_photos
+
+    errors = {}
+    for sample in samples:
+        view = load(sample, size)
+        picture = view.image + (1.0 - view.mask[..., None]) * _GREY
+        try:
+            track = track_photos([analyse_picture(picture, sample.name)], scene.head, masks=[view.mask])[0]
+            errors[sample.name] = shape_error_mm(scene.head, track.shape, sample.dataset.shape(sample.shot.subject))
+        except NoFaceError:
+            errors[sample.name] = math.nan
+    return errors
+
+
+def shape_error_mm(head: HeadModel, found: np.ndarray, true: np.ndarray) -> float:
+    """Mean distance of the face's vertices after the best rigid alignment with scale (one picture shows no size)."""
+    parts = [head.regions[name] for name in _FACE_REGIONS if name in head.regions]
+    vertices = np.unique(np.concatenate(parts)) if parts else np.arange(head.vertex_count)
+    a, b = head.shaped(found)[vertices].astype(np.float64), head.shaped(true)[vertices].astype(np.float64)
+    a, b = a - a.mean(0), b - b.mean(0)
+    left, singular, right = np.linalg.svd(a.T @ b)  # Umeyama 1991
+    flip = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
+    rotation = (left * flip) @ right
+    scale = float((singular * flip).sum() / np.square(a).sum())
+    return float(np.linalg.norm(scale * a @ rotation - b, axis=1).mean() * 1e3)
+
+
+def _weights(weights: str | Path | None) -> Path:
+    from ..session.models import resolve_weights
+
+    return resolve_weights(weights)

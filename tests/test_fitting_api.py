@@ -1,0 +1,256 @@
+"""`fit` and `grmm fit` from files to a file: events, cancelling, bad input. The model is tiny and random; pictures are real."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from tiny_model import write_tiny_weights  # noqa: E402
+
+from grmm_core import cli  # noqa: E402
+from grmm_core.avatar import load_avatar, read_avatar_header  # noqa: E402
+from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError  # noqa: E402
+from grmm_core.fitting import api, presets  # noqa: E402
+from grmm_core.fitting.api import fit  # noqa: E402
+from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset  # noqa: E402
+
+QUICK = Preset("fast", CodeSettings(48, 48, 1, 1, 0, 2), DecoderSettings(((64, 4),), False))
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
+
+
+@pytest.fixture(scope="module")
+def photo(tmp_path_factory):
+    """A picture of the embedded avatar: a face that nobody owns, found by the same networks as a real one."""
+    from PIL import Image
+
+    from grmm_core.camera import Camera
+    from grmm_core.session import create_session
+    from grmm_core.session.api import Instance, RenderOptions
+
+    with create_session("local") as session:
+        avatar = session.open("default")
+        camera = Camera.orbit(256, 256, distance=1.1, fov=18.0)
+        options = RenderOptions(passes=("rgb",), background=(0.6, 0.65, 0.7))
+        picture = session.render([Instance(avatar.id)], camera, options)["rgb"]
+    path = tmp_path_factory.mktemp("photos") / "face.png"
+    Image.fromarray((np.clip(picture, 0, 1) * 255).astype(np.uint8)).save(path)
+    return path
+
+
+@pytest.fixture(autouse=True)
+def quick_preset(monkeypatch):
+    monkeypatch.setitem(presets.PRESETS, "fast", QUICK)
+
+
+def test_a_photo_becomes_a_file_that_says_so(photo, weights, tmp_path):
+    events, faces = [], []
+    result = fit(
+        [photo], tmp_path / "anna.grmm", preset="fast", weights=weights, device="cpu",
+        progress=lambda *values: events.append(values), on_faces=lambda name, boxes: faces.append((name, boxes)),
+    )  # fmt: skip
+    header = read_avatar_header(result.path)
+    assert header.name == "anna"
+    assert header.provenance.from_photos
+    assert header.provenance.date
+    (record,) = header.provenance.photos
+    assert record.name == "face.png"
+    assert len(record.sha256) == 64
+    assert header.thumbnail.startswith(b"\x89PNG")
+    assert header.camera.width == 256
+    assert list(dict.fromkeys(stage for stage, *_ in events)) == list(api.STAGES)
+    for stage in api.STAGES:
+        shares = [share for name, share, *_ in events if name == stage]
+        assert shares == sorted(shares)
+        assert shares[-1] <= 1.0
+    assert faces[0][1].shape == (1, 4)
+    assert list(tmp_path.iterdir()) == [tmp_path / "anna.grmm"], "the work folder is gone"
+    assert result.rmse[0] == pytest.approx(float(load_avatar(result.path).tracking["rmse"][0]), rel=1e-5)
+
+
+def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, weights, tmp_path, monkeypatch):
+    output, seen = tmp_path / "a.grmm", []
+    arguments = {"preset": "fast", "weights": weights, "device": "cpu", "progress": lambda *values: seen.append(values[0])}
+    with pytest.raises(CancelledError):
+        fit([photo], output, cancelled=lambda: "codes" in seen, **arguments)
+    assert not output.exists()
+    folder = tmp_path / f"a.grmm{api.WORK_SUFFIX}"
+    assert (folder / api.TRACKS_FILE).exists()
+    seen.clear()
+    result = fit([photo], output, resume=True, **arguments)
+    assert set(seen) == {"codes", "decoders"}
+    assert result.path.exists()
+    assert not folder.exists()
+    # cancelled at once: nothing is left behind but the empty work folder
+    with pytest.raises(CancelledError):
+        fit([photo], tmp_path / "b.grmm", cancelled=lambda: True, **arguments)
+    assert not (tmp_path / "b.grmm").exists()
+
+
+def test_the_state_of_other_photos_is_not_resumed(photo, weights, tmp_path):
+    from PIL import Image
+
+    work = tmp_path / "work"
+    arguments = {"preset": "fast", "weights": weights, "device": "cpu", "work": work}
+    fit([photo], tmp_path / "a.grmm", **arguments)
+    assert (work / api.TRACKS_FILE).exists(), "a folder that was asked for stays"
+    other = tmp_path / "other.png"
+    Image.open(photo).transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(other)
+    seen = []
+    fit([other], tmp_path / "b.grmm", resume=True, progress=lambda *values: seen.append(values[0]), **arguments)
+    assert "analyse" in seen
+
+
+def test_events_are_json_lines(photo, weights, tmp_path, capsys):
+    output = tmp_path / "a.grmm"
+    arguments = ["fit", str(photo), "-o", str(output), "--preset", "fast", "--weights", str(weights), "--device", "cpu"]
+    assert cli.main([*arguments, "--events"]) == 0
+    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert events[0]["event"] == "progress"
+    assert events[-1] == {"event": "done", "avatar": str(output)}
+    (faces,) = [event for event in events if event["event"] == "faces"]
+    assert faces["photo"] == str(photo)
+    assert {event["stage"] for event in events if event["event"] == "progress"} == set(api.STAGES)
+    assert cli.main(["info", str(output)]) == 0
+    shown = capsys.readouterr().out
+    assert "from photos: yes" in shown
+    assert "face.png" in shown
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (lambda p: p.write_text("hello"), FileFormatError, "not a picture"),
+        (lambda p: None, FileAccessError, "does not exist"),
+        (lambda p: p.mkdir(), FileAccessError, "folder"),
+    ],
+    ids=["text", "missing", "folder"],
+)
+def test_photos_that_cannot_be_used_give_one_sentence(make, error, words, weights, tmp_path):
+    path = tmp_path / "x.jpg"
+    make(path)
+    with pytest.raises(error, match=words):
+        fit([path], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu")
+    assert not (tmp_path / "a.grmm").exists()
+
+
+def test_a_picture_without_face_is_named(weights, tmp_path, capsys):
+    from PIL import Image
+
+    path = tmp_path / "wall.png"
+    Image.fromarray(np.full((120, 160, 3), 130, np.uint8)).save(path)
+    with pytest.raises(NoFaceError, match=r"wall\.png"):
+        fit([path], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu")
+    arguments = ["fit", str(path), "-o", str(tmp_path / "a.grmm"), "--preset", "fast", "--weights", str(weights), "--events"]
+    assert cli.main(arguments) == 1
+    captured = capsys.readouterr()
+    event = json.loads(captured.out.splitlines()[-1])
+    assert event["event"] == "error"
+    assert captured.err.strip() == f"grmm: {event['message']}"
+    assert event["message"].count("\n") == 0
+
+
+def test_arguments_are_checked_before_work_begins(photo, weights, tmp_path):
+    wrong = [
+        ({"photos": []}, ConfigError, "at least one"),
+        ({"photos": [photo] * 17}, ConfigError, "at most 16"),
+        ({"preset": "best"}, ConfigError, "preset"),
+        ({"masks": [photo, photo]}, ConfigError, "2 masks"),
+        ({"output": tmp_path / "a.png"}, ConfigError, "does not end in .grmm"),
+        ({"output": tmp_path / "none" / "a.grmm"}, FileAccessError, "does not exist"),
+        ({"faces": [3]}, ConfigError, "1 usable face,"),
+        ({"faces": [0, 0]}, ConfigError, "2 faces"),
+    ]
+    for changes, error, words in wrong:
+        values = {"photos": [photo], "output": tmp_path / "a.grmm", "preset": "fast"} | changes
+        with pytest.raises(error, match=words):
+            fit(values.pop("photos"), values.pop("output"), weights=weights, device="cpu", **values)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="needs a folder that this user cannot write")
+def test_a_folder_that_cannot_be_written_is_named(photo, weights, tmp_path):
+    tmp_path.chmod(0o500)
+    try:
+        with pytest.raises(FileAccessError, match="choose another folder"):
+            fit([photo], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu")
+    finally:
+        tmp_path.chmod(0o700)
+
+
+def test_a_full_disk_leaves_nothing_half_written(photo, weights, tmp_path, monkeypatch):
+    import errno
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    output = tmp_path / "a.grmm"
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(FileAccessError, match="no space left"):
+        fit([photo], output, preset="fast", weights=weights, device="cpu")
+    assert not output.exists()
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_a_mask_replaces_the_outline_that_would_be_found(photo, weights, tmp_path):
+    from PIL import Image
+
+    mask = tmp_path / "mask.png"
+    Image.fromarray(np.zeros((256, 256), np.uint8)).save(mask)
+    result = fit([photo], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu", masks=[mask])
+    assert float(result.tracks[0].mask.max()) < 0.1
+    assert dataclasses.is_dataclass(result)
+
+
+def test_a_folder_of_photos_is_fitted_and_measured(photo, weights, tmp_path, capsys):
+    from PIL import Image
+
+    folder, out = tmp_path / "photos", tmp_path / "out"
+    folder.mkdir()
+    (folder / "face.png").write_bytes(photo.read_bytes())
+    Image.fromarray(np.full((120, 160, 3), 130, np.uint8)).save(folder / "wall.png")
+    (folder / "notes.txt").write_text("no photo")
+    arguments = ["evaluate", str(weights), "--data", str(folder), "--protocol", "monocular", "--fit", "fast"]
+    arguments += ["--perceptual", "none"]
+    assert cli.main([*arguments, "-o", str(out), "--device", "cpu", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)["photos"]["photos"]
+    assert set(result) == {"face.png", "wall.png"}
+    assert 0.0 < result["face.png"]["rmse"] < 1.0
+    assert "No face" in result["wall.png"]["error"]
+    assert {path.name for path in out.iterdir()} == {"face.grmm", "face.png", "evaluation.json", "evaluation.md"}
+    assert "wall.png" in (out / "evaluation.md").read_text()
+    assert cli.main(arguments) == 1
+    assert "--output" in capsys.readouterr().err
+
+
+def test_shape_error_knows_neither_size_nor_direction():
+    from grmm_core.evaluation.fitting import shape_error_mm
+    from grmm_core.head import load_open_head
+
+    head = load_open_head()
+    rng = np.random.default_rng(2)
+    shape = rng.normal(size=head.shape_count).astype(np.float32)
+    other = shape + rng.normal(0, 0.3, head.shape_count).astype(np.float32)
+    assert shape_error_mm(head, shape, shape) == pytest.approx(0.0, abs=1e-4)
+    near, far = shape_error_mm(head, other, shape), shape_error_mm(head, -shape, shape)
+    assert 0.05 < near < far < 30.0
+    angle = 0.4
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+
+    class Moved:
+        regions, vertex_count = head.regions, head.vertex_count
+
+        @staticmethod
+        def shaped(values):
+            vertices = head.shaped(values)
+            return vertices if values is shape else 1.2 * vertices @ turn + 0.05
+
+    assert shape_error_mm(Moved, other, shape) == pytest.approx(near, rel=1e-3)

@@ -23,6 +23,7 @@ from grmm_core.model.texels import (
     rotate,
     texel_layout,
 )
+from grmm_core.splat import RasterOutput
 from grmm_core.splat.reference import rotation_matrices
 
 
@@ -392,6 +393,48 @@ def test_depth_is_normalised_over_covered_pixels():
 
 
 # --- whole model -----------------------------------------------------------------------------------------------------
+
+
+def covered_raster(height, width, features):
+    generator = torch.Generator().manual_seed(11)
+    alpha = torch.zeros(height, width)
+    alpha[3 : height - 4, 5 : width - 3] = 0.7
+    values = torch.rand(height, width, 3 + features, generator=generator) * alpha[..., None]
+    depth = torch.where(alpha > 0, 1.0 + 0.1 * torch.rand(height, width, generator=generator), 0.0)
+    return RasterOutput(values[..., :3], alpha, depth, values[..., 3:])
+
+
+@pytest.mark.parametrize(("height", "width"), [(24, 20), (23, 21)])
+def test_coarse_refinement_enlarges_the_residual(model, height, width):
+    """A network that adds the same everywhere must add it at either resolution, up to and not beyond the silhouette."""
+    with torch.no_grad():
+        model.refinement.exit.bias.fill_(0.1)
+    raster = covered_raster(height, width, model.config.features)
+    fine, coarse = model.refine(raster), model.refine(raster, coarse=True)
+    torch.testing.assert_close(fine, raster.rgb + 0.1 * raster.alpha[..., None])
+    torch.testing.assert_close(coarse, fine, atol=1e-5, rtol=0)
+
+
+def test_coarse_refinement_looks_at_a_quarter_of_the_pixels(model):
+    randomise(model)
+    seen = []
+    model.refinement.entry.register_forward_hook(lambda module, inputs, output: seen.append(len(inputs[0])))
+    raster = covered_raster(64, 48, model.config.features)
+    fine, coarse = model.refine(raster), model.refine(raster, coarse=True)
+    assert seen[1] * 4 == seen[0]
+    assert (coarse - raster.rgb).abs().max() > 1e-3
+    assert (coarse - fine)[raster.alpha == 0].abs().max() == 0
+
+
+def test_refinement_in_half_precision_is_close(model):
+    randomise(model)
+    raster = covered_raster(64, 48, model.config.features)
+    exact = model.refine(raster)
+    model.half_refinement = True
+    rounded = model.refine(raster)
+    assert rounded.dtype == torch.float32
+    change = (exact - raster.rgb).abs().max()
+    assert 0 < (rounded - exact).abs().max() < 0.05 * change
 
 
 def test_render_composes_over_the_background(model):

@@ -173,6 +173,20 @@ def test_refinement_can_be_left_out(session, avatar):
     assert np.abs(refined["rgb"] - refined["raw"]).max() > 0.01
 
 
+@pytest.mark.parametrize(("width", "height"), [(64, 64), (51, 37), (1, 1)])
+def test_coarse_refinement_is_for_previews(session, avatar, width, height):
+    camera = Camera.orbit(width, height)
+    fine = session.render([Instance(avatar.id)], camera, RenderOptions(passes=("rgb", "alpha", "raw")))
+    coarse = session.render([Instance(avatar.id)], camera, RenderOptions(passes=("rgb", "alpha", "raw"), coarse=True))
+    np.testing.assert_array_equal(coarse["alpha"], fine["alpha"])
+    np.testing.assert_array_equal(coarse["raw"], fine["raw"])
+    empty = coarse["alpha"][..., 0] == 0
+    assert (coarse["rgb"][empty] == 0).all()
+    assert np.isfinite(coarse["rgb"]).all()
+    if width > 1:
+        assert np.abs(coarse["rgb"] - coarse["raw"]).max() > 0.01
+
+
 def test_background_is_put_behind(session, avatar):
     color = (0.2, 0.5, 0.9)
     over = all_passes(session, [Instance(avatar.id)], background=color)
@@ -452,8 +466,8 @@ def test_refining_the_covered_part_changes_nothing(local, monkeypatch):
     regions = []
     original = compose._covered_region
 
-    def whole(cover, model):
-        regions.append(original(cover, model))
+    def whole(cover, model, coarse):
+        regions.append(original(cover, model, coarse))
         return slice(0, cover.shape[0]), slice(0, cover.shape[1])
 
     monkeypatch.setattr(compose, "_covered_region", whole)

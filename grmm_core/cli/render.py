@@ -52,6 +52,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--distance", type=float, default=PORTRAIT_DISTANCE, help="metres from the head (default: %(default)s)")
     parser.add_argument("--fov", type=float, default=PORTRAIT_FOV, help="angle of view, degrees (default: %(default)s)")
     parser.add_argument("--no-refine", action="store_true", help="leave out the refinement network")
+    parser.add_argument("--coarse", action="store_true", help="refine at half the resolution: faster, a little softer")
     parser.add_argument("--lod", type=int, choices=range(MAX_LOD + 1), default=0, help="fewer, larger Gaussians (default: 0)")
     parser.add_argument("--background", metavar="R,G,B", type=_color, help="display sRGB 0..1 (default: transparent)")
     parser.add_argument(
@@ -69,7 +70,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     controls = controls_of(args)
     camera = Camera.orbit(*args.size, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
-    options = RenderOptions(refine=not args.no_refine, passes=passes, lod=args.lod, background=args.background)
+    options = RenderOptions(not args.no_refine, passes, args.lod, args.background, args.coarse)
     with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.open(args.avatar)
         start = time.perf_counter()

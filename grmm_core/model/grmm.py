@@ -23,7 +23,7 @@ from ..splat import Gaussians, RasterOutput, rasterize
 from .config import GRMMConfig
 from .decoders import AttributeDecoders
 from .mesh_decoder import MeshDecoder
-from .refine import RefinementNetwork, depth_range, normalise_depth
+from .refine import RefinementNetwork, depth_range, doubled, halved, normalise_depth
 from .texels import Geometry, TexelAnchor, TexelLayout, texel_layout
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ TEETH_REGIONS = ("upper_teeth", "lower_teeth")
 CODE_INIT = 0.1  # standard deviation of the table of expression codes before training
 METRES_PER_MM = 1e-3
 _SMALL_ANGLE = 1e-6
+_THIN_COVER = 1e-6  # keeps the division by an enlarged alpha defined; where that is 0, so is alpha itself
 
 
 @dataclass
@@ -94,6 +95,7 @@ class GRMM(nn.Module):
         self.mesh_decoder = MeshDecoder(config, self.z_id_size, self.z_exp_size, face_mask(head))
         self.decoders = AttributeDecoders(config, self.z_id_size, self.z_exp_size, layout.texel)
         self.refinement = RefinementNetwork(config) if config.refine else None
+        self.half_refinement = False  # whether the refinement network computes in bfloat16: for devices that gain by it
         codes = torch.randn(len(ALIGNED_NAMES), config.z_exp) * CODE_INIT if config.residuals else None
         self.register_parameter("aligned_codes", None if codes is None else nn.Parameter(codes))  # Z [60, Y]
 
@@ -204,13 +206,14 @@ class GRMM(nn.Module):
 
     # --- pictures --------------------------------------------------------------------------------------------------
 
-    def refine(self, raster: RasterOutput, limits: Tensor | None = None) -> Tensor:
+    def refine(self, raster: RasterOutput, limits: Tensor | None = None, coarse: bool = False) -> Tensor:
         """Psi_ref (eq. 14) on a picture that was rasterised over black.
 
         Args:
             raster: Rasterised colours (background black), alpha, depth, features.
             limits: Depths in metres that become 0 and 1, [2]; those of the covered pixels when None. Give the range of the
-                whole picture when only a part of it is drawn.
+                whole picture when only a part of it is drawn, or the range at each pixel, [2, H, W].
+            coarse: For previews: look at half the resolution, which takes a quarter of the time; the change is enlarged.
 
         Returns:
             Refined colours premultiplied over black, [H, W, 3]; unchanged without a refinement network.
@@ -220,8 +223,23 @@ class GRMM(nn.Module):
         if limits is None:
             limits = depth_range(raster.depth, raster.alpha)
         depth = normalise_depth(raster.depth, raster.alpha, limits)
-        refined: Tensor = self.refinement(raster.rgb, raster.features, depth, raster.alpha)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half_refinement):
+            if coarse:
+                return self._refine_coarsely(raster, depth)
+            refined: Tensor = self.refinement(raster.rgb, raster.features, depth, raster.alpha)
         return refined
+
+    def _refine_coarsely(self, raster: RasterOutput, depth: Tensor) -> Tensor:
+        parts = [raster.rgb, depth[..., None], raster.alpha[..., None]]
+        if raster.features is not None:
+            parts.append(raster.features)
+        small = halved(torch.cat(parts, -1))
+        rgb, small_depth, alpha, features = small[..., :3], small[..., 3], small[..., 4], small[..., 5:]
+        refined = self.refinement(rgb, features if raster.features is not None else None, small_depth, alpha)
+        # The network's change is a residual times alpha. Enlarging both keeps the residual whole across the silhouette.
+        enlarged = doubled(torch.cat([refined - rgb, alpha[..., None]], -1), *raster.alpha.shape)
+        residual = enlarged[..., :3] / enlarged[..., 3:].clamp(min=_THIN_COVER)
+        return raster.rgb + raster.alpha[..., None] * residual
 
     def view_direction(self, camera: Camera) -> Tensor:
         """The paper's d: unit vector from the head's centre to a camera given in head space, [3]."""

@@ -50,6 +50,18 @@ def normalise_depth(depth: Tensor, alpha: Tensor, limits: Tensor) -> Tensor:
     return ((depth - limits[0]) / span).clamp(0.0, 1.0) * alpha
 
 
+def halved(picture: Tensor) -> Tensor:
+    """Return averages over 2 x 2 pixels, [H, W, C] to [ceil(H / 2), ceil(W / 2), C]; a last odd row or column stands alone."""
+    small = nn.functional.avg_pool2d(picture.permute(2, 0, 1)[None], 2, ceil_mode=True, count_include_pad=False)
+    return small[0].permute(1, 2, 0)
+
+
+def doubled(picture: Tensor, height: int, width: int) -> Tensor:
+    """Return a picture [h, w, C] enlarged twofold, bilinearly, and cut to [height, width, C]."""
+    large = nn.functional.interpolate(picture.permute(2, 0, 1)[None], scale_factor=2.0, mode="bilinear", align_corners=False)
+    return large[0, :, :height, :width].permute(1, 2, 0)
+
+
 class RefinementNetwork(nn.Module):
     """U-Net at the picture's resolution, or at half of it with pixels folded into channels.
 

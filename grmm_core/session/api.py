@@ -200,12 +200,14 @@ class RenderOptions:
         passes: Buffers to return, see `Session.render`.
         lod: Level of detail: 0 every Gaussian, each further level a quarter of them (larger ones), up to `MAX_LOD`.
         background: Display sRGB behind the avatars, or None for transparent.
+        coarse: Refine at half the resolution, for previews: a quarter of the network's time, a little softer.
     """
 
     refine: bool = True
     passes: tuple[str, ...] = ("rgb", "alpha")
     lod: int = 0
     background: tuple[float, float, float] | None = None
+    coarse: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passes", tuple(self.passes))

@@ -90,7 +90,7 @@ def compose(
     check()
     refined = raster.rgb
     if options.refine and "rgb" in options.passes:
-        refined = _refine(placed, raster, channels, check)
+        refined = _refine(placed, raster, channels, options.coarse, check)
     return _buffers(placed, raster, refined, channels, options)
 
 
@@ -171,7 +171,9 @@ def _at_origin(camera: Camera) -> Camera:
     )
 
 
-def _refine(placed: Sequence[Placed], raster: RasterOutput, channels: _Channels, check: Callable[[], None]) -> Tensor:
+def _refine(
+    placed: Sequence[Placed], raster: RasterOutput, channels: _Channels, coarse: bool, check: Callable[[], None]
+) -> Tensor:
     """Return the refined colours, premultiplied over black, [H, W, 3]."""
     coverage = None if channels.coverage is None else raster.features[..., channels.coverage]  # [H, W, K]
     limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
@@ -186,7 +188,7 @@ def _refine(placed: Sequence[Placed], raster: RasterOutput, channels: _Channels,
         if mixed:
             own = [k for k, item in enumerate(placed) if item.model is model]
             share = coverage[..., own].sum(-1)  # [H, W]
-        region = _covered_region(raster.alpha if share is None else share, model)
+        region = _covered_region(raster.alpha if share is None else share, model, coarse)
         if region is None:
             continue
         rows, columns = region
@@ -196,7 +198,7 @@ def _refine(placed: Sequence[Placed], raster: RasterOutput, channels: _Channels,
             depth=raster.depth[rows, columns],
             features=raster.features[rows, columns, channels.features[key]] if model.config.features else None,
         )
-        refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns])
+        refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns], coarse)
         if result is raster.rgb:
             result = raster.rgb.clone()
         if share is None:
@@ -217,11 +219,11 @@ def _ranges(raster: RasterOutput, coverage: Tensor) -> Tensor:
     return limits
 
 
-def _covered_region(cover: Tensor, model: GRMM) -> tuple[slice, slice] | None:
+def _covered_region(cover: Tensor, model: GRMM, coarse: bool = False) -> tuple[slice, slice] | None:
     """Return rows and columns around everything covered, on the network's grid, with a margin; None when nothing is."""
-    refinement = model.refinement
-    multiple = refinement.multiple
-    margin = receptive_margin(model)
+    scale = 2 if coarse else 1
+    multiple = scale * model.refinement.multiple
+    margin = scale * receptive_margin(model)
     bounds = []
     for axis in (1, 0):
         hit = torch.nonzero(cover.amax(axis) > 0)

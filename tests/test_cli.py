@@ -337,5 +337,21 @@ def test_bench_measures_ratios(grmm, weights):
     assert code == 0
     assert sum(stage["share"] for stage in figures["stages"].values()) == pytest.approx(1.0)
     assert figures["caching"]["everything"]["ratio"] == 1.0
-    assert figures["rasterisers"]["forward"]["times faster"] > 0
+    assert figures["rasteriser against plain torch"]["forward"]["times faster"] > 1
+    assert figures["rasteriser by N_g"]["N_g 128"]["ratio"] == 1.0
+    assert figures["rasteriser by threads"]["1 threads"]["speed forward"] == 1.0
+    limits = figures["rasteriser and arithmetic"]
+    assert 0 < limits["blended pairs"]["limit ms"] < limits["our blocks"]["limit ms"] < limits["whole tiles"]["limit ms"]
     assert figures["worker"]["frame"]["ratio"] > 0
+    assert figures["peak memory MiB"] > 0
+    assert "CUDA only" in figures["alternatives"]["gsplat"]
+
+
+@pytest.mark.slow
+def test_bench_measures_a_configuration(grmm):
+    code, out, _ = grmm("bench", "--quick", "--config", "small", "--size", "64", "--json")
+    figures = json.loads(out)
+    assert code == 0
+    assert sum(stage["share"] for stage in figures["stages"].values()) == pytest.approx(1.0)
+    rates = figures["frames a second"]
+    assert rates["animated expression"]["per second"] > rates["everything new"]["per second"] > 0

@@ -1,0 +1,72 @@
+"""The paper's configuration and `base` at their full sizes on the CPU: they run, learn, and stay within the memory goal."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from grmm_core.camera import Camera  # noqa: E402
+from grmm_core.head import load_open_head  # noqa: E402
+from grmm_core.model.config import PRESETS  # noqa: E402
+from grmm_core.model.grmm import GRMM  # noqa: E402
+
+pytestmark = pytest.mark.slow
+MEMORY_GOAL = 2 << 30  # bytes
+
+RENDER = """
+import json, resource, sys
+import torch
+from grmm_core.camera import Camera
+from grmm_core.head import load_open_head
+from grmm_core.model.config import PRESETS
+from grmm_core.model.grmm import GRMM
+
+torch.manual_seed(0)
+model = GRMM(load_open_head(), PRESETS["paper"]).eval().requires_grad_(False)
+shape, expression = torch.zeros(model.head_model.shape_dirs.shape[-1]), torch.zeros(len(model.head_model.expression_names))
+with torch.inference_mode():
+    out = model.render(
+        Camera.orbit(1024, 1024), shape=shape, expression=expression, pose=torch.zeros(5, 3),
+        z_id=torch.randn(model.z_id_size), z_exp=torch.randn(model.z_exp_size),
+    )
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+print(json.dumps({"peak": peak, "cover": float(out.alpha.mean()), "finite": bool(out.image.isfinite().all())}))
+"""
+
+
+@pytest.mark.parametrize(("name", "size"), [("paper", 1024), ("base", 512)])
+def test_forward_and_backward(name, size):
+    torch.manual_seed(0)
+    model = GRMM(load_open_head(), PRESETS[name])
+    codes = {"z_id": torch.randn(model.z_id_size), "z_exp": torch.randn(model.z_exp_size)}
+    rest = {"shape": model.head_model.shape_dirs.shape[-1], "expression": len(model.head_model.expression_names)}
+    data = codes | {key: torch.zeros(length) for key, length in rest.items()} | {"pose": torch.zeros(5, 3)}
+    data = {key: value.requires_grad_(True) for key, value in data.items()}
+    out = model.render(Camera.orbit(size, size), **data)
+    assert out.image.shape == (size, size, 3)
+    assert out.alpha.max() > 0.9
+    (out.image.square().mean() + out.raw.square().mean() + out.depth.mean()).backward()
+    for key, value in data.items():
+        assert value.grad.isfinite().all(), key
+        assert value.grad.abs().max() > 0, key
+    for key, parameter in model.named_parameters():
+        if key != "aligned_codes":  # the table stands behind z_exp, which is given here
+            assert parameter.grad is not None, key
+            assert parameter.grad.isfinite().all(), key
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="asks the system for the peak memory")
+def test_a_paper_render_stays_within_the_memory_goal(repository):
+    environment = os.environ | {"PYTHONPATH": str(repository)}
+    done = subprocess.run([sys.executable, "-c", RENDER], env=environment, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr[-2000:]
+    figures = json.loads(done.stdout)
+    assert figures["finite"]
+    assert figures["cover"] > 0.1
+    assert figures["peak"] < MEMORY_GOAL, f"{figures['peak'] / (1 << 20):.0f} MiB"

@@ -24,7 +24,7 @@ from foreign_data import (
 from grmm_core.camera import Camera
 from grmm_core.cli import main
 from grmm_core.data.foreign import head_camera, nearest_arkit
-from grmm_core.data.readers import open_dataset
+from grmm_core.data.readers import is_dataset, open_dataset
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError, RuntimeMissingError
 from grmm_core.expressions import ARKIT_NAMES
 from grmm_core.performance.rotations import axis_angle_to_matrix, matrix_to_euler
@@ -277,6 +277,14 @@ def test_a_scaled_head_keeps_the_picture():
     points = np.random.default_rng(0).normal(0, 0.03, (20, 3))
     moved = head_camera(camera, move)
     np.testing.assert_allclose(pixels(moved, points), pixels(camera, points @ move[:3, :3].T + move[:3, 3]), atol=1e-9)
+
+
+def test_data_sets_are_told_from_other_folders(tmp_path):
+    assert not is_dataset(tmp_path)
+    assert not is_dataset(tmp_path / "none")
+    (tmp_path / "photo.jpg").write_bytes(b"x")
+    assert not is_dataset(tmp_path)
+    assert is_dataset(write_vhap(tmp_path / "vhap"))
 
 
 def test_unknown_folders_are_explained(tmp_path, capsys):

@@ -338,3 +338,24 @@ def test_monocular_protocol_tracks_the_photo(scene, folder, monkeypatch, found):
     result = runs.run("monocular")
     assert len(result.rows) == 1
     assert result.rows[0].errors.psnr_mask > 25.0  # soft edges over grey instead of black
+
+
+def test_people_are_fitted_by_the_inversion(scene, folder, monkeypatch):
+    from grmm_core.fitting import presets
+    from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset
+
+    quick = Preset("fast", CodeSettings(48, 48, 2, 1, 0, 4), DecoderSettings(((48, 4),), False))
+    monkeypatch.setitem(presets.PRESETS, "fast", quick)
+    shares = []
+    runs = evaluation(scene, folder, method="fast", ablations=False, regions=False)
+    runs._report = lambda text, share: shares.append(share) if "fitting" in text else None
+    result = runs.run("person")
+    assert len(result.rows) == 2
+    person = result.rows[0].person
+    assert person.name == HELD_OUT
+    assert person.model is not scene.model  # the decoders were tuned for this person, and the scene's model was not
+    assert person.photo_code is not None
+    assert shares == sorted(shares)
+    assert all(np.isfinite(row.errors.psnr_mask) for row in result.rows)
+    first = evaluation(scene, folder).run("reconstruction").rows[0]
+    assert first.errors.psnr > 40.0

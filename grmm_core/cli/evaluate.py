@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     """Evaluate, write the files, and return the figures without those of single views."""
     import torch
 
-    from ..data.readers import open_dataset
+    from ..data.readers import is_dataset, open_dataset
     from ..evaluation import report
     from ..evaluation.protocols import Evaluation, Settings
     from ..evaluation.scene import Scene
@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         _make_folder(args.output)
     device = _device(args.device)
     names = _protocols(args.protocol)
-    if not any((Path(folder) / "dataset.json").exists() for folder in args.data) and MONOCULAR in args.protocol:
+    if MONOCULAR in args.protocol and not any(is_dataset(folder) for folder in args.data):
         return _photos(args, device)
     settings = Settings(
         args.limit, args.people, args.size or 0, args.fit, not args.no_ablations, not args.no_regions,

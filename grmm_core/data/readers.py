@@ -15,6 +15,16 @@ from .dataset import CaptureDataset
 MANIFEST = "dataset.json"
 
 
+def is_dataset(folder: str | os.PathLike[str]) -> bool:
+    """Whether a folder looks like a data set of a known format."""
+    from .readers_nersemble import is_nersemble
+    from .readers_renderme import is_renderme
+    from .readers_vhap import is_vhap
+
+    path = Path(folder)
+    return (path / MANIFEST).is_file() or any(test(path) for test in (is_vhap, is_nersemble, is_renderme))
+
+
 def open_dataset(folder: str | os.PathLike[str], head: HeadModel | None = None) -> CaptureDataset:
     """Open a data set.
 

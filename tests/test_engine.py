@@ -149,6 +149,75 @@ def test_errors_say_what_is_wrong_and_leave_no_file(run_blender, weights, tmp_pa
     assert "no visible GRMM avatar" in done.output
 
 
+def test_renders_that_end_before_they_are_done(render_script, blender_version):
+    found = render_script("engine_stops.py", python=blender_version)
+    wanted = {
+        "interrupted": "The render was interrupted",
+        "cancelled": "cancelled",
+        "stopped_while_drawing": "cancelled",
+        "disk_full": "is full",
+        "newer_version": "format 99, newer than",
+        "other_weights": "needs the trained weights 'unknown'",
+        "other_head": "head model 'flame'",
+        "cut": "cut.grmm is not a readable",
+        "thin_border": "small",
+        "same": "",
+    }
+    assert set(found["messages"]) == set(wanted)
+    for name, text in wanted.items():
+        message = found["messages"][name]
+        assert text in message, name
+        assert bool(message) == bool(text), name
+        assert "Traceback" not in message, name
+    # Finished frames stay, nothing else is there.
+    kept = {"interrupted": ["frame_0001.png", "frame_0002.png"], "cancelled": ["frame_0001.png", "frame_0002.png"]}
+    for name, files in found["left"].items():
+        assert files == (["picture.png"] if name == "same" else kept.get(name, [])), name
+    assert found["asked"] == 2
+    assert found["after"] <= STEP
+
+
+_seen: dict[str, Path] = {}  # pictures of `engine_more.py` by Blender version
+
+
+def test_layers_stereo_blur_and_visibility(render_script, blender_version, tmp_path):
+    found = render_script("engine_more.py", python=blender_version)
+    assert max(found["layers"]) <= STEP
+    assert found["cut_outside"] <= STEP
+    layers = read_exr(tmp_path / "layers.exr")
+    with np.load(tmp_path / "layers.npz") as archive:
+        for name, key in (("ViewLayer", "first"), ("Second", "second")):
+            alpha = next(layers[channel] for channel in layers if channel.startswith(f"{name}.") and channel.endswith(".A"))
+            np.testing.assert_allclose(alpha, archive[key][..., 3] / 255, atol=2e-3)
+    # Each avatar hides what of the other is behind it.
+    assert found["mutual"] <= STEP
+    assert found["core"] > 0.02
+    assert found["front_is_seen"] < 3.0
+    assert max(found["stereo"]) <= STEP
+    assert found["eyes_differ"] > 30
+    assert found["blur"] <= 2 * STEP
+    assert found["blur_differs"] > 10
+    assert found["frame_after_blur"] == 2
+    assert found["inside"] <= STEP
+    assert found["inside_covered"] > 0.2
+    assert found["away"] == 0
+    for name in ("one_hidden", "viewport_hidden", "collection_hidden"):
+        assert found[name] <= STEP, name
+    _seen[blender_version] = tmp_path
+
+
+def test_both_blenders_make_the_same_pictures():
+    if len(_seen) < 2:
+        pytest.skip("needs both Blenders")
+    one, other = _seen.values()
+    names = sorted(path.name for path in one.glob("*.png"))
+    assert len(names) > 10
+    for name in names:
+        with Image.open(one / name) as first, Image.open(other / name) as second:
+            difference = np.abs(np.asarray(first, np.float64) - np.asarray(second, np.float64))
+        assert difference.max() <= 1, name
+
+
 def test_frames_in_any_order_and_process_are_the_same(render_script, blender_version, tmp_path):
     render_script("engine_frames.py", "make", python=blender_version)
     files = render_script("engine_frames.py", "open", python=blender_version)["files"]

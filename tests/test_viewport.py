@@ -1,4 +1,4 @@
-"""The splat viewport: drawing by the gpu module against the CPU rasteriser, its thread, its level of detail, no graphics at all."""
+"""The splat viewport: drawing by the gpu module against the CPU rasteriser, its thread, level of detail, no graphics at all."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from grmm_core.camera import Camera
 pytestmark = pytest.mark.blender
 
 # Mean absolute error of premultiplied display colours and cover between the graphics card's picture and the rasteriser's, and
-# the largest error of all but a thousandth of the values. Half floats (which the software device rounds down), 12-bit colours and
-# no early stop cause it: 0.0013 for thousands of random layers, 0.0004 for an avatar.
+# the largest error of all but a thousandth of the values. Half floats (which the software device rounds down), 12-bit colours
+# and no early stop cause it: 0.0013 for thousands of random layers, 0.0004 for an avatar.
 MEAN_ERROR = 2e-3
 TAIL_ERROR = 0.03
 

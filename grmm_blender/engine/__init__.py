@@ -10,6 +10,7 @@
 ``occluders``      the meshes of a depsgraph
 ``snapshot``       camera, region and world as plain values; the types that carry a frame
 ``picture``        from the session's buffers to pass values (numpy only)
+``output``         whether there is room for the picture
 ``pipeline``       a frame from plain values to pass values, on any thread
 ``view``           the rendered viewport, on Blender's main thread
 ``view_jobs``      its pictures, on a thread of their own

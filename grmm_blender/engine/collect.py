@@ -37,7 +37,7 @@ def avatars(depsgraph: bpy.types.Depsgraph) -> list[Collected]:
     found = []
     for avatar, model_to_world in instances_in(depsgraph):
         head = avatar.object
-        if carries_splats(head) or not _is_shown(head, view_layer):
+        if carries_splats(head) or not avatar.has_network or not _is_shown(head, view_layer):
             continue
         shot = AvatarShot(head.name, avatar.source, avatar.controls(depsgraph), model_to_world, _is_holdout(head, view_layer))
         found.append(Collected(shot, (head.name,)))
@@ -56,7 +56,7 @@ def avatars(depsgraph: bpy.types.Depsgraph) -> list[Collected]:
 
 def avatar_names(scene: bpy.types.Scene) -> list[str]:
     """Return the names of all avatars and clouds in a scene, visible or not, sorted: the order of their mask passes."""
-    heads = [avatar.name for avatar in avatars_in(scene) if not carries_splats(avatar.object)]
+    heads = [avatar.name for avatar in avatars_in(scene) if avatar.has_network and not carries_splats(avatar.object)]
     return sorted(heads + [cloud.name for cloud in clouds_in(scene)])
 
 

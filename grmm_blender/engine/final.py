@@ -14,7 +14,7 @@ import numpy as np
 
 from ...grmm_core.errors import CancelledError, GrmmError
 from .. import session_host
-from . import collect, occluders, passes, picture, pipeline, snapshot
+from . import collect, occluders, output, passes, picture, pipeline, snapshot
 from .pipeline import DrawSettings, Frame
 from .snapshot import Region
 
@@ -37,6 +37,9 @@ def render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> No
             engine.report({"ERROR"}, str(error))
     except GrmmError as error:
         engine.report({"ERROR"}, str(error))
+    except KeyboardInterrupt:
+        # A farm that stops its job, or Ctrl-C in a script: the frame must not count as done.
+        engine.report({"ERROR"}, "The render was interrupted.")
     except Exception as error:  # noqa: BLE001 - see above: not even a defect of ours may leave here
         _log.exception("The GRMM engine failed.")
         engine.report({"ERROR"}, describe_defect(error))
@@ -55,6 +58,8 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
     settings = DrawSettings(scene.grmm_render.use_refine, int(scene.grmm_render.detail), scene.grmm_render.occlusion_samples)
     width, height = engine.resolution_x, engine.resolution_y
     region = snapshot.render_region(scene.render, width, height)
+    if bpy.app.background:  # in a window, F12 saves nothing, and a full disk is reported where it is noticed
+        output.check_space(scene, region.width, region.height)
     items = passes.layer_passes(view_layer, collect.avatar_names(scene))
     world = None if scene.render.film_transparent else snapshot.world_color(scene)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 
 from . import collect, final, passes
@@ -19,15 +17,9 @@ class GRMM_RenderEngine(bpy.types.RenderEngine):
     bl_use_exclude_layers = True
     bl_use_eevee_viewport = True  # material preview shows the scene with EEVEE
 
-    _view = None  # a `ViewRenderer` once the viewport is drawn; Blender would take an annotation for a property
-
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
-        super().__init__(*args, **kwargs)
-        self._view = None
-
-    def __del__(self) -> None:
-        if self._view is not None:
-            self._view.close()
+    # A `ViewRenderer` once the viewport is drawn; Blender would take an annotation for a property. It ends with this object,
+    # whose own `__del__` could not reach it any more.
+    _view = None
 
     def update_render_passes(self, scene: bpy.types.Scene, renderlayer: bpy.types.ViewLayer) -> None:
         """Tell Blender which passes there are."""

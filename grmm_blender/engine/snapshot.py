@@ -5,7 +5,7 @@ Called by `final` and `view`. After `take` returns, nothing of it refers to Blen
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
@@ -87,7 +87,12 @@ def full_camera(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, 
     )
     # The engine's own matrix knows about stereo; its axes may be scaled with the camera object.
     placement = _rigid(np.array(engine.camera_model_matrix(camera), np.float64))
-    return Camera.from_opengl(np.linalg.inv(placement), np.array(projection, np.float64), width, height)
+    result = Camera.from_opengl(np.linalg.inv(placement), np.array(projection, np.float64), width, height)
+    if camera.type != "CAMERA" or not render.use_multiview:
+        return result
+    # Off-axis stereo shifts the lens of each eye; the projection above has the camera's own shift only.
+    shift = engine.camera_shift_x(camera) - camera.data.shift_x
+    return replace(result, cx=result.cx - shift * _shift_unit(camera, result, render))
 
 
 def clip_range(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> tuple[float, float]:
@@ -139,6 +144,14 @@ def world_color(scene: bpy.types.Scene) -> np.ndarray:
                 if not color.is_linked and not strength.is_linked:
                     return np.array(color.default_value[:3], np.float32) * np.float32(strength.default_value)
     return np.array(world.color, np.float32)
+
+
+def _shift_unit(camera: bpy.types.Object, picture: Camera, render: bpy.types.RenderSettings) -> float:
+    """Pixels that a lens shift of 1 moves the picture sideways: the side of the picture that the sensor is fitted to."""
+    height = picture.height * render.pixel_aspect_y / render.pixel_aspect_x
+    fit = camera.data.sensor_fit
+    horizontal = fit == "HORIZONTAL" or (fit == "AUTO" and picture.width >= height)
+    return float(picture.width if horizontal else height)
 
 
 def _rigid(matrix: np.ndarray) -> np.ndarray:

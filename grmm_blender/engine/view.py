@@ -105,6 +105,9 @@ class ViewRenderer:
         """Stop drawing; the viewport is gone."""
         self._jobs.close()
 
+    def __del__(self) -> None:
+        self._jobs.close()
+
     def _copy(self, depsgraph: bpy.types.Depsgraph) -> _Scene:
         scene = depsgraph.scene_eval
         settings = scene.grmm_render

@@ -12,6 +12,7 @@
 ``engine``         the GRMM render engine
 ``production``     composites, pose library, turntables, contact sheets, presets, menus, translations
 ``viewport``       drawing splats in the 3D viewport
+``fitting``        avatars from photos: job, panel
 ``..operators``    operators, one topic a file
 =================  ======================================================================================
 
@@ -36,6 +37,7 @@ MODULES = (
     ".panels",
     ".engine",
     ".viewport",
+    ".fitting",
     ".production",
     ".handlers",
     ".session_host",

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import threading
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -124,6 +125,21 @@ def get_session() -> Session:
                 raise
             _last_error = ""
         return _session
+
+
+def job_python() -> str:
+    """Return the interpreter for work in a process of its own.
+
+    Raises:
+        RuntimeMissingError: Torch is neither here nor behind another interpreter.
+    """
+    current = settings()
+    named = current.python or os.environ.get(WORKER_PYTHON_VARIABLE, "")
+    if named and (current.mode != "local" or not has_torch()):
+        return named
+    if not has_torch():
+        raise RuntimeMissingError(NO_RUNTIME)
+    return sys.executable
 
 
 def open_avatar(source: str) -> AvatarInfo:

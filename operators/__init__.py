@@ -2,6 +2,7 @@
 
 ``common``              what they share
 ``add_head``            add an avatar to the scene
+``add_flame``           add the user's own FLAME head
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV
 ``import_splats``       splat files and other projects' avatars
 ``export_splats``       splat files, meshes, GaussianAvatars' folders
@@ -9,13 +10,37 @@
 ``fit``                 avatars from photos
 ``stepwise``            long exports with progress and cancel
 ``edit``                reset, mirror, random expression and identity, independent copies
+``residual``            random learned detail, saved codes and their blend
+``calibrate``           make the face of chosen frames the neutral one
 """
 
 from __future__ import annotations
 
-from . import add_head, edit, export_animation, export_splats, fit, import_performance, import_splats
+from . import (
+    add_flame,
+    add_head,
+    calibrate,
+    edit,
+    export_animation,
+    export_splats,
+    fit,
+    import_performance,
+    import_splats,
+    residual,
+)
 
-_TOPICS = (add_head, import_performance, import_splats, export_splats, export_animation, edit, fit)
+_TOPICS = (
+    add_head,
+    add_flame,
+    import_performance,
+    import_splats,
+    export_splats,
+    export_animation,
+    edit,
+    residual,
+    calibrate,
+    fit,
+)
 
 CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..controls import Controls, parse_assignments
 from ..errors import FileAccessError
+from ..files import describe_os_error
 
 DEVICES = ("auto", "cpu", "cuda", "mps")
 
@@ -16,9 +17,9 @@ def add_avatar(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("avatar", metavar="AVATAR", help="a .grmm file, 'default', or 'sample:SEED'")
 
 
-def add_output(parser: argparse.ArgumentParser, text: str) -> None:
+def add_output(parser: argparse.ArgumentParser, text: str, required: bool = True) -> None:
     """Add -o/--output."""
-    parser.add_argument("-o", "--output", metavar="FILE", required=True, type=Path, help=text)
+    parser.add_argument("-o", "--output", metavar="FILE", required=required, type=Path, help=text)
 
 
 def add_model(parser: argparse.ArgumentParser) -> None:
@@ -53,6 +54,14 @@ def check_folder(path: Path) -> None:
         raise FileAccessError(f"The folder {path.parent} does not exist; make it or choose another one.")
     if path.is_dir():
         raise FileAccessError(f"{path} is a folder; give a file name.")
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder for results. Raises `FileAccessError`."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"Cannot make the folder {path}: {describe_os_error(error)}; choose another one.") from error
 
 
 def picture_size(text: str) -> tuple[int, int]:

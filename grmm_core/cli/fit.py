@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import GrmmError
+from ..errors import ConfigError, GrmmError
 from ..fitting.presets import PRESETS
-from .common import add_model, add_output, check_folder, positive_int
+from .common import add_model, add_output, check_folder, make_folder, positive_int
 
 CONSENT = "Make avatars only of people who have agreed; the file says that it was made from photos."
 
@@ -25,9 +25,13 @@ def add_parser(subparsers: Any) -> None:
     text = "make an avatar from photos"
     parser = subparsers.add_parser("fit", help=text, description=f"M{text[1:]}. {CONSENT}")
     parser.add_argument("photos", metavar="PHOTO", nargs="+", type=Path, help="photos of one person; the first gives the light")
-    add_output(parser, "the .grmm file to write")
+    add_output(parser, "the .grmm file to write; not needed with --look", required=False)
+    parser.add_argument("--look", type=Path, metavar="DIR", help="only draw what is found in each photo, to DIR/found_N.png")
     parser.add_argument("--preset", choices=tuple(PRESETS), default="standard", help="amount of work (default: %(default)s)")
-    parser.add_argument("--face", type=positive_int, default=1, metavar="N", help="which face, the largest is 1 (default: 1)")
+    parser.add_argument(
+        "--face", action="append", default=[], type=positive_int, metavar="N", dest="faces",
+        help="which face, the largest is 1 (the default); once for all photos, or once for each, in their order",
+    )  # fmt: skip
     parser.add_argument(
         "--mask", action="append", default=[], type=Path, metavar="FILE", dest="masks",
         help="picture of the person's outline, white on black; once for each photo, in their order",
@@ -44,6 +48,8 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int:
     events = _Events(args.events)
     with _StopOnSignal() as stop:
         try:
+            if args.look is not None:
+                return _look(args, events)
             return _run(args, events, stop)
         except GrmmError as error:
             events.write(event="error", message=str(error))
@@ -53,9 +59,36 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int:
             raise
 
 
+def _look(args: argparse.Namespace, events: _Events) -> dict[str, Any] | int:
+    """Draw faces, landmarks and outline of each photo, so that the user can check the choice."""
+    from ..files import atomic_write_bytes
+    from ..fitting.api import check_masks, read_mask
+    from ..fitting.look import found_picture
+    from ..fitting.track import analyse_photo
+    from ..images import encode_png
+
+    check_masks(args.photos, args.masks)
+    make_folder(args.look)
+    pictures = []
+    for index, photo in enumerate(args.photos):
+        found = analyse_photo(photo)
+        mask = read_mask(args.masks[index]) if args.masks else None
+        chosen = args.faces[index] if len(args.faces) == len(args.photos) else (args.faces or [1])[0]
+        face = min(chosen, len(found.faces)) - 1
+        path = args.look / f"found_{index + 1}.png"
+        atomic_write_bytes(path, encode_png(found_picture(found, face, mask)))
+        pictures.append(str(path))
+        events.write(event="found", photo=str(photo), picture=str(path), faces=len(found.faces))
+        if not args.events:
+            args.console.line(f"{photo.name}: {len(found.faces)} face{'s' * (len(found.faces) != 1)}, see {path}")
+    return 0 if args.events else {"pictures": pictures}
+
+
 def _run(args: argparse.Namespace, events: _Events, stop: _StopOnSignal) -> dict[str, Any] | int:
     from ..fitting.api import fit
 
+    if args.output is None:
+        raise ConfigError("No avatar file is named; add -o NAME.grmm.")
     check_folder(args.output)
     with args.console.progress("fitting", 100) as bar:
         done = 0
@@ -74,11 +107,11 @@ def _run(args: argparse.Namespace, events: _Events, stop: _StopOnSignal) -> dict
         def faces(photo: str, boxes: np.ndarray) -> None:
             events.write(event="faces", photo=photo, boxes=np.round(boxes, 1).tolist())
             if len(boxes) > 1:
-                args.console.message(f"{Path(photo).name} shows {len(boxes)} faces; --face chose number {args.face}.")
+                args.console.message(f"{Path(photo).name} shows {len(boxes)} faces; --face N chooses, the largest is 1.")
 
         result = fit(
-            args.photos, args.output, preset=args.preset, face=args.face - 1, masks=args.masks, weights=args.weights,
-            device=args.device, threads=args.threads, work=args.work, resume=args.resume, name=args.name,
+            args.photos, args.output, preset=args.preset, faces=[face - 1 for face in args.faces] or [0], masks=args.masks,
+            weights=args.weights, device=args.device, threads=args.threads, work=args.work, resume=args.resume, name=args.name,
             progress=show, on_faces=faces, cancelled=lambda: stop.requested,
         )  # fmt: skip
     events.write(event="done", avatar=str(result.path))

@@ -32,6 +32,7 @@ CANCEL_POLL = 0.03  # seconds between two questions to `should_cancel`
 LOG_LINES = 200
 PROTOCOL = 1
 WORKER_MODULE = "grmm_core.session.worker"
+_PARENTS_PYTHON = ("PYTHONHOME", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "__PYVENV_LAUNCHER__")
 
 _log = logging.getLogger(__name__)
 
@@ -228,13 +229,23 @@ class WorkerProcess:
                 _log.debug("worker %d: %s", self.pid, text)
 
 
+def core_environment() -> dict[str, str]:
+    """Environment in which another Python imports this very package; start it in `core_folder`.
+
+    A parent of another Python version must not lend the child its libraries.
+    """
+    environment = {k: v for k, v in os.environ.items() if k not in _PARENTS_PYTHON}
+    return environment | {
+        "PYTHONPATH": str(core_folder()), "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONNOUSERSITE": "1",
+    }  # fmt: skip
+
+
+def core_folder() -> Path:
+    """Folder from which `python -m grmm_core` works."""
+    return Path(__file__).resolve().parents[2]
+
+
 def _launch(python: str, arena: SharedArena) -> subprocess.Popen[bytes]:
-    package_root = Path(__file__).resolve().parents[2]
-    environment = dict(os.environ)
-    # A parent of another Python version must not lend the child its libraries.
-    for name in ("PYTHONHOME", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "__PYVENV_LAUNCHER__"):
-        environment.pop(name, None)
-    environment |= {"PYTHONPATH": str(package_root), "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONNOUSERSITE": "1"}
     options: dict[str, Any] = {}
     if sys.platform == "win32":
         options["creationflags"] = subprocess.CREATE_NO_WINDOW
@@ -245,7 +256,7 @@ def _launch(python: str, arena: SharedArena) -> subprocess.Popen[bytes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=environment,
-        cwd=package_root,
+        env=core_environment(),
+        cwd=core_folder(),
         **options,
     )

@@ -1,0 +1,27 @@
+"""Avatars from photos in Blender: the job in its own process, the scene's settings, the panel.
+
+``job``       runs `grmm fit` in the interpreter that has torch; knows no bpy
+``settings``  photos, choices and state, kept on the window manager
+``watch``     the timer that follows the job and puts the finished avatar into the scene
+``panel``     the sidebar panel
+"""
+
+from __future__ import annotations
+
+from . import panel, settings, watch
+
+CLASSES = (*settings.CLASSES, *panel.CLASSES)
+
+
+def register() -> None:
+    """Make the settings reachable."""
+    settings.register()
+
+
+def unregister() -> None:
+    """End a running job; what it has done is kept for a resume."""
+    watch.unregister()
+    settings.unregister()
+
+
+__all__ = ["CLASSES", "register", "unregister"]

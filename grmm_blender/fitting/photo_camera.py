@@ -1,0 +1,60 @@
+"""The camera that took the photo, as a Blender camera with the photo behind the scene."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ...grmm_core.camera import Camera
+from ...grmm_core.session import HEAD_TO_BLENDER
+from ..avatar import avatar_of
+
+_SENSOR = 36.0  # millimetres
+_OPACITY = 0.5
+_TO_BLENDER_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # a Blender camera looks along its -z with y up
+
+
+def add_photo_camera(context: bpy.types.Context, head: bpy.types.Object, photo: Path, camera: Camera) -> bpy.types.Object:
+    """Add the photo's camera, fastened to the avatar.
+
+    Args:
+        context: Of the operator.
+        head: Head object of the avatar.
+        photo: The picture; left out where it cannot be shown upright.
+        camera: Of the whole photo, in head space.
+    """
+    data = bpy.data.cameras.new(f"{head.name} photo")
+    item = bpy.data.objects.new(data.name, data)
+    for collection in head.users_collection:
+        collection.objects.link(item)
+    avatar = avatar_of(head)
+    item.parent = avatar.armature if avatar is not None and avatar.armature is not None else head
+    pose = HEAD_TO_BLENDER @ np.linalg.inv(np.asarray(camera.world_to_camera, float)) @ _TO_BLENDER_AXES
+    item.matrix_local = Matrix(pose.tolist())
+    data.sensor_fit, data.sensor_width = "HORIZONTAL", _SENSOR
+    data.lens = _SENSOR * camera.fx / camera.width
+    data.shift_x = (camera.width / 2 - camera.cx) / camera.width
+    data.shift_y = (camera.cy - camera.height / 2) / camera.width
+    data.clip_start = 0.01
+    _add_background(data, photo, camera)
+    if context.scene.camera is None:
+        context.scene.camera = item
+    return item
+
+
+def _add_background(data: bpy.types.Camera, photo: Path, camera: Camera) -> None:
+    try:
+        image = bpy.data.images.load(str(photo), check_existing=True)
+    except RuntimeError:
+        return  # a format that Blender does not read
+    width, height = image.size
+    if (width > height) != (camera.width > camera.height) and camera.width != camera.height:
+        return  # the file is turned by its EXIF tag, which Blender does not follow
+    data.show_background_images = True
+    background = data.background_images.new()
+    background.image = image
+    background.alpha = _OPACITY
+    background.frame_method = "FIT"

@@ -1,0 +1,89 @@
+"""What the user has chosen for a fit: photos, outlines, face, preset, file. Kept on the window manager, not in the .blend."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.props import CollectionProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
+
+from ...grmm_core.avatar import EXTENSION
+
+PROPERTY = "grmm_fit"
+PRESET_ITEMS = (
+    ("fast", "Fast", "About a minute: a likeness to judge the photos by"),
+    ("standard", "Standard", "Some minutes: the avatar to work with"),
+    ("high", "High", "Many minutes: the finest detail"),
+)
+
+
+class GRMM_FitPhoto(bpy.types.PropertyGroup):
+    """One photo."""
+
+    path: StringProperty(name="Photo", description="Photo of the person; the first one gives the light", subtype="FILE_PATH")
+    mask: StringProperty(
+        name="Outline",
+        description="Picture of the person's outline, white on black, where the one that was found is wrong; empty uses that",
+        subtype="FILE_PATH",
+    )
+    faces: IntProperty(name="Faces", description="Faces found in this photo; 0 before it was looked at", default=0, min=0)
+    found: StringProperty(name="Found", description="Picture of what was found", options={"HIDDEN"})
+
+
+class GRMM_FitSettings(bpy.types.PropertyGroup):
+    """Choices of the fit panel."""
+
+    photos: CollectionProperty(name="Photos", description="Photos of one person", type=GRMM_FitPhoto)
+    active: IntProperty(name="Photo", description="Photo that is shown", default=0, min=0)
+    face: IntProperty(
+        name="Face", description="Which face, where a photo shows several; the largest is 1", default=1, min=1, max=99
+    )
+    preset: EnumProperty(name="Preset", description="Amount of work", items=PRESET_ITEMS, default="standard")
+    output: StringProperty(
+        name="Avatar File",
+        description="File of the finished avatar; empty writes beside the first photo",
+        subtype="FILE_PATH",
+        default="",
+    )
+
+
+def settings(context: bpy.types.Context) -> GRMM_FitSettings:
+    """Return the choices."""
+    return getattr(context.window_manager, PROPERTY)
+
+
+def photo_paths(chosen: GRMM_FitSettings) -> tuple[Path, ...]:
+    """Absolute paths of the photos."""
+    return tuple(Path(bpy.path.abspath(photo.path)) for photo in chosen.photos if photo.path)
+
+
+def mask_paths(chosen: GRMM_FitSettings) -> tuple[Path, ...]:
+    """Absolute paths of the outlines, where every photo has one; else none."""
+    masks = tuple(Path(bpy.path.abspath(photo.mask)) for photo in chosen.photos if photo.path and photo.mask)
+    return masks if len(masks) == len(photo_paths(chosen)) else ()
+
+
+def output_path(chosen: GRMM_FitSettings) -> Path:
+    """Where the avatar goes; needs a photo where no file is chosen."""
+    if chosen.output:
+        path = Path(bpy.path.abspath(chosen.output))
+        return path if path.suffix == EXTENSION else path.with_name(path.name + EXTENSION)
+    return photo_paths(chosen)[0].with_suffix(EXTENSION)
+
+
+def work_folder(output: Path) -> Path:
+    """Where a fit keeps its state for a resume."""
+    return output.with_name(output.name + ".fit")
+
+
+CLASSES = (GRMM_FitPhoto, GRMM_FitSettings)
+
+
+def register() -> None:
+    """Put the choices on the window manager."""
+    setattr(bpy.types.WindowManager, PROPERTY, PointerProperty(type=GRMM_FitSettings))
+
+
+def unregister() -> None:
+    """Take them away."""
+    delattr(bpy.types.WindowManager, PROPERTY)

@@ -1,0 +1,107 @@
+"""Avatars from photos inside Blender: the job's status, looking at photos, errors; with "fit" also a whole fit.
+
+Arguments: folder with face.png and text.jpg, "look" or "fit".
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+from support import empty_scene, enable, module, report
+
+EVENTS = """
+import json, sys, time
+for event in {events}:
+    print(json.dumps(event) if isinstance(event, dict) else event, flush=True)
+{ending}
+"""
+PROGRESS = {"event": "progress", "stage": "codes", "fraction": 0.5, "seconds_left": 12.0, "preview": "p.png"}
+
+
+def job_of(events: list, ending: str = ""):
+    """A job that follows a process which writes these lines."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", EVENTS.format(events=events, ending=ending)],
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    return module("grmm_blender.fitting.job").FitJob(process)
+
+
+def statuses() -> dict[str, object]:
+    faces = {"event": "faces", "photo": "a.jpg", "boxes": [[1, 2, 3, 4], [5, 6, 7, 8]]}
+    done = job_of([faces, "noise of a library", PROGRESS, {"event": "done", "avatar": "a.grmm"}]).wait(60)
+    failed = job_of([{"event": "error", "message": "No face was found."}], "sys.exit(1)").wait(60)
+    crashed = job_of([PROGRESS], "import os; os.abort()").wait(60)
+    lacking = job_of([], "import nothing_of_this_name").wait(60)
+    slow = job_of([PROGRESS], "time.sleep(60)")
+    slow.cancel()
+    cancelled = slow.wait(60)
+    return {
+        "done": (done.state, done.avatar, done.fraction, done.faces, done.preview),
+        "failed": (failed.state, failed.message),
+        "crashed": (crashed.state, crashed.message, crashed.fraction),
+        "lacking": (lacking.state, lacking.message),
+        "cancelled": (cancelled.state, cancelled.message),
+    }
+
+
+def look(folder: Path) -> dict[str, object]:
+    chosen = bpy.context.window_manager.grmm_fit
+    said = {"poll_without": bpy.ops.grmm.fit_look.poll()}
+    bpy.ops.grmm.fit_add_photos(filepath=str(folder / "face.png"))
+    bpy.ops.grmm.fit_add_photos(filepath=str(folder / "face.png"))
+    said["photos"] = len(chosen.photos)
+    bpy.ops.grmm.fit_look()
+    photo = chosen.photos[0]
+    said |= {"faces": photo.faces, "found": Path(photo.found).stat().st_size}
+    bpy.ops.grmm.fit_add_photos(filepath=str(folder / "text.jpg"))
+    said["broken"] = message_of(bpy.ops.grmm.fit_look)
+    bpy.ops.grmm.fit_remove_photo()
+    chosen.output = str(folder / "missing" / "a.grmm")
+    said["no_folder"] = message_of(bpy.ops.grmm.fit_photos)
+    return said
+
+
+def message_of(operator) -> str:
+    try:
+        operator()
+    except RuntimeError as error:
+        return str(error)
+    return ""
+
+
+def fit(folder: Path) -> dict[str, object]:
+    chosen = bpy.context.window_manager.grmm_fit
+    chosen.output, chosen.preset = str(folder / "person.grmm"), "fast"
+    bpy.ops.grmm.fit_photos()
+    head = bpy.context.object
+    camera = next(item for item in bpy.data.objects if item.type == "CAMERA")
+    scene = bpy.context.scene
+    # the camera must see the head where the photo shows it: the middle of the eyes in picture coordinates
+    from bpy_extras.object_utils import world_to_camera_view
+
+    bones = next(item for item in bpy.data.objects if item.type == "ARMATURE").pose.bones
+    scene.render.resolution_x = scene.render.resolution_y = 512
+    bpy.context.view_layer.update()
+    eyes = [world_to_camera_view(scene, camera, bones[name].head) for name in ("left_eye", "right_eye")]
+    return {
+        "avatar": head is not None and head.grmm.is_avatar, "source": head.grmm.source,
+        "background": camera.data.show_background_images,
+        "eyes": [[p.x, 1.0 - p.y] for p in eyes], "note": module("grmm_blender.fitting.watch").note(),
+    }  # fmt: skip
+
+
+def main() -> None:
+    folder, what = Path(sys.argv[-2]), sys.argv[-1]
+    enable()
+    empty_scene()
+    report(statuses=statuses())
+    report(look=look(folder))
+    if what == "fit":
+        report(fit=fit(folder))
+
+
+main()

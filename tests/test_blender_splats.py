@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sys
+import zipfile
 from dataclasses import replace
 
 import numpy as np
@@ -52,7 +54,7 @@ def imported(request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_f
     folder = tmp_path_factory.mktemp("splats")
     weights = write_tiny_weights(folder / "tiny.safetensors")
     cloud = replace(make_cloud(3000, 2), scales=np.full((3000, 3), 0.006, np.float32) * [1, 1, 0.4])
-    for extension in (".ply", ".splat", ".spz", ".glb"):
+    for extension in (".ply", ".splat", ".spz", ".glb", ".sog"):
         write_splats(folder / f"cloud{extension}", cloud)
     lam_archive(folder / "lam.zip")
     (folder / "cap4d.ply").write_bytes(cap4d_bytes()[0])
@@ -66,7 +68,7 @@ def imported(request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_f
     (folder / "unknown.xyz").write_text("1 2 3")
     environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
     done = run_blender("splats_import.py", weights, folder, python=request.param, environment=environment, timeout=PATIENCE)
-    return done.result
+    return done.result | {"folder": folder}
 
 
 def test_formats_are_drawn_as_their_files_say(imported):
@@ -115,6 +117,19 @@ def test_gaussian_avatars_ride_on_the_users_flame(imported):
     assert (np.array(flame["gaps"]) < (2e-5, 1e-3, 1e-2)).all()
     assert flame["opened"] > 0.005
     assert flame["drawn"] == [flame["cloud"]]
+
+
+def test_sog_is_decoded_by_blender(imported):
+    image_module = pytest.importorskip("PIL.Image")
+    assert imported["sog"] == {"count": 3000, "images": 0}
+    found = np.load(imported["folder"] / "pictures.npz")
+    with zipfile.ZipFile(imported["folder"] / "cloud.sog") as archive:
+        names = [name for name in archive.namelist() if name.endswith(".webp")]
+        assert sorted(found.files) == sorted(names)
+        for name in names:
+            with image_module.open(io.BytesIO(archive.read(name))) as picture:
+                wanted = np.asarray(picture.convert("RGBA"))
+            assert np.array_equal(found[name], wanted), name
 
 
 def test_what_cannot_be_read_is_one_sentence(imported):

@@ -20,6 +20,7 @@ it, a carrier mesh (`Object.grmm_cloud.carrier`) moves them: positions and rotat
 ``properties``     `Object.grmm_cloud`: what makes an object a cloud
 ``cloud``          `Cloud`, `clouds_in`: reading clouds of a scene; what the engine and the viewport use
 ``build``          objects from files
+``pictures``       decodes the pictures inside SOG files by Blender
 ``rigged``         objects from other projects' avatars
 =================  ======================================================================================
 """

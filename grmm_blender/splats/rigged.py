@@ -28,6 +28,7 @@ from ..rig.drivers import drive_sum
 from ..rig.identity import FLAME_PREFIX, Identity, load_head
 from ..rig.mesh import to_blender
 from .build import SPLATS, display_name, mark_cloud, new_cloud, place_in_scene, write_points
+from .pictures import picture_decoder
 
 LAM, CAP4D, GAUSSIAN_AVATARS = "LAM", "CAP4D", "GAUSSIAN_AVATARS"
 NEEDS_FLAME = (
@@ -89,7 +90,7 @@ def import_file(context: bpy.types.Context, path: Path, flame: str = "", turned:
     Raises:
         FileFormatError, FileAccessError, BackendError: The file, or the FLAME file, cannot be used.
     """
-    found = read_avatar(path)
+    found = read_avatar(path, picture_decoder())
     name = display_name(path)
     if isinstance(found, SplatCloud):
         cloud = found.flipped() if turned else found

@@ -21,6 +21,7 @@ from .binding import place_on_mesh
 from .cloud import SH_C0, SplatCloud, bad_file
 from .mesh import Mesh, read_gltf_mesh
 from .ply import columns, has_element, read_elements, read_ply, splats_from_rows, write_ply
+from .sog import Decoder
 
 FLAME_TEETH_FACES = 10144
 PLY_NAME, TRACK_NAME = "point_cloud.ply", "flame_param.npz"
@@ -29,11 +30,14 @@ _LAM_LIMIT = 1 << 30
 _MAX_FRAMES = 100_000
 
 
-def read_avatar(path: str | os.PathLike[str]) -> GaussianAvatar | AnimatedAvatar | LamAvatar | SplatCloud:
+def read_avatar(
+    path: str | os.PathLike[str], decode: Decoder | None = None
+) -> GaussianAvatar | AnimatedAvatar | LamAvatar | SplatCloud:
     """Read an avatar of another project, or plain splats, by what is in the file.
 
     Args:
         path: A .zip (LAM), a .ply (CAP4D, GaussianAvatars or 3DGS), a folder with `point_cloud.ply`, or any splat file.
+        decode: Decodes the pictures of a SOG file where Pillow is not installed (see `sog.read_sog`).
 
     Raises:
         FileFormatError, FileAccessError, BackendError: As the readers of the formats.
@@ -44,7 +48,8 @@ def read_avatar(path: str | os.PathLike[str]) -> GaussianAvatar | AnimatedAvatar
     if path.is_dir():
         return read_gaussian_avatar(path)
     if path.suffix.lower() != ".ply":
-        return read_splats(path)
+        is_sog = path.suffix.lower() == ".sog" or path.name.lower() == "meta.json"
+        return read_splats(path, decode=decode) if is_sog else read_splats(path)
     if has_element(path, "base_vertex"):
         return read_cap4d(path)
     cloud = read_ply(path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import zipfile
 from pathlib import Path
 
 import bpy
@@ -207,6 +208,17 @@ def gaussian_avatar() -> dict:
     return {"message": message, "gaps": gaps, "opened": opened, "drawn": drawn, "cloud": cloud.name}
 
 
+def sog() -> dict:
+    """Blender's own decoder of pictures gives the bytes that Pillow gives."""
+    empty_scene()
+    bpy.ops.grmm.import_splats(filepath=str(folder / "cloud.sog"))
+    decode = module("grmm_blender.splats.pictures").decode_picture
+    with zipfile.ZipFile(folder / "cloud.sog") as archive:
+        pictures = {name: decode(archive.read(name)) for name in archive.namelist() if name.endswith(".webp")}
+    np.savez(folder / "pictures.npz", **pictures)
+    return {"count": len(bpy.context.object.data.vertices), "images": len(bpy.data.images)}
+
+
 def messages() -> dict:
     empty_scene()
     result = {}
@@ -225,4 +237,5 @@ report(beside=beside_a_head())
 report(lam=lam())
 report(cap4d=cap4d())
 report(flame=gaussian_avatar())
+report(sog=sog())
 report(errors=messages())

@@ -18,7 +18,8 @@ from ..grmm_core.controls import Controls
 from ..grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
 from ..grmm_core.session import HEAD_TO_BLENDER
 from .rig.armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset
-from .rig.definitions import ARRAY_NAMES, STRENGTH
+from .rig.codes import blend_of
+from .rig.definitions import ARRAY_NAMES, CODES, FLAME_PREFIX, STRENGTH
 
 DEFAULT_SOURCE = "default"
 _SAMPLE_PREFIX = "sample:"
@@ -53,15 +54,25 @@ class Avatar:
 
     @property
     def source(self) -> str:
-        """What to open in a session: "default", "sample:SEED", or the absolute path of a `.grmm` file."""
+        """What to open in a session: "default", "sample:SEED", or the absolute path of a `.grmm` file.
+
+        A user's FLAME head, which no session draws, is `FLAME_PREFIX` and the file's absolute path.
+        """
         stored = self.object.grmm.source
         if not stored or stored == DEFAULT_SOURCE or stored.startswith(_SAMPLE_PREFIX):
             return stored or DEFAULT_SOURCE
+        if stored.startswith(FLAME_PREFIX):
+            return FLAME_PREFIX + bpy.path.abspath(stored.removeprefix(FLAME_PREFIX), library=self.object.library)
         path = bpy.path.abspath(stored, library=self.object.library)
         known = self.object.grmm.known_path
         if known and stored.startswith("//") and not Path(path).exists() and Path(known).exists():
             return known  # appended from a file elsewhere, whose folder the relative name meant
         return path
+
+    @property
+    def has_network(self) -> bool:
+        """Whether a network draws this head; a user's FLAME head is a mesh like any other, or carries imported splats."""
+        return not self.object.grmm.head_name.startswith(FLAME_PREFIX)
 
     @property
     def armature(self) -> bpy.types.Object | None:
@@ -95,11 +106,15 @@ class Avatar:
         result = Controls()
         result.aligned = np.array([obj.get(name, 0.0) for name in ALIGNED_NAMES], np.float32)
         for name in ARRAY_NAMES:
-            values = obj.get(name)
-            setattr(result, name, np.array([] if values is None else values.to_list(), np.float32))
+            array = _array(obj, name)
+            setattr(result, name, array + blend_of(obj, name, array.size) if name in CODES else array)
         result.residual_strength = float(obj.get(STRENGTH, 1.0))
         result.pose = self._pose(depsgraph)
         return result
+
+    def array(self, name: str, depsgraph: bpy.types.Depsgraph | None = None) -> np.ndarray:
+        """Return one of the arrays of controls, empty where the head has none; not validated."""
+        return _array(self.object.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()), name)
 
     def model_to_world(self, depsgraph: bpy.types.Depsgraph | None = None) -> np.ndarray:
         """Return head space (metres, y up, face towards +z) to Blender's world, [4, 4] float64.
@@ -146,6 +161,11 @@ class Avatar:
             if driven is not None:
                 pose[joint] -= np.array(driven.rotation_euler, np.float32)
         return pose
+
+
+def _array(obj: bpy.types.Object, name: str) -> np.ndarray:
+    values = obj.get(name)
+    return np.array([] if values is None else values.to_list(), np.float32)
 
 
 def is_avatar(obj: bpy.types.Object | None) -> bool:

@@ -35,7 +35,7 @@ def _before_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Non
 def _on_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     playing = _is_playing()
     for avatar in avatars_in(scene):
-        wrote = _update(avatar, depsgraph, allow_detail=not playing or avatar.object.grmm.detail_in_playback)
+        wrote = _update(avatar, depsgraph, not playing or avatar.object.grmm.detail_in_playback, brief=True)
         if wrote and depsgraph.mode == "RENDER":
             _animate_again(avatar)
 
@@ -73,12 +73,12 @@ def _animate_again(avatar: Avatar) -> None:
             data.update_tag(refresh={"TIME"})
 
 
-def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail: bool = True) -> bool:
+def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail: bool = True, brief: bool = False) -> bool:
     global _busy
     detail = allow_detail and (_may_wait() or _is_ready())
     _busy = True
     try:
-        wrote = live.update(avatar, depsgraph, detail)
+        wrote = live.update(avatar, depsgraph, detail, brief)
     finally:
         _busy = False
     if allow_detail and not detail and live.state_of(avatar).stale:

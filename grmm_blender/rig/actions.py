@@ -21,12 +21,16 @@ _KINDS = ("interpolation", "handle_left_type", "handle_right_type")
 
 def action_curves(obj: bpy.types.ID) -> Iterator[bpy.types.FCurve]:
     """Yield the curves that an object's own action holds for it."""
+    yield from action_fcurves(obj) or ()
+
+
+def action_fcurves(obj: bpy.types.ID) -> bpy.types.ActionChannelbagFCurves | None:
+    """Return the collection of the curves that an object's own action holds for it, or None where it has no action."""
     data = obj.animation_data
     if data is None or data.action is None or data.action_slot is None:
-        return
+        return None
     bag = _bag(data.action, data.action_slot)
-    if bag is not None:
-        yield from bag.fcurves
+    return None if bag is None else bag.fcurves
 
 
 def ensure_bag(obj: bpy.types.ID, name: str, action: bpy.types.Action | None = None) -> bpy.types.ActionChannelbag:

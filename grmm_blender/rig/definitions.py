@@ -16,7 +16,11 @@ Z_ID = "z_id"
 Z_EXP = "z_exp"
 STRENGTH = "residual_strength"
 ARRAY_NAMES = (SHAPE, EXPRESSION, Z_ID, Z_EXP)
+CODES = (Z_ID, Z_EXP)
+"""The residual codes, of which states can be saved (see `codes`)."""
 
+FLAME_PREFIX = "flame:"
+"""Before the path of a user's FLAME file, in an avatar's source and in the name of its head model."""
 CONTROL_JOINTS = ("neck", "jaw", "left_eye", "right_eye")
 
 
@@ -97,7 +101,9 @@ __all__ = [
     "ARRAY_DESCRIPTIONS",
     "ARRAY_NAMES",
     "ARRAY_RANGES",
+    "CODES",
     "CONTROL_JOINTS",
+    "FLAME_PREFIX",
     "REGIONS",
     "STRENGTH",
     "STRENGTH_DESCRIPTION",

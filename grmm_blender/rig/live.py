@@ -11,7 +11,7 @@ Reaches the model through `session_host`; imports no torch.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import bpy
 import numpy as np
@@ -23,7 +23,7 @@ from ...grmm_core.head import HeadModel
 from ...grmm_core.head.skinning import euler_matrices
 from .. import session_host
 from ..avatar import Avatar
-from .actions import action_curves
+from .actions import action_fcurves
 from .armature import joint_parents, shift_joints
 from .definitions import ARRAY_RANGES, SHAPE, property_path
 from .drivers import resting_pose
@@ -39,15 +39,19 @@ class LiveState:
 
     Attributes:
         shape_for: Shape coefficients that the joints and the key of small components belong to.
-        detail_for: Controls and source that the residual key holds.
+        detail_for: Controls and source that the residual key holds; empty where it holds nothing, None where that is unknown.
         message: One sentence for the panel where something is wrong, else empty.
         stale: The residual key does not belong to the current controls.
+        shape_curves_of: Action, its slot and number of curves that `shape_curves` were found in.
+        shape_curves: Places of the curves that animate the shape.
     """
 
     shape_for: bytes | None = None
     detail_for: bytes | None = None
     message: str = ""
     stale: bool = False
+    shape_curves_of: tuple[int, int, int] | None = None
+    shape_curves: list[int] = field(default_factory=list)
 
 
 _states: dict[int, LiveState] = {}
@@ -63,13 +67,14 @@ def forget() -> None:
     _states.clear()
 
 
-def update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None = None, detail: bool = True) -> bool:
+def update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None = None, detail: bool = True, brief: bool = False) -> bool:
     """Bring an avatar's joints and residual key up to date with its controls.
 
     Args:
         avatar: The avatar.
         depsgraph: Evaluated scene to read from; the context's when None.
         detail: Also compute the learned displacement; without, the key is left as it is and marked stale.
+        brief: Read only the controls that matter, for frame changes; others are not checked then.
 
     Returns:
         Whether anything was written. Problems do not raise, they end up in the state's message: a handler has no user to
@@ -80,8 +85,12 @@ def update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None = None, detail:
     if avatar.object.data.shape_keys is None:
         return False
     try:
-        controls = avatar.controls(depsgraph).validate()
         head = load_head(AssetReference(avatar.object.grmm.head_name))
+        if brief and state.detail_for == b"" and not _wants_detail(avatar, head):
+            shape = avatar.array(SHAPE, depsgraph)
+            if np.isfinite(shape).all():
+                return _update_shape(avatar, head, shape, state)
+        controls = avatar.controls(depsgraph).validate()
         wrote = _update_shape(avatar, head, controls.shape, state)
         return _update_detail(avatar, head, controls, state, detail) or wrote
     except RuntimeMissingError:
@@ -102,14 +111,12 @@ def predict(avatar: Avatar, frame: float) -> None:
         avatar: The avatar.
         frame: Frame that is about to be evaluated, with its fraction.
     """
-    curves = [curve for curve in action_curves(avatar.object) if curve.data_path == _SHAPE_PATH and not curve.mute]
     values = avatar.object.get(SHAPE)
-    if not curves or values is None:
+    animated = None if values is None else _animated_shape(avatar, state_of(avatar), frame, len(values))
+    if animated is None:
         return
     shape = np.array(values.to_list(), np.float32)
-    for curve in curves:
-        if curve.array_index < shape.size:
-            shape[curve.array_index] = curve.evaluate(frame)
+    shape[animated[0]] = animated[1]
     limits = ARRAY_RANGES[SHAPE]
     try:
         head = load_head(AssetReference(avatar.object.grmm.head_name))
@@ -117,6 +124,29 @@ def predict(avatar: Avatar, frame: float) -> None:
         return  # `update` reports it
     if np.isfinite(shape).all():
         _update_shape(avatar, head, shape.clip(limits.low, limits.high), state_of(avatar))
+
+
+def _animated_shape(avatar: Avatar, state: LiveState, frame: float, count: int) -> tuple[list[int], list[float]] | None:
+    """Components of the shape that the head's action animates and their values at a frame; None where it animates none.
+
+    Finding these curves among hundreds takes longer than evaluating them, so their places are kept. Where they are not the
+    right ones any more (an action edited in place), `update` sets it right.
+    """
+    curves = action_fcurves(avatar.object)
+    if curves is None:
+        return None
+    data = avatar.object.animation_data
+    key = (data.action.session_uid, data.action_slot_handle, len(curves))
+    if state.shape_curves_of != key:
+        paths = [curve.data_path for curve in curves]
+        state.shape_curves_of = key
+        state.shape_curves = [place for place, path in enumerate(paths) if path == _SHAPE_PATH]
+    found = [curves[place] for place in state.shape_curves]
+    if not found or found[0].data_path != _SHAPE_PATH:
+        state.shape_curves_of = None
+        return None
+    found = [curve for curve in found if not curve.mute and curve.array_index < count]
+    return [curve.array_index for curve in found], [curve.evaluate(frame) for curve in found]
 
 
 def _update_shape(avatar: Avatar, head: HeadModel, shape: np.ndarray, state: LiveState) -> bool:
@@ -169,12 +199,12 @@ def _small_shapes(head: HeadModel) -> np.ndarray:
 def _update_detail(avatar: Avatar, head: HeadModel, controls: Controls, state: LiveState, detail: bool) -> bool:
     """Write what the model and the pose correctives add to the unposed mesh into the residual key."""
     obj = avatar.object
-    wanted = obj.grmm.live_detail or head.posedirs is not None
-    if not _may_write(avatar) or not (wanted or state.detail_for):
+    wanted = _wants_detail(avatar, head)
+    if not _may_write(avatar):
         state.stale = False
         return False
-    digest = _digest(avatar, controls) if wanted else None
-    if wanted and state.detail_for == digest:
+    digest = _digest(avatar, controls) if wanted else b""
+    if state.detail_for == digest:
         state.stale = False
         return False
     if not detail:
@@ -186,6 +216,10 @@ def _update_detail(avatar: Avatar, head: HeadModel, controls: Controls, state: L
         offsets = offsets + session.deform(session_host.open_avatar(avatar.source).id, controls).displacement
     state.detail_for, state.stale = digest, False
     return write_offsets(obj, RESIDUAL_KEY, to_blender(offsets).ravel())
+
+
+def _wants_detail(avatar: Avatar, head: HeadModel) -> bool:
+    return avatar.object.grmm.live_detail or head.posedirs is not None
 
 
 def _digest(avatar: Avatar, controls: Controls) -> bytes:

@@ -1,0 +1,142 @@
+"""Measure a frame change with every control animated: `python -m tools.bench_blender [--frames N] [--output FILE]`.
+
+Needs the bpy wheel in this Python. The extension is built and installed into an empty user folder, as its tests do, so that
+what is measured is what a user gets. Each figure is the least and the median of many frames of one run, alternatives in
+turns: times of different runs or machines say nothing about each other.
+
+=================  =================================================================================
+``blender``        Blender's own work: curves, drivers, shape keys, armature (our handlers taken out)
+``extension``      the same with the extension's handlers: joints and small shape components follow
+``performance``    only what a performance animates: named expressions and bones
+``still``          a frame change of the same scene without any animation on the head
+=================  =================================================================================
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tools.build_extension import BuildError, build
+
+MODULE = "bl_ext.user_default.grmm"
+KEYED_FRAMES = (1, 41, 81)
+BONES = ("root", "neck", "jaw", "left_eye", "right_eye")
+WARM_UP = 5
+GOAL = 10.0  # milliseconds, for `extension` on Blender 5.2
+
+
+def measure(frames: int) -> dict[str, Any]:
+    """Build the scene and time it; returns milliseconds by name."""
+    import bpy
+    import numpy as np
+
+    definitions, handlers = _module("grmm_blender.rig.definitions"), _module("grmm_blender.handlers")
+    generator = np.random.default_rng(0)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.grmm.add_head()
+    avatar = _module("grmm_blender.avatar").avatar_of(bpy.context.object)
+    avatar.object.grmm.live_detail = False  # the model's own time is not Blender's
+    names = definitions.ALIGNED_NAMES
+    for frame in KEYED_FRAMES:
+        for name in names:
+            avatar.object[name] = float(generator.uniform(0.0, 0.5))
+            avatar.object.keyframe_insert(definitions.property_path(name), frame=frame)
+        for name in definitions.ARRAY_NAMES:
+            avatar.object[name] = generator.uniform(-0.3, 0.3, len(avatar.object[name])).tolist()
+            avatar.object.keyframe_insert(definitions.property_path(name), frame=frame)
+        for name in BONES:
+            avatar.armature.pose.bones[name].rotation_euler = generator.uniform(-0.3, 0.3, 3)
+            avatar.armature.pose.bones[name].keyframe_insert("rotation_euler", frame=frame)
+    curves = list(_module("grmm_blender.rig.actions").action_curves(avatar.object))
+    arrays = [c for c in curves if any(c.data_path == definitions.property_path(n) for n in definitions.ARRAY_NAMES)]
+    result: dict[str, Any] = {"blender": bpy.app.version_string, "curves": len(curves) + 3 * len(BONES)}
+    times: dict[str, list[float]] = {"blender": [], "extension": []}
+    for _ in range(2):  # in turns
+        with _without(handlers):
+            times["blender"] += _frame_times(frames)
+        times["extension"] += _frame_times(frames)
+    for curve in arrays:
+        curve.mute = True
+    times["performance"] = _frame_times(frames)
+    avatar.object.animation_data.action = None
+    avatar.armature.animation_data.action = None
+    times["still"] = _frame_times(frames)
+    result["ms"] = {name: {"least": min(each), "median": statistics.median(each)} for name, each in times.items()}
+    return result
+
+
+def _frame_times(frames: int) -> list[float]:
+    """Milliseconds of each of `frames` frame changes, with the mesh evaluated."""
+    import bpy
+
+    scene, found = bpy.context.scene, []
+    first, last = KEYED_FRAMES[0], KEYED_FRAMES[-1]
+    for number in range(WARM_UP + frames):
+        frame = first + (7 * number) % (last - first)
+        start = time.perf_counter()
+        scene.frame_set(frame)
+        bpy.context.evaluated_depsgraph_get()
+        found.append(1e3 * (time.perf_counter() - start))
+    return found[WARM_UP:]
+
+
+@contextmanager
+def _without(handlers: Any) -> Iterator[None]:
+    """Take the extension's handlers out for a while."""
+    handlers.unregister()
+    try:
+        yield
+    finally:
+        handlers.register()
+
+
+def _module(name: str) -> Any:
+    import importlib
+
+    return importlib.import_module(f"{MODULE}.{name}")
+
+
+def with_extension(call: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Install the built extension into an empty user folder of Blender, and run `call` with it enabled."""
+    with tempfile.TemporaryDirectory(prefix="grmm-bench-") as folder:
+        archive = build(Path(folder))
+        os.environ["BLENDER_USER_RESOURCES"] = str(Path(folder) / "user")
+        import bpy
+
+        bpy.ops.extensions.package_install_files(filepath=str(archive), repo="user_default", enable_on_install=True)
+        return call()
+
+
+def main() -> int:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(description="Measure a frame change in Blender with every control animated.")
+    parser.add_argument("--frames", type=int, default=60, help="frames for each figure (default: 60)")
+    parser.add_argument("--output", type=Path, help="write the figures as JSON")
+    arguments = parser.parse_args()
+    try:
+        result = with_extension(lambda: measure(arguments.frames))
+    except BuildError as error:
+        print(f"bench_blender: {error}", file=sys.stderr)
+        return 1
+    print(f"Blender {result['blender']}, {result['curves']} animated channels, milliseconds a frame change")
+    for name, values in result["ms"].items():
+        print(f"  {name:12} least {values['least']:6.2f}   median {values['median']:6.2f}")
+    most = result["ms"]["extension"]["least"]
+    print(f"goal {GOAL:g} ms: {'met' if most <= GOAL else 'missed'} ({most:.2f} ms)")
+    if arguments.output:
+        arguments.output.write_text(json.dumps(result, indent=1), "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -20,11 +20,13 @@ def report() -> str:
     """Return the diagnostics as lines "name: value", followed by the logs."""
     status = session_host.runtime_status()
     settings = session_host.settings()
+    machine = runtime_install.detect_machine()
     facts = {
         "GRMM": __version__,
         "Blender": f"{bpy.app.version_string} {_build()}",
         "Python": f"{platform.python_version()} ({sys.executable})",
         "System": f"{platform.platform()} {platform.machine()}",
+        "Machine": f"{machine.system}, accelerator {machine.accelerator or 'none'}",
         "numpy": np.__version__,
         "Graphics": _graphics(),
         "Online access": bpy.app.online_access,

@@ -80,6 +80,11 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
         subtype="FILE_PATH",
         update=_apply,
     )
+    flame: StringProperty(
+        name="FLAME File",
+        description="Your own FLAME model (generic_model.pkl or flame2023.pkl), for Add > GRMM FLAME Head; none is distributed",
+        subtype="FILE_PATH",
+    )
     install_python: StringProperty(
         name="Base Python",
         description="Python that the runtime is built upon; empty for Blender's own",
@@ -111,11 +116,14 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
         column.prop(self, "device")
         column.prop(self, "threads")
         column.prop(self, "weights")
+        column.prop(self, "flame")
         self._draw_installation(layout.box())
         layout.operator(GRMM_OT_copy_diagnostics.bl_idname, icon="COPYDOWN")
 
     def _draw_installation(self, layout: bpy.types.UILayout) -> None:
         facts = runtime_install.installed_facts(_folder())
+        machine = runtime_install.detect_machine()
+        layout.label(text=f"This machine: {machine.system}, {machine.accelerator or 'no accelerator found'}")
         if _job is not None and _job.running:
             progress = _job.progress
             layout.progress(factor=progress.fraction, text=progress.text)
@@ -126,6 +134,9 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
             layout.label(text=f"Installed runtime: {versions}")
         else:
             layout.label(text="No runtime installed")
+            layout.label(text=machine.advice)
+            if not bpy.app.online_access and not self.wheels:
+                layout.label(text="Online access is off in Preferences > System; a folder of wheels needs none", icon="INFO")
         if _job is not None and _job.error:
             layout.label(text=_job.error, icon="ERROR")
         row = layout.row()

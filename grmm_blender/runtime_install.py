@@ -10,8 +10,10 @@ Used by `preferences`; knows no bpy, so that it can run on a thread of its own.
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -39,6 +41,8 @@ _CHECK = (
     "print(json.dumps({'python': platform.python_version(), 'torch': torch.__version__, 'numba': numba.__version__, "
     "'numpy': numpy.__version__, 'cuda': torch.cuda.is_available()}))"
 )
+# Present where NVIDIA's driver is: Linux; Windows.
+_NVIDIA_FILES = ("/proc/driver/nvidia/version", "/dev/nvidiactl", r"C:\Windows\System32\nvcuda.dll")
 # Pip's messages that say more to a user than its last line does.
 _KNOWN_FAILURES = (
     (r"No space left on device|Errno 28", "The disk is full; free some gigabytes and try again."),
@@ -82,6 +86,39 @@ class InstallProgress:
     stage: Stage = "environment"
     fraction: float = 0.0
     text: str = "Starting"
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What a runtime would run on.
+
+    Attributes:
+        system: Such as "Linux x86_64".
+        accelerator: "CUDA", "Metal", or "" for the processor alone.
+        advice: One sentence for people: what an installation fetches.
+    """
+
+    system: str
+    accelerator: str
+    advice: str
+
+
+@functools.lru_cache(maxsize=1)
+def detect_machine() -> Machine:
+    """Look at the platform and the graphics driver; starts nothing and asks nobody."""
+    system = f"{platform.system()} {platform.machine()}".strip()
+    if sys.platform == "darwin":
+        metal = "Metal" if platform.machine() == "arm64" else ""
+        return Machine(system, metal, "About half a gigabyte is fetched.")
+    if any(Path(path).exists() for path in _NVIDIA_FILES) or shutil.which("nvidia-smi") is not None:
+        return Machine(system, "CUDA", "Packages with CUDA are fetched, several gigabytes.")
+    if sys.platform == "win32":
+        return Machine(system, "", "No NVIDIA card was found: the processor is used. About half a gigabyte is fetched.")
+    return Machine(
+        system, "",
+        "No NVIDIA card was found: the processor is used. The usual index has builds with CUDA, several gigabytes; name an "
+        "index with builds for processors in the options.",
+    )  # fmt: skip
 
 
 class InstallJob:

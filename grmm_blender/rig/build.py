@@ -49,7 +49,8 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
     drivers.drive_bones(rig, obj, head, identity.resting_pose)
     _bind(obj, rig)
     obj.grmm.source = source  # before it is an avatar: nothing has to be brought in step
-    obj.grmm.head_name = head.name
+    obj.grmm.head_name = identity.reference or head.name
+    obj.grmm.live_detail = identity.z_exp_size > 0
     obj.grmm.is_avatar = True
     obj.grmm.known_path = known_path(Avatar(obj))
     rig.location = context.scene.cursor.location
@@ -100,8 +101,9 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
         GrmmError: The head's mesh is linked or shared.
     """
     obj, rig, head = avatar.object, avatar.armature, identity.head
-    if head.name != obj.grmm.head_name:
-        raise FileFormatError(f"{identity.name} belongs to the head model {head.name!r}; add it as a head of its own.")
+    model = identity.reference or head.name
+    if model != obj.grmm.head_name:
+        raise FileFormatError(f"{identity.name} belongs to the head model {model!r}; add it as a head of its own.")
     problem = live.limitation(avatar)
     if problem:
         raise FileFormatError(problem)
@@ -111,7 +113,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
     offset = identity.joints - armature.rest_joints(rig)  # [5, 3]
     obj.grmm.joint_offset = offset.ravel().tolist()
     for name, size in ((Z_ID, identity.z_id_size), (Z_EXP, identity.z_exp_size)):
-        values = obj[name].to_list()
+        values = obj[name].to_list() if name in obj else []
         if len(values) != size:
             kept = (values + [0.0] * size)[:size]
             add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])

@@ -18,10 +18,10 @@ from ...grmm_core.head import HeadModel, load_flame, load_open_head
 from ...grmm_core.head.open_head import ASSET as OPEN_HEAD_ASSET
 from ...grmm_core.tensorfile import read_tensors
 from .. import session_host
+from .definitions import FLAME_PREFIX
 
 DEFAULT_SOURCE = "default"
 OPEN_HEAD = "open_head"
-FLAME_PREFIX = "flame:"
 # as `grmm_core.model.weights` writes them; that module needs torch, and a head is added without a runtime too
 DEFAULT_WEIGHTS = OPEN_HEAD_ASSET.parent / "weights" / "default.safetensors"
 _DEFAULT_SHAPE, _DEFAULT_Z_ID, _CODES = "people/default_shape", "people/default_z_id", "model/aligned_codes"
@@ -38,6 +38,7 @@ class Identity:
         shape: Its own shape coefficients, [<=S]; the rig's resting mesh.
         expression: Its own offset to the expression coefficients, [<=E].
         z_id_size, z_exp_size: Length of the residual codes.
+        reference: What the rig stores as its head model, for `load_head`; empty for the head's name.
         offset: What the person's resting mesh has beyond the shape coefficients, metres, [V, 3], or None.
     """
 
@@ -48,6 +49,7 @@ class Identity:
     z_id_size: int = _PAPER_SIZES[0]
     z_exp_size: int = _PAPER_SIZES[1]
     offset: np.ndarray | None = None
+    reference: str = ""
 
     @property
     def vertices(self) -> np.ndarray:
@@ -71,7 +73,8 @@ def read_identity(source: str) -> Identity:
     """Return the identity of a source.
 
     Args:
-        source: "default", "sample:SEED" (needs the runtime) or the absolute path of a `.grmm` file.
+        source: "default", "sample:SEED" (needs the runtime), the absolute path of a `.grmm` file, or `FLAME_PREFIX` and the
+            path of the user's FLAME file: its mean head, which no network draws.
 
     Raises:
         FileAccessError, FileFormatError: The file is missing, damaged, or of a head model that is not installed.
@@ -83,6 +86,10 @@ def read_identity(source: str) -> Identity:
         info = session_host.open_avatar(source)
         head = load_head(AssetReference(info.head_name))
         return Identity(info.name, head, info.shape, z_id_size=info.z_id_size, z_exp_size=info.z_exp_size)
+    if source.startswith(FLAME_PREFIX):
+        head = load_head(AssetReference(source))
+        name = Path(source.removeprefix(FLAME_PREFIX)).stem
+        return Identity(name, head, np.zeros(head.shape_count, np.float32), z_id_size=0, z_exp_size=0, reference=source)
     avatar = load_avatar(source)
     head = load_head(avatar.head)
     if avatar.shape[head.shape_count :].any() or avatar.expression.size > head.expression_count:

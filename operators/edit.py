@@ -15,10 +15,12 @@ from ..grmm_blender import session_host
 from ..grmm_blender.avatar import Avatar
 from ..grmm_blender.rig import live
 from ..grmm_blender.rig.build import make_independent
+from ..grmm_blender.rig.codes import code_properties
 from ..grmm_blender.rig.definitions import (
     ALIGNED_NAMES,
     ARRAY_NAMES,
     ARRAY_RANGES,
+    CODES,
     CONTROL_JOINTS,
     EXPRESSION,
     REGIONS,
@@ -32,6 +34,7 @@ from ..grmm_blender.rig.definitions import (
 from ..grmm_blender.rig.identity import load_head, read_identity
 from ..grmm_core.avatar import AssetReference
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
+from ..grmm_core.session import AvatarInfo
 from .common import Result, active_avatar, needs_avatar, redraw_values, reports_errors
 
 ALL = "ALL"
@@ -47,8 +50,8 @@ def _names_in(region: str) -> tuple[str, ...]:
     return ALIGNED_NAMES if region == ALL else REGIONS.get(region, ())
 
 
-class _Edit:
-    """What the operators of this file share."""
+class Edit:
+    """What operators that change an avatar's controls share."""
 
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
     poll = classmethod(needs_avatar)
@@ -64,7 +67,7 @@ class _Edit:
         return {"FINISHED"}
 
 
-class GRMM_OT_reset(_Edit, bpy.types.Operator):
+class GRMM_OT_reset(Edit, bpy.types.Operator):
     """Set controls of the active avatar back to rest."""
 
     bl_idname = "grmm.reset"
@@ -79,7 +82,7 @@ class GRMM_OT_reset(_Edit, bpy.types.Operator):
             ("EXPRESSION", "Expression", "Named expressions and expression coefficients"),
             ("POSE", "Pose", "Neck, jaw, eyes and root"),
             ("IDENTITY", "Identity", "Shape and residual identity"),
-            ("DETAIL", "Learned Detail", "Residual expression and strength"),
+            ("DETAIL", "Learned Detail", "Residual expression, its saved codes, and strength"),
         ),
         default=ALL,
     )
@@ -100,6 +103,9 @@ class GRMM_OT_reset(_Edit, bpy.types.Operator):
         if self.what in (ALL, "DETAIL"):
             names += [Z_EXP, STRENGTH]
         names = [name for name in names if name in avatar.object]
+        for code in (name for name in names if name in CODES):
+            for saved in list(code_properties(avatar.object, code)):
+                del avatar.object[saved]
         for name in names:
             value = avatar.object[name]
             avatar.object[name] = [0.0] * len(value) if name in ARRAY_NAMES else _AT_REST.get(name, 0.0)
@@ -110,7 +116,7 @@ class GRMM_OT_reset(_Edit, bpy.types.Operator):
         return self.finish(context, avatar, names, bones)
 
 
-class GRMM_OT_mirror(_Edit, bpy.types.Operator):
+class GRMM_OT_mirror(Edit, bpy.types.Operator):
     """Mirror the expression, jaw, neck and eyes of the active avatar."""
 
     bl_idname = "grmm.mirror"
@@ -174,7 +180,7 @@ class GRMM_OT_mirror(_Edit, bpy.types.Operator):
         return taken
 
 
-class GRMM_OT_random_expression(_Edit, bpy.types.Operator):
+class GRMM_OT_random_expression(Edit, bpy.types.Operator):
     """Give the active avatar a random expression."""
 
     bl_idname = "grmm.random_expression"
@@ -214,7 +220,7 @@ class GRMM_OT_random_expression(_Edit, bpy.types.Operator):
         return self.finish(context, avatar, names)
 
 
-class GRMM_OT_random_identity(_Edit, bpy.types.Operator):
+class GRMM_OT_random_identity(Edit, bpy.types.Operator):
     """Give the active avatar another face by its identity controls."""
 
     bl_idname = "grmm.random_identity"
@@ -244,22 +250,30 @@ class GRMM_OT_random_identity(_Edit, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> Result:
         """Draw a person."""
         avatar = active_avatar(context)
-        own = read_identity(avatar.source)
         shape = np.zeros(len(avatar.object[SHAPE]), np.float32)
         names = [SHAPE]
-        try:
-            person = session_host.open_avatar(f"{session_host.SAMPLE_PREFIX}{self.seed}")
-            opened = session_host.open_avatar(avatar.source)
-        except RuntimeMissingError:
+        people = self._people(avatar)
+        if people is None:
             count = min(_RANDOM_SHAPE_COUNT, shape.size)
             shape[:count] = np.random.default_rng(self.seed).standard_normal(count)
         else:
+            person, opened = people
+            own = read_identity(avatar.source)
             shape = person.shape[: shape.size] - np.pad(own.shape, (0, shape.size))[: shape.size]
             if person.z_id_size == len(avatar.object[Z_ID]) == opened.z_id_size:
                 self._set(avatar, Z_ID, person.z_id - opened.z_id)
                 names.append(Z_ID)
         self._set(avatar, SHAPE, shape)
         return self.finish(context, avatar, names)
+
+    def _people(self, avatar: Avatar) -> tuple[AvatarInfo, AvatarInfo] | None:
+        """The random person and the avatar itself; None where nothing runs the model, or no network draws the head."""
+        if not avatar.has_network:
+            return None
+        try:
+            return session_host.open_avatar(f"{session_host.SAMPLE_PREFIX}{self.seed}"), session_host.open_avatar(avatar.source)
+        except RuntimeMissingError:
+            return None
 
     def _set(self, avatar: Avatar, name: str, values: np.ndarray) -> None:
         limits = ARRAY_RANGES[name]

@@ -6,15 +6,17 @@ selected avatar (see `rig.definitions`) and follow the selection: head or armatu
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import bpy
 
 from ..avatar import Avatar, avatar_of
+from ..rig import live
+from ..rig.codes import SLOTS, blend_name, saved_slots
+from ..rig.components import components
 from ..rig.definitions import ARRAY_NAMES, CONTROL_JOINTS, REGIONS, SHAPE, STRENGTH, Z_EXP, Z_ID, label, mirrored, property_path
 from ..session_host import runtime_status
 
 CATEGORY = "GRMM"
+ALL = "ALL"  # of the operators' regions
 LEADING_COMPONENTS = 8  # of an array; the rest is reached through the object's custom properties
 _ROTATION_NAMES = ("Pitch", "Yaw", "Roll")
 
@@ -59,6 +61,7 @@ class _Avatar(_AvatarPanel):
         column.operator("grmm.add_head", icon="ADD").person = "DEFAULT"
         column.operator("grmm.add_head", text="Add Random Person", icon="COMMUNITY").person = "RANDOM"
         column.operator("grmm.open_avatar", text="Open Avatar...", icon="FILE_FOLDER")
+        column.operator("grmm.add_flame_head", text="Add FLAME Head...", icon="MONKEY")
         _draw_runtime(layout)
 
     def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
@@ -66,10 +69,16 @@ class _Avatar(_AvatarPanel):
         settings = avatar.object.grmm
         layout.prop(avatar.object, "name", text="Name")
         layout.prop(settings, "source")
-        layout.prop(settings, "live_detail")
-        row = layout.row()
-        row.active = settings.live_detail
-        row.prop(settings, "detail_in_playback")
+        if avatar.has_network:
+            layout.prop(settings, "live_detail")
+            row = layout.row()
+            row.active = settings.live_detail
+            row.prop(settings, "detail_in_playback")
+        problem = live.state_of(avatar).message or live.limitation(avatar)
+        if problem:
+            layout.label(text=problem, icon="ERROR")
+            if avatar.mesh_owner not in (None, avatar.object):
+                layout.operator("grmm.make_independent")
         layout.operator("grmm.import_performance", icon="ANIM_DATA")
         if context.engine != "GRMM":
             layout.prop(context.scene.render, "engine", text="Render with")
@@ -85,9 +94,12 @@ class _Expression(_AvatarPanel):
         """One box for each region; the two sides of an expression stand in one row."""
         head = avatar.object
         layout.use_property_split = False
+        _draw_edits(layout.row(align=True), ALL)
         for region, names in REGIONS.items():
             box = layout.box().column(align=True)
-            box.label(text=region)
+            header = box.row(align=True)
+            header.label(text=region)
+            _draw_edits(header, region)
             drawn: set[str] = set()
             for name in names:
                 if name in drawn or name not in head:
@@ -111,6 +123,9 @@ class _Pose(_AvatarPanel):
         if avatar.armature is None:
             layout.label(text="The armature is missing; add the head again", icon="ERROR")
             return
+        row = layout.row(align=True)
+        row.operator("grmm.reset", text="Reset", icon="LOOP_BACK").what = "POSE"
+        row.operator("grmm.calibrate_neutral", text="Neutral", icon="ARMATURE_DATA")
         for joint in CONTROL_JOINTS:
             bone = avatar.armature.pose.bones.get(joint)
             if bone is None:
@@ -125,34 +140,78 @@ class _Identity(_AvatarPanel):
     """Shape and residual identity."""
 
     bl_label = "Identity"
-    arrays: ClassVar[tuple[str, ...]] = (SHAPE, Z_ID)
 
     def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
-        """The leading components."""
-        for name in self.arrays:
-            _draw_array(layout, avatar, name)
+        """Random person, the leading components, saved persons."""
+        row = layout.row(align=True)
+        row.operator("grmm.random_identity", text="Random", icon="COMMUNITY")
+        row.operator("grmm.reset", text="Reset", icon="LOOP_BACK").what = "IDENTITY"
+        _draw_array(layout, avatar, SHAPE)
+        _draw_code(layout, avatar, Z_ID)
 
 
-class _Residual(_Identity):
+class _Residual(_AvatarPanel):
     """The learned detail."""
 
     bl_label = "Learned Detail"
-    arrays = (Z_EXP,)
 
     def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
-        """Strength and the residual expression code."""
-        if STRENGTH in avatar.object:
-            layout.prop(avatar.object, property_path(STRENGTH), text="Strength", slider=True)
-        super().draw_avatar(layout, avatar, context)
+        """Strength, the residual expression code, saved codes."""
+        if Z_EXP not in avatar.object:
+            layout.label(text="No network draws this head", icon="INFO")
+            return
+        layout.prop(avatar.object, property_path(STRENGTH), text="Strength", slider=True)
+        row = layout.row(align=True)
+        row.operator("grmm.random_detail", text="Random", icon="MOD_NOISE")
+        row.operator("grmm.reset", text="Reset", icon="LOOP_BACK").what = "DETAIL"
+        _draw_code(layout, avatar, Z_EXP)
 
 
-def _draw_array(layout: bpy.types.UILayout, avatar: Avatar, name: str) -> None:
+def _draw_edits(layout: bpy.types.UILayout, region: str) -> None:
+    """Random, flip, copy to either side and reset for the expressions of a region; words for all, icons for one."""
+    for operator, text, icon, direction in (
+        ("grmm.random_expression", "Random", "MOD_NOISE", ""),
+        ("grmm.mirror", "Flip", "MOD_MIRROR", "SWAP"),
+        ("grmm.mirror", "L to R", "TRIA_LEFT", "LEFT"),  # the subject's left is on the right of the picture
+        ("grmm.mirror", "R to L", "TRIA_RIGHT", "RIGHT"),
+        ("grmm.reset", "Reset", "LOOP_BACK", ""),
+    ):
+        options = layout.operator(operator, text=text if region == ALL else "", icon=icon)
+        options.region = region
+        if direction:
+            options.direction = direction
+        if operator == "grmm.reset":
+            options.what = "EXPRESSION"
+
+
+def _draw_array(layout: bpy.types.UILayout, avatar: Avatar, name: str, labels: dict[int, str] | None = None) -> None:
+    """The leading components of an array; `labels` says which, and in what words."""
     if name not in ARRAY_NAMES or name not in avatar.object:
         return
     column = layout.column(align=True)
     column.label(text={SHAPE: "Shape", Z_ID: "Residual Identity", Z_EXP: "Residual Expression"}[name])
-    for index in range(min(LEADING_COMPONENTS, len(avatar.object[name]))):
-        column.prop(avatar.object, property_path(name), index=index, text=f"{index}", slider=True)
+    if labels is None:
+        labels = {index: "" for index in range(min(LEADING_COMPONENTS, len(avatar.object[name])))}
+    for index, words in labels.items():
+        column.prop(avatar.object, property_path(name), index=index, text=f"{index} {words}".strip(), slider=True)
+
+
+def _draw_code(layout: bpy.types.UILayout, avatar: Avatar, name: str) -> None:
+    """A residual code: its components that are seen most, by what they do, and the blend of saved states."""
+    head = avatar.object
+    if name not in head:
+        return
+    leading = components(name, len(head[name]))[:LEADING_COMPONENTS]
+    _draw_array(layout, avatar, name, {component.index: component.label for component in leading})
+    column = layout.column(align=True)
+    saved = saved_slots(head, name)
+    row = column.row(align=True)
+    for slot in SLOTS:
+        options = row.operator("grmm.save_code", text=f"{'Replace' if slot in saved else 'Save'} {slot.upper()}")
+        options.code, options.slot = name, slot.upper()
+    if len(saved) == len(SLOTS):
+        column.prop(head, property_path(blend_name(name)), text="Blend A to B", slider=True)
+        column.operator("grmm.apply_blend").code = name
 
 
 def _draw_runtime(layout: bpy.types.UILayout) -> None:

@@ -7,6 +7,8 @@
 ``armature``       bones, bone collections, constraints
 ``drivers``        what drives shape keys and bones: SUM drivers only, so files work with auto-run off
 ``build``          puts the above together: `build_avatar`
+``codes``          saved residual codes and the blend between them
+``components``     what single components of the residual codes do, in words
 ``live``           what the add-on keeps up to date: residual key, rest joints
 =================  =====================================================================================
 

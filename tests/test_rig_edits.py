@@ -1,0 +1,154 @@
+"""What animators do with a rig beside moving sliders: saved codes, calibration, files of the day, FLAME, no runtime."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from blender_process import RunBlender, find_python
+from flame_files import write_flame_pickle
+from flame_head_files import flame_head_fields
+from test_blender_performance import write_files
+
+pytestmark = pytest.mark.blender
+
+PARITY = 1e-5  # metres
+SINGLE = 1e-5  # sums of single-precision codes
+KEY = 2e-4  # rounded to four digits
+
+
+@pytest.fixture(scope="module")
+def edits(run_blender: RunBlender) -> dict:
+    return run_blender("rig_edits.py").result
+
+
+def test_saved_codes_blend(edits):
+    codes = edits["codes"]
+    for name in ("only", "saved", "sliders", "blended", "animated", "applied", "identity"):
+        assert codes[name] < SINGLE, name
+    assert codes["added"] == pytest.approx(2.0, abs=SINGLE)
+    assert codes["left"] == []
+    assert codes["after_reset"] == [[], 0.0, 0.0]
+
+
+def test_random_detail_is_that_of_its_seed(edits):
+    detail = edits["detail"]
+    assert detail["same"] == 0.0
+    assert detail["other"] > 0.01
+    assert detail["half"] < SINGLE
+    assert detail["none"] == 0.0
+    assert 0.5 < detail["spread"] < 1.5  # as wide as the trained codes
+
+
+def test_components_are_named(edits):
+    names = edits["names"]
+    assert names["indices"] == {"z_id": True, "z_exp": True}
+    assert all(label for labels in names["labels"].values() for label in labels)
+    assert names["foreign"] == [""] * 7
+
+
+def test_neutral_calibration(edits):
+    neutral = edits["neutral"]
+    # jawOpen, mouthSmileLeft, cheekPuff, neck pitch, jaw pitch
+    assert neutral["rest"] == pytest.approx([0.0] * 5, abs=KEY)
+    assert neutral["last"] == pytest.approx([1.0, 0.7 / 0.9, 0.0, -0.3, 0.0], abs=KEY)
+    assert neutral["parity"] < PARITY
+    first, last = neutral["frames"]
+    assert first[:2] == pytest.approx([0.0, 0.0], abs=KEY)  # never below rest
+    assert 0.0 < last[0] <= 1.0
+    assert last[3] == pytest.approx(-0.3, abs=KEY)  # rotations were not asked for
+    assert "frame" in neutral["bad"]
+
+
+def test_one_region_at_a_time(edits):
+    regions = edits["regions"]
+    assert regions["mirrored"] == [0.7, 0.0, 0.0]
+    assert regions["swapped"] == [0.4, 0.0, 0.5]
+    assert regions["brows"] == [True, True]
+    assert regions["kept"] == [0.0, 0.4]
+
+
+def test_edits_are_keyed_and_undone(edits):
+    assert edits["keys"] == ['["tongueOut"]']
+    undo = edits["undo"]
+    assert undo["moved"] > 1e-3
+    assert undo["undone"] < PARITY
+    assert undo["saved"] is False
+    assert undo["redone"] < PARITY
+    assert undo["again"] is True
+
+
+@pytest.mark.parametrize("version", ["4.5", pytest.param("5.2", marks=pytest.mark.slow)])
+def test_heads_in_a_working_file(run_blender: RunBlender, version: str, tmp_path: Path):
+    find_python(version)
+    result = run_blender("rig_lifecycle.py", tmp_path, python=version, fresh=True).result
+    assert result["renamed"] == {"parity": pytest.approx(0.0, abs=PARITY), "again": True}
+    assert result["parented"] < PARITY
+    assert result["added"][0] == 2
+    assert result["added"][1] == 0
+    assert result["redo"]["undone"] > 1e-3
+    assert result["redo"]["redone"] < PARITY
+    assert result["redo"]["parity"] < PARITY
+    assert max(result["deleted"]["both"]) < PARITY
+    assert result["deleted"]["left"] == ["Ada"]
+    assert result["deleted"]["parity"] < PARITY
+    assert result["saved"]["opened"] < PARITY
+    assert result["saved"]["parity"] < PARITY
+    off = result["off"]
+    assert off["gone"]
+    assert off["moved"] > 1e-3  # drivers need no extension
+    assert off["back"] == ["Ada"]
+    assert off["parity"] < PARITY
+
+
+@pytest.mark.parametrize("version", ["4.5", pytest.param("5.2", marks=pytest.mark.slow)])
+def test_a_users_flame_head(run_blender: RunBlender, version: str, tmp_path: Path):
+    find_python(version)
+    file = tmp_path / "flame2023.pkl"
+    write_flame_pickle(file, flame_head_fields())
+    result = run_blender("flame_rig.py", file, python=version, fresh=True).result
+    assert "choose generic_model.pkl" in result["none"]
+    assert "gone.pkl does not exist" in result["gone"]
+    assert result["source"] == f"flame:{file}"
+    assert result["counts"] == [5143, 5143, 100]
+    assert result["codes"] == []
+    assert result["network"] is False
+    assert result["rest"] < PARITY
+    assert set(result["turning"]) >= {"jaw", "left_eye", "right_eye"}
+    for name, (error, effect) in result["single"].items():
+        assert error < PARITY, name
+        assert effect > 1e-3, name
+    assert max(result["everything"]) < PARITY
+    assert result["reset"] < PARITY
+    assert result["detail_poll"] is False
+    assert result["drawn"] == 0
+    assert result["masks"] == []
+
+
+def test_without_a_runtime(run_blender: RunBlender, tmp_path: Path):
+    """On Blender 5.2 with its own Python, which has no torch, as every stock Blender."""
+    find_python("5.2")
+    write_files(tmp_path)
+    environment = {"GRMM_WORKER_PYTHON": ""}
+    result = run_blender("no_runtime.py", tmp_path / "speech.json", python="5.2", environment=environment).result
+    assert result["available"] is False
+    assert "install the runtime" in result["message"]
+    assert result["sliders"] < PARITY
+    assert result["panel"] == ""
+    assert max(result["playback"]) < PARITY
+    assert result["moved"] > 1e-3
+    assert result["edited"] < PARITY
+    assert "install the runtime" in result["random_person"]
+    assert "install the runtime" in result["render"]
+    assert result["heavy"] == []
+
+
+def test_everything_registered_is_described(run_blender: RunBlender, blender_version: str):
+    result = run_blender("ui_audit.py", python=blender_version).result
+    assert result["problems"] == []
+    assert len(result["operators"]) > 15
+    assert {"GRMM_OT_reset", "GRMM_OT_mirror", "GRMM_OT_save_code", "GRMM_OT_calibrate_neutral"} <= set(result["undoing"])
+    panels = result["panels"]
+    assert panels["head"] == panels["armature"]
+    assert "GRMM_PT_expression" in panels["head"]
+    assert "GRMM_PT_expression" not in panels["empty"]

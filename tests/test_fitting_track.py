@@ -75,7 +75,7 @@ def test_the_smile_is_found(tracked):
 def test_the_working_picture_is_framed_as_the_training_pictures(tracked):
     track = tracked("p07_mazie_hirono.jpg")
     left, top, side = frame_of(track.camera)
-    np.testing.assert_allclose([left, top, side], [0.0, 0.0, SIZE], atol=1e-3 * SIZE)
+    np.testing.assert_allclose([left, top, side], [0.0, 0.0, SIZE], atol=0.02 * SIZE)  # framed before the refinement
 
 
 def test_both_cameras_see_the_same(tracked, head):

@@ -5,12 +5,14 @@
 ``solver``             robust least squares over cameras, shape, expression and pose
 ``landmark_priors``    how exact landmarks are, how likely expressions and cameras
 ``landmark_stage``     camera, shape, expression and pose from landmarks
-``photometric_stage``  light, and the refinement by outline and shading
+``outline``            where the skin ends in a photo: ears and cheeks
+``light``              spherical-harmonic light from the skin's colours
+``photometric_stage``  the refinement by outline
 ``track``              photos to tracks
 ``overlay``            pictures of a track, to look at
 ``measure``            shape error on people whose shape is known
 ``invert``             tracks to codes and decoders (eq. 19 and 20)
 ``api``                all of it, for the command line and Blender
 
-`types` and the landmark modules need numpy only; the rest needs torch.
+From `types` to `photometric_stage` numpy is enough; the rest needs torch.
 """

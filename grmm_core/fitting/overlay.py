@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..camera import Camera
 from ..head.model import HeadModel
 from ..images import quantize
 from ..zbuffer import triangle_depth
+from .outline import project_points
 from .types import PhotoTrack
 
 FOUND_COLOR, FITTED_COLOR = (60, 255, 90), (255, 50, 50)
@@ -63,7 +63,7 @@ def _draw_wire(draw: object, track: PhotoTrack, head: HeadModel, scale: int) -> 
     camera = track.camera
     vertices = track_vertices(track, head).astype(np.float64)
     depth = triangle_depth(vertices[head.faces], camera)
-    local, pixels = _projected(vertices, camera)
+    local, pixels = project_points(vertices, camera)
     columns = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
     rows = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
     visible = local[:, 2] < depth[rows, columns] + _DEPTH_SLACK
@@ -81,9 +81,3 @@ def _draw_wire(draw: object, track: PhotoTrack, head: HeadModel, scale: int) -> 
         color = _EYE_COLOR if eyeballs[a] else _WIRE_COLOR
         draw.line([tuple((pixels[a] * scale).tolist()), tuple((pixels[b] * scale).tolist())], fill=(*color, 70))
 
-
-def _projected(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Camera coordinates [N, 3] and pixels [N, 2]."""
-    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    z = np.maximum(local[:, 2:], 1e-6)
-    return local, local[:, :2] / z * [camera.fx, camera.fy] + [camera.cx, camera.cy]

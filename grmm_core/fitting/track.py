@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,8 @@ from ..photo.load import Photo, load_photo
 from ..photo.person import person_mask
 from .landmark_priors import FULL_FRAME
 from .landmark_stage import LandmarkFit, Observation, fit_landmarks
+from .light import estimate_light
+from .photometric_stage import Appearance, posed, refine
 from .point_rig import LandmarkRig
 from .types import PhotoTrack
 
@@ -34,7 +36,7 @@ FRAME_HALF = 0.224  # metres from there to the picture's edge (1.1 m away, angle
 PADDING_GREY = 0.5
 _EXIF_IFD, _EXIF_FOCAL_35MM = 0x8769, 0xA405
 _FOCAL_RANGE = (8.0, 1200.0)  # millimetres; files state 0 for "unknown"
-_ANALYSE_SHARE, _LANDMARK_SHARE = 0.5, 0.3  # of the time, for the progress
+_ANALYSE_SHARE, _LANDMARK_SHARE, _REFINE_SHARE = 0.4, 0.3, 0.2  # of the time, for the progress
 
 
 @dataclass(frozen=True)
@@ -124,11 +126,16 @@ def track_photos(
     chosen = [_chosen_face(item, faces[i] if faces is not None and i < len(faces) else 0) for i, item in enumerate(analysed)]
     observations = [_observation(item, face) for item, face in zip(analysed, chosen, strict=True)]
     fit = fit_landmarks(observations, rig, progress=lambda f: report(_ANALYSE_SHARE + _LANDMARK_SHARE * f))
-    tracks = []
-    for index, (item, face) in enumerate(zip(analysed, chosen, strict=True)):
+    pictures = []
+    for index, item in enumerate(analysed):
         report(_ANALYSE_SHARE + _LANDMARK_SHARE)
         mask = masks[index] if masks is not None and index < len(masks) else None
-        tracks.append(_framed(item, face, fit, index, size, mask))
+        pictures.append(_working_picture(item.photo, fit.cameras[index], size, mask))
+    refined = refine(fit, pictures, rig, progress=lambda f: report(1.0 - _REFINE_SHARE * (1.0 - f)))
+    tracks = [
+        _track(item, face, refined, index, picture, rig)
+        for index, (item, face, picture) in enumerate(zip(analysed, chosen, pictures, strict=True))
+    ]
     report(1.0)
     return tracks
 
@@ -177,43 +184,46 @@ def _stated_focal(path: Path, photo: Photo) -> float | None:
     return value / FULL_FRAME * max(photo.pixels.shape[:2])
 
 
-def _framed(
-    item: AnalysedPhoto, face: Face, fit: LandmarkFit, index: int, size: int, mask: np.ndarray | None
-) -> PhotoTrack:
-    """Cut the working picture out of the photo and move everything into it."""
-    photo, camera, view = item.photo, fit.cameras[index], fit.views[index]
+def _working_picture(photo: Photo, camera: Camera, size: int, mask: np.ndarray | None) -> Appearance:
+    """Cut the square around the head out of a photo, with the person's mask."""
     left, top, side = frame_of(camera)
-    scale = size / side
     image = cut_square(photo.pixels, left, top, side, size, PADDING_GREY)
-    inside = np.ones(photo.pixels.shape[:2], np.float32)
-    valid = cut_square(inside[:, :, None], left, top, side, size, 0.0)[:, :, 0]
-    if mask is None:
-        outline = person_mask(image)
-    else:
-        outline = cut_square(_fitted_mask(mask, photo)[:, :, None], left, top, side, size, 0.0)[:, :, 0]
+
+    def plane(values: np.ndarray) -> np.ndarray:
+        return cut_square(values[:, :, None], left, top, side, size, 0.0)[:, :, 0]
+
+    valid = plane(np.ones(photo.pixels.shape[:2], np.float32))
+    outline = person_mask(image) if mask is None else plane(_fitted_mask(mask, photo))
     if photo.alpha is not None:
-        outline = outline * cut_square(photo.alpha[:, :, None], left, top, side, size, 0.0)[:, :, 0]
+        outline = outline * plane(photo.alpha)
+    return Appearance(image, np.clip(outline * valid, 0.0, 1.0), valid, left, top, size / side)
+
+
+def _track(
+    item: AnalysedPhoto, face: Face, fit: LandmarkFit, index: int, picture: Appearance, rig: LandmarkRig
+) -> PhotoTrack:
+    """Move everything that was found into the working picture."""
+    photo, view = item.photo, fit.views[index]
     height, width = photo.pixels.shape[:2]
     whole = (max(1, round(width / photo.scale)), max(1, round(height / photo.scale)))
-    origin = np.array([left, top])
+    origin = np.array([picture.left, picture.top])
+    camera = picture.camera(fit.cameras[index])
     return PhotoTrack(
         source=photo.path.name,
-        image=image,
-        mask=np.clip(outline * valid, 0.0, 1.0),
-        valid=valid,
-        camera=replace(
-            camera, fx=camera.fx * scale, fy=camera.fy * scale, cx=(camera.cx - left) * scale, cy=(camera.cy - top) * scale,
-            width=size, height=size,
-        ),
-        photo_camera=camera.resized(*whole),
+        image=picture.image,
+        mask=picture.mask,
+        valid=picture.valid,
+        camera=camera,
+        photo_camera=fit.cameras[index].resized(*whole),
         shape=fit.shape,
         expression=view.expression,
         pose=view.pose,
-        landmarks=(face.landmarks[:, :2] - origin) * scale,
-        landmarks_fitted=(fit.landmarks[index] - origin) * scale,
+        landmarks=(face.landmarks[:, :2] - origin) * picture.scale,
+        landmarks_fitted=(fit.landmarks[index] - origin) * picture.scale,
         arkit=face.arkit,
+        light=estimate_light(rig.head, posed(fit, index, rig), camera, picture.image, picture.mask),
         presence=face.presence,
-    )  # fmt: skip
+    )
 
 
 def frame_of(camera: Camera) -> tuple[float, float, float]:

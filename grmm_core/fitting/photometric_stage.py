@@ -1,0 +1,121 @@
+"""Refinement by what the pixels show beside landmarks: the outline of ears and cheeks, and the light.
+
+After the landmark stage the outline of the mesh is matched with the end of the skin (`outline`), the matches are added to the
+landmarks as terms of the same least squares, and both are solved again, a few times. A photo's refinement is kept only where
+its landmarks stay as near as they were. The light is estimated on the result. Used by `track`. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..camera import Camera
+from .landmark_stage import LandmarkFit, finished
+from .outline import OutlinePoints, find_outline
+from .point_rig import LandmarkRig, PointRig
+from .solver import Term, solve
+
+logger = logging.getLogger(__name__)
+
+ROUNDS = 3
+ROUND_ITERATIONS = 4
+OUTLINE_SIGMA = 0.05  # eye distances
+MIN_POINTS = 8
+MAX_LANDMARK_LOSS = 0.004  # eye distances by which the mean landmark error may grow
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """A photo's working picture.
+
+    Attributes:
+        image: Display sRGB 0..1, [H, W, 3].
+        mask: The person, 0..1, [H, W].
+        valid: 1 where the photo has pixels, [H, W].
+        left, top: Its upper left corner in the photo, pixels.
+        scale: Its pixels per photo pixel.
+    """
+
+    image: np.ndarray
+    mask: np.ndarray
+    valid: np.ndarray
+    left: float
+    top: float
+    scale: float
+
+    def camera(self, camera: Camera) -> Camera:
+        """The whole photo's camera for this picture."""
+        return replace(
+            camera, fx=camera.fx * self.scale, fy=camera.fy * self.scale, cx=(camera.cx - self.left) * self.scale,
+            cy=(camera.cy - self.top) * self.scale, width=self.image.shape[1], height=self.image.shape[0],
+        )  # fmt: skip
+
+
+def refine(
+    fit: LandmarkFit,
+    pictures: Sequence[Appearance],
+    rig: LandmarkRig,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> LandmarkFit:
+    """Refine a landmark fit by outlines.
+
+    Args:
+        fit: Result of the landmark stage.
+        pictures: Working picture of each photo.
+        rig: Landmarks of the head model.
+        progress: Called with 0..1; may raise to cancel.
+
+    Returns:
+        The refined fit, or `fit` itself where the outlines contradict the landmarks or none is seen.
+    """
+    result = fit
+    for number in range(ROUNDS):
+        if progress is not None:
+            progress(number / ROUNDS)
+        photos, count = [], 0
+        for index, (photo, picture) in enumerate(zip(fit.problem.photos, pictures, strict=True)):
+            points = _outline(result, index, picture, rig)
+            terms = fit.problem.photos[index].terms
+            if len(points.distance) >= MIN_POINTS:
+                count += len(points.distance)
+                terms = (*terms, _term(points, picture, rig, fit.units[index]))
+            photos.append(replace(photo, terms=terms))
+        if not count:
+            return fit
+        solution = solve(replace(fit.problem, photos=tuple(photos)), result.solution, ROUND_ITERATIONS)
+        result = finished(fit.problem, solution, fit.units, rig)
+    worse = max(after - before for before, after in zip(_errors(fit), _errors(result), strict=True))
+    logger.debug("outline: %d points, landmark error grows by %.4f eye distances", count, worse)
+    return result if worse <= MAX_LANDMARK_LOSS else fit
+
+
+def posed(fit: LandmarkFit, index: int, rig: LandmarkRig) -> np.ndarray:
+    """Vertices of a photo's head in head space, metres, [V, 3]."""
+    view, head = fit.views[index], rig.head
+    return head.vertices(fit.shape, view.expression, head.pose_of(view.expression, view.pose))
+
+
+def _outline(fit: LandmarkFit, index: int, picture: Appearance, rig: LandmarkRig) -> OutlinePoints:
+    return find_outline(
+        rig.head, posed(fit, index, rig), picture.camera(fit.cameras[index]), picture.image, picture.mask, picture.valid,
+        fit.units[index] * picture.scale,
+    )  # fmt: skip
+
+
+def _term(points: OutlinePoints, picture: Appearance, rig: LandmarkRig, unit: float) -> Term:
+    target = points.target / picture.scale + np.array([picture.left, picture.top])
+    sigma = np.full(len(target), OUTLINE_SIGMA * unit)
+    return Term(PointRig(rig.head, points.triangles, points.barycentric), target, sigma, points.normals)
+
+
+def _errors(fit: LandmarkFit) -> list[float]:
+    """Mean landmark error of each photo in eye distances."""
+    return [
+        float(np.linalg.norm(landmarks - photo.terms[0].target, axis=1).mean() / unit)
+        for landmarks, photo, unit in zip(fit.landmarks, fit.problem.photos, fit.units, strict=True)
+    ]

@@ -9,6 +9,7 @@ from typing import TypeVar
 
 import bpy
 
+from ..grmm_blender import preferences
 from ..grmm_blender.avatar import Avatar, avatar_of
 from ..grmm_blender.exporting import performer_of
 from ..grmm_blender.splats.rigged import Puppet
@@ -80,6 +81,12 @@ def output_path(filepath: str, extensions: tuple[str, ...], default: str) -> Pat
     if not path.parent.is_dir():
         raise FileAccessError(f"{path.parent} is not a folder; create it or choose another.")
     return path
+
+
+def flame_path(chosen: str) -> str:
+    """Return the FLAME file that an operator's option names, else that of the preferences, absolute, or ""."""
+    named = chosen or preferences.get().flame
+    return bpy.path.abspath(named) if named else ""
 
 
 def redraw_values(avatar: Avatar) -> None:

@@ -13,7 +13,7 @@ from ..grmm_blender import exporting
 from ..grmm_blender.avatar import Avatar, avatar_of
 from ..grmm_core.errors import FileAccessError, FileFormatError
 from ..grmm_core.performance import write_performance
-from .common import Result, active_performer, output_path, reports_errors
+from .common import Result, active_performer, flame_path, output_path, reports_errors
 from .stepwise import FrameRange, Stepwise
 
 PERFORMANCES = (
@@ -58,7 +58,10 @@ class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, Expor
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a file, or start the steps."""
-        return self.start(context) if self.running else ExportHelper.invoke(self, context, event)
+        if self.running:
+            return self.start(context)
+        self.interactive = True
+        return ExportHelper.invoke(self, context, event)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Write."""
@@ -80,7 +83,7 @@ class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, Expor
         is_flame = path.suffix.lower() == ".npz"
         if is_flame and not isinstance(performer, Avatar):
             raise FileFormatError(f"{performer.object.name} has no FLAME parameters; export ARKit weights (.json or .csv).")
-        if is_flame and exporting.flame_head(performer) is None and not self.flame_file:
+        if is_flame and exporting.flame_head(performer) is None and not flame_path(self.flame_file):
             raise FileFormatError(exporting.NEEDS_FLAME)
         frames = self.frames(context)
         rate = scene.render.fps / scene.render.fps_base
@@ -90,7 +93,7 @@ class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, Expor
                 controls.append(found)
                 yield 0.95 * len(controls) / len(frames)
         if is_flame:
-            performance = exporting.recorded_flame(performer, controls, frames, rate, self.flame_file)
+            performance = exporting.recorded_flame(performer, controls, frames, rate, flame_path(self.flame_file))
         else:
             performance = exporting.recorded(performer, controls, frames, rate)
         if path.suffix.lower() == ".csv" and performance.jaw_rotation is not None:

@@ -17,7 +17,7 @@ from ..grmm_core.errors import FileAccessError, FileFormatError
 from ..grmm_core.formats import write_splats
 from ..grmm_core.formats.avatars import PLY_NAME, TRACK_NAME
 from ..grmm_core.formats.sequence import frame_path
-from .common import Result, output_path, reports_errors
+from .common import Result, flame_path, output_path, reports_errors
 from .stepwise import FrameRange, Stepwise
 
 FORMATS = (
@@ -83,6 +83,7 @@ class GRMM_OT_export_splats(Stepwise, FrameRange, bpy.types.Operator, ExportHelp
         """Choose a file, or start the steps."""
         if self.running:
             return self.start(context)
+        self.interactive = True
         self.filename_ext = self.format
         return ExportHelper.invoke(self, context, event)
 
@@ -198,6 +199,7 @@ class GRMM_OT_export_gaussian_avatar(Stepwise, FrameRange, bpy.types.Operator):
         """Choose a folder, or start the steps."""
         if self.running:
             return self.start(context)
+        self.interactive = True
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -210,7 +212,7 @@ class GRMM_OT_export_gaussian_avatar(Stepwise, FrameRange, bpy.types.Operator):
         scene, avatar = context.scene, avatar_of(context.object)
         if not self.directory:
             raise FileAccessError("No folder is chosen; choose a folder.")
-        if exporting.flame_head(avatar) is None and not self.flame_file:
+        if exporting.flame_head(avatar) is None and not flame_path(self.flame_file):
             raise FileFormatError(exporting.NEEDS_FLAME)
         target = splat_target(context.object, scene)
         frames = self.frames(context)
@@ -220,9 +222,9 @@ class GRMM_OT_export_gaussian_avatar(Stepwise, FrameRange, bpy.types.Operator):
             for found in exporting.sample_controls(avatar, scene, frames):
                 controls.append(found)
                 yield 0.9 * len(controls) / len(frames)
-        track = exporting.recorded_flame(avatar, controls, frames, rate, self.flame_file)
+        track = exporting.recorded_flame(avatar, controls, frames, rate, flame_path(self.flame_file))
         cloud = target if isinstance(target, Cloud) else None
-        made = exporting.gaussian_avatar(avatar, cloud, track, self.flame_file, SplatOptions(self.degree))
+        made = exporting.gaussian_avatar(avatar, cloud, track, flame_path(self.flame_file), SplatOptions(self.degree))
         self.folder = Path(bpy.path.abspath(self.directory))
         exporting.save_gaussian_avatar(self.folder, made)
         self.counts = made.cloud.count, len(frames)

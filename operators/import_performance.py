@@ -12,7 +12,7 @@ from ..grmm_core.errors import FileAccessError
 from ..grmm_core.head import load_flame
 from ..grmm_core.performance import REGIONS, Progress, read_performance
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
-from .common import Result, active_performer, needs_performer, reports_errors
+from .common import Result, active_performer, flame_path, needs_performer, reports_errors
 
 _MAX_WARNINGS = 5
 _HUNDRED = 100
@@ -219,7 +219,10 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         orientation = "landscape" if self.landscape else "portrait"
         performance = read_performance(path, fps=self.fps or None, orientation=orientation, progress=part(0.0, _READ))
         on_flame = performer.object.grmm.head_name.startswith("flame")
-        flame = load_flame(bpy.path.abspath(self.flame_file)) if self.flame_file and not on_flame else None
+        flame = None
+        if performance.expression is not None and not on_flame:
+            named = flame_path(self.flame_file)
+            flame = load_flame(named) if named else None
         performance = for_head(performance, on_flame, flame, part(_READ, _RETARGETED))
         return apply_performance(performer, performance, self._options(context), path.stem, part(_RETARGETED, 1.0))
 

@@ -10,7 +10,7 @@ import bpy
 from ..grmm_blender.performance import ImportOptions, apply_performance
 from ..grmm_blender.splats.rigged import Imported, import_file
 from ..grmm_core.errors import FileAccessError
-from .common import Result, reports_errors
+from .common import Result, flame_path, reports_errors
 
 EXTENSIONS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".zip")
 _MAX_WARNINGS = 5
@@ -90,7 +90,7 @@ class GRMM_OT_import_splats(bpy.types.Operator):
         box.prop(self, "animation")
 
     def _import(self, context: bpy.types.Context, path: Path) -> None:
-        made = import_file(context, path, flame=self.flame_file, turned=self.turned)
+        made = import_file(context, path, flame=flame_path(self.flame_file), turned=self.turned)
         warnings = list(made.warnings)
         if made.track is not None and self.animation:
             warnings += self._animate(context, made, path)

@@ -1,4 +1,4 @@
-"""Long exports one step at a time: with progress and Escape in a window, in one go in background and in scripts."""
+"""Long exports one step at a time: with progress and Escape where somebody chose them, in one go in scripts."""
 
 from __future__ import annotations
 
@@ -29,10 +29,11 @@ class Stepwise:
     """Mixin of operators whose work is a generator.
 
     A class gives `steps`, which yields how far it is (0..1) after each step and may raise the core's errors, and `finished`,
-    which reports. In a window `execute` starts the operator once more as a modal one.
+    which reports. After `invoke` has set `interactive`, `execute` starts the operator once more as a modal one.
     """
 
     running: bpy.props.BoolProperty(default=False, options={"HIDDEN", "SKIP_SAVE"})
+    interactive = False
     _steps: Iterator[float] | None = None
     _timer: bpy.types.Timer | None = None
 
@@ -49,7 +50,7 @@ class Stepwise:
 
     def run(self, context: bpy.types.Context) -> Result:
         """`execute` of the class."""
-        if not bpy.app.background and context.window is not None and self.is_slow(context):
+        if self.interactive and context.window is not None and self.is_slow(context):
             names = [name for name in self.properties.keys() if name != "running"]  # noqa: SIM118 - no dictionary
             again = getattr(getattr(bpy.ops, self.bl_idname.split(".")[0]), self.bl_idname.split(".")[1])
             return again("INVOKE_DEFAULT", running=True, **{name: getattr(self, name) for name in names})

@@ -288,6 +288,19 @@ def test_lpips_from_a_users_file(tmp_path):
         Lpips(state)
 
 
+def test_everybody_whom_the_weights_do_not_know_is_held_out(scene, folder, tmp_path):
+    from evaluation_data import write_person
+
+    from grmm_core.data.dataset import Manifest, write_manifest
+
+    write_manifest(tmp_path, Manifest("open_head", ["s0009_0000", "person 2"], {}, []))
+    for name in ("s0009_0000", "person 2"):
+        write_person(tmp_path, scene, name, scene.info.z_id[2], scene.info.shapes[2], ("train",))
+    runs = Evaluation(scene, [CaptureDataset(folder), CaptureDataset(tmp_path)], Settings())
+    assert runs.held_out() == [(0, HELD_OUT), (1, "s0009_0000")]
+    assert [s.shot.subject for s in runs._views_of(1, "s0009_0000")] == ["s0009_0000"]
+
+
 # --- fitting as users do ---------------------------------------------------------------------------------------------
 
 

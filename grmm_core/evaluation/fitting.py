@@ -11,6 +11,7 @@ Called by the command line (`grmm evaluate --protocol monocular` on a folder of 
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -184,11 +185,12 @@ def compare_stages(
     shape = source.dataset.shape(source.shot.subject)
     track = exact_track(scene.head, source, load(source, size), shape)
     results = {}
-    for name, switches in STAGES.items():
-        avatar = invert([track], scene.model, scene.head, preset, info=scene.info, name=source.shot.subject, **switches)
-        person = scene.from_avatar(avatar)
-        results[name] = {"input": psnr_of_views(scene, person, [source], size)}
-        results[name] |= {group: psnr_of_views(scene, person, views, size) for group, views in others.items()}
+    with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as folder:  # stage 1 is done once
+        for name, switches in STAGES.items():
+            avatar = invert([track], scene.model, scene.head, preset, info=scene.info, work=Path(folder), **switches)
+            person = scene.from_avatar(avatar)
+            results[name] = {"input": psnr_of_views(scene, person, [source], size)}
+            results[name] |= {group: psnr_of_views(scene, person, views, size) for group, views in others.items()}
     return results
 
 

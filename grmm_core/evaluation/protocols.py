@@ -3,7 +3,7 @@
 ``reconstruction``  training views of training people (the setting of the paper's residual ablation)
 ``novel-view``      cameras that were held out, training people
 ``expression``      expressions that were held out, training people
-``person``          people who were held out, fitted from one view, on all their other views
+``person``          people whom the weights do not know, fitted from one view, on all their other views
 ``transfer``        the same fits driven with other expressions than the photo's
 ``monocular``       the photo itself (the paper's table 3): tracked, fitted and measured in one view
 
@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, CaptureDataset
+from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, CaptureDataset
 from ..errors import ConfigError, NoFaceError
 from ..images import quantize
 from ..training.losses import psnr
@@ -211,7 +211,7 @@ class Evaluation:
     def fitted(self, place: int, name: str) -> tuple[Person, Sample]:
         """The held-out person `name` of the capture number `place`, fitted once, and the view used."""
         dataset = self.datasets[place]
-        source = source_view([s for s in samples((dataset,), HELD_OUT_PERSON) if s.shot.subject == name])
+        source = source_view(list(self._views_of(place, name)))
         if (place, name) not in self._fitted:
             view = load(source, self.settings.size)
             self._fitted[place, name] = fit_person(
@@ -221,12 +221,15 @@ class Evaluation:
         return self._fitted[place, name], source
 
     def held_out(self) -> list[tuple[int, str]]:
-        """Held-out people with views, as capture number and name; at most `settings.people`, spread over all."""
+        """People whom the weights do not know, as capture number and name; at most `settings.people`, spread over all.
+
+        Those whom the capture held out, and everybody in a capture of another seed.
+        """
         people = [
             (place, name)
             for place, dataset in enumerate(self.datasets)
             for name in dataset.subjects
-            if any(view.split == HELD_OUT_PERSON for shot in dataset.shots if shot.subject == name for view in shot.views)
+            if not self.scene.knows(name)
         ]
         limit = self.settings.people
         if limit and len(people) > limit:
@@ -281,7 +284,7 @@ class Evaluation:
         return people
 
     def _views_of(self, place: int, name: str) -> Iterator[Sample]:
-        yield from (s for s in samples((self.datasets[place],), HELD_OUT_PERSON) if s.shot.subject == name)
+        yield from (s for s in samples((self.datasets[place],)) if s.shot.subject == name)
 
     def _regions(self, sample: Sample, view: LoadedView, shape: np.ndarray | None = None) -> dict[str, np.ndarray]:
         shape = sample.dataset.shape(sample.shot.subject) if shape is None else shape

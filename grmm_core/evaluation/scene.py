@@ -94,6 +94,10 @@ class Scene:
                 return self.made(known, self.info.z_id[row], self.info.shapes[row])
         return None
 
+    def knows(self, name: str) -> bool:
+        """Whether anybody of this name was trained on, in whatever folder the data was then: such a person is not held out."""
+        return any(known == name or known.endswith(f"/{name}") for known in self.info.people)
+
     def made(self, name: str, z_id: np.ndarray, shape: np.ndarray) -> Person:
         """A person of given code and shape. Without residuals the shape is the code."""
         code = self.tensor(z_id if self.residuals else shape)

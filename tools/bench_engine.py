@@ -1,0 +1,139 @@
+"""Measure what the render engine adds to the core's own time: `python -m tools.bench_engine [--frames N] [--output FILE]`.
+
+Needs the bpy wheel in this Python; where it has no torch, the environment variable GRMM_WORKER_PYTHON names an interpreter for
+the worker. Renders an animation in which the expression changes with every frame. In each frame the time inside the session's
+`render` (the core) and inside the engine's `render` (everything that Blender asks of us) are taken together, so that nothing
+else on the machine can favour one of them.
+
+===============  =====================================================================================
+``core``         the session's picture
+``engine``       the same and what the engine does around it: scene, camera, passes, handing over
+``overhead``     engine / core - 1; the goal is 5% for the plain scene
+``frame``        the whole frame as Blender renders it, without saving: evaluation and frame handlers too
+===============  =====================================================================================
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from tools.bench_blender import _module, with_extension
+from tools.build_extension import BuildError
+
+SIZE = 512
+WARM_UP = 2
+GOAL = 0.05
+ROUND_TABLE = 40_000  # triangles, about, of the mesh that stands in front in the second scene
+
+
+def measure(frames: int, size: int) -> dict[str, Any]:
+    """Build the scenes and time them; returns milliseconds and ratios by scene."""
+    import bpy
+
+    scene = _scene(size)
+    result: dict[str, Any] = {"blender": bpy.app.version_string, "size": size, "plain": _timed(scene, frames)}
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=200, ring_count=ROUND_TABLE // 400, radius=0.06, location=(0.05, -0.3, 0.0))
+    result["mesh in front"] = _timed(scene, frames)
+    layer = scene.view_layers[0]
+    layer.use_pass_z = layer.grmm_passes.use_mask = layer.grmm_passes.use_raw = layer.grmm_passes.use_normal = True
+    result["mesh and passes"] = _timed(scene, frames)
+    result["session"] = _module("grmm_blender.session_host").get_session().status().kind
+    return result
+
+
+def _scene(size: int) -> Any:
+    import bpy
+
+    bpy.ops.wm.read_homefile(use_empty=True)
+    scene = bpy.context.scene
+    bpy.ops.grmm.add_head()
+    head = _module("grmm_blender.avatar").avatar_of(bpy.context.object).object
+    for frame, value in ((1, 0.0), (200, 1.0)):
+        head["jawOpen"] = value
+        head.keyframe_insert('["jawOpen"]', frame=frame)
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    camera.location, camera.rotation_euler, camera.data.lens = (0.0, -1.1, 0.0), (1.5708, 0.0, 0.0), 85.0
+    scene.camera = camera
+    scene.render.engine = "GRMM"
+    scene.render.resolution_x = scene.render.resolution_y = size
+    scene.render.film_transparent = True
+    return scene
+
+
+def _timed(scene: Any, frames: int) -> dict[str, Any]:
+    """Times of `frames` different frames, the first ones left out."""
+    import bpy
+
+    final = _module("grmm_blender.engine.final")
+    session = _module("grmm_blender.session_host").get_session()
+    spent: dict[str, list[float]] = {"core": [], "engine": [], "frame": []}
+    engine_render, core_render = final.render, session.render
+    final.render = _timing(engine_render, spent["engine"])
+    session.render = _timing(core_render, spent["core"])
+    try:
+        for number in range(WARM_UP + frames):
+            start = time.perf_counter()
+            scene.frame_set(2 + number)
+            bpy.ops.render.render()
+            spent["frame"].append(time.perf_counter() - start)
+    finally:
+        final.render = engine_render
+        del session.render
+    times = {name: values[WARM_UP:] for name, values in spent.items()}
+    ratios = [whole / core - 1.0 for whole, core in zip(times["engine"], times["core"], strict=True)]
+    return {
+        "ms": {name: 1e3 * min(values) for name, values in times.items()},
+        "overhead": {"least": min(ratios), "median": statistics.median(ratios)},
+    }
+
+
+def _timing(function: Callable[..., Any], seconds: list[float]) -> Callable[..., Any]:
+    """Return the function with its times noted."""
+
+    def timed(*arguments: Any, **options: Any) -> Any:
+        start = time.perf_counter()
+        try:
+            return function(*arguments, **options)
+        finally:
+            seconds.append(time.perf_counter() - start)
+
+    return timed
+
+
+def main() -> int:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(description="Measure what the render engine adds to the core's own time.")
+    parser.add_argument("--frames", type=int, default=12, help="frames for each figure (default: 12)")
+    parser.add_argument("--size", type=int, default=SIZE, help=f"pixels of a side (default: {SIZE})")
+    parser.add_argument("--output", type=Path, help="write the figures as JSON")
+    arguments = parser.parse_args()
+    try:
+        result = with_extension(lambda: measure(arguments.frames, arguments.size))
+    except BuildError as error:
+        print(f"bench_engine: {error}", file=sys.stderr)
+        return 1
+    print(f"Blender {result['blender']}, {result['size']} x {result['size']}, session: {result['session']}")
+    scenes = {name: value for name, value in result.items() if isinstance(value, dict)}
+    for name, values in scenes.items():
+        ms, overhead = values["ms"], values["overhead"]
+        print(
+            f"  {name:16} core {ms['core']:7.1f} ms   engine {ms['engine']:7.1f} ms   frame {ms['frame']:7.1f} ms   "
+            f"overhead {overhead['median']:6.1%} (least {overhead['least']:.1%})"
+        )
+    reached = result["plain"]["overhead"]["median"]
+    print(f"goal {GOAL:.0%}: {'met' if reached <= GOAL else 'missed'} ({reached:.1%})")
+    if arguments.output:
+        arguments.output.write_text(json.dumps(result, indent=1), "utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

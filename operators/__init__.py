@@ -12,6 +12,7 @@
 ``edit``                reset, mirror, random expression and identity, independent copies
 ``residual``            random learned detail, saved codes and their blend
 ``calibrate``           make the face of chosen frames the neutral one
+``relink``              choose an avatar's file again
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from . import (
     fit,
     import_performance,
     import_splats,
+    relink,
     residual,
 )
 
@@ -39,6 +41,7 @@ _TOPICS = (
     edit,
     residual,
     calibrate,
+    relink,
     fit,
 )
 

@@ -12,6 +12,7 @@ from ..grmm_blender.rig.identity import DEFAULT_SOURCE, read_identity
 from ..grmm_blender.session_host import SAMPLE_PREFIX
 from ..grmm_core.avatar import EXTENSION
 from ..grmm_core.errors import GrmmError
+from .relink import stored_path
 
 
 class GRMM_OT_add_head(bpy.types.Operator):
@@ -82,12 +83,7 @@ class GRMM_OT_add_head(bpy.types.Operator):
         if not self.filepath:
             raise GrmmError("No avatar file is chosen; choose a .grmm file.")
         absolute = bpy.path.abspath(self.filepath)
-        relative = self.relative_path and bpy.data.is_saved
-        try:
-            stored = bpy.path.relpath(absolute) if relative else absolute
-        except ValueError:  # another drive on Windows
-            stored = absolute
-        return stored, absolute
+        return stored_path(absolute, self.relative_path), absolute
 
 
 class GRMM_OT_open_avatar(bpy.types.Operator):
@@ -98,7 +94,9 @@ class GRMM_OT_open_avatar(bpy.types.Operator):
     bl_description = "Choose an avatar file and add it to the scene"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filepath: bpy.props.StringProperty(
+        name="File", description="Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"}
+    )
     filter_glob: bpy.props.StringProperty(default=f"*{EXTENSION}", options={"HIDDEN"})
 
     @classmethod

@@ -87,6 +87,7 @@ def test_libraries_and_persons(saved):
     assert person["other"]["changed"] > 1e-3
     assert "gone.grmm does not exist" in person["missing"]["message"]
     assert person["missing"]["mesh"] == 0.0
+    assert "still_gone.grmm does not exist" in person["missing"]["relink"]
     assert person["back"]["mesh"] < PARITY
     assert person["back"]["message"] == ""
 

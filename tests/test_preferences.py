@@ -73,6 +73,7 @@ def test_runtime_from_wheels(run_blender: RunBlender, version: str, tmp_path: Pa
     assert "runtime" in result["python"]
     assert result["progress"] == 1.0
     assert "torch 2.6.0" in result["diagnostics"]
+    assert "Machine: " in result["diagnostics"]
     assert result["home"] not in result["diagnostics"]
     assert result["settings"] == ["cpu", 3, "worker"]
     assert result["after_remove"] == []

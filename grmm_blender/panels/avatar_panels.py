@@ -77,6 +77,8 @@ class _Avatar(_AvatarPanel):
         problem = live.state_of(avatar).message or live.limitation(avatar)
         if problem:
             layout.label(text=problem, icon="ERROR")
+            if live.state_of(avatar).message and avatar.has_network:
+                layout.operator("grmm.relink_avatar", text="Relink Avatar...", icon="FILE_FOLDER")
             if avatar.mesh_owner not in (None, avatar.object):
                 layout.operator("grmm.make_independent")
         layout.operator("grmm.import_performance", icon="ANIM_DATA")

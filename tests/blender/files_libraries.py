@@ -92,7 +92,12 @@ def another_person() -> dict:
     avatar.object.grmm.source = str(folder / "gone.grmm")
     bpy.context.view_layer.update()
     missing = {"message": live.state_of(avatar).message, "mesh": largest(mesh_of(avatar) - kept)}
-    avatar.object.grmm.source = stored
+    bpy.context.view_layer.objects.active = avatar.object
+    try:
+        bpy.ops.grmm.relink_avatar(filepath=str(folder / "still_gone.grmm"))
+    except RuntimeError as error:
+        missing["relink"] = str(error)
+    bpy.ops.grmm.relink_avatar(filepath=stored)
     bpy.context.view_layer.update()
     back = {"mesh": largest(mesh_of(avatar) - before), "message": live.state_of(avatar).message}
     return {"other": other, "missing": missing, "back": back}

@@ -1,0 +1,75 @@
+"""Point an avatar whose file has moved, or that is to be another person, to a file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+
+from ..grmm_blender.rig import live
+from ..grmm_blender.rig.identity import read_identity
+from ..grmm_core.avatar import EXTENSION
+from ..grmm_core.errors import FileAccessError, FileFormatError
+from .common import Result, active_avatar, needs_avatar, reports_errors
+
+
+def stored_path(path: str, relative: bool = True) -> str:
+    """What to keep in the scene for a file: relative to the saved .blend file where that is possible and wanted."""
+    if not (relative and bpy.data.is_saved):
+        return path
+    try:
+        return bpy.path.relpath(path)
+    except ValueError:  # another drive on Windows
+        return path
+
+
+class GRMM_OT_relink_avatar(bpy.types.Operator):
+    """Choose the active avatar's file again."""
+
+    bl_idname = "grmm.relink_avatar"
+    bl_label = "Relink Avatar"
+    bl_description = "Choose the active avatar's file, after a move or to show another person; controls and keys stay"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    filepath: bpy.props.StringProperty(
+        name="File", description="Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"}
+    )
+    filter_glob: bpy.props.StringProperty(default=f"*{EXTENSION}", options={"HIDDEN"})
+    relative_path: bpy.props.BoolProperty(
+        name="Relative Path", description="Store the file name relative to the .blend file", default=True
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Needs an avatar that a network draws."""
+        if not needs_avatar(cls, context):
+            return False
+        if not active_avatar(context).has_network:
+            cls.poll_message_set("This head is a FLAME file's")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Open the file browser."""
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Read the file before anything is changed."""
+        avatar = active_avatar(context)
+        if not self.filepath:
+            raise FileAccessError("No avatar file is chosen; choose a .grmm file.")
+        path = Path(bpy.path.abspath(self.filepath))
+        read_identity(str(path))
+        before = avatar.object.grmm.source
+        avatar.object.grmm.source = stored_path(str(path), self.relative_path)
+        problem = live.state_of(avatar).message
+        if problem:
+            avatar.object.grmm.source = before
+            raise FileFormatError(problem)
+        return {"FINISHED"}
+
+
+CLASSES = (GRMM_OT_relink_avatar,)

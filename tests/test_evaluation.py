@@ -221,6 +221,16 @@ def test_command(weights, folder, tmp_path, capsys):
     assert "0000_00.png is a damaged picture" in capsys.readouterr().err
 
 
+def test_sheets_show_the_best_and_the_worst():
+    def row(value, kept=True):
+        return SimpleNamespace(errors=SimpleNamespace(psnr_mask=value), pictures=(1,) if kept else ())
+
+    rows = [row(v) for v in (20.0, 31.0, math.nan, 25.0, 28.0)] + [row(99.0, kept=False)]
+    assert [r.errors.psnr_mask for r in report.picked(rows[:2] + rows[3:], 2)] == [31.0, 20.0]
+    assert math.isnan(report.picked(rows, 3)[-1].errors.psnr_mask)
+    assert len(report.picked(rows, 9)) == 5
+
+
 def test_tables_of_missing_numbers():
     assert report.codes_table({"people": 2, "expressions": 1, "x": {"difference_mm": 1, "size_mm": 2, "percent": 50.0}})
     page = report.sheet([[np.zeros((4, 6, 3)), np.ones((2, 2, 3))], [np.full((4, 6, 3), 0.5)]])

@@ -35,6 +35,7 @@ RECONSTRUCTION, NOVEL_VIEW, EXPRESSION = "reconstruction", "novel-view", "expres
 PERSON, TRANSFER, MONOCULAR = "person", "transfer", "monocular"
 SPLIT_OF = {RECONSTRUCTION: TRAIN, NOVEL_VIEW: HELD_OUT_CAMERA, EXPRESSION: HELD_OUT_EXPRESSION}
 FITTED = (PERSON, TRANSFER, MONOCULAR)
+KEPT_PICTURES = 100  # of a protocol, for its sheet: all of a large capture would fill the memory
 PROTOCOLS = (RECONSTRUCTION, NOVEL_VIEW, EXPRESSION, PERSON, TRANSFER, MONOCULAR)
 
 
@@ -148,6 +149,8 @@ class Evaluation:
         rows: list[Row] = []
         for number, (sample, person) in enumerate(chosen):
             rows.append(self.measure(sample, person))
+            if number % max(1, len(chosen) // KEPT_PICTURES):
+                rows[-1].pictures = ()
             self._report(f"{protocol} {sample.name}", (number + 1) / len(chosen))
         return Result(protocol, rows, source)
 

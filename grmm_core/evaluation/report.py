@@ -104,7 +104,8 @@ def sheet(rows: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
 
 def picked(rows: Sequence[Row], count: int = SHEET_ROWS) -> list[Row]:
     """Rows for a sheet, from the best to the worst PSNR inside the mask, evenly: nothing is hidden."""
-    ranked = sorted(rows, key=lambda row: (math.isnan(row.errors.psnr_mask), -row.errors.psnr_mask))
+    kept = [row for row in rows if row.pictures]
+    ranked = sorted(kept, key=lambda row: (math.isnan(row.errors.psnr_mask), -row.errors.psnr_mask))
     return [ranked[i] for i in np.unique(np.linspace(0, len(ranked) - 1, min(count, len(ranked))).round().astype(int))]
 
 

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 TILE, COLUMNS, CAPTION = 256, 8, 16
-LIPS = (62, 66)  # iBUG's inner lips, middle
+LIPS = (62, 66)  # iBUG's inner lips, middle; their height over one another, since one may stand before the other
 LIDS = ((37, 41), (38, 40), (43, 47), (44, 46))  # upper and lower lids, both eyes
 PLOT = (1200, 220)  # pixels of one curve
 _COLORS = ((170, 170, 170), (200, 60, 30))
@@ -38,7 +38,7 @@ def main() -> int:
     parser.add_argument("--smoothing", type=float, default=0.4)
     parser.add_argument("--max-error", type=float, default=0.01, help="of reduced keys")
     parser.add_argument("--size", type=int, default=256, help="pixels of a rendered frame")
-    parser.add_argument("--even", type=int, default=16, help="evenly spaced frames on the sheet")
+    parser.add_argument("--even", type=int, default=16, help="evenly spaced frames on the sheet, 0 for none")
     parser.add_argument("--extreme", type=int, default=8, help="frames with closed lips, and as many with closed lids")
     arguments = parser.parse_args()
     out = arguments.out.resolve()
@@ -55,8 +55,9 @@ def main() -> int:
     _report(raw, clean, out)
     chosen = _choose(clean, arguments.even, arguments.extreme)
     pictures = [(caption, blender.render(frame, out)) for caption, frame in chosen]
-    _sheet(pictures, out / "contact_sheet.png")
-    print(f"wrote {out / 'contact_sheet.png'}, {out / 'curves.png'}")
+    if pictures:
+        _sheet(pictures, out / "contact_sheet.png")
+    print(f"wrote {', '.join(str(path) for path in sorted(out.glob('c*.*')))}")
     return 0
 
 
@@ -106,7 +107,7 @@ class _Blender:
             points = np.empty(len(evaluated.data.vertices) * 3, np.float32)
             evaluated.data.attributes["position"].data.foreach_get("vector", points)
             marks = head.landmark_positions(points.reshape(-1, 3)) * 1000.0
-            lips.append(np.linalg.norm(marks[LIPS[0]] - marks[LIPS[1]]))
+            lips.append(max(0.0, marks[LIPS[0], 2] - marks[LIPS[1], 2]))
             lids.append(np.mean([np.linalg.norm(marks[a] - marks[b]) for a, b in LIDS]))
         action = self.avatar.object.animation_data.action
         keys = sum(
@@ -139,7 +140,7 @@ def _report(raw: dict[str, Any], clean: dict[str, Any], out: Path) -> None:
     picture = Image.new("RGB", (PLOT[0], 2 * PLOT[1]), "white")
     draw = ImageDraw.Draw(picture)
     print(f"keys: {raw['keys']} recorded, {clean['keys']} reduced")
-    for row, (name, title) in enumerate((("lips", "inner lips, mm"), ("lids", "lid opening, mm"))):
+    for row, (name, title) in enumerate((("lips", "lips apart, mm"), ("lids", "lid opening, mm"))):
         before, after = raw[name][:count], clean[name][:count]
         jitter = [np.abs(np.diff(values, 3)).mean() for values in (before, after)]
         print(

@@ -6,9 +6,11 @@ One entry of the extension's module list for all of them; each topic is a module
 from __future__ import annotations
 
 from ..operators import composite as composite_operators
-from . import composite
+from ..operators import contact_sheet, pose_library, turntable
+from . import composite, menus, preset_menus
+from .panels import production as panels
 
-_TOPICS = (composite, composite_operators)
+_TOPICS = (composite, composite_operators, pose_library, turntable, contact_sheet, preset_menus, menus, panels)
 
 CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)
 

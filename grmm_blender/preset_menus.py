@@ -1,0 +1,124 @@
+"""Presets by Blender's own preset system: expressions and render settings, shipped ones and the user's.
+
+Shipped presets are in `presets/grmm/`; those that a user adds go where Blender keeps user presets. Loading an expression puts
+all named expressions at rest first, so that a preset only lists what moves.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bl_operators.presets import AddPresetBase
+from bpy.types import Menu
+
+from .avatar import avatar_of
+from .rig.definitions import ALIGNED_NAMES, property_path
+
+EXPRESSIONS, RENDER = "grmm/expression", "grmm/render"
+_FOLDER = str(Path(__file__).parent)
+FIND_HEAD = "head = next(o for o in (bpy.context.object, *bpy.context.object.children) if 'jawOpen' in o)"
+_RENDER_VALUES = (
+    "use_refine", "detail", "use_occlusion", "occlusion_samples", "motion_steps", "use_viewport_refine", "viewport_detail",
+)  # fmt: skip
+
+
+class GRMM_MT_expression_presets(Menu):
+    """Expressions to start from."""
+
+    bl_label = "Expression Presets"
+    preset_subdir = EXPRESSIONS
+    preset_operator = "script.execute_preset"
+    draw = Menu.draw_preset
+
+    @classmethod
+    def reset_cb(cls, context: bpy.types.Context, _filepath: str) -> None:
+        """Put everything at rest first."""
+        avatar = avatar_of(context.object)
+        for name in ALIGNED_NAMES if avatar is not None else ():
+            if name in avatar.object:
+                avatar.object[name] = 0.0
+
+    @classmethod
+    def post_cb(cls, context: bpy.types.Context, _filepath: str) -> None:
+        """Evaluate again, key where automatic keying is on, and make it one step of the undo history."""
+        avatar = avatar_of(context.object)
+        if avatar is None:
+            return
+        avatar.object.update_tag()
+        if context.scene.tool_settings.use_keyframe_insert_auto:
+            for name in ALIGNED_NAMES:
+                if name in avatar.object:
+                    avatar.object.keyframe_insert(property_path(name))
+        _remember(cls.bl_label)
+
+
+class GRMM_MT_render_presets(Menu):
+    """Settings of the GRMM engine for a purpose."""
+
+    bl_label = "Render Presets"
+    preset_subdir = RENDER
+    preset_operator = "script.execute_preset"
+    draw = Menu.draw_preset
+
+    @classmethod
+    def post_cb(cls, _context: bpy.types.Context, _filepath: str) -> None:
+        """Make it one step of the undo history."""
+        _remember(cls.bl_label)
+
+
+def _remember(name: str) -> None:
+    if bpy.ops.ed.undo_push.poll():
+        bpy.ops.ed.undo_push(message=f"Preset {name}")
+
+
+class GRMM_OT_expression_preset_add(AddPresetBase, bpy.types.Operator):
+    """Keep the active avatar's expression as a preset, or remove a preset."""
+
+    bl_idname = "grmm.expression_preset_add"
+    bl_label = "Add Expression Preset"
+    bl_description = "Keep the active avatar's expression as a preset, or remove a preset"
+    preset_menu = "GRMM_MT_expression_presets"
+    preset_subdir = EXPRESSIONS
+    preset_defines = (FIND_HEAD,)
+    preset_values = tuple(f"head{property_path(name)}" for name in ALIGNED_NAMES)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Only with an avatar."""
+        return avatar_of(context.object) is not None
+
+
+class GRMM_OT_render_preset_add(AddPresetBase, bpy.types.Operator):
+    """Keep the GRMM render settings as a preset, or remove a preset."""
+
+    bl_idname = "grmm.render_preset_add"
+    bl_label = "Add Render Preset"
+    bl_description = "Keep the GRMM render settings as a preset, or remove a preset"
+    preset_menu = "GRMM_MT_render_presets"
+    preset_subdir = RENDER
+    preset_defines = ("settings = bpy.context.scene.grmm_render",)
+    preset_values = tuple(f"settings.{name}" for name in _RENDER_VALUES)
+
+
+def draw_presets(layout: bpy.types.UILayout, menu: type[Menu], operator: type[bpy.types.Operator]) -> None:
+    """Draw a preset menu with its buttons to add and remove."""
+    row = layout.row(align=True)
+    row.menu(menu.__name__, text=menu.bl_label)
+    row.operator(operator.bl_idname, text="", icon="ADD")
+    row.operator(operator.bl_idname, text="", icon="REMOVE").remove_active = True
+
+
+CLASSES = (
+    GRMM_MT_expression_presets, GRMM_MT_render_presets, GRMM_OT_expression_preset_add, GRMM_OT_render_preset_add,
+)  # fmt: skip
+
+
+def register() -> None:
+    """Let Blender find the shipped presets."""
+    bpy.utils.register_preset_path(_FOLDER)
+
+
+def unregister() -> None:
+    """Take that back."""
+    bpy.utils.unregister_preset_path(_FOLDER)

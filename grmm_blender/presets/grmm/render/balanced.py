@@ -1,0 +1,13 @@
+"""What a new scene has."""
+
+import bpy
+
+settings = bpy.context.scene.grmm_render
+
+settings.use_refine = True
+settings.detail = "0"
+settings.use_occlusion = True
+settings.occlusion_samples = 3
+settings.motion_steps = 8
+settings.use_viewport_refine = True
+settings.viewport_detail = "1"

@@ -1,0 +1,183 @@
+"""A contact sheet: expressions, views or frames of the scene in one picture file."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import bpy
+import numpy as np
+
+from ..grmm_blender.engine import final, passes, pipeline, snapshot
+from ..grmm_blender.portraits import face_camera, head_camera, portrait, with_expression
+from ..grmm_blender.rig.definitions import ALIGNED_NAMES, REGIONS, label
+from ..grmm_blender.sheet import grid
+from ..grmm_core.color import linear_to_srgb
+from ..grmm_core.errors import ConfigError
+from ..grmm_core.images import quantize, write_png
+from .common import Result, active_avatar, needs_avatar, output_path, reports_errors
+from .threaded import CancelCheck, Step, SteppedOperator, Steps
+
+ALL = "ALL"
+_MAX_PIXELS = 1 << 27
+
+
+class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
+    """Draw a grid of small pictures of the active avatar into one PNG file."""
+
+    bl_idname = "grmm.contact_sheet"
+    bl_label = "Contact Sheet"
+    bl_description = "Draw expressions or views of the active avatar, or frames of the scene, in a grid into one PNG file"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    filepath: bpy.props.StringProperty(name="File", description="PNG file to write", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filter_glob: bpy.props.StringProperty(default="*.png", options={"HIDDEN"})
+    check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
+    content: bpy.props.EnumProperty(
+        name="Content",
+        description="What the tiles show",
+        items=(
+            ("EXPRESSIONS", "Expressions", "The named expressions, each at full strength"),
+            ("VIEWS", "Views", "The avatar as it is, from all around"),
+            ("FRAMES", "Frames", "Frames of the scene, spread over its range, through its camera"),
+        ),
+        default="EXPRESSIONS",
+    )
+    region: bpy.props.EnumProperty(
+        name="Region",
+        description="Expressions of one region only",
+        items=((ALL, "All", "Every region"), *((name, name, f"The region {name.lower()}") for name in REGIONS)),
+        default=ALL,
+    )
+    count: bpy.props.IntProperty(name="Tiles", description="How many views or frames", default=12, min=1, max=1000)
+    columns: bpy.props.IntProperty(name="Columns", description="Tiles in a row", default=6, min=1, max=100)
+    size: bpy.props.IntProperty(
+        name="Tile Size", description="Width of a tile", default=256, min=16, max=4096, subtype="PIXEL"
+    )
+    captions: bpy.props.BoolProperty(name="Captions", description="Write what a tile shows above it", default=True)
+    background: bpy.props.FloatVectorProperty(
+        name="Background", description="Colour behind the avatar", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0,
+        default=(0.94, 0.94, 0.94),
+    )  # fmt: skip
+
+    running: bpy.props.BoolProperty(default=False, options={"HIDDEN", "SKIP_SAVE"})
+
+    poll = classmethod(needs_avatar)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Ask for the file, or begin once there is one."""
+        if self.running:
+            return super().execute(context)
+        if not self.filepath:
+            self.filepath = "contact_sheet.png"
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Options that matter for the content."""
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "content")
+        layout.prop(self, "region" if self.content == "EXPRESSIONS" else "count")
+        for name in ("columns", "size", "captions", "background"):
+            layout.prop(self, name)
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Check the options, then draw tile by tile."""
+        output_path(self.filepath, (".png",), ".png")
+        if self._tile_count() * self.size**2 > _MAX_PIXELS:
+            raise ConfigError("The contact sheet would be too large; choose fewer or smaller tiles.")
+        if not bpy.app.background and context.window is not None:
+            # The file browser frees its operator when this returns, so that another one has to go modal.
+            names = [name for name in self.properties.keys() if name != "running"]  # noqa: SIM118 - no dictionary
+            return bpy.ops.grmm.contact_sheet("INVOKE_DEFAULT", running=True, **{name: getattr(self, name) for name in names})
+        return super().execute(context)
+
+    def _tile_count(self) -> int:
+        return len(ALIGNED_NAMES if self.region == ALL else REGIONS[self.region]) if self._is_expressions() else self.count
+
+    def _is_expressions(self) -> bool:
+        return self.content == "EXPRESSIONS"
+
+    def steps(self, context: bpy.types.Context) -> Steps:
+        """One tile a step."""
+        path = output_path(self.filepath, (".png",), ".png")
+        tiles: list[tuple[str, np.ndarray]] = []
+        source = self._frame_steps(context) if self.content == "FRAMES" else self._avatar_steps(context)
+        step = None
+        try:
+            title, step = next(source)
+            while True:
+                picture = yield step
+                tiles.append((title, picture[..., :3]))
+                title, step = next(source)
+        except StopIteration:
+            pass
+        finally:
+            source.close()
+        write_png(path, quantize(grid(tiles, self.columns, self.captions)))
+        return f"{path} shows {len(tiles)} pictures"
+
+    def _avatar_steps(self, context: bpy.types.Context):  # noqa: ANN202 - (caption, Step) pairs
+        avatar = active_avatar(context)
+        controls, color = avatar.controls(), tuple(self.background)
+        if self._is_expressions():
+            names = ALIGNED_NAMES if self.region == ALL else REGIONS[self.region]
+            for index, name in enumerate(names):
+                shown = with_expression(controls, {name: 1.0})
+                work = portrait(avatar.source, shown, face_camera, self.size, color)
+                yield label(name), Step(work, index / len(names), label(name))
+            return
+        for index in range(self.count):
+            angle = 360.0 * index / self.count
+            work = portrait(avatar.source, controls, lambda size, yaw=angle: head_camera(size, yaw), self.size, color)
+            yield f"{angle:.0f}°", Step(work, index / self.count, f"view {index + 1} of {self.count}")
+
+    def _frame_steps(self, context: bpy.types.Context):  # noqa: ANN202 - as above
+        """The scene is put on each frame in turn, and back at the end."""
+        scene, before = context.scene, context.scene.frame_current_final
+        color = np.array(self.background, np.float32)
+        wanted = np.unique(np.linspace(scene.frame_start, scene.frame_end, self.count).round().astype(int))
+        try:
+            for index, frame in enumerate(wanted.tolist()):
+                scene.frame_set(frame)
+                work = _scene_picture(context, self.size, color)
+                yield f"{frame}", Step(work, index / len(wanted), f"frame {frame}")
+        finally:
+            scene.frame_set(int(before), subframe=before - int(before))
+
+
+class _Picture:
+    """Stands in for a render engine where `take_frame` asks for the picture's size and the camera."""
+
+    camera_override = None
+
+    def __init__(self, width: int, height: int) -> None:
+        self.resolution_x, self.resolution_y = width, height
+
+    def camera_model_matrix(self, camera: bpy.types.Object) -> object:
+        """Where the camera stands."""
+        return camera.matrix_world
+
+
+def _scene_picture(context: bpy.types.Context, width: int, background: np.ndarray):  # noqa: ANN202 - a step's work
+    render = context.scene.render
+    aspect = render.resolution_y * render.pixel_aspect_y / (render.resolution_x * render.pixel_aspect_x)
+    height = max(1, round(width * aspect))
+    depsgraph = context.evaluated_depsgraph_get()
+    frame = final.take_frame(_Picture(width, height), depsgraph)
+    settings = context.scene.grmm_render
+    how = pipeline.DrawSettings(settings.use_refine, int(settings.detail), settings.occlusion_samples)
+    items = [passes.RenderPass("combined", "Combined", "RGBA", "COLOR")]
+    region = snapshot.Region(0, 0, width, height)
+
+    def draw(should_cancel: CancelCheck) -> np.ndarray:
+        values = pipeline.frame_values(frame, how, items, None, region, should_cancel)["Combined"]
+        alpha = values[..., 3:]
+        straight = linear_to_srgb(values[..., :3] / np.maximum(alpha, 1e-6))
+        return straight * alpha + background * (1.0 - alpha)
+
+    return draw
+
+
+CLASSES = (GRMM_OT_contact_sheet,)

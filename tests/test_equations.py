@@ -136,7 +136,7 @@ def test_equations_15_to_18_of_the_objective(model):
     def perceptual(a, b):
         return (a - b).square().mean().sqrt()
 
-    laplacian = vertex_laplacian(torch.from_numpy(model.head_model.faces), model.head_model.vertex_count).double()
+    laplacian = vertex_laplacian(torch.from_numpy(model.head_model.faces.copy()), model.head_model.vertex_count).double()
     codes = (data["z_id"], data["z_exp"])
     loss, _ = total_loss(out, target, codes, laplacian, LossWeights(), True, perceptual)
 
@@ -147,13 +147,13 @@ def test_equations_15_to_18_of_the_objective(model):
     s = array(out.gaussians.scales) * 1e3  # millimetres
     l_s = np.where(s < 0.1, 1 / np.maximum(s, 1e-7), np.where(s > 10.0, (s - 10.0) ** 2, 0.0))  # eq. 18
     assert l_s.max() > 0
-    assert float(scale_loss(out.gaussians.scales * 1e3)) == pytest.approx(l_s.mean(), rel=1e-9)
-    L_z = sum(float((code**2).sum()) for code in map(array, codes))
-    assert float(code_loss(*codes)) == pytest.approx(L_z, rel=1e-9)
+    assert scale_loss(out.gaussians.scales * 1e3).item() == pytest.approx(l_s.mean(), rel=1e-9)
+    L_z = sum((code**2).sum() for code in map(array, codes))
+    assert code_loss(*codes).item() == pytest.approx(L_z, rel=1e-9)
     rough = array(laplacian(out.displacement * 1e3))
     L_reg = 0.1 * l_s.mean() + 0.001 * L_z + 0.01 * (rough**2).sum(1).mean()  # eq. 17
-    expected = float(L_rec(out.image) + L_rec(out.raw)) + L_reg  # eq. 15; without depth, which has tests of its own
-    assert float(loss) == pytest.approx(expected, rel=1e-9)
+    expected = (L_rec(out.image) + L_rec(out.raw)).item() + L_reg  # eq. 15; without depth, which has tests of its own
+    assert loss.item() == pytest.approx(expected, rel=1e-9)
 
 
 def _found(name):

@@ -10,7 +10,8 @@ import pytest
 from grmm_core.camera import Camera
 from grmm_core.errors import ShapeError
 from grmm_core.expressions import ARKIT_NAMES
-from grmm_core.fitting.landmark_priors import FACE_OVAL
+from grmm_core.fitting import landmark_priors
+from grmm_core.fitting.landmark_priors import FACE_OVAL, landmark_modes
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.fitting.measure import aligned, shape_error
 from grmm_core.fitting.point_rig import LandmarkRig
@@ -117,6 +118,29 @@ def test_wrong_landmarks_do_little_harm(head, rig):
     spoilt[np.random.default_rng(0).permutation(478)[:40], :2] += 0.8 * eye_distance(clean)
     result = fit_landmarks([replace(clean, landmarks=spoilt)], rig)
     assert reprojection(result, clean) < 0.012
+
+
+def test_systematic_errors_of_the_network_are_not_taken_for_shape(head, rig, monkeypatch):
+    shape, camera = person(6), Camera.orbit(SIZE, SIZE, yaw=8.0, distance=1.2)
+    clean = observe(rig, shape, np.zeros(100), camera)
+    modes = landmark_modes(camera.world_to_camera[:3, :3]) * eye_distance(clean)  # [478, 2, K]
+    errors = {"known": [], "ignored": []}
+    for seed in range(2):
+        spoilt = clean.landmarks.copy()
+        spoilt[:, :2] += modes @ np.random.default_rng(seed).normal(0.0, 1.5, modes.shape[2])
+        observation = replace(clean, landmarks=spoilt)
+        errors["known"].append(shape_error(head, fit_landmarks([observation], rig).shape, shape))
+        with monkeypatch.context() as patch:
+            patch.setattr(landmark_priors, "_stored_modes", lambda: np.zeros((16, 478, 2)))
+            errors["ignored"].append(shape_error(head, fit_landmarks([observation], rig).shape, shape))
+    assert np.mean(errors["known"]) < 0.9 * np.mean(errors["ignored"])
+
+
+def test_error_modes_roll_with_the_head():
+    upright, c, s = np.diag([1.0, -1.0, -1.0]), np.cos(0.7), np.sin(0.7)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    expected = np.einsum("ij,ljk->lik", turn[:2, :2], landmark_modes(upright))
+    np.testing.assert_allclose(landmark_modes(turn @ upright), expected, atol=1e-9)
 
 
 def test_gaze_follows_the_irises(head, rig):

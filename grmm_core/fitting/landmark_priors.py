@@ -7,13 +7,17 @@ Used by the stages. Needs numpy only.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..errors import FileFormatError
 from ..expressions import ARKIT_NAMES
 from ..head.model import JOINT_COUNT, HeadModel
+from ..tensorfile import read_tensors
 from .point_rig import LandmarkRig
 from .types import LANDMARK_COUNT
 
@@ -36,11 +40,13 @@ EYES = (
 BROWS = (276, 283, 282, 295, 285, 300, 293, 334, 296, 336, 46, 53, 52, 65, 55, 70, 63, 105, 66, 107)
 IRISES = tuple(range(468, 478))
 NOSE = (1, 2, 98, 327, 4, 5, 195, 197, 6, 168)
-_GROUP_SIGMA = ((FACE_OVAL, 0.05), (LIPS, 0.022), (EYES, 0.018), (BROWS, 0.07), (IRISES, 0.012), (NOSE, 0.03))
-_SKIN_SIGMA = 0.035
-# The errors of neighbouring landmarks go together: 478 of them say as much as a few dozen independent ones.
-CORRELATION = 3.0  # factor on every sigma
+# What remains of the errors beside the modes of `landmark_modes`, in eye distances.
+_GROUP_SIGMA = ((FACE_OVAL, 0.035), (LIPS, 0.025), (EYES, 0.022), (BROWS, 0.03), (IRISES, 0.02), (NOSE, 0.03))
+_SKIN_SIGMA = 0.03
 _FACING_FULL, _FACING_NONE, _HIDDEN_FACTOR = 0.35, -0.25, 4.0
+
+NOISE_ASSET = Path(__file__).resolve().parent.parent / "assets" / "landmark_noise.safetensors"
+NOISE_SHARE = 0.65  # of the modes' standard deviation: the network errs less on photos than on synthetic pictures
 
 # How far the reported coefficients are believed: mean of the prior = factor * reported.
 _START_FACTORS = {
@@ -173,7 +179,32 @@ def landmark_sigmas(rig: LandmarkRig, rotation: np.ndarray) -> np.ndarray:
         sigma[list(group)] = value
     facing = -(rig.normals @ rotation.T)[:, 2]
     hidden = np.clip((_FACING_FULL - facing) / (_FACING_FULL - _FACING_NONE), 0.0, 1.0)
-    return sigma * CORRELATION * (1.0 + (_HIDDEN_FACTOR - 1.0) * hidden)
+    return sigma * (1.0 + (_HIDDEN_FACTOR - 1.0) * hidden)
+
+
+def landmark_modes(rotation: np.ndarray) -> np.ndarray:
+    """How the landmark network errs: directions in which all landmarks move together, one standard deviation each.
+
+    Args:
+        rotation: Head to camera, [3, 3]; the modes roll with the head.
+
+    Returns:
+        Eye distances, [478, 2, K].
+    """
+    roll = np.arctan2(rotation[1, 0], rotation[0, 0])
+    c, s = np.cos(roll), np.sin(roll)
+    return np.einsum("ij,klj->lik", np.array([[c, -s], [s, c]]), _stored_modes()) * NOISE_SHARE
+
+
+@functools.lru_cache(maxsize=1)
+def _stored_modes() -> np.ndarray:
+    """Modes of the asset, [K, 478, 2], read once."""
+    modes = read_tensors(NOISE_ASSET)[0].get("modes")
+    if modes is None or modes.ndim != 3 or modes.shape[1:] != (LANDMARK_COUNT, 2):
+        raise FileFormatError(f"{NOISE_ASSET} is damaged; install the program again.")
+    modes = modes.astype(np.float64)
+    modes.flags.writeable = False
+    return modes
 
 
 def _by_name(table: dict[str, float], name: str, default: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from ..camera import Camera
 from ..errors import ShapeError
 from ..head.model import JOINT_COUNT
-from .landmark_priors import landmark_sigmas, make_priors
+from .landmark_priors import landmark_modes, landmark_sigmas, make_priors
 from .point_rig import LandmarkRig
 from .solver import PhotoProblem, Problem, Solution, Term, View, camera_of, project, solve
 from .types import LANDMARK_COUNT
@@ -98,8 +98,8 @@ def fit_landmarks(
     start = solve(problem, start, CAMERA_ITERATIONS, cameras_only=True)
     photos = []
     for photo, view, unit in zip(problem.photos, start.views, units, strict=True):
-        sigma = landmark_sigmas(rig, view.rotation) * unit
-        photos.append(replace(photo, terms=(replace(photo.terms[0], sigma=sigma),)))
+        sigma, modes = landmark_sigmas(rig, view.rotation) * unit, landmark_modes(view.rotation) * unit
+        photos.append(replace(photo, terms=(replace(photo.terms[0], sigma=sigma, modes=modes),)))
     problem = replace(problem, photos=tuple(photos))
     solution = solve(problem, start, ITERATIONS, progress=progress)
     logger.debug("landmarks: %d steps, objective %.1f", solution.iterations, solution.objective)
@@ -131,11 +131,12 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
         offset = shift[:2] - np.array([item.width, item.height]) / 2.0
         # depth over focal length is 1 / scale; the priors of distance and focal length split the product
         focal = prior.log_focal(magnification)
-        views.append(View(rotation, offset, magnification, focal, prior.expression_mean.copy(), prior.pose_mean.copy()))
+        noise = np.zeros(landmark_modes(rotation).shape[2])
+        views.append(View(rotation, offset, magnification, focal, prior.expression_mean.copy(), prior.pose_mean.copy(), noise))
         units.append(scale * eye_distance)
         term = Term(rig, item.landmarks[:, :2].astype(np.float64), landmark_sigmas(rig, rotation) * units[-1])
         photos.append(PhotoProblem(item.width, item.height, prior, (term,)))
-    problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count)
+    problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
     return problem, Solution(shape, tuple(views)), tuple(units)
 
 

@@ -23,7 +23,7 @@ logger = logging.getLogger(__name__)
 
 ROUNDS = 3
 ROUND_ITERATIONS = 4
-OUTLINE_SIGMA = 0.05  # eye distances
+OUTLINE_SIGMA = 0.08  # eye distances
 MIN_POINTS = 8
 MAX_LANDMARK_LOSS = 0.004  # eye distances by which the mean landmark error may grow
 

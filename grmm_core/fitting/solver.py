@@ -7,8 +7,11 @@ expression. The photos share the shape; camera, expression, jaw and eyes are eac
 
 The objective, with points l of the terms of photo n, projection pi, targets q and expected errors sigma in pixels:
 
-    |shape|^2 + sum_n [ sum_l rho(|pi_n(P_l(shape, e_n, pose_n)) - q_nl| / sigma_nl)
+    |shape|^2 + sum_n [ sum_l rho(|pi_n(P_l(shape, e_n, pose_n)) + M_nl b_n - q_nl| / sigma_nl) + |b_n|^2
                         + priors of e_n, pose_n, focal length, distance ]
+
+where b are the strengths of the error modes M of the landmark network: what it gets wrong, it gets wrong for many landmarks at
+once, and without them it would be taken for shape.
 """
 
 from __future__ import annotations
@@ -42,6 +45,7 @@ class View:
         focal: Logarithm of the focal length in pixels.
         expression: [E].
         pose: Control angles in radians, [5, 3].
+        noise: Strength of the landmark network's error modes, standard deviations, [K].
     """
 
     rotation: np.ndarray
@@ -50,6 +54,7 @@ class View:
     focal: float
     expression: np.ndarray
     pose: np.ndarray
+    noise: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -61,12 +66,14 @@ class Term:
         target: Where to, pixels, [N, 2].
         sigma: Expected error, pixels, [N].
         normals: Unit directions [N, 2] along which alone the distance counts (outlines slide), or None for both axes.
+        modes: Pixels that a unit of each error mode moves the projections by before they are compared, [N, 2, K], or None.
     """
 
     rig: PointRig
     target: np.ndarray
     sigma: np.ndarray
     normals: np.ndarray | None = None
+    modes: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -92,13 +99,14 @@ class Problem:
     Attributes:
         photos: At least one.
         center: The point of head space that `View.offset` projects, metres, [3].
-        shape_count, expression_count: S and E.
+        shape_count, expression_count, noise_count: S, E and K.
     """
 
     photos: tuple[PhotoProblem, ...]
     center: np.ndarray
     shape_count: int
     expression_count: int
+    noise_count: int
 
 
 @dataclass(frozen=True)
@@ -170,10 +178,12 @@ def evaluate(problem: Problem, shape: np.ndarray, views: tuple[View, ...]) -> fl
     """The objective; twice the gradient of `_normal_equations` is its gradient."""
     total = float((shape**2).sum())
     for photo, view in zip(problem.photos, views, strict=True):
-        total += photo.priors.value(view)
+        total += photo.priors.value(view) + float((view.noise**2).sum())
         for term in photo.terms:
             points = term.rig.positions(shape, view.expression, view.pose)
             delta = project(problem, photo, view, points) - term.target
+            if term.modes is not None:
+                delta = delta + term.modes @ view.noise
             squared = (delta**2).sum(1) if term.normals is None else (delta * term.normals).sum(1) ** 2
             squared = squared / term.sigma**2
             total += float((squared / (1.0 + squared / ROBUST_CUT**2)).sum())
@@ -206,7 +216,7 @@ def _middle(photo: PhotoProblem) -> np.ndarray:
 
 
 def _view_size(problem: Problem, cameras_only: bool) -> int:
-    return CAMERA_SIZE if cameras_only else CAMERA_SIZE + problem.expression_count + JOINT_COUNT * 3
+    return CAMERA_SIZE if cameras_only else CAMERA_SIZE + problem.expression_count + JOINT_COUNT * 3 + problem.noise_count
 
 
 def _normal_equations(
@@ -231,15 +241,20 @@ def _normal_equations(
             gradient[:shared] += moment[:shared]
             gradient[own] += moment[shared:]
         prior_matrix, prior_gradient = photo.priors.quadratic(view)
-        matrix[own, own] += prior_matrix[:size, :size]
-        gradient[own] += prior_gradient[:size]
+        known = min(size, len(prior_gradient))
+        before = slice(own.start, own.start + known)
+        matrix[before, before] += prior_matrix[:known, :known]
+        gradient[before] += prior_gradient[:known]
+        noise = np.arange(before.stop, own.stop)  # none where only cameras are solved for
+        matrix[noise, noise] += 1.0
+        gradient[noise] += view.noise[: len(noise)]
     return matrix, gradient
 
 
 def _residuals(
     problem: Problem, photo: PhotoProblem, term: Term, shape: np.ndarray, view: View, cameras_only: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted residuals [R] of a term and their derivatives by [shape, camera, expression, angles], or the camera alone."""
+    """Weighted residuals [R] of a term and their derivatives by [shape, camera, expression, angles, noise] or the camera."""
     if cameras_only:
         points = term.rig.positions(shape, view.expression, view.pose)
         parts: list[np.ndarray] = []
@@ -252,6 +267,8 @@ def _residuals(
     z = np.maximum(local[:, 2], _MIN_DEPTH)
     ray = local[:, :2] / z[:, None]
     delta = focal * ray + _middle(photo) - term.target  # [N, 2]
+    modes = np.zeros((len(points), 2, problem.noise_count)) if term.modes is None else term.modes
+    delta = delta + modes @ view.noise
     pixel = np.zeros((len(points), 2, 3))  # pixels by camera coordinates
     pixel[:, 0, 0] = pixel[:, 1, 1] = focal / z
     pixel[:, :, 2] = -focal * ray / z[:, None]
@@ -262,14 +279,14 @@ def _residuals(
     by_camera[:, :, 5] = pixel @ shift
     by_camera[:, :, 6] = focal * ray + pixel[:, :, 2] * shift[2]
     if term.normals is not None:  # along the normals only: one residual for each point
-        pixel, by_camera = (np.einsum("ni,nij->nj", term.normals, a)[:, None] for a in (pixel, by_camera))
+        pixel, by_camera, modes = (np.einsum("ni,nij->nj", term.normals, a)[:, None] for a in (pixel, by_camera, modes))
         delta = (delta * term.normals).sum(1, keepdims=True)
     distance = np.linalg.norm(delta, axis=1) / term.sigma
     weight = 1.0 / (term.sigma * (1.0 + (distance / ROBUST_CUT) ** 2))  # square root of Geman-McClure's weight
     columns = [by_camera]
     if not cameras_only:
         turned_pixel = pixel @ view.rotation
-        columns = [turned_pixel @ parts[0], by_camera, turned_pixel @ parts[1], turned_pixel @ parts[2]]
+        columns = [turned_pixel @ parts[0], by_camera, turned_pixel @ parts[1], turned_pixel @ parts[2], modes]
     derivative = np.concatenate(columns, axis=2) * weight[:, None, None]
     return (delta * weight[:, None]).reshape(-1), derivative.reshape(delta.size, -1)
 
@@ -294,7 +311,8 @@ def _moved(
             angles = CAMERA_SIZE + problem.expression_count
             expression = view.expression + own[CAMERA_SIZE:angles]
             moved.expression = np.clip(expression, photo.priors.expression_low, photo.priors.expression_high)
-            moved.pose = view.pose + own[angles:].reshape(JOINT_COUNT, 3)
+            moved.pose = view.pose + own[angles : angles + JOINT_COUNT * 3].reshape(JOINT_COUNT, 3)
+            moved.noise = view.noise + own[angles + JOINT_COUNT * 3 :]
         result.append(moved)
     return (shape + step[:shared] if shared else shape), tuple(result)
 

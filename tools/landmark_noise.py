@@ -3,8 +3,8 @@
     python -m tools.landmark_noise CAPTURE [--modes 16]
 
 CAPTURE is a folder of `grmm capture`: pictures of synthetic people whose head parameters are known. The errors are found minus
-projected landmarks, in units of the eye distance, in the picture's axes, without their mean (a shift is the camera's), each also
-mirrored. They lie in few dimensions; the modes are the principal directions of the second moment (not of the variance: a
+projected landmarks, in units of the eye distance, in the picture's axes, without their mean (a shift is the camera's), and each
+mirrored too. They lie in few dimensions; the modes are the principal directions of the second moment (not of the variance: a
 systematic error counts as uncertainty too), scaled to one standard deviation.
 """
 

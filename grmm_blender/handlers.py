@@ -20,15 +20,18 @@ from .rig import live
 CLASSES = ()
 
 _CATCH_UP_SECONDS = 0.3
+_SETTLE_SECONDS = 0.2
 _PATIENCE = 200  # times that the timer finds the model not ready before the next update waits for it, and meets its error
 _waited = 0
+_rendering = False  # between the start and the end of a render
 _busy = False  # a handler of ours is writing; its own changes call the handlers again
 
 
 @persistent
-def _before_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+def _before_frame(scene: bpy.types.Scene, *_: object) -> None:
+    depsgraph = _window_depsgraph(scene)
     for avatar in avatars_in(scene):
-        live.predict(avatar, scene.frame_current_final)
+        live.predict(avatar, scene.frame_current_final, depsgraph)
 
 
 @persistent
@@ -38,6 +41,8 @@ def _on_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         wrote = _update(avatar, depsgraph, not playing or avatar.object.grmm.detail_in_playback, brief=True)
         if wrote and depsgraph.mode == "RENDER":
             _animate_again(avatar)
+        if not (playing or bpy.app.background or bpy.app.timers.is_registered(_settle)):
+            bpy.app.timers.register(_settle, first_interval=_SETTLE_SECONDS)
 
 
 @persistent
@@ -60,6 +65,34 @@ def _on_other_state(*_: object) -> None:
 def _on_playback_end(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     for avatar in avatars_in(scene):
         _update(avatar, depsgraph)
+
+
+def _window_depsgraph(scene: bpy.types.Scene) -> bpy.types.Depsgraph | None:
+    """The evaluated scene that a frame change is for, as far as it is known: Blender does not say, and renders have another."""
+    if _rendering or bpy.app.is_job_running("RENDER") or bpy.context.scene != scene:
+        return None
+    return bpy.context.view_layer.depsgraph
+
+
+@persistent
+def _on_render_start(*_: object) -> None:
+    global _rendering
+    _rendering = True
+    _settle()
+
+
+@persistent
+def _on_render_end(*_: object) -> None:
+    global _rendering
+    _rendering = False
+
+
+@persistent
+def _settle(*_: object) -> None:
+    """What only the evaluated scene has goes into the data: before files and renders, and a moment after a frame change."""
+    for scene in bpy.data.scenes:
+        for avatar in avatars_in(scene):
+            live.settle(avatar)
 
 
 def _animate_again(avatar: Avatar) -> None:
@@ -143,6 +176,10 @@ _HANDLERS = (
     (bpy.app.handlers.frame_change_post, _on_frame),
     (bpy.app.handlers.depsgraph_update_post, _on_edit),
     (bpy.app.handlers.load_post, _on_other_state),
+    (bpy.app.handlers.save_pre, _settle),
+    (bpy.app.handlers.render_init, _on_render_start),
+    (bpy.app.handlers.render_complete, _on_render_end),
+    (bpy.app.handlers.render_cancel, _on_render_end),
     (bpy.app.handlers.undo_post, _on_other_state),
     (bpy.app.handlers.redo_post, _on_other_state),
     (bpy.app.handlers.animation_playback_post, _on_playback_end),
@@ -160,6 +197,7 @@ def unregister() -> None:
     for handlers, function in _HANDLERS:
         if function in handlers:
             handlers.remove(function)
-    if bpy.app.timers.is_registered(_catch_up):
-        bpy.app.timers.unregister(_catch_up)
+    for timer in (_catch_up, _settle):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
     live.forget()

@@ -78,6 +78,16 @@ def test_edits_are_keyed_and_undone(edits):
     assert undo["again"] is True
 
 
+def test_animated_shapes(run_blender: RunBlender, blender_version: str, tmp_path: Path):
+    result = run_blender("rig_frames.py", tmp_path, python=blender_version).result
+    assert max(result["frames"]) < PARITY
+    assert result["waiting"] is True
+    assert max(result["small"]) < PARITY
+    for name in ("copied", "edited", "stored", "saved", "opened"):
+        assert result[name] < PARITY, name
+    assert max(result["layers"]) < PARITY
+
+
 @pytest.mark.parametrize("version", ["4.5", pytest.param("5.2", marks=pytest.mark.slow)])
 def test_heads_in_a_working_file(run_blender: RunBlender, version: str, tmp_path: Path):
     find_python(version)

@@ -2,8 +2,9 @@
 
 They depend on the controls in ways that drivers cannot express, or not fast enough: the learned displacement comes from the
 model (eq. 11), pose correctives of FLAME are not linear in the angles, each joint is a sum over all shape coefficients, and
-hundreds of shape keys that hardly move anything would take most of a frame's time. `handlers` calls
-`update` after frame changes and edits. Without the add-on the file keeps the last state.
+hundreds of shape keys that hardly move anything would take most of a frame's time. `handlers` calls `predict` before a frame
+is evaluated, `update` after frame changes and edits, and `settle` where the data must be right by itself: before files and
+renders. Without the add-on the file keeps the last state.
 
 Reaches the model through `session_host`; imports no torch.
 """
@@ -28,7 +29,17 @@ from .armature import joint_parents, shift_joints
 from .definitions import ARRAY_RANGES, SHAPE, property_path
 from .drivers import resting_pose
 from .identity import load_head
-from .mesh import RESIDUAL_KEY, SHAPE_REST_KEY, leading_shapes, to_blender, write_offsets
+from .mesh import (
+    BASIS_KEY,
+    RESIDUAL_KEY,
+    SHAPE_REST_KEY,
+    evaluated_key,
+    leading_shapes,
+    read_key,
+    to_blender,
+    write_key,
+    write_offsets,
+)
 
 _SHAPE_PATH = property_path(SHAPE)
 
@@ -42,6 +53,9 @@ class LiveState:
         detail_for: Controls and source that the residual key holds; empty where it holds nothing, None where that is unknown.
         message: One sentence for the panel where something is wrong, else empty.
         stale: The residual key does not belong to the current controls.
+        ahead: What the evaluated scene has as the key of small components while the key itself is older, [3 V]; None where they
+            are the same.
+        leading: Shape components with keys of their own that were last seen.
         shape_curves_of: Action, its slot and number of curves that `shape_curves` were found in.
         shape_curves: Places of the curves that animate the shape.
     """
@@ -50,6 +64,8 @@ class LiveState:
     detail_for: bytes | None = None
     message: str = ""
     stale: bool = False
+    ahead: np.ndarray | None = None
+    leading: np.ndarray | None = None
     shape_curves_of: tuple[int, int, int] | None = None
     shape_curves: list[int] = field(default_factory=list)
 
@@ -89,9 +105,10 @@ def update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None = None, detail:
         if brief and state.detail_for == b"" and not _wants_detail(avatar, head):
             shape = avatar.array(SHAPE, depsgraph)
             if np.isfinite(shape).all():
-                return _update_shape(avatar, head, shape, state)
+                return _update_shape(avatar, head, shape, state) or settle(avatar, depsgraph)
         controls = avatar.controls(depsgraph).validate()
         wrote = _update_shape(avatar, head, controls.shape, state)
+        wrote = settle(avatar, depsgraph if brief else None) or wrote
         return _update_detail(avatar, head, controls, state, detail) or wrote
     except RuntimeMissingError:
         state.stale = False  # nothing could compute it: the mesh is the head model alone, as the panel says
@@ -101,7 +118,7 @@ def update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None = None, detail:
         return False
 
 
-def predict(avatar: Avatar, frame: float) -> None:
+def predict(avatar: Avatar, frame: float, depsgraph: bpy.types.Depsgraph | None) -> None:
     """Follow an animated shape before the frame is evaluated.
 
     `update` does it afterwards in any case, but then the mesh has to be evaluated a second time. Knows an action only; where
@@ -110,9 +127,12 @@ def predict(avatar: Avatar, frame: float) -> None:
     Args:
         avatar: The avatar.
         frame: Frame that is about to be evaluated, with its fraction.
+        depsgraph: What is about to evaluate it; None where that is not known.
     """
     values = avatar.object.get(SHAPE)
-    animated = None if values is None else _animated_shape(avatar, state_of(avatar), frame, len(values))
+    if values is None or avatar.object.data.shape_keys is None:
+        return
+    animated = _animated_shape(avatar, state_of(avatar), frame, len(values))
     if animated is None:
         return
     shape = np.array(values.to_list(), np.float32)
@@ -123,7 +143,7 @@ def predict(avatar: Avatar, frame: float) -> None:
     except GrmmError:
         return  # `update` reports it
     if np.isfinite(shape).all():
-        _update_shape(avatar, head, shape.clip(limits.low, limits.high), state_of(avatar))
+        _update_shape(avatar, head, shape.clip(limits.low, limits.high), state_of(avatar), depsgraph)
 
 
 def _animated_shape(avatar: Avatar, state: LiveState, frame: float, count: int) -> tuple[list[int], list[float]] | None:
@@ -149,22 +169,70 @@ def _animated_shape(avatar: Avatar, state: LiveState, frame: float, count: int) 
     return [curve.array_index for curve in found], [curve.evaluate(frame) for curve in found]
 
 
-def _update_shape(avatar: Avatar, head: HeadModel, shape: np.ndarray, state: LiveState) -> bool:
-    """Place the joints, and write the small components, for the shape [<=S] that is added to the avatar's own."""
+def _update_shape(
+    avatar: Avatar, head: HeadModel, shape: np.ndarray, state: LiveState, before: bpy.types.Depsgraph | None = None
+) -> bool:
+    """Place the joints, and write the small components, for the shape [<=S] that is added to the avatar's own.
+
+    Args:
+        avatar: The avatar.
+        head: Its head model.
+        shape: What is added, [<=S].
+        state: Of the avatar.
+        before: The depsgraph that is about to evaluate an animated shape. Writing a key has Blender copy all keys into the
+            evaluated scene again, a fifth of a frame's time: then only the copy is written, and the key by `settle` later.
+    """
     digest = shape.tobytes() if shape.any() else b""
     if state.shape_for == digest:
         return False
     state.shape_for = digest
     obj, rig, first = avatar.object, avatar.armature, leading_shapes(head)
     wrote = False
-    if _may_write(avatar):
-        wrote = write_offsets(obj, SHAPE_REST_KEY, shape[first:] @ _small_shapes(head)[: shape[first:].size])
+    if _may_write(avatar) and SHAPE_REST_KEY in obj.data.shape_keys.key_blocks:
+        positions = read_key(obj.data.shape_keys.key_blocks[BASIS_KEY])
+        if shape.size > first:
+            positions += shape[first:] @ _small_shapes(head)[: shape.size - first]
+        # The mesh is evaluated again when one of the keys with a driver changes.
+        leading, state.leading = state.leading, shape[:first]
+        evaluates = before is not None and leading is not None and not np.array_equal(leading, state.leading)
+        copy = evaluated_key(obj, SHAPE_REST_KEY, before) if evaluates else None
+        if copy is None:
+            state.ahead = None
+            wrote = write_key(obj, SHAPE_REST_KEY, positions)
+        else:
+            copy.points.foreach_set("co", positions)
+            state.ahead = positions
     if rig is not None and rig.is_editable:
         shifts = head.joint_dirs[:, :, : shape.size] @ shape + np.reshape(obj.grmm.joint_offset, (-1, 3))  # [5, 3]
         if shift_joints(rig, shifts, joint_parents(head)):
             rig.update_tag(refresh={"DATA"})
             wrote = True
     return wrote
+
+
+def settle(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None = None) -> bool:
+    """Write the key of small components where only a copy of it was written.
+
+    Args:
+        avatar: The avatar.
+        depsgraph: Leave the key as it is as long as this evaluated scene's copy is right; None writes it in any case.
+
+    Returns:
+        Whether the key was written.
+    """
+    state = state_of(avatar)
+    positions, keys = state.ahead, avatar.object.data.shape_keys
+    if positions is None or keys is None:
+        return False
+    if depsgraph is not None:
+        copy = evaluated_key(avatar.object, SHAPE_REST_KEY, depsgraph)
+        if copy is not None and np.array_equal(read_key(copy), positions):
+            return False
+    state.ahead = None
+    key = keys.key_blocks.get(SHAPE_REST_KEY)
+    if not _may_write(avatar) or key is None or len(key.points) * 3 != positions.size:
+        return False
+    return write_key(avatar.object, SHAPE_REST_KEY, positions)
 
 
 def limitation(avatar: Avatar) -> str:
@@ -215,7 +283,8 @@ def _update_detail(avatar: Avatar, head: HeadModel, controls: Controls, state: L
         session = session_host.get_session()
         offsets = offsets + session.deform(session_host.open_avatar(avatar.source).id, controls).displacement
     state.detail_for, state.stale = digest, False
-    return write_offsets(obj, RESIDUAL_KEY, to_blender(offsets).ravel())
+    settled = settle(avatar)  # what follows has Blender copy all keys
+    return write_offsets(obj, RESIDUAL_KEY, to_blender(offsets).ravel()) or settled
 
 
 def _wants_detail(avatar: Avatar, head: HeadModel) -> bool:

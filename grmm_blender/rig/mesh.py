@@ -152,12 +152,24 @@ def write_offsets(obj: bpy.types.Object, name: str, offsets: np.ndarray) -> bool
     key = keys.get(name)
     if key is None or len(key.points) * 3 != offsets.size:
         return False
-    wanted = read_key(keys[BASIS_KEY]) + offsets
-    if np.abs(read_key(key) - wanted).max(initial=0.0) < _SMALLEST:
+    return write_key(obj, name, read_key(keys[BASIS_KEY]) + offsets)
+
+
+def write_key(obj: bpy.types.Object, name: str, positions: np.ndarray) -> bool:
+    """Set a key that exists to positions [3 V]; see `write_offsets`."""
+    key = obj.data.shape_keys.key_blocks[name]
+    if np.abs(read_key(key) - positions).max(initial=0.0) < _SMALLEST:
         return False
-    key.points.foreach_set("co", wanted)
+    key.points.foreach_set("co", positions)
     obj.data.update_tag()
     return True
+
+
+def evaluated_key(obj: bpy.types.Object, name: str, depsgraph: bpy.types.Depsgraph) -> bpy.types.ShapeKey | None:
+    """The evaluated scene's copy of a key, or None where it has none (yet)."""
+    keys = obj.data.shape_keys.evaluated_get(depsgraph)
+    key = keys.key_blocks.get(name) if keys.is_evaluated else None
+    return key if key is not None and len(key.points) == len(obj.data.vertices) else None
 
 
 def _add_key(obj: bpy.types.Object, name: str, positions: np.ndarray) -> bpy.types.ShapeKey:

@@ -14,13 +14,19 @@ from typing import TYPE_CHECKING, Literal
 import bpy
 import numpy as np
 
-from ..grmm_core.errors import ConfigError, FileFormatError
+from ..grmm_core.avatar import AssetReference
+from ..grmm_core.controls import Controls
+from ..grmm_core.errors import ConfigError, FileFormatError, GrmmError
 from ..grmm_core.expressions import ARKIT_NAMES
 from ..grmm_core.performance import CleanOptions, Performance, Progress, clean, to_arkit
+from ..grmm_core.performance.closures import keep_lips_closed, lip_model
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
+from . import session_host
 from .avatar import Avatar
 from .rig.actions import ensure_bag, find_curve, linear_keys, reduced_keys, replace_keys
 from .rig.definitions import ALIGNED_RANGE, ARRAY_RANGES, EXPRESSION, REGIONS, property_path
+from .rig.identity import load_head
+from .splats.cloud import resting_positions
 
 if TYPE_CHECKING:
     from ..grmm_core.head import HeadModel
@@ -56,6 +62,7 @@ class ImportOptions:
         neutral: Frames of the recording in which the actor rests, counted from 0; "auto" finds them; None takes nothing off.
         smoothing: 0..1.
         limit: Keep weights within 0..1.
+        close_lips: Close the lips where the recording, without calibration, gain and smoothing, closes them.
         offset: Seconds by which everything is moved against `start`.
         first, last: Seconds of the recording to use; no `last` for all.
         angle_error: Largest deviation of an angle for reduced keys, radians.
@@ -73,6 +80,7 @@ class ImportOptions:
     neutral: Sequence[int] | Literal["auto"] | None = None
     smoothing: float = 0.0
     limit: bool = True
+    close_lips: bool = True
     offset: float = 0.0
     first: float = 0.0
     last: float | None = None
@@ -120,6 +128,30 @@ def prepare(performance: Performance, options: ImportOptions, progress: Progress
         limit=options.limit,
     )
     return clean(performance, wanted, progress)
+
+
+def closed_lips(avatar: Avatar, prepared: Performance, performance: Performance, options: ImportOptions) -> Performance:
+    """Return prepared frames whose lips touch wherever the recording lets this avatar's lips touch."""
+    as_recorded = replace(options, neutral=None, gain=1.0, region_gains={}, smoothing=0.0)
+    if not performance.found or as_recorded == options:
+        return prepared
+    try:
+        head = load_head(AssetReference(avatar.object.grmm.head_name))
+    except GrmmError:
+        return prepared  # the rig says so itself
+    lips = lip_model(head, _resting_face(avatar))
+    return keep_lips_closed(prepared, prepare(performance, as_recorded), lips)
+
+
+def _resting_face(avatar: Avatar) -> np.ndarray:
+    """The avatar's neutral mesh, head axes, [V, 3]: with the learned displacement where the mesh shows it."""
+    if avatar.has_network and avatar.object.grmm.live_detail:
+        try:
+            return session_host.get_session().deform(session_host.open_avatar(avatar.source).id, Controls()).vertices
+        except GrmmError:
+            pass  # there is nothing to run the model: the mesh is the head model alone
+    resting = resting_positions(avatar.object.data)
+    return np.stack([resting[:, 0], resting[:, 2], -resting[:, 1]], -1)
 
 
 def parse_frames(text: str) -> tuple[int, ...]:
@@ -207,6 +239,8 @@ def apply_performance(
     """
     report = progress or (lambda fraction: None)
     prepared = prepare(performance, options, lambda fraction: report(_PREPARED * fraction))
+    if options.close_lips and isinstance(avatar, Avatar):
+        prepared = closed_lips(avatar, prepared, performance, options)
     channels = channels_of(prepared, options, flame_head=avatar.object.grmm.head_name.startswith("flame"))
     channels = [channel for channel in channels if channel.bone or channel.property_name in avatar.object]
     if not channels:

@@ -117,6 +117,11 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         subtype="FACTOR",
     )
     limit: bpy.props.BoolProperty(name="Limit", description="Keep expression weights within 0 and 1", default=True)
+    close_lips: bpy.props.BoolProperty(
+        name="Keep Lips Closed",
+        description="Close the avatar's lips wherever the recording closes them, also after calibration, gain and smoothing",
+        default=True,
+    )
     head: bpy.props.EnumProperty(
         name="Head Rotation",
         description="Which bone takes the recorded rotation of the head",
@@ -177,6 +182,7 @@ class GRMM_OT_import_performance(bpy.types.Operator):
             column.prop(self, f"gain_{region}")
         column.prop(self, "rotation_gain")
         layout.prop(self, "limit")
+        layout.prop(self, "close_lips")
         for name in ("head", "eyes", "landscape", "flame_file"):
             layout.prop(self, name)
 
@@ -241,6 +247,7 @@ class GRMM_OT_import_performance(bpy.types.Operator):
             neutral=parse_frames(self.neutral_frames) if neutral == () else neutral,
             smoothing=self.smoothing,
             limit=self.limit,
+            close_lips=self.close_lips,
             offset=self.offset,
             first=self.first,
             last=self.last or None,

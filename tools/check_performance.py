@@ -79,7 +79,6 @@ class _Blender:
         }
         bpy.ops.grmm.add_head()
         self.avatar = self.modules["grmm_blender.avatar"].avatar_of(bpy.context.object)
-        self.avatar.object.grmm.live_detail = False
         scene = bpy.context.scene
         scene.render.fps = 30
         scene.render.engine = "GRMM"
@@ -119,7 +118,6 @@ class _Blender:
     def render(self, frame: int, out: Path) -> Path:
         """Render one frame."""
         scene = self.bpy.context.scene
-        self.avatar.object.grmm.live_detail = True
         scene.frame_set(frame)
         path = out / f"frame_{frame:04d}.png"
         scene.render.filepath = str(path)

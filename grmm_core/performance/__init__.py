@@ -6,6 +6,7 @@
 `timing`           `resample`, `shift`, `trim`
 `editing`          `apply_gain`, `find_neutral_frames`, `calibrate_neutral`, `clamp`, `REGIONS`
 `smoothing`        `smooth`
+`closures`         `lip_model`, `keep_lips_closed`
 `curves`           `reduce_performance`: keys to a stated error
 `retarget`         `to_expression`, `to_arkit`
 `writing`          `write_performance`

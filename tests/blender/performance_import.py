@@ -111,7 +111,7 @@ def cleaned() -> dict:
     recorded = core.read_performance(folder / "speech.json")
     bpy.ops.grmm.import_performance(
         filepath=str(folder / "speech.json"), start=1, neutral="FRAMES", neutral_frames="3, 10-12", gain=0.9, gain_jaw=0.5,
-        gain_mouth=0.8, smoothing=0.3, offset=0.5, first=1.0, last=4.0,
+        gain_mouth=0.8, smoothing=0.3, offset=0.5, first=1.0, last=4.0, close_lips=False,
     )  # fmt: skip
     wanted = core.clean(
         recorded,

@@ -1,0 +1,117 @@
+"""Lips that touch in a recording touch after cleaning.
+
+Calibration takes the actor's resting face off every frame, and with it what that face did to the lips: a constant half smile,
+for one, holds them closer together, and the short closures of p, b and m stay open without it. Where the recording closes the
+lips of a head and the cleaned frames do not, `keep_lips_closed` adds mouthClose until they do, with a ramp to both sides.
+
+Called by the Blender importer. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..errors import ShapeError
+from ..expressions import ARKIT_NAMES
+from .types import Performance
+
+MOUTH_CLOSE = ARKIT_NAMES.index("mouthClose")
+_INNER_LIPS = (62, 66)  # iBUG: upper and lower, middle
+_STEP = 0.2  # weight at which a shape's effect on the lips is measured; turning the jaw is not quite linear
+_TOUCHING = 1e-4  # metres above the resting distance at which lips count as touching
+_WEAKEST = 5e-4  # metres that mouthClose must close at 1 to be of use
+_RAMP = 3  # frames over which the correction fades
+
+
+class LipHead(Protocol):
+    """What is needed of `head.HeadModel`."""
+
+    arkit_to_expression: np.ndarray  # [52, E]
+    expression_pose: np.ndarray  # [E, 5, 3]
+
+    def vertices(self, shape: np.ndarray, expression: np.ndarray, pose_euler: np.ndarray) -> np.ndarray:
+        """Posed vertices, [V, 3]."""
+        ...
+
+    def landmark_positions(self, vertices: np.ndarray) -> np.ndarray:
+        """Landmarks, [68, 3]."""
+        ...
+
+
+@dataclass(frozen=True)
+class LipModel:
+    """How far apart the lips of a head are: rest + slopes @ weights, metres.
+
+    Attributes:
+        rest: At weights of zero; negative where they overlap.
+        slopes: Change for each ARKit shape at 1, [52].
+    """
+
+    rest: float
+    slopes: np.ndarray
+
+    def distance(self, weights: np.ndarray) -> np.ndarray:
+        """Distances of frames [T] for weights [T, 52]."""
+        return self.rest + np.asarray(weights, np.float64) @ self.slopes
+
+
+def lip_model(head: LipHead, resting: np.ndarray | None = None) -> LipModel:
+    """Measure a head's lips.
+
+    Args:
+        head: Head model.
+        resting: The person's resting mesh, [V, 3] metres; the head's mean person when None.
+    """
+
+    def apart(weights: np.ndarray) -> float:
+        expression = np.asarray(head.arkit_to_expression, np.float32).T @ weights
+        pose = np.einsum("e,ejk->jk", expression, np.asarray(head.expression_pose, np.float32))
+        own: Any = getattr(head, "arkit_pose", None)
+        if own is not None:
+            pose = pose + np.einsum("a,ajk->jk", weights, np.asarray(own, np.float32))
+        return _apart(head, head.vertices(np.zeros(1, np.float32), expression, pose))
+
+    zero = np.zeros(len(ARKIT_NAMES), np.float32)
+    base = apart(zero)
+    slopes = np.array([(apart(zero + _STEP * unit) - base) / _STEP for unit in np.eye(len(ARKIT_NAMES), dtype=np.float32)])
+    return LipModel(base if resting is None else _apart(head, resting), slopes)
+
+
+def keep_lips_closed(cleaned: Performance, recorded: Performance, lips: LipModel) -> Performance:
+    """Close the lips in cleaned frames where they are closed in the recorded ones.
+
+    Args:
+        cleaned: With ARKit weights.
+        recorded: The same frames before calibration, gain and smoothing.
+        lips: Of the head that plays them.
+
+    Raises:
+        ShapeError: Numbers of frames differ.
+    """
+    if cleaned.frame_count != recorded.frame_count:
+        raise ShapeError(f"{cleaned.frame_count} cleaned frames were given for {recorded.frame_count} recorded ones.")
+    closing = -lips.slopes[MOUTH_CLOSE]
+    if closing < _WEAKEST:
+        return cleaned
+    touching = max(lips.rest, 0.0) + _TOUCHING
+    closed = lips.distance(recorded.weights) <= touching
+    missing = np.where(closed, np.maximum(lips.distance(cleaned.weights) - touching, 0.0), 0.0) / closing
+    if not missing.any():
+        return cleaned
+    added = missing.copy()
+    for shift in range(1, _RAMP):
+        share = 1.0 - shift / _RAMP
+        added[shift:] = np.maximum(added[shift:], share * missing[:-shift])
+        added[:-shift] = np.maximum(added[:-shift], share * missing[shift:])
+    weights = cleaned.weights.copy()
+    weights[:, MOUTH_CLOSE] = np.minimum(weights[:, MOUTH_CLOSE] + added, 1.0)
+    found = cleaned.found if ARKIT_NAMES[MOUTH_CLOSE] in cleaned.found else (*cleaned.found, ARKIT_NAMES[MOUTH_CLOSE])
+    return replace(cleaned, weights=weights, found=found)
+
+
+def _apart(head: LipHead, vertices: np.ndarray) -> float:
+    marks = head.landmark_positions(np.asarray(vertices))
+    return float(marks[_INNER_LIPS[0], 1] - marks[_INNER_LIPS[1], 1])

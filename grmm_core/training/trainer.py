@@ -15,7 +15,6 @@ Used by the command line.
 from __future__ import annotations
 
 import dataclasses
-import importlib.util
 import json
 import logging
 import os
@@ -354,10 +353,12 @@ class _Averaged:
 
 def _tensorboard(folder: Path) -> Any:
     """A writer of TensorBoard files. Raises `RuntimeMissingError` where the package is missing."""
-    if importlib.util.find_spec("tensorboard") is None:
-        raise RuntimeMissingError("TensorBoard is not installed; run pip install tensorboard, or switch the setting off.")
-    from torch.utils.tensorboard import SummaryWriter
-
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise RuntimeMissingError(
+            "TensorBoard is not installed or not complete; run pip install tensorboard, or switch the setting off."
+        ) from error
     return SummaryWriter(str(folder))
 
 

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import bpy
 
-from ..grmm_blender.performance import ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
+from ..grmm_blender.performance import MAX_FRAME, ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.head import load_flame
 from ..grmm_core.performance import REGIONS, Progress, read_performance
@@ -33,7 +33,13 @@ class GRMM_OT_import_performance(bpy.types.Operator):
 
     filepath: bpy.props.StringProperty(name="File", description="Performance file", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default="*.json;*.csv;*.txt;*.npz", options={"HIDDEN"})
-    start: bpy.props.FloatProperty(name="Start Frame", description="Scene frame on which the recording starts", default=1.0)
+    start: bpy.props.FloatProperty(
+        name="Start Frame",
+        description="Scene frame on which the recording starts",
+        default=1.0,
+        min=-MAX_FRAME,
+        max=MAX_FRAME,
+    )
     keys: bpy.props.EnumProperty(
         name="Keys",
         description="Where keys are set",
@@ -70,6 +76,8 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         name="Time Offset",
         description="Seconds by which the recording is moved against the start frame, to bring it in step with sound",
         default=0.0,
+        min=-86_400.0,
+        max=86_400.0,
         soft_min=-2.0,
         soft_max=2.0,
         subtype="TIME_ABSOLUTE",

@@ -24,10 +24,10 @@ def ours(base: type) -> list[type]:
     return sorted(set(found), key=lambda cls: cls.__name__)
 
 
-def property_problems(owner: str, cls: type) -> list[str]:
-    """What is missing on the properties that a class declares."""
+def property_problems(owner: str, cls: type, rna: bpy.types.Struct | None = None) -> list[str]:
+    """What is missing on the properties that a class declares; an operator's are those of its own `rna`."""
     problems = []
-    for prop in cls.bl_rna.properties:
+    for prop in (rna or cls.bl_rna).properties:
         declared = any(prop.identifier in getattr(base, "__annotations__", {}) for base in cls.__mro__)
         if not declared or prop.identifier in FILE_SELECTOR or prop.is_hidden:
             continue
@@ -39,7 +39,7 @@ def property_problems(owner: str, cls: type) -> list[str]:
         if prop.description.endswith("."):
             problems.append(f"{where}: description ends with a point")
         far = FAR if prop.type == "FLOAT" else 2**31 - 2
-        if prop.type in NUMBERS and not prop.is_readonly and max(abs(prop.hard_min), abs(prop.hard_max)) > far:
+        if prop.type in NUMBERS and not prop.is_readonly and min(abs(prop.hard_min), abs(prop.hard_max)) > far:
             problems.append(f"{where} has no range")
         if prop.type == "ENUM":
             problems += [f"{where}.{item.identifier} has no description" for item in prop.enum_items if not item.description]
@@ -47,8 +47,8 @@ def property_problems(owner: str, cls: type) -> list[str]:
 
 
 def operator_problems(cls: type) -> list[str]:
-    problems = property_problems(cls.__name__, cls)
     rna = getattr(bpy.ops.grmm, cls.bl_idname.partition(".")[2]).get_rna_type()
+    problems = property_problems(cls.__name__, cls, rna)
     if not cls.__name__.startswith("GRMM_OT_"):
         problems.append(f"{cls.__name__} is not named GRMM_OT_*")
     if not rna.description or rna.description == rna.name:

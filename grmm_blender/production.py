@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from ..operators import composite as composite_operators
 from ..operators import contact_sheet, pose_library, turntable
-from . import composite, menus, preset_menus
+from . import composite, menus, preset_menus, translations
 from .panels import production as panels
 
-_TOPICS = (composite, composite_operators, pose_library, turntable, contact_sheet, preset_menus, menus, panels)
+_TOPICS = (composite, composite_operators, pose_library, turntable, contact_sheet, preset_menus, menus, panels, translations)
 
 CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)
 

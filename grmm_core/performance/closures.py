@@ -14,7 +14,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..errors import ShapeError
 from ..expressions import ARKIT_NAMES
 from .types import Performance
 
@@ -85,19 +84,14 @@ def keep_lips_closed(cleaned: Performance, recorded: Performance, lips: LipModel
 
     Args:
         cleaned: With ARKit weights.
-        recorded: The same frames before calibration, gain and smoothing.
+        recorded: The same moments before calibration, gain and smoothing; its frames may stand elsewhere.
         lips: Of the head that plays them.
-
-    Raises:
-        ShapeError: Numbers of frames differ.
     """
-    if cleaned.frame_count != recorded.frame_count:
-        raise ShapeError(f"{cleaned.frame_count} cleaned frames were given for {recorded.frame_count} recorded ones.")
     closing = -lips.slopes[MOUTH_CLOSE]
     if closing < _WEAKEST:
         return cleaned
     touching = max(lips.rest, 0.0) + _TOUCHING
-    closed = lips.distance(recorded.weights) <= touching
+    closed = np.interp(cleaned.times, recorded.times, lips.distance(recorded.weights)) <= touching
     missing = np.where(closed, np.maximum(lips.distance(cleaned.weights) - touching, 0.0), 0.0) / closing
     if not missing.any():
         return cleaned

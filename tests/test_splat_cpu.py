@@ -238,8 +238,40 @@ def test_work_is_counted():
     inputs = [getattr(many, name).numpy() for name in NAMES]
     _, drawing = function.draw(inputs, np.zeros((1, 1, 3), np.float32), View.of(camera), False)
     work = count.count_work(drawing, camera.width, camera.height)
-    # Blended pairs by the reference: every Gaussian alone adds to alpha exactly where it is blended; count with one feature each.
+    # By the reference, with a feature of its own for each Gaussian: blended where that is above zero.
     marked = dataclasses.replace(many, features=torch.eye(200))
     expected = int((rasterize(marked, camera, backend="torch").features > 0).sum())
     assert work.needed == pytest.approx(expected, rel=1e-3)
     assert work.needed < work.blended <= work.evaluated < work.instances * 256
+
+
+def test_memory_of_dropped_pictures_is_used_again_and_held_pictures_are_left_alone():
+    from grmm_core.splat.cpu import buffers
+
+    camera = orbit(300, 260)
+    many = scene(200, channels=8, seed=33)
+    first = rasterize(many, camera)
+    held = first.features[100:110, ::3]  # a view alone must keep the memory
+    before, place = held.clone(), first.features.data_ptr()
+    del first
+    second = rasterize(scene(300, channels=8, seed=34), camera)
+    assert second.features.data_ptr() != place
+    assert torch.equal(held, before)
+    del held
+    kept = buffers.kept_bytes()
+    assert kept >= second.features.numel() * 4
+    third = rasterize(scene(0, channels=8), camera, background=(0.1, 0.2, 0.3))
+    assert third.features.data_ptr() == place
+    assert buffers.kept_bytes() < kept
+    for tensor in (third.alpha, third.depth, third.features):  # what was drawn there before is gone
+        assert tensor.abs().max() == 0
+    torch.testing.assert_close(third.rgb, torch.tensor([0.1, 0.2, 0.3]).expand(260, 300, 3))
+
+
+def test_kept_memory_is_bounded(monkeypatch):
+    from grmm_core.splat.cpu import buffers
+
+    monkeypatch.setattr(buffers, "KEPT_BYTES", 3 << 20)
+    held = [buffers.empty((1 << 18,)) for _ in range(6)]
+    del held
+    assert buffers.kept_bytes() <= 3 << 20

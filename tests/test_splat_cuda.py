@@ -160,6 +160,12 @@ def test_nvrtc_compiles_the_kernels(features, architecture, compiler):
         assert name.encode() in image
 
 
+def test_the_papers_channels_stay_in_registers(compiler):
+    """Arrays that the compiler cannot keep in registers would go through memory in the innermost loops."""
+    text = cuda_compile.compile_source(kernel_source(32), "compute_90")
+    assert b"__local_depot" not in text
+
+
 def test_what_nvrtc_refuses_is_one_sentence(compiler):
     with pytest.raises(BackendError, match=r"could not be compiled for sm_90 .*error.*use the device cpu") as caught:
         cuda_compile.compile_source("this is no program", "sm_90")

@@ -99,10 +99,9 @@ def _replay_tile(
         listed = 0
         pair = 0
         for k in range(end - batch):
-            place = places[k]
-            mx, my = spread(place[0] - left - HALF), spread(place[1] - top - HALF)
-            l11, l12, l22 = spread(place[2] * SHRINK), spread(place[3] * SHRINK), spread(place[4] * SHRINK)
-            opacity = spread(place[5])
+            mx, my = spread(places[k, 0] - left - HALF), spread(places[k, 1] - top - HALF)
+            l11, l12, l22 = spread(places[k, 2] * SHRINK), spread(places[k, 3] * SHRINK), spread(places[k, 4] * SHRINK)
+            opacity = spread(places[k, 5])
             pair_end = first[k + 1]
             first[k] = listed
             while pair < pair_end:
@@ -144,9 +143,8 @@ def _replay_tile(
             store(behind, block * WIDTH, rest)
         for k in range(end - batch):
             to = np.int64(_slot(whole[gaussian[batch + k]], tile_x, tile_y)) * rows.shape[1]
-            place = places[k]
-            mx, my = spread(place[0] - left - HALF), spread(place[1] - top - HALF)
-            l11, l12, l22 = spread(place[2] * SHRINK), spread(place[3] * SHRINK), spread(place[4] * SHRINK)
+            mx, my = spread(places[k, 0] - left - HALF), spread(places[k, 1] - top - HALF)
+            l11, l12, l22 = spread(places[k, 2] * SHRINK), spread(places[k, 3] * SHRINK), spread(places[k, 4] * SHRINK)
             g0, gs, gq, gss, gsq, gqq = zero, zero, zero, zero, zero, zero
             for number in range(first[k], first[k + 1]):
                 entry = entries[number]

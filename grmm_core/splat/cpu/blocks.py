@@ -133,12 +133,11 @@ def find_blocks(count: int, places: np.ndarray, left: float, top: float, pairs: 
     zero, wide, high = spread(ZERO), spread(F(BLOCK_X - 1)), spread(F(BLOCK_Y - 1))
     for k in range(count):
         first[k] = pairs_found
-        place = places[k]
-        mx, my = spread(place[0] - left - HALF), spread(place[1] - top - HALF)
-        l11, l12, l22 = place[2] * SHRINK, place[3] * SHRINK, place[4] * SHRINK
+        mx, my = spread(places[k, 0] - left - HALF), spread(places[k, 1] - top - HALF)
+        l11, l12, l22 = places[k, 2] * SHRINK, places[k, 3] * SHRINK, places[k, 4] * SHRINK
         lean_x, lean_y = spread(-l12 / l11), spread(-l11 * l12 / (l12 * l12 + l22 * l22))
         s1, s2, q2 = spread(l11), spread(l12), spread(l22)
-        reach = spread(place[REACH])
+        reach = spread(places[k, REACH])
         for group in range(0, BLOCKS, WIDTH):
             low_x, low_y = load(BLOCK_LEFT, group) - mx, load(BLOCK_TOP, group) - my
             high_x, high_y = low_x + wide, low_y + high

@@ -83,12 +83,11 @@ def _blend_tile(
             counts[block] = block * ROOM
         for pair in range(found):
             k, block = pairs[pair] // BLOCKS, pairs[pair] % BLOCKS
-            place = places[k]
-            mx, my = place[0] - left - HALF, place[1] - top - HALF
-            l11, l12, l22 = spread(place[2] * SHRINK), spread(place[3] * SHRINK), spread(place[4] * SHRINK)
+            mx, my = places[k, 0] - left - HALF, places[k, 1] - top - HALF
+            l11, l12, l22 = spread(places[k, 2] * SHRINK), spread(places[k, 3] * SHRINK), spread(places[k, 4] * SHRINK)
             dx, dy = load(PIXEL_X, block * WIDTH) - spread(mx), load(PIXEL_Y, block * WIDTH) - spread(my)
             s, q = l11 * dx + l12 * dy, l22 * dy
-            alpha = smaller(spread(place[5]) * falloff(s * s + q * q, one, e1, e2, e3, e4, e5, farthest), cap)
+            alpha = smaller(spread(places[k, 5]) * falloff(s * s + q * q, one, e1, e2, e3, e4, e5, farthest), cap)
             alpha = choose(alpha, floor, alpha, zero)
             before = load(through, block * WIDTH)
             after = before * (one - alpha)
@@ -213,7 +212,7 @@ def draw(
         features: [N, C] float32.
         background: [1, 1, 3] or [H, W, 3] float32.
         constants: CONSTANTS.
-        rgb, alpha, depth, blended: Outputs [H, W, 3], [H, W], [H, W], [H, W, C] float32, zero on entry.
+        rgb, alpha, depth, blended: Outputs [H, W, 3], [H, W], [H, W], [H, W, C] float32.
         ends: Output [tiles] int64: end of the instances of each tile that any pixel was still open to.
     """
     height, width = alpha.shape
@@ -249,6 +248,9 @@ def draw(
         else:
             ends[tile] = low
             for y in range(y0, y0 + rows):
+                alpha[y, x0 : x0 + columns] = ZERO
+                depth[y, x0 : x0 + columns] = ZERO
+                blended[y, x0 : x0 + columns] = ZERO
                 for x in range(x0, x0 + columns):
                     for k in range(3):
                         rgb[y, x, k] = background[min(y, background.shape[0] - 1), min(x, background.shape[1] - 1), k]

@@ -15,7 +15,7 @@ from torch import Tensor
 from ...errors import BackendError
 from ..rules import TILE, View
 from ..types import Gaussians, RasterOutput
-from . import backward, binning, blocks, forward, projection
+from . import backward, binning, blocks, buffers, forward, projection
 from .threads import for_each, thread_count
 
 TASKS = 16  # parallel tasks per thread, so that threads end together
@@ -89,9 +89,8 @@ def draw(inputs: list[np.ndarray], background: np.ndarray, view: View, antialias
     gaussian = np.empty(instances, np.int32)
     for_each(len(chunks), lambda k: binning.fill(*chunks[k], whole, tiles_x, histogram[k], touched[k], gaussian))
 
-    # Zeros are cheaper than writing them: memory that no Gaussian reaches is never touched.
-    outputs = [np.zeros(shape, np.float32) for shape in ((height, width, 3), (height, width), (height, width))]
-    outputs.append(np.zeros((height, width, inputs[5].shape[1]), np.float32))
+    outputs = [buffers.empty(shape) for shape in ((height, width, 3), (height, width), (height, width))]
+    outputs.append(buffers.empty((height, width, inputs[5].shape[1])))
     ends = np.empty(tiles, np.int64)
     groups = _pieces(tiles, TILES_MIN, TASKS * threads)
     for_each(
@@ -107,7 +106,7 @@ def differentiate(
     inputs: list[np.ndarray], outputs: list[np.ndarray], drawing: Drawing, d_outputs: list[np.ndarray]
 ) -> list[np.ndarray]:
     """Return the gradients of `inputs`, given those of `outputs`; arrays as in `draw`."""
-    rows = np.empty((len(drawing.gaussian), projection.MOMENTS + blocks.padded(inputs[5].shape[1])), np.float32)
+    rows = buffers.empty((len(drawing.gaussian), projection.MOMENTS + blocks.padded(inputs[5].shape[1])))
     d_inputs = [np.zeros_like(array) for array in inputs]
     geometry, whole = drawing.geometry, drawing.whole
     groups = _pieces(len(drawing.ends), TILES_MIN, TASKS * thread_count())

@@ -1,7 +1,7 @@
 """Projection of Gaussians onto the picture plane and its gradient, compiled.
 
-The twin of `reference.project`; `function.py` calls it. Numbers are float64 inside a Gaussian and float32 in memory: it costs
-nothing here and keeps needle-thin and huge Gaussians exact.
+The twin of `reference.project`; `function.py` calls it. Numbers are float64 inside a Gaussian and float32 in memory, which
+keeps needle-thin and huge Gaussians exact. As many Gaussians as a register has float64 lanes are projected at a time.
 
 A Gaussian's record (`geometry`, one cache line of 16 float32) holds its centre mx, my [px]; the Cholesky factor l11, l12, l22
 of its conic, so that -ln(alpha / opacity) = (s^2 + q^2) / 2 with s = l11 dx + l12 dy and q = l22 dy, which lose no digits
@@ -21,6 +21,7 @@ import numpy as np
 
 from ..rules import ALPHA_MIN, COMPENSATION_MIN, DILATION, NEAR, TILE, View
 from .jit import kernel
+from .simd import DOUBLES, larger, load, root, smaller, spread_wide, store
 
 ROTATION, TRANSLATION, FOCAL, CENTRE, CLAMP, SIZE, ORTHOGRAPHIC, ANTIALIASED = 0, 9, 12, 14, 16, 20, 22, 23
 CAMERA_LENGTH = 24
@@ -34,6 +35,7 @@ RECT, SLOT, TOUCHED = 12, 14, 15
 MOMENTS = 8
 SQUEEZE = 0.25  # the tile kernels work with SQUEEZE s and SQUEEZE q, and so do the sums
 TILES_MAX = 1 << 14  # tiles in a row or column of the grid
+OUT, SCRATCH = 10, 20  # rows of a projection's scratch: where its results begin, and all
 FAR_AWAY = 1e9  # pixels; Gaussians projected farther out or larger than this are dropped
 
 
@@ -57,39 +59,57 @@ def _finite(row: np.ndarray) -> bool:
 
 
 @kernel
-def _project_one(
-    mean: np.ndarray, quat: np.ndarray, scale: np.ndarray, opacity: float, camera: np.ndarray, record: np.ndarray
-) -> Any:
-    """Project one Gaussian: fill its record; return (seen, tile rectangle x0, y0, x1, y1 with the ends exclusive)."""
-    nothing = (False, 0, 0, 0, 0)
-    mx, my, mz = np.float64(mean[0]), np.float64(mean[1]), np.float64(mean[2])
-    x = camera[0] * mx + camera[1] * my + camera[2] * mz + camera[9]
-    y = camera[3] * mx + camera[4] * my + camera[5] * mz + camera[10]
-    z = camera[6] * mx + camera[7] * my + camera[8] * mz + camera[11]
-    qw, qx, qy, qz = np.float64(quat[0]), np.float64(quat[1]), np.float64(quat[2]), np.float64(quat[3])
-    s0, s1, s2 = np.float64(scale[0]), np.float64(scale[1]), np.float64(scale[2])
-    norm = qw * qw + qx * qx + qy * qy + qz * qz
-    if not (np.float32(z) >= np.float32(NEAR) and 0.0 < norm < np.inf and ALPHA_MIN < opacity < np.inf):
-        return nothing
-    inverse = 1.0 / math.sqrt(norm)
-    qw, qx, qy, qz = qw * inverse, qx * inverse, qy * inverse, qz * inverse
-    v00, v01, v02 = s0 * (1 - 2 * (qy * qy + qz * qz)), s1 * 2 * (qx * qy - qw * qz), s2 * 2 * (qx * qz + qw * qy)
-    v10, v11, v12 = s0 * 2 * (qx * qy + qw * qz), s1 * (1 - 2 * (qx * qx + qz * qz)), s2 * 2 * (qy * qz - qw * qx)
-    v20, v21, v22 = s0 * 2 * (qx * qz - qw * qy), s1 * 2 * (qy * qz + qw * qx), s2 * (1 - 2 * (qx * qx + qy * qy))
+def _transpose(count: int, numbers: np.ndarray, first: int, flat: np.ndarray) -> None:
+    """Copy columns of `numbers` [count, K] float32 to the rows from `first` on of the scratch, as float64."""
+    for k in range(numbers.shape[1]):
+        to = (first + k) * DOUBLES
+        for j in range(count):
+            flat[to + j] = numbers[j, k]
 
-    fx, fy = camera[12], camera[13]
+
+@kernel
+def _expand(camera: np.ndarray, flat: np.ndarray) -> None:
+    """Project as many Gaussians as there are float64 lanes.
+
+    Args:
+        camera: [CAMERA_LENGTH].
+        flat: Scratch [SCRATCH * DOUBLES]. Its rows hold mean, quaternion, scale; those from OUT on get camera z, squared length
+            of the quaternion, centre x, y, dilated variances a, c, l11, l12, l22, and antialiasing's factor on opacity.
+    """
+    mx, my, mz = load(flat, 0), load(flat, DOUBLES), load(flat, 2 * DOUBLES)
+    qw, qx = load(flat, 3 * DOUBLES), load(flat, 4 * DOUBLES)
+    qy, qz = load(flat, 5 * DOUBLES), load(flat, 6 * DOUBLES)
+    s0, s1, s2 = load(flat, 7 * DOUBLES), load(flat, 8 * DOUBLES), load(flat, 9 * DOUBLES)
+    one, two = spread_wide(1.0), spread_wide(2.0)
+    r0, r1, r2 = spread_wide(camera[0]), spread_wide(camera[1]), spread_wide(camera[2])
+    r3, r4, r5 = spread_wide(camera[3]), spread_wide(camera[4]), spread_wide(camera[5])
+    r6, r7, r8 = spread_wide(camera[6]), spread_wide(camera[7]), spread_wide(camera[8])
+    x = r0 * mx + r1 * my + r2 * mz + spread_wide(camera[9])
+    y = r3 * mx + r4 * my + r5 * mz + spread_wide(camera[10])
+    z = r6 * mx + r7 * my + r8 * mz + spread_wide(camera[11])
+    norm = qw * qw + qx * qx + qy * qy + qz * qz
+    turn = two / norm  # twice the products of a unit quaternion's parts
+    xx, yy, zz = turn * qx * qx, turn * qy * qy, turn * qz * qz
+    xy, xz, yz = turn * qx * qy, turn * qx * qz, turn * qy * qz
+    wx, wy, wz = turn * qw * qx, turn * qw * qy, turn * qw * qz
+    v00, v01, v02 = s0 * (one - yy - zz), s1 * (xy - wz), s2 * (xz + wy)
+    v10, v11, v12 = s0 * (xy + wz), s1 * (one - xx - zz), s2 * (yz - wx)
+    v20, v21, v22 = s0 * (xz - wy), s1 * (yz + wx), s2 * (one - xx - yy)
+    fx, fy = spread_wide(camera[12]), spread_wide(camera[13])
+    centre_x, centre_y = spread_wide(camera[14]), spread_wide(camera[15])
     if camera[22] != 0.0:
-        centre_x, centre_y = fx * x + camera[14], fy * y + camera[15]
-        j00, j02, j11, j12 = fx, 0.0, fy, 0.0
+        centre_x, centre_y = fx * x + centre_x, fy * y + centre_y
+        m00, m01, m02 = fx * r0, fx * r1, fx * r2
+        m10, m11, m12 = fy * r3, fy * r4, fy * r5
     else:
-        near = 1.0 / z
+        near = one / z
         u, v = x * near, y * near
-        centre_x, centre_y = fx * u + camera[14], fy * v + camera[15]
+        centre_x, centre_y = fx * u + centre_x, fy * v + centre_y
+        u = smaller(larger(u, spread_wide(camera[16])), spread_wide(camera[17]))
+        v = smaller(larger(v, spread_wide(camera[18])), spread_wide(camera[19]))
         j00, j11 = fx * near, fy * near
-        j02 = -j00 * min(max(u, camera[16]), camera[17])
-        j12 = -j11 * min(max(v, camera[18]), camera[19])
-    m00, m01, m02 = j00 * camera[0] + j02 * camera[6], j00 * camera[1] + j02 * camera[7], j00 * camera[2] + j02 * camera[8]
-    m10, m11, m12 = j11 * camera[3] + j12 * camera[6], j11 * camera[4] + j12 * camera[7], j11 * camera[5] + j12 * camera[8]
+        m00, m01, m02 = j00 * (r0 - u * r6), j00 * (r1 - u * r7), j00 * (r2 - u * r8)
+        m10, m11, m12 = j11 * (r3 - v * r6), j11 * (r4 - v * r7), j11 * (r5 - v * r8)
     w00 = m00 * v00 + m01 * v10 + m02 * v20
     w01 = m00 * v01 + m01 * v11 + m02 * v21
     w02 = m00 * v02 + m01 * v12 + m02 * v22
@@ -99,15 +119,40 @@ def _project_one(
     a, b, c = w00 * w00 + w01 * w01 + w02 * w02, w00 * w10 + w01 * w11 + w02 * w12, w10 * w10 + w11 * w11 + w12 * w12
     k0, k1, k2 = w01 * w12 - w02 * w11, w02 * w10 - w00 * w12, w00 * w11 - w01 * w10
     det = k0 * k0 + k1 * k1 + k2 * k2
-    det_dilated = det + DILATION * (a + c) + DILATION * DILATION
-    a, c = a + DILATION, c + DILATION
+    dilation = spread_wide(DILATION)
+    det_dilated = det + dilation * (a + c) + dilation * dilation
+    a, c = a + dilation, c + dilation
+    l22 = one / root(c)
+    whole = one / root(det_dilated)
+    out = OUT * DOUBLES
+    store(flat, out, z)
+    store(flat, out + DOUBLES, norm)
+    store(flat, out + 2 * DOUBLES, centre_x)
+    store(flat, out + 3 * DOUBLES, centre_y)
+    store(flat, out + 4 * DOUBLES, a)
+    store(flat, out + 5 * DOUBLES, c)
+    store(flat, out + 6 * DOUBLES, c * l22 * whole)
+    store(flat, out + 7 * DOUBLES, spread_wide(-1.0) * b * l22 * whole)
+    store(flat, out + 8 * DOUBLES, l22)
+    store(flat, out + 9 * DOUBLES, root(larger(det / det_dilated, spread_wide(COMPENSATION_MIN))))
+
+
+@kernel
+def _place(lane: int, flat: np.ndarray, opacity: float, camera: np.ndarray, record: np.ndarray) -> Any:
+    """Fill the record of the Gaussian in a lane of `_expand`; return (seen, tile rectangle x0, y0, x1, y1, ends exclusive)."""
+    nothing = (False, 0, 0, 0, 0)
+    at = OUT * DOUBLES + lane
+    z, norm = flat[at], flat[at + DOUBLES]
+    if not (np.float32(z) >= np.float32(NEAR) and 0.0 < norm < np.inf and ALPHA_MIN < opacity < np.inf):
+        return nothing
+    centre_x, centre_y = flat[at + 2 * DOUBLES], flat[at + 3 * DOUBLES]
     cover = min(np.float64(opacity), 1.0)
     if camera[23] != 0.0:
-        cover *= math.sqrt(max(det / det_dilated, COMPENSATION_MIN))
+        cover *= flat[at + 9 * DOUBLES]
     if not cover > ALPHA_MIN:
         return nothing
     reach = 2.0 * math.log(cover / ALPHA_MIN)
-    half_x, half_y = math.sqrt(reach * a), math.sqrt(reach * c)
+    half_x, half_y = math.sqrt(reach * flat[at + 4 * DOUBLES]), math.sqrt(reach * flat[at + 5 * DOUBLES])
     low_x, high_x, low_y, high_y = centre_x - half_x, centre_x + half_x, centre_y - half_y, centre_y + half_y
     # The comparisons are also false for NaN.
     if not (high_x > 0.0 and low_x < camera[20] and high_y > 0.0 and low_y < camera[21]):
@@ -116,9 +161,9 @@ def _project_one(
         return nothing
     record[0] = centre_x
     record[1] = centre_y
-    record[2] = math.sqrt(c / det_dilated)
-    record[3] = -b / math.sqrt(c * det_dilated)
-    record[4] = 1.0 / math.sqrt(c)
+    record[2] = flat[at + 6 * DOUBLES]
+    record[3] = flat[at + 7 * DOUBLES]
+    record[4] = flat[at + 8 * DOUBLES]
     record[5] = cover
     record[REACH] = reach * SQUEEZE * SQUEEZE + REACH_MARGIN
     record[DEPTH] = z
@@ -158,8 +203,16 @@ def project(
         The sum of `counts`.
     """
     total = 0
+    flat = np.ones(SCRATCH * DOUBLES)
     for i in range(low, high):
-        seen, x0, y0, x1, y1 = _project_one(means[i], quats[i], scales[i], opacities[i], camera, geometry[i])
+        lane = (i - low) % DOUBLES
+        if lane == 0:
+            end = min(i + DOUBLES, high)
+            _transpose(end - i, means[i:end], 0, flat)
+            _transpose(end - i, quats[i:end], 3, flat)
+            _transpose(end - i, scales[i:end], 7, flat)
+            _expand(camera, flat)
+        seen, x0, y0, x1, y1 = _place(lane, flat, opacities[i], camera, geometry[i])
         if seen and _finite(colors[i]) and _finite(features[i]):
             for c in range(3):
                 geometry[i, VALUES + c] = colors[i, c]

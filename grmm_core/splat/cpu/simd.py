@@ -1,10 +1,10 @@
-"""Eight or sixteen float32 lanes as one value inside kernels.
+"""Eight or sixteen float32 lanes, or half as many float64 lanes, as one value inside kernels.
 
 Numba's own vectoriser does not find the blocks of pixels that the tile kernels work on, so `Lanes` gives them to the compiler
 explicitly: one LLVM vector, which becomes one AVX or AVX-512 register, several SSE or NEON registers, whatever the processor
 has. There are sixteen lanes where the processor has registers for them, else eight. In a kernel,
 + - * / work lane by lane (multiply-adds are fused by the compiler), and the functions below do the rest.
-Used by `forward.py` and `backward.py`.
+Used by `blocks.py`, `forward.py`, `backward.py` and `projection.py`.
 """
 
 from __future__ import annotations
@@ -33,31 +33,35 @@ def _lanes() -> int:
 
 
 WIDTH = _lanes()
+DOUBLES = WIDTH // 2  # float64 lanes
 _VECTOR = ir.VectorType(ir.FloatType(), WIDTH)
 _INDEX = ir.IntType(32)
 
 
 class LanesType(types.Type):
-    """Numba's type of WIDTH float32 lanes."""
+    """Numba's type of WIDTH float32 lanes or DOUBLES float64 lanes."""
 
-    def __init__(self) -> None:
-        super().__init__(name=f"Lanes{WIDTH}")
+    def __init__(self, element: types.Float, width: int) -> None:
+        super().__init__(name=f"Lanes{width}x{element.bitwidth}")
+        self.element = element
+        self.vector = ir.VectorType(ir.FloatType() if element.bitwidth == 32 else ir.DoubleType(), width)
 
 
-LANES = LanesType()
+LANES = LanesType(types.float32, WIDTH)
+WIDE = LanesType(types.float64, DOUBLES)
 
 
 @register_model(LanesType)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: Any) -> None:
-        super().__init__(manager, kind, _VECTOR)
+        super().__init__(manager, kind, kind.vector)
 
 
 def _register(symbol: Callable[..., Any], build: str) -> None:
     """Let Python's operator `symbol` on lanes build the LLVM instruction called `build`."""
 
     class Template(ConcreteTemplate):
-        cases = (signature(LANES, LANES, LANES),)
+        cases = (signature(LANES, LANES, LANES), signature(WIDE, WIDE, WIDE))
 
     infer_global(symbol)(Template)
 
@@ -65,6 +69,7 @@ def _register(symbol: Callable[..., Any], build: str) -> None:
         return getattr(builder, build)(*args)
 
     lower_builtin(symbol, LANES, LANES)(lower)
+    lower_builtin(symbol, WIDE, WIDE)(lower)
 
 
 for _symbol, _build in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
@@ -75,9 +80,9 @@ def _shuffle(builder: Any, left: Any, right: Any, order: list[int]) -> Any:
     return builder.shuffle_vector(left, right, ir.Constant(ir.VectorType(_INDEX, len(order)), order))
 
 
-def _broadcast(builder: Any, scalar: Any) -> Any:
-    single = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), scalar, _INDEX(0))
-    return _shuffle(builder, single, single, [0] * WIDTH)
+def _broadcast(builder: Any, scalar: Any, vector: Any = _VECTOR) -> Any:
+    single = builder.insert_element(ir.Constant(vector, ir.Undefined), scalar, _INDEX(0))
+    return _shuffle(builder, single, single, [0] * vector.count)
 
 
 @intrinsic
@@ -90,25 +95,39 @@ def spread(typing: Any, scalar: Any) -> Any:
     return LANES(scalar), generate
 
 
+@intrinsic
+def spread_wide(typing: Any, scalar: Any) -> Any:
+    """The float64 `scalar` in all float64 lanes."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _broadcast(builder, context.cast(builder, args[0], sig.args[0], types.float64), WIDE.vector)
+
+    return WIDE(scalar), generate
+
+
+def _kind_of(array: Any) -> LanesType:
+    return WIDE if array.dtype == types.float64 else LANES
+
+
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, index: Any, index_kind: Any) -> Any:
     data = context.make_array(kind)(context, builder, array).data
     place = builder.gep(data, [context.cast(builder, index, index_kind, types.intp)])
-    return builder.bitcast(place, _VECTOR.as_pointer())
+    return builder.bitcast(place, _kind_of(kind).vector.as_pointer())
 
 
 @intrinsic
 def load(typing: Any, array: Any, index: Any) -> Any:
-    """Lanes array[index : index + WIDTH] of a contiguous one-dimensional float32 array."""
+    """Lanes from array[index] on of a contiguous one-dimensional float32 or float64 array."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(_pointer(context, builder, sig.args[0], args[0], args[1], sig.args[1]), align=4)
 
-    return LANES(array, index), generate
+    return _kind_of(array)(array, index), generate
 
 
 @intrinsic
 def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
-    """Write lanes to array[index : index + WIDTH]."""
+    """Write lanes to a contiguous one-dimensional array of their type, from array[index] on."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.store(args[2], _pointer(context, builder, sig.args[0], args[0], args[1], sig.args[1]), align=4)
@@ -124,7 +143,7 @@ def choose(typing: Any, left: Any, right: Any, then: Any, otherwise: Any) -> Any
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.select(builder.fcmp_ordered(">=", args[0], args[1]), args[2], args[3])
 
-    return LANES(left, right, then, otherwise), generate
+    return then(left, right, then, otherwise), generate
 
 
 @intrinsic
@@ -134,7 +153,7 @@ def smaller(typing: Any, left: Any, right: Any) -> Any:
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[0], args[1])
 
-    return LANES(left, right), generate
+    return left(left, right), generate
 
 
 @intrinsic
@@ -144,7 +163,22 @@ def larger(typing: Any, left: Any, right: Any) -> Any:
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.select(builder.fcmp_ordered(">", args[0], args[1]), args[0], args[1])
 
-    return LANES(left, right), generate
+    return left(left, right), generate
+
+
+@intrinsic
+def root(typing: Any, value: Any) -> Any:
+    """The square root of each lane."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        vector = sig.args[0].vector
+        bits = sig.args[0].element.bitwidth
+        function = cgutils.get_or_insert_function(
+            builder.module, ir.FunctionType(vector, [vector]), f"llvm.sqrt.v{vector.count}f{bits}"
+        )
+        return builder.call(function, args)
+
+    return value(value), generate
 
 
 @intrinsic

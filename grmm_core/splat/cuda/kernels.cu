@@ -210,6 +210,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) blend(
     const bool inside = column < width && row < height;
     const float x = column + 0.5f, y = row + 0.5f;
     float sums[CHANNELS];
+#pragma unroll
     for (int c = 0; c < CHANNELS; ++c) sums[c] = 0.0f;
     float through = 1.0f;
     bool open = inside;
@@ -235,6 +236,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) blend(
             sums[2] += weight * record.blue;
             sums[3] += weight * record.depth;
             const float *own = features + (int64)FEATURES * shared_owners[k];
+#pragma unroll
             for (int c = 0; c < FEATURES; ++c) sums[BASE + c] += weight * own[c];
             through = after;
         }
@@ -248,21 +250,28 @@ extern "C" __global__ void __launch_bounds__(THREADS) blend(
     for (int c = 0; c < FEATURES; ++c) blended[FEATURES * pixel + c] = sums[BASE + c];
 }
 
+// A step of `warp_totals`: every lane hands over the half of its 2 * width values that it does not keep.
+template <int width>
+__device__ inline void exchange(float *values, int lane) {
+    const bool upper = lane & width;
+#pragma unroll
+    for (int i = 0; i < width; ++i) {
+        const float give = upper ? values[i] : values[i + width], keep = upper ? values[i + width] : values[i];
+        values[i] = keep + __shfl_xor_sync(ALL_LANES, give, width);
+    }
+}
+
 // Sums parts[0 .. PARTS) over the 32 lanes of a warp; lane l writes the sums l, l + 32, ... to `to`.
 __device__ inline void warp_totals(float *parts, int lane, float *to) {
 #pragma unroll
     for (int start = 0; start < PARTS; start += 32) {
-        float *v = parts + start;
-#pragma unroll
-        for (int width = 16; width > 0; width /= 2) {  // every lane hands over the half that it does not keep
-            const bool upper = lane & width;
-#pragma unroll
-            for (int i = 0; i < width; ++i) {
-                const float give = upper ? v[i] : v[i + width], keep = upper ? v[i + width] : v[i];
-                v[i] = keep + __shfl_xor_sync(ALL_LANES, give, width);
-            }
-        }
-        to[start + lane] = v[0];
+        float *values = parts + start;
+        exchange<16>(values, lane);
+        exchange<8>(values, lane);
+        exchange<4>(values, lane);
+        exchange<2>(values, lane);
+        exchange<1>(values, lane);
+        to[start + lane] = values[0];
     }
 }
 
@@ -283,6 +292,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
     const float x = column + 0.5f, y = row + 0.5f;
     float pull[CHANNELS];  // gradient of the sums of the channels
     float behind = 0.0f;   // gradient times the light that arrives from behind
+#pragma unroll
     for (int c = 0; c < CHANNELS; ++c) pull[c] = 0.0f;
     if (inside) {
         const int64 pixel = (int64)row * width + column;
@@ -294,6 +304,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
         }
         pull[3] = covered > 0.0f ? d_depth[pixel] / covered : 0.0f;
         behind += pull[3] * depth[pixel];
+#pragma unroll
         for (int c = 0; c < FEATURES; ++c) {
             pull[BASE + c] = d_blended[FEATURES * pixel + c];
             behind += pull[BASE + c] * blended[FEATURES * pixel + c];
@@ -322,12 +333,15 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
                     continue;
                 }
                 float parts[PARTS];
+#pragma unroll
                 for (int k = 0; k < PARTS; ++k) parts[k] = 0.0f;
                 if (blends) {
                     const float weight = cover * through;
                     const float *own = features + (int64)FEATURES * shared_owners[group + member];
                     float dot = pull[0] * record.red + pull[1] * record.green + pull[2] * record.blue + pull[3] * record.depth;
+#pragma unroll
                     for (int c = 0; c < FEATURES; ++c) dot += pull[BASE + c] * own[c];
+#pragma unroll
                     for (int c = 0; c < CHANNELS; ++c) parts[MOMENTS + c] = weight * pull[c];
                     behind -= weight * dot;
                     if (cover < (float)ALPHA_MAX) {

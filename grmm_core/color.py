@@ -19,9 +19,11 @@ MIN_ALPHA = 0.5 / 255.0
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
     """Return scene-linear values of display sRGB values, any shape; below 0 counts as 0, above 1 the curve goes on."""
-    values = np.maximum(np.asarray(values, np.float32), 0.0)
-    curve = ((values + _OFFSET) / (1.0 + _OFFSET)) ** _GAMMA
-    return np.where(values <= _TOE * _TOE_SLOPE, values / _TOE_SLOPE, curve).astype(np.float32)
+    values = np.asarray(np.maximum(np.asarray(values, np.float32), 0.0))
+    curve = np.add(values, np.float32(_OFFSET), out=np.empty_like(values))
+    curve *= np.float32(1.0 / (1.0 + _OFFSET))
+    np.power(curve, np.float32(_GAMMA), out=curve)
+    return np.divide(values, np.float32(_TOE_SLOPE), out=curve, where=values <= _TOE * _TOE_SLOPE)
 
 
 def linear_to_srgb(values: np.ndarray) -> np.ndarray:
@@ -56,8 +58,16 @@ def scene_linear_premultiplied(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray
     Returns:
         [H, W, 4] float32. Under the view transform Standard the saved PNG shows the network's sRGB.
     """
-    alpha = np.clip(np.asarray(alpha, np.float32), 0.0, 1.0)
-    return np.concatenate([srgb_to_linear(straight_srgb(rgb, alpha)) * alpha, alpha], axis=-1)
+    # One channel at a time: numpy is slow at spreading an alpha over three neighbouring values.
+    cover = np.clip(np.asarray(alpha, np.float32)[..., 0], 0.0, 1.0)
+    divisor = np.divide(1.0, cover, out=np.zeros_like(cover), where=cover >= MIN_ALPHA)
+    result = np.empty((*cover.shape, 4), np.float32)
+    for channel in range(3):
+        straight = np.asarray(rgb, np.float32)[..., channel] * divisor
+        np.clip(straight, 0.0, 1.0, out=straight)
+        np.multiply(srgb_to_linear(straight), cover, out=result[..., channel])
+    result[..., 3] = cover
+    return result
 
 
 def straight_rgba(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ proportional to the covered samples and not to bounding boxes, and so that no lo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -48,7 +48,7 @@ def triangle_depth(
     height, width = camera.height * samples, camera.width * samples
     depth = np.full(height * width, EMPTY, np.float32)
     matrix = camera.world_to_camera
-    local = corners @ matrix[:3, :3].T + matrix[:3, 3]  # [T, 3, 3]
+    local = (corners.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]).reshape(-1, 3, 3)  # flat: one product, not T small ones
     local = local[np.isfinite(local).all(axis=(1, 2))]
     local = _clip_near(local, near)
     local = local[local[:, :, 2].min(axis=1) <= far]
@@ -76,7 +76,19 @@ def visible_fraction(depth: np.ndarray, occluders: np.ndarray, samples: int) -> 
     """
     height, width = depth.shape
     grid = occluders.reshape(height, samples, width, samples)
-    return (grid > depth[:, None, :, None]).mean(axis=(1, 3), dtype=np.float32)
+    return mean_of_samples(lambda row, column: grid[:, row, :, column] > depth, samples)
+
+
+def mean_of_samples(flags: Callable[[int, int], np.ndarray], samples: int) -> np.ndarray:
+    """Return the mean over the samples of each pixel, [H, W] float32.
+
+    Args:
+        flags: Returns the boolean values [H, W] of the sample in a row and a column of the pixel's grid; numpy adds up such
+            planes much faster than it takes the mean over two short axes.
+        samples: Samples per pixel and direction.
+    """
+    total = sum(flags(row, column).astype(np.float32) for row in range(samples) for column in range(samples))
+    return total / np.float32(samples * samples)
 
 
 def _clip_near(triangles: np.ndarray, near: float) -> np.ndarray:

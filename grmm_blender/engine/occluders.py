@@ -89,7 +89,7 @@ def collect(
             local = cache[key]
         if not len(local):
             continue
-        world = (local @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+        world = (local.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32).reshape(-1, 3, 3)
         holdout = is_avatar or original.is_holdout or owner.is_holdout or owner.holdout_get(view_layer=view_layer)
         (holdouts if holdout else plain).append(world)
     empty = np.zeros((0, 3, 3), np.float32)

@@ -12,7 +12,7 @@ import numpy as np
 from ...grmm_core.camera import Camera
 from ...grmm_core.color import scene_linear_premultiplied
 from ...grmm_core.session import EMPTY_DEPTH
-from ...grmm_core.zbuffer import EMPTY, triangle_depth, visible_fraction
+from ...grmm_core.zbuffer import EMPTY, mean_of_samples, triangle_depth, visible_fraction
 from .passes import FEATURES_IN_A_PASS, RenderPass
 from .snapshot import Occluders
 
@@ -57,14 +57,17 @@ def visibility(
         y0, y1, x0, x1, far = 0, depth.shape[0], 0, depth.shape[1], clip[1]
     part = camera.crop(int(x0), int(y0), int(x1 - x0), int(y1 - y0))
     plain = triangle_depth(occluders.triangles, part, samples, clip[0], far)
-    holdouts = triangle_depth(occluders.holdouts, part, samples, clip[0], far)
+    nearest = plain
+    if len(occluders.holdouts):
+        holdouts = triangle_depth(occluders.holdouts, part, samples, clip[0], far)
+        nearest = np.minimum(plain, holdouts)
     avatars = np.ones((*depth.shape, 1), np.float32)
-    avatars[y0:y1, x0:x1, 0] = visible_fraction(depth[y0:y1, x0:x1], np.minimum(plain, holdouts), samples)
+    avatars[y0:y1, x0:x1, 0] = visible_fraction(depth[y0:y1, x0:x1], nearest, samples)
     background = None
     if cut_background:
         cut = (holdouts < EMPTY) & (holdouts <= plain)
         grid = cut.reshape(depth.shape[0], samples, depth.shape[1], samples)
-        background = 1.0 - grid.mean(axis=(1, 3), dtype=np.float32)[..., None]
+        background = 1.0 - mean_of_samples(lambda row, column: grid[:, row, :, column], samples)[..., None]
     return Visibility(avatars, background)
 
 

@@ -18,8 +18,8 @@ from grmm_core.errors import CancelledError, ConfigError, FileFormatError, Shape
 from grmm_core.expressions import ALIGNED_NAMES  # noqa: E402
 from grmm_core.fitting.codes import code_prior, expression_code  # noqa: E402
 from grmm_core.fitting.colour import PhotoLight, recolour, solve_maps, unchanged  # noqa: E402
-from grmm_core.fitting.decoders import Locality, code_distances  # noqa: E402
 from grmm_core.fitting.invert import invert, photo_errors  # noqa: E402
+from grmm_core.fitting.locality import Locality, code_distances  # noqa: E402
 from grmm_core.fitting.objective import decode, draw, mesh  # noqa: E402
 from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset, preset_named  # noqa: E402
 from grmm_core.fitting.result import photo_camera, photo_controls  # noqa: E402
@@ -42,8 +42,11 @@ def person():
     torch.manual_seed(3)
     model = GRMM(small_head(), MODEL_PRESETS["tiny"].replace(grid=64, decoder_grid=16))
     with torch.no_grad():
-        model.decoders.appearance_mean[:, :3].uniform_(0.3, 0.7)
-        model.decoders.basis["colour"].normal_(std=0.08)
+        # colours that change over centimetres, as those of faces do
+        places = model.anchor(model.head.v_template).positions * 40.0  # [N, 3]
+        model.decoders.appearance_mean[:, :3] = 0.5 + 0.2 * torch.sin(places @ torch.randn(3, 3))
+        for row in model.decoders.basis["colour"]:
+            row.copy_(0.1 * torch.sin(places @ torch.randn(3, 3)).flatten())
         model.refinement.exit.weight.normal_(std=0.02)
     rng = np.random.default_rng(4)
     codes = rng.normal(size=(5, model.z_id_size)).astype(np.float32)
@@ -82,7 +85,10 @@ def photo(model, z_id, yaw=0.0, gain=1.0, smile=0.0, brown=0.0):
 def test_both_stages_bring_the_avatar_nearer_to_the_photo(person):
     model, info, z_id = person
     before = {name: value.clone() for name, value in model.state_dict().items()}
-    tracks = [photo(model, z_id, brown=0.4)]
+    track = photo(model, z_id, brown=0.4)
+    image = track.image.copy()
+    image[42:54, 40:58] *= np.array([0.4, 0.7, 1.0], np.float32)  # a mark that no code and no colour map explains
+    tracks = [dataclasses.replace(track, image=image)]
     errors = []
     for second in (False, True):
         avatar = invert(tracks, model, model.head_model, QUICK, info=info, second_stage=second)

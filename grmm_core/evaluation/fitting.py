@@ -3,9 +3,9 @@
 ``evaluate_photos``   a folder of photos, fitted as users do: errors in the photo's view, a sheet each
 ``compare_stages``    stage 2 off, on, and on without locality: the input view against other views and other expressions
 ``compare_counts``    one, two and four photos: new views
-``shape_errors``      the tracked shape against the true one, millimetres
 
-Called by the command line (`grmm evaluate --protocol monocular` on a folder of photos) and by whoever measures. Imports torch.
+The error of the tracked shape is in `fitting.measure`. Called by the command line (`grmm evaluate --protocol monocular` on a
+folder of photos) and by whoever measures. Imports torch.
 """
 
 from __future__ import annotations
@@ -22,12 +22,11 @@ import torch
 from ..avatar import Avatar
 from ..camera import Camera
 from ..controls import Controls, resolve
-from ..errors import GrmmError, NoFaceError
+from ..errors import GrmmError
 from ..fitting.api import fit
 from ..fitting.invert import invert, photo_pictures
 from ..fitting.presets import Preset
 from ..fitting.types import PhotoTrack
-from ..head import HeadModel
 from ..images import write_png
 from ..model.grmm import GRMM
 from ..session.models import with_deltas
@@ -55,7 +54,6 @@ SHEET_PIXELS = 320
 MEASURED_PIXELS = 512
 _GREY = 0.5
 _DISTANCE, _FOV = 1.1, 20.0
-_FACE_REGIONS = ("face", "lips", "lids", "brows")
 
 Report = Callable[[str, float], None]
 
@@ -220,35 +218,6 @@ def psnr_of_views(scene: Scene, person: Person, samples: Sequence[Sample], size:
         if math.isfinite(errors.psnr_mask):
             values.append(errors.psnr_mask)
     return float(np.mean(values)) if values else math.nan
-
-
-def shape_errors(scene: Scene, samples: Sequence[Sample], size: int = 512) -> dict[str, float]:
-    """Error in millimetres of the shape that tracking finds in single captured pictures; where it finds no face, NaN."""
-    from ..fitting.track import analyse_picture, track_photos
-
-    errors = {}
-    for sample in samples:
-        view = load(sample, size)
-        picture = view.image + (1.0 - view.mask[..., None]) * _GREY
-        try:
-            track = track_photos([analyse_picture(picture, sample.name)], scene.head, masks=[view.mask])[0]
-            errors[sample.name] = shape_error_mm(scene.head, track.shape, sample.dataset.shape(sample.shot.subject))
-        except NoFaceError:
-            errors[sample.name] = math.nan
-    return errors
-
-
-def shape_error_mm(head: HeadModel, found: np.ndarray, true: np.ndarray) -> float:
-    """Mean distance of the face's vertices after the best rigid alignment with scale (one picture shows no size)."""
-    parts = [head.regions[name] for name in _FACE_REGIONS if name in head.regions]
-    vertices = np.unique(np.concatenate(parts)) if parts else np.arange(head.vertex_count)
-    a, b = head.shaped(found)[vertices].astype(np.float64), head.shaped(true)[vertices].astype(np.float64)
-    a, b = a - a.mean(0), b - b.mean(0)
-    left, singular, right = np.linalg.svd(a.T @ b)  # Umeyama 1991
-    flip = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = (left * flip) @ right
-    scale = float((singular * flip).sum() / np.square(a).sum())
-    return float(np.linalg.norm(scale * a @ rotation - b, axis=1).mean() * 1e3)
 
 
 def _weights(weights: str | Path | None) -> Path:

@@ -27,7 +27,7 @@ from ..avatar import EXTENSION, Avatar, PhotoRecord, save_avatar
 from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
 from ..files import atomic_write_bytes, describe_os_error, read_bytes
 from ..images import encode_png, quantize
-from .presets import preset_named
+from .presets import Preset, preset_named
 from .types import PhotoTrack, load_tracks, save_tracks
 
 if TYPE_CHECKING:
@@ -136,6 +136,26 @@ def fit(
     folder = Path(work) if work is not None else output.with_name(output.name + WORK_SUFFIX)
     _prepare(folder, job, resume)
     relay = _Relay(progress, cancelled, folder)
+    done = False
+    try:
+        avatar, tracks = _make(
+            photos, job, masks, name or output.stem, settings, weights, device, threads, folder, resume, relay, on_faces
+        )
+        save_avatar(avatar, output)
+        done = True
+    finally:
+        if work is None and (done or not (folder / TRACKS_FILE).exists()):  # nothing to resume from
+            shutil.rmtree(folder, ignore_errors=True)
+    figures = [tuple(float(value) for value in avatar.tracking[key]) for key in ("rmse", "landmark_error")]
+    return FitResult(output, avatar, time.monotonic() - begin, *figures, tuple(tracks))
+
+
+def _make(
+    photos: Sequence[str | os.PathLike[str]], job: _Job, masks: Sequence[str | os.PathLike[str]], name: str, settings: Preset,
+    weights: str | os.PathLike[str] | None, device: str, threads: int | None, folder: Path, resume: bool, relay: _Relay,
+    on_faces: Faces | None,
+) -> tuple[Avatar, list[PhotoTrack]]:  # fmt: skip
+    """The avatar, complete but not written, and what tracking found."""
     relay.check()
 
     from ..session.local import choose_device, limit_rasteriser_threads
@@ -151,23 +171,20 @@ def fit(
     head = loaded.model.head_model
     tracks = _tracks(photos, job, head, masks, folder, resume, relay, on_faces)
     avatar = invert(
-        tracks, loaded.model, head, settings, info=loaded.info, name=name or output.stem, work=folder,
-        progress=relay.with_picture, cancelled=cancelled,
+        tracks, loaded.model, head, settings, info=loaded.info, name=name, work=folder, progress=relay.with_picture,
+        cancelled=relay.wants_to_stop,
     )  # fmt: skip
-    person = with_deltas(loaded.model, avatar.deltas, output) if avatar.deltas else loaded.model
-    rmse = photo_errors(person, avatar, tracks)
-    landmarks = [track.landmark_error for track in tracks]
-    provenance = dataclasses.replace(
-        avatar.provenance, photos=job.photos, date=datetime.datetime.now(datetime.UTC).date().isoformat()
+    person = with_deltas(loaded.model, avatar.deltas, folder) if avatar.deltas else loaded.model
+    figures = {"rmse": photo_errors(person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
+    avatar = dataclasses.replace(
+        avatar,
+        provenance=dataclasses.replace(avatar.provenance, photos=job.photos, date=today),
+        tracking={**avatar.tracking, **{key: np.array(values, np.float32) for key, values in figures.items()}},
+        thumbnail=thumbnail(person, avatar),
     )
-    tracking = {**avatar.tracking, "rmse": np.array(rmse, np.float32), "landmark_error": np.array(landmarks, np.float32)}
-    picture = thumbnail(person, avatar)
-    avatar = dataclasses.replace(avatar, provenance=provenance, tracking=tracking, thumbnail=picture)
     relay.check()
-    save_avatar(avatar, output)
-    if work is None:
-        shutil.rmtree(folder, ignore_errors=True)
-    return FitResult(output, avatar, time.monotonic() - begin, tuple(rmse), tuple(landmarks), tuple(tracks))
+    return avatar, tracks
 
 
 def thumbnail(model: GRMM, avatar: Avatar, pixels: int = THUMBNAIL_PIXELS) -> bytes:

@@ -1,6 +1,6 @@
 """The inversion's state in a work folder, so that an interrupted fit goes on: tensor files, never pickle.
 
-A file belongs to one job, told by a key over photos, tracking, weights and preset; a file of another job, or a damaged one, is
+A file belongs to one job, told by a key over tracking, weights and settings; a file of another job, or a damaged one, is
 ignored and the stage is done anew. Called by `invert`.
 """
 
@@ -30,9 +30,9 @@ FORMAT, VERSION = "grmm-fit", "1"
 logger = logging.getLogger(__name__)
 
 
-def job_key(tracks: Sequence[PhotoTrack], info: WeightsInfo, preset: Preset, locality: float) -> str:
-    """Hash of everything that the result depends on."""
-    digest = hashlib.sha256(f"{VERSION} {info.name} {info.sha256} {info.head_sha256} {preset!r} {locality!r}".encode())
+def codes_key(tracks: Sequence[PhotoTrack], info: WeightsInfo, preset: Preset) -> str:
+    """Hash of everything that stage 1's result depends on."""
+    digest = hashlib.sha256(f"{VERSION} {info.name} {info.sha256} {info.head_sha256} {preset.codes!r}".encode())
     for track in tracks:
         camera = track.camera
         digest.update(repr((track.source, camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)).encode())
@@ -41,6 +41,11 @@ def job_key(tracks: Sequence[PhotoTrack], info: WeightsInfo, preset: Preset, loc
         ):  # fmt: skip
             digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
+
+
+def decoders_key(codes: str, preset: Preset, locality: float) -> str:
+    """Hash of everything that stage 2's result depends on."""
+    return hashlib.sha256(f"{codes} {preset.decoders!r} {locality!r}".encode()).hexdigest()
 
 
 def save_codes(folder: Path, key: str, codes: Codes) -> None:

@@ -11,7 +11,7 @@ Called by `invert`. Imports torch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -25,9 +25,11 @@ from .presets import CodeSettings
 from .surface import Surface
 from .views import FitView
 
+OUTLINE_WEIGHT, START_OUTLINE_WEIGHT = 1.0, 2.0  # of the coverage: codes decide how much hair there is, and how long
 CODE_WEIGHT = 4e-4  # of |w|^2 (standard deviations); eq. 17 has 0.001 for codes without such a scale
 EXPRESSION_WEIGHT = 0.02  # of the squared offsets of z_exp
 PHOTO_WEIGHT = 0.05  # of the squared offsets of single photos
+CODE_WEIGHTS = replace(FIT_WEIGHTS, alpha=OUTLINE_WEIGHT)
 RATE, EXPRESSION_RATE = 0.12, 0.02
 RECOLOUR_EVERY = 6
 WARM = 0.25  # the rates grow over this share of the steps
@@ -152,12 +154,13 @@ def _starts(
         people = people[torch.linspace(0, len(people) - 1, settings.candidates).round().long()]
     light = PhotoLight.even(len(views), prior.mean)
     view, scored = views[0], []
+    start_weights = replace(FIT_WEIGHTS, alpha=START_OUTLINE_WEIGHT)
     with torch.no_grad():
         for number, w in enumerate(people):
             vertices, look = _Search(model, prior, [view], surface, light, None, w).look(view)
             maps = solve_maps(model, [view], [vertices], [look], surface, light)
             drawn = draw(model, view.camera, vertices, look.recoloured(recolour(look.colours, maps, surface)))
-            scored.append((float(fit_loss(drawn, view, background(0, view), FIT_WEIGHTS, None)), number))
+            scored.append((float(fit_loss(drawn, view, background(0, view), start_weights, None)), number))
             report((number + 1) / len(people))
     nearest = [people[number] for _, number in sorted(scored)]
     return [*nearest[: max(1, settings.starts - 1)], people.new_zeros(people.shape[1])][: settings.starts]
@@ -217,7 +220,7 @@ class _Search:
         vertices, look = self.look(view)
         drawn = draw(self.model, view.camera, vertices, look.recoloured(self.coloured(look)))
         drawn = drawn.relit(self.light.gain[view.index], self.light.offset[view.index])
-        value = fit_loss(drawn, view, background(step, view), FIT_WEIGHTS, self.perceptual)
+        value = fit_loss(drawn, view, background(step, view), CODE_WEIGHTS, self.perceptual)
         value = value + CODE_WEIGHT * self.w.square().sum() + EXPRESSION_WEIGHT * self.z_exp.square().sum()
         return value + PHOTO_WEIGHT * self.photo.square().sum(), drawn
 

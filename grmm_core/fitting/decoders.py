@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -27,75 +28,32 @@ from ..model.texels import rotate
 from ..training.losses import Perceptual
 from .codes import CodePrior, Codes, Tick, background
 from .colour import recolour
+from .locality import LOCALITY_WEIGHT, Locality
 from .objective import FIT_WEIGHTS, Drawn, Look, contributions, decode, draw, fit_loss, mesh, spread_to_colours
 from .presets import DecoderSettings
 from .surface import INNER, SCALP, SKIN, Surface
 from .views import FitView
 
-LOCALITY_WEIGHT = 0.1  # lambda_loc of eq. 20
-LOCALITY_DISTANCE = 0.5
-"""Distance of the random codes from the fitted ones: this times the mean distance of two training people in z_id, and times
-the mean length of the aligned expressions' codes in z_exp. Half of the codes keep the fitted z_id: other expressions of the
-same person."""
-LOCALITY_CODES = 8  # drawn once; their frozen attributes are kept
 NETWORKS = ("transform", "opacity", "appearance")
-RATES = {"colour": 0.012, "opacity": 0.06, "position": 0.02, "scale": 0.03, "networks": 3e-4}
+RATES = {"colour": 0.012, "opacity": 0.06, "position": 0.012, "scale": 0.02, "networks": 3e-4}
 END_RATE = 0.15
 PULL = {  # of squared maps in skin, scalp, inner parts; positions in the model's unit (10 mm)
-    "colour": (0.02, 0.02, 0.05), "opacity": (0.01, 0.002, 0.02), "position": (4.0, 0.4, 8.0), "scale": (0.2, 0.05, 0.4),
+    "colour": (0.02, 0.02, 0.05), "opacity": (0.05, 0.002, 0.02), "position": (4.0, 0.4, 8.0), "scale": (0.2, 0.05, 0.4),
 }  # fmt: skip
+BLENDS = {"colour": 1, "opacity": 2, "position": 3, "scale": 2}
+"""How often a map is averaged with its neighbours before it is added. Several Gaussians make a pixel: without this, colours
+that cancel out in the photo would be found, and come out as speckles where another expression moves the Gaussians."""
+SCALP_STRIDE = 3.0  # positions of hair go so much faster than those of skin: hair stands centimetres off
+VARIANTS, VARIANT_SHARE = 2, 0.5  # other expressions' codes in every second step, and how far towards them
+TRUSTED = ("colour", "opacity")  # maps that texels of the skin take from photos that face them only
 WIDTHS = {"colour": 3, "opacity": 1, "position": 3, "scale": 3}
-DETAIL_TEXELS, TONE_TEXELS = 3.0, 40.0  # lengths below which colours are detail, and above which they are a general tone
+DETAIL_TEXELS, TONE_TEXELS = 5.0, 40.0  # lengths below which colours are detail, and above which they are a general tone
 COLOUR_REST = 5e-4  # pulls unseen colours to the general tone; the reach is some 45 texels
 HALF_SEEN_PIXELS = 0.5  # contribution, in pixels, at which a texel counts as half seen
-GRAZING = (0.05, 0.35)  # cosine between normal and view below which colours say nothing, and above which they count fully
+GRAZING = (0.1, 0.4)  # cosine between normal and view below which colours say nothing, and above which they count fully
 SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colours
 REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
 COLOUR_ROUNDS = 3  # of `Tuner.match_colours` at the beginning of each level and at the end
-
-
-class Locality:
-    """L_loc: mean absolute difference of decoded attributes, tuned against frozen, at random codes."""
-
-    def __init__(self, model: GRMM, prior: CodePrior, codes: Codes, view: FitView, seed: int = 0) -> None:
-        generator = torch.Generator().manual_seed(seed)
-        z_exp = codes.expression_code(model, view)
-        id_distance, exp_distance = code_distances(model, prior)
-        self.view = view
-        self.bank: list[tuple[Tensor, Tensor, Look]] = []
-        for number in range(LOCALITY_CODES):
-            draw_id = torch.randn(len(prior.directions), generator=generator).to(z_exp)
-            z_id = codes.z_id if number % 2 else _towards(codes.z_id, prior.code(draw_id), id_distance)
-            if model.aligned_codes is None:
-                towards = torch.randn(len(z_exp), generator=generator).to(z_exp)
-            else:
-                pick = torch.randint(len(model.aligned_codes), (1,), generator=generator)
-                towards = model.aligned_codes[int(pick)].detach()
-            near = _towards(z_exp, towards, exp_distance)
-            with torch.no_grad():
-                self.bank.append((z_id, near, decode(model, z_id, near, view.camera)))
-
-    def __call__(self, tuned: GRMM, step: int) -> Tensor:
-        """The loss at one of the codes, in turn."""
-        z_id, z_exp, frozen = self.bank[step % len(self.bank)]
-        look = decode(tuned, z_id, z_exp, self.view.camera)
-        pairs = [
-            (look.offsets, frozen.offsets), (torch.sigmoid(look.logits), torch.sigmoid(frozen.logits)),
-            (look.colours, frozen.colours), (look.features, frozen.features),
-        ]  # fmt: skip
-        return torch.stack([(a - b).abs().mean() for a, b in pairs if a.numel()]).sum()
-
-
-def code_distances(model: GRMM, prior: CodePrior) -> tuple[float, float]:
-    """Distances in z_id and z_exp at which locality is asked for."""
-    spread = (2.0 * prior.directions.square().sum()) ** 0.5  # of two draws, root mean square
-    length = 1.0 if model.aligned_codes is None else float(model.aligned_codes.detach().norm(dim=1).mean())
-    return LOCALITY_DISTANCE * float(spread), LOCALITY_DISTANCE * length
-
-
-def _towards(start: Tensor, target: Tensor, distance: float) -> Tensor:
-    offset = target - start
-    return start + offset * (distance / offset.norm().clamp(min=1e-6))
 
 
 def start_colours(colours: Tensor, codes: Codes, surface: Surface) -> Tensor:
@@ -142,6 +100,8 @@ class Tuner:
             name: torch.zeros(count, width, dtype=model.dtype, device=model.device, requires_grad=True)
             for name, width in WIDTHS.items()
         }
+        self.strides = torch.where(surface.group == SCALP, SCALP_STRIDE, 1.0).to(self.tint)[:, None]
+        self.variants = self._variants(prior.mean)
         pulls = {name: torch.tensor([PULL[name][g] for g in (SKIN, SCALP, INNER)]).to(self.tint) for name in WIDTHS}
         self.pulls = {name: pull[surface.group][:, None] for name, pull in pulls.items()}  # [N, 1]
         groups = [{"params": [value], "peak": RATES[name]} for name, value in self.maps.items()]
@@ -153,6 +113,7 @@ class Tuner:
         self.optimiser = torch.optim.Adam([{**g, "lr": g["peak"]} for g in groups], betas=(0.9, 0.98), eps=1e-12)
         zeros = torch.zeros(count, dtype=model.dtype, device=model.device)
         self.seen, self.seen_shape, self.seen_by = zeros, zeros, [zeros] * len(first)
+        self.frontal_by = [torch.ones_like(zeros)] * len(first)
 
     @property
     def total(self) -> int:
@@ -163,16 +124,47 @@ class Tuner:
         """Parameters of the tuned networks."""
         return [p for name in NETWORKS for p in getattr(self.tuned.decoders, name).parameters()]
 
-    def look(self, index: int) -> Look:
-        """Attributes of a photo's expression with the maps."""
-        base = self.looks[index]
+    def _variants(self, like: Tensor) -> list[list[tuple[Tensor, Tensor]]]:
+        """For each photo expression codes other than its own, and the offsets that they give.
+
+        They are drawn on the photo's mesh: skin must look the same however an expression moves the Gaussians a little.
+        The first is that of the neutral face.
+        """
+        generator = torch.Generator().manual_seed(1)
+        variants = []
+        for own in self.z_exp:
+            others = [self.codes.z_exp] if self.model.config.residuals else [torch.zeros_like(own)]
+            for _ in range(VARIANTS - 1):
+                if self.model.aligned_codes is None:
+                    break
+                pick = int(torch.randint(len(self.model.aligned_codes), (1,), generator=generator))
+                others.append(own + VARIANT_SHARE * self.model.aligned_codes[pick].detach().to(like))
+            variants.append([(code, self.model.offsets(self.codes.z_id, code).detach()) for code in others])
+        return variants
+
+    def look(self, index: int, variant: int | None = None) -> Look:
+        """Attributes of a photo's expression, or of one of its variants, with the maps."""
+        base, code = self.looks[index], self.z_exp[index]
+        if variant is not None:
+            code, offsets = self.variants[index][variant % len(self.variants[index])]
+            base = replace(base, offsets=offsets)
         if self.settings.networks:
-            base = decode(self.tuned, self.codes.z_id, self.z_exp[index], self.levels[0][index].camera)
+            base = decode(self.tuned, self.codes.z_id, code, self.levels[0][index].camera)
         return self.changed(base)
+
+    def blended(self) -> dict[str, Tensor]:
+        """The maps as they are added."""
+        result = {**self.maps, "position": self.maps["position"] * self.strides}
+        for turn in range(max(BLENDS.values())):
+            names = [name for name in result if BLENDS[name] > turn]
+            widths = [result[name].shape[1] for name in names]
+            parts = self.surface.average(torch.cat([result[name] for name in names], 1)).split(widths, 1)
+            result |= dict(zip(names, parts, strict=True))
+        return result
 
     def changed(self, base: Look) -> Look:
         """Add the maps to decoded attributes."""
-        maps = self.maps
+        maps = self.blended()
         zero = torch.zeros_like(base.offsets[:, 3:7])
         return Look(
             base.offsets + torch.cat([maps["position"], zero, maps["scale"]], 1), base.logits + maps["opacity"][:, 0],
@@ -207,10 +199,12 @@ class Tuner:
             group["lr"] = group["peak"] * factor
         index = self.step_count % len(self.looks)
         self.last_drawn = (level, index)
-        refined = (self.step_count // len(self.looks)) % REFINED_EVERY == REFINED_EVERY - 1
+        turn = self.step_count // len(self.looks)
+        refined = turn % REFINED_EVERY == REFINED_EVERY - 1
+        variant = turn // 2 if turn % 2 else None
         view, light = self.levels[level][index], self.codes.light
         self.optimiser.zero_grad(set_to_none=True)
-        drawn = draw(self.model, view.camera, self.meshes[index], self.look(index), refined)
+        drawn = draw(self.model, view.camera, self.meshes[index], self.look(index, variant), refined)
         drawn = drawn.relit(light.gain[index], light.offset[index])
         pictures = ("image",) if refined else ("raw",)
         loss = fit_loss(drawn, view, background(self.step_count, view), FIT_WEIGHTS, self.perceptual, pictures)
@@ -218,8 +212,10 @@ class Tuner:
             loss = loss + self.locality_weight * self.locality(self.tuned, self.step_count)
         loss.backward()
         with torch.no_grad():
-            for name, value in self.maps.items():  # the gradient of the mean of pull * value^2
-                value.grad.addcmul_(self.pulls[name], value, value=2.0 / len(value))
+            for name, value in self.maps.items():
+                if name in TRUSTED:  # a grazing view of skin shows what is behind it as well
+                    value.grad *= self.frontal_by[index][:, None]
+                value.grad.addcmul_(self.pulls[name], value, value=2.0 / len(value))  # of the mean of pull * value^2
         self.optimiser.step()
         self.step_count += 1
         return Drawn(drawn.image.detach(), drawn.raw.detach(), drawn.alpha.detach())
@@ -228,10 +224,11 @@ class Tuner:
     def match_colours(self, level: int, rounds: int) -> None:
         """Bring every shown Gaussian's colour nearer to the photos at once (see `spread_to_colours`)."""
         light = self.codes.light
-        for _ in range(rounds):
+        for turn in range(rounds):
+            variant = turn if turn < rounds - 1 else None
             change, weight = torch.zeros_like(self.tint), 0.0
             for index, view in enumerate(self.levels[level]):
-                look = self.look(index)
+                look = self.look(index, variant)
                 drawn = draw(self.model, view.camera, self.meshes[index], look).relit(light.gain[index], light.offset[index])
                 target = view.image * drawn.alpha[..., None]
                 both = 0.5 * ((target - drawn.image) + (target - drawn.raw)) / light.gain[index]
@@ -253,6 +250,7 @@ class Tuner:
             frontal = torch.where(self.surface.group == SCALP, torch.ones_like(frontal), frontal)  # hair stands off
             shown = contributions(self.model, view, self.meshes[index], look, view.inside)
             tested = contributions(self.model, view, self.meshes[index], look, view.weight)
+            self.frontal_by[index] = frontal
             self.seen_by[index] = frontal * shown / (shown + HALF_SEEN_PIXELS)
             self.seen = torch.maximum(self.seen, self.seen_by[index])
             self.seen_shape = torch.maximum(self.seen_shape, tested / (tested + HALF_SEEN_PIXELS))
@@ -260,7 +258,7 @@ class Tuner:
     @torch.no_grad()
     def changes(self, fill: bool = True) -> dict[str, Tensor]:
         """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
-        maps = {name: value.detach() for name, value in self.maps.items()}
+        maps = self.blended()
         if fill:
             maps["colour"] = self._filled_colours(maps["colour"])
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
@@ -299,7 +297,7 @@ class Tuner:
     def state(self) -> dict[str, Tensor]:
         """Everything that resuming needs, by name."""
         tensors = {"step": torch.tensor([self.step_count]), "seen": self.seen, "seen_shape": self.seen_shape}
-        tensors["seen_by"] = torch.stack(self.seen_by)
+        tensors |= {"seen_by": torch.stack(self.seen_by), "frontal_by": torch.stack(self.frontal_by)}
         for number, parameter in enumerate(self._parameters()):
             tensors[f"{number}.value"] = parameter.detach()
             for name, value in self.optimiser.state.get(parameter, {}).items():
@@ -315,7 +313,7 @@ class Tuner:
             if f"{number}.exp_avg" in tensors:
                 self.optimiser.state[parameter] = {name: tensors[f"{number}.{name}"].clone() for name in names}
         self.seen, self.seen_shape = tensors["seen"].clone(), tensors["seen_shape"].clone()
-        self.seen_by = list(tensors["seen_by"].clone())
+        self.seen_by, self.frontal_by = list(tensors["seen_by"].clone()), list(tensors["frontal_by"].clone())
         self.step_count = int(tensors["step"][0])
 
     def _parameters(self) -> list[Tensor]:

@@ -22,10 +22,11 @@ from ..images import quantize
 from ..model.grmm import GRMM
 from ..model.weights import WeightsInfo
 from ..training.losses import Perceptual
-from .checkpoint import job_key, load_codes, resume_tuner, save_codes, save_tuner
+from .checkpoint import codes_key, decoders_key, load_codes, resume_tuner, save_codes, save_tuner
 from .codes import Codes, code_prior, expression_code, fit_codes
 from .colour import recolour
-from .decoders import LOCALITY_WEIGHT, Tuner
+from .decoders import Tuner
+from .locality import LOCALITY_WEIGHT
 from .objective import Drawn, decode, draw, mesh
 from .presets import Preset, preset_named
 from .result import make_avatar
@@ -115,7 +116,8 @@ class _Inversion:
     ) -> None:  # fmt: skip
         self.tracks, self.model, self.preset, self.info, self.name = tracks, model, preset, info, name
         self.work, self.second_stage, self.locality, self.perceptual = work, second_stage, locality, perceptual
-        self.key = job_key(tracks, info, preset, locality)
+        self.codes_key = codes_key(tracks, info, preset)
+        self.decoders_key = decoders_key(self.codes_key, preset, locality)
         self.clock = _Clock(progress, cancelled, preset, second_stage)
         self.saved = time.monotonic()
 
@@ -145,7 +147,7 @@ class _Inversion:
 
     def _codes(self, surface: Surface) -> Codes:
         like = self.model.anchor.barycentric
-        known = None if self.work is None else load_codes(self.work, self.key, like)
+        known = None if self.work is None else load_codes(self.work, self.codes_key, like)
         if known is not None:
             logger.info("the codes are known from before")
             return known
@@ -161,7 +163,7 @@ class _Inversion:
             self.perceptual,
         )  # fmt: skip
         if self.work is not None:
-            save_codes(self.work, self.key, codes)
+            save_codes(self.work, self.codes_key, codes)
         return codes
 
     def _decoders(self, codes: Codes, surface: Surface) -> dict[str, Tensor]:
@@ -169,7 +171,7 @@ class _Inversion:
         levels = [self.views(side) for side, _ in settings.levels]
         prior = code_prior(self.info, self.model)
         tuner = Tuner(self.model, prior, codes, levels, surface, settings, self.locality, self.perceptual)
-        if self.work is not None and resume_tuner(self.work, self.key, tuner):
+        if self.work is not None and resume_tuner(self.work, self.decoders_key, tuner):
             logger.info("going on after step %d of %d", tuner.step_count, tuner.total)
 
         def tick(share: float, drawn: Drawn | None) -> None:
@@ -185,7 +187,7 @@ class _Inversion:
 
     def _save(self, tuner: Tuner) -> None:
         if self.work is not None:
-            save_tuner(self.work, self.key, tuner)
+            save_tuner(self.work, self.decoders_key, tuner)
         self.saved = time.monotonic()
 
     def _avatar(self, codes: Codes, deltas: dict[str, Tensor]) -> Avatar:

@@ -57,7 +57,7 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset("fast", CodeSettings(192, 96, 24, 2, 8, 20), DecoderSettings(((256, 40), (384, 60)), False)),
+    "fast": Preset("fast", CodeSettings(192, 96, 24, 2, 6, 16), DecoderSettings(((256, 30), (384, 45)), False)),
     "standard": Preset(
         "standard", CodeSettings(256, 128, 64, 3, 16, 60), DecoderSettings(((256, 80), (384, 160), (512, 160)), True)
     ),

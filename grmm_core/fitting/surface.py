@@ -42,11 +42,13 @@ class Surface:
         group: `SKIN`, `SCALP` or `INNER`, [N].
         links: Adjacency of neighbours, and of neighbours and mirror images: weights w, [N, N] sparse and symmetric.
         degrees: Row sums of both, [2, N].
+        average: Mean of each texel and its neighbours, [N, N] sparse.
     """
 
     group: Tensor
     links: tuple[FixedSparse, FixedSparse]
     degrees: Tensor
+    average: FixedSparse
 
     @property
     def membership(self) -> Tensor:
@@ -103,8 +105,15 @@ def texel_surface(model: GRMM) -> Surface:
         degrees.append(np.bincount(rows, values, count))
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
-        torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device),
+        torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
     )  # fmt: skip
+
+
+def _average(edges: np.ndarray, count: int) -> FixedSparse:
+    """Mean over a texel and its neighbours."""
+    own = np.arange(count)
+    rows, columns = np.concatenate([own, edges[0], edges[1]]), np.concatenate([own, edges[1], edges[0]])
+    return FixedSparse(rows, columns, 1.0 / np.bincount(rows, minlength=count)[rows], (count, count))
 
 
 def _parts(head: HeadModel, vertex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -86,6 +86,9 @@ def test_animated_shapes(run_blender: RunBlender, blender_version: str, tmp_path
     for name in ("copied", "edited", "stored", "saved", "opened"):
         assert result[name] < PARITY, name
     assert max(result["layers"]) < PARITY
+    assert result["waiting_for_render"] is True
+    assert sorted(result["rendered"]) == ["15", "16", "17", "9"]
+    assert max(result["rendered"].values()) < PARITY
 
 
 @pytest.mark.parametrize("version", ["4.5", pytest.param("5.2", marks=pytest.mark.slow)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import ClassVar
 
 import bpy
 import numpy as np
@@ -81,3 +82,41 @@ layers.append(error())
 scene.frame_set(13)
 layers.append(error())
 report(layers=layers)
+
+
+class Probe(bpy.types.RenderEngine):
+    """Notes the meshes of renders, which have an evaluated scene of their own."""
+
+    bl_idname = "GRMM_TEST_PROBE"
+    bl_label = "Probe"
+    meshes: ClassVar[dict[int, np.ndarray]] = {}
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        head = depsgraph.objects[avatar.name]
+        flat = np.empty(len(head.data.vertices) * 3, np.float32)
+        head.data.attributes["position"].data.foreach_get("vector", flat)
+        points = flat.reshape(-1, 3)
+        self.meshes[depsgraph.scene.frame_current] = np.stack([points[:, 0], points[:, 2], -points[:, 1]], 1)
+        self.end_result(self.begin_result(0, 0, 8, 8))
+
+
+bpy.utils.register_class(Probe)
+scene.render.engine, scene.render.resolution_x, scene.render.resolution_y = "GRMM_TEST_PROBE", 8, 8
+scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+scene.collection.objects.link(scene.camera)
+scene.view_layers.remove(scene.view_layers["other"])
+scene.render.filepath = str(folder / "probe_")
+for curve in module("grmm_blender.rig.actions").action_curves(avatar.object):
+    curve.mute = False
+scene.frame_set(8)
+scene.frame_set(9)
+waiting = live.state_of(avatar).ahead is not None
+bpy.ops.render.render()
+scene.frame_start, scene.frame_end = 15, 17
+bpy.ops.render.render(animation=True)
+bpy.utils.unregister_class(Probe)
+errors = {}
+for frame, rendered in Probe.meshes.items():
+    scene.frame_set(frame)
+    errors[frame] = largest(rendered - core_mesh(avatar))
+report(rendered=errors, waiting_for_render=waiting)

@@ -133,6 +133,12 @@ def redraw_viewports() -> None:
                 area.tag_redraw()
 
 
+def forget_failures() -> None:
+    """Let viewports in which drawing was given up try again."""
+    for key in [key for key, viewport in _viewports.items() if viewport.failed]:
+        del _viewports[key]
+
+
 def statuses() -> list[str]:
     """Return what all viewports have to say, each sentence once; for the panel."""
     return list(dict.fromkeys(line for viewport in _viewports.values() for line in viewport.status()))

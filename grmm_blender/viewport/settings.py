@@ -16,9 +16,10 @@ PLAYBACK_ITEMS = (
 
 
 def _redraw(_settings: GRMM_ViewportSettings, context: bpy.types.Context) -> None:
-    from .overlay import redraw_viewports
+    from . import overlay  # which imports this module
 
-    redraw_viewports()
+    overlay.forget_failures()
+    overlay.redraw_viewports()
 
 
 class GRMM_ViewportSettings(bpy.types.PropertyGroup):

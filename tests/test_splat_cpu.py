@@ -169,6 +169,15 @@ def test_an_error_in_a_task_reaches_the_caller(monkeypatch):
         threads.for_each(20, call)
 
 
+def test_the_pool_grows_with_the_number_of_threads(monkeypatch):
+    together = []
+    for count in (2, 4):
+        monkeypatch.setattr(threads, "thread_count", lambda count=count: count)
+        barrier = threading.Barrier(count, timeout=60)
+        threads.for_each(count, lambda task, barrier=barrier: together.append(barrier.wait()))
+    assert sorted(together) == [0, 0, 1, 1, 2, 3]
+
+
 def test_kernels_compile_where_no_folder_can_be_written(monkeypatch):
     compile_function = numba.njit
 

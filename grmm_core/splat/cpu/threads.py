@@ -16,6 +16,7 @@ import numba
 
 _pool: ThreadPoolExecutor | None = None
 _pool_owner = 0  # process that started the pool; a forked child has no threads of its parent
+_pool_size = 0
 
 
 def thread_count() -> int:
@@ -25,22 +26,23 @@ def thread_count() -> int:
 
 def for_each(tasks: int, call: Callable[[int], object]) -> None:
     """Run call(0) ... call(tasks - 1) on all threads, each taking the next task when it is free; raise the first error."""
-    global _pool, _pool_owner
+    global _pool, _pool_owner, _pool_size
     helpers = min(thread_count(), tasks) - 1
     if helpers < 1:
         for task in range(tasks):
             call(task)
         return
-    if _pool is None or _pool_owner != os.getpid():
-        _pool = ThreadPoolExecutor(max(1, thread_count() - 1), thread_name_prefix="grmm-splat")
-        _pool_owner = os.getpid()
+    pool = _pool
+    if pool is None or _pool_owner != os.getpid() or _pool_size < helpers:
+        _pool_owner, _pool_size = os.getpid(), max(helpers, thread_count() - 1)
+        pool = _pool = ThreadPoolExecutor(_pool_size, thread_name_prefix="grmm-splat")
     counter = itertools.count()
 
     def work() -> None:
         while (task := next(counter)) < tasks:
             call(task)
 
-    waiting = [_pool.submit(work) for _ in range(helpers)]
+    waiting = [pool.submit(work) for _ in range(helpers)]
     try:
         work()
     finally:

@@ -96,7 +96,8 @@ class _Blender:
         """Import and measure every frame. Returns lip distance [T] and lid opening [T] in millimetres, and the keys' number."""
         bpy, scene = self.bpy, self.bpy.context.scene
         for owner in (self.avatar.object, self.avatar.armature):
-            owner.animation_data_clear() if owner is self.avatar.armature else _drop_action(owner)
+            if owner.animation_data is not None:
+                owner.animation_data.action = None  # `animation_data_clear` would take the drivers too
         bpy.ops.grmm.import_performance(filepath=str(recording), start=1, **options)
         head = self.modules["grmm_core.head"].load_open_head()
         lips, lids = [], []
@@ -123,11 +124,6 @@ class _Blender:
         scene.render.filepath = str(path)
         self.bpy.ops.render.render(write_still=True)
         return path
-
-
-def _drop_action(owner: Any) -> None:
-    if owner.animation_data is not None:
-        owner.animation_data.action = None
 
 
 def _report(raw: dict[str, Any], clean: dict[str, Any], out: Path) -> None:

@@ -10,6 +10,7 @@ image_module = pytest.importorskip("PIL.Image")
 
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, NoFaceError, ShapeError  # noqa: E402
 from grmm_core.expressions import ARKIT_NAMES  # noqa: E402
+from grmm_core.fitting.measure import measure_shapes  # noqa: E402
 from grmm_core.fitting.overlay import overlay_picture, track_vertices  # noqa: E402
 from grmm_core.fitting.track import AnalysedPhoto, analyse_photo, cut_square, frame_of, track_photos  # noqa: E402
 from grmm_core.head.open_head import load_open_head  # noqa: E402
@@ -199,3 +200,27 @@ def test_overlay_shows_found_and_fitted_landmarks(tracked, head):
     low, high = track.landmarks.min(0), track.landmarks.max(0)
     inside = (xs > low[0] - 40) & (xs < high[0] + 40) & (ys > low[1] - 60)
     assert inside.mean() > 0.6
+
+
+def test_a_rolled_photo_gives_a_rolled_camera(analysed, head, folder, tmp_path):
+    photo = image_module.open(folder / "p07_mazie_hirono.jpg").convert("RGB").rotate(20.0, image_module.Resampling.BICUBIC)
+    photo.save(tmp_path / "rolled.png")
+    upright, rolled = (
+        track_photos([item], head, size=SIZE)[0]
+        for item in (analysed("p07_mazie_hirono.jpg"), analyse_photo(tmp_path / "rolled.png"))
+    )
+    rolls = [np.degrees(np.arctan2(*t.camera.world_to_camera[[1, 0], 0])) for t in (upright, rolled)]
+    assert rolls[0] - rolls[1] == pytest.approx(20.0, abs=3.0)  # turned against the clock, y points down
+    assert rolled.landmark_error < 0.04
+
+
+def test_shapes_are_measured_over_people(analysed, tracked, head):
+    track = tracked("p01_astronaut_collins.jpg")
+    pixels = analysed("p01_astronaut_collins.jpg").photo.pixels
+    blank = np.full((200, 200, 3), 0.4, np.float32)
+    result = measure_shapes(head, [(track.shape, [blank, pixels]), (track.shape, [blank])], 1, size=SIZE)
+    assert len(result.millimetres) == 1  # nobody is in the second person's only picture
+    assert result.millimetres[0] < 0.1
+    assert result.mean_head[0] > 0.5
+    with pytest.raises(ConfigError, match="Nobody"):
+        measure_shapes(head, [(track.shape, [blank])], 1)

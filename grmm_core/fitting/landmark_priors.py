@@ -41,12 +41,12 @@ BROWS = (276, 283, 282, 295, 285, 300, 293, 334, 296, 336, 46, 53, 52, 65, 55, 7
 IRISES = tuple(range(468, 478))
 NOSE = (1, 2, 98, 327, 4, 5, 195, 197, 6, 168)
 # What remains of the errors beside the modes of `landmark_modes`, in eye distances.
-_GROUP_SIGMA = ((FACE_OVAL, 0.035), (LIPS, 0.025), (EYES, 0.022), (BROWS, 0.03), (IRISES, 0.02), (NOSE, 0.03))
+_GROUP_SIGMA = ((FACE_OVAL, 0.035), (LIPS, 0.018), (EYES, 0.015), (BROWS, 0.03), (IRISES, 0.02), (NOSE, 0.03))
 _SKIN_SIGMA = 0.03
 _FACING_FULL, _FACING_NONE, _HIDDEN_FACTOR = 0.35, -0.25, 4.0
 
 NOISE_ASSET = Path(__file__).resolve().parent.parent / "assets" / "landmark_noise.safetensors"
-NOISE_SHARE = 0.65  # of the modes' standard deviation: the network errs less on photos than on synthetic pictures
+NOISE_SHARE = 0.5  # of the modes' standard deviation: the network errs less on photos than on synthetic pictures
 
 # How far the reported coefficients are believed: mean of the prior = factor * reported.
 _START_FACTORS = {

@@ -96,6 +96,7 @@ def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, we
     assert [path.name for path in tmp_path.iterdir()] == ["a.grmm"]
 
 
+@pytest.mark.slow
 def test_the_state_of_other_photos_is_not_resumed(photo, weights, tmp_path):
     from PIL import Image
 
@@ -210,6 +211,7 @@ def test_a_mask_replaces_the_outline_that_would_be_found(photo, weights, tmp_pat
     assert dataclasses.is_dataclass(result)
 
 
+@pytest.mark.slow
 def test_a_folder_of_photos_is_fitted_and_measured(photo, weights, tmp_path, capsys):
     from PIL import Image
 

@@ -83,7 +83,8 @@ def refine(
             terms = fit.problem.photos[index].terms
             if len(points.distance) >= MIN_POINTS:
                 count += len(points.distance)
-                terms = (*terms, _term(points, picture, rig, fit.units[index]))
+                # hair over ears errs alike in all photos of a person: together they weigh as one
+                terms = (*terms, _term(points, picture, rig, fit.units[index] * len(pictures) ** 0.5))
             photos.append(replace(photo, terms=terms))
         if not count:
             return fit

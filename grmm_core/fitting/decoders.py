@@ -50,6 +50,7 @@ WIDTHS = {"colour": 3, "opacity": 1, "position": 3, "scale": 3}
 DETAIL_TEXELS, TONE_TEXELS = 5.0, 40.0  # lengths below which colours are detail, and above which they are a general tone
 COLOUR_REST = 5e-4  # pulls unseen colours to the general tone; the reach is some 45 texels
 HALF_SEEN_PIXELS = 0.5  # contribution, in pixels, at which a texel counts as half seen
+SURELY_SEEN = (0.2, 0.6)  # below the first a texel's colour counts as unknown, above the second as known
 GRAZING = (0.1, 0.4)  # cosine between normal and view below which colours say nothing, and above which they count fully
 SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colours
 REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
@@ -287,8 +288,10 @@ class Tuner:
         start = self.looks[0].colours + self.tint
         tone = self.surface.smooth(start, TONE_TEXELS)
         detail = start - self.surface.smooth(start, DETAIL_TEXELS)
-        filled = tone + self.surface.fill(start + changes - tone, self.seen, rest=COLOUR_REST) + detail
-        unseen = (1.0 - self.seen)[:, None]
+        # what peeps out at the edge of something else, as a raised lid does, has not been seen
+        known = ((self.seen - SURELY_SEEN[0]) / (SURELY_SEEN[1] - SURELY_SEEN[0])).clamp(0, 1)
+        filled = tone + self.surface.fill(start + changes - tone, known, rest=COLOUR_REST) + detail
+        unseen = (1.0 - known)[:, None]
         outer = changes * (1.0 - unseen) + (filled - start) * unseen
         return torch.where((self.surface.group == INNER)[:, None], self.surface.fill(changes, self.seen), outer)
 

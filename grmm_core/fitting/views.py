@@ -146,7 +146,7 @@ def _body(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> np.nd
     height = float(np.ptp(pixels[:, 1]))
     covered = torch.tensor(triangle_depth(triangles, camera) < EMPTY, dtype=torch.float32)
     reach = max(1, round(MESH_MARGIN * height))
-    widened = functional.max_pool2d(covered[None, None], 2 * reach + 1, 1, reach)[0, 0].numpy() > 0.5
+    widened, widened_rest = (_widened(part, reach) for part in (covered, 1.0 - covered))
     down = camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])  # the head's down on the picture
     down = down / max(float(np.linalg.norm(down)), 1e-6)
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
@@ -160,7 +160,14 @@ def _body(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> np.nd
     if hair is not None and clothes is not None and np.linalg.norm(hair - clothes) > COLOURS_DIFFER:
         nearer = np.linalg.norm(track.image - hair, axis=-1) < HAIR_NEARER * np.linalg.norm(track.image - clothes, axis=-1)
         body &= ~(nearer & (below < SURELY_BODY * height))
+    # nor does the rim where the model's bust ends and the person goes on
+    body |= (track.mask > BODY_MASK) & widened_rest & (below > SURELY_BODY * height)
     return body.astype(np.float32)
+
+
+def _widened(mask: torch.Tensor, reach: int) -> np.ndarray:
+    """Pixels within `reach` of a mask [H, W], bool."""
+    return functional.max_pool2d(mask[None, None], 2 * reach + 1, 1, reach)[0, 0].numpy() > 0.5
 
 
 def _median(track: PhotoTrack, pixels: np.ndarray) -> np.ndarray | None:

@@ -282,18 +282,17 @@ class Tuner:
     def _filled_colours(self, changes: Tensor) -> Tensor:
         """Changes of colour [N, 3] with those of unseen texels.
 
-        What is filled in on skin and scalp is the tone, not the change: the decoded tone may be wrong just where nothing is
-        seen, as on lids. The hair's detail stays the decoded one.
+        What is filled in on skin is the tone, not the change: the decoded tone may be wrong just where nothing is seen, as on
+        lids. On the scalp and inside it is the change: the decoded hair at the back goes with that at the sides.
         """
         start = self.looks[0].colours + self.tint
         tone = self.surface.smooth(start, TONE_TEXELS)
-        detail = start - self.surface.smooth(start, DETAIL_TEXELS)
         # what peeps out at the edge of something else, as a raised lid does, has not been seen
         known = ((self.seen - SURELY_SEEN[0]) / (SURELY_SEEN[1] - SURELY_SEEN[0])).clamp(0, 1)
-        filled = tone + self.surface.fill(start + changes - tone, known, rest=COLOUR_REST) + detail
+        filled = tone + self.surface.fill(start + changes - tone, known, rest=COLOUR_REST)
         unseen = (1.0 - known)[:, None]
         outer = changes * (1.0 - unseen) + (filled - start) * unseen
-        return torch.where((self.surface.group == INNER)[:, None], self.surface.fill(changes, self.seen), outer)
+        return torch.where((self.surface.group == SKIN)[:, None], outer, self.surface.fill(changes, known))
 
     # --- state -----------------------------------------------------------------------------------------------------
 

@@ -1,12 +1,15 @@
-"""Depth of triangle meshes as a camera sees them, with numpy alone.
+"""Depth of triangle meshes as a camera sees them; numpy is enough, numba makes it faster.
 
 The render engine uses it for scene objects that stand in front of avatars: Gaussians are drawn by the splat rasteriser,
 meshes only hide them. Exact per sample, no colour. Triangles are turned into pixel spans first, so that the work is
-proportional to the covered samples and not to bounding boxes, and so that no loop runs over triangles.
+proportional to the covered samples and not to bounding boxes, and so that no loop of Python runs over triangles.
+Everything per triangle is done here; the samples are filled by `_draw`, or by its compiled twin in `zbuffer_kernel` where
+numba can be imported (stock Blender has only numpy). Both do the same arithmetic in the same order.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -16,8 +19,9 @@ from .errors import ShapeError
 
 EMPTY = np.float32(1.0e10)
 """Depth where nothing is; Blender's value for an empty Z pass."""
-_CHUNK = 1 << 21  # samples handled at once: bounds memory to some tens of megabytes
-_SPAN_SLACK = 1e-6  # samples; a shared edge must not leave a gap between two triangles
+SPAN_SLACK = 1e-6
+"""Samples; a shared edge must not leave a gap between two triangles."""
+_CHUNK = 1 << 18  # rows or samples handled at once: their arrays stay in the processor's cache
 
 
 def triangle_depth(
@@ -46,21 +50,11 @@ def triangle_depth(
     if corners.ndim != 3 or corners.shape[1:] != (3, 3):
         raise ShapeError(f"Triangles have shape {corners.shape}; it must be (T, 3, 3).")
     height, width = camera.height * samples, camera.width * samples
-    depth = np.full(height * width, EMPTY, np.float32)
-    matrix = camera.world_to_camera
-    local = (corners.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]).reshape(-1, 3, 3)  # flat: one product, not T small ones
-    local = local[np.isfinite(local).all(axis=(1, 2))]
-    local = _clip_near(local, near)
-    local = local[local[:, :, 2].min(axis=1) <= far]
-    z = local[:, :, 2]  # [T, 3]
-    divisor = np.ones_like(z) if camera.orthographic else z
-    x = (camera.fx * local[:, :, 0] / divisor + camera.cx) * samples
-    y = (camera.fy * local[:, :, 1] / divisor + camera.cy) * samples
-    # What is linear on the screen: z itself, or its reciprocal under perspective.
-    linear = z if camera.orthographic else 1.0 / z
-    for row, first, count, plane in _spans(x, y, linear, width, height):
-        _draw(depth, row, first, count, plane, width, camera.orthographic, far)
-    return depth.reshape(height, width)
+    depth = np.full((height, width), EMPTY, np.float32)
+    x, y, linear = _project(corners, camera, samples, near, far)
+    draw = _compiled_draw() or _draw
+    draw(depth, *_edges_and_planes(x, y, linear, width, height), camera.orthographic, float(far))
+    return depth
 
 
 def visible_fraction(depth: np.ndarray, occluders: np.ndarray, samples: int) -> np.ndarray:
@@ -91,117 +85,137 @@ def mean_of_samples(flags: Callable[[int, int], np.ndarray], samples: int) -> np
     return total / np.float32(samples * samples)
 
 
+@functools.lru_cache(maxsize=1)
+def _compiled_draw() -> Callable[..., None] | None:
+    """Return the compiled twin of `_draw`, or None without numba."""
+    try:
+        from .zbuffer_kernel import draw
+    except ImportError:  # not installed, or not for this numpy
+        return None
+    return draw
+
+
+def _project(
+    corners: np.ndarray, camera: Camera, samples: int, near: float, far: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return columns and rows in samples and what is linear on the screen, [3, K] each, of what may be seen of [T, 3, 3]."""
+    matrix = camera.world_to_camera
+    # Triangles come last from here on: numpy is fast along long axes only.
+    flat = np.ascontiguousarray(corners.transpose(2, 1, 0)).reshape(3, -1)
+    local = (matrix[:3, :3] @ flat + matrix[:3, 3:4]).reshape(3, 3, len(corners))  # [axis, corner, T]
+    seen = np.isfinite(local).all(axis=(0, 1)) & (local[2].max(axis=0) >= near) & (local[2].min(axis=0) <= far)
+    local = _clip_near(local if seen.all() else local[:, :, seen], near)
+    z = local[2]
+    scale = 1.0 if camera.orthographic else 1.0 / z
+    x = (camera.fx * local[0] * scale + camera.cx) * samples
+    y = (camera.fy * local[1] * scale + camera.cy) * samples
+    # What is linear on the screen: z itself, or its reciprocal under perspective.
+    return x, y, z if camera.orthographic else scale
+
+
 def _clip_near(triangles: np.ndarray, near: float) -> np.ndarray:
-    """Cut triangles [T, 3, 3] in camera axes at z = near; those that cross it become one or two."""
-    inside = triangles[:, :, 2] >= near  # [T, 3]
-    count = inside.sum(axis=1)
-    parts = [triangles[count == 3]]
+    """Cut triangles [axis, corner, T] in camera axes at z = near; those that cross it become one or two."""
+    inside = triangles[2] >= near  # [3, T]
+    if inside.all():
+        return triangles
+    count = inside.sum(axis=0)
+    parts = [triangles[:, :, count == 3]]
     for wanted in (1, 2):
         chosen = count == wanted
-        if not chosen.any():
-            continue
-        crossing, flags = triangles[chosen], inside[chosen]
+        crossing, flags = triangles[:, :, chosen], inside[:, chosen]
         # Turn each triangle so that its odd corner comes first.
-        odd = np.argmax(flags if wanted == 1 else ~flags, axis=1)
-        order = (odd[:, None] + np.arange(3)) % 3
-        a, b, c = np.moveaxis(np.take_along_axis(crossing, order[:, :, None], axis=1), 1, 0)
+        odd = np.argmax(flags if wanted == 1 else ~flags, axis=0)
+        order = (odd + np.arange(3)[:, None]) % 3
+        a, b, c = np.take_along_axis(crossing, order[None], axis=1).swapaxes(0, 1)  # [axis, T] each
         ab, ac = _cut(a, b, near), _cut(a, c, near)
         if wanted == 1:
             parts.append(np.stack([a, ab, ac], axis=1))
         else:
             parts += [np.stack([ab, b, c], axis=1), np.stack([ab, c, ac], axis=1)]
-    return np.concatenate(parts)
+    return np.concatenate(parts, axis=2)
 
 
 def _cut(a: np.ndarray, b: np.ndarray, near: float) -> np.ndarray:
-    """Points where the segments a-b, [T, 3] each, meet z = near."""
-    t = (near - a[:, 2]) / (b[:, 2] - a[:, 2])
-    return a + t[:, None] * (b - a)
+    """Points where the segments a-b, [axis, T] each, meet z = near."""
+    return a + (near - a[2]) / (b[2] - a[2]) * (b - a)
 
 
-def _spans(
+def _edges_and_planes(
     x: np.ndarray, y: np.ndarray, linear: np.ndarray, width: int, height: int
-) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield the rows that triangles cover.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return what `_draw` needs of the triangles that may cover a sample.
 
     Args:
-        x: Columns of the corners in samples, [T, 3].
-        y: Rows of the corners in samples, [T, 3].
-        linear: Value per corner that is linear on the screen, [T, 3].
+        x: Columns of the corners in samples, [3, T].
+        y: Rows of the corners in samples, [3, T].
+        linear: Value per corner that is linear on the screen, [3, T].
         width: Columns of samples.
         height: Rows of samples.
 
-    Yields:
-        Row index, first column and number of columns, [S] each, and the value as a plane: at column i of a span it is
-        plane[:, 0] + plane[:, 1] * (first + i), [S, 2].
+    Returns:
+        First and last row, [2, K] int64; columns and rows of the corners from the top down, [3, K] each; columns per row
+        along the edges top-bottom, top-middle and middle-bottom, [3, K]; the value as a plane, [3, K]: at a sample it is
+        plane[0] + plane[1] * column + plane[2] * row.
     """
-    area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (x[:, 2] - x[:, 0]) * (y[:, 1] - y[:, 0])
-    top = np.ceil(np.clip(y.min(axis=1), -1.0, height + 1.0) - 0.5).clip(0, height).astype(np.int64)
-    bottom = np.floor(np.clip(y.max(axis=1), -1.0, height + 1.0) - 0.5).clip(-1, height - 1).astype(np.int64)
-    x_min, x_max = x.min(axis=1), x.max(axis=1)
+    area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
+    rows = np.stack([
+        np.ceil(np.clip(y.min(axis=0), -1.0, height + 1.0) - 0.5).clip(0, height),
+        np.floor(np.clip(y.max(axis=0), -1.0, height + 1.0) - 0.5).clip(-1, height - 1),
+    ])  # fmt: skip
+    x_min, x_max = x.min(axis=0), x.max(axis=0)
     # Most triangles of a dense mesh lie between samples and draw nothing.
-    between = np.floor(x_max - 0.5 + _SPAN_SLACK) < np.ceil(x_min - 0.5 - _SPAN_SLACK)
-    keep = (area != 0) & (x_max > 0) & (x_min < width) & (bottom >= top) & ~between
-    x, y, linear, area, top, bottom = (array[keep] for array in (x, y, linear, area, top, bottom))
-    if not len(area):
-        return
-    # The plane through the three corners: value = base + dx * column + dy * row, at sample centres.
-    u, v = linear[:, 1] - linear[:, 0], linear[:, 2] - linear[:, 0]
-    dx = (u * (y[:, 2] - y[:, 0]) - v * (y[:, 1] - y[:, 0])) / area
-    dy = (v * (x[:, 1] - x[:, 0]) - u * (x[:, 2] - x[:, 0])) / area
-    base = linear[:, 0] + dx * (0.5 - x[:, 0]) + dy * (0.5 - y[:, 0])
-    rows = bottom - top + 1
-    for chunk in _chunks(rows):
-        which = np.repeat(chunk, rows[chunk])  # [R]
-        row = top[which] + _ramp(rows[chunk])
-        low = np.full(len(which), -np.inf)
-        high = np.full(len(which), np.inf)
-        for start, end in ((0, 1), (1, 2), (2, 0)):
-            x0, y0, x1, y1 = x[which, start], y[which, start], x[which, end], y[which, end]
-            crosses = (np.minimum(y0, y1) <= row + 0.5) & (np.maximum(y0, y1) >= row + 0.5)
-            slope = np.where(y1 == y0, 0.0, (x1 - x0) / np.where(y1 == y0, 1.0, y1 - y0))
-            at = x0 + (row + 0.5 - y0) * slope
-            flat = crosses & (y1 == y0)
-            left = np.where(flat, np.minimum(x0, x1), at)
-            right = np.where(flat, np.maximum(x0, x1), at)
-            # The row meets a convex shape in one span between its outermost crossings.
-            low = np.where(crosses & (np.isinf(low) | (left < low)), left, low)
-            high = np.where(crosses & (np.isinf(high) | (right > high)), right, high)
-        first = np.ceil(np.clip(low, -1.0, width + 1.0) - 0.5 - _SPAN_SLACK).clip(0, width).astype(np.int64)
-        last = np.floor(np.clip(high, -1.0, width + 1.0) - 0.5 + _SPAN_SLACK).clip(-1, width - 1).astype(np.int64)
-        full = np.isfinite(low) & np.isfinite(high) & (last >= first)
-        which, row, first, last = which[full], row[full], first[full], last[full]
-        plane = np.stack([base[which] + dy[which] * row, dx[which]], axis=1)
-        yield row, first, last - first + 1, plane
+    between = np.floor(x_max - 0.5 + SPAN_SLACK) < np.ceil(x_min - 0.5 - SPAN_SLACK)
+    keep = (area != 0) & np.isfinite(area) & (x_max > 0) & (x_min < width) & (rows[1] >= rows[0]) & ~between
+    order = np.argsort(y[:, keep], axis=0)
+    x, y, linear = (np.take_along_axis(array[:, keep], order, axis=0) for array in (x, y, linear))
+    # Sorting the corners may turn the triangle over, and with it the sign of the area.
+    x01, x12, x02, y01, y12, y02 = x[1] - x[0], x[2] - x[1], x[2] - x[0], y[1] - y[0], y[2] - y[1], y[2] - y[0]
+    area = x01 * y02 - x02 * y01
+    u, v = linear[1] - linear[0], linear[2] - linear[0]
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        # A flat edge needs no slope: the two other edges end in its corners.
+        slopes = np.stack([x02 / y02, np.where(y01 > 0, x01 / y01, 0.0), np.where(y12 > 0, x12 / y12, 0.0)])
+        dx, dy = (u * y02 - v * y01) / area, (v * x01 - u * x02) / area
+    plane = np.stack([linear[0] + dx * (0.5 - x[0]) + dy * (0.5 - y[0]), dx, dy])
+    return rows[:, keep].astype(np.int64), x, y, slopes, plane
 
 
 def _draw(
-    depth: np.ndarray, row: np.ndarray, first: np.ndarray, count: np.ndarray, plane: np.ndarray,
-    width: int, orthographic: bool, far: float,
+    depth: np.ndarray, rows: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, plane: np.ndarray,
+    orthographic: bool, far: float,
 ) -> None:  # fmt: skip
-    """Write the nearer value into `depth` [H * W] for the spans of `_spans`."""
-    for chunk in _chunks(count):
-        lengths = count[chunk]
-        column = np.repeat(first[chunk], lengths) + _ramp(lengths)
-        value = np.repeat(plane[chunk, 0], lengths) + np.repeat(plane[chunk, 1], lengths) * column
-        z = value if orthographic else 1.0 / np.maximum(value, 1.0 / float(EMPTY))
-        index = np.repeat(row[chunk] * width, lengths) + column
-        near_enough = z <= far
-        np.minimum.at(depth, index[near_enough], z[near_enough].astype(np.float32))
+    """Write the nearer values into `depth` [H, W] for the triangles of `_edges_and_planes`."""
+    width = depth.shape[1]
+    target = depth.reshape(-1)
+    for which, step in _runs(rows[1] - rows[0] + 1):
+        row = rows[0][which] + step
+        center = row + 0.5
+        # The row meets the triangle in one span: from the long edge to one of the two others.
+        to_middle = center - y[1][which]
+        one = x[0][which] + (center - y[0][which]) * slopes[0][which]
+        two = x[1][which] + to_middle * np.where(to_middle < 0, slopes[1][which], slopes[2][which])
+        low, high = np.minimum(one, two), np.maximum(one, two)
+        first = np.ceil(np.clip(low, -1.0, width + 1.0) - 0.5 - SPAN_SLACK).clip(0, width).astype(np.int64)
+        last = np.floor(np.clip(high, -1.0, width + 1.0) - 0.5 + SPAN_SLACK).clip(-1, width - 1).astype(np.int64)
+        full = last >= first
+        which, row, first, last = which[full], row[full], first[full], last[full]
+        start, slope = plane[0][which] + plane[2][which] * row, plane[1][which]
+        for span, step in _runs(last - first + 1):
+            column = first[span] + step
+            value = start[span] + slope[span] * column
+            z = value if orthographic else 1.0 / np.maximum(value, 1.0 / float(EMPTY))
+            z[~(z <= far)] = EMPTY
+            np.minimum.at(target, row[span] * width + column, z.astype(np.float32))
 
 
-def _chunks(counts: np.ndarray) -> Iterator[np.ndarray]:
-    """Split indices 0..N into runs whose counts add up to about `_CHUNK` (at least one index each)."""
-    total = np.cumsum(counts)
-    start = 0
-    while start < len(counts):
-        done = total[start - 1] if start else 0
-        end = max(start + 1, int(np.searchsorted(total, done + _CHUNK, side="right")))
-        yield np.arange(start, end)
-        start = end
-
-
-def _ramp(counts: np.ndarray) -> np.ndarray:
-    """Return 0..counts[0]-1, 0..counts[1]-1 ... in one row."""
+def _runs(counts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield, about `_CHUNK` at a time, the index i of every element of every run and its place 0..counts[i]-1 in the run."""
     ends = np.cumsum(counts)
-    return np.arange(int(ends[-1]) if len(ends) else 0) - np.repeat(ends - counts, counts)
+    starts = ends - counts
+    begin = 0
+    while begin < len(counts):
+        done = ends[begin - 1] if begin else 0
+        end = max(begin + 1, int(np.searchsorted(ends, done + _CHUNK, side="right")))
+        which = np.repeat(np.arange(begin, end), counts[begin:end])
+        yield which, np.arange(done, done + len(which)) - starts[which]
+        begin = end

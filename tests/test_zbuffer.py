@@ -1,13 +1,36 @@
-"""Mesh depth: against ray casting by hand, shared edges, clipping at the near plane, orthographic cameras."""
+"""Mesh depth: against ray casting by hand, shared edges, clipping at the near plane, orthographic cameras.
+
+Every test runs with numpy alone and with the compiled form; the last ones hold the two to the same picture.
+"""
 
 from __future__ import annotations
+
+import importlib
+import sys
 
 import numpy as np
 import pytest
 
+from grmm_core import zbuffer
 from grmm_core.camera import Camera
 from grmm_core.errors import ShapeError
 from grmm_core.zbuffer import EMPTY, triangle_depth, visible_fraction
+
+
+def choose_form(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make `triangle_depth` use the form "numpy" or "numba"."""
+    if name == "numpy":
+        monkeypatch.setattr(zbuffer, "_compiled_draw", lambda: None)
+    else:
+        pytest.importorskip("numba")
+        draw = importlib.import_module("grmm_core.zbuffer_kernel").draw
+        monkeypatch.setattr(zbuffer, "_compiled_draw", lambda: draw)
+
+
+@pytest.fixture(params=["numpy", "numba"], autouse=True)
+def form(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    choose_form(request.param, monkeypatch)
+    return request.param
 
 
 def cast(triangles: np.ndarray, camera: Camera, near: float = 1e-4) -> np.ndarray:
@@ -85,3 +108,82 @@ def test_nothing_and_nan_give_an_empty_picture():
     camera = Camera(np.eye(4), 10.0, 10.0, 8.0, 8.0, 16, 16)
     assert (triangle_depth(np.zeros((0, 3, 3)), camera) == EMPTY).all()
     assert (triangle_depth(np.full((1, 3, 3), np.nan), camera) == EMPTY).all()
+
+
+def scattered(rng: np.random.Generator, size: float) -> np.ndarray:
+    """Triangles of a size all around the origin."""
+    return rng.uniform(-0.6, 0.6, (300, 1, 3)) + rng.uniform(-size, size, (300, 3, 3))
+
+
+def degenerate(rng: np.random.Generator) -> np.ndarray:
+    """Points, lines and slivers among triangles whose corners lie on a grid, some with corners that are no numbers."""
+    triangles = np.round(scattered(rng, 0.3) * 16) / 16
+    triangles[:40, 1] = triangles[:40, 0]
+    triangles[40:80, 2] = 2 * triangles[40:80, 1] - triangles[40:80, 0]
+    triangles[80:120, 2] = triangles[80:120, 1] + rng.uniform(-1e-7, 1e-7, (40, 3))
+    triangles[120:124, 0, 1] = [np.nan, np.nan, 1e200, -1e200]
+    return triangles
+
+
+def grid(columns: int) -> np.ndarray:
+    """A wall of squares cut in two whose edges run through sample centres."""
+    x, y = np.meshgrid(np.linspace(-0.5, 0.5, columns), np.linspace(-0.5, 0.5, columns))
+    points = np.stack([x, y, 0.3 * x * y], -1)
+    a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, 1:], points[1:, :-1]
+    return np.stack([np.stack([a, b, c], -2), np.stack([a, c, d], -2)]).reshape(-1, 3, 3)
+
+
+TRIANGLES = {
+    "tiny": lambda rng: scattered(rng, 0.01),
+    "small": lambda rng: scattered(rng, 0.1),
+    "large": lambda rng: scattered(rng, 2.0),
+    "degenerate": degenerate,
+    "shared edges": lambda rng: grid(33),
+}
+
+
+@pytest.mark.parametrize("form", ["numpy"], indirect=True)
+@pytest.mark.parametrize("orthographic", [False, True])
+@pytest.mark.parametrize("distance", [0.2, 1.0])  # at 0.2 many triangles are behind the camera or cross the near plane
+@pytest.mark.parametrize("name", TRIANGLES)
+def test_both_forms_draw_the_same(name: str, distance: float, orthographic: bool, form: str, monkeypatch: pytest.MonkeyPatch):
+    triangles = TRIANGLES[name](np.random.default_rng(5))
+    camera = Camera.orbit(64, 48, yaw=0.0 if name == "shared edges" else 25.0, pitch=0.0, distance=distance, fov=40.0)
+    if orthographic:
+        camera = Camera(camera.world_to_camera, 64.0, 64.0, 32.0, 24.0, 64, 48, orthographic=True)
+    for samples, near, far in ((1, 1e-4, float(EMPTY)), (3, 0.1, 1.2)):
+        choose_form("numpy", monkeypatch)
+        with np.errstate(over="ignore", invalid="ignore"):
+            plain = triangle_depth(triangles, camera, samples, near, far)
+            choose_form("numba", monkeypatch)
+            compiled = triangle_depth(triangles, camera, samples, near, far)
+        np.testing.assert_allclose(compiled, plain, rtol=1e-6)
+        assert (plain < EMPTY).any()
+        assert (plain[plain < EMPTY] <= np.float32(far)).all()
+
+
+def test_large_triangles_are_drawn_in_pieces(monkeypatch: pytest.MonkeyPatch):
+    camera = Camera.orbit(64, 48, yaw=25.0, pitch=0.0, distance=1.0, fov=40.0)
+    triangles = scattered(np.random.default_rng(7), 1.0)
+    whole = triangle_depth(triangles, camera)
+    monkeypatch.setattr(zbuffer, "_CHUNK", 50)
+    np.testing.assert_array_equal(triangle_depth(triangles, camera), whole)
+
+
+@pytest.mark.parametrize("form", ["numpy"], indirect=True)
+def test_numpy_alone_is_enough(form: str, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.undo()
+    monkeypatch.setitem(sys.modules, "grmm_core.zbuffer_kernel", None)  # its import fails, as where numba is missing
+    zbuffer._compiled_draw.cache_clear()
+    wall = np.array([[[-9, -9, 1], [9, -9, 1], [0, 9, 1]]], float)
+    depth = triangle_depth(wall, Camera(np.eye(4), 10.0, 10.0, 8.0, 8.0, 16, 16))
+    assert zbuffer._compiled_draw() is None
+    zbuffer._compiled_draw.cache_clear()
+    assert (depth < EMPTY).any()
+
+
+@pytest.mark.parametrize("form", ["numba"], indirect=True)
+def test_the_compiled_form_is_chosen_by_itself(form: str, monkeypatch: pytest.MonkeyPatch):
+    wanted = zbuffer._compiled_draw()
+    monkeypatch.undo()
+    assert zbuffer._compiled_draw() is wanted

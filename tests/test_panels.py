@@ -24,3 +24,16 @@ def test_every_slider_of_the_selected_avatar_is_drawn_once(run_blender: RunBlend
     edits |= {"grmm.save_code", "grmm.calibrate_neutral"}
     assert edits <= set(head["operators"])
     assert len(result["registered"]) >= 2 * 5
+
+
+def test_a_narrow_sidebar_has_every_slider_under_a_name_that_fits(run_blender: RunBlender, blender_version: str):
+    result = run_blender("panels_draw.py", python=blender_version).result
+    narrow, head = result["narrow"], result["head"]
+    assert narrow["properties"] == head["properties"]
+    assert sorted(narrow["operators"]) == sorted(head["operators"])
+    sliders = [path for path in narrow["properties"] if path.startswith('["') and path.endswith('"]')]
+    names = dict(zip(sliders, narrow["names"], strict=True))
+    expressions = [names[f'["{name}"]'] for name in ALIGNED_NAMES]
+    assert len(set(expressions)) == len(ALIGNED_NAMES)
+    assert max(map(len, expressions)) <= 17
+    assert max(map(len, narrow["labels"])) <= 30

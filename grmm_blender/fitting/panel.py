@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..panels.avatar_panels import CATEGORY
+from ..panels.width import draw_text, is_narrow
 from . import watch
 from .settings import GRMM_FitSettings, settings
 
@@ -22,7 +23,7 @@ class GRMM_UL_fit_photos(bpy.types.UIList):
 
     def draw_item(self, _context, layout, _data, item, _icon, _active, _property, *_rest) -> None:  # noqa: ANN001, ANN002
         """Draw one photo."""
-        row = layout.row(align=True)
+        row = layout.split(factor=0.7)
         row.label(text=bpy.path.basename(item.path) or "Choose a file", icon="IMAGE_DATA")
         if item.faces:
             row.label(text=f"{item.faces} face{'s' if item.faces > 1 else ''}")
@@ -41,7 +42,7 @@ class GRMM_PT_fit(bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout = self.layout
-        layout.use_property_split = True
+        layout.use_property_split = not is_narrow(context)
         chosen = settings(context)
         running = watch.job() is not None and watch.job().running
         column = layout.column()
@@ -52,7 +53,7 @@ class GRMM_PT_fit(bpy.types.Panel):
         elif len(chosen.photos):
             self._start(layout, chosen)
         if watch.note() and not running:
-            _wrapped(layout, watch.note(), context.region.width)
+            draw_text(layout, watch.note(), context)
 
     def _photos(self, layout: bpy.types.UILayout, chosen: GRMM_FitSettings) -> None:
         row = layout.row()
@@ -96,16 +97,6 @@ class GRMM_PT_fit(bpy.types.Panel):
 
 def _time(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
-
-
-def _wrapped(layout: bpy.types.UILayout, text: str, width: int) -> None:
-    """A sentence in lines that fit the region; labels do not wrap by themselves."""
-    import textwrap
-
-    column = layout.column(align=True)
-    column.scale_y = 0.8
-    for line in textwrap.wrap(text, max(20, width // 8)):
-        column.label(text=line)
 
 
 CLASSES = (GRMM_UL_fit_photos, GRMM_PT_fit)

@@ -14,10 +14,12 @@ from ..rig.codes import SLOTS, blend_name, saved_slots
 from ..rig.components import components
 from ..rig.definitions import ARRAY_NAMES, CONTROL_JOINTS, REGIONS, SHAPE, STRENGTH, Z_EXP, Z_ID, label, mirrored, property_path
 from ..session_host import runtime_status
+from .width import draw_text, is_narrow
 
 CATEGORY = "GRMM"
 ALL = "ALL"  # of the operators' regions
 LEADING_COMPONENTS = 8  # of an array; the rest is reached through the object's custom properties
+SHORT_NAME = 15  # characters that a slider shows beside its value while the sidebar has its first width
 _ROTATION_NAMES = ("Pitch", "Yaw", "Roll")
 
 
@@ -34,14 +36,14 @@ class _AvatarPanel:
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout = self.layout
-        layout.use_property_split = True
+        layout.use_property_split = not is_narrow(context)
         avatar = avatar_of(context.object)
         if avatar is None:
-            self.draw_without(layout)
+            self.draw_without(layout, context)
         else:
             self.draw_avatar(layout, avatar, context)
 
-    def draw_without(self, layout: bpy.types.UILayout) -> None:
+    def draw_without(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Draw where no avatar is selected."""
 
     def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
@@ -55,14 +57,14 @@ class _Avatar(_AvatarPanel):
     bl_label = "Avatar"
     avatar_only = False
 
-    def draw_without(self, layout: bpy.types.UILayout) -> None:
+    def draw_without(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         """Offer to add one."""
         column = layout.column(align=True)
         column.operator("grmm.add_head", icon="ADD").person = "DEFAULT"
         column.operator("grmm.add_head", text="Add Random Person", icon="COMMUNITY").person = "RANDOM"
         column.operator("grmm.open_avatar", text="Open Avatar...", icon="FILE_FOLDER")
         column.operator("grmm.add_flame_head", text="Add FLAME Head...", icon="MONKEY")
-        _draw_runtime(layout)
+        _draw_runtime(layout, context)
 
     def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
         """Source, switches, engine."""
@@ -76,15 +78,15 @@ class _Avatar(_AvatarPanel):
             row.prop(settings, "detail_in_playback")
         problem = live.state_of(avatar).message or live.limitation(avatar)
         if problem:
-            layout.label(text=problem, icon="ERROR")
+            draw_text(layout, problem, context, icon="ERROR")
             if live.state_of(avatar).message and avatar.has_network:
                 layout.operator("grmm.relink_avatar", text="Relink Avatar...", icon="FILE_FOLDER")
             if avatar.mesh_owner not in (None, avatar.object):
                 layout.operator("grmm.make_independent")
         layout.operator("grmm.import_performance", icon="ANIM_DATA")
         if context.engine != "GRMM":
-            layout.prop(context.scene.render, "engine", text="Render with")
-        _draw_runtime(layout)
+            layout.prop(context.scene.render, "engine", text="Engine")
+        _draw_runtime(layout, context)
 
 
 class _Expression(_AvatarPanel):
@@ -93,15 +95,16 @@ class _Expression(_AvatarPanel):
     bl_label = "Expression"
 
     def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
-        """One box for each region; the two sides of an expression stand in one row."""
+        """One box for each region; the two sides of an expression stand in one row where there is room for it."""
         head = avatar.object
         layout.use_property_split = False
-        _draw_edits(layout.row(align=True), ALL)
+        narrow = is_narrow(context)
+        _draw_edits(layout, ALL, narrow)
         for region, names in REGIONS.items():
             box = layout.box().column(align=True)
             header = box.row(align=True)
             header.label(text=region)
-            _draw_edits(header, region)
+            _draw_edits(header, region, narrow)
             drawn: set[str] = set()
             for name in names:
                 if name in drawn or name not in head:
@@ -109,9 +112,10 @@ class _Expression(_AvatarPanel):
                 partner = mirrored(name)
                 # The subject's right side stands on the left, as it does on the face that looks at the animator.
                 pair = [n for n in dict.fromkeys((partner, name)) if n in names] if name.endswith("Left") else [name]
-                row = box.row(align=True)
+                row = box.column(align=True) if narrow else box.row(align=True)
                 for member in pair:
-                    row.prop(head, property_path(member), text=label(member), slider=True)
+                    text = _short(label(member), region) if narrow else label(member)
+                    row.prop(head, property_path(member), text=text, slider=True)
                 drawn.update(pair)
 
 
@@ -169,16 +173,29 @@ class _Residual(_AvatarPanel):
         _draw_code(layout, avatar, Z_EXP)
 
 
-def _draw_edits(layout: bpy.types.UILayout, region: str) -> None:
+def _short(text: str, region: str) -> str:
+    """Shorten the sides, and leave out the region where even then the end, which tells the sides apart, would be cut off."""
+    for word, letter in (("Right", "R"), ("Left", "L")):
+        if text.endswith(f" {word}"):
+            text = text[: -len(word)] + letter
+    first, _, rest = text.partition(" ")
+    return rest if len(text) > SHORT_NAME and region.startswith(first) else text
+
+
+def _draw_edits(layout: bpy.types.UILayout, region: str, narrow: bool) -> None:
     """Random, flip, copy to either side and reset for the expressions of a region; words for all, icons for one."""
+    column = layout.column(align=True)
+    row = column.row(align=True)
     for operator, text, icon, direction in (
         ("grmm.random_expression", "Random", "MOD_NOISE", ""),
+        ("grmm.reset", "Reset", "LOOP_BACK", ""),
         ("grmm.mirror", "Flip", "MOD_MIRROR", "SWAP"),
         ("grmm.mirror", "L to R", "TRIA_LEFT", "LEFT"),  # the subject's left is on the right of the picture
         ("grmm.mirror", "R to L", "TRIA_RIGHT", "RIGHT"),
-        ("grmm.reset", "Reset", "LOOP_BACK", ""),
     ):
-        options = layout.operator(operator, text=text if region == ALL else "", icon=icon)
+        if narrow and region == ALL and direction == "SWAP":
+            row = column.row(align=True)
+        options = row.operator(operator, text=text if region == ALL else "", icon=icon)
         options.region = region
         if direction:
             options.direction = direction
@@ -216,10 +233,9 @@ def _draw_code(layout: bpy.types.UILayout, avatar: Avatar, name: str) -> None:
         column.operator("grmm.apply_blend").code = name
 
 
-def _draw_runtime(layout: bpy.types.UILayout) -> None:
+def _draw_runtime(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     status = runtime_status()
-    row = layout.row()
-    row.label(text=status.message, icon="CHECKMARK" if status.available else "INFO")
+    draw_text(layout, status.message, context, icon="CHECKMARK" if status.available else "INFO")
 
 
 def _twins(content: type[_AvatarPanel], name: str, closed: bool) -> tuple[type, type]:

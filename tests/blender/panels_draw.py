@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 from support import empty_scene, module, report
 
@@ -16,6 +18,8 @@ class Recorder:
         value = data.path_resolve(path)
         if "index" in options:
             value[options["index"]]
+        if path.startswith('["') and "index" not in options:
+            self.notes["names"].append(options["text"])
         self.notes["properties"].append(path if "index" not in options else f"{path}[{options['index']}]")
 
     def operator(self, name: str, **_: object) -> object:
@@ -38,15 +42,24 @@ class Recorder:
     column = box = row
 
 
-def draw_all() -> dict[str, list[str]]:
-    notes: dict[str, list[str]] = {"properties": [], "operators": [], "labels": [], "panels": []}
+class Narrow:
+    """Stands in for the context of a sidebar as it is first opened; in background there is no region."""
+
+    region = SimpleNamespace(width=220)
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(bpy.context, name)
+
+
+def draw_all(context: object = bpy.context) -> dict[str, list[str]]:
+    notes: dict[str, list[str]] = {"properties": [], "operators": [], "labels": [], "panels": [], "names": []}
     for panel in module("grmm_blender.panels").CLASSES:
-        if panel.poll(bpy.context):
+        if panel.poll(context):
             notes["panels"].append(panel.__name__)
             # Blender alone can make instances of a panel's class; its content class is plain Python.
             instance = type("Drawn", panel.__mro__[1:2], {})()
             instance.layout = Recorder(notes)
-            instance.draw(bpy.context)
+            instance.draw(context)
     return notes
 
 
@@ -54,4 +67,5 @@ empty_scene()
 report(without=draw_all())
 bpy.ops.grmm.add_head()
 report(head=draw_all())
+report(narrow=draw_all(Narrow()))
 report(registered=[p.bl_rna.identifier for p in module("grmm_blender.panels").CLASSES if p.is_registered])

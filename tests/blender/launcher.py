@@ -1,8 +1,8 @@
 """Start Blender as a module, enable the installed extension, run one script: launcher.py SCRIPT [ARGUMENTS...].
 
-Started by `tests/blender_process.py`. Python's exit handlers run as in any Blender, ours among them. Then the process ends at once:
-the bpy wheel was seen waiting forever in a destructor of its own (GlobalState, whose thread delayed_close_thread_run still waits on
-its condition variable), twice in some hundred runs.
+Started by `tests/blender_process.py`. Python's exit handlers run as in any Blender, ours among them. Then the process ends
+at once: the bpy wheel was seen waiting forever in a destructor of its own (GlobalState, on whose condition variable the
+thread delayed_close_thread_run still waits), three times in some hundred runs.
 """
 
 from __future__ import annotations

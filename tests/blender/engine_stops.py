@@ -72,7 +72,10 @@ def stopped(*arguments: object, **options: object) -> object:
 
 
 session.render = stopped
+size = scene.render.resolution_x, scene.render.resolution_y
+scene.render.resolution_x, scene.render.resolution_y = 1600, 1280  # drawn for longer than a worker takes to be asked again
 attempt("stopped_while_drawing")
+scene.render.resolution_x, scene.render.resolution_y = size
 del session.render
 report(asked=len(asked))
 

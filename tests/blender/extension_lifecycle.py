@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import addon_utils
@@ -27,11 +26,8 @@ def ours() -> list[str]:
     return found
 
 
-start = time.perf_counter()
 enable()
-register_seconds = time.perf_counter() - start
 report(
-    register_seconds=register_seconds,
     heavy=heavy_modules(),
     registered=ours(),
     warnings=dict(addon_utils._extensions_warnings_get()),

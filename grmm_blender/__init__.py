@@ -12,6 +12,7 @@
 ``engine``         the GRMM render engine
 ``production``     composites, pose library, turntables, contact sheets, presets, menus, translations
 ``viewport``       drawing splats in the 3D viewport
+``newest``         work on a thread for the newest of many requests
 ``fitting``        avatars from photos: job, panel
 ``..operators``    operators, one topic a file
 =================  ======================================================================================

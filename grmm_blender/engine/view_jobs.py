@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import threading
 import weakref
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from ...grmm_core.errors import CancelledError, GrmmError
+from ..newest import NewestJobs, WaitForRest
 from . import picture, pipeline
 from .passes import RenderPass
 from .pipeline import DrawSettings, Frame
@@ -64,66 +63,42 @@ class ViewPicture:
     request: ViewRequest
 
 
-class ViewJobs:
+class ViewJobs(NewestJobs[ViewRequest, ViewPicture]):
     """Draws the newest request; see the module."""
 
-    def __init__(self, wait_for_rest: Callable[[Callable[[], bool]], object] | None = None) -> None:
+    thread_name = "GRMM viewport"
+
+    def __init__(self, wait_for_rest: WaitForRest | None = None) -> None:
         """Prepare; nothing runs before the first request.
 
         Args:
             wait_for_rest: Called between the cheap and the good picture with a function that says whether there is something
                 newer; returns when the view has rested or there is. None waits `REST_SECONDS`.
         """
-        self._wait_for_rest = wait_for_rest or self._wait_a_moment
-        self._changed = threading.Condition()
-        self._wanted: ViewRequest | None = None
-        self._picture: ViewPicture | None = None
+        super().__init__(REST_SECONDS, wait_for_rest)
         self._error = ""
-        self._thread: threading.Thread | None = None
         self._closed = False
         self._in_the_way = False  # the good picture that is being drawn keeps the main thread from the model
         _live.add(self)
 
-    def request(self, request: ViewRequest) -> None:
-        """Ask for a picture; returns at once."""
+    def request(self, request: ViewRequest | None) -> None:
+        """Ask for a picture; returns at once. None gives up."""
         with self._changed:
-            if self._closed:
-                return
-            self._wanted = request
-            self._error = ""
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="GRMM viewport", daemon=True)
-                self._thread.start()
-            self._changed.notify_all()
-
-    def take(self) -> ViewPicture | None:
-        """Return a picture that was finished since the last call, else None."""
-        with self._changed:
-            found, self._picture = self._picture, None
-            return found
-
-    @property
-    def busy(self) -> bool:
-        """Whether a picture is being drawn, or waits to be taken."""
-        with self._changed:
-            return self._thread is not None or self._picture is not None
+            if not self._closed:
+                self._error = ""
+                super().request(request)
 
     @property
     def has_news(self) -> bool:
         """Whether a draw would show something else than the last one."""
         with self._changed:
-            return self._picture is not None or bool(self._error)
+            return self._result is not None or bool(self._error)
 
     @property
     def error(self) -> str:
         """One sentence if the newest request failed, else empty."""
         with self._changed:
             return self._error
-
-    def wait(self, timeout: float) -> bool:
-        """Wait until nothing is left to do; returns whether that came."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._thread is None, timeout)
 
     def give_way(self) -> None:
         """Let go of the model soon: a good picture is begun again later, a cheap one is nearly done anyway."""
@@ -138,27 +113,20 @@ class ViewJobs:
             self._wanted = None
             self._changed.notify_all()
 
-    def _run(self) -> None:
-        done: ViewRequest | None = None
-        while True:
-            with self._changed:
-                request = self._wanted
-                if request is None or request is done:
-                    self._thread = None
-                    self._changed.notify_all()
-                    return
-            try:
-                if self._draw(request):
-                    done = request
-            except CancelledError:
-                continue
-            except GrmmError as error:
-                done = request
-                self._fail(request, str(error))
-            except Exception as error:  # noqa: BLE001 - a thread has no caller that would hear of it
-                done = request
-                _log.exception("The viewport's picture failed.")
-                self._fail(request, f"The viewport's picture failed ({type(error).__name__}: {error}).")
+    def _serve(self, request: ViewRequest) -> bool:
+        try:
+            return self._draw(request)
+        except CancelledError:
+            return False
+
+    def _failed(self, request: ViewRequest, error: Exception) -> None:
+        message = str(error)
+        if not isinstance(error, GrmmError):
+            _log.error("The viewport's picture failed.", exc_info=error)
+            message = f"The viewport's picture failed ({type(error).__name__}: {error})."
+        with self._changed:
+            if self._wanted is request:
+                self._error = message
 
     def _draw(self, request: ViewRequest) -> bool:
         """Draw both pictures of a request; returns whether that was done."""
@@ -187,17 +155,7 @@ class ViewJobs:
         region = Region(0, 0, frame.camera.width, frame.camera.height)
         values = pipeline.frame_values(frame, settings, _COMBINED, request.world, region, given_up)
         rows = picture.blender_rows(values["Combined"]).reshape(region.height, region.width, 4)
-        with self._changed:
-            self._picture = ViewPicture(rows, level, request)
-
-    def _wait_a_moment(self, is_outdated: Callable[[], bool]) -> None:
-        with self._changed:
-            self._changed.wait_for(is_outdated, REST_SECONDS)
-
-    def _fail(self, request: ViewRequest, message: str) -> None:
-        with self._changed:
-            if self._wanted is request:
-                self._error = message
+        self._put(ViewPicture(rows, level, request))
 
 
 _live: weakref.WeakSet[ViewJobs] = weakref.WeakSet()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,6 +18,7 @@ import numpy as np
 from ...grmm_core.camera import Camera
 from ...grmm_core.errors import GrmmError
 from ..engine.snapshot import AvatarShot
+from ..newest import NewestJobs, WaitForRest
 from . import arrays, sources
 from .arrays import Packed
 from .pace import Pace
@@ -78,13 +78,15 @@ class _Made:
     messages: tuple[str, ...]
 
 
-class SplatJobs:
+class SplatJobs(NewestJobs[SplatRequest, Drawable]):
     """Makes what the newest request needs; see the module."""
+
+    thread_name = "GRMM splats"
 
     def __init__(
         self,
         clock: Callable[[], float] = time.perf_counter,
-        wait_for_rest: Callable[[Callable[[], bool]], object] | None = None,
+        wait_for_rest: WaitForRest | None = None,
     ) -> None:
         """Prepare; nothing runs before the first request.
 
@@ -93,67 +95,19 @@ class SplatJobs:
             wait_for_rest: Called before full detail is made with a function that says whether there is something newer;
                 returns when the view has rested or there is. None waits `REST_SECONDS`.
         """
+        super().__init__(REST_SECONDS, wait_for_rest)
         self.pace = Pace()
         self._clock = clock
-        self._wait_for_rest = wait_for_rest or self._wait_a_moment
-        self._changed = threading.Condition()
-        self._wanted: SplatRequest | None = None
-        self._done: Drawable | None = None
-        self._thread: threading.Thread | None = None
         self._made: _Made | None = None  # of the thread
         self._parts: dict[int, tuple[AvatarShot, int, np.ndarray, arrays.WorldGaussians]] = {}  # of the thread
 
-    def request(self, request: SplatRequest | None) -> None:
-        """Ask for something; returns at once. None gives up."""
-        with self._changed:
-            self._wanted = request
-            if self._thread is None and request is not None:
-                self._thread = threading.Thread(target=self._run, name="GRMM splats", daemon=True)
-                self._thread.start()
-            self._changed.notify_all()
+    def _failed(self, request: SplatRequest, error: Exception) -> None:
+        _log.error("The viewport's splats failed.", exc_info=error)
+        empty = arrays.pack(arrays.WorldGaussians.concatenate([]))
+        text = f"Splats cannot be shown ({type(error).__name__}: {error})."
+        self._put(Drawable(empty, arrays.depth_order(empty, request.camera), request, request.level, (text,)))
 
-    def take(self) -> Drawable | None:
-        """Return what was finished since the last call, else None."""
-        with self._changed:
-            found, self._done = self._done, None
-            return found
-
-    @property
-    def busy(self) -> bool:
-        """Whether something is being made, or waits to be taken."""
-        with self._changed:
-            return self._thread is not None or self._done is not None
-
-    @property
-    def has_news(self) -> bool:
-        """Whether something waits to be taken."""
-        with self._changed:
-            return self._done is not None
-
-    def wait(self, timeout: float) -> bool:
-        """Wait until nothing is left to do; returns whether that came."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._thread is None, timeout)
-
-    def _run(self) -> None:
-        done: SplatRequest | None = None
-        while True:
-            with self._changed:
-                request = self._wanted
-                if request is None or request is done:
-                    self._thread = None
-                    self._changed.notify_all()
-                    return
-            try:
-                self._serve(request)
-            except Exception as error:  # noqa: BLE001 - a thread has no caller that would hear of it
-                _log.exception("The viewport's splats failed.")
-                empty = arrays.pack(arrays.WorldGaussians.concatenate([]))
-                text = f"Splats cannot be shown ({type(error).__name__}: {error})."
-                self._publish(Drawable(empty, arrays.depth_order(empty, request.camera), request, request.level, (text,)))
-            done = request
-
-    def _serve(self, request: SplatRequest) -> None:
+    def _serve(self, request: SplatRequest) -> bool:
         made = self._made
         if made is None or not self._serves(made, request, request.level, MOVING_DEGREES):
             made = self._make(request, request.level)
@@ -161,6 +115,7 @@ class SplatJobs:
         self._wait_for_rest(lambda: self._wanted is not request)
         if self._wanted is request and not self._serves(made, request, request.finest, RESTING_DEGREES, exact=True):
             self._show(self._make(request, request.finest), request)
+        return True
 
     def _serves(self, made: _Made, request: SplatRequest, level: int, degrees: float, exact: bool = False) -> bool:
         """Whether Gaussians fit a request; finer ones than needed do, unless `exact`."""
@@ -196,15 +151,7 @@ class SplatJobs:
 
     def _show(self, made: _Made, request: SplatRequest) -> None:
         order = arrays.depth_order(made.packed, request.camera)
-        self._publish(Drawable(made.packed, order, request, made.level, made.messages))
-
-    def _publish(self, drawable: Drawable) -> None:
-        with self._changed:
-            self._done = drawable
-
-    def _wait_a_moment(self, is_outdated: Callable[[], bool]) -> None:
-        with self._changed:
-            self._changed.wait_for(is_outdated, REST_SECONDS)
+        self._put(Drawable(made.packed, order, request, made.level, made.messages))
 
 
 def _angle(one: np.ndarray, other: np.ndarray) -> float:

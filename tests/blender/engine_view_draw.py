@@ -100,7 +100,7 @@ statuses = [engine.status]
 jobs.wait(120)
 shown = {}
 for level, picture in pictures:
-    jobs._picture = picture
+    jobs._put(picture)
     shown[level] = draw()
     statuses.append(engine.status)
 jobs._publish = original

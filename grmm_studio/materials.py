@@ -13,10 +13,12 @@ import numpy as np
 
 from .subjects import Subject
 from .textures import SkinTextures
+from .wrinkles import LINE_DEPTH
 
 Socket = Any  # a bpy node socket, or a constant for it
 TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068)  # from the middle outwards, metres
 MOUTH_GLOW = 0.10  # of the colour: light that bounces in the mouth more often than the render follows it
+LINE_SHADE = 0.75  # how much of the groove's colour the deepest line of an expression takes
 ARC_RANGE = 0.05  # metres mapped to 0..1 of the tooth ramp
 
 
@@ -115,14 +117,23 @@ class Nodes:
 
 
 def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.types.Material:
-    """Skin from painted maps; wrinkle grooves deepen with the vertex attribute `wrinkle`."""
+    """Skin from painted maps; grooves deepen with the vertex attribute `wrinkle`.
+
+    The lines of the expression are the sum of the map's channels times the vertex attribute `lines`; `blood` multiplies the
+    colour.
+    """
     n = Nodes("skin")
     color = n.image(f"{s.name}_albedo", textures.albedo)
     parts = n.node("ShaderNodeSeparateColor", {0: n.image(f"{s.name}_detail", textures.detail)}).outputs
     groove = n.math("MULTIPLY", parts[1], n.attribute("wrinkle"))
     factor = tuple(float(v) for v in textures.groove_albedo)
     color = n.mix(n.math("MULTIPLY", groove, 0.5), color, n.mix(1.0, color, factor, "MULTIPLY"))
+    lines = {0: n.image(f"{s.name}_lines", textures.lines), 1: n.vector("lines")}
+    relief = n.node("ShaderNodeVectorMath", lines, operation="DOT_PRODUCT").outputs["Value"]
+    color = n.mix(n.math("MULTIPLY", relief, -LINE_SHADE), color, n.mix(1.0, color, factor, "MULTIPLY"))
+    color = n.mix(1.0, color, n.vector("blood"), "MULTIPLY")
     height = n.math("SUBTRACT", parts[0], n.math("MULTIPLY", groove, 0.0018))
+    height = n.math("ADD", height, n.math("MULTIPLY", relief, LINE_DEPTH))
     normal = n.node("ShaderNodeBump", {"Height": height, "Strength": 0.6, "Distance": 1.0}).outputs[0]
     inputs: dict[str | int, Socket] = {
         "Base Color": color,

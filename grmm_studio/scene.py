@@ -25,10 +25,12 @@ from grmm_core.camera import Camera
 from . import fields
 from .face_hair import face_strands, scalp_strands
 from .hair import Ribbons, Strands
+from .lashes import Lashes
 from .materials import eye_material, hair_material, skin_material, teeth_material, tongue_material
 from .mesh import Head, RenderMesh, region_vertices
 from .subjects import Subject, hair_albedo
 from .textures import Atlas, SkinTextures, paint_skin
+from .wrinkles import LineField
 
 LASH_TINT = 50.0  # strands of a larger tint are lashes
 LOCKS = 260  # of the scalp hair that differ in colour
@@ -82,7 +84,7 @@ class Studio:
         self._subject: Subject | None = None
         self._prepared: dict[str, _Prepared] = {}
         self._objects: list[Any] = []
-        self._strands: list[tuple[Any, Strands, Ribbons]] = []
+        self._strands: list[tuple[Any, Strands | Lashes, Ribbons]] = []
 
     def close(self) -> None:
         """Remove temporary files."""
@@ -107,7 +109,8 @@ class Studio:
         brow = tuple(0.62 * c + 0.38 * d for c, d in zip(subject.hair_color, hair_albedo(0.8, 0, 0), strict=True))
         face, scalp = prepared.face, prepared.scalp
         dark = face.tint > LASH_TINT
-        self._add_strands("lashes", _select(face, dark), hair_material("lashes", tuple(lash), 0.1, 0.0))
+        lashes = Lashes.build(self.head, self._neutral, _select(face, dark))
+        self._add_strands("lashes", lashes, hair_material("lashes", tuple(lash), 0.1, 0.0))
         self._add_strands("brows", _select(face, ~dark), hair_material("brows", brow, 0.3, 0.0))
         if scalp is not None:
             self._add_strands("hair", scalp, hair_material("hair", subject.hair_color, 0.32, 0.35))
@@ -135,6 +138,9 @@ class Studio:
         mesh = self._objects[0].data
         mesh.vertices.foreach_set("co", to_blender(fine).astype(np.float32).ravel())
         mesh.attributes["wrinkle"].data.foreach_set("value", self._wrinkles(posed).astype(np.float32))
+        lines, blood = self._lines.amounts(expression)
+        mesh.attributes["lines"].data.foreach_set("vector", lines.astype(np.float32).ravel())
+        mesh.attributes["blood"].data.foreach_set("vector", blood.astype(np.float32).ravel())
         mesh.update()
         for item, strands, ribbons in self._strands:
             corners = ribbons.vertices(strands.points(posed), strands.radius, fields.HEAD_CENTRE)
@@ -274,8 +280,12 @@ class Studio:
         for name, value in values.items():
             attribute = mesh.attributes.new(name, "FLOAT", "POINT")
             attribute.data.foreach_set("value", np.ascontiguousarray(value, np.float32))
-        attribute = mesh.attributes.new("rest", "FLOAT_VECTOR", "POINT")
-        attribute.data.foreach_set("vector", np.ascontiguousarray(self._shader_rest(rest), np.float32).ravel())
+        skin = self._mask("skin") * (1 - values["mouth"])
+        self._lines = LineField.build(subject, rest, skin, self._mask("lips") * skin)
+        vectors = {"rest": self._shader_rest(rest), "lines": np.zeros(rest.shape), "blood": np.ones(rest.shape)}
+        for name, value in vectors.items():
+            attribute = mesh.attributes.new(name, "FLOAT_VECTOR", "POINT")
+            attribute.data.foreach_set("vector", np.ascontiguousarray(value, np.float32).ravel())
         layer = mesh.uv_layers.new(name="uv")
         layer.uv.foreach_set("vector", render.corner_uv(self.head).astype(np.float32).ravel())
         mesh.update()
@@ -324,7 +334,7 @@ class Studio:
         press = np.clip(self.mesh.spread(np.clip(vertex, 0, 0.5)) * 2.6, 0, 1)
         return np.clip(self._age_lines + press * self._move_lines * (0.45 + 0.55 * self._subject.wrinkles), 0, 1)
 
-    def _add_strands(self, name: str, strands: Strands, material: bpy.types.Material) -> None:
+    def _add_strands(self, name: str, strands: Strands | Lashes, material: bpy.types.Material) -> None:
         if not len(strands.faces):
             return
         count, steps = strands.local.shape[:2]
@@ -379,7 +389,7 @@ def linear_to_srgb(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.power(np.maximum(linear, 1e-8), 1 / 2.4) - 0.055)
 
 
-def _locks(strands: Strands, neutral: np.ndarray, g: np.random.Generator) -> np.ndarray:
+def _locks(strands: Strands | Lashes, neutral: np.ndarray, g: np.random.Generator) -> np.ndarray:
     """Normal numbers that strands with neighbouring tips share, [N]: hair differs by lock more than by strand."""
     tips = strands.points(neutral)[:, -1]
     return g.normal(0, 1, LOCKS)[cKDTree(tips[g.integers(len(tips), size=LOCKS)]).query(tips)[1]]

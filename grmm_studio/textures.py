@@ -18,6 +18,7 @@ from .fields import smoothstep
 from .grooms import make_groom
 from .mesh import Head, region_vertices
 from .subjects import Subject, skin_albedo
+from .wrinkles import paint_lines
 
 LATTICE = 64  # cells of the periodic noise lattice
 
@@ -82,11 +83,13 @@ class SkinTextures:
         albedo: Linear RGB, [size, size, 3].
         groove_albedo: Factor of the colour inside wrinkles, [3].
         detail: Height in metres, groove depth 0..1, roughness, [size, size, 3].
+        lines: Relief of the lines that expressions bring, by channel of `wrinkles`, [size, size, 3].
     """
 
     albedo: np.ndarray
     groove_albedo: np.ndarray
     detail: np.ndarray
+    lines: np.ndarray
 
 
 def noise(points: np.ndarray, frequency: float, seed: int, octaves: int = 3, roughness: float = 0.5) -> np.ndarray:
@@ -195,6 +198,7 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
         albedo=np.clip(color, 0, 1).astype(np.float16)[atlas.nearest],
         groove_albedo=np.asarray(dark / skin_albedo(s.melanin, s.blood)),
         detail=np.stack([height, groove, roughness], -1).astype(np.float16)[atlas.nearest],
+        lines=(paint_lines(s, rest) * (1 - mouth)[:, None]).astype(np.float16)[atlas.nearest],
     )
 
 

@@ -3,6 +3,7 @@
 The map, from the ground up; each part uses only those above it:
 
 ``errors`` ``files`` ``tensorfile``     typed errors, whole-or-nothing writes, the tensor file format
+``npz``                                 named arrays out of `.npz` files that nobody vouches for
 ``camera`` ``expressions`` ``controls`` what every part agrees on: cameras, names, one frame of animation
 ``kernels``                             how compiled kernels are cached
 ``head``                                the mesh model (open head, or FLAME from the user's file)

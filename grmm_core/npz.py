@@ -1,6 +1,6 @@
 """Named arrays out of `.npz` files that nobody vouches for.
 
-Called by the FLAME performance reader and the avatar readers in `formats`. `numpy.load` allocates what an array's header
+Called by the readers of FLAME models, performances, avatars and capture data. `numpy.load` allocates what an array's header
 claims before it looks at the data, so a 1 kB file can ask for terabytes; here the claim is first compared with the size that
 the archive states, and that with a limit. Pickled objects are refused. Needs numpy only.
 """
@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FileAccessError, FileFormatError
-from ..files import describe_os_error
+from .errors import FileAccessError, FileFormatError
+from .files import describe_os_error
 
 MAX_ARRAY_BYTES = 1 << 30
 _MAX_MEMBERS = 10_000

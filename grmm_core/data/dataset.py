@@ -27,6 +27,7 @@ import numpy as np
 from ..camera import Camera
 from ..errors import FileAccessError, FileFormatError, ShapeError
 from ..files import atomic_write_bytes, describe_os_error, read_bytes
+from ..npz import read_npz
 
 FORMAT = "grmm-capture"
 VERSION = 1
@@ -313,15 +314,15 @@ def _decode(path: Path) -> np.ndarray:
 def _read_shot(path: Path) -> Shot:
     values = _json(path)
     try:
-        with np.load(io.BytesIO(read_bytes(path.with_suffix(".npz"))), allow_pickle=False) as arrays:
-            aligned, expression, pose = (arrays[name] for name in ("aligned", "expression", "pose"))
+        arrays, _ = read_npz(path.with_suffix(".npz"), ("aligned", "expression", "pose"))
+        aligned, expression, pose = (arrays[name] for name in ("aligned", "expression", "pose"))
         views = tuple(
             View(v["name"], camera_from_json(v["camera"]), v["image"], v["depth"], v["split"]) for v in values["views"]
         )
         return Shot(values["subject"], int(values["number"]), values["kind"], aligned, expression, pose, views, path.parent)
     except FileAccessError:
         raise
-    except (KeyError, TypeError, ValueError, OSError, EOFError, ShapeError) as error:
+    except (KeyError, TypeError, ValueError, ShapeError, FileFormatError) as error:
         raise FileFormatError(f"{path} is damaged ({error}); delete it and run the capture again.") from error
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
 from ..files import read_bytes
-from ..performance.npz import read_npz
+from ..npz import read_npz
 from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 from .foreign import FlameFrame, ForeignDataset, held_out_people, intrinsic_camera, vector3
 

@@ -16,7 +16,7 @@ import numpy as np
 from ..camera import Camera
 from ..errors import FileAccessError, FileFormatError
 from ..files import read_bytes
-from ..performance.npz import read_npz
+from ..npz import read_npz
 from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, Picture, Shot, View
 from .foreign import OPENGL_TO_OPENCV, FlameFrame, ForeignDataset, decode, intrinsic_camera, root_transform, vector3
 

@@ -22,16 +22,14 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileFormatError
-from ..files import read_bytes
 from .flame_align import Correspondence, closest_on_surface, correspond
 from .flame_arkit import arkit_map
-from .flame_file import FLAME_FACES, MAX_FILE_BYTES, FlameArrays, read_flame_file, read_flame_masks, read_plain_npz
+from .flame_file import FLAME_FACES, FlameArrays, read_fields, read_flame_file, read_flame_masks
 from .flame_regions import FlameSurface, find_surface, name_regions
 from .flame_teeth import LOWER_ROWS, ROW, TEETH_FACES, TEETH_VERTICES, UPPER_ROWS, Teeth, build_teeth
 from .flame_uv import lay_out
 from .model import HeadModel
 from .open_head import load_open_head
-from .restricted_pickle import load_restricted
 from .uv_density import face_density
 
 _log = logging.getLogger(__name__)
@@ -142,16 +140,16 @@ def read_landmark_embedding(path: str | os.PathLike[str]) -> tuple[np.ndarray, n
         FileFormatError: Damaged, hostile, or not 68 landmarks on FLAME.
     """
     path = Path(path)
-    data = read_bytes(path, limit=MAX_FILE_BYTES)
-    fields = read_plain_npz(data, path.name) if data[:2] == b"PK" else load_restricted(data, path.name)
-    if isinstance(fields, Mapping):
-        for face_key, weight_key in _LANDMARK_KEYS:
-            if face_key in fields and weight_key in fields:
-                return _checked_landmarks(fields[face_key], fields[weight_key], path.name)
+    fields = read_fields(path)
+    for face_key, weight_key in _LANDMARK_KEYS:
+        if face_key in fields and weight_key in fields:
+            return _checked_landmarks(fields[face_key], fields[weight_key], path.name)
     raise FileFormatError(f"{path.name} holds no landmark embedding (lmk_face_idx and lmk_b_coords); choose another file.")
 
 
 def _checked_landmarks(faces: object, weights: object, label: str) -> tuple[np.ndarray, np.ndarray]:
+    if not (isinstance(faces, np.ndarray) and isinstance(weights, np.ndarray)):
+        raise FileFormatError(f"The landmarks in {label} are not arrays; choose another file.")
     try:
         triangles = np.asarray(faces, np.float64).reshape(-1)
         coordinates = np.asarray(weights, np.float64).reshape(-1, 3)

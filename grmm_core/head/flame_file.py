@@ -6,9 +6,7 @@ FLAME is licence-gated, so nothing of it ships with the project; users point to 
 
 from __future__ import annotations
 
-import io
 import os
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +16,7 @@ import numpy as np
 
 from ..errors import FileFormatError
 from ..files import read_bytes
+from ..npz import read_npz
 from .restricted_pickle import load_restricted
 
 FLAME_VERTICES = 5023
@@ -25,7 +24,7 @@ FLAME_FACES = 9976
 FLAME_JOINTS = 5
 FLAME_SHAPE_COUNT = 300  # of shapedirs' 400 columns; the other 100 are expression
 POSE_FEATURES = 9 * (FLAME_JOINTS - 1)
-MAX_FILE_BYTES = 1 << 30
+MAX_FILE_BYTES = 1 << 30  # also of arrays unpacked; FLAME takes 60 MB in double precision
 _PARENTS = (-1, 0, 1, 1, 1)  # root, neck, jaw, left eye, right eye
 
 
@@ -63,18 +62,14 @@ def read_flame_file(path: str | os.PathLike[str]) -> FlameArrays:
         FileFormatError: Damaged, hostile, or not a FLAME model; the reason is named.
     """
     path = Path(path)
-    data = read_bytes(path, limit=MAX_FILE_BYTES)
-    fields = read_plain_npz(data, path.name) if data[:2] == b"PK" else load_restricted(data, path.name)
-    if not isinstance(fields, Mapping):
-        raise FileFormatError(f"{path.name} holds no FLAME model; choose generic_model.pkl, flame2023.pkl or an npz of it.")
-    return _validate(fields, path.name)
+    return _validate(read_fields(path), path.name)
 
 
 def read_flame_masks(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     """Read ``FLAME_masks.pkl``: region name to sorted vertex indices below 5023. Raises as `read_flame_file`."""
     path = Path(path)
-    fields = load_restricted(read_bytes(path, limit=MAX_FILE_BYTES), path.name)
-    if not isinstance(fields, Mapping) or not fields:
+    fields = read_fields(path)
+    if not fields:
         raise FileFormatError(f"{path.name} holds no FLAME masks; choose FLAME_masks.pkl.")
     masks = {}
     for name in fields:
@@ -85,19 +80,20 @@ def read_flame_masks(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     return masks
 
 
-def read_plain_npz(data: bytes, label: str) -> dict[str, np.ndarray]:
-    """`np.load` without pickles, after the archive's declared sizes have been checked. Raises `FileFormatError`."""
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            if sum(info.file_size for info in archive.infolist()) > MAX_FILE_BYTES:
-                raise FileFormatError(f"{label} unpacks to more than a FLAME model can have; it was refused.")
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            return {name: arrays[name] for name in arrays.files}
-    except FileFormatError:
-        raise
-    # zipfile, zlib and numpy raise a dozen unrelated classes on damaged archives.
-    except Exception as error:
-        raise FileFormatError(f"{label} is a damaged npz file or holds Python objects; save the plain arrays again.") from error
+def read_fields(path: Path) -> Mapping[Any, Any]:
+    """The named values of a pickle or npz, by its first bytes; nothing of it is executed.
+
+    Raises:
+        FileAccessError: Missing or unreadable.
+        FileFormatError: Damaged, hostile, or not a table of names.
+    """
+    data = read_bytes(path, limit=MAX_FILE_BYTES)
+    if data[:2] == b"PK":
+        return read_npz(path, max_bytes=MAX_FILE_BYTES)[0]
+    fields = load_restricted(data, path.name)
+    if not isinstance(fields, Mapping):
+        raise FileFormatError(f"{path.name} holds no FLAME arrays; choose generic_model.pkl, flame2023.pkl or an npz of it.")
+    return fields
 
 
 def _validate(fields: Mapping[Any, Any], label: str) -> FlameArrays:
@@ -128,8 +124,12 @@ def _validate(fields: Mapping[Any, Any], label: str) -> FlameArrays:
 def _array(fields: Mapping[Any, Any], name: Any, label: str, shape: tuple[int, ...] | None = None) -> np.ndarray:
     if name not in fields:
         raise FileFormatError(f"{label} has no {name!r}; choose a FLAME model file such as generic_model.pkl or flame2023.pkl.")
+    value = fields[name]
+    # a list is taken only where it is flat: nested ones can share rows and grow without bound
+    if not isinstance(value, np.ndarray) and not (isinstance(value, list) and all(isinstance(n, int) for n in value)):
+        raise FileFormatError(f"{name!r} of {label} is not an array of numbers; get the file again.")
     try:
-        array = np.asarray(fields[name], np.float64)
+        array = np.asarray(value, np.float64)
     except (TypeError, ValueError) as error:
         raise FileFormatError(f"{name!r} of {label} is not an array of numbers; get the file again.") from error
     if shape is not None and array.shape != shape:

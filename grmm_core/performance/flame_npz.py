@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..expressions import ARKIT_NAMES
-from .npz import read_npz
+from ..npz import read_npz
 from .repair import MAX_FRAMES, fill_missing, not_readable
 from .rotations import axis_angle_to_euler
 from .types import Performance, Progress

@@ -18,7 +18,7 @@ from .wrinkles import LINE_DEPTH
 Socket = Any  # a bpy node socket, or a constant for it
 TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068)  # from the middle outwards, metres
 MOUTH_GLOW = 0.10  # of the colour: light that bounces in the mouth more often than the render follows it
-LINE_SHADE = 0.75  # how much of the groove's colour the deepest line of an expression takes
+LINE_SHADE = 0.9  # how much of the groove's colour the deepest line of an expression takes
 ARC_RANGE = 0.05  # metres mapped to 0..1 of the tooth ramp
 
 

@@ -18,8 +18,8 @@ from grmm_core.expressions import ARKIT_NAMES
 from .fields import bump, smoothstep, wave_noise
 from .subjects import Subject, skin_albedo
 
-LINE_DEPTH = 0.0024  # metres of relief at a map value of 1
-YOUNG_DEPTH, AGED_DEPTH = 0.34, 0.90  # share of the depth that everybody has, and that age adds
+LINE_DEPTH = 0.0028  # metres of relief at a map value of 1
+YOUNG_DEPTH, AGED_DEPTH = 0.36, 0.92  # share of the depth that everybody has, and that age adds
 MAX_AMOUNT = 1.25
 EYE_CORNER = (0.0425, 0.034)  # x, y of the outer corner of the eye
 MOUTH_HEIGHT = -0.0325
@@ -163,7 +163,7 @@ def blood_change(weights: Mapping[str, float], place: str, side: str) -> float:
         return _of(weights, name, side)
 
     if place == "cheek":
-        return 0.65 * max(of("mouthSmile"), 0.9 * of("cheekPuff"), 0.8 * of("cheekSquint")) - 0.25 * of("mouthStretch")
+        return 0.55 * max(of("mouthSmile"), 0.9 * of("cheekPuff"), 0.8 * of("cheekSquint")) - 0.25 * of("mouthStretch")
     if place == "nose":
         return 0.6 * of("noseSneer")
     if place == "glabella":
@@ -300,7 +300,7 @@ def _mouth_lines(b: _Brush, wrinkles: float) -> None:
 
 def _chin(b: _Brush) -> None:
     zone = bump(b.points, (0, -0.058, 0.10), (0.017, 0.011, 0.06), False)
-    b.add(0, 0.75 * zone * np.clip(b.pits * 1.5, -1, 0.5))
+    b.add(0, 0.62 * zone * np.clip(b.pits * 1.5, -1, 0.5))
     b.add(0, 0.9 * groove(b.y + 0.0475 - 6.0 * b.x**2 + b.uneven, 0.0019) * _taper(b.x, 0.020))
 
 
@@ -314,7 +314,7 @@ def _lip_lines(b: _Brush) -> None:
             where, strength = at + b.between(-0.0011, 0.0011), b.between(0.2, 0.9)
             relief = groove(b.x - where * (1 + 8.0 * np.abs(height)) + 0.6 * b.uneven, 0.00095)
             total += strength * relief * (up * height > 0)
-    b.add(1, 0.6 * np.clip(total, -1, 0.4) * ring, 0.65)
+    b.add(1, 0.5 * np.clip(total, -1, 0.4) * ring, 0.65)
 
 
 def _neck(b: _Brush) -> None:

@@ -180,7 +180,9 @@ def blood_change(weights: Mapping[str, float], place: str, side: str) -> float:
 def paint_lines(subject: Subject, rest: np.ndarray) -> np.ndarray:
     """Relief of all families at template positions [n, 3]: grooves to -1, the folds between them to about 0.4, [n, 3]."""
     maps = np.zeros((len(rest), 3))
-    front = np.flatnonzero((rest[:, 2] > -0.02) & (rest[:, 1] < 0.125) & (np.abs(rest[:, 0]) < 0.085))
+    front = np.flatnonzero(
+        (rest[:, 2] > np.where(rest[:, 1] > -0.07, 0.025, -0.02)) & (rest[:, 1] < 0.112) & (np.abs(rest[:, 0]) < 0.085)
+    )
     brush = _Brush(rest[front].astype(np.float32), np.random.default_rng([subject.asymmetry, 61]))
     _forehead(brush)
     for sign in (1.0, -1.0):

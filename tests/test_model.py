@@ -324,7 +324,28 @@ def test_opacity_depends_on_identity_only_and_appearance_on_the_view(model):
     assert (one.colors - other.colors).abs().max() > 1e-4
     assert (one.features - other.features).abs().max() > 1e-4
     assert (one.means - other.means).abs().max() > 1e-5
-    torch.testing.assert_close(model.appearance(data["z_id"], front)[0], one.colors)
+    added = model.expression_colours(data["z_id"], data["z_exp"])
+    torch.testing.assert_close(model.appearance(data["z_id"], front)[0] + added, one.colors)
+
+
+def test_expression_maps_colour_by_expression_with_a_gain_by_identity(model):
+    randomise(model)
+    maps = model.decoders.expression
+    z_id, z_exp = inputs(model)["z_id"], inputs(model)["z_exp"]
+    weights = (maps.weights.weight @ z_exp) * (1 + maps.gains.weight @ z_id)
+    expected = torch.einsum("k,knc->nc", weights, maps.maps.view(len(weights), -1, 3))
+    torch.testing.assert_close(model.expression_colours(z_id, z_exp), expected)
+    assert expected.abs().max() > 1e-3
+    assert not model.expression_colours(z_id, 0 * z_exp).any()
+    assert not torch.equal(model.expression_colours(-z_id, z_exp), expected)
+
+
+def test_without_expression_maps_nothing_is_added():
+    plain = GRMM(small_head(), PRESETS["tiny"].replace(expression_maps=0))
+    assert plain.decoders.expression is None
+    added = plain.expression_colours(torch.ones(plain.z_id_size), torch.ones(plain.z_exp_size))
+    assert added.shape == (1, 3)
+    assert not added.any()
 
 
 def test_view_direction_enters_at_its_stage():

@@ -72,6 +72,34 @@ def test_a_model_with_more_basis_maps_keeps_the_trained_ones(head, trained, tmp_
         Trainer(config({"basis_maps": 2}, init_from=path), head, ThreeSpheres(), tmp_path / "fewer").start()
 
 
+def test_people_of_the_same_names_keep_their_codes(head, trained, tmp_path):
+    class OneKnown(ThreeSpheres):
+        def __init__(self):
+            super().__init__()
+            self.people = ("x", ColouredSpheres().people[1], "z")
+
+    warm = Trainer(config(init_from=str(trained.folder / CHECKPOINT)), head, OneKnown(), tmp_path / "known")
+    before = warm.codes.detach().clone()
+    warm.start()
+    with trained.averaged():
+        codes = trained.codes.detach().clone()
+    torch.testing.assert_close(warm.codes[1], codes[1], rtol=0, atol=0)
+    torch.testing.assert_close(warm.codes[0], before[0] + codes.mean(0), rtol=0, atol=1e-5)
+
+
+def test_expression_maps_may_be_added(head, trained, tmp_path):
+    plain = Trainer(config({"expression_maps": 0}, steps=2), head, ColouredSpheres(), tmp_path / "plain")
+    plain.run()
+    plain.save()
+    warm = Trainer(config(init_from=str(plain.folder / CHECKPOINT)), head, ColouredSpheres(), tmp_path / "with")
+    warm.start()
+    assert not warm.model.decoders.expression.maps.any()
+    with plain.averaged():
+        torch.testing.assert_close(
+            warm.model.decoders.appearance_mean, plain.model.decoders.appearance_mean, rtol=0, atol=0
+        )
+
+
 def test_a_resumed_run_keeps_its_own_state(head, trained, tmp_path):
     settings = {"init_from": str(trained.folder / CHECKPOINT), "steps": 3}
     first = Trainer(config(**settings), head, ThreeSpheres(), tmp_path)

@@ -22,6 +22,9 @@ def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", preset: st
     with torch.no_grad():
         for head_of in (model.mesh_decoder.identity, model.mesh_decoder.expression):
             head_of[-1].weight.normal_(std=0.5)
+        if model.decoders.expression is not None:
+            model.decoders.expression.maps.normal_(std=0.1)
+            model.decoders.expression.gains.weight.normal_(std=0.1)
         if model.refinement is not None:
             model.refinement.exit.weight.normal_(std=0.05)
             model.refinement.exit.bias.normal_(std=0.05)

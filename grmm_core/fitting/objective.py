@@ -73,6 +73,7 @@ class Drawn:
 def decode(model: GRMM, z_id: Tensor, z_exp: Tensor, camera: Camera) -> Look:
     """Attributes of codes z_id [Z], z_exp [Y] seen by a camera."""
     colours, features = model.appearance(z_id, model.view_direction(camera))
+    colours = colours + model.expression_colours(z_id, z_exp)
     return Look(model.offsets(z_id, z_exp), model.decoders.opacity_logits(z_id), colours, features)
 
 

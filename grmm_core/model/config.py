@@ -49,6 +49,8 @@ class GRMMConfig:
         mean_maps: Free full-resolution maps added to each decoder's output.
         basis_maps: Number of full-resolution maps weighted by a linear map of z_id; 0 is the paper's plain form.
         basis_channels: Which attributes the basis maps carry, names of `BASIS_GROUPS`.
+        expression_maps: Number of full-resolution colour maps weighted by z_exp and z_id, for wrinkles and blood; 0 is the
+            paper's plain form, in which colours do not change with expression.
         position_unit_mm: Millimetres that a decoder output of 1 moves a Gaussian.
         position_limit_mm: Soft limit of position offsets (hair needs centimetres).
         scale_log_limit: Soft limit of |log(scale / base scale)|; None leaves it free.
@@ -76,6 +78,7 @@ class GRMMConfig:
     mean_maps: bool = False
     basis_maps: int = 0
     basis_channels: tuple[str, ...] = ("position", "opacity", "colour")
+    expression_maps: int = 0
     position_unit_mm: float = 1.0
     position_limit_mm: float = 200.0
     scale_log_limit: float | None = None
@@ -97,7 +100,7 @@ class GRMMConfig:
         if self.mesh_rank is not None:
             sizes["mesh_rank"] = self.mesh_rank
         for name, value in sizes.items():
-            smallest = 0 if name in ("features", "basis_maps") else 1
+            smallest = 0 if name in ("features", "basis_maps", "expression_maps") else 1
             if type(value) is not int or not smallest <= value <= _MAX_SIZE:
                 raise ConfigError(f"The model setting {name} is {value!r}; it must be a number from {smallest} to {_MAX_SIZE}.")
         if self.decoder_start << len(self.decoder_channels) != self.decoder_grid:
@@ -182,7 +185,7 @@ PRESETS: dict[str, GRMMConfig] = {
     "tiny": GRMMConfig(
         name="tiny", grid=32, features=4, z_id=6, z_exp=5, mesh_hidden=12, mesh_rank=6,
         decoder_start=4, decoder_channels=(8, 8), decoder_grid=16, mean_maps=True, basis_maps=3,
-        position_unit_mm=10.0, scale_log_limit=1.6, refine_channels=(8, 8), refine_unshuffle=2,
+        expression_maps=2, position_unit_mm=10.0, scale_log_limit=1.6, refine_channels=(8, 8), refine_unshuffle=2,
     ),
 }  # fmt: skip
 """Named configurations. `tiny` exists for tests."""

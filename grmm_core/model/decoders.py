@@ -1,7 +1,8 @@
 """Phi_T, Phi_alpha and Phi_app: maps of Gaussian attributes in UV space (paper section 3.3).
 
 Each is a `MapDecoder` of transposed convolutions. Extensions that the paper does not have, off in its configuration: maps may
-end below the grid and be enlarged bilinearly; free mean maps and basis maps weighted by a linear map of z_id are added.
+end below the grid and be enlarged bilinearly; free mean maps and basis maps weighted by a linear map of z_id are added; colours
+change with expression by `ExpressionMaps`, which the paper's Phi_app, a function of z_id and d, leaves out.
 Values are needed at active texels only, so mean and basis maps exist only there and decoder maps are read only there.
 
 Used by `grmm` only.
@@ -76,6 +77,32 @@ class MapDecoder(nn.Module):
         return x
 
 
+class ExpressionMaps(nn.Module):
+    """Colour changes of an expression: maps weighted by z_exp, with a gain for each person.
+
+    A furrow is a few texels of darker skin, too fine for the displacement of vertices, deep in one face and faint in another:
+    weights = (A z_exp) (1 + B z_id). Nothing is added at z_exp = 0, and by an untrained model.
+
+    Args:
+        z_id, z_exp: Lengths of the codes.
+        maps: Number of maps K.
+        count: Texels N.
+    """
+
+    def __init__(self, z_id: int, z_exp: int, maps: int, count: int) -> None:
+        super().__init__()
+        self.weights = nn.Linear(z_exp, maps, bias=False)
+        self.gains = nn.Linear(z_id, maps, bias=False)
+        nn.init.zeros_(self.gains.weight)
+        self.maps = nn.Parameter(torch.zeros(maps, count * COLOUR_CHANNELS))
+
+    def forward(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
+        """Return what codes z_id [Z] and z_exp [Y] add to the colours, display sRGB [N, 3]."""
+        weights = self.weights(z_exp) * (1.0 + self.gains(z_id))  # [K]
+        added: Tensor = (weights @ self.maps).view(-1, COLOUR_CHANNELS)
+        return added
+
+
 class AttributeDecoders(nn.Module):
     """The three decoders with mean and basis maps, read at the active texels.
 
@@ -110,6 +137,7 @@ class AttributeDecoders(nn.Module):
             self.basis_weights = nn.Linear(z_id, config.basis_maps, bias=False)
             for name in config.basis_channels:
                 self.basis[name] = nn.Parameter(torch.randn(config.basis_maps, count * BASIS_GROUPS[name]) * BASIS_INIT)
+        self.expression = ExpressionMaps(z_id, z_exp, config.expression_maps, count) if config.expression_maps else None
 
     def transform_offsets(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
         """Phi_T: position, rotation and log scale offsets of each Gaussian from z_id [Z] and z_exp [Y]: [N, 10]."""
@@ -141,6 +169,11 @@ class AttributeDecoders(nn.Module):
         colours, features = values[:, :COLOUR_CHANNELS], values[:, COLOUR_CHANNELS:]
         added = self._basis("colour", z_id, COLOUR_CHANNELS)
         return (colours if added is None else colours + added), features
+
+    def expression_colours(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
+        """What z_exp [Y] adds to the `colours` of z_id [Z], display sRGB [N, 3]; one row of zeros without expression maps."""
+        added: Tensor = z_id.new_zeros(1, COLOUR_CHANNELS) if self.expression is None else self.expression(z_id, z_exp)
+        return added
 
     def _decode(self, decoder: MapDecoder, mean: Tensor | None, code: Tensor, view: Tensor | None = None) -> Tensor:
         decoded = decoder(code, view)[0]  # [C, side, side]

@@ -195,10 +195,15 @@ class GRMM(nn.Module):
 
     def gaussians(self, vertices: Tensor, z_id: Tensor, z_exp: Tensor, view: Tensor) -> Gaussians:
         """All attributes at once for posed vertices [V, 3], z_id [Z], z_exp [Y] and the unit view direction [3]."""
-        return self._assemble(self.geometry(vertices, self.offsets(z_id, z_exp)), z_id, view)
+        return self._assemble(self.geometry(vertices, self.offsets(z_id, z_exp)), z_id, z_exp, view)
 
-    def _assemble(self, geometry: Geometry, z_id: Tensor, view: Tensor) -> Gaussians:
+    def expression_colours(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
+        """What z_exp [Y] adds to the colours of z_id [Z]: wrinkles and blood, display sRGB, [N, 3] or a row of zeros."""
+        return self.decoders.expression_colours(z_id, z_exp)
+
+    def _assemble(self, geometry: Geometry, z_id: Tensor, z_exp: Tensor, view: Tensor) -> Gaussians:
         colours, features = self.appearance(z_id, view)
+        colours = colours + self.expression_colours(z_id, z_exp)
         return Gaussians(
             means=geometry.means, quats=geometry.quats, scales=geometry.scales, opacities=self.opacity(z_id),
             colors=colours, features=features if self.config.features else None,
@@ -284,7 +289,7 @@ class GRMM(nn.Module):
         displacement = self.displacement(z_id[None], z_exp[None], turns[:1], turns[1:], expression[None]) * strength
         vertices = self.vertices(shape[None], expression[None], pose[None], displacement)[0]
         offsets = self.offsets(z_id, z_exp)
-        gaussians = self._assemble(self.geometry(vertices, offsets), z_id, self.view_direction(camera))
+        gaussians = self._assemble(self.geometry(vertices, offsets), z_id, z_exp, self.view_direction(camera))
         raster = rasterize(gaussians, camera, backend=backend)
         refined = self.refine(raster) if refine else raster.rgb
         behind = 0.0

@@ -6,6 +6,7 @@ What each step depends on, and so what its cache key holds (the owner is the ava
 opacity        identity code
 appearance     identity code, view direction (to the last bit)
 offsets        identity code, expression code
+tint           identity code, expression code
 rest           shape
 mesh           identity code, expression code, shape, expression, pose, strength
 geometry       what mesh and offsets depend on
@@ -168,6 +169,15 @@ class Evaluator:
 
         return self.cache.get((target.id, "offsets", *inputs.code_key), make)[0]
 
+    def tint(self, target: OpenAvatar, inputs: Inputs) -> Tensor:
+        """Return what the expression adds to the colours, [N, 3] or one row of zeros."""
+
+        def make() -> tuple[Tensor]:
+            model = target.model
+            return target.loaded.tint(self._tensor(model, inputs.z_id), self._tensor(model, inputs.z_exp))
+
+        return self.cache.get((target.id, "tint", *inputs.code_key), make)[0]
+
     def opacity(self, target: OpenAvatar, inputs: Inputs) -> Tensor:
         """Return Phi_alpha's opacities, [N]."""
         make = lambda: target.loaded.opacity(self._tensor(target.model, inputs.z_id))  # noqa: E731
@@ -187,6 +197,7 @@ class Evaluator:
         """Return all Gaussians in head space; features are [N, F], also where F is 0."""
         means, quats, scales = self.geometry(target, inputs)
         colors, features = self.appearance(target, inputs, direction)
+        colors = colors + self.tint(target, inputs)
         full = Gaussians(means, quats, scales, self.opacity(target, inputs), colors, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
 

@@ -38,7 +38,8 @@ class LoadedModel:
         model: In evaluation mode on the session's device.
         info: What its weights file says.
         codes: Table Z of aligned expression codes, [60, Y], or [60, 0] without residuals.
-        opacity, appearance, offsets: The model's decoders as functions to tuples of tensors, replayed on a graphics card.
+        opacity, appearance, offsets, tint: The model's decoders as functions to tuples of tensors, replayed on a graphics card;
+            the tint is `GRMM.expression_colours`.
     """
 
     model: GRMM
@@ -47,12 +48,14 @@ class LoadedModel:
     opacity: Replayed = field(init=False, repr=False)
     appearance: Replayed = field(init=False, repr=False)
     offsets: Replayed = field(init=False, repr=False)
+    tint: Replayed = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         model = self.model
         object.__setattr__(self, "opacity", Replayed(lambda z_id: (model.opacity(z_id),)))
         object.__setattr__(self, "appearance", Replayed(lambda z_id, view: model.appearance(z_id, view)))
         object.__setattr__(self, "offsets", Replayed(lambda z_id, z_exp: (model.offsets(z_id, z_exp),)))
+        object.__setattr__(self, "tint", Replayed(lambda z_id, z_exp: (model.expression_colours(z_id, z_exp),)))
 
 
 class ModelStore:

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from ..model.grmm import GRMM
 from .config import TrainConfig
 
-_MAP_NAMES = ("_mean", "basis.")
+_MAP_NAMES = ("_mean", "basis.", "expression.maps")
 
 
 def parameter_groups(model: GRMM, codes: nn.Parameter, config: TrainConfig) -> list[dict[str, object]]:

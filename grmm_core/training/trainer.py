@@ -165,7 +165,7 @@ class Trainer:
         """Prepare what depends on the data, once, before the first step of a new run."""
         if not self.started and self.step_count == 0:
             if self.config.init_from:
-                warm_start(self.config.init_from, self.model, self.codes)
+                warm_start(self.config.init_from, self.model, self.source.people, self.codes)
             else:
                 initialise_colours(self.model, self.source, _COLOUR_VIEWS, self.config.seed)
             if self.average:

@@ -1,13 +1,14 @@
-"""Starting a run from trained networks with other people.
+"""Starting a run from trained networks.
 
-A weights file or a checkpoint of a model of the same sizes (or with fewer basis maps) gives networks, maps and the table of
-expression codes; people's identity codes are new, spread around the mean of the old ones, because the people are others. Used
-by `trainer`.
+A weights file or a checkpoint of a model of the same sizes (or with fewer basis maps, or without expression maps) gives
+networks, maps and the table of expression codes. People of the same names keep their identity codes; those of others are new,
+spread around the mean of the old ones. Used by `trainer`.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,55 +25,69 @@ if TYPE_CHECKING:
     from ..model.grmm import GRMM
 
 _CODES = "codes"
+_DEFAULT = ""  # name of nobody
+_BASIS, _EXPRESSION = ("decoders.basis.", "decoders.basis_weights."), "decoders.expression."
 
 
 @torch.no_grad()
-def warm_start(path: str | os.PathLike[str], model: GRMM, codes: Tensor) -> None:
+def warm_start(path: str | os.PathLike[str], model: GRMM, people: Sequence[str], codes: Tensor) -> None:
     """Copy what was trained into a new run.
 
     Args:
         path: Weights file (or the name of one of the package) or checkpoint, whose moving average is taken where it has one.
         model: Its parameters are overwritten.
-        codes: New people's random codes, [P, Z]; the mean of the old people's is added.
+        people: Names of the run's people.
+        codes: Their random codes, [P, Z], overwritten; to those of new people the mean of the old ones is added.
 
     Raises:
         FileAccessError, FileFormatError: The file is missing, damaged, or neither kind.
         ConfigError: The model in it has other sizes.
     """
-    parameters, mean = _read(path, model)
+    parameters, known = _read(path, model)
     for name, parameter in model.named_parameters():
         value = parameters.get(name)
-        if value is None or not _fits(name, value, parameter):
+        if not _fits(name, value, parameter):
             found = "is missing" if value is None else f"has the shape {tuple(value.shape)}"
             raise ConfigError(
                 f"{path} does not fit this model: {name} {found}, not {tuple(parameter.shape)}; use its own configuration."
             )
     for name, parameter in model.named_parameters():
-        parameter[: len(parameters[name])].copy_(parameters[name])
-    if mean.shape == codes.shape[1:]:  # without residuals the codes are not used, and those of a file are shapes
-        codes += mean.to(codes)
+        if name in parameters:
+            parameter[: len(parameters[name])].copy_(parameters[name])
+    # without residuals the codes are not used, and those of a file are shapes
+    known = {name: code.to(codes) for name, code in known.items() if code.shape == codes.shape[1:]}
+    if known:
+        mean = torch.stack([*known.values()]).mean(0)
+        for row, name in zip(codes, people, strict=True):
+            row.copy_(known.get(name, row + mean))
 
 
-def _fits(name: str, value: Tensor, parameter: Tensor) -> bool:
-    """Whether a trained parameter can be copied; a new model may have more basis maps, of which the last stay random."""
-    if ".basis" in f".{name}":
+def _fits(name: str, value: Tensor | None, parameter: Tensor) -> bool:
+    """Whether a parameter can be started: a model may have more basis maps than the old one, or expression maps it lacks."""
+    if value is None:
+        return name.startswith(_EXPRESSION)
+    if name.startswith(_BASIS):
         return value.shape[1:] == parameter.shape[1:] and len(value) <= len(parameter)
     return value.shape == parameter.shape
 
 
-def _read(path: str | os.PathLike[str], model: GRMM) -> tuple[dict[str, Tensor], Tensor]:
-    """Parameters by name and the people's mean code [Z]."""
+def _read(path: str | os.PathLike[str], model: GRMM) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """Parameters by name, and people's codes [Z] by name."""
     named = weights_path(str(path))
     path = named if not Path(path).exists() and named.exists() else path
     tensors, metadata = read_tensors(path)
-    if read_state(metadata) is None:
+    state = read_state(metadata)
+    if state is None:
         trained, info = load_weights(path, model.head_model)
-        codes = info.z_id if len(info.z_id) else info.default_z_id[None]
-        return {name: value.detach() for name, value in trained.named_parameters()}, torch.from_numpy(codes.mean(0))
+        names, codes = (info.people, info.z_id) if len(info.z_id) else ((_DEFAULT,), info.default_z_id[None])
+        return {name: value.detach() for name, value in trained.named_parameters()}, _by_name(names, torch.from_numpy(codes))
     found: dict[str, Tensor] = {}
     for kind in ("parameter/", "average/"):  # the average last: it replaces the parameter
         for name, array in tensors.items():
             if name.startswith(kind):
                 found[name[len(kind) :]] = torch.from_numpy(np.array(array))
-    codes = found.pop(_CODES, torch.zeros(0, 0))
-    return found, codes.mean(0) if codes.ndim == 2 and len(codes) else torch.zeros(0)
+    return found, _by_name(state.get("people", ()), found.pop(_CODES, torch.zeros(0, 0)))
+
+
+def _by_name(names: Sequence[str], codes: Tensor) -> dict[str, Tensor]:
+    return dict(zip(names, codes, strict=False))  # a damaged file may name fewer people

@@ -9,6 +9,7 @@
 ``build``          puts the above together: `build_avatar`
 ``codes``          saved residual codes and the blend between them
 ``components``     what single components of the residual codes do, in words
+``sums``           sums of hundreds of small shape components, quick from frame to frame
 ``live``           what the add-on keeps up to date: residual key, rest joints
 =================  =====================================================================================
 

@@ -40,6 +40,7 @@ from .mesh import (
     write_key,
     write_offsets,
 )
+from .sums import RecentSums, weighted_sum
 
 _SHAPE_PATH = property_path(SHAPE)
 
@@ -58,6 +59,7 @@ class LiveState:
         leading: Shape components with keys of their own that were last seen.
         shape_curves_of: Action, its slot and number of curves that `shape_curves` were found in.
         shape_curves: Places of the curves that animate the shape.
+        recent: Sums of small components for shapes of recent frames.
     """
 
     shape_for: bytes | None = None
@@ -68,6 +70,7 @@ class LiveState:
     leading: np.ndarray | None = None
     shape_curves_of: tuple[int, int, int] | None = None
     shape_curves: list[int] = field(default_factory=list)
+    recent: RecentSums | None = None
 
 
 _states: dict[int, LiveState] = {}
@@ -191,7 +194,7 @@ def _update_shape(
     if _may_write(avatar) and SHAPE_REST_KEY in obj.data.shape_keys.key_blocks:
         positions = read_key(obj.data.shape_keys.key_blocks[BASIS_KEY])
         if shape.size > first:
-            positions += shape[first:] @ _small_shapes(head)[: shape.size - first]
+            positions += _small_sum(head, shape[first:], state, exact=before is None)
         # The mesh is evaluated again when one of the keys with a driver changes.
         leading, state.leading = state.leading, shape[:first]
         evaluates = before is not None and leading is not None and not np.array_equal(leading, state.leading)
@@ -262,6 +265,23 @@ def _small_shapes(head: HeadModel) -> np.ndarray:
     """Directions of the components without a key of their own, Blender's axes, [S', 3 V]."""
     small = np.moveaxis(head.shape_dirs[:, :, leading_shapes(head) :], 2, 0)  # [S', V, 3]
     return np.ascontiguousarray(to_blender(small).reshape(len(small), -1))
+
+
+def _small_sum(head: HeadModel, weights: np.ndarray, state: LiveState, exact: bool) -> np.ndarray:
+    """Offsets of the small components, Blender's axes, flat, [3 V].
+
+    Args:
+        head: Their head model.
+        weights: Coefficients, [<=S'].
+        state: Keeps what a frame has in common with the ones before.
+        exact: Whatever was computed before, to the last bit: renders in any order must be the same.
+    """
+    rows = _small_shapes(head)
+    if exact:
+        return weighted_sum(weights, rows)
+    if state.recent is None or state.recent.rows is not rows:
+        state.recent = RecentSums(rows)
+    return state.recent(weights)
 
 
 def _update_detail(avatar: Avatar, head: HeadModel, controls: Controls, state: LiveState, detail: bool) -> bool:

@@ -193,6 +193,16 @@ def test_a_crop_equals_its_region_of_the_whole_picture(backend, options):
 
 
 @each_backend
+def test_an_empty_picture_can_be_differentiated(backend):
+    away = scene(10)
+    away.means[:] -= torch.tensor(orbit().forward, dtype=torch.float32) * 5.0
+    away.means.requires_grad_()
+    out = rasterize(away, orbit(), backend=backend)
+    (out.rgb.sum() + out.depth.sum()).backward()
+    assert not away.means.grad.any()
+
+
+@each_backend
 def test_background_gradients_are_what_shines_through(backend):
     vector = torch.tensor([0.1, 0.2, 0.3], requires_grad=True)
     out = rasterize(ball(), CAMERA, background=vector, backend=backend)

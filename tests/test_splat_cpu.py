@@ -62,6 +62,7 @@ SCENES = {
     "needle-thin": (needles, orbit(80, 80)),
     "transparent": (lambda: changed(scene(80, seed=10), opacities=torch.linspace(0, 0.02, 80)), orbit()),
     "nearly opaque": (nearly_opaque, orbit()),
+    "opacities above one": (lambda: changed(scene(80, seed=20, size=0.01), opacities=torch.linspace(0.5, 1.5, 80)), orbit()),
     "coincident depths": (coincident, orbit()),
     "off-screen": (lambda: scene(200, seed=12, spread=0.6, size=0.1), orbit(32, 24)),
     "one pixel": (lambda: scene(100, seed=13), orbit(1, 1, fov=1.0)),
@@ -209,6 +210,22 @@ def test_a_picture_wider_than_the_tile_grid_is_refused():
 
     with pytest.raises(BackendError, match="too large"):
         rasterize(scene(1), Camera(np.eye(4), 1.0, 1.0, 0.0, 0.0, 1 << 19, 1), backend="cpu")
+
+
+def test_gaussians_that_would_fill_the_memory_are_refused(monkeypatch):
+    """Each of them covers all tiles; a hostile file can hold millions."""
+    from grmm_core.errors import BackendError
+    from grmm_core.splat.cpu import function
+
+    many = scene(50, seed=9, size=3.0)
+    many.means.requires_grad_()
+    monkeypatch.setattr(function, "MAX_GRADIENT_BYTES", 1000)
+    out = rasterize(many, orbit(), backend="cpu")
+    with pytest.raises(BackendError, match="too large and too many to differentiate"):
+        out.rgb.sum().backward()
+    monkeypatch.setattr(function, "MAX_INSTANCES", 100)
+    with pytest.raises(BackendError, match="too large and too many to draw"):
+        rasterize(many, orbit(), backend="cpu")
 
 
 def test_blocks_are_found_exactly():

@@ -181,7 +181,8 @@ def rasterize_reference(
             total, through = _block(projected, values, hits, (left, top, right, bottom))
             blocks.append(torch.cat([total, through[:, None]], -1).reshape(bottom - top, right - left, -1))
         rows.append(torch.cat(blocks, 1))
-    picture = torch.cat(rows, 0)  # [H, W, K + 1]
+    # An empty picture, too, is a function of the Gaussians: a loss of it can be differentiated.
+    picture = torch.cat(rows, 0) + 0 * values.sum()  # [H, W, K + 1]
 
     through = picture[..., -1]
     alpha = 1 - through

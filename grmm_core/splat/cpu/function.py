@@ -21,7 +21,8 @@ from .threads import for_each, thread_count
 TASKS = 16  # parallel tasks per thread, so that threads end together
 CHUNK_MIN, TILES_MIN = 2048, 4  # smallest task
 CHUNKS_MAX = 64  # chunks of Gaussians; each counts every tile
-MAX_INSTANCES = 2**31 - 1
+MAX_INSTANCES = 2**28  # pairs of a Gaussian and a tile: 1 GiB of numbers; a head has a million
+MAX_GRADIENT_BYTES = 8 << 30  # of the pairs' gradients
 
 
 @dataclass
@@ -105,8 +106,11 @@ def draw(inputs: list[np.ndarray], background: np.ndarray, view: View, antialias
 def differentiate(
     inputs: list[np.ndarray], outputs: list[np.ndarray], drawing: Drawing, d_outputs: list[np.ndarray]
 ) -> list[np.ndarray]:
-    """Return the gradients of `inputs`, given those of `outputs`; arrays as in `draw`."""
-    rows = buffers.empty((len(drawing.gaussian), projection.MOMENTS + blocks.padded(inputs[5].shape[1])))
+    """Return the gradients of `inputs`, given those of `outputs`; arrays as in `draw`. Raises `BackendError` as `draw`."""
+    shape = (len(drawing.gaussian), projection.MOMENTS + blocks.padded(inputs[5].shape[1]))
+    if 4 * shape[0] * shape[1] > MAX_GRADIENT_BYTES:
+        raise BackendError("The Gaussians are too large and too many to differentiate: scale them down.")
+    rows = buffers.empty(shape)
     d_inputs = [np.zeros_like(array) for array in inputs]
     geometry, whole = drawing.geometry, drawing.whole
     groups = _pieces(len(drawing.ends), TILES_MIN, TASKS * thread_count())

@@ -288,14 +288,15 @@ def unproject_one(
     d_a = 0.5 * l11 * l11 * gss
     d_b = l11 * (l12 * gss + l22 * gsq)  # b stands twice in the matrix
     d_c = 0.5 * (l12 * l12 * gss + 2.0 * l12 * l22 * gsq + l22 * l22 * gqq)
-    d_opacity = g / np.float64(record[5]) if opacity <= 1.0 else 0.0
+    d_peak = g / np.float64(record[5])  # of the opacity after cap and compensation
+    d_opacity = d_peak if opacity <= 1.0 else 0.0
     if camera[23] != 0.0:
         a, b, c = w00 * w00 + w01 * w01 + w02 * w02, w00 * w10 + w01 * w11 + w02 * w12, w10 * w10 + w11 * w11 + w12 * w12
         k0, k1, k2 = w01 * w12 - w02 * w11, w02 * w10 - w00 * w12, w00 * w11 - w01 * w10
         det = k0 * k0 + k1 * k1 + k2 * k2
         det_dilated = det + DILATION * (a + c) + DILATION * DILATION
         compensation = math.sqrt(max(det / det_dilated, COMPENSATION_MIN))
-        d_compensation = d_opacity * opacity
+        d_compensation = d_peak * min(np.float64(opacity), 1.0)
         d_opacity *= compensation
         if det / det_dilated > COMPENSATION_MIN:
             d_ratio = 0.5 * d_compensation / compensation

@@ -393,11 +393,12 @@ extern "C" __global__ void collect(
     double d_a = 0.5 * l11 * l11 * gss;
     double d_b = l11 * (l12 * gss + l22 * gsq);  // b stands twice in the matrix
     double d_c = 0.5 * (l12 * l12 * gss + 2.0 * l12 * l22 * gsq + l22 * l22 * gqq);
-    double d_opacity = opacities[i] <= 1.0f ? sums[0] / (double)record.opacity : 0.0;
+    const double d_peak = sums[0] / (double)record.opacity;  // of the opacity after cap and compensation
+    double d_opacity = opacities[i] <= 1.0f ? d_peak : 0.0;
     if (camera.antialiased != 0.0) {
         const double ratio = e.det / e.det_dilated;
         const double compensation = sqrt(ratio > COMPENSATION_MIN ? ratio : COMPENSATION_MIN);
-        const double d_compensation = d_opacity * opacities[i];
+        const double d_compensation = d_peak * (opacities[i] < 1.0f ? (double)opacities[i] : 1.0);
         d_opacity *= compensation;
         if (ratio > COMPENSATION_MIN) {
             const double d_ratio = 0.5 * d_compensation / compensation;

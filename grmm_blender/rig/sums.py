@@ -1,6 +1,6 @@
 """Weighted sums of many fixed rows, quick where the weights move along a few directions.
 
-`live` adds up hundreds of small shape components on each frame. Read from memory, they alone take a fifth of a frame's time. But
+`live` adds up hundreds of small shape components on each frame. Reading them all takes a fifth of a frame's time. But
 an animated shape moves along few directions: the curves between two keys span four at most, a dragged slider one. `RecentSums`
 keeps the sums of recent directions; weights within their span cost as many rows as there are directions. Plain numpy.
 

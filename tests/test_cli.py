@@ -5,6 +5,8 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
+import shlex
 import struct
 import subprocess
 import sys
@@ -14,7 +16,7 @@ import numpy as np
 import pytest
 
 from grmm_core.avatar import load_avatar
-from grmm_core.cli import main
+from grmm_core.cli import build_parser, main
 from grmm_core.cli.console import Console
 from grmm_core.session import EMPTY_DEPTH
 
@@ -105,7 +107,7 @@ def test_render_follows_its_options(render, tmp_path):
 
     front = picture()
     for options in ("--yaw 40", "--pitch 30", "--distance 1.6", "--fov 12", "--no-refine", "--set jaw.x=0.4",
-                    "--set shape.0=3 --set laugh=1", "--lod 1"):  # fmt: skip
+                    "--set shape.0=3 --set laugh=1", "--set jawOpen=0 jawOpen=1", "--lod 1"):  # fmt: skip
         assert np.abs(picture(*options.split()) - front).max() > 8, options
     np.testing.assert_array_equal(picture("--set", "jawOpen=0"), front)
     white = picture("--background", "1,1,1")
@@ -162,6 +164,27 @@ def test_info_describes_weights(grmm, weights):
     code, out, _ = grmm("info", weights, "--json")
     assert code == 0
     assert json.loads(out)["people"] == 4
+
+
+def documented_commands(repository):
+    """Command lines of `grmm` in the README and in docs/, without comments and without what stands in brackets."""
+    for path in [repository / "README.md", *sorted((repository / "docs").glob("*.md"))]:
+        for block in re.findall(r"^```\n(.*?)^```", path.read_text(encoding="utf-8"), re.S | re.M):
+            for line in block.splitlines():
+                words = shlex.split(line, comments=True)
+                if words[:1] == ["grmm"] and not re.search(r"[\[|<]|\.\.\.", line.partition("#")[0]):
+                    yield path.name, words[1:]
+
+
+def test_commands_in_the_documents_are_understood(repository):
+    found = list(documented_commands(repository))
+    assert len(found) > 8
+    parser = build_parser()[0]
+    for document, words in found:
+        try:
+            parser.parse_args(words)
+        except SystemExit:
+            pytest.fail(f"{document}: grmm {' '.join(words)}")
 
 
 @pytest.mark.parametrize(

@@ -31,15 +31,16 @@ def add_model(parser: argparse.ArgumentParser) -> None:
 
 
 def add_controls(parser: argparse.ArgumentParser) -> None:
-    """Add --set."""
+    """Add --set. AVATAR comes before it: --set takes every word up to the next option."""
     parser.add_argument(
         "--set",
-        action="append",
+        action="extend",
+        nargs="+",
         default=[],
         metavar="NAME=VALUE",
         dest="assignments",
         help="set a control: an ARKit name such as jawOpen, an aligned expression such as laugh, expression.N, shape.N, jaw.x, "
-        "neck.y, eyes.yaw, z_id.N, z_exp.N (angles in radians); may be repeated",
+        "neck.y, eyes.yaw, z_id.N, z_exp.N (angles in radians); any number, and --set may be repeated",
     )
 
 

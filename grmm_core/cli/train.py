@@ -30,7 +30,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--out", default="out/training", metavar="DIR", help="folder for checkpoints, previews and weights")
     parser.add_argument("--resume", action="store_true", help="continue from the checkpoint in the folder")
     parser.add_argument("--follow", action="store_true", help="the captures are still running: take up new shots now and then")
-    parser.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="change settings of the [training] table")
+    parser.add_argument(
+        "--set", action="extend", nargs="+", default=[], metavar="NAME=VALUE", help="change settings of the [training] table"
+    )
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda or mps")
     parser.add_argument("--default-person", metavar="NAME", help="person who becomes the default avatar; else the mean")
 

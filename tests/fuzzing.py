@@ -6,8 +6,10 @@ again, since otherwise the checksum alone would refuse nearly all of them.
 
 from __future__ import annotations
 
+import copy
 import gzip
 import io
+import json
 import random
 import re
 import zipfile
@@ -15,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from grmm_core.errors import GrmmError
 
@@ -33,6 +36,7 @@ _NUMBERS = (
     b"1e999",
     b"",
 )
+_ODD_VALUES = (None, True, -1, 1.5, 10**30, "", "x", [], [[]], {}, [None])  # of every type that JSON has
 _WORDS = (0, 1, 0xFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 20, 10_000_000)
 
 
@@ -72,6 +76,59 @@ def _mutate_bytes(data: bytes, rng: random.Random) -> bytes:
                 match = rng.choice(numbers)
                 result[match.start() : match.end()] = rng.choice(_NUMBERS)
     return bytes(result)
+
+
+def odd_documents(document: Any) -> Iterator[Any]:
+    """Copies of a JSON document with one value left out or exchanged for one of another type; of long lists the first three."""
+    for path in _paths(document):
+        for value in (*_ODD_VALUES, _ODD_VALUES):  # the tuple itself stands for: leave it out
+            changed = copy.deepcopy(document)
+            holder = changed
+            for key in path[:-1]:
+                holder = holder[key]
+            if value is _ODD_VALUES:
+                del holder[path[-1]]
+            else:
+                holder[path[-1]] = value
+            yield changed
+
+
+def _paths(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    if path:
+        yield path
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from _paths(value, (*path, key))
+    elif isinstance(node, list):
+        for index, value in enumerate(node[:3]):
+            yield from _paths(value, (*path, index))
+
+
+def glb_with(data: bytes, document: Any) -> bytes:
+    """A `.glb` with another JSON part."""
+    length = int.from_bytes(data[12:16], "little")
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + length :]
+    head = b"glTF" + (2).to_bytes(4, "little") + (20 + len(text) + len(rest)).to_bytes(4, "little")
+    return head + len(text).to_bytes(4, "little") + b"JSON" + text + rest
+
+
+def glb_document(data: bytes) -> Any:
+    """The JSON part of a `.glb`."""
+    return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+
+
+def read_or_refuse(read: Callable[[Path], object], path: Path) -> str:
+    """Read a file: "read", or "refused" where the reader raises one sentence. Every other exception passes through."""
+    try:
+        read(path)
+    except GrmmError as error:
+        text = str(error)
+        if "\n" in text or len(text) > 700 or not text.endswith((".", "?")):
+            raise AssertionError(f"not one short sentence: {text!r}") from error
+        return "refused"
+    return "read"
 
 
 def _mutate_member(data: bytes, rng: random.Random) -> bytes:
@@ -129,15 +186,7 @@ def fuzz(read: Callable[[Path], object], path: Path, count: int, seed: int = 0, 
         with memory_limit(extra_memory):
             for _ in range(count):
                 path.write_bytes(mutate(good, rng))
-                try:
-                    read(path)
-                except GrmmError as error:
-                    text = str(error)
-                    if "\n" in text or len(text) > 700 or not text.endswith((".", "?")):
-                        raise AssertionError(f"not one short sentence: {text!r}") from error
-                    outcomes["refused"] += 1
-                else:
-                    outcomes["read"] += 1
+                outcomes[read_or_refuse(read, path)] += 1
     finally:
         path.write_bytes(good)
     return outcomes

@@ -104,8 +104,8 @@ class GltfReader:
         """Values of an accessor, [count] or [count, width]: float32 where stored as floats or normalised, else integers."""
         entry = self.item("accessors", index)
         count = self.integer(entry, "count")
-        code, width = entry.get("componentType"), _WIDTHS.get(entry.get("type"))  # type: ignore[arg-type]
-        if code not in _COMPONENTS or width is None or count > _MAX_ELEMENTS:
+        code, width = entry.get("componentType"), _WIDTHS.get(str(entry.get("type")))
+        if type(code) is not int or code not in _COMPONENTS or width is None or count > _MAX_ELEMENTS:
             raise self.bad("an accessor has an unknown type or an impossible count")
         dtype = np.dtype(_COMPONENTS[code])
         if "bufferView" in entry:
@@ -126,7 +126,7 @@ class GltfReader:
             raise self.bad("a sparse accessor is malformed")
         changed = self.integer(sparse, "count")
         code = sparse["indices"].get("componentType")
-        if changed > count or code not in (UINT8, UINT16, UINT32):
+        if changed > count or type(code) is not int or code not in (UINT8, UINT16, UINT32):
             raise self.bad("a sparse accessor is malformed")
         rows = self._view(sparse["indices"], changed, 1, np.dtype(_COMPONENTS[code]))[:, 0].astype(np.int64)
         if (rows >= count).any():

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..performance.rotations import matrix_to_quaternion, quaternion_to_matrix
-from .cloud import MAX_DEGREE, SH_C0, SplatCloud, exp_scale, finish_reading
+from .cloud import MAX_DEGREE, MAX_SPLATS, SH_C0, SplatCloud, exp_scale, finish_reading
 from .glb import GltfReader, GltfWriter
 
 KIND = "glTF splat file"
@@ -31,16 +31,21 @@ def read_gltf_splats(path: Path) -> SplatCloud:
         FileAccessError: Missing or unreadable.
     """
     reader = GltfReader(path, kind=KIND)
-    clouds: list[SplatCloud] = []
+    found: list[tuple[dict[str, Any], np.ndarray]] = []  # attributes and placement
+    count = 0
     for mesh_index, matrix in _placed_meshes(reader):
         primitives = reader.item("meshes", mesh_index).get("primitives", [])
         if not isinstance(primitives, list):
             raise reader.bad("its primitives are malformed")
         for primitive in primitives:
             if isinstance(primitive, dict) and isinstance(primitive.get("attributes"), dict) and _is_splats(primitive):
-                clouds.append(_transform(reader, _read_primitive(reader, primitive["attributes"]), matrix))
-    if not clouds:
+                found.append((primitive["attributes"], matrix))
+                count += reader.integer(reader.item("accessors", primitive["attributes"].get("POSITION")), "count")
+                if count > MAX_SPLATS:  # a file may name one array thousands of times
+                    raise reader.bad(f"it has more than {MAX_SPLATS} splats")
+    if not found:
         raise reader.bad(f"it has no {EXTENSION} primitive; it may be an ordinary mesh")
+    clouds = [_transform(reader, _read_primitive(reader, attributes), matrix) for attributes, matrix in found]
     return finish_reading(path, KIND, _join(clouds))
 
 

@@ -22,6 +22,7 @@ from .glb import ELEMENT_BUFFER, UINT32, GltfReader, GltfWriter
 KIND = "glTF mesh file"
 _TRIANGLES = 4
 _MAX_MORPHS = 4096
+_MAX_MORPH_BYTES = 1 << 30
 _SPARSE_THRESHOLD = 1e-9  # metres; smaller movements of a morph target are not stored
 
 
@@ -209,6 +210,8 @@ def read_gltf_mesh(path: Path, data: bytes | None = None) -> Mesh:
     targets = primitive.get("targets", [])
     if not isinstance(targets, list) or len(targets) > _MAX_MORPHS or not all(isinstance(t, dict) for t in targets):
         raise reader.bad("its morph targets are malformed")
+    if len(targets) * vertices.nbytes > _MAX_MORPH_BYTES:  # a file may name one array thousands of times
+        raise reader.bad(f"its {len(targets)} morph targets would take more than {_MAX_MORPH_BYTES} bytes")
     names = _target_names(entry, primitive, len(targets))
     morphs = {
         name: _vectors(reader, target["POSITION"], 3, vertices.shape[0])

@@ -11,9 +11,9 @@ import pytest
 from blender_process import RunBlender, find_python
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
+from splat_files import make_cloud
 from test_blender_performance import write_files
 from test_blender_splats import flame_track
-from test_formats_splats import make_cloud
 
 from grmm_core.expressions import ARKIT_NAMES
 from grmm_core.formats import read_splats, write_splats

@@ -13,9 +13,9 @@ import pytest
 from blender_process import RunBlender, find_python
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
+from splat_files import make_cloud
 from test_blender_performance import write_files
 from test_formats_avatars import cap4d_bytes, lam_archive
-from test_formats_splats import make_cloud
 
 from grmm_core.formats import write_splats
 from grmm_core.formats.avatars import GaussianAvatar, write_gaussian_avatar

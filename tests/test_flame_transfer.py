@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
-from test_formats_splats import make_cloud
+from splat_files import make_cloud
 
 from grmm_core.errors import FileFormatError, ShapeError
 from grmm_core.formats.binding import place_on_mesh

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_formats_splats import make_cloud, ply_bytes
+from splat_files import make_cloud, ply_bytes
 
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
 from grmm_core.expressions import ARKIT_NAMES

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fuzzing import fuzz, glb_document, glb_with, memory_limit, mutate, odd_documents, read_or_refuse
+from splat_files import make_cloud, ply_bytes, splat_rows
 from test_formats_avatars import cap4d_bytes, flame_track, lam_archive, seamed_mesh
-from test_formats_splats import make_cloud, ply_bytes, splat_rows
 
 from grmm_core.errors import FileFormatError
 from grmm_core.expressions import ARKIT_NAMES

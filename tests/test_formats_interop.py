@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from splat_files import make_cloud
 from test_formats_avatars import seamed_mesh
-from test_formats_splats import make_cloud
 
 from grmm_core.formats import read_splats, write_mesh, write_splats
 from grmm_core.formats.cloud import SH_C0

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import gzip
 import importlib.util
-import io
-import json
 import struct
 import sys
 import time
-import zipfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from splat_files import make_cloud, ply_bytes, splat_rows
 
 from grmm_core.errors import BackendError, CancelledError, FileAccessError, FileFormatError, ShapeError
 from grmm_core.formats import SplatCloud, read_splats, write_splats
 from grmm_core.formats.cloud import SH_C0
-from grmm_core.formats.glb import GltfWriter
 from grmm_core.formats.sequence import frame_path, write_sequence
 
 # Largest allowed error of a round trip: metres, 1 - |cos| of half the angle, logarithm of scale, opacity, colour, harmonics.
@@ -29,21 +26,6 @@ TOLERANCES = {
     ".sog": (1e-5, 6e-5, 0.06, 2e-3, 6e-3, None),
     ".glb": (0.0, 2e-7, 0.0, 0.0, 1e-6, 1e-6),
 }
-
-
-def make_cloud(count=400, degree=0, seed=0):
-    """A head-sized cloud whose colours are within 0..1 and whose scales are those of skin texels."""
-    rng = np.random.default_rng(seed)
-    terms = (degree + 1) ** 2
-    sh = rng.uniform(-0.3, 0.3, (count, terms, 3))
-    sh[:, 0] = (rng.uniform(0.02, 0.98, (count, 3)) - 0.5) / SH_C0
-    return SplatCloud(
-        rng.normal(0, 0.08, (count, 3)),
-        rng.normal(size=(count, 4)),
-        np.exp(rng.uniform(np.log(1e-4), np.log(0.02), (count, 3))),
-        rng.uniform(0.01, 0.99, count),
-        sh,
-    ).validated()
 
 
 def order_of(extension, cloud):
@@ -165,28 +147,6 @@ def test_turning_keeps_the_colour_seen_from_every_side_and_the_ellipsoids():
     assert errors_between(turned.flipped(), cloud) == pytest.approx((0,) * 6, abs=1e-6)
 
 
-def ply_bytes(rows, kind="binary_little_endian", head="", extra=""):
-    """A PLY of a structured array, also as text or big endian."""
-    names = {"f4": "float", "f8": "double", "u1": "uchar", "i4": "int"}
-    header = f"ply\nformat {kind} 1.0\n{head}element vertex {len(rows)}\n"
-    header += "".join(f"property {names[rows.dtype[n].str[1:]]} {n}\n" for n in rows.dtype.names) + extra + "end_header\n"
-    if kind == "ascii":
-        body = "\n".join(" ".join(repr(float(v)) for v in row) for row in rows).encode() + b"\n"
-    else:
-        body = rows.astype(rows.dtype.newbyteorder(">")).tobytes() if "big" in kind else rows.tobytes()
-    return header.encode() + body
-
-
-def splat_rows(count=20, drop=(), rest=0, double=False):
-    names = ["opacity", "x", "z", "y", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(rest))]
-    names += [*(f"rot_{i}" for i in range(4)), *(f"scale_{i}" for i in range(3))]
-    rows = np.zeros(count, [(n, "<f8" if double else "<f4") for n in names if n not in drop])
-    rng = np.random.default_rng(2)
-    for name in rows.dtype.names:
-        rows[name] = rng.normal(size=count)
-    return rows
-
-
 @pytest.mark.parametrize("kind", ["binary_little_endian", "binary_big_endian", "ascii"])
 @pytest.mark.parametrize("double", [False, True])
 def test_ply_in_other_orders_and_encodings(tmp_path, kind, double):
@@ -305,220 +265,6 @@ def test_splat_records_must_be_whole(tmp_path):
         (tmp_path / "a.splat").write_bytes(bytes(size))
         with pytest.raises(FileFormatError, match="32-byte records"):
             read_splats(tmp_path / "a.splat")
-
-
-def sog_parts(tmp_path):
-    pytest.importorskip("PIL")
-    write_splats(tmp_path / "a.sog", make_cloud())
-    with zipfile.ZipFile(tmp_path / "a.sog") as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
-def test_sog_in_a_folder_and_in_a_zip_with_a_folder(tmp_path):
-    parts = sog_parts(tmp_path)
-    reference = read_splats(tmp_path / "a.sog")
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    for name, data in parts.items():
-        (folder / name).write_bytes(data)
-    assert np.array_equal(read_splats(folder / "meta.json").means, reference.means)
-    with zipfile.ZipFile(tmp_path / "b.sog", "w") as archive:
-        for name, data in parts.items():
-            archive.writestr(f"scene/{name}", data)
-    assert np.array_equal(read_splats(tmp_path / "b.sog").means, reference.means)
-
-
-def test_sog_names_that_leave_the_folder_are_refused(tmp_path):
-    parts = sog_parts(tmp_path)
-    secret = tmp_path / "secret.webp"
-    secret.write_bytes(parts["quats.webp"])
-    folder = tmp_path / "folder"
-    folder.mkdir()
-    for name in ("../secret.webp", str(secret), "..\\secret.webp", ".."):
-        meta = json.loads(parts["meta.json"])
-        meta["means"]["files"][0] = name
-        (folder / "meta.json").write_text(json.dumps(meta))
-        with pytest.raises(FileFormatError, match="outside its folder"):
-            read_splats(folder / "meta.json")
-
-
-def test_sog_without_pillow_takes_a_decoder_or_says_what_to_install(tmp_path, monkeypatch):
-    image = pytest.importorskip("PIL.Image")
-    pictures = {
-        data: np.asarray(image.open(io.BytesIO(data)).convert("RGBA"))
-        for name, data in sog_parts(tmp_path).items()
-        if name.endswith(".webp")
-    }
-    reference = read_splats(tmp_path / "a.sog")
-    monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(BackendError, match="Pillow"):
-        read_splats(tmp_path / "a.sog")
-    with pytest.raises(BackendError, match="Pillow"):
-        write_splats(tmp_path / "b.sog", reference)
-    decoded = read_splats(tmp_path / "a.sog", decode=pictures.__getitem__)
-    assert np.array_equal(decoded.means, reference.means)
-    with pytest.raises(FileFormatError, match="four channels"):
-        read_splats(tmp_path / "a.sog", decode=lambda data: np.zeros((20, 20)))
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda m: m.update(version=1), "version 2"),
-        (lambda m: m.update(count=10**9), "1 to 10000000"),
-        (lambda m: m.update(count=500), "500 splats and"),
-        (lambda m: m.update(count=True), "count is True"),
-        (lambda m: m["scales"].update(codebook=[0.0] * 255), "256 numbers"),
-        (lambda m: m["scales"].update(codebook=["a"] * 256), "256 numbers"),
-        (lambda m: m["means"].update(mins=[0, 0, 10**400]), "3 numbers"),
-        (lambda m: m["means"].update(files=[]), "names no file"),
-        (lambda m: m["quats"].update(files=["sh0.webp"]), "largest component"),
-        (lambda m: m.pop("sh0"), "no sh0"),
-        (lambda m: m.update(shN={"bands": 9}), "bands is 9"),
-        (lambda m: m.update(shN={"bands": 1, "count": 5, "codebook": [0] * 256, "files": ["sh0.webp", "sh0.webp"]}), "palette"),
-        (lambda m: m["quats"].update(files=["meta.json"]), "damaged"),
-    ],
-)
-def test_bad_sog_files(tmp_path, change, reason):
-    parts = sog_parts(tmp_path)
-    meta = json.loads(parts["meta.json"])
-    change(meta)
-    parts["meta.json"] = json.dumps(meta).encode()
-    with zipfile.ZipFile(tmp_path / "b.sog", "w") as archive:
-        for name, data in parts.items():
-            archive.writestr(name, data)
-    with pytest.raises(FileFormatError, match=reason):
-        read_splats(tmp_path / "b.sog")
-
-
-def test_sog_with_higher_harmonics(tmp_path):
-    image = pytest.importorskip("PIL.Image")
-    parts = sog_parts(tmp_path)
-    meta = json.loads(parts["meta.json"])
-    rng = np.random.default_rng(3)
-    codebook, entries = np.linspace(-1, 1, 256), 70
-    palette = rng.integers(0, 256, (2, 64 * 3, 4)).astype(np.uint8)
-    palette[..., 3] = 255
-    labels = rng.integers(0, entries, 400)
-    pixels = np.zeros((20, 20, 4), np.uint8)
-    pixels[..., 0], pixels[..., 3] = (labels % 256).reshape(20, 20), 255
-
-    def encode(array):
-        buffer = io.BytesIO()
-        image.fromarray(array, "RGBA").save(buffer, "WEBP", lossless=True, exact=True)
-        return buffer.getvalue()
-
-    meta["shN"] = {"bands": 1, "count": entries, "codebook": codebook.tolist(), "files": ["c.webp", "l.webp"]}
-    parts |= {"meta.json": json.dumps(meta).encode(), "c.webp": encode(palette), "l.webp": encode(pixels)}
-    with zipfile.ZipFile(tmp_path / "b.sog", "w") as archive:
-        for name, data in parts.items():
-            archive.writestr(name, data)
-    cloud = read_splats(tmp_path / "b.sog", axes="y_up")
-    assert cloud.degree == 1
-    entry = labels[123]
-    expected = codebook[palette[entry // 64, (entry % 64) * 3 + 2, :3]]
-    assert cloud.sh[123, 3] == pytest.approx(expected)
-
-
-def gltf(attributes, nodes=None, extensions=None, path=None, **change):
-    """A splat glTF from arrays."""
-    writer = GltfWriter()
-    prefix = "KHR_gaussian_splatting:"
-    named = {
-        name if name == "POSITION" or name.startswith("_") else prefix + name: writer.add_array(array)
-        for name, array in attributes.items()
-    }
-    primitive = {"mode": 0, "attributes": named, "extensions": extensions or {"KHR_gaussian_splatting": {"kernel": "ellipse"}}}
-    writer.add("meshes", {"primitives": [primitive]})
-    if nodes:
-        writer.document["nodes"] = nodes
-    writer.document |= change
-    writer.write(path)
-    return path
-
-
-def splat_attributes(cloud):
-    return {
-        "POSITION": cloud.means,
-        "ROTATION": cloud.quats[:, [1, 2, 3, 0]],
-        "SCALE": cloud.scales,
-        "OPACITY": cloud.opacities,
-        "SH_DEGREE_0_COEF_0": cloud.sh[:, 0],
-    }
-
-
-def test_gltf_of_the_early_draft_has_logarithmic_scales(tmp_path):
-    cloud = make_cloud(30)
-    attributes = splat_attributes(cloud) | {"SCALE": np.log(cloud.scales)}
-    back = read_splats(gltf(attributes, path=tmp_path / "a.glb"))
-    assert back.scales == pytest.approx(cloud.scales, rel=1e-5)
-    assert any("logarithms" in w for w in back.warnings)
-
-
-def test_gltf_nodes_place_splats(tmp_path):
-    cloud = make_cloud(30)
-    half = 0.5**0.5
-    nodes = [
-        {"children": [1], "translation": [1, 2, 3], "scale": [2, 2, 2]},
-        {"mesh": 0, "rotation": [0, half, 0, half]},
-    ]
-    back = read_splats(gltf(splat_attributes(cloud), nodes, path=tmp_path / "a.glb"))
-    x, y, z = cloud.means.T
-    assert back.means == pytest.approx(np.stack([2 * z + 1, 2 * y + 2, -2 * x + 3], 1), abs=1e-6)
-    assert back.scales == pytest.approx(2 * cloud.scales)
-
-
-@pytest.mark.parametrize(
-    ("nodes", "reason"),
-    [
-        ([{"children": [0], "mesh": 0}], "no KHR"),
-        ([{"children": [1]}, {"children": [2]}, {"children": [1], "mesh": 0}], "loop"),
-        ([{"mesh": 7}], "does not have"),
-        ([{"mesh": 0, "scale": [1, 2, 1]}], "differs between axes"),
-        ([{"mesh": 0, "scale": [-1, 1, 1]}], "mirrored"),
-        ([{"mesh": 0, "matrix": [1, 2]}], "malformed"),
-        ([{"mesh": 0, "rotation": [0, 0, 0, 0]}], "malformed"),
-        ([{"mesh": 0, "children": ["a"]}], "malformed"),
-        ({"mesh": 0}, "malformed"),
-    ],
-)
-def test_bad_gltf_nodes(tmp_path, nodes, reason):
-    path = gltf(splat_attributes(make_cloud(5)), path=tmp_path / "a.glb", nodes=nodes)
-    with pytest.raises(FileFormatError, match=reason):
-        read_splats(path)
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"accessors": [{"count": 10**9, "componentType": 5126, "type": "VEC3", "bufferView": 0}] * 5}, "impossible count"),
-        ({"accessors": [{"count": 10**8, "componentType": 5126, "type": "VEC3", "bufferView": 0}] * 5}, "longer than its data"),
-        ({"accessors": [{"count": 10**8, "componentType": 5126, "type": "VEC3"}] * 5}, "no data"),
-        ({"accessors": [{"count": -1, "componentType": 5126, "type": "VEC3", "bufferView": 0}] * 5}, "count is -1"),
-        ({"accessors": [{"count": 1, "componentType": 1, "type": "VEC3", "bufferView": 0}] * 5}, "unknown type"),
-        ({"accessors": "x"}, "does not have"),
-        ({"bufferViews": []}, "does not have"),
-        ({"bufferViews": [{"buffer": 0, "byteLength": 10**12}] * 5}, "longer than its data"),
-        ({"bufferViews": [{"buffer": 0, "byteLength": 900, "byteStride": 1}] * 5}, "longer than its data"),
-    ],
-)
-def test_bad_gltf_accessors(tmp_path, change, reason):
-    path = gltf(splat_attributes(make_cloud(20)), path=tmp_path / "a.glb", **change)
-    with pytest.raises(FileFormatError, match=reason):
-        read_splats(path)
-
-
-def test_gltf_never_opens_other_files(tmp_path):
-    cloud = make_cloud(5)
-    path = gltf(splat_attributes(cloud), path=tmp_path / "a.glb")
-    data = path.read_bytes()
-    length = struct.unpack_from("<I", data, 12)[0]
-    document = json.loads(data[20 : 20 + length])
-    (tmp_path / "secret.bin").write_bytes(data[28 + length :])
-    document["buffers"][0]["uri"] = "secret.bin"
-    (tmp_path / "a.gltf").write_text(json.dumps(document))
-    with pytest.raises(FileFormatError, match="another file"):
-        read_splats(tmp_path / "a.gltf")
 
 
 def test_unknown_extensions_missing_files_and_bad_clouds(tmp_path):

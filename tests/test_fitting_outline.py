@@ -9,10 +9,11 @@ import pytest
 
 from grmm_core.camera import Camera
 from grmm_core.color import linear_to_srgb
+from grmm_core.fitting import photometric_stage
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.fitting.light import estimate_light, harmonics
 from grmm_core.fitting.outline import find_outline, sample, skin_map, vertex_normals
-from grmm_core.fitting.photometric_stage import Appearance, posed, refine
+from grmm_core.fitting.photometric_stage import Appearance, posed, refine, shape_change
 from grmm_core.fitting.point_rig import LandmarkRig
 from grmm_core.head.open_head import load_open_head
 from grmm_core.zbuffer import EMPTY, triangle_depth
@@ -115,6 +116,28 @@ def test_refinement_brings_the_mesh_onto_the_outline(head, rig, person):
     wanted = fit.problem.photos[0].terms[0].target
     before, after = (np.linalg.norm(f.landmarks[0] - wanted, axis=1).mean() for f in (fit, refined))
     assert after < before + 0.004 * fit.units[0]
+
+
+def test_outlines_that_change_the_shape_beyond_belief_are_dropped(head, rig, person, monkeypatch):
+    _, camera, vertices = person
+    image, mask = drawn(head, vertices, camera)
+    fit = fit_landmarks([observation_of(head, vertices, camera)], rig)
+    refined = refine(fit, [picture_of(image, mask)], rig)
+    change = shape_change(head, fit.shape, refined.shape)
+    assert 0.0 < change < photometric_stage.MAX_SHAPE_CHANGE
+    monkeypatch.setattr(photometric_stage, "MAX_SHAPE_CHANGE", 0.5 * change)
+    assert refine(fit, [picture_of(image, mask)], rig) is fit
+
+
+def test_shape_change_is_the_mean_distance_in_metres(head):
+    shape = np.zeros(head.shape_count)
+    assert shape_change(head, shape, shape) < 1e-9
+    changes = []
+    for amount in (0.5, 1.0):
+        shape[3] = amount
+        changes.append(shape_change(head, np.zeros(head.shape_count), shape))
+    assert changes[1] == pytest.approx(2.0 * changes[0], rel=0.05)
+    assert 1e-5 < changes[1] < 5e-3
 
 
 def test_without_a_person_nothing_changes(head, rig, person):

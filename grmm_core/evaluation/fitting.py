@@ -123,14 +123,19 @@ def photos_table(result: Mapping[str, Any]) -> str:
 def photo_figures(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], distances: Mapping[str, Distance] | None = None
 ) -> dict[str, float]:
-    """Means over an avatar's photos: rmse, psnr, ssim inside the mask, perceptual distances, landmark error."""
+    """Means over an avatar's photos: rmse, psnr, ssim on head and bare neck, perceptual distances, landmark error.
+
+    `rmse_dressed` also has the clothes that are painted on neck and bust, whose texels are coarse.
+    """
     sums: dict[str, list[float]] = {}
     for (view, drawn), track in zip(photo_pictures(model, avatar, tracks, MEASURED_PIXELS), tracks, strict=True):
         grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
         counts = view.weight[..., None]
         shown = (drawn.image + (1.0 - drawn.alpha)[..., None] * grey) * counts
-        errors = errors_of(shown, view.target(grey) * counts, view.inside, distances=distances)
+        target = view.target(grey) * counts
+        errors = errors_of(shown, target, view.measured, distances=distances)
         found = {"rmse": errors.rmse_mask, "psnr": errors.psnr_mask, "ssim": errors.ssim_mask, **errors.perceptual}
+        found["rmse_dressed"] = errors_of(shown, target, view.inside).rmse_mask
         for name, value in {**found, "landmark_error": track.landmark_error}.items():
             sums.setdefault(name, []).append(value)
     return {name: float(np.mean(values)) for name, values in sums.items()}
@@ -166,8 +171,9 @@ def portrait(model: GRMM, avatar: Avatar, controls: Mapping[str, float], pixels:
 
 
 def compare_stages(
-    scene: Scene, source: Sample, others: Mapping[str, Sequence[Sample]], preset: str | Preset = "standard", size: int = 384
-) -> dict[str, dict[str, float]]:
+    scene: Scene, source: Sample, others: Mapping[str, Sequence[Sample]], preset: str | Preset = "standard", size: int = 384,
+    picture: Path | None = None,
+) -> dict[str, dict[str, float]]:  # fmt: skip
     """Fit one captured view with exact tracking, stage by stage, and measure it and other views of the person.
 
     Args:
@@ -176,20 +182,30 @@ def compare_stages(
         others: Groups of further views by name, such as "other views" and "other expressions".
         preset: Of the fit.
         size: Longer side of the pictures.
+        picture: PNG to write: a row for the truth and one for each stage, a column for each view.
 
     Returns:
         PSNR inside the mask in dB for each of `STAGES`: of the input and of each group.
     """
     shape = source.dataset.shape(source.shot.subject)
     track = exact_track(scene.head, source, load(source, size), shape)
-    results = {}
+    groups = {"input": [source], **others}
+    views = [sample for group in groups.values() for sample in group]
+    results, rows = {}, [[_over_grey(loaded.image, loaded.mask) for loaded in (load(sample, size) for sample in views)]]
     with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as folder:  # stage 1 is done once
         for name, switches in STAGES.items():
             avatar = invert([track], scene.model, scene.head, preset, info=scene.info, work=Path(folder), **switches)
             person = scene.from_avatar(avatar)
-            results[name] = {"input": psnr_of_views(scene, person, [source], size)}
-            results[name] |= {group: psnr_of_views(scene, person, views, size) for group, views in others.items()}
+            results[name] = {group: psnr_of_views(scene, person, samples, size) for group, samples in groups.items()}
+            drawn = [scene.draw(person, sample.shot, load(sample, size).camera) for sample in views]
+            rows.append([_over_grey(one.image.cpu().numpy(), one.alpha.cpu().numpy()) for one in drawn])
+    if picture is not None:
+        write_png(picture, sheet(rows))
     return results
+
+
+def _over_grey(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    return np.clip(image + (1.0 - alpha[..., None]) * _GREY, 0.0, 1.0)
 
 
 def compare_counts(

@@ -9,7 +9,7 @@ What keeps the rest intact:
 - `Locality`, the paper's L_loc after PTI (Roich et al. 2022): at random codes at a fixed distance from the fitted ones the
   tuned networks must decode what the frozen ones do.
 - The maps are pulled to zero, more for skin than for hair, and at the end they are spread from texels that a photo shows to
-  the others along the surface and across the plane of symmetry (`surface`): no border runs where the photo's view ends.
+  the others along the surface and across the plane of symmetry (`unseen`): no border runs where the photo's view ends.
 
 Called by `invert`. Imports torch.
 """
@@ -24,7 +24,6 @@ import torch
 from torch import Tensor
 
 from ..model.grmm import GRMM
-from ..model.texels import rotate
 from ..training.losses import Perceptual
 from .codes import CodePrior, Codes, Tick, background
 from .colour import recolour
@@ -32,29 +31,29 @@ from .locality import LOCALITY_WEIGHT, Locality
 from .objective import FIT_WEIGHTS, Drawn, Look, contributions, decode, draw, fit_loss, mesh, spread_to_colours
 from .presets import DecoderSettings
 from .surface import INNER, SCALP, SKIN, Surface
+from .unseen import facing, fill_colours, lid_exposure
 from .views import FitView
 
 NETWORKS = ("transform", "opacity", "appearance")
 RATES = {"colour": 0.012, "opacity": 0.06, "position": 0.012, "scale": 0.02, "networks": 3e-4}
 END_RATE = 0.15
 PULL = {  # of squared maps in skin, scalp, inner parts; positions in the model's unit (10 mm)
-    "colour": (0.02, 0.02, 0.05), "opacity": (0.05, 0.002, 0.02), "position": (4.0, 0.4, 8.0), "scale": (0.2, 0.05, 0.4),
+    "colour": (0.02, 0.02, 0.05), "opacity": (0.05, 0.002, 0.02), "position": (4.0, 0.02, 8.0), "scale": (0.2, 0.02, 0.4),
 }  # fmt: skip
 BLENDS = {"colour": 1, "opacity": 2, "position": 3, "scale": 2}
 """How often a map is averaged with its neighbours before it is added. Several Gaussians make a pixel: without this, colours
 that cancel out in the photo would be found, and come out as speckles where another expression moves the Gaussians."""
-SCALP_STRIDE = 3.0  # positions of hair go so much faster than those of skin: hair stands centimetres off
+SHARPNESS = 0.5  # share of the colours' map that is added as it is: averaged alone it could not hold fine detail
+SCALP_STRIDE = 8.0  # positions of hair go so much faster than those of skin: hair stands centimetres off
 VARIANTS, VARIANT_SHARE = 2, 0.5  # other expressions' codes in every second step, and how far towards them
 TRUSTED = ("colour", "opacity")  # maps that texels of the skin take from photos that face them only
 WIDTHS = {"colour": 3, "opacity": 1, "position": 3, "scale": 3}
-DETAIL_TEXELS, TONE_TEXELS = 5.0, 40.0  # lengths below which colours are detail, and above which they are a general tone
-COLOUR_REST = 5e-4  # pulls unseen colours to the general tone; the reach is some 45 texels
+DETAIL_TEXELS = 5.0  # length below which colours are detail
 HALF_SEEN_PIXELS = 0.5  # contribution, in pixels, at which a texel counts as half seen
-SURELY_SEEN = (0.2, 0.6)  # below the first a texel's colour counts as unknown, above the second as known
-GRAZING = (0.1, 0.4)  # cosine between normal and view below which colours say nothing, and above which they count fully
 SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colours
 REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
-COLOUR_ROUNDS = 3  # of `Tuner.match_colours` at the beginning of each level and at the end
+LOCALITY_EVERY = 2  # steps of which one has L_loc, with that much more weight: decoding at another code is a third of a step
+COLOUR_ROUNDS, LAST_ROUNDS = 3, 6  # of `Tuner.match_colours` at the beginning of each level, and at the end
 
 
 def start_colours(colours: Tensor, codes: Codes, surface: Surface) -> Tensor:
@@ -161,6 +160,7 @@ class Tuner:
             widths = [result[name].shape[1] for name in names]
             parts = self.surface.average(torch.cat([result[name] for name in names], 1)).split(widths, 1)
             result |= dict(zip(names, parts, strict=True))
+        result["colour"] = result["colour"].lerp(self.maps["colour"], SHARPNESS)
         return result
 
     def changed(self, base: Look) -> Look:
@@ -182,7 +182,7 @@ class Tuner:
             drawn = self.step(level)
             tick(self.step_count / self.total, drawn if self.step_count % 8 == 1 else None)
         self.look_around(len(self.levels) - 1)
-        self.match_colours(len(self.levels) - 1, COLOUR_ROUNDS)
+        self.match_colours(len(self.levels) - 1, LAST_ROUNDS)
 
     def _level(self) -> tuple[int, int]:
         start = 0
@@ -209,8 +209,8 @@ class Tuner:
         drawn = drawn.relit(light.gain[index], light.offset[index])
         pictures = ("image",) if refined else ("raw",)
         loss = fit_loss(drawn, view, background(self.step_count, view), FIT_WEIGHTS, self.perceptual, pictures)
-        if self.locality is not None:
-            loss = loss + self.locality_weight * self.locality(self.tuned, self.step_count)
+        if self.locality is not None and self.step_count % LOCALITY_EVERY == 0:
+            loss = loss + self.locality_weight * LOCALITY_EVERY * self.locality(self.tuned, self.step_count // LOCALITY_EVERY)
         loss.backward()
         with torch.no_grad():
             for name, value in self.maps.items():
@@ -243,14 +243,9 @@ class Tuner:
         """Find out what each photo shows now; what was shown once stays known."""
         for index, view in enumerate(self.levels[level]):
             look = self.look(index)
-            frames = self.model.anchor(self.meshes[index])
-            normals = rotate(frames.quats, frames.quats.new_tensor([0.0, 0.0, 1.0]).expand(len(frames.quats), 3))
-            centre = torch.as_tensor(view.camera.position, dtype=normals.dtype, device=normals.device)
-            facing = (normals * torch.nn.functional.normalize(centre - frames.positions, dim=1)).sum(1)
-            frontal = ((facing - GRAZING[0]) / (GRAZING[1] - GRAZING[0])).clamp(0, 1)
-            frontal = torch.where(self.surface.group == SCALP, torch.ones_like(frontal), frontal)  # hair stands off
             shown = contributions(self.model, view, self.meshes[index], look, view.inside)
             tested = contributions(self.model, view, self.meshes[index], look, view.weight)
+            frontal = facing(self.model, view, self.meshes[index], self.surface)
             self.frontal_by[index] = frontal
             self.seen_by[index] = frontal * shown / (shown + HALF_SEEN_PIXELS)
             self.seen = torch.maximum(self.seen, self.seen_by[index])
@@ -261,7 +256,9 @@ class Tuner:
         """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
         maps = self.blended()
         if fill:
-            maps["colour"] = self._filled_colours(maps["colour"])
+            start = self.looks[0].colours + self.tint
+            folded = torch.stack([lid_exposure(self.model, view) for view in self.levels[0]]).amin(0)
+            maps["colour"] = fill_colours(self.surface, start, maps["colour"], self.seen, folded, self._hairy())
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
@@ -279,20 +276,15 @@ class Tuner:
                     deltas[name] = value.detach() - frozen[name].detach()
         return deltas
 
-    def _filled_colours(self, changes: Tensor) -> Tensor:
-        """Changes of colour [N, 3] with those of unseen texels.
-
-        What is filled in on skin is the tone, not the change: the decoded tone may be wrong just where nothing is seen, as on
-        lids. On the scalp and inside it is the change: the decoded hair at the back goes with that at the sides.
-        """
-        start = self.looks[0].colours + self.tint
-        tone = self.surface.smooth(start, TONE_TEXELS)
-        # what peeps out at the edge of something else, as a raised lid does, has not been seen
-        known = ((self.seen - SURELY_SEEN[0]) / (SURELY_SEEN[1] - SURELY_SEEN[0])).clamp(0, 1)
-        filled = tone + self.surface.fill(start + changes - tone, known, rest=COLOUR_REST)
-        unseen = (1.0 - known)[:, None]
-        outer = changes * (1.0 - unseen) + (filled - start) * unseen
-        return torch.where((self.surface.group == SKIN)[:, None], outer, self.surface.fill(changes, known))
+    def _hairy(self) -> Tensor:
+        """Share of the pixels that skin texels contribute to which show hair before the face, over all photos, [N]."""
+        hair, every = torch.zeros_like(self.seen), torch.full_like(self.seen, HALF_SEEN_PIXELS)
+        for index, view in enumerate(self.levels[-1]):
+            if bool(view.hair.any()):
+                look = self.look(index)
+                hair += contributions(self.model, view, self.meshes[index], look, view.inside * view.hair)
+                every += contributions(self.model, view, self.meshes[index], look, view.inside)
+        return torch.where(self.surface.group == SKIN, hair / every, torch.zeros_like(hair))
 
     # --- state -----------------------------------------------------------------------------------------------------
 

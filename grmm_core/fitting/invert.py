@@ -240,13 +240,13 @@ def photo_pictures(
 
 
 def photo_errors(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE) -> list[float]:
-    """RMSE in each photo's view, inside the part of the person that the model has. Arguments as `photo_pictures`."""
+    """RMSE in each photo's view, on head and bare neck (`FitView.measured`). Arguments as `photo_pictures`."""
     errors = []
     for view, drawn in photo_pictures(model, avatar, tracks, side):
         grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
         shown = drawn.image + (1.0 - drawn.alpha)[..., None] * grey
-        error = (shown.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.inside
-        errors.append(float((error.sum() / view.inside.sum().clamp(min=1.0)).sqrt()))
+        error = (shown.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.measured
+        errors.append(float((error.sum() / view.measured.sum().clamp(min=1.0)).sqrt()))
     return errors
 
 

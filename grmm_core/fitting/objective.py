@@ -105,7 +105,7 @@ def fit_loss(
     drawn: Drawn, view: FitView, background: Tensor, weights: LossWeights, perceptual: Perceptual | None,
     pictures: tuple[str, ...] = ("image", "raw"),
 ) -> Tensor:  # fmt: skip
-    """L_rec(I, I*) + L_rec(I_rgb, I*) and the coverage, where the photo is a target.
+    """L_rec(I, I*) + L_rec(I_rgb, I*) and the coverage, where the photo is a target; nothing may cover clothes beside the bust.
 
     Args:
         drawn: Over black.
@@ -118,7 +118,7 @@ def fit_loss(
     counts = view.weight[..., None]
     target = view.target(background) * counts
     behind = (1.0 - drawn.alpha)[..., None] * background
-    total = weights.alpha * l1_loss(drawn.alpha * view.weight, view.mask * view.weight)
+    total = weights.alpha * (l1_loss(drawn.alpha * view.weight, view.mask * view.weight) + (drawn.alpha * view.empty).mean())
     for name in pictures:
         shown = (getattr(drawn, name) + behind) * counts
         total = total + weights.l1 * l1_loss(shown, target) + weights.ssim * (1.0 - ssim(shown, target))

@@ -1,8 +1,9 @@
 """Refinement by what the pixels show beside landmarks: the outline of ears and cheeks, and the light.
 
 After the landmark stage the outline of the mesh is matched with the end of the skin (`outline`), the matches are added to the
-landmarks as terms of the same least squares, and both are solved again, a few times. A photo's refinement is kept only where
-its landmarks stay as near as they were. The light is estimated on the result. Used by `track`. Needs numpy only.
+landmarks as terms of the same least squares, and both are solved again, a few times. The refinement is kept only where the
+landmarks stay as near as they were and the shape changes little. The light is estimated on the result. Used by `track`.
+Needs numpy only.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..camera import Camera
-from .landmark_stage import LandmarkFit, finished
-from .outline import OutlinePoints, find_outline
+from ..head.model import HeadModel
+from .landmark_stage import LandmarkFit, finished, similarity
+from .outline import REGIONS, OutlinePoints, find_outline
 from .point_rig import LandmarkRig, PointRig
 from .solver import Term, solve
 
@@ -26,6 +28,7 @@ ROUND_ITERATIONS = 4
 OUTLINE_SIGMA = 0.08  # eye distances
 MIN_POINTS = 8
 MAX_LANDMARK_LOSS = 0.004  # eye distances by which the mean landmark error may grow
+MAX_SHAPE_CHANGE = 0.0015  # metres, mean over face and ears; outlines change a shape by half a millimetre, wrong ones by three
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,8 @@ def refine(
         progress: Called with 0..1; may raise to cancel.
 
     Returns:
-        The refined fit, or `fit` itself where the outlines contradict the landmarks or none is seen.
+        The refined fit, or `fit` itself where the outlines contradict the landmarks, would change the shape beyond belief
+        (hair of the skin's colour), or none is seen.
     """
     result = fit
     for number in range(ROUNDS):
@@ -91,8 +95,17 @@ def refine(
         solution = solve(replace(fit.problem, photos=tuple(photos)), result.solution, ROUND_ITERATIONS)
         result = finished(fit.problem, solution, fit.units, rig)
     worse = max(after - before for before, after in zip(_errors(fit), _errors(result), strict=True))
-    logger.debug("outline: %d points, landmark error grows by %.4f eye distances", count, worse)
-    return result if worse <= MAX_LANDMARK_LOSS else fit
+    change = shape_change(rig.head, fit.shape, result.shape)
+    logger.debug("outline: %d points, landmark error grows by %.4f eye distances, shape by %.4f m", count, worse, change)
+    return result if worse <= MAX_LANDMARK_LOSS and change <= MAX_SHAPE_CHANGE else fit
+
+
+def shape_change(head: HeadModel, before: np.ndarray, after: np.ndarray) -> float:
+    """Mean distance in metres of face and ears of two shapes [S], but for rotation, shift and scale."""
+    chosen = np.unique(np.concatenate([head.regions[name] for name in REGIONS]))
+    first, second = (head.shaped(shape)[chosen].astype(np.float64) for shape in (before, after))
+    rotation, scale, shift = similarity(second, first)
+    return float(np.linalg.norm(scale * second @ rotation.T + shift - first, axis=1).mean())
 
 
 def posed(fit: LandmarkFit, index: int, rig: LandmarkRig) -> np.ndarray:

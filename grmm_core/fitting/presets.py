@@ -57,9 +57,9 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset("fast", CodeSettings(192, 96, 24, 2, 6, 16), DecoderSettings(((256, 30), (384, 45)), False)),
+    "fast": Preset("fast", CodeSettings(192, 96, 24, 2, 6, 16), DecoderSettings(((192, 40), (384, 50)), False)),
     "standard": Preset(
-        "standard", CodeSettings(256, 128, 64, 3, 16, 60), DecoderSettings(((256, 80), (384, 160), (512, 160)), True)
+        "standard", CodeSettings(256, 128, 64, 3, 16, 60), DecoderSettings(((256, 70), (384, 120), (512, 120)), True)
     ),
     "high": Preset(
         "high", CodeSettings(320, 160, 256, 4, 24, 120), DecoderSettings(((256, 150), (512, 350), (768, 400)), True)

@@ -30,7 +30,7 @@ MIRROR_REACH = 0.005  # metres; the mean head is nearly symmetric
 MIRROR_WEIGHT = 0.25  # of a link across the plane of symmetry; a neighbour has 1
 SEEN_WEIGHT = 40.0  # of a fully seen texel's own value
 REST_WEIGHT = 0.004  # pulls unseen texels to zero: far from everything seen the prior stands
-_ITERATIONS = 80
+_ITERATIONS, _TOLERANCE = 80, 2e-3
 _CHUNK = 1024
 
 
@@ -175,12 +175,15 @@ def _nearest(
 
 
 def _conjugate_gradients(apply: Callable[[Tensor], Tensor], right: Tensor, start: Tensor, diagonal: Tensor) -> Tensor:
-    """Solve A x = right for each column, Jacobi-preconditioned, a fixed number of iterations."""
+    """Solve A x = right for each column, Jacobi-preconditioned, until the residual is small or the iterations are used up."""
     x = start.clone()
     residual = right - apply(x)
     direction = scaled = residual / diagonal
     old = (residual * scaled).sum(0)
+    enough = old * _TOLERANCE**2
     for _ in range(_ITERATIONS):
+        if bool((old <= enough).all()):
+            break
         image = apply(direction)
         step = old / (direction * image).sum(0).clamp(min=1e-20)
         x = x + step * direction

@@ -2,7 +2,7 @@
 
 The model has a head, a neck and the top of the shoulders. What else of the person the photo shows (clothes, arms, hair that
 falls far below the chin) is no target: such pixels get weight 0 in every loss. The background is one: nothing of the avatar
-may be there.
+may be there, nor where clothes are seen beside the bust.
 
 Called by `codes`, `decoders`, `invert` and the evaluation. Imports torch.
 """
@@ -19,6 +19,7 @@ from torch.nn import functional
 from ..camera import Camera
 from ..head import HeadModel
 from ..zbuffer import EMPTY, triangle_depth
+from .outline import sample, skin_map
 from .types import PhotoTrack
 
 MARGIN_SIDE, MARGIN_TOP, MARGIN_BOTTOM = 0.18, 0.22, 0.03  # of the head's height in the picture, around the mesh
@@ -29,6 +30,14 @@ COLOURS_DIFFER = 0.15  # distance of these colours from which they can be told a
 BODY_MASK = 0.05  # coverage above which a pixel counts as the person's
 MESH_MARGIN = 0.015  # of the head's height by which the mesh is widened before what lies outside counts as body
 _CHIN_LANDMARK, _FOREHEAD_LANDMARK = 152, 10
+_SIDE_LANDMARKS = (234, 454)  # the face's sides before the ears
+_MOUTH_LANDMARKS = (61, 291)
+_BEARD_LANDMARKS = (18, 199, 200, 32, 262)  # between lower lip and chin
+_SKIN_LANDMARKS = (
+    50, 280, 205, 425, 101, 330, 36, 266, 118, 347, 4, 195, 9, 151, 108, 337, 69, 299,
+)  # cheeks, nose, forehead
+HAIR_LATERAL = 0.6  # of the face's half width: dark pixels nearer to the middle are brows, eyes, stubble, not hair before skin
+CLOTHES_RIM = 0.02  # of the head's height by which clothes are widened: there the coarse bust blurs their edge
 _FEW_PIXELS = 30
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
@@ -43,6 +52,9 @@ class FitView:
         image: Photo, display sRGB 0..1, [H, W, 3].
         mask: Coverage by the person, [H, W].
         weight: 0 where a pixel is no target, else 1, [H, W].
+        empty: 1 where the person's clothes are seen beside the bust, so that nothing of the avatar may be there, [H, W].
+        hair: 1 where hair falls over the side of the face: such pixels say nothing about skin, [H, W].
+        clothes: 1 where clothes cover neck or bust, [H, W]: they are painted, not measured.
         shape: [S]. expression: [E]. pose: with the part that the expression turns, [5, 3].
         aligned: Weights of the aligned expressions that the tracked expression stands for, [60].
     """
@@ -52,6 +64,9 @@ class FitView:
     image: Tensor
     mask: Tensor
     weight: Tensor
+    empty: Tensor
+    hair: Tensor
+    clothes: Tensor
     shape: Tensor
     expression: Tensor
     pose: Tensor
@@ -61,6 +76,11 @@ class FitView:
     def inside(self) -> Tensor:
         """Pixels of the person that are targets, [H, W] 0..1."""
         return self.mask * self.weight
+
+    @property
+    def measured(self) -> Tensor:
+        """Pixels of the head and of the bare neck, [H, W] 0..1: what of `inside` is no cloth."""
+        return self.inside * (1.0 - self.clothes)
 
     def target(self, background: Tensor) -> Tensor:
         """The photo's person over a colour [3]: [H, W, 3]."""
@@ -101,9 +121,11 @@ def fit_view(
     vertices = head.vertices(track.shape, track.expression, pose)
     pixels = project(vertices, track.camera)
     left, top, right, bottom = head_window(pixels, track.camera)
-    weight = track.valid * (1.0 - _body(track, vertices[head.faces], pixels))
+    parts = _parts(track, vertices[head.faces], pixels)
+    weight = track.valid * (1.0 - parts.body)
     camera = track.camera.crop(left, top, right - left, bottom - top)
-    image, mask, weight = (array[top:bottom, left:right] for array in (track.image, track.mask, weight))
+    planes = (track.image, track.mask, weight, parts.empty, parts.hair, parts.clothes)
+    image, mask, *planes = (array[top:bottom, left:right] for array in planes)
     scale = min(1.0, side / max(camera.width, camera.height))
     width, height = (max(_MULTIPLE, round(n * scale / _MULTIPLE) * _MULTIPLE) for n in (camera.width, camera.height))
 
@@ -115,7 +137,7 @@ def fit_view(
 
     return FitView(
         index, camera.resized(width, height), resized(image), resized(mask)[..., 0],
-        (resized(weight)[..., 0] > 0.5).to(dtype),
+        *((resized(plane)[..., 0] > 0.5).to(dtype) for plane in planes),
         *(torch.tensor(a, dtype=dtype, device=device) for a in (track.shape, track.expression, pose)),
         torch.tensor(aligned_weights(track.expression, head, aligned_count), dtype=dtype, device=device),
     )  # fmt: skip
@@ -140,8 +162,25 @@ def head_window(pixels: np.ndarray, camera: Camera) -> tuple[int, int, int, int]
     return left, top, right, bottom
 
 
-def _body(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """1 where the photo shows parts of the person that the model does not have, [H, W]."""
+@dataclass(frozen=True)
+class _Parts:
+    """What a working picture shows of the person, each [H, W] of 0 and 1.
+
+    Attributes:
+        body: Parts that the model does not have.
+        empty: Of these, clothes beside the bust.
+        hair: Hair over the side of the face.
+        clothes: On neck and bust.
+    """
+
+    body: np.ndarray
+    empty: np.ndarray
+    hair: np.ndarray
+    clothes: np.ndarray
+
+
+def _parts(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> _Parts:
+    """Tell clothes, hair and skin apart by where they are and by their colours."""
     camera = track.camera
     height = float(np.ptp(pixels[:, 1]))
     covered = torch.tensor(triangle_depth(triangles, camera) < EMPTY, dtype=torch.float32)
@@ -160,9 +199,34 @@ def _body(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> np.nd
     if hair is not None and clothes is not None and np.linalg.norm(hair - clothes) > COLOURS_DIFFER:
         nearer = np.linalg.norm(track.image - hair, axis=-1) < HAIR_NEARER * np.linalg.norm(track.image - clothes, axis=-1)
         body &= ~(nearer & (below < SURELY_BODY * height))
+    empty = body.copy()
     # nor does the rim where the model's bust ends and the person goes on
     body |= (track.mask > BODY_MASK) & widened_rest & (below > SURELY_BODY * height)
-    return body.astype(np.float32)
+    skin = skin_map(track.image, track.landmarks_fitted[list(_SKIN_LANDMARKS)])
+    dressed = _widened(torch.tensor((skin < 0.5) & (below > 0.0), dtype=torch.float32), max(1, round(CLOTHES_RIM * height)))
+    side = _side_hair(track, hair, skin, (columns, rows), down)
+    return _Parts(*(part.astype(np.float32) for part in (body, empty, side, dressed & (below > 0.0))))
+
+
+def _side_hair(
+    track: PhotoTrack, hair: np.ndarray | None, skin: np.ndarray, pixels: tuple[np.ndarray, np.ndarray], down: np.ndarray
+) -> np.ndarray:
+    """Pixels of hair over cheeks, temples and ears, [H, W] bool: nearer to the hair's colour than to that of the skin.
+
+    Below the mouth only of people without a beard: there the same colours can be skin's.
+    """
+    marks = track.landmarks_fitted
+    tone = np.median(sample(track.image, marks[list(_SKIN_LANDMARKS)]), axis=0)
+    if hair is None or np.linalg.norm(hair - tone) < COLOURS_DIFFER:
+        return np.zeros(skin.shape, bool)
+    middle = 0.5 * (marks[_SIDE_LANDMARKS[0]] + marks[_SIDE_LANDMARKS[1]])
+    half = 0.5 * float(np.linalg.norm(marks[_SIDE_LANDMARKS[1]] - marks[_SIDE_LANDMARKS[0]]))
+    across = (pixels[0] - middle[0]) * -down[1] + (pixels[1] - middle[1]) * down[0]
+    distance = np.linalg.norm(track.image - hair, axis=-1) - np.linalg.norm(track.image - tone, axis=-1)
+    bearded = np.median(sample(distance, marks[list(_BEARD_LANDMARKS)])) < 0.0
+    end = marks[list(_MOUTH_LANDMARKS)].mean(0) if bearded else marks[_CHIN_LANDMARK]  # below it: a beard, or clothes
+    above = (pixels[0] - end[0]) * down[0] + (pixels[1] - end[1]) * down[1] < 0.0
+    return (distance < 0.0) & (np.abs(across) > HAIR_LATERAL * half) & (skin < 0.5) & above & (track.mask > 0.5)
 
 
 def _widened(mask: torch.Tensor, reach: int) -> np.ndarray:

@@ -1,0 +1,139 @@
+"""What a photo does not show, or shows wrongly: how far its colours are known, and what stands where they are not.
+
+``facing``          skin that a photo sees edge-on tells nothing
+``lid_exposure``    skin that lies folded away in the photo and comes out when the eyes close
+``fill_colours``    tone of skin, change of hair, spread along the surface; hair of no other colour than the photo's
+
+Called by `decoders`. Imports torch.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..expressions import ARKIT_NAMES
+from ..head import HeadModel
+from ..model.grmm import GRMM
+from ..model.texels import rotate
+from .surface import SCALP, SKIN, Surface
+from .views import FitView
+
+GRAZING = (0.1, 0.4)  # cosine between normal and view below which colours say nothing, and above which they count fully
+TONE_TEXELS = 40.0  # length above which colours are a general tone
+COLOUR_REST = 5e-4  # pulls unseen colours to the general tone; the reach is some 45 texels
+SURELY_SEEN = (0.2, 0.6)  # below the first a texel's colour counts as unknown, above the second as known
+LID_TRAVEL = (0.001, 0.003)  # metres that closing the eyes moves skin: below the first it was seen, above the second folded
+LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may be, and from where on it is not believed
+BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
+HAIR_RANGE = (0.05, 0.95)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
+_BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
+_FEW_TEXELS = 100
+
+
+def facing(model: GRMM, view: FitView, vertices: Tensor, surface: Surface) -> Tensor:
+    """How much each texel faces a photo's camera, 0..1, [N]; hair stands off and counts fully."""
+    frames = model.anchor(vertices)
+    normals = rotate(frames.quats, frames.quats.new_tensor([0.0, 0.0, 1.0]).expand(len(frames.quats), 3))
+    centre = torch.as_tensor(view.camera.position, dtype=normals.dtype, device=normals.device)
+    cosine = (normals * torch.nn.functional.normalize(centre - frames.positions, dim=1)).sum(1)
+    frontal = ((cosine - GRAZING[0]) / (GRAZING[1] - GRAZING[0])).clamp(0, 1)
+    return torch.where(surface.group == SCALP, torch.ones_like(frontal), frontal)
+
+
+def lid_exposure(model: GRMM, view: FitView) -> Tensor:
+    """How much each texel's skin lies folded in a photo's lids and comes out when the eyes close, 0..1, [N]."""
+    head = model.head_model
+    expression = view.expression.cpu().numpy()
+    closed = expression.copy()
+    for name in _BLINKS:
+        closed = np.maximum(closed, head.arkit_to_expression[ARKIT_NAMES.index(name)][: len(closed)])
+    shape, pose = view.shape.cpu().numpy(), np.zeros((5, 3), np.float32)
+    moved = head.vertices(shape, closed, pose) - head.vertices(shape, expression, pose)
+    travel = torch.as_tensor(np.linalg.norm(moved, axis=1).astype(np.float32))[:, None] * _lids(head)
+    corners = torch.as_tensor(np.ascontiguousarray(head.faces[model.anchor.face.cpu().numpy()]))  # [N, 3]
+    at_texels = (travel[corners][..., 0] * model.anchor.barycentric.cpu()).sum(1).to(view.image)
+    return ((at_texels - LID_TRAVEL[0]) / (LID_TRAVEL[1] - LID_TRAVEL[0])).clamp(0, 1)
+
+
+def _lids(head: HeadModel) -> Tensor:
+    """1 at vertices of face and lids, [V, 1]: eyeballs and lashes are not skin."""
+    chosen = torch.zeros(head.vertex_count, 1)
+    for name in ("face", "lids"):
+        if name in head.regions:
+            chosen[torch.as_tensor(np.array(head.regions[name]))] = 1.0
+    for name in ("left_eyeball", "right_eyeball", "lashes"):
+        if name in head.regions:
+            chosen[torch.as_tensor(np.array(head.regions[name]))] = 0.0
+    return chosen
+
+
+def fill_colours(
+    surface: Surface, start: Tensor, changes: Tensor, seen: Tensor, folded: Tensor, hairy: Tensor
+) -> Tensor:  # fmt: skip
+    """Changes of colour [N, 3] with those of unseen texels.
+
+    What is filled in on skin is the tone, not the change: the decoded tone may be wrong just where nothing is seen, as on
+    lids. Where hair falls over a cheek, unseen skin behind it goes on as hair, and does not take the other cheek's colour. On
+    the scalp and inside it is the change: the decoded hair at the back goes with that at the sides, but takes no tint that the
+    seen hair does not have.
+
+    Args:
+        surface: Texels.
+        start: Colours that the changes are added to, [N, 3].
+        changes: [N, 3].
+        seen: How well each texel was seen, 0..1, [N].
+        folded: `lid_exposure`, [N].
+        hairy: Share of each texel's pixels that are hair before the face, 0..1, [N].
+    """
+    tone = surface.smooth(start, TONE_TEXELS)
+    # what peeps out at the edge of something else, as a raised lid does, has not been seen
+    known = ((seen - SURELY_SEEN[0]) / (SURELY_SEEN[1] - SURELY_SEEN[0])).clamp(0, 1)
+    around = _bare_skin(surface, start + changes, known * (1.0 - folded))
+    darker = around.mean(1) - (start + changes).mean(1)
+    shade = ((darker - LID_SHADE[0]) / (LID_SHADE[1] - LID_SHADE[0])).clamp(0, 1)  # the fold's shadow, lashes, the iris
+    shown = torch.lerp(start + changes, around, (folded * shade)[:, None])
+    skin_known = torch.maximum(known, folded * shade)
+    filled = tone + surface.fill(shown - tone, skin_known, rest=COLOUR_REST)
+    if bool((hairy > 0.0).any()):
+        beside = tone + surface.fill(shown - tone, skin_known, mirrored=False, rest=COLOUR_REST)
+        covered = torch.where(surface.group == SCALP, torch.ones_like(hairy), hairy)[:, None]
+        near_hair = surface.fill(covered, torch.maximum(known, (surface.group == SCALP).to(known)), mirrored=False)
+        filled = torch.lerp(filled, beside, near_hair.clamp(0, 1))
+    unseen = (1.0 - skin_known)[:, None]
+    outer = (shown - start) * (1.0 - unseen) + (filled - start) * unseen
+    other = _plausible_hair(surface, start, surface.fill(changes, known), known)
+    return torch.where((surface.group == SKIN)[:, None], outer, other)
+
+
+def _bare_skin(surface: Surface, colours: Tensor, known: Tensor) -> Tensor:
+    """Colours [N, 3] of the known skin, spread over everything; brows, lashes and stubble are left out."""
+    skin = surface.group == SKIN
+    sample = colours[skin & (known > 0.5)]
+    if len(sample) < _FEW_TEXELS:
+        return colours
+    middle = torch.quantile(sample, 0.5, dim=0)
+    bare = skin & (colours.mean(1) > middle.mean() - BARE_SKIN)
+    return middle + surface.fill(colours - middle, known * bare, mirrored=False, rest=COLOUR_REST)
+
+
+def _plausible_hair(surface: Surface, start: Tensor, changes: Tensor, known: Tensor) -> Tensor:
+    """Changes [N, 3] with unseen texels of the scalp brought into the range of the seen ones."""
+    colours = start + changes
+    scalp = surface.group == SCALP
+    sample = colours[scalp & (known > 0.5)]
+    if len(sample) < _FEW_TEXELS:
+        return changes
+
+    def parts(values: Tensor) -> tuple[Tensor, Tensor]:
+        lightness = values.mean(1, keepdim=True)
+        return lightness, values - lightness
+
+    ranges = sample.new_tensor(HAIR_RANGE)
+    kept = []
+    for seen, all_ in zip(parts(sample), parts(colours), strict=True):
+        low, high = torch.quantile(seen, ranges, dim=0)
+        kept.append(torch.minimum(torch.maximum(all_, low), high))
+    unseen = ((1.0 - known) * scalp)[:, None]
+    return changes + unseen * (kept[0] + kept[1] - colours)

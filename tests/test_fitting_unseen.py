@@ -1,0 +1,176 @@
+"""What photos do not show or show wrongly: folded lids, hair over cheeks, clothes, hair at the back. Open head, no training."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from grmm_core.camera import Camera  # noqa: E402
+from grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES  # noqa: E402
+from grmm_core.fitting.objective import FIT_WEIGHTS, Drawn, fit_loss  # noqa: E402
+from grmm_core.fitting.surface import SCALP, SKIN, texel_surface  # noqa: E402
+from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack  # noqa: E402
+from grmm_core.fitting.unseen import facing, fill_colours, lid_exposure  # noqa: E402
+from grmm_core.fitting.views import fit_view, project  # noqa: E402
+from grmm_core.head.open_head import load_open_head  # noqa: E402
+from grmm_core.model.config import PRESETS  # noqa: E402
+from grmm_core.model.grmm import GRMM  # noqa: E402
+from grmm_core.zbuffer import EMPTY, triangle_depth  # noqa: E402
+
+SIZE = 160
+SKIN_TONE, HAIR, CLOTH = np.array([0.8, 0.6, 0.5]), np.array([0.1, 0.07, 0.05]), np.array([0.1, 0.2, 0.7])
+
+
+@pytest.fixture(scope="module")
+def model():
+    torch.manual_seed(0)
+    return GRMM(load_open_head(), PRESETS["tiny"].replace(grid=128, decoder_grid=16)).requires_grad_(False).eval()
+
+
+@pytest.fixture(scope="module")
+def surface(model):
+    return texel_surface(model)
+
+
+def track(head, blink=0.0, beard=False):
+    """A person in blue, hair on top and over the sides of the face, wider shoulders than the bust's."""
+    expression = np.zeros(head.expression_count, np.float32)
+    for name in ("eyeBlinkLeft", "eyeBlinkRight"):
+        expression[ARKIT_NAMES.index(name)] = blink
+    shape, pose = np.zeros(head.shape_count, np.float32), np.zeros((5, 3), np.float32)
+    camera = Camera.orbit(SIZE, SIZE, distance=1.1, fov=23.0)
+    vertices = head.vertices(shape, expression, head.pose_of(expression, pose))
+    marks = project(head.landmark_positions(vertices, LANDMARK_COUNT), camera)
+    mask = triangle_depth(vertices[head.faces], camera) < EMPTY
+    rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
+    chin, forehead, sides = marks[152], marks[10], marks[[234, 454], 0]
+    half = 0.5 * abs(float(np.ptp(sides)))
+    below = rows > chin[1] + 0.15 * (chin[1] - forehead[1])
+    mask |= below & (np.abs(columns - chin[0]) < 2.2 * half)
+    mask |= (rows > forehead[1]) & (rows < chin[1]) & (np.abs(columns - sides.mean()) < 1.3 * half)
+    image = np.full((SIZE, SIZE, 3), 0.5)
+    image[mask] = SKIN_TONE
+    image[mask & (rows < forehead[1])] = HAIR
+    image[mask & (np.abs(columns - sides.mean()) > 0.8 * half) & (rows < chin[1])] = HAIR
+    image[mask & below] = CLOTH
+    if beard:
+        image[mask & (rows > marks[13, 1]) & (rows < chin[1])] = HAIR
+    return PhotoTrack(
+        source="drawn.png", image=image, mask=mask.astype(np.float32), valid=np.ones((SIZE, SIZE), np.float32), camera=camera,
+        photo_camera=camera, shape=shape, expression=expression, pose=pose, landmarks=marks, landmarks_fitted=marks,
+        arkit=expression[:52],
+    )  # fmt: skip
+
+
+def view_of(model, **changes):
+    return fit_view(track(model.head_model, **changes), model.head_model, 0, SIZE, len(ALIGNED_NAMES), model.dtype)
+
+
+def at(plane, view, head, landmark):
+    """Value of a picture where a landmark is."""
+    vertices = head.vertices(view.shape.numpy(), view.expression.numpy(), view.pose.numpy())
+    x, y = project(head.landmark_positions(vertices, LANDMARK_COUNT)[landmark][None], view.camera)[0].astype(int)
+    return float(plane[y, x])
+
+
+def test_clothes_are_fitted_on_the_bust_but_not_measured(model):
+    view, head = view_of(model), model.head_model
+    image = view.image.numpy()
+    blue = (image[..., 2] > 0.6) & (image[..., 0] < 0.2)
+    inside = view.inside.numpy() > 0.5
+    assert (blue & inside).sum() > 200, "the bust is a target"
+    assert float((view.measured.numpy() * blue).sum()) == 0.0
+    assert at(view.measured, view, head, 1) == 1.0
+    beside = blue & ~inside
+    assert view.empty.numpy()[beside].mean() > 0.5, "clothes beside the bust"
+    assert float((view.empty * view.inside).sum()) == 0.0
+
+
+def test_an_avatar_may_not_cover_clothes_beside_its_bust(model):
+    view = view_of(model)
+    losses = []
+    for alpha in (view.inside, (view.inside + view.empty).clamp(0, 1)):
+        picture = view.image * alpha[..., None]
+        drawn = Drawn(picture, picture, alpha)
+        losses.append(float(fit_loss(drawn, view, torch.zeros(3), FIT_WEIGHTS, None)))
+    assert losses[1] > losses[0] + 0.5 * FIT_WEIGHTS.alpha * float(view.empty.mean())
+
+
+def test_hair_over_the_cheeks_is_told_from_skin_brows_and_beard(model):
+    head = model.head_model
+    view, bearded = view_of(model), view_of(model, beard=True)
+    dark = (view.image.numpy().max(-1) < 0.2) & (view.mask.numpy() > 0.5)
+    assert at(view.hair, view, head, 1) == 0.0, "the nose"
+    assert at(view.hair, view, head, 227) == 1.0, "before the ear"
+    assert float(view.hair.numpy()[~dark & (view.measured.numpy() > 0.5)].mean()) < 0.05
+    chin_row = int(project(head.landmark_positions(head.v_template, LANDMARK_COUNT)[[17]], bearded.camera)[0, 1])
+    assert float(bearded.hair[chin_row].sum()) == 0.0, "beside a bearded chin dark pixels are the beard's"
+    assert float(view.hair[chin_row].sum()) > 0.0
+
+
+def test_only_open_eyes_fold_lids_away(model):
+    opened, closed = (lid_exposure(model, view_of(model, blink=blink)) for blink in (0.0, 1.0))
+    assert float(opened.max()) > 0.9
+    assert 10 < int((opened > 0.5).sum()) < 0.05 * model.gaussian_count
+    assert float(closed.max()) == 0.0
+    places = model.anchor(model.head.v_template).positions
+    eyes = places[opened > 0.5]
+    assert float(eyes[:, 1].max() - eyes[:, 1].min()) < 0.04, "around the eyes only, metres"
+
+
+def test_shade_in_folded_lids_is_not_taken_for_their_colour(model, surface):
+    folded = lid_exposure(model, view_of(model))
+    start = torch.full((model.gaussian_count, 3), 0.6)
+    skin = surface.group == SKIN
+    lids, mole = (folded > 0.9) & skin, ((folded == 0.0) & skin).nonzero()[-1]
+    changes = torch.zeros_like(start)
+    changes[lids] = changes[mole] = -0.4
+    known = torch.ones(model.gaussian_count)
+    filled = fill_colours(surface, start, changes, known, folded, torch.zeros_like(folded))
+    assert float(filled[lids].mean()) > -0.1, "the tone of the skin around"
+    torch.testing.assert_close(filled[mole], changes[mole])
+    untouched = fill_colours(surface, start, changes, known, torch.zeros_like(folded), torch.zeros_like(folded))
+    assert float(untouched[lids].mean()) < -0.35
+
+
+def test_hair_at_the_back_takes_no_tint_that_the_seen_hair_lacks(model, surface):
+    scalp = surface.group == SCALP
+    z = model.anchor(model.head.v_template).positions[:, 2]
+    front = scalp & (z > 0.0)
+    start = torch.full((model.gaussian_count, 3), 0.3)
+    start[scalp & ~front] = torch.tensor([0.2, 0.6, 0.2])  # green
+    seen = front.to(start)
+    filled = start + fill_colours(surface, start, torch.zeros_like(start), seen, *torch.zeros(2, len(seen)))
+    back = filled[scalp & (z < -0.03)]
+    assert float((back - back.mean(1, keepdim=True)).abs().max()) < 0.02
+    torch.testing.assert_close(filled[front], start[front], atol=0.02, rtol=0.0)
+
+
+def test_unseen_skin_behind_hair_goes_on_as_hair(model, surface):
+    places = model.anchor(model.head.v_template).positions
+    skin, scalp = surface.group == SKIN, surface.group == SCALP
+    left = places[:, 0] > 0.0
+    # a dark strip over the left cheek; the left side behind it unseen, all of the right side seen and light
+    strip = skin & left & (places[:, 2] > 0.02) & (places[:, 2] < 0.045)
+    behind = skin & left & (places[:, 2] <= 0.02) & (places[:, 2] > -0.03) & (places[:, 1] > -0.05)
+    start, changes = torch.full((model.gaussian_count, 3), 0.7), torch.zeros(model.gaussian_count, 3)
+    changes[strip] = changes[scalp] = -0.6
+    seen = (~(left & (places[:, 2] <= 0.02) & skin)).to(start)
+    none = torch.zeros_like(seen)
+    light, dark = (start + fill_colours(surface, start, changes, seen, none, hairy) for hairy in (none, strip.to(seen)))
+    assert int(behind.sum()) > 50
+    assert float(dark[behind].mean()) < float(light[behind].mean()) - 0.1
+    torch.testing.assert_close(dark[skin & ~left], light[skin & ~left], atol=0.02, rtol=0.0)
+
+
+def test_grazing_skin_counts_less_than_skin_that_faces_the_camera(model, surface):
+    view = view_of(model)
+    frontal = facing(model, view, model.vertices(view.shape[None], view.expression[None], view.pose[None])[0], surface)
+    places = model.anchor(model.head.v_template).positions
+    skin = surface.group == SKIN
+    nose = skin & (places[:, 2] > places[skin, 2].max() - 0.01)
+    assert float(frontal[nose].mean()) > 0.8
+    assert float(frontal[skin & (places[:, 2] < -0.05)].max()) == 0.0
+    assert float(frontal[surface.group == SCALP].min()) == 1.0

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-_TOE = 0.0031308  # linear value where the sRGB curve leaves its straight part (IEC 61966-2-1)
-_TOE_SLOPE = 12.92
-_GAMMA = 2.4
-_OFFSET = 0.055
+SRGB_TOE = 0.0031308  # linear value where the sRGB curve leaves its straight part (IEC 61966-2-1)
+SRGB_TOE_SLOPE = 12.92
+SRGB_GAMMA = 2.4
+SRGB_OFFSET = 0.055
 MIN_ALPHA = 0.5 / 255.0
 """Coverage below which the colour of a pixel cannot be told and is left black."""
 
@@ -20,17 +20,17 @@ MIN_ALPHA = 0.5 / 255.0
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
     """Return scene-linear values of display sRGB values, any shape; below 0 counts as 0, above 1 the curve goes on."""
     values = np.asarray(np.maximum(np.asarray(values, np.float32), 0.0))
-    curve = np.add(values, np.float32(_OFFSET), out=np.empty_like(values))
-    curve *= np.float32(1.0 / (1.0 + _OFFSET))
-    np.power(curve, np.float32(_GAMMA), out=curve)
-    return np.divide(values, np.float32(_TOE_SLOPE), out=curve, where=values <= _TOE * _TOE_SLOPE)
+    curve = np.add(values, np.float32(SRGB_OFFSET), out=np.empty_like(values))
+    curve *= np.float32(1.0 / (1.0 + SRGB_OFFSET))
+    np.power(curve, np.float32(SRGB_GAMMA), out=curve)
+    return np.divide(values, np.float32(SRGB_TOE_SLOPE), out=curve, where=values <= SRGB_TOE * SRGB_TOE_SLOPE)
 
 
 def linear_to_srgb(values: np.ndarray) -> np.ndarray:
     """Return display sRGB values of scene-linear values, any shape; the inverse of `srgb_to_linear`."""
     values = np.maximum(np.asarray(values, np.float32), 0.0)
-    curve = (1.0 + _OFFSET) * values ** (1.0 / _GAMMA) - _OFFSET
-    return np.where(values <= _TOE, values * _TOE_SLOPE, curve).astype(np.float32)
+    curve = (1.0 + SRGB_OFFSET) * values ** (1.0 / SRGB_GAMMA) - SRGB_OFFSET
+    return np.where(values <= SRGB_TOE, values * SRGB_TOE_SLOPE, curve).astype(np.float32)
 
 
 def straight_srgb(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:

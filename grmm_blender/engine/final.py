@@ -159,9 +159,9 @@ class _Progress:
 
     def __call__(self, fraction: float, text: str) -> None:
         self._engine.update_progress(self._start + self._length * fraction)
-        status = session_host.memory_megabytes()
-        if status:
-            self._engine.update_memory_stats(memory_used=status, memory_peak=status)
+        used = session_host.memory_megabytes() if fraction == pipeline.DRAWN else 0.0
+        if used:
+            self._engine.update_memory_stats(memory_used=used, memory_peak=used)
         self._engine.update_stats("", f"GRMM: {text}")
 
     def part(self, start: float, length: float) -> _Progress:

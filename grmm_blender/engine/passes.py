@@ -41,7 +41,7 @@ class RenderPass:
 
 
 SESSION_PASSES: dict[Kind, tuple[str, ...]] = {
-    "combined": ("rgb", "alpha"),
+    "combined": ("linear",),
     "depth": ("depth", "alpha"),
     "mask": ("alpha",),
     "avatar_mask": ("mask",),

@@ -91,9 +91,11 @@ def pass_values(
         [H, W, channels] float32, top row first.
     """
     shown = visible.avatars
-    if item.kind in ("combined", "raw"):
-        rgb = buffers["rgb" if item.kind == "combined" else "raw"]
-        return _colors(rgb, buffers["alpha"], shown, visible.background, world)
+    if item.kind == "combined":
+        return _over_world(buffers["linear"], shown, visible.background, world)
+    if item.kind == "raw":
+        front = scene_linear_premultiplied(buffers["raw"], buffers["alpha"])
+        return _over_world(front, shown, visible.background, world)
     if item.kind == "features":
         values = np.zeros((*buffers["alpha"].shape[:2], FEATURES_IN_A_PASS), np.float32)
         group = buffers["features"][..., item.group * FEATURES_IN_A_PASS : (item.group + 1) * FEATURES_IN_A_PASS]
@@ -112,36 +114,30 @@ def pass_values(
     return values if shown is None else values * shown
 
 
-def _colors(
-    rgb: np.ndarray,
-    alpha: np.ndarray,
-    shown: np.ndarray | None,
-    uncut: np.ndarray | None,
-    world: np.ndarray | None,
+def _over_world(
+    front: np.ndarray, shown: np.ndarray | None, uncut: np.ndarray | None, world: np.ndarray | None
 ) -> np.ndarray:
-    """Return scene-linear premultiplied colour over the world, [H, W, 4].
+    """Put avatars over the world, [H, W, 4].
 
     Args:
-        rgb: Premultiplied display sRGB, [H, W, 3].
-        alpha: Coverage, [H, W, 1].
+        front: Scene-linear premultiplied colour of the avatars, [H, W, 4].
         shown: Part of the avatars that no mesh hides, [H, W, 1], or None.
         uncut: Part of the background that no holdout cuts, [H, W, 1], or None.
         world: Scene-linear colour, [3], or None for nothing.
     """
-    result = np.zeros((*alpha.shape[:2], 4), np.float32)
+    if shown is None and world is None:
+        return front
+    # One channel at a time: numpy is slow at spreading a value over neighbouring ones.
+    result = np.empty(front.shape, np.float32)
+    for channel in range(4):
+        if shown is None:
+            result[..., channel] = front[..., channel]
+        else:
+            np.multiply(front[..., channel], shown[..., 0], out=result[..., channel])
     if world is not None:
-        result[:] = np.append(world, 1.0)
-        if uncut is not None:
-            result *= uncut
-    rows, columns = np.flatnonzero(alpha.any(axis=(1, 2))), np.flatnonzero(alpha.any(axis=(0, 2)))
-    if not len(rows):
-        return result
-    # The costly part of the arithmetic is done where avatars are.
-    box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-    front = scene_linear_premultiplied(rgb[box], alpha[box])
-    if shown is not None:
-        front *= shown[box]
-    result[box] = front if world is None else front + (1.0 - front[..., 3:]) * result[box]
+        rest = 1.0 - result[..., 3] if uncut is None else (1.0 - result[..., 3]) * uncut[..., 0]
+        for channel, value in enumerate((*world, 1.0)):
+            result[..., channel] += rest * np.float32(value)
     return result
 
 

@@ -19,6 +19,8 @@ from .snapshot import AvatarShot, Occluders, Region
 
 Progress = Callable[[float, str], None]
 
+OPENED, DRAWN = 0.1, 0.8  # of the progress: when the session begins and has ended
+
 
 @dataclass(frozen=True)
 class DrawSettings:
@@ -80,18 +82,20 @@ def frame_values(
         raise CancelledError("The render was cancelled.")
     progress(0.0, "opening avatars")
     instances = open_instances(frame.avatars)
-    progress(0.1, f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}")
-    # Alpha and depth say what stands in front.
-    wanted = tuple(dict.fromkeys((*passes.session_passes(items), "alpha", "depth")))
+    progress(OPENED, f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}")
+    hidden = len(frame.occluders.triangles) + len(frame.occluders.holdouts) > 0  # perhaps: their depths are compared
+    wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if hidden else []))))
     options = RenderOptions(refine=settings.refine, passes=wanted, lod=settings.lod)
     buffers = session_host.get_session().render(instances, frame.camera, options, should_cancel)
-    progress(0.8, "putting the scene in front")
+    progress(DRAWN, "putting the scene in front")
     rows = slice(frame.camera.height - region.y - region.height, frame.camera.height - region.y)
     columns = slice(region.x, region.x + region.width)
     buffers = {name: buffer[rows, columns] for name, buffer in buffers.items()}
     camera = snapshot.crop_camera(frame.camera, region)
-    depth = buffers["depth"][..., 0]
-    visible = picture.visibility(frame.occluders, depth, camera, settings.samples, frame.clip, film=world is not None)
+    visible = picture.Visibility()
+    if hidden:
+        depth, film = buffers["depth"][..., 0], world is not None
+        visible = picture.visibility(frame.occluders, depth, camera, settings.samples, frame.clip, film)
     names = [shot.name for shot in frame.avatars]
     values = {item.name: picture.pass_values(item, buffers, visible, world, names) for item in items}
     progress(1.0, "done")

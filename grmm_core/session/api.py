@@ -33,6 +33,8 @@ from ..errors import ConfigError, ShapeError
 
 PassName = Literal["rgb", "alpha", "depth", "raw", "normal", "features", "mask"]
 PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask")
+LINEAR_PASS = "linear"
+"""A further pass, for hosts that work in linear light: "rgb" and "alpha" as `color.scene_linear_premultiplied` has them."""
 EMPTY_DEPTH = 1.0e10
 """Depth in metres of pixels that no Gaussian covers: Blender's value for an empty Z pass."""
 MAX_LOD = 3
@@ -211,7 +213,7 @@ class RenderOptions:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passes", tuple(self.passes))
-        unknown = [name for name in self.passes if name not in PASS_NAMES]
+        unknown = [name for name in self.passes if name not in PASS_NAMES and name != LINEAR_PASS]
         if unknown or not self.passes:
             name = unknown[0] if unknown else ""
             raise ConfigError(f"There is no render pass {name!r}; choose from {', '.join(PASS_NAMES)}.")

@@ -24,13 +24,13 @@ import torch
 from torch import Tensor
 
 from ..camera import Camera
-from ..color import MIN_ALPHA
+from ..color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
 from ..errors import CancelledError
 from ..model.grmm import GRMM, HEAD_CENTRE
 from ..model.refine import depth_range
 from ..model.texels import matrix_to_quaternion, multiply_quaternions
 from ..splat import Gaussians, RasterOutput, rasterize
-from .api import EMPTY_DEPTH, CancelCheck, Instance, RenderOptions
+from .api import EMPTY_DEPTH, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud
 from .evaluate import Evaluator, Inputs, OpenAvatar
 
@@ -89,7 +89,7 @@ def compose(
         raster = rasterize(Gaussians.concatenate(parts), _at_origin(camera))
     check()
     refined = raster.rgb
-    if options.refine and "rgb" in options.passes:
+    if _refines(options):
         refined = _refine(placed, raster, channels, options.coarse, check)
     return _buffers(placed, raster, refined, channels, options)
 
@@ -102,8 +102,12 @@ def _canceller(should_cancel: CancelCheck | None) -> Callable[[], None]:
     return check
 
 
+def _refines(options: RenderOptions) -> bool:
+    return options.refine and ("rgb" in options.passes or LINEAR_PASS in options.passes)
+
+
 def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
-    wants_features = "features" in options.passes or (options.refine and "rgb" in options.passes)
+    wants_features = "features" in options.passes or _refines(options)
     features: dict[int, slice] = {}
     count = 0
     if wants_features:
@@ -254,6 +258,7 @@ def _buffers(
         behind = (1.0 - alpha)[..., None] * alpha.new_tensor(options.background)
     makers: dict[str, Callable[[], Tensor]] = {
         "rgb": lambda: refined + behind,
+        LINEAR_PASS: lambda: _scene_linear(refined, alpha),
         "alpha": lambda: alpha[..., None],
         "depth": lambda: torch.where(alpha >= MIN_ALPHA, raster.depth, EMPTY_DEPTH)[..., None],
         "raw": lambda: raster.rgb + behind,
@@ -262,6 +267,25 @@ def _buffers(
         "mask": lambda: alpha[..., None] if channels.coverage is None else raster.features[..., channels.coverage],
     }
     return {name: _to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
+
+
+def _scene_linear(rgb: Tensor, alpha: Tensor) -> Tensor:
+    """Twin of `color.scene_linear_premultiplied` on all cores: rgb [H, W, 3], alpha [H, W] -> [H, W, 4]."""
+    result = rgb.new_zeros((*alpha.shape, 4))
+    bounds = [torch.nonzero(alpha.amax(axis) >= MIN_ALPHA) for axis in (1, 0)]
+    if not len(bounds[0]):
+        result[..., 3] = alpha.clamp(0.0, 1.0)
+        return result
+    rows, columns = (slice(int(hit[0]), int(hit[-1]) + 1) for hit in bounds)  # outside colours are black
+    cover = alpha.clamp(0.0, 1.0)
+    result[..., 3] = cover
+    cover = cover[rows, columns, None]
+    straight = rgb[rows, columns] * ((cover >= MIN_ALPHA) / cover.clamp(min=MIN_ALPHA))
+    straight.clamp_(0.0, 1.0)
+    curve = straight.add(SRGB_OFFSET).mul_(1.0 / (1.0 + SRGB_OFFSET)).pow_(SRGB_GAMMA)
+    toe = straight <= SRGB_TOE * SRGB_TOE_SLOPE
+    torch.mul(torch.where(toe, straight.div_(SRGB_TOE_SLOPE), curve), cover, out=result[rows, columns, :3])
+    return result
 
 
 def _unit_normals(summed: Tensor, alpha: Tensor) -> Tensor:
@@ -280,7 +304,7 @@ def _all_features(raster: RasterOutput, channels: _Channels) -> Tensor:
 
 def _empty(camera: Camera, options: RenderOptions) -> dict[str, np.ndarray]:
     """Return the picture of no avatars."""
-    sizes = {"rgb": 3, "alpha": 1, "depth": 1, "raw": 3, "normal": 3, "features": 0, "mask": 0}
+    sizes = {"rgb": 3, LINEAR_PASS: 4, "alpha": 1, "depth": 1, "raw": 3, "normal": 3, "features": 0, "mask": 0}
     buffers = {name: np.zeros((camera.height, camera.width, sizes[name]), np.float32) for name in options.passes}
     for name, buffer in buffers.items():
         if name == "depth":

@@ -82,7 +82,7 @@ def no_memory(*_: object, **__: object) -> None:
     raise MemoryError
 
 
-undo = replaced(module("grmm_blender.engine.picture"), "visibility", no_memory)
+undo = replaced(module("grmm_blender.engine.picture"), "pass_values", no_memory)
 attempt("memory")
 undo()
 

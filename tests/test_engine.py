@@ -79,8 +79,8 @@ def test_passes(render_script, blender_version, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["crop", "keep"])
-def test_border_is_a_part_of_the_full_picture(render_script, tmp_path, kind):
-    result = render_script("engine_passes.py", kind)
+def test_border_is_a_part_of_the_full_picture(render_script, blender_version, tmp_path, kind):
+    result = render_script("engine_passes.py", kind, python=blender_version)
     passes = _layers(read_exr(tmp_path / "passes.exr"), result["layer"])
     with np.load(tmp_path / "expected.npz") as archive:
         wanted = archive["combined"]
@@ -112,6 +112,7 @@ def test_film_and_scene(render_script, blender_version):
     assert result["hidden"] == 0
     assert result["agx_alpha"] <= STEP
     assert result["agx_differs"] > 5
+    assert result["agx_error"] <= STEP
 
 
 def test_errors_say_what_is_wrong_and_leave_no_file(run_blender, weights, tmp_path, blender_version):
@@ -174,7 +175,33 @@ def test_renders_that_end_before_they_are_done(render_script, blender_version):
     for name, files in found["left"].items():
         assert files == (["picture.png"] if name == "same" else kept.get(name, [])), name
     assert found["asked"] == 2
+    for shown in found["progress"]:
+        assert shown == sorted(shown)
+        assert (shown[0], shown[-1]) == (0.0, 1.0)
+        assert len(shown) > 3
+    assert found["texts"][:2] == ["GRMM: reading the scene", "GRMM: opening avatars"]
+    assert "GRMM: drawing 1 avatar" in found["texts"]
+    assert found["memory"] > 50  # MiB: a process with a model in it
     assert found["after"] <= STEP
+
+
+def test_copied_undone_deleted_and_linked_heads_render(render_script, blender_version):
+    found = render_script("lifecycle_render.py", python=blender_version)
+    assert found["alone"] <= STEP
+    assert found["covered"] > 0.05
+    copies, undo, libraries = found["copies"], found["undo"], found["libraries"]
+    for kind in ("full", "linked"):
+        assert copies[kind] <= STEP, kind
+        assert copies[f"{kind}_seen"] > 20, kind
+        assert copies[f"{kind}_deleted"] <= STEP, kind
+    assert undo["changed"] > 20
+    assert undo["undone"] <= STEP
+    assert undo["redone"] <= STEP
+    assert found["off"]["gone"]
+    assert found["off"]["picture"] <= STEP
+    for name in ("reloaded", "appended", "linked", "overridden", "override_changed"):
+        assert libraries[name] <= STEP, name
+    assert libraries["override_seen"] > 20
 
 
 _seen: dict[str, Path] = {}  # pictures of `engine_more.py` by Blender version

@@ -17,9 +17,10 @@ SINGLE = 1e-5  # sums of single-precision codes
 KEY = 2e-4  # rounded to four digits
 
 
-@pytest.fixture(scope="module")
-def edits(run_blender: RunBlender) -> dict:
-    return run_blender("rig_edits.py").result
+@pytest.fixture(scope="module", params=["4.5", "5.2"])
+def edits(request: pytest.FixtureRequest, run_blender: RunBlender) -> dict:
+    find_python(request.param)
+    return run_blender("rig_edits.py", python=request.param).result
 
 
 def test_saved_codes_blend(edits):

@@ -124,6 +124,15 @@ head.hide_render = False
 scene.view_settings.view_transform = "AgX"
 agx = shot()
 report(agx_alpha=float(np.abs(agx[..., 3] - alone[..., 3]).max()), agx_differs=difference(agx, alone))
+solid = agx[..., 3] > 254.5
+straight = np.where(solid[..., None], linear[..., :3] / np.maximum(linear[..., 3:], 0.5), 0.0)
+straight = np.concatenate([straight, np.ones_like(linear[..., 3:])], -1).astype(np.float32)
+image = bpy.data.images.new("Linear", linear.shape[1], linear.shape[0], float_buffer=True)
+image.colorspace_settings.name = "Linear Rec.709"
+image.pixels.foreach_set(straight[::-1].ravel())
+image.save_render(str(folder / "agx.png"), scene=scene)  # Blender's own AgX of the same values
+graded = load_png(folder / "agx.png")
+report(agx_error=float(np.abs(agx - graded)[solid][:, :3].max()))
 settings = scene.render.image_settings
 settings.color_management = "OVERRIDE"
 settings.view_settings.view_transform = "Standard"

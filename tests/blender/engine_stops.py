@@ -79,6 +79,39 @@ scene.render.resolution_x, scene.render.resolution_y = size
 del session.render
 report(asked=len(asked))
 
+# What Blender is told meanwhile: how far this is, in words, and the memory that the model takes.
+told: dict[str, list] = {"progress": [], "texts": [], "memory": []}
+
+
+class Told:
+    """Stands before the engine and notes what it is told."""
+
+    def __init__(self, engine: bpy.types.RenderEngine) -> None:
+        self.engine = engine
+        told["progress"].append([])
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self.engine, name)
+
+    def update_progress(self, done: float) -> None:
+        told["progress"][-1].append(done)
+
+    def update_stats(self, _first: str, text: str) -> None:
+        told["texts"].append(text)
+
+    def update_memory_stats(self, memory_used: float, memory_peak: float) -> None:
+        told["memory"].append(min(memory_used, memory_peak))
+
+
+draw_frame = final.render
+final.render = lambda engine, depsgraph: draw_frame(Told(engine), depsgraph)
+render(folder / "told.png")
+scene.render.use_motion_blur, scene.grmm_render.motion_steps = True, 2
+render(folder / "told_blurred.png")
+scene.render.use_motion_blur = False
+final.render = draw_frame
+report(progress=told["progress"], texts=told["texts"], memory=min(told["memory"]))
+
 # A disk without room for the picture.
 output = module("grmm_blender.engine.output")
 usage = output.shutil.disk_usage

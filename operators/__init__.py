@@ -8,7 +8,7 @@
 ``export_splats``       splat files, meshes, GaussianAvatars' folders
 ``export_animation``    performance files; caches through Blender's Alembic and USD exporters
 ``fit``                 avatars from photos
-``stepwise``            long exports with progress and cancel
+``steps``               long work with progress and cancel
 ``edit``                reset, mirror, random expression and identity, independent copies
 ``residual``            random learned detail, saved codes and their blend
 ``calibrate``           make the face of chosen frames the neutral one

@@ -11,12 +11,23 @@ import bpy
 
 from ..grmm_blender import preferences
 from ..grmm_blender.avatar import Avatar, avatar_of
-from ..grmm_blender.exporting import performer_of
+from ..grmm_blender.exporting import frames_between, performer_of
 from ..grmm_blender.splats.rigged import Puppet
 from ..grmm_core.errors import FileAccessError, GrmmError
 
 Result = set[str]
 _Execute = TypeVar("_Execute", bound=Callable[..., Result])
+
+
+class FrameRange:
+    """Mixin: first and last frame of an export; zero means the scene's."""
+
+    first: bpy.props.IntProperty(name="First Frame", description="First frame; 0 for the scene's", default=0, min=0)
+    last: bpy.props.IntProperty(name="Last Frame", description="Last frame; 0 for the scene's", default=0, min=0)
+
+    def frames(self, context: bpy.types.Context) -> list[int]:
+        """Return the frame numbers. Raises `ConfigError` when there are none."""
+        return frames_between(self.first or context.scene.frame_start, self.last or context.scene.frame_end)
 
 
 def active_avatar(context: bpy.types.Context) -> Avatar | None:

@@ -14,8 +14,8 @@ from ..grmm_blender.sheet import grid
 from ..grmm_core.color import linear_to_srgb
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.images import quantize, write_png
-from .common import Result, active_avatar, needs_avatar, output_path, reports_errors
-from .threaded import CancelCheck, Step, SteppedOperator, Steps
+from .common import Result, active_avatar, needs_avatar, output_path
+from .steps import CancelCheck, Step, SteppedOperator, Steps
 
 ALL = "ALL"
 _MAX_PIXELS = 1 << 27
@@ -59,18 +59,15 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
         default=(0.94, 0.94, 0.94),
     )  # fmt: skip
 
-    running: bpy.props.BoolProperty(default=False, options={"HIDDEN", "SKIP_SAVE"})
-
     poll = classmethod(needs_avatar)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Ask for the file, or begin once there is one."""
         if self.running:
-            return super().execute(context)
+            return self.begin(context)
         if not self.filepath:
             self.filepath = "contact_sheet.png"
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return self.ask(context, event)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Options that matter for the content."""
@@ -81,18 +78,6 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
         for name in ("columns", "size", "captions", "background"):
             layout.prop(self, name)
 
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> Result:
-        """Check the options, then draw tile by tile."""
-        output_path(self.filepath, (".png",), ".png")
-        if self._tile_count() * self.size**2 > _MAX_PIXELS:
-            raise ConfigError("The contact sheet would be too large; choose fewer or smaller tiles.")
-        if not bpy.app.background and context.window is not None:
-            # The file browser frees its operator when this returns, so that another one has to go modal.
-            names = [name for name in self.properties.keys() if name != "running"]  # noqa: SIM118 - no dictionary
-            return bpy.ops.grmm.contact_sheet("INVOKE_DEFAULT", running=True, **{name: getattr(self, name) for name in names})
-        return super().execute(context)
-
     def _tile_count(self) -> int:
         return len(ALIGNED_NAMES if self.region == ALL else REGIONS[self.region]) if self._is_expressions() else self.count
 
@@ -102,17 +87,14 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Steps:
         """One tile a step."""
         path = output_path(self.filepath, (".png",), ".png")
+        if self._tile_count() * self.size**2 > _MAX_PIXELS:
+            raise ConfigError("The contact sheet would be too large; choose fewer or smaller tiles.")
         tiles: list[tuple[str, np.ndarray]] = []
         source = self._frame_steps(context) if self.content == "FRAMES" else self._avatar_steps(context)
-        step = None
         try:
-            title, step = next(source)
-            while True:
+            for title, step in source:
                 picture = yield step
                 tiles.append((title, picture[..., :3]))
-                title, step = next(source)
-        except StopIteration:
-            pass
         finally:
             source.close()
         write_png(path, quantize(grid(tiles, self.columns, self.captions)))
@@ -126,12 +108,12 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
             for index, name in enumerate(names):
                 shown = with_expression(controls, {name: 1.0})
                 work = portrait(avatar.source, shown, face_camera, self.size, color)
-                yield label(name), Step(work, index / len(names), label(name))
+                yield label(name), Step(index / len(names), label(name), work)
             return
         for index in range(self.count):
             angle = 360.0 * index / self.count
             work = portrait(avatar.source, controls, lambda size, yaw=angle: head_camera(size, yaw), self.size, color)
-            yield f"{angle:.0f}°", Step(work, index / self.count, f"view {index + 1} of {self.count}")
+            yield f"{angle:.0f}°", Step(index / self.count, f"view {index + 1} of {self.count}", work)
 
     def _frame_steps(self, context: bpy.types.Context):  # noqa: ANN202 - as above
         """The scene is put on each frame in turn, and back at the end."""
@@ -142,7 +124,7 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
             for index, frame in enumerate(wanted.tolist()):
                 scene.frame_set(frame)
                 work = _scene_picture(context, self.size, color)
-                yield f"{frame}", Step(work, index / len(wanted), f"frame {frame}")
+                yield f"{frame}", Step(index / len(wanted), f"frame {frame}", work)
         finally:
             scene.frame_set(int(before), subframe=before - int(before))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
@@ -13,8 +12,8 @@ from ..grmm_blender import exporting
 from ..grmm_blender.avatar import Avatar, avatar_of
 from ..grmm_core.errors import FileAccessError, FileFormatError
 from ..grmm_core.performance import write_performance
-from .common import Result, active_performer, flame_path, output_path, reports_errors
-from .stepwise import FrameRange, Stepwise
+from .common import FrameRange, Result, active_performer, flame_path, output_path, reports_errors
+from .steps import Step, SteppedOperator, Steps
 
 PERFORMANCES = (
     (".json", "ARKit JSON (.json)", "Weights of the 52 ARKit shapes, with head, jaw and eye rotations"),
@@ -27,7 +26,7 @@ CACHES = (
 )
 
 
-class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, ExportHelper):
+class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator, ExportHelper):
     """Write the animation of the active avatar as a performance file."""
 
     bl_idname = "grmm.export_performance"
@@ -58,14 +57,7 @@ class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, Expor
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a file, or start the steps."""
-        if self.running:
-            return self.start(context)
-        self.interactive = True
-        return ExportHelper.invoke(self, context, event)
-
-    def execute(self, context: bpy.types.Context) -> Result:
-        """Write."""
-        return self.run(context)
+        return self.begin(context) if self.running else self.ask(context, event)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options in the file browser's side panel."""
@@ -76,7 +68,7 @@ class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, Expor
         if self.format == ".npz":
             layout.prop(self, "flame_file")
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Steps:
         """Walk through the frames, then write."""
         path = output_path(self.filepath, tuple(item[0] for item in PERFORMANCES), self.format)
         scene, performer = context.scene, active_performer(context)
@@ -91,7 +83,7 @@ class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, Expor
         with exporting.kept_frame(scene):
             for found in exporting.sample_controls(performer, scene, frames):
                 controls.append(found)
-                yield 0.95 * len(controls) / len(frames)
+                yield Step(0.95 * len(controls) / len(frames))
         if is_flame:
             performance = exporting.recorded_flame(performer, controls, frames, rate, flame_path(self.flame_file))
         else:
@@ -99,14 +91,9 @@ class GRMM_OT_export_performance(Stepwise, FrameRange, bpy.types.Operator, Expor
         if path.suffix.lower() == ".csv" and performance.jaw_rotation is not None:
             performance.warnings.append("The jaw bone is animated; Live Link Face files cannot hold it and it was left out.")
         write_performance(path, performance)
-        self.said = [*performance.warnings], f"Wrote {len(frames)} frames to {path.name}"
-        yield 1.0
-
-    def finished(self, context: bpy.types.Context) -> None:
-        """Say what was written and what was left out."""
-        for sentence in self.said[0]:
+        for sentence in performance.warnings:
             self.report({"WARNING"}, sentence)
-        self.report({"INFO"}, self.said[1])
+        return f"Wrote {len(frames)} frames to {path.name}"
 
 
 class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):

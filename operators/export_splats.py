@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,8 +16,8 @@ from ..grmm_core.errors import FileAccessError, FileFormatError
 from ..grmm_core.formats import write_splats
 from ..grmm_core.formats.avatars import PLY_NAME, TRACK_NAME
 from ..grmm_core.formats.sequence import frame_path
-from .common import Result, flame_path, output_path, reports_errors
-from .stepwise import FrameRange, Stepwise
+from .common import FrameRange, Result, flame_path, output_path, reports_errors
+from .steps import Step, SteppedOperator, Steps
 
 FORMATS = (
     (".ply", "3DGS (.ply)", "Uncompressed, as written by 3D Gaussian Splatting; read by nearly every splat program"),
@@ -34,7 +33,7 @@ _DEGREE = {
 }  # fmt: skip
 
 
-class GRMM_OT_export_splats(Stepwise, FrameRange, bpy.types.Operator, ExportHelper):
+class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, ExportHelper):
     """Write the active avatar, or splat cloud, as splats for other programs."""
 
     bl_idname = "grmm.export_splats"
@@ -82,14 +81,9 @@ class GRMM_OT_export_splats(Stepwise, FrameRange, bpy.types.Operator, ExportHelp
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a file, or start the steps."""
         if self.running:
-            return self.start(context)
-        self.interactive = True
+            return self.begin(context)
         self.filename_ext = self.format
-        return ExportHelper.invoke(self, context, event)
-
-    def execute(self, context: bpy.types.Context) -> Result:
-        """Write."""
-        return self.run(context)
+        return self.ask(context, event)
 
     def is_slow(self, context: bpy.types.Context) -> bool:
         """Sequences are."""
@@ -109,31 +103,23 @@ class GRMM_OT_export_splats(Stepwise, FrameRange, bpy.types.Operator, ExportHelp
             layout.prop(self, "degree")
             layout.prop(self, "lod")
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Steps:
         """Write one file after the other."""
         path = output_path(self.filepath, tuple(item[0] for item in FORMATS), self.format)
         target = splat_target(context.object, context.scene)
         options = SplatOptions(self.degree, self.lod, self.pose == "CANONICAL")
         scene = context.scene
-        self.written: list[Path] = []
         if self.pose != "SEQUENCE":
             write_splats(path, exporting.splats_of(target, context.evaluated_depsgraph_get(), options))
-            self.written.append(path)
-            yield 1.0
-            return
+            return f"Wrote {path.name}"
         frames = self.frames(context)
         with exporting.kept_frame(scene):
             for number, frame in enumerate(frames):
                 scene.frame_set(frame)
                 cloud = exporting.splats_of(target, context.evaluated_depsgraph_get(), options)
-                self.written.append(frame_path(path, frame))
-                write_splats(self.written[-1], cloud)
-                yield (number + 1) / len(frames)
-
-    def finished(self, context: bpy.types.Context) -> None:
-        """Say what was written."""
-        count, first = len(self.written), self.written[0]
-        self.report({"INFO"}, f"Wrote {first.name}" if count == 1 else f"Wrote {count} files to {first.parent}")
+                write_splats(frame_path(path, frame), cloud)
+                yield Step((number + 1) / len(frames))
+        return f"Wrote {len(frames)} files to {path.parent}"
 
 
 class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
@@ -172,7 +158,7 @@ class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
         return {"FINISHED"}
 
 
-class GRMM_OT_export_gaussian_avatar(Stepwise, FrameRange, bpy.types.Operator):
+class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, bpy.types.Operator):
     """Write the active avatar and its animation as GaussianAvatars store them."""
 
     bl_idname = "grmm.export_gaussian_avatar"
@@ -197,17 +183,9 @@ class GRMM_OT_export_gaussian_avatar(Stepwise, FrameRange, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a folder, or start the steps."""
-        if self.running:
-            return self.start(context)
-        self.interactive = True
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+        return self.begin(context) if self.running else self.ask(context, event)
 
-    def execute(self, context: bpy.types.Context) -> Result:
-        """Write."""
-        return self.run(context)
-
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Steps:
         """Sample the animation, then write both files."""
         scene, avatar = context.scene, avatar_of(context.object)
         if not self.directory:
@@ -221,18 +199,13 @@ class GRMM_OT_export_gaussian_avatar(Stepwise, FrameRange, bpy.types.Operator):
         with exporting.kept_frame(scene):
             for found in exporting.sample_controls(avatar, scene, frames):
                 controls.append(found)
-                yield 0.9 * len(controls) / len(frames)
+                yield Step(0.9 * len(controls) / len(frames))
         track = exporting.recorded_flame(avatar, controls, frames, rate, flame_path(self.flame_file))
         cloud = target if isinstance(target, Cloud) else None
         made = exporting.gaussian_avatar(avatar, cloud, track, flame_path(self.flame_file), SplatOptions(self.degree))
-        self.folder = Path(bpy.path.abspath(self.directory))
-        exporting.save_gaussian_avatar(self.folder, made)
-        self.counts = made.cloud.count, len(frames)
-        yield 1.0
-
-    def finished(self, context: bpy.types.Context) -> None:
-        """Say what was written."""
-        self.report({"INFO"}, f"Wrote {self.counts[0]} splats and {self.counts[1]} frames to {self.folder}")
+        folder = Path(bpy.path.abspath(self.directory))
+        exporting.save_gaussian_avatar(folder, made)
+        return f"Wrote {made.cloud.count} splats and {len(frames)} frames to {folder}"
 
 
 def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:

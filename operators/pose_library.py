@@ -12,7 +12,7 @@ from ..grmm_blender.portraits import face_camera, portrait, with_expression
 from ..grmm_blender.rig.definitions import ALIGNED_NAMES, label
 from ..grmm_core.errors import FileAccessError, GrmmError
 from .common import Result, active_avatar, needs_avatar, redraw_values, reports_errors
-from .threaded import Step, SteppedOperator, Steps
+from .steps import Step, SteppedOperator, Steps
 
 
 class GRMM_OT_create_pose_library(SteppedOperator, bpy.types.Operator):
@@ -43,7 +43,7 @@ class GRMM_OT_create_pose_library(SteppedOperator, bpy.types.Operator):
         for index, name in enumerate(ALIGNED_NAMES if draw else ()):
             shown = with_expression(controls, {name: 1.0})
             work = portrait(source, shown, face_camera, poses.THUMBNAIL, None)
-            pictures[name] = yield Step(work, index / len(ALIGNED_NAMES), label(name))
+            pictures[name] = yield Step(index / len(ALIGNED_NAMES), label(name), work)
         for name in ALIGNED_NAMES:
             action = poses.make_pose(label(name), poses.expression_values(name), key=name)
             if name in pictures:

@@ -1,0 +1,189 @@
+"""Long work one step at a time: modal with progress and cancel for somebody who pressed a button, straight through in scripts.
+
+An operator makes a `Steps` generator. Between yields it runs on Blender's main thread and may touch its data. What it yields
+says how far it is, and may carry work that must not touch them: that runs on a thread of its own, so that Blender stays
+responsive.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+from bpy_extras.io_utils import ExportHelper
+
+from ..grmm_core.errors import GrmmError
+from .common import Result
+
+CancelCheck = Callable[[], bool]
+_INTERVAL = 0.02  # seconds between looks at the work
+
+
+@dataclass(frozen=True)
+class Step:
+    """One piece of work.
+
+    Attributes:
+        fraction: Share of the whole that is done by now, 0..1.
+        text: What comes next; empty where the progress says enough.
+        work: Called with a function that says whether to stop; its result is what the generator's `yield` returns. None where
+            the generator does everything itself.
+    """
+
+    fraction: float
+    text: str = ""
+    work: Callable[[CancelCheck], Any] | None = None
+
+
+Steps = Generator[Step, Any, str]
+"""Returns the sentence that is reported at the end. It cleans up after itself when it is closed early."""
+
+
+class _Work:
+    """A step's work on a thread, or nothing."""
+
+    def __init__(self, step: Step) -> None:
+        self.value: Any = None
+        self.error: BaseException | None = None
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        if step.work is not None:
+            self._thread = threading.Thread(target=self._run, args=(step.work,), daemon=True, name="grmm-step")
+            self._thread.start()
+
+    def _run(self, work: Callable[[CancelCheck], Any]) -> None:
+        try:
+            self.value = work(self._stop.is_set)
+        except BaseException as error:  # noqa: BLE001 - raised again on the main thread
+            self.error = error
+
+    @property
+    def threaded(self) -> bool:
+        return self._thread is not None
+
+    @property
+    def done(self) -> bool:
+        return self._thread is None or not self._thread.is_alive()
+
+    def cancel(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+
+
+class SteppedOperator:
+    """Base of such operators: give it `steps`. One that asks for a file first has an `invoke` of its own, with `ask`."""
+
+    running: bpy.props.BoolProperty(default=False, options={"HIDDEN", "SKIP_SAVE"})
+    _asked = False
+    _steps: Steps | None = None
+    _work: _Work | None = None
+    _timer: bpy.types.Timer | None = None
+
+    def steps(self, context: bpy.types.Context) -> Steps:
+        """Make the generator."""
+        raise TypeError(f"{type(self).__name__} has no steps")
+
+    def is_slow(self, context: bpy.types.Context) -> bool:
+        """Whether there is anything to watch; else `execute` does it all."""
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Begin, for somebody who watches."""
+        return self.begin(context)
+
+    def ask(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Have the file browser ask for a file; `execute` comes afterwards."""
+        self._asked = True
+        if isinstance(self, ExportHelper):
+            return ExportHelper.invoke(self, context, event)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Run to the end, or begin where a file was asked for: then somebody watches."""
+        if self._asked and context.window is not None and self.is_slow(context):
+            # The file browser frees its operator when this returns, so that another one has to go modal.
+            names = [name for name in self.properties.keys() if name != "running"]  # noqa: SIM118 - no dictionary
+            category, _, name = self.bl_idname.partition(".")
+            again = getattr(getattr(bpy.ops, category), name)
+            return again("INVOKE_DEFAULT", running=True, **{name: getattr(self, name) for name in names})
+        steps, value = self.steps(context), None
+        try:
+            while True:
+                step = steps.send(value)
+                value = None if step.work is None else step.work(lambda: False)
+        except StopIteration as end:
+            self.report({"INFO"}, str(end.value))
+            return {"FINISHED"}
+        except GrmmError as error:
+            steps.close()
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    def begin(self, context: bpy.types.Context) -> Result:
+        """Begin, and look after the work from now on."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        manager = context.window_manager
+        self._steps, self._work = self.steps(context), None
+        self._timer = manager.event_timer_add(_INTERVAL, window=context.window)
+        manager.progress_begin(0.0, 1.0)
+        manager.modal_handler_add(self)
+        return self._advance(context, None)
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Look after the work; Escape cancels."""
+        if event.type == "ESC" and event.value == "PRESS":
+            self.cancel(context)
+            self.report({"WARNING"}, f"{self.bl_label}: cancelled; what was finished before stays")
+            return {"CANCELLED"}
+        if event.type != "TIMER" or self._work is None or not self._work.done:
+            # What steps on this thread walk through must not be edited meanwhile.
+            return {"PASS_THROUGH"} if self._work is None or self._work.threaded else {"RUNNING_MODAL"}
+        work, self._work = self._work, None
+        return self._advance(context, work)
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Stop the work and let the generator clean up; Blender calls this too when it quits."""
+        if self._work is not None:
+            self._work.cancel()
+            self._work = None
+        if self._steps is not None:
+            self._steps.close()
+        self._end(context)
+
+    def _advance(self, context: bpy.types.Context, done: _Work | None) -> Result:
+        """Hand a result to the generator and start the next step."""
+        try:
+            if done is not None and done.error is not None:
+                step = self._steps.throw(done.error)
+            else:
+                step = self._steps.send(None if done is None else done.value)
+        except StopIteration as end:
+            self._end(context)
+            self.report({"INFO"}, str(end.value))
+            return {"FINISHED"}
+        except GrmmError as error:
+            self._end(context)
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        except BaseException:
+            self._end(context)
+            raise
+        self._work = _Work(step)
+        context.window_manager.progress_update(step.fraction)
+        text = f"{step.text} " if step.text else ""
+        context.workspace.status_text_set(f"{self.bl_label}: {text}({step.fraction:.0%}). Esc cancels")
+        return {"RUNNING_MODAL"}
+
+    def _end(self, context: bpy.types.Context) -> None:
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+            context.window_manager.progress_end()
+            if context.workspace is not None:
+                context.workspace.status_text_set(None)

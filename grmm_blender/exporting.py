@@ -22,7 +22,6 @@ from ..grmm_core.formats import SplatCloud, write_mesh
 from ..grmm_core.formats.avatars import GaussianAvatar, write_gaussian_avatar
 from ..grmm_core.formats.binding import bind_to_mesh
 from ..grmm_core.head import HeadModel, load_flame
-from ..grmm_core.head.flame_transfer import FlameFit, bind_to_flame, fit_flame
 from ..grmm_core.head.skinning import euler_matrices
 from ..grmm_core.performance import Performance, to_expression
 from ..grmm_core.performance.rotations import matrix_to_euler, unwrap_euler
@@ -228,10 +227,12 @@ def gaussian_avatar(
         faces = triangles(avatar.object.data)
         bound = bind_to_mesh(cloud.resting(), head.shaped(shape) + offset, faces, cloud.binding())
         return GaussianAvatar(bound, replace(track, shape=shape, static_offset=offset))
+    from ..grmm_core.head.flame_transfer import bind_to_flame, fit_flame  # with FLAME's dozen modules
+
     head = load_flame(bpy.path.abspath(flame))
     session, number = session_host.get_session(), session_host.open_avatar(avatar.source).id
     controls = _controls(avatar, bpy.context.evaluated_depsgraph_get(), canonical=True)
-    fit: FlameFit = fit_flame(session.deform(number, controls).vertices, head)
+    fit = fit_flame(session.deform(number, controls).vertices, head)
     bound = bind_to_flame(splat_cloud(session, number, controls, options.degree, options.lod), fit, head)
     return GaussianAvatar(bound, replace(track, static_offset=fit.offset))
 

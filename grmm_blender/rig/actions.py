@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 
-from ...grmm_core.performance.curves import ReducedCurve
+if TYPE_CHECKING:
+    from ...grmm_core.performance.curves import ReducedCurve
 
 _LAYER = "Layer"
 _SAME_FRAME = 1e-3

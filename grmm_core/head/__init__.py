@@ -11,8 +11,20 @@
 
 from __future__ import annotations
 
-from .flame import load_flame
+import os
+
 from .model import HeadModel
 from .open_head import PeopleModel, load_open_head, load_people_model, read_head
 
 __all__ = ["HeadModel", "PeopleModel", "load_flame", "load_open_head", "load_people_model", "read_head"]
+
+
+def load_flame(
+    path: str | os.PathLike[str],
+    masks: str | os.PathLike[str] | None = None,
+    landmarks: str | os.PathLike[str] | None = None,
+) -> HeadModel:
+    """Complete a user's FLAME file to a head model: `flame.load_flame`, whose dozen modules are imported only here."""
+    from .flame import load_flame as load
+
+    return load(path, masks, landmarks)

@@ -12,6 +12,7 @@ pytestmark = pytest.mark.blender
 
 STEP = 1.0 + 1e-3  # of an 8-bit channel
 MERGED = ["Group"]
+EEVEE_PATIENCE = 900.0  # seconds
 
 
 def test_pixels_in_front_and_behind(run_blender: RunBlender, blender_version: str, tmp_path: Path):
@@ -42,6 +43,24 @@ def test_pixels_in_front_and_behind(run_blender: RunBlender, blender_version: st
     assert result["two"] == [False, False]
     assert result["removed"]["scenes"] == 1
     assert result["removed"]["nodes"] == 0
+    assert result["removed"]["camera"] == [True, True]
+
+
+@pytest.mark.slow
+def test_pixels_in_front_and_behind_in_eevee(run_blender: RunBlender, tmp_path: Path):
+    """On 5.2 only: there Blender's module draws without a window; on Blender's software device each picture takes seconds."""
+    pytest.importorskip("torch")
+    from tiny_model import write_tiny_weights
+
+    weights = write_tiny_weights(tmp_path / "tiny.safetensors")
+    environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
+    result = run_blender(
+        "composite_render.py", weights, tmp_path, "BLENDER_EEVEE", python="5.2", environment=environment, timeout=EEVEE_PATIENCE
+    ).result
+    for name in ("behind_avatar", "behind_wall", "front_left", "front_right", "compared_left", "compared_right"):
+        assert result[name] <= STEP, name
+    assert result["solid"] > 0.05
+    assert result["half_size"] == [40, 48]
     assert result["removed"]["camera"] == [True, True]
 
 

@@ -1,4 +1,4 @@
-"""A Cycles scene with a composited avatar, rendered and looked at: composite_render.py WEIGHTS FOLDER."""
+"""A scene with a composited avatar, rendered and looked at: composite_render.py WEIGHTS FOLDER [CYCLES|BLENDER_EEVEE]."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from render_support import heads, load_png, new_scene, render
 from support import report
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
+engine = sys.argv[3] if len(sys.argv) > 3 else "CYCLES"
 scene = new_scene(weights)
 scene.camera.location.x = 0.0
 scene.camera.rotation_euler.z = 0.0
@@ -53,7 +54,12 @@ def shot(name: str) -> np.ndarray:
 
 
 wall("Behind", -0.6, -5.0, 5.0, (1.0, 0.0, 0.0, 1.0))
-scene.render.engine = "CYCLES"
+if engine == "BLENDER_EEVEE":
+    import gpu
+
+    gpu.init()  # without a window
+    scene.eevee.taa_render_samples = 4
+scene.render.engine = engine
 scene.cycles.samples, scene.cycles.use_denoising, scene.cycles.device = 4, False, "CPU"
 scene.render.film_transparent = False
 if hasattr(scene.cycles, "use_adaptive_sampling"):

@@ -87,7 +87,7 @@ def extension_zip() -> Path:
     folder = _temporary_folder()
     done = subprocess.run(
         [sys.executable, "-m", "tools.build_extension", "--output", str(folder)],
-        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
+        cwd=ROOT, capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     return Path(done.stdout.strip().splitlines()[-1])

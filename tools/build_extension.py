@@ -57,7 +57,7 @@ def build(output: Path, source: Path = REPOSITORY) -> Path:
 
 def _run(resources: Path, *arguments: str) -> None:
     command = [sys.executable, str(resources / _TOOL), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     if done.returncode != 0:
         raise BuildError(f"{arguments[0]} failed: {(done.stdout + done.stderr).strip()}")
 

@@ -58,6 +58,9 @@ def add_parser(subparsers: Any) -> None:
         help="auto, none, mobilenet, mobilenet:FILE or vgg19:FILE (default: MobileNetV2 where its package is installed)",
     )  # fmt: skip
     parser.add_argument("--lpips", metavar="FILE", help="also LPIPS, with these weights (VGG16 and linear layers)")
+    parser.add_argument(
+        "--identity", metavar="FILE", help="of photos also the distance by this face-recognition network (TorchScript)"
+    )
     parser.add_argument("--seed", type=_count, default=0, help="of the choice of views (default: %(default)s)")
     parser.add_argument("--device", choices=DEVICES, default="auto", help="where the model runs (default: %(default)s)")
     parser.add_argument("--threads", type=positive_int, metavar="N", help="CPU threads (default: all)")
@@ -132,10 +135,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:
     """The monocular protocol on folders of real photos: figures in the photos' views, avatars and sheets."""
     from ..evaluation.fitting import evaluate_photos, photos_in, photos_table
+    from ..evaluation.identity import load_identity
 
     if args.output is None:
         raise ConfigError("Photos are judged by looking at their sheets; give a folder for them with --output.")
     preset = args.fit if args.fit != CODES else "fast"
+    identity = load_identity(args.identity) if args.identity else None
     results = {}
     for folder in args.data:
         if not photos_in(folder):
@@ -150,8 +155,9 @@ def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:
                 shown = max(shown, int(1000 * share))
 
             results[Path(folder).name] = evaluate_photos(
-                folder, args.weights, out, preset, device=device, distances=_distances(args, device), report=advance
-            )
+                folder, args.weights, out, preset, device=device, distances=_distances(args, device), identity=identity,
+                report=advance,
+            )  # fmt: skip
     text = "\n".join(photos_table(result) for result in results.values())
     _write(args.output, {"weights": args.weights, "monocular": results}, text)
     args.console.line(text)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import signal
 import sys
 from pathlib import Path
@@ -85,6 +86,10 @@ def _look(args: argparse.Namespace, events: _Events) -> dict[str, Any] | int:
 
 
 def _run(args: argparse.Namespace, events: _Events, stop: _StopOnSignal) -> dict[str, Any] | int:
+    # Threads of torch that wait for one another spin by default. Where another program has a core, each of the thousands of
+    # short operations of a fit then waits for a thread that is not running: the same work took 18 times as long on two threads
+    # as on one. Read by the library when torch is loaded, so it must be set before.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     from ..fitting.api import fit
 
     if args.output is None:

@@ -31,6 +31,7 @@ from ..images import write_png
 from ..model.grmm import GRMM
 from ..session.models import with_deltas
 from .fit import exact_track
+from .identity import Identity
 from .metrics import Distance, errors_of
 from .report import sheet
 from .scene import Person, Scene
@@ -66,7 +67,7 @@ def photos_in(folder: str | Path) -> list[Path]:
 
 def evaluate_photos(
     folder: str | Path, weights: str | Path | None, out: str | Path, preset: str = "standard", *, device: str = "auto",
-    distances: Mapping[str, Distance] | None = None, report: Report | None = None,
+    distances: Mapping[str, Distance] | None = None, identity: Identity | None = None, report: Report | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Fit every photo of a folder without hand work, measure it in its own view, and write avatars and sheets.
 
@@ -77,6 +78,7 @@ def evaluate_photos(
         preset: Of the fit.
         device: Where the model runs.
         distances: Perceptual networks by name.
+        identity: Distance by a face-recognition network (`identity.load_identity`), or None.
         report: Called with the photo's name and the share done.
 
     Returns:
@@ -99,7 +101,7 @@ def evaluate_photos(
             rows[photo.name] = {"error": str(error)}
             continue
         model = with_deltas(scene.model, result.avatar.deltas, result.path)
-        rows[photo.name] = photo_figures(model, result.avatar, result.tracks, distances)
+        rows[photo.name] = photo_figures(model, result.avatar, result.tracks, distances, identity)
         rows[photo.name]["seconds"] = round(result.seconds, 1)
         write_png(out / f"{photo.stem}.png", photo_sheet(model, result.avatar, result.tracks[0]))
     fitted = [row for row in rows.values() if "error" not in row]
@@ -121,9 +123,10 @@ def photos_table(result: Mapping[str, Any]) -> str:
 
 
 def photo_figures(
-    model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], distances: Mapping[str, Distance] | None = None
-) -> dict[str, float]:
-    """Means over an avatar's photos: rmse, psnr, ssim on head and bare neck, perceptual distances, landmark error.
+    model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], distances: Mapping[str, Distance] | None = None,
+    identity: Identity | None = None,
+) -> dict[str, float]:  # fmt: skip
+    """Means over an avatar's photos: rmse, psnr, ssim on head and bare neck, distances of networks, landmark error.
 
     `rmse_dressed` also has the clothes that are painted on neck and bust, whose texels are coarse.
     """
@@ -136,6 +139,8 @@ def photo_figures(
         errors = errors_of(shown, target, view.measured, distances=distances)
         found = {"rmse": errors.rmse_mask, "psnr": errors.psnr_mask, "ssim": errors.ssim_mask, **errors.perceptual}
         found["rmse_dressed"] = errors_of(shown, target, view.inside).rmse_mask
+        if identity is not None:
+            found["identity"] = identity(shown.clamp(0, 1), target, track, view.camera)
         for name, value in {**found, "landmark_error": track.landmark_error}.items():
             sums.setdefault(name, []).append(value)
     return {name: float(np.mean(values)) for name, values in sums.items()}

@@ -17,7 +17,6 @@ from grmm_core.errors import (
     ControlError,
     FileAccessError,
     FileFormatError,
-    RuntimeMissingError,
     SessionError,
     ShapeError,
 )
@@ -202,7 +201,7 @@ def test_controls_change_the_picture(session, avatar):
     other = session.render([Instance(avatar.id, Controls().set_named({"z_id.0": 3.0}))], CAMERA)["rgb"]
     assert np.abs(turned - neutral).max() > 0.1
     assert np.abs(other - neutral).max() > 0.01
-    np.testing.assert_array_equal(session.render([Instance(avatar.id)], CAMERA)["rgb"], neutral)
+    np.testing.assert_allclose(session.render([Instance(avatar.id)], CAMERA)["rgb"], neutral, atol=1e-5)
 
 
 def test_placement_moves_the_avatar_and_not_the_picture(session, avatar):
@@ -382,7 +381,7 @@ def test_weight_changes_belong_to_their_avatar(session, tmp_path):
     brighter = session.render([Instance(changed.id)], CAMERA)
     np.testing.assert_allclose(brighter["rgb"], before[person.id] + 0.3 * brighter["alpha"], atol=1e-4)
     for avatar_id, picture in before.items():
-        np.testing.assert_array_equal(session.render([Instance(avatar_id)], CAMERA)["rgb"], picture)
+        np.testing.assert_allclose(session.render([Instance(avatar_id)], CAMERA)["rgb"], picture, atol=1e-5)
     # different networks in one picture: each changes its own avatar
     wide = Camera.orbit(3 * SIZE, SIZE)
     pair = [Instance(person.id, model_to_world=moved(-0.35)), Instance(changed.id, model_to_world=moved(0.35))]
@@ -452,119 +451,3 @@ def test_both_draw_the_same(local, worker):
     pictures = [all_passes(s, [Instance(s.open("default").id, controls)]) for s in (local, worker)]
     for name in PASS_NAMES:
         np.testing.assert_allclose(pictures[0][name], pictures[1][name], rtol=0, atol=0)
-
-
-# --- only in process: how it is done -----------------------------------------------------------------------------------
-
-
-def test_refining_the_covered_part_changes_nothing(local, monkeypatch):
-    from grmm_core.session import compose
-
-    instance = Instance(local.open("default").id, model_to_world=moved(0.05))
-    camera = Camera.orbit(240, 176)
-    cropped = local.render([instance], camera)["rgb"]
-    regions = []
-    original = compose._covered_region
-
-    def whole(cover, model, coarse):
-        regions.append(original(cover, model, coarse))
-        return slice(0, cover.shape[0]), slice(0, cover.shape[1])
-
-    monkeypatch.setattr(compose, "_covered_region", whole)
-    np.testing.assert_allclose(local.render([instance], camera)["rgb"], cropped, atol=1e-6)
-    assert regions[0][1].start > 0
-
-
-@pytest.mark.parametrize("channels", [(6,), (6, 5), (6, 5, 4), (6, 5, 4, 3)])
-@pytest.mark.parametrize("fold", [1, 2])
-def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
-    from types import SimpleNamespace
-
-    import torch
-
-    from grmm_core.model.config import PRESETS
-    from grmm_core.model.refine import RefinementNetwork
-    from grmm_core.session.compose import _covered_region
-
-    torch.manual_seed(0)
-    config = PRESETS["tiny"].replace(refine_channels=channels, refine_unshuffle=fold)
-    network = RefinementNetwork(config)
-    torch.nn.init.normal_(network.exit.weight)
-    alpha = torch.zeros(230, 310)
-    alpha[111:120, 150:163] = 1.0
-    rgb, features = torch.rand(230, 310, 3) * alpha[..., None], torch.rand(230, 310, config.features) * alpha[..., None]
-    with torch.no_grad():
-        whole = network(rgb, features, alpha, alpha)
-        rows, columns = _covered_region(alpha, SimpleNamespace(config=config, refinement=network))
-        part = network(rgb[rows, columns], features[rows, columns], alpha[rows, columns], alpha[rows, columns])
-    assert part.numel() < whole.numel()
-    np.testing.assert_allclose(part, whole[rows, columns], atol=1e-5)
-
-
-def test_only_what_changed_is_computed(local, monkeypatch):
-    from grmm_core.model.grmm import GRMM
-
-    calls = []
-    for name in ("opacity", "appearance", "offsets", "displacement", "geometry"):
-        original = getattr(GRMM, name)
-
-        def counted(self, *args, name=name, original=original):
-            calls.append(name)
-            return original(self, *args)
-
-        monkeypatch.setattr(GRMM, name, counted)
-    info = local.sample(501)
-    local.render([Instance(info.id)], CAMERA)
-    assert sorted(calls) == ["appearance", "displacement", "geometry", "offsets", "opacity"]
-    calls.clear()
-    local.render([Instance(info.id)], CAMERA)
-    assert calls == []
-    local.render([Instance(info.id)], Camera.orbit(SIZE, SIZE, yaw=20.0))
-    assert calls == ["appearance"]
-    calls.clear()
-    local.render([Instance(info.id, Controls().set_named({"neck.x": 0.1}))], CAMERA)
-    assert sorted(calls) == ["displacement", "geometry"]
-    calls.clear()
-    local.render([Instance(info.id, Controls().set_named({"jawOpen": 0.1}))], CAMERA)
-    assert sorted(calls) == ["displacement", "geometry", "offsets"]
-
-
-def test_the_cache_stays_within_its_limit(weights, local):
-    from grmm_core.session.local import LocalSession
-
-    with LocalSession(weights, "cpu", cache_bytes=300_000) as small:
-        for step in range(12):
-            controls = Controls().set_named({"jawOpen": step / 12})
-            camera = Camera.orbit(SIZE, SIZE, yaw=5.0 * step)
-            tight = small.render([Instance(small.open("default").id, controls)], camera)
-            ample = local.render([Instance(local.open("default").id, controls)], camera)
-            np.testing.assert_array_equal(tight["rgb"], ample["rgb"])
-            assert small.evaluator.cache.size <= 300_000
-
-
-def test_plain_and_residual_free_configurations_work(tmp_path):
-    from tiny_model import write_tiny_weights
-
-    path = write_tiny_weights(
-        tmp_path / "plain.safetensors", mean_maps=False, basis_maps=0, residuals=False, refine=False, features=0
-    )
-    with create_session("local", weights=path) as session:
-        info = session.open("default")
-        passes = all_passes(session, [Instance(info.id, Controls().set_named({"jawOpen": 0.5}))])
-        assert passes["alpha"].max() > 0.9
-        assert passes["features"].shape[-1] == 0
-        pair = [Instance(info.id, model_to_world=moved(x)) for x in (-0.1, 0.1)]
-        assert all_passes(session, pair)["mask"].shape[-1] == 2
-
-
-def test_create_session_asks_for_torch_where_there_is_none(monkeypatch):
-    from grmm_core import session as package
-
-    monkeypatch.setattr(package, "has_torch", lambda: False)
-    monkeypatch.delenv(package.WORKER_PYTHON_VARIABLE, raising=False)
-    with pytest.raises(RuntimeMissingError, match="choose a Python that has it"):
-        create_session()
-    with pytest.raises(RuntimeMissingError, match="not installed in this Python"):
-        create_session("local")
-    with pytest.raises(ConfigError, match="no session mode 'remote'"):
-        create_session("remote")

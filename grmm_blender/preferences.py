@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import bpy
@@ -275,9 +276,13 @@ CLASSES = (
 )
 
 
-def get() -> GRMM_AddonPreferences:
-    """Return the preferences."""
-    return bpy.context.preferences.addons[compat.ROOT_PACKAGE].preferences
+def get() -> GRMM_AddonPreferences | SimpleNamespace:
+    """Return the preferences: their defaults where the extension was enabled for this process only (`blender --addons`)."""
+    found = bpy.context.preferences.addons.get(compat.ROOT_PACKAGE)
+    if found is not None:
+        return found.preferences
+    declared = GRMM_AddonPreferences.bl_rna.properties
+    return SimpleNamespace(**{name: declared[name].default for name in GRMM_AddonPreferences.__annotations__})
 
 
 def register() -> None:

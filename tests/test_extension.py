@@ -25,6 +25,8 @@ def test_lifecycle(run_blender: RunBlender, blender_version: str):
     assert result["warnings"] == {}
     assert "GRMM_RenderEngine" in result["registered"]
     assert result["after_disable"] == []
+    assert result["temporary"] == result["registered"]
+    assert result["device"] == "auto"
     assert result["after_enable"] == result["registered"]
     assert result["after_uninstall"] == []
     assert not result["folder_left"]

@@ -43,7 +43,8 @@ _ENABLE = f"""
 import os, sys, time
 import bpy, addon_utils, numpy
 start, worked = time.perf_counter(), time.process_time()
-addon_utils.enable({MODULE!r})
+if addon_utils.enable({MODULE!r}, default_set=True) is None:
+    os._exit(1)
 sys.stdout.write(repr((1e3 * (time.perf_counter() - start), 1e3 * (time.process_time() - worked))))
 sys.stdout.flush()
 os._exit(0)  # the wheel's end can hang

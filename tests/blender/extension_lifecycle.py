@@ -6,7 +6,7 @@ from pathlib import Path
 
 import addon_utils
 import bpy
-from support import MODULE, enable, heavy_modules, report
+from support import MODULE, enable, heavy_modules, module, report
 
 
 def ours() -> list[str]:
@@ -34,6 +34,9 @@ report(
 )
 addon_utils.disable(MODULE, default_set=True)
 report(after_disable=ours())
+temporary = addon_utils.enable(MODULE)  # for this process only, as `blender --addons` does
+report(temporary=ours(), device=module("grmm_blender.preferences").get().device if temporary else "")
+addon_utils.disable(MODULE)
 enable()
 report(after_enable=ours())
 repo_index = next(i for i, r in enumerate(bpy.context.preferences.extensions.repos) if r.module == "user_default")

@@ -17,9 +17,9 @@ import numpy as np
 from ..grmm_core.avatar import AssetReference
 from ..grmm_core.controls import Controls
 from ..grmm_core.errors import ConfigError, FileFormatError, GrmmError
-from ..grmm_core.expressions import ARKIT_NAMES
+from ..grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES
 from ..grmm_core.performance import CleanOptions, Performance, Progress, clean, to_arkit
-from ..grmm_core.performance.closures import keep_lips_closed, lip_model
+from ..grmm_core.performance.closures import LipModel, keep_lips_closed, lip_model
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
 from . import session_host
 from .avatar import Avatar
@@ -139,19 +139,28 @@ def closed_lips(avatar: Avatar, prepared: Performance, performance: Performance,
         head = load_head(AssetReference(avatar.object.grmm.head_name))
     except GrmmError:
         return prepared  # the rig says so itself
-    lips = lip_model(head, _resting_face(avatar))
+    lips = _learned_lips(avatar, head)
+    if lips is None:
+        resting = resting_positions(avatar.object.data)
+        lips = lip_model(head, np.stack([resting[:, 0], resting[:, 2], -resting[:, 1]], -1))
     return keep_lips_closed(prepared, prepare(performance, as_recorded), lips)
 
 
-def _resting_face(avatar: Avatar) -> np.ndarray:
-    """The avatar's neutral mesh, head axes, [V, 3]: with the learned displacement where the mesh shows it."""
-    if avatar.has_network and avatar.object.grmm.live_detail:
-        try:
-            return session_host.get_session().deform(session_host.open_avatar(avatar.source).id, Controls()).vertices
-        except GrmmError:
-            pass  # there is nothing to run the model: the mesh is the head model alone
-    resting = resting_positions(avatar.object.data)
-    return np.stack([resting[:, 0], resting[:, 2], -resting[:, 1]], -1)
+def _learned_lips(avatar: Avatar, head: HeadModel) -> LipModel | None:
+    """Lips of the avatar with the learned displacement, where the mesh shows it; it moves lips with every expression."""
+    if not (avatar.has_network and avatar.object.grmm.live_detail):
+        return None
+    aligned = np.zeros(len(ALIGNED_NAMES), np.float32)
+    try:
+        session, number = session_host.get_session(), session_host.open_avatar(avatar.source).id
+
+        def posed(weights: np.ndarray) -> np.ndarray:
+            aligned[: len(ARKIT_NAMES)] = weights
+            return session.deform(number, Controls(aligned=aligned)).vertices
+
+        return lip_model(head, posed=posed)
+    except GrmmError:
+        return None  # there is nothing to run the model: the mesh is the head model alone
 
 
 def parse_frames(text: str) -> tuple[int, ...]:

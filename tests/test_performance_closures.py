@@ -39,6 +39,23 @@ def test_the_model_of_the_lips_is_that_of_the_head(lips):
     assert lips.distance(weights[None])[0] == pytest.approx(marks[62, 1] - marks[66, 1], abs=3e-4)
 
 
+def test_a_learned_displacement_counts(lips):
+    """It parts the lips further the more the mouth smiles, which the head model does not know."""
+    head = load_open_head()
+    lower = head.faces[head.landmarks68[0][66]]
+
+    def posed(weights):
+        expression = head.arkit_to_expression.T @ weights
+        vertices = head.vertices(np.zeros(1), expression, head.pose_of(expression)).copy()
+        vertices[lower, 1] -= 2e-3 * weights[SMILE[0]] + 5e-4
+        return vertices
+
+    learned = lip_model(head, posed=posed)
+    assert learned.rest == pytest.approx(lips.rest + 5e-4, abs=1e-6)
+    assert learned.slopes[SMILE[0]] == pytest.approx(lips.slopes[SMILE[0]] + 2e-3, abs=1e-5)
+    assert learned.slopes[JAW] == pytest.approx(lips.slopes[JAW], abs=1e-5)
+
+
 def test_short_closures_survive_calibration(lips):
     recorded = speech()
     cleaned = clean(recorded, CleanOptions(neutral=range(75, 95)))

@@ -9,6 +9,7 @@ Called by the Blender importer. Needs numpy only.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -22,6 +23,7 @@ _INNER_LIPS = (62, 66)  # iBUG: upper and lower, middle
 _STEP = 0.2  # weight at which a shape's effect on the lips is measured; turning the jaw is not quite linear
 _TOUCHING = 1e-4  # metres above the resting distance at which lips count as touching
 _WEAKEST = 5e-4  # metres that mouthClose must close at 1 to be of use
+PosedMesh = Callable[[np.ndarray], np.ndarray]
 _RAMP = 3  # frames over which the correction fades
 
 
@@ -57,15 +59,19 @@ class LipModel:
         return self.rest + np.asarray(weights, np.float64) @ self.slopes
 
 
-def lip_model(head: LipHead, resting: np.ndarray | None = None) -> LipModel:
+def lip_model(head: LipHead, resting: np.ndarray | None = None, posed: PosedMesh | None = None) -> LipModel:
     """Measure a head's lips.
 
     Args:
         head: Head model.
         resting: The person's resting mesh, [V, 3] metres; the head's mean person when None.
+        posed: The person's mesh for ARKit weights [52], where a learned displacement moves the lips as well; it stands over
+            `resting`.
     """
 
     def apart(weights: np.ndarray) -> float:
+        if posed is not None:
+            return _apart(head, posed(weights))
         expression = np.asarray(head.arkit_to_expression, np.float32).T @ weights
         pose = np.einsum("e,ejk->jk", expression, np.asarray(head.expression_pose, np.float32))
         own: Any = getattr(head, "arkit_pose", None)
@@ -76,7 +82,7 @@ def lip_model(head: LipHead, resting: np.ndarray | None = None) -> LipModel:
     zero = np.zeros(len(ARKIT_NAMES), np.float32)
     base = apart(zero)
     slopes = np.array([(apart(zero + _STEP * unit) - base) / _STEP for unit in np.eye(len(ARKIT_NAMES), dtype=np.float32)])
-    return LipModel(base if resting is None else _apart(head, resting), slopes)
+    return LipModel(base if resting is None or posed is not None else _apart(head, resting), slopes)
 
 
 def keep_lips_closed(cleaned: Performance, recorded: Performance, lips: LipModel) -> Performance:
@@ -90,9 +96,11 @@ def keep_lips_closed(cleaned: Performance, recorded: Performance, lips: LipModel
     closing = -lips.slopes[MOUTH_CLOSE]
     if closing < _WEAKEST:
         return cleaned
-    touching = max(lips.rest, 0.0) + _TOUCHING
-    closed = np.interp(cleaned.times, recorded.times, lips.distance(recorded.weights)) <= touching
-    missing = np.where(closed, np.maximum(lips.distance(cleaned.weights) - touching, 0.0), 0.0) / closing
+    resting = max(lips.rest, 0.0)
+    wanted = np.interp(cleaned.times, recorded.times, lips.distance(recorded.weights))
+    aim = np.clip(wanted, 0.0, resting) + _TOUCHING  # a person whose lips rest apart closes them further than at rest
+    closed = wanted <= resting + _TOUCHING
+    missing = np.where(closed, np.maximum(lips.distance(cleaned.weights) - aim, 0.0), 0.0) / closing
     if not missing.any():
         return cleaned
     added = missing.copy()

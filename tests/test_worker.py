@@ -28,6 +28,8 @@ pytest.importorskip("torch")
 CAMERA = Camera.orbit(64, 64)
 LARGE = Camera.orbit(2200, 2200)  # long enough to be interrupted
 ROOT = Path(__file__).resolve().parent.parent
+SOON = 10.0  # seconds; on a machine with nothing else to do it takes less than two
+SAME = 1e-5  # metres or display values: another process may add in another order
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")
 
 
@@ -44,18 +46,25 @@ def session(weights):
         yield session
 
 
-def wait_until_gone(pid: int, seconds: float = 5.0) -> bool:
+def wait_until(condition, seconds: float = 30.0) -> bool:
     deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def wait_until_gone(pid: int) -> bool:
+    def gone() -> bool:
         try:
             os.kill(pid, 0)
             # a zombie of another parent still answers
-            if Path(f"/proc/{pid}/stat").exists() and Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0] == "Z":
-                return True
+            return Path(f"/proc/{pid}/stat").exists() and Path(f"/proc/{pid}/stat").read_text().split(")")[1].split()[0] == "Z"
         except ProcessLookupError:
             return True
-        time.sleep(0.05)
-    return False
+
+    return wait_until(gone)
 
 
 @posix
@@ -73,10 +82,11 @@ def test_a_worker_killed_in_the_middle_of_a_render(session):
 
     with pytest.raises(SessionError, match=r"ended by signal 9.*the next call starts a new one") as caught:
         session.render([Instance(info.id)], LARGE, should_cancel=kill_on_the_third_question)
-    assert time.monotonic() - killed_at[2] < 2.0
+    assert time.monotonic() - killed_at[2] < SOON
     assert "\n" not in str(caught.value)
     assert not session.status().alive
-    np.testing.assert_array_equal(session.render([Instance(info.id)], CAMERA)["rgb"], before)  # the same id still works
+    again = session.render([Instance(info.id)], CAMERA)["rgb"]  # the same id still works
+    np.testing.assert_allclose(again, before, atol=SAME)
     assert session.status().alive
     assert session.status().restarts >= 1
     assert session.status().pid != pid
@@ -88,10 +98,11 @@ def test_a_worker_killed_between_calls_is_replaced_silently(session, tmp_path):
     session.save(session.sample(2).id, path)
     infos = [session.open("default"), session.sample(2), session.open(path)]
     before = [session.deform(info.id, Controls()).vertices for info in infos]
-    os.kill(session.status().pid, signal.SIGKILL)
-    time.sleep(0.2)
+    pid = session.status().pid
+    os.kill(pid, signal.SIGKILL)
+    assert wait_until(lambda: not session.status().alive)
     for info, vertices in zip(infos, before, strict=True):
-        np.testing.assert_array_equal(session.deform(info.id, Controls()).vertices, vertices)
+        np.testing.assert_allclose(session.deform(info.id, Controls()).vertices, vertices, atol=SAME)
     assert session.open(path).id == infos[2].id
 
 
@@ -107,8 +118,8 @@ def test_a_cancelled_render_returns_soon_and_the_next_call_waits_for_its_end(ses
 
     with pytest.raises(CancelledError):
         session.render([Instance(info.id)], LARGE, should_cancel=cancel_on_the_third_question)
-    assert time.monotonic() - questions[2] < 2.0
-    np.testing.assert_array_equal(session.render([Instance(info.id)], CAMERA)["rgb"], expected)
+    assert time.monotonic() - questions[2] < SOON
+    np.testing.assert_allclose(session.render([Instance(info.id)], CAMERA)["rgb"], expected, atol=SAME)
     assert session.status().pid == pid
 
 
@@ -140,11 +151,11 @@ def test_closing_ends_a_render_of_another_thread(weights):
 
     thread = threading.Thread(target=draw)
     thread.start()
-    assert started.wait(10)
+    assert started.wait(60)
     start = time.monotonic()
     session.close()
-    assert time.monotonic() - start < 2.0
-    thread.join(5)
+    assert time.monotonic() - start < SOON
+    thread.join(30)
     assert not thread.is_alive()
     assert len(errors) == 1
     assert wait_until_gone(pid)
@@ -165,7 +176,7 @@ def test_calls_from_several_threads_do_not_mix(session):
     for thread in threads:
         thread.join(30)
     for k, vertices in enumerate(expected):
-        np.testing.assert_array_equal(found[k], vertices)
+        np.testing.assert_allclose(found[k], vertices, atol=SAME)
 
 
 def test_results_larger_than_the_arena(session):
@@ -236,9 +247,8 @@ def test_a_dropped_session_ends_its_worker(weights):
 
 def test_warming_up_returns_at_once(weights):
     with create_session("worker", weights=weights) as session:
-        start = time.monotonic()
         session.warm_up()
-        assert time.monotonic() - start < 0.5
+        assert not session.status().torch  # it did not wait for the worker, which takes seconds to load torch
         assert session.open("default").id > 0
         assert session.status().alive
 

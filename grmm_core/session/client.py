@@ -157,6 +157,7 @@ class WorkerSession:
     def _warm_up(self) -> None:
         try:
             with self._lock:
+                self._ensure_worker()
                 self._call("warm_up", {})
         except GrmmError as error:
             # The next call meets the same difficulty and has somebody to tell.
@@ -204,6 +205,7 @@ class WorkerSession:
             for avatar_id, known in self._sources.items():
                 if known == key:
                     return self._infos[avatar_id]
+            self._ensure_worker()
             info = self._open_remote(key)
             self._next_id += 1
             avatar_id = self._next_id
@@ -238,8 +240,11 @@ class WorkerSession:
             return self._call(operation, {"avatar_id": self._remote_id(avatar_id), **arguments})
 
     def _call(self, operation: str, arguments: dict[str, Any], should_cancel: CancelCheck | None = None) -> Any:
+        """Ask the worker that `_ensure_worker` gave. None is started here: the ids in `arguments` are those of that worker."""
         with self._lock:
-            worker = self._ensure_worker()
+            worker = self._worker
+            if worker is None:
+                raise SessionError("The session is closed; open a new one.")
             try:
                 reply = worker.call(operation, arguments, self._timeout, should_cancel)
                 if "error" in reply:

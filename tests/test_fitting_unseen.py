@@ -88,6 +88,15 @@ def test_clothes_are_fitted_on_the_bust_but_not_measured(model):
     assert float((view.empty * view.inside).sum()) == 0.0
 
 
+def test_the_rim_of_the_outline_does_not_tell_the_hairs_colour(model):
+    view, head = view_of(model), model.head_model
+    assert at(view.inner, view, head, 1) == 1.0
+    gone = (view.inside > 0.5) & (view.inner == 0.0)
+    assert 0.01 < float(gone.sum()) / float(view.inside.sum()) < 0.25
+    beside = torch.nn.functional.max_pool2d((view.inside < 0.5).float()[None, None], 3, 1, 1)[0, 0] > 0.5
+    assert float(view.inner[beside].sum()) == 0.0
+
+
 def test_an_avatar_may_not_cover_clothes_beside_its_bust(model):
     view = view_of(model)
     losses = []

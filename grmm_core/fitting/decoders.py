@@ -244,6 +244,8 @@ class Tuner:
         for index, view in enumerate(self.levels[level]):
             look = self.look(index)
             shown = contributions(self.model, view, self.meshes[index], look, view.inside)
+            hair = contributions(self.model, view, self.meshes[index], look, view.inner)
+            shown = torch.where(self.surface.group == SCALP, hair, shown)
             tested = contributions(self.model, view, self.meshes[index], look, view.weight)
             frontal = facing(self.model, view, self.meshes[index], self.surface)
             self.frontal_by[index] = frontal

@@ -27,7 +27,8 @@ SURELY_SEEN = (0.2, 0.6)  # below the first a texel's colour counts as unknown, 
 LID_TRAVEL = (0.001, 0.003)  # metres that closing the eyes moves skin: below the first it was seen, above the second folded
 LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may be, and from where on it is not believed
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
-HAIR_RANGE = (0.05, 0.95)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
+HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
+HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
 _BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
 _FEW_TEXELS = 100
 
@@ -100,7 +101,7 @@ def fill_colours(
         beside = tone + surface.fill(shown - tone, skin_known, mirrored=False, rest=COLOUR_REST)
         covered = torch.where(surface.group == SCALP, torch.ones_like(hairy), hairy)[:, None]
         near_hair = surface.fill(covered, torch.maximum(known, (surface.group == SCALP).to(known)), mirrored=False)
-        filled = torch.lerp(filled, beside, near_hair.clamp(0, 1))
+        filled = torch.lerp(filled, beside, (HAIR_REACH * near_hair).clamp(0, 1))
     unseen = (1.0 - skin_known)[:, None]
     outer = (shown - start) * (1.0 - unseen) + (filled - start) * unseen
     other = _plausible_hair(surface, start, surface.fill(changes, known), known)

@@ -37,7 +37,9 @@ _SKIN_LANDMARKS = (
     50, 280, 205, 425, 101, 330, 36, 266, 118, 347, 4, 195, 9, 151, 108, 337, 69, 299,
 )  # cheeks, nose, forehead
 HAIR_LATERAL = 0.6  # of the face's half width: dark pixels nearer to the middle are brows, eyes, stubble, not hair before skin
+RIM = 0.006  # of the picture's height: how far from the outline hair may have the background's colours
 CLOTHES_RIM = 0.02  # of the head's height by which clothes are widened: there the coarse bust blurs their edge
+_INNER = 0.9  # coverage
 _FEW_PIXELS = 30
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
@@ -76,6 +78,13 @@ class FitView:
     def inside(self) -> Tensor:
         """Pixels of the person that are targets, [H, W] 0..1."""
         return self.mask * self.weight
+
+    @property
+    def inner(self) -> Tensor:
+        """`inside` without its rim, where between hairs the background shows, [H, W] 0..1."""
+        reach = max(1, round(RIM * self.camera.height))
+        outside = (self.inside < _INNER).to(self.inside)[None, None]
+        return self.inside * (1.0 - functional.max_pool2d(outside, 2 * reach + 1, 1, reach)[0, 0])
 
     @property
     def measured(self) -> Tensor:

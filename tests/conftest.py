@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,3 +16,12 @@ sys.path.insert(0, str(ROOT))
 @pytest.fixture(scope="session")
 def repository() -> Path:
     return ROOT
+
+
+@pytest.fixture(scope="session")
+def photo_file() -> Callable[[str], Path]:
+    """Path of a test photo by the start of its name, such as "p01"; skips where the photos are not beside this checkout."""
+    folder = ROOT.parent / "shared" / "photos"
+    if not folder.is_dir():
+        pytest.skip("the test photos are not beside this checkout")
+    return lambda name: next(folder.glob(f"{name}_*"))

@@ -132,13 +132,10 @@ def test_guided_filter_of_a_flat_guide_is_a_mean_and_keeps_edges_of_the_guide():
     torch.testing.assert_close(guided_filter(step, step, 3, 1e-6), step, atol=1e-3, rtol=0)
 
 
-def test_the_mask_covers_the_face_and_leaves_the_corners(repository):
-    folder = repository.parent / "shared" / "photos"
-    if not folder.is_dir():
-        pytest.skip("the test photos are not beside this checkout")
+def test_the_mask_covers_the_face_and_leaves_the_corners(photo_file):
     from grmm_core.photo.faces import find_faces
 
-    photo = load_photo(folder / "p05_ted_cruz.jpg")
+    photo = load_photo(photo_file("p05"))
     (face,) = find_faces(photo.pixels)
     mask = person_mask(photo.pixels, face.box)
     x, y = face.landmarks[:, :2].T.astype(int)

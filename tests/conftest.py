@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from blender_process import blender_version, run_blender  # noqa: F401  fixtures
+
+if TYPE_CHECKING:
+    from grmm_core.session import Session
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -25,3 +29,20 @@ def photo_file() -> Callable[[str], Path]:
     if not folder.is_dir():
         pytest.skip("the test photos are not beside this checkout")
     return lambda name: next(folder.glob(f"{name}_*"))
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Random weights of the tiny configuration on the open head."""
+    from tiny_model import write_tiny_weights
+
+    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
+
+
+@pytest.fixture(scope="module")
+def local(weights: Path) -> Iterator[Session]:
+    """A session in this process, with the tiny weights."""
+    from grmm_core.session import create_session
+
+    with create_session("local", weights=weights, device="cpu", threads=1) as session:
+        yield session

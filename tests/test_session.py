@@ -37,19 +37,6 @@ def moved(x=0.0, y=0.0, z=0.0, scale=1.0) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    from tiny_model import write_tiny_weights
-
-    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
-
-
-@pytest.fixture(scope="module")
-def local(weights):
-    with create_session("local", weights=weights, device="cpu", threads=1) as session:
-        yield session
-
-
-@pytest.fixture(scope="module")
 def worker(weights):
     with create_session("worker", weights=weights, device="cpu", threads=1) as session:
         yield session

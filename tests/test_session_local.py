@@ -16,19 +16,6 @@ SIZE = 96
 CAMERA = Camera.orbit(SIZE, SIZE)
 
 
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    from tiny_model import write_tiny_weights
-
-    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
-
-
-@pytest.fixture(scope="module")
-def local(weights):
-    with create_session("local", weights=weights, device="cpu", threads=1) as session:
-        yield session
-
-
 def moved(x: float) -> np.ndarray:
     matrix = np.eye(4)
     matrix[0, 3] = x

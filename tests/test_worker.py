@@ -34,13 +34,6 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals"
 
 
 @pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    from tiny_model import write_tiny_weights
-
-    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
-
-
-@pytest.fixture(scope="module")
 def session(weights):
     with create_session("worker", weights=weights, device="cpu", threads=1) as session:
         yield session

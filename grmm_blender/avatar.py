@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..grmm_core.avatar.library import LIBRARY_PREFIX
 from ..grmm_core.controls import Controls
 from ..grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
 from ..grmm_core.session import HEAD_TO_BLENDER
@@ -54,12 +55,12 @@ class Avatar:
 
     @property
     def source(self) -> str:
-        """What to open in a session: "default", "sample:SEED", or the absolute path of a `.grmm` file.
+        """What to open in a session: "default", "sample:SEED", "library:NAME", or the absolute path of a `.grmm` file.
 
         A user's FLAME head, which no session draws, is `FLAME_PREFIX` and the file's absolute path.
         """
         stored = self.object.grmm.source
-        if not stored or stored == DEFAULT_SOURCE or stored.startswith(_SAMPLE_PREFIX):
+        if not stored or stored == DEFAULT_SOURCE or stored.startswith((_SAMPLE_PREFIX, LIBRARY_PREFIX)):
             return stored or DEFAULT_SOURCE
         if stored.startswith(FLAME_PREFIX):
             return FLAME_PREFIX + bpy.path.abspath(stored.removeprefix(FLAME_PREFIX), library=self.object.library)

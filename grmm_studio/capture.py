@@ -6,7 +6,7 @@ still has everybody. Imports bpy through `scene`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -124,19 +124,33 @@ def subject_name(seed: int, index: int) -> str:
 
 
 def run_job(
-    folder: Path, settings: CaptureSettings, threads: int = 2, report: Callable[[Progress], None] = lambda _: None
-) -> int:
-    """Render what is missing; returns the number of shots that this process made.
+    folder: Path, settings: CaptureSettings, threads: int = 2, report: Callable[[Progress], None] = lambda _: None,
+    only: Sequence[int] = (),
+) -> int:  # fmt: skip
+    """Render what is missing.
+
+    Args:
+        folder: Of the data set.
+        settings: What to render.
+        threads: Of this process.
+        report: Called after every shot.
+        only: Numbers of the people to render now; everybody when empty.
+
+    Returns:
+        The number of shots that this process made.
 
     Raises:
         ConfigError: Bad settings. FileAccessError: The folder is not writable or the disk is full.
     """
     if min(settings.subjects, settings.shots, settings.views, settings.size, settings.samples) < 1:
         raise ConfigError("Subjects, shots, cameras, size and samples must be at least 1.")
+    absent = [index for index in only if not 0 <= index < settings.subjects]
+    if absent:
+        raise ConfigError(f"There is no person {absent[0]} here; choose from 0 to {settings.subjects - 1}.")
     pool = expression_pool(settings.expressions)
     open_job(folder, settings)
-    pieces = list(job_order(settings.subjects, settings.shots))
-    left = TimeLeft(settings.subjects * settings.shots)
+    pieces = [piece for piece in job_order(settings.subjects, settings.shots) if not only or piece[0] in only]
+    left = TimeLeft(sum(len(numbers) for _, numbers in pieces))
     worker = _Worker(folder, settings, threads, pool)
     made = 0
     try:

@@ -1,4 +1,4 @@
-"""Add an avatar to the scene: the default one, a random person, or a `.grmm` file."""
+"""Add an avatar to the scene: one that comes with the extension, a random person, or a `.grmm` file."""
 
 from __future__ import annotations
 
@@ -11,8 +11,13 @@ from ..grmm_blender.rig.build import build_avatar
 from ..grmm_blender.rig.identity import DEFAULT_SOURCE, read_identity
 from ..grmm_blender.session_host import SAMPLE_PREFIX
 from ..grmm_core.avatar import EXTENSION
+from ..grmm_core.avatar.library import LIBRARY_PREFIX, library_names
 from ..grmm_core.errors import GrmmError
 from .relink import stored_path
+
+LIBRARY_ITEMS = tuple(
+    (name, name.replace("_", " ").capitalize(), f"The avatar {name} of the library") for name in library_names()
+)
 
 
 class GRMM_OT_add_head(bpy.types.Operator):
@@ -28,11 +33,13 @@ class GRMM_OT_add_head(bpy.types.Operator):
         description="Who the head is",
         items=(
             ("DEFAULT", "Default", "The avatar that comes with the weights"),
+            ("LIBRARY", "Library", "One of the avatars that come with the extension"),
             ("RANDOM", "Random Person", "A person drawn from the model"),
             ("FILE", "File", "An avatar file"),
         ),
         default="DEFAULT",
     )
+    library: bpy.props.EnumProperty(name="Avatar", description="Which avatar of the library", items=LIBRARY_ITEMS)
     seed: bpy.props.IntProperty(name="Seed", description="Number of the random person", default=1, min=0)
     filepath: bpy.props.StringProperty(name="File", description="Avatar file (.grmm)", subtype="FILE_PATH", default="")
     relative_path: bpy.props.BoolProperty(
@@ -68,7 +75,9 @@ class GRMM_OT_add_head(bpy.types.Operator):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "person")
-        if self.person == "RANDOM":
+        if self.person == "LIBRARY":
+            layout.prop(self, "library")
+        elif self.person == "RANDOM":
             layout.prop(self, "seed")
         elif self.person == "FILE":
             layout.prop(self, "filepath")
@@ -78,6 +87,8 @@ class GRMM_OT_add_head(bpy.types.Operator):
         """What to store, and what to open now."""
         if self.person == "RANDOM":
             return (f"{SAMPLE_PREFIX}{self.seed}",) * 2
+        if self.person == "LIBRARY":
+            return (f"{LIBRARY_PREFIX}{self.library}",) * 2
         if self.person == "DEFAULT" and not self.filepath:
             return DEFAULT_SOURCE, DEFAULT_SOURCE
         if not self.filepath:
@@ -114,16 +125,30 @@ class GRMM_OT_open_avatar(bpy.types.Operator):
         return bpy.ops.grmm.add_head("EXEC_DEFAULT", True, person="FILE", filepath=self.filepath)
 
 
+class GRMM_MT_library(bpy.types.Menu):
+    """Avatars that come with the extension."""
+
+    bl_idname = "GRMM_MT_library"
+    bl_label = "GRMM Library"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """One entry for each avatar."""
+        for name, label, _ in LIBRARY_ITEMS:
+            entry = self.layout.operator(GRMM_OT_add_head.bl_idname, text=label, icon="COMMUNITY")
+            entry.person, entry.library = "LIBRARY", name
+
+
 def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     layout = self.layout
     layout.separator()
     layout.operator_context = "INVOKE_DEFAULT"
     layout.operator(GRMM_OT_add_head.bl_idname, text="GRMM Head", icon="COMMUNITY").person = "DEFAULT"
+    layout.menu(GRMM_MT_library.bl_idname, icon="COMMUNITY")
     layout.operator(GRMM_OT_add_head.bl_idname, text="GRMM Random Person", icon="COMMUNITY").person = "RANDOM"
     layout.operator(GRMM_OT_open_avatar.bl_idname, text="GRMM Avatar File...", icon="FILE_FOLDER")
 
 
-CLASSES = (GRMM_OT_add_head, GRMM_OT_open_avatar)
+CLASSES = (GRMM_OT_add_head, GRMM_OT_open_avatar, GRMM_MT_library)
 
 
 def register() -> None:

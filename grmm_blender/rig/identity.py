@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ...grmm_core.avatar import AssetReference, load_avatar
+from ...grmm_core.avatar.library import LIBRARY_PREFIX, default_path, library_path
 from ...grmm_core.errors import FileAccessError, FileFormatError
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
 from ...grmm_core.head.open_head import ASSET as OPEN_HEAD_ASSET
@@ -73,15 +74,20 @@ def read_identity(source: str) -> Identity:
     """Return the identity of a source.
 
     Args:
-        source: "default", "sample:SEED" (needs the runtime), the absolute path of a `.grmm` file, or `FLAME_PREFIX` and the
-            path of the user's FLAME file: its mean head, which no network draws.
+        source: "default", "library:NAME", "sample:SEED" (needs the runtime), the absolute path of a `.grmm` file, or
+            `FLAME_PREFIX` and the path of the user's FLAME file: its mean head, which no network draws.
 
     Raises:
         FileAccessError, FileFormatError: The file is missing, damaged, or of a head model that is not installed.
         RuntimeMissingError: A sample, and nothing here can run the model.
     """
     if source == DEFAULT_SOURCE:
-        return _default()
+        path = default_path()
+        if path is None:
+            return _default()
+        source = str(path)
+    elif source.startswith(LIBRARY_PREFIX):
+        source = str(library_path(source.removeprefix(LIBRARY_PREFIX)))
     if source.startswith(session_host.SAMPLE_PREFIX):
         info = session_host.open_avatar(source)
         head = load_head(AssetReference(info.head_name))

@@ -19,6 +19,7 @@ JOINT_COUNT = 5
 MAX_CODE_SIZE = 4096  # far above any configuration; refuses absurd files
 MAX_THUMBNAIL_BYTES = 4 << 20
 MAX_NAME_LENGTH = 200
+_HALF_MAX = 60000.0
 
 
 @dataclass(frozen=True)
@@ -117,6 +118,11 @@ class Avatar:
     def with_thumbnail(self, png: bytes) -> Avatar:
         """Return a copy with another thumbnail."""
         return replace(self, thumbnail=png)
+
+
+def half_rounded(array: np.ndarray) -> np.ndarray:
+    """What half precision, in which deltas are stored, holds of an array, float32."""
+    return np.clip(array, -_HALF_MAX, _HALF_MAX).astype(np.float16).astype(np.float32)
 
 
 def _frozen(name: str, value: np.ndarray) -> np.ndarray:

@@ -33,6 +33,9 @@ def add_parser(subparsers: Any) -> None:
         "--samples", type=int, default=4, metavar="N", help="samples a pixel before the denoiser (default: %(default)s)"
     )
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of everything (default: %(default)s)")
+    parser.add_argument(
+        "--only", type=int, nargs="+", default=[], metavar="N", help="render these people alone, by number from 0"
+    )
     parser.add_argument("--varied-light", action="store_true", help="another light for every shot instead of the even rig")
     parser.add_argument("--subsurface", action="store_true", help="light scattering in the skin; slower")
     parser.add_argument("--no-depth", action="store_true", help="leave out the depth maps")
@@ -67,5 +70,5 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         left = progress.seconds_left
         args.console.message(f"{progress.done}/{progress.total}  {progress.text}  {left / 60:.0f} min left")
 
-    made = run_job(args.folder, settings, args.threads, report)
+    made = run_job(args.folder, settings, args.threads, report, args.only)
     return {"folder": str(args.folder), "shots": made}

@@ -14,7 +14,7 @@ DEVICES = ("auto", "cpu", "cuda", "mps")
 
 def add_avatar(parser: argparse.ArgumentParser) -> None:
     """Add the avatar as the first argument."""
-    parser.add_argument("avatar", metavar="AVATAR", help="a .grmm file, 'default', or 'sample:SEED'")
+    parser.add_argument("avatar", metavar="AVATAR", help="a .grmm file, 'default', 'library:NAME', or 'sample:SEED'")
 
 
 def add_output(parser: argparse.ArgumentParser, text: str, required: bool = True) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from .. import __version__
 from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
+from ..avatar.library import LIBRARY_PREFIX, library_names, library_path
 from ..errors import ConfigError, GrmmError
 from ..head.flame import describe_flame
 from ..head.open_head import FLAME_SUFFIXES
@@ -27,12 +28,19 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "info", help="what is installed, or what is in a file", description="Show what is installed, or what is in a file."
     )
-    parser.add_argument("avatar", metavar="AVATAR", nargs="?", type=Path, help=f"a {EXTENSION}, .safetensors or FLAME file")
+    parser.add_argument(
+        "avatar", metavar="AVATAR", nargs="?", type=Path, help=f"a {EXTENSION}, .safetensors or FLAME file, or library:NAME"
+    )
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Show the facts and return them."""
-    facts = installation() if args.avatar is None else describe_file(args.avatar)
+    if args.avatar is None:
+        facts = installation()
+    else:
+        name = str(args.avatar)
+        inside = name.startswith(LIBRARY_PREFIX)
+        facts = describe_file(library_path(name.removeprefix(LIBRARY_PREFIX)) if inside else args.avatar)
     _show(args.console, facts)
     return facts
 
@@ -56,6 +64,7 @@ def installation() -> dict[str, Any]:
 
     facts["rasterisers"] = {b.name: ("" if b.available else "not available: ") + b.detail for b in available_backends()}
     facts["head models"] = [describe_asset(path) for path in sorted(ASSETS.glob("*head*.safetensors"))]
+    facts["avatars"] = [f"{LIBRARY_PREFIX}{name}" for name in library_names()]
     facts["weights"] = [describe_asset(path) for path in sorted((ASSETS / "weights").glob("*.safetensors"))]
     return facts
 

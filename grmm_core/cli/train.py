@@ -7,9 +7,13 @@ import os
 import signal
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..avatar import EXTENSION
 from ..errors import ConfigError
+
+if TYPE_CHECKING:
+    from ..training.trainer import Trainer
 
 FOLLOW_STEPS = 100
 
@@ -21,7 +25,7 @@ def add_parser(subparsers: Any) -> None:
         help="train a model on captured data",
         description="Train a model. Ctrl-C saves a checkpoint, --resume continues. Processes: torchrun -m grmm_core train.",
     )
-    parser.add_argument("config", metavar="CONFIG", help="TOML file, or one of the project's: small, paper")
+    parser.add_argument("config", metavar="CONFIG", help="TOML file, or one of the project's: small, person, paper")
     parser.add_argument(
         "--data", nargs="+", metavar="DIR", required=True,
         help="data sets of grmm capture, or of VHAP, RenderMe-360, NeRSemble (found by looking at the folder)",
@@ -34,6 +38,7 @@ def add_parser(subparsers: Any) -> None:
         "--set", action="extend", nargs="+", default=[], metavar="NAME=VALUE", help="change settings of the [training] table"
     )
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda or mps")
+    parser.add_argument("--name", metavar="TEXT", help="name of the avatar, where person=NAME is set; else the person's")
     parser.add_argument("--default-person", metavar="NAME", help="person who becomes the default avatar; else the mean")
 
 
@@ -46,7 +51,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     settings = ({"refresh_every": FOLLOW_STEPS} if args.follow else {}) | _settings(args.set)
     config = load_config(args.config, settings)
-    source, head = capture_views(args.data, args.follow, load_flame(args.head) if args.head else None)
+    source, head = capture_views(args.data, args.follow, load_flame(args.head) if args.head else None, config.person)
     person = _person(source.people, args.default_person)
     if (Path(args.out) / CHECKPOINT).exists() and not args.resume:
         raise ConfigError(f"{args.out} holds a checkpoint already; add --resume or choose another folder with --out.")
@@ -65,13 +70,28 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
         show.done = 0
         trainer.run(lambda: stop.requested, show)
-    path = Path(args.out) / f"{config.name}.safetensors"
+    path = Path(args.out) / (f"{config.person}{EXTENSION}" if config.person else f"{config.name}.safetensors")
     if trainer.rank == 0:
-        provenance = {"seed": config.seed, "steps": trainer.step_count, "hours": round(trainer.seconds / 3600, 3)}
-        provenance |= {"data": [Path(d).name for d in args.data], "views": len(source.training)}
-        trainer.save_weights(path, provenance, person)
+        if config.person:
+            _write_person(trainer, path, args.name or config.person)
+        else:
+            provenance = {"seed": config.seed, "steps": trainer.step_count, "hours": round(trainer.seconds / 3600, 3)}
+            provenance |= {"data": [Path(d).name for d in args.data], "views": len(source.training)}
+            trainer.save_weights(path, provenance, person)
         args.console.line(f"Wrote {path} after {trainer.step_count} steps, {trainer.seconds / 60:.1f} minutes.")
-    return {"weights": str(path), "steps": trainer.step_count, "seconds": trainer.seconds, **recent}
+    kind = "avatar" if config.person else "weights"
+    return {kind: str(path), "steps": trainer.step_count, "seconds": trainer.seconds, **recent}
+
+
+def _write_person(trainer: Trainer, path: Path, name: str) -> None:
+    from ..avatar import save_avatar
+    from ..fitting.api import thumbnail
+    from ..training.personal import person_avatar
+
+    with trainer.averaged():  # the model as the avatar has it, but for the rounding to half precision
+        avatar = person_avatar(trainer, name)
+        picture = thumbnail(trainer.model, avatar)
+    save_avatar(avatar.with_thumbnail(picture), path)
 
 
 class _StopOnInterrupt:

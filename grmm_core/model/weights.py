@@ -34,6 +34,7 @@ FORMAT = "grmm-weights"
 VERSION = 1
 WEIGHTS_FOLDER = Path(__file__).resolve().parent.parent / "assets" / "weights"
 DEFAULT_WEIGHTS = "default"
+WEIGHTS_SUFFIX = ".safetensors"
 _METADATA_KEY = "grmm"
 _MODEL = "model/"
 _EXACT = ("anchor.",)  # parameters and buffers that are not rounded to half precision
@@ -73,7 +74,17 @@ class WeightsInfo:
 
 def weights_path(name: str = DEFAULT_WEIGHTS) -> Path:
     """Return the path of weights that come with the package."""
-    return WEIGHTS_FOLDER / f"{name}.safetensors"
+    return WEIGHTS_FOLDER / f"{name}{WEIGHTS_SUFFIX}"
+
+
+def resolve_weights(weights: str | os.PathLike[str] | None) -> Path:
+    """Return the path of weights given by name or as a file name; the file may be missing."""
+    if weights is None:
+        return weights_path(DEFAULT_WEIGHTS)
+    path = Path(weights)
+    if path.suffix == WEIGHTS_SUFFIX or path.name != os.fspath(weights):
+        return path.absolute()
+    return weights_path(os.fspath(weights))
 
 
 @functools.lru_cache(maxsize=4)

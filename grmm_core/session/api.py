@@ -56,7 +56,7 @@ class AvatarInfo:
     Attributes:
         id: Handle for the other methods. Valid for the life of the session, also across a restart of the worker.
         name: Display name.
-        source: What `open` takes for it: "default", "sample:SEED", or an absolute path.
+        source: What `open` takes for it: "default", "sample:SEED", "library:NAME", or an absolute path.
         head_name: Name of the head model, such as "open_head".
         head_sha256: Hash of the head model's asset.
         weights_name: Name of the trained weights.
@@ -262,7 +262,8 @@ class Session(Protocol):
         """Open an avatar.
 
         Args:
-            source: "default" for the avatar that comes with the weights, "sample:SEED" as `sample`, or a `.grmm` file.
+            source: "default" for the avatar that comes with the weights, "sample:SEED" as `sample`, "library:NAME" for one of
+                the package's avatars (`avatar.library`), or a `.grmm` file.
                 Opening the same unchanged source again returns the same id.
 
         Raises:

@@ -22,6 +22,7 @@ import numpy as np
 import torch
 
 from ..avatar import Avatar, default_avatar, load_avatar, sampled_avatar, save_avatar
+from ..avatar.library import default_path, library_path
 from ..camera import Camera
 from ..color import straight_rgba
 from ..controls import Controls
@@ -250,14 +251,23 @@ class LocalSession:
         known = next((target.id for target in self._avatars.values() if target.source == key), None)
         if known is not None:
             return self._infos[known]
-        if key.kind == "file":
-            path = Path(key.name)
+        path = self._file_of(key)
+        if path is not None:
             avatar = load_avatar(path)
             return self._add(avatar, self._store.for_avatar(avatar, path), key)
         loaded = self._store.default()
         size = loaded.model.z_exp_size
         made = sampled_avatar(loaded.info, size, int(key.name)) if key.kind == "sample" else default_avatar(loaded.info, size)
         return self._add(made, loaded, key)
+
+    def _file_of(self, key: SourceKey) -> Path | None:
+        """The `.grmm` file behind a source, or None where it is made from the weights alone."""
+        if key.kind == "file":
+            return Path(key.name)
+        if key.kind == "library":
+            return library_path(key.name)
+        # weights of the user's own have a default person of their own
+        return default_path() if key.kind == "default" and self._store.embedded else None
 
     def _add(self, avatar: Avatar, loaded: LoadedModel, key: SourceKey) -> AvatarInfo:
         self._next_id += 1

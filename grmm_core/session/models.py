@@ -22,10 +22,8 @@ from ..expressions import ALIGNED_NAMES
 from ..head import HeadModel, load_open_head, read_head
 from ..model.config import COLOUR_CHANNELS, TRANSFORM_CHANNELS
 from ..model.grmm import GRMM
-from ..model.weights import DEFAULT_WEIGHTS, WEIGHTS_FOLDER, WeightsInfo, load_weights, read_info, weights_path
+from ..model.weights import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, load_weights, read_info, resolve_weights, weights_path
 from .graphs import Replayed
-
-WEIGHTS_SUFFIX = ".safetensors"
 
 _log = logging.getLogger(__name__)
 
@@ -72,6 +70,7 @@ class ModelStore:
             head: Head file for weights of another head model than the open one.
         """
         self._default_path = resolve_weights(weights)
+        self.embedded = self._default_path == resolve_weights(None)
         self._head_path = None if head is None else Path(head)
         self._device = device
         self._models: dict[Path, LoadedModel] = {}
@@ -153,16 +152,6 @@ class ModelStore:
             self._models[path] = LoadedModel(model, info, codes)
             _log.info("loaded weights %s (%s), %d Gaussians", info.name, info.sha256[:12], model.gaussian_count)
         return self._models[path]
-
-
-def resolve_weights(weights: str | os.PathLike[str] | None) -> Path:
-    """Return the path of weights given by name or as a file name; the file may be missing."""
-    if weights is None:
-        return weights_path(DEFAULT_WEIGHTS)
-    path = Path(weights)
-    if path.suffix == WEIGHTS_SUFFIX or path.name != os.fspath(weights):
-        return path.absolute()
-    return weights_path(os.fspath(weights))
 
 
 def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: Path) -> GRMM:

@@ -7,6 +7,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..avatar.library import LIBRARY_PREFIX, library_path
 from ..errors import FileAccessError
 from ..files import describe_os_error
 
@@ -19,8 +20,8 @@ class SourceKey:
     """Identity of an avatar's source.
 
     Attributes:
-        kind: "default", "sample" or "file".
-        name: "default", the seed, or the absolute path.
+        kind: "default", "sample", "library" or "file".
+        name: "default", the seed, the name in the library, or the absolute path.
         stamp: Modification time in nanoseconds and size of the file, so that a rewritten file counts as another avatar.
     """
 
@@ -31,7 +32,7 @@ class SourceKey:
     @property
     def label(self) -> str:
         """What `AvatarInfo.source` shows."""
-        return f"sample:{self.name}" if self.kind == "sample" else self.name
+        return f"{self.kind}:{self.name}" if self.kind in ("sample", "library") else self.name
 
 
 def source_key(source: str | os.PathLike[str]) -> SourceKey:
@@ -41,6 +42,10 @@ def source_key(source: str | os.PathLike[str]) -> SourceKey:
     sample = _SAMPLE.fullmatch(source) if isinstance(source, str) else None
     if sample is not None:
         return SourceKey("sample", str(int(sample[1])))
+    if isinstance(source, str) and source.startswith(LIBRARY_PREFIX):
+        name = source.removeprefix(LIBRARY_PREFIX)
+        library_path(name)
+        return SourceKey("library", name)
     path = Path(source).absolute()
     try:
         stat = path.stat()

@@ -28,12 +28,15 @@ class CapturedViews:
         datasets: Opened folders of one head model; people are named FOLDER/NAME where there are several.
         follow: The captures are still running: count everybody whom they will show, and find new shots at `refresh`.
         cache_bytes: Limit of the memory for pictures.
+        only: The one person whose views are used, by name; everybody when empty.
 
     Raises:
         TrainingError: No view to train on.
     """
 
-    def __init__(self, datasets: Sequence[CaptureDataset], follow: bool = False, cache_bytes: int = CACHE_BYTES) -> None:
+    def __init__(
+        self, datasets: Sequence[CaptureDataset], follow: bool = False, cache_bytes: int = CACHE_BYTES, only: str = ""
+    ) -> None:
         self._datasets = tuple(datasets)
         self._items: list[tuple[int, CaptureDataset, Shot, CapturedView]] = []
         self._seen: set[tuple[int, str, int]] = set()
@@ -45,10 +48,12 @@ class CapturedViews:
             trained = {shot.subject for shot, _ in dataset.views(TRAIN)}
             everybody = dataset.manifest.subjects if follow else dataset.subjects
             for name in everybody:
+                if only and name != only:
+                    continue
                 if name not in dataset.manifest.held_out_people and (follow or name in trained):
-                    self._numbers[place, name] = len(names)
-                    names.append(name if len(datasets) == 1 else f"{dataset.folder.name}/{name}")
-        self.people = tuple(names)
+                    self._numbers[place, name] = 0 if only else len(names)
+                    names.append(name if only or len(datasets) == 1 else f"{dataset.folder.name}/{name}")
+        self.people = tuple(dict.fromkeys(names))  # one person's views may lie in several folders
         self.shapes = np.zeros((0, 0), np.float32)
         self._collect()
         if not len(self.training):
@@ -106,7 +111,7 @@ class CapturedViews:
 
 
 def capture_views(
-    folders: Sequence[str | os.PathLike[str]], follow: bool = False, head: HeadModel | None = None
+    folders: Sequence[str | os.PathLike[str]], follow: bool = False, head: HeadModel | None = None, only: str = ""
 ) -> tuple[CapturedViews, HeadModel]:
     """Open data folders of any known format, and the head model that they were made with.
 
@@ -114,6 +119,7 @@ def capture_views(
         folders: Data folders, see `data.readers`.
         follow: See `CapturedViews`.
         head: The user's FLAME for data with FLAME parameters; the open head when None.
+        only: See `CapturedViews`.
 
     Raises:
         FileAccessError, FileFormatError: A folder is missing or not a capture.
@@ -128,7 +134,7 @@ def capture_views(
     for dataset in datasets:
         if dataset.manifest.head != head.name:
             raise ConfigError(f"{dataset.folder} was made with the head model {dataset.manifest.head!r}, not {head.name!r}.")
-    return CapturedViews(datasets, follow), head
+    return CapturedViews(datasets, follow, only=only), head
 
 
 def _size(view: View) -> int:

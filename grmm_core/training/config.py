@@ -58,6 +58,7 @@ class TrainConfig:
         evaluate_views: Held-out views in an evaluation.
         threads: Of torch; 0 leaves its choice.
         precision: float32, or bfloat16 for the convolutions, see `precision`.
+        person: Name of the one person to train for: only that person's own maps change, see `personal`; needs `init_from`.
         init_from: Weights file or checkpoint whose networks, maps and expression codes a new run starts from, see `warm_start`.
         perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
         tensorboard: Also write curves for TensorBoard into the run's folder.
@@ -94,6 +95,7 @@ class TrainConfig:
     refresh_every: int = 0
     threads: int = 0
     precision: str = "float32"
+    person: str = ""
     init_from: str = ""
     perceptual_network: str = ""
     tensorboard: bool = False
@@ -108,6 +110,8 @@ class TrainConfig:
             value = getattr(self, f.name)
             if f.type in ("int", "float") and not (math.isfinite(value) and value >= 0):
                 raise ConfigError(f"The training setting {f.name} is {value}; it must be a number of 0 or more.")
+        if self.person and not self.init_from:
+            raise ConfigError(f"Training for {self.person!r} alone needs the weights to start from; add init_from=default.")
         if self.precision not in PRECISIONS:
             raise ConfigError(f"The training setting precision is {self.precision!r}; use {' or '.join(PRECISIONS)}.")
         for name in ("steps", "views_per_step", "ema_every"):

@@ -37,6 +37,7 @@ from .initialise import initialise_colours
 from .losses import Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
 from .optimise import MovingAverage, parameter_groups, rate_factor
 from .perceptual import load_perceptual
+from .personal import begin
 from .precision import use_precision
 from .views import View, ViewSource, choose, shrink
 from .warm_start import warm_start
@@ -102,6 +103,10 @@ class Trainer:
                 raise ConfigError("The perceptual loss needs perceptual_network, such as mobilenet, or a weight of zero.")
             self.perceptual = load_perceptual(config.perceptual_network).to(device)
         self.parameters: dict[str, nn.Parameter] = {"codes": self.codes, **dict(self.model.named_parameters())}
+        self.base: dict[str, Tensor] = {}  # what a single person's maps are changes of
+        if config.person:
+            self.parameters = begin(config, self.model, source.people, self.codes)
+            self.base = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
         self.optimiser = torch.optim.Adam(
             parameter_groups(self.model, self.codes, config), betas=(config.beta1, config.beta2), fused=True
         )
@@ -164,9 +169,9 @@ class Trainer:
     def start(self) -> None:
         """Prepare what depends on the data, once, before the first step of a new run."""
         if not self.started and self.step_count == 0:
-            if self.config.init_from:
+            if self.config.init_from and not self.base:  # for one person: done already, since resuming needs the frozen parts
                 warm_start(self.config.init_from, self.model, self.source.people, self.codes)
-            else:
+            elif not self.base:
                 initialise_colours(self.model, self.source, _COLOUR_VIEWS, self.config.seed)
             if self.average:
                 self.average = MovingAverage(self.parameters.values(), self.config.ema, self.config.ema_every)

@@ -30,7 +30,7 @@ _BASIS, _EXPRESSION = ("decoders.basis.", "decoders.basis_weights."), "decoders.
 
 
 @torch.no_grad()
-def warm_start(path: str | os.PathLike[str], model: GRMM, people: Sequence[str], codes: Tensor) -> None:
+def warm_start(path: str | os.PathLike[str], model: GRMM, people: Sequence[str], codes: Tensor) -> frozenset[str]:
     """Copy what was trained into a new run.
 
     Args:
@@ -38,6 +38,9 @@ def warm_start(path: str | os.PathLike[str], model: GRMM, people: Sequence[str],
         model: Its parameters are overwritten.
         people: Names of the run's people.
         codes: Their random codes, [P, Z], overwritten; to those of new people the mean of the old ones is added.
+
+    Returns:
+        Names of the people whom the file knows.
 
     Raises:
         FileAccessError, FileFormatError: The file is missing, damaged, or neither kind.
@@ -60,6 +63,7 @@ def warm_start(path: str | os.PathLike[str], model: GRMM, people: Sequence[str],
         mean = torch.stack([*known.values()]).mean(0)
         for row, name in zip(codes, people, strict=True):
             row.copy_(known.get(name, row + mean))
+    return frozenset(known) - {_DEFAULT}
 
 
 def _fits(name: str, value: Tensor | None, parameter: Tensor) -> bool:

@@ -1,0 +1,114 @@
+"""Training for one captured person on top of trained weights: the person's own maps, everything else frozen.
+
+What eq. 20 does with a photo, `Trainer` does here with many views of somebody whom the weights know: free maps of offsets,
+opacity, colour, features and of the colours' change with expression take up what networks and basis maps, shared by all people,
+leave out - strands, spots, a mouth's own corner, single wrinkles. Networks and codes stay, so that the rig moves the person as
+before. The result is an avatar with deltas.
+
+Used by `trainer` and the command line.
+"""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ..avatar import AssetReference, Avatar, Provenance
+from ..avatar.make import MADE_BY
+from ..avatar.types import SHAPE_SIZE, half_rounded
+from ..errors import ConfigError
+from ..model.weights import load_weights, read_info, resolve_weights
+from .warm_start import warm_start
+
+if TYPE_CHECKING:
+    from ..model.grmm import GRMM
+    from .config import TrainConfig
+    from .trainer import Trainer
+
+OWN_MAPS = (
+    "decoders.transform_mean",
+    "decoders.opacity_mean",
+    "decoders.appearance_mean",
+    "decoders.expression.maps",
+)
+
+
+def begin(config: TrainConfig, model: GRMM, people: tuple[str, ...], codes: Tensor) -> dict[str, nn.Parameter]:
+    """Load the weights that a run for one person starts from, and leave only the own maps to train.
+
+    Args:
+        config: With `person` and `init_from`.
+        model: Overwritten, and frozen but for the own maps.
+        people: Of the data; the person alone.
+        codes: The person's code, [1, Z], overwritten.
+
+    Returns:
+        The own maps by name.
+
+    Raises:
+        ConfigError: The data or the weights do not have the person, or the model no maps of its own.
+        FileAccessError, FileFormatError: The weights are missing, damaged, or a checkpoint, which no avatar can refer to.
+    """
+    person = config.person
+    if people != (person,):
+        raise ConfigError(f"The data has no training views of {person!r}; capture some, or name one of {_listed(people)}.")
+    read_info(resolve_weights(config.init_from))
+    known = warm_start(config.init_from, model, people, codes)
+    if person not in known:
+        raise ConfigError(
+            f"The weights {config.init_from!r} do not know {person!r}; make an avatar with grmm fit, or name one of "
+            f"{_listed(sorted(known))}."
+        )
+    model.requires_grad_(False)
+    codes.requires_grad_(False)
+    own = {name: parameter for name, parameter in model.named_parameters() if name in OWN_MAPS}
+    if not own:
+        raise ConfigError("These weights have no mean maps, which a single person is trained with; use others.")
+    for parameter in own.values():
+        parameter.requires_grad_(True)
+    return own
+
+
+def person_avatar(trainer: Trainer, name: str) -> Avatar:
+    """Return what a run for one person has trained as an avatar without a thumbnail; call it within `trainer.averaged()`.
+
+    Args:
+        trainer: Of a run whose configuration names a person.
+        name: Display name.
+
+    Raises:
+        ConfigError: The run is for many people.
+        FileAccessError, FileFormatError: The weights that the run began with are gone.
+    """
+    if not trainer.base:
+        raise ConfigError("This run is for many people; set person=NAME to make an avatar of one.")
+    info = load_weights(resolve_weights(trainer.config.init_from), trainer.model.head_model)[1]
+    licence = info.provenance.get("licence", "")
+    shape = np.zeros(SHAPE_SIZE, np.float32)
+    known = trainer.source.shapes[0][:SHAPE_SIZE]
+    shape[: known.size] = known
+    with torch.no_grad():
+        deltas = {key: half_rounded((value - trainer.base[key]).cpu().numpy()) for key, value in trainer.parameters.items()}
+    return Avatar(
+        name=name,
+        head=AssetReference(info.head_name, info.head_sha256),
+        weights=AssetReference(info.name, info.sha256),
+        z_id=trainer.codes[0].detach().cpu().numpy(),
+        z_exp=np.zeros(info.config.z_exp, np.float32),
+        shape=shape,
+        deltas=deltas,
+        provenance=Provenance(
+            made_by=MADE_BY,
+            date=datetime.datetime.now(datetime.UTC).date().isoformat(),
+            licence=licence if isinstance(licence, str) else "",
+        ),
+    )
+
+
+def _listed(names: Sequence[str], most: int = 8) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "") if names else "none"

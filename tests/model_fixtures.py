@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import torch
 
 from grmm_core.camera import Camera
 from grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES
 from grmm_core.head import HeadModel
+from grmm_core.model.grmm import GRMM
 from grmm_core.training.views import View
 
 ROWS, COLUMNS = 10, 16
@@ -77,3 +79,25 @@ class ColouredSpheres:
         pose = np.zeros((5, 3), np.float32)
         mask = np.where(hit, 255, 0).astype(np.uint8)
         return View(subject, f"view {index}", camera, image, mask, depth, aligned, expression, pose)
+
+
+def randomise(model: GRMM, scale: float = 0.3) -> None:
+    """Move every parameter, so that layers that start at zero take part."""
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in model.parameters():
+            noise = torch.randn(parameter.shape, generator=generator, dtype=torch.float64).to(parameter.dtype)
+            parameter.add_(noise * scale / max(1.0, parameter[0].numel() ** 0.5))
+
+
+def inputs(model: GRMM, seed: int = 2) -> dict[str, torch.Tensor]:
+    """Random coefficients, pose and codes of a model."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def normal(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64).to(model.dtype)
+
+    return {
+        "shape": normal(SHAPES), "expression": 0.3 * normal(52), "pose": 0.1 * normal(5, 3),
+        "z_id": normal(model.z_id_size), "z_exp": normal(model.z_exp_size),
+    }  # fmt: skip

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from grmm_core.avatar import load_avatar, save_avatar
 from grmm_core.camera import Camera
 from grmm_core.controls import Controls
 from grmm_core.errors import ConfigError, RuntimeMissingError
@@ -137,3 +140,26 @@ def test_create_session_asks_for_torch_where_there_is_none(monkeypatch):
         create_session("local")
     with pytest.raises(ConfigError, match="no session mode 'remote'"):
         create_session("remote")
+
+
+def test_what_is_an_avatars_own_fades_towards_other_people(local, tmp_path):
+    """A detail trained for one face stays with small changes of the identity code and is gone at another person's."""
+    path = tmp_path / "own.grmm"
+    local.save(local.sample(1).id, path)
+    plain = local.open(path)
+    model = local.target(plain.id).model
+    brighter = np.zeros((plain.gaussian_count, 3 + plain.feature_count), np.float32)
+    brighter[:, :3] = 0.25
+    lower = np.full((plain.gaussian_count, 1), -0.5, np.float32)
+    avatar = dataclasses.replace(
+        load_avatar(path), deltas={"decoders.appearance_mean": brighter, "decoders.opacity_mean": lower}
+    )
+    save_avatar(avatar, tmp_path / "changed.grmm")
+    changed = local.open(tmp_path / "changed.grmm")
+    reach = local.target(changed.id).loaded.reach
+    assert 0 < reach < np.inf
+    for distance, share in ((0.0, 1.0), (0.25, 0.75), (1.0, 0.0), (3.0, 0.0)):
+        controls = Controls(z_id=np.eye(1, model.z_id_size, 2, dtype=np.float32)[0] * reach * distance)
+        before, after = (local.gaussians(one.id, controls) for one in (plain, changed))
+        np.testing.assert_allclose(after.colors - before.colors, 0.25 * share, atol=1e-5)
+        assert np.all(after.opacities < before.opacities) == (share > 0)

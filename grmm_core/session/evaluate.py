@@ -163,35 +163,32 @@ class Evaluator:
     def offsets(self, target: OpenAvatar, inputs: Inputs) -> Tensor:
         """Return Phi_T's offsets, [N, 10]."""
 
-        def make() -> tuple[Tensor]:
-            model = target.model
-            return target.loaded.offsets(self._tensor(model, inputs.z_id), self._tensor(model, inputs.z_exp))
+        def make() -> tuple[Tensor, ...]:
+            return self._decoded(target, "offsets", inputs, inputs.z_exp)
 
         return self.cache.get((target.id, "offsets", *inputs.code_key), make)[0]
 
     def tint(self, target: OpenAvatar, inputs: Inputs) -> Tensor:
         """Return what the expression adds to the colours, [N, 3] or one row of zeros."""
 
-        def make() -> tuple[Tensor]:
-            model = target.model
-            return target.loaded.tint(self._tensor(model, inputs.z_id), self._tensor(model, inputs.z_exp))
+        def make() -> tuple[Tensor, ...]:
+            return self._decoded(target, "tint", inputs, inputs.z_exp)
 
         return self.cache.get((target.id, "tint", *inputs.code_key), make)[0]
 
     def opacity(self, target: OpenAvatar, inputs: Inputs) -> Tensor:
         """Return Phi_alpha's opacities, [N]."""
-        make = lambda: target.loaded.opacity(self._tensor(target.model, inputs.z_id))  # noqa: E731
-        return self.cache.get((target.id, "opacity", inputs.identity_key), make)[0]
+        return self.cache.get((target.id, "opacity", inputs.identity_key), lambda: self._decoded(target, "opacity", inputs))[0]
 
     def appearance(self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray) -> tuple[Tensor, Tensor]:
         """Return Phi_app's colours [N, 3] and features [N, F] for a unit view direction [3] in head space."""
         direction = np.asarray(direction, np.float32)
 
-        def make() -> tuple[Tensor, Tensor]:
-            model = target.model
-            return target.loaded.appearance(self._tensor(model, inputs.z_id), self._tensor(model, direction))
+        def make() -> tuple[Tensor, ...]:
+            return self._decoded(target, "appearance", inputs, direction)
 
-        return self.cache.get((target.id, "appearance", inputs.identity_key, direction.tobytes()), make)
+        colors, features = self.cache.get((target.id, "appearance", inputs.identity_key, direction.tobytes()), make)
+        return colors, features
 
     def gaussians(self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray, lod: int = 0) -> Gaussians:
         """Return all Gaussians in head space; features are [N, F], also where F is 0."""
@@ -214,6 +211,22 @@ class Evaluator:
     def blocks(self, target: OpenAvatar, lod: int) -> tuple[Tensor, Tensor, Tensor]:
         """Return the blocks of texels that `thin_out` merges."""
         return self.cache.get((target.id, "blocks", lod), lambda: _blocks(target.model, lod))
+
+    def _decoded(self, target: OpenAvatar, name: str, inputs: Inputs, *further: np.ndarray) -> tuple[Tensor, ...]:
+        """Decode attributes; what an avatar's own changes add fades as its identity code moves to another person's.
+
+        A beard that was trained for one face has no place on the face that another code gives.
+        """
+        loaded = target.loaded
+        arguments = [self._tensor(target.model, array) for array in (inputs.z_id, *further)]
+        own: tuple[Tensor, ...] = getattr(loaded, name)(*arguments)
+        if loaded.shared is None or not target.model.config.residuals:
+            return own
+        share = 1.0 - float(np.linalg.norm(inputs.z_id - target.avatar.z_id)) / loaded.reach
+        if share == 1.0:
+            return own
+        plain: tuple[Tensor, ...] = getattr(loaded.shared, name)(*arguments)
+        return tuple(a.lerp(b, max(0.0, share)) for a, b in zip(plain, own, strict=True))
 
     @staticmethod
     def _tensor(model: GRMM, array: np.ndarray) -> Tensor:

@@ -6,6 +6,7 @@ Called by `local`. Imports torch.
 from __future__ import annotations
 
 import copy
+import functools
 import hashlib
 import logging
 import os
@@ -36,6 +37,7 @@ class LoadedModel:
         model: In evaluation mode on the session's device.
         info: What its weights file says.
         codes: Table Z of aligned expression codes, [60, Y], or [60, 0] without residuals.
+        shared: The weights without an avatar's own changes; None where there are none.
         opacity, appearance, offsets, tint: The model's decoders as functions to tuples of tensors, replayed on a graphics card;
             the tint is `GRMM.expression_colours`.
     """
@@ -43,6 +45,7 @@ class LoadedModel:
     model: GRMM
     info: WeightsInfo
     codes: np.ndarray
+    shared: LoadedModel | None = None
     opacity: Replayed = field(init=False, repr=False)
     appearance: Replayed = field(init=False, repr=False)
     offsets: Replayed = field(init=False, repr=False)
@@ -54,6 +57,13 @@ class LoadedModel:
         object.__setattr__(self, "appearance", Replayed(lambda z_id, view: model.appearance(z_id, view)))
         object.__setattr__(self, "offsets", Replayed(lambda z_id, z_exp: (model.offsets(z_id, z_exp),)))
         object.__setattr__(self, "tint", Replayed(lambda z_id, z_exp: (model.expression_colours(z_id, z_exp),)))
+
+    @functools.cached_property
+    def reach(self) -> float:
+        """How far apart two training people's identity codes are, root mean square; infinite where fewer are known."""
+        if len(self.info.people) < 2:
+            return float("inf")
+        return float(np.sqrt(2.0 * self.info.z_id.var(0, ddof=1).sum()))
 
 
 class ModelStore:
@@ -107,7 +117,7 @@ class ModelStore:
             raise FileFormatError(f"The codes in {path} do not fit the weights {wanted.name!r}; make the avatar anew.")
         if not avatar.deltas:
             return loaded
-        return LoadedModel(with_deltas(model, avatar.deltas, path), loaded.info, loaded.codes)
+        return LoadedModel(with_deltas(model, avatar.deltas, path), loaded.info, loaded.codes, loaded)
 
     def _find(self, wanted: AssetReference) -> LoadedModel | None:
         """Look for weights by hash: the session's own first, then installed ones of the same name, then all others."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from types import SimpleNamespace
@@ -12,6 +13,7 @@ import torch
 from evaluation_data import HELD_OUT, write_own_pictures
 from tiny_model import write_tiny_weights
 
+from grmm_core.avatar import AssetReference, Avatar
 from grmm_core.camera import Camera
 from grmm_core.cli import main
 from grmm_core.data.dataset import CaptureDataset
@@ -197,6 +199,29 @@ def test_what_cannot_be_evaluated_is_explained(scene, folder, tmp_path):
     for protocol, word in (("reconstruction", "weights know"), ("person", "held-out people")):
         with pytest.raises(ConfigError, match=word):
             evaluation(scene, other).run(protocol)
+
+
+def test_an_avatar_of_a_trained_person_is_judged_alone(weights, scene, folder):
+    """Its own changes count, other people's views do not; strangers and avatars of other weights are refused."""
+    info = scene.info
+    colours = np.zeros((scene.model.gaussian_count, 3 + scene.model.config.features), np.float32)
+    shape = np.zeros(300, np.float32)
+    shape[: info.shapes.shape[1]] = info.shapes[1]
+    same = Avatar(
+        "Somebody", AssetReference(info.head_name, info.head_sha256), AssetReference(info.name, info.sha256), info.z_id[1],
+        np.zeros(scene.model.z_exp_size, np.float32), shape, deltas={"decoders.appearance_mean": colours},
+    )  # fmt: skip
+    brighter = dataclasses.replace(same, deltas={"decoders.appearance_mean": colours + 0.05})
+    found = []
+    for avatar in (same, brighter):
+        rows = evaluation(Scene(weights, avatar=avatar), folder, ablations=False, regions=False).run("expression").rows
+        assert {row.sample.shot.subject for row in rows} == {"person 1"}
+        found.append(rows[0].errors.psnr)
+    assert found[0] > 40 > found[1]
+    with pytest.raises(ConfigError, match="nobody whom"):
+        Scene(weights, avatar=dataclasses.replace(same, z_id=same.z_id + 1))
+    with pytest.raises(ConfigError, match="other weights"):
+        Scene(weights, avatar=dataclasses.replace(same, weights=AssetReference("tiny", "f" * 64)))
 
 
 def test_command(weights, folder, tmp_path, capsys):

@@ -8,12 +8,15 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..avatar import EXTENSION, load_avatar
+from ..avatar.library import LIBRARY_PREFIX, library_path
 from ..errors import ConfigError, FileAccessError
 from ..files import atomic_write_bytes, describe_os_error
 from .common import DEVICES, positive_int
 from .console import _plain
 
 if TYPE_CHECKING:
+    from ..avatar import Avatar
     from ..evaluation.protocols import Evaluation, Result
     from ..evaluation.scene import Scene
 
@@ -33,7 +36,10 @@ def add_parser(subparsers: Any) -> None:
         description="Measure trained weights: held-out views, expressions and people; with and without refinement and "
         "residuals; by region. Writes JSON, a table and pictures.",
     )
-    parser.add_argument("weights", metavar="WEIGHTS", help="weights file, or the name of weights that come with the package")
+    parser.add_argument(
+        "weights", metavar="WEIGHTS",
+        help="weights file, name of weights that come with the package, or an avatar of somebody whom they were trained on",
+    )  # fmt: skip
     parser.add_argument("--data", nargs="+", metavar="DIR", required=True, help="data sets with held-out views and people")
     parser.add_argument("--head", metavar="FILE", help="your FLAME file, for data and weights on FLAME")
     parser.add_argument(
@@ -92,7 +98,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     )  # fmt: skip
     head = load_flame(args.head) if args.head else None
     datasets = [open_dataset(folder, head) for folder in args.data]
-    scene = Scene(resolve_weights(args.weights), device, head=head)
+    avatar = _avatar(args.weights)
+    weights = args.weights if avatar is None else avatar.weights.name
+    scene = Scene(resolve_weights(weights), device, head=head, avatar=avatar)
     ablation = Scene(resolve_weights(args.ablation), device, head=head) if args.ablation else None
     facts = _facts(args, scene, ablation)
     summaries: dict[str, Any] = {}
@@ -130,6 +138,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         args.console.line(f"Wrote {args.output / RESULT}, {TABLE} and pictures.")
     short = {name: {k: v for k, v in values.items() if k != "rows"} for name, values in summaries.items()}
     return {**facts, "protocols": short}
+
+
+def _avatar(source: str) -> Avatar | None:
+    """The avatar that is to be judged in the place of weights, or None."""
+    if source.startswith(LIBRARY_PREFIX):
+        return load_avatar(library_path(source.removeprefix(LIBRARY_PREFIX)))
+    return load_avatar(source) if source.endswith(EXTENSION) else None
 
 
 def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -56,14 +57,17 @@ class Scene:
         device: Torch device.
         backend: Rasteriser backend.
         head: Head model; the open head when None.
+        avatar: One of the trained people with changes of their own (`training.personal`), to be judged alone.
 
     Raises:
         FileAccessError, FileFormatError: As `load_weights`.
+        ConfigError: The avatar was made with other weights, or is nobody whom they were trained on.
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], device: str = "cpu", backend: str = "auto", head: HeadModel | None = None
-    ) -> None:
+        self, path: str | os.PathLike[str], device: str = "cpu", backend: str = "auto", head: HeadModel | None = None,
+        avatar: Avatar | None = None,
+    ) -> None:  # fmt: skip
         self.path = Path(path)
         model, info = load_weights(path, head)
         self.model: GRMM = model.requires_grad_(False).to(device)
@@ -71,6 +75,7 @@ class Scene:
         self.backend = backend
         self.head: HeadModel = model.head_model
         self.mean_code = self.tensor(info.z_id.mean(0) if len(info.z_id) else info.default_z_id)
+        self.avatar = None if avatar is None else dataclasses.replace(self.from_avatar(avatar), name=self._trained_name(avatar))
 
     @property
     def residuals(self) -> bool:
@@ -87,7 +92,9 @@ class Scene:
         return torch.as_tensor(np.array(array, np.float32), device=self.model.device)
 
     def person(self, dataset: CaptureDataset, name: str) -> Person | None:
-        """The trained person of a capture's name; None where the model was not trained on them."""
+        """The trained person of a capture's name; None where the model was not trained on them, or another one is judged."""
+        if self.avatar is not None:
+            return self.avatar if self.avatar.name in (name, f"{dataset.folder.name}/{name}") else None
         for known in (name, f"{dataset.folder.name}/{name}"):
             if known in self.info.people:
                 row = self.info.people.index(known)
@@ -116,6 +123,18 @@ class Scene:
             photo = (aligned @ self.model.aligned_codes).detach() + self.tensor(z_exp) + own
         code = self.tensor(avatar.z_id if self.residuals else shape)
         return Person(avatar.name, code, self.tensor(z_exp), self.tensor(shape), model, photo)
+
+    def _trained_name(self, avatar: Avatar) -> str:
+        """Name of the training person whose code an avatar has."""
+        if avatar.weights.sha256 != self.info.sha256:
+            raise ConfigError(f"The avatar {avatar.name!r} was made with other weights than {self.path}; use its own.")
+        same = [name for name, code in zip(self.info.people, self.info.z_id, strict=True) if np.array_equal(code, avatar.z_id)]
+        if not same:
+            raise ConfigError(
+                f"The avatar {avatar.name!r} is nobody whom the weights were trained on; judge it by photos, with "
+                "--protocol monocular."
+            )
+        return same[0]
 
     def expression_code(self, person: Person, shot: Shot) -> Tensor:
         """z_exp of a shot's expression for a person, [Y]."""

@@ -10,7 +10,7 @@ import bpy
 from ..grmm_blender import session_host
 from ..grmm_blender.fitting import watch
 from ..grmm_blender.fitting.job import FitJob, FitRequest
-from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings, work_folder
+from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings
 from ..grmm_core.errors import ConfigError, FileAccessError
 from .common import Result, reports_errors
 
@@ -124,8 +124,7 @@ class GRMM_OT_fit_photos(bpy.types.Operator):
             raise ConfigError("Only some photos have an outline; give one for each, or none.")
         request = FitRequest(
             photo_paths(chosen), output, preset=chosen.preset, face=chosen.face, masks=mask_paths(chosen),
-            work=work_folder(output), resume=self.resume, weights=runtime.weights, device=runtime.device,
-            threads=runtime.threads,
+            resume=self.resume, weights=runtime.weights, device=runtime.device, threads=runtime.threads,
         )  # fmt: skip
         return _run(self, context, request)
 
@@ -149,6 +148,32 @@ class GRMM_OT_fit_cancel(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class GRMM_OT_fit_use(bpy.types.Operator):
+    """Put the finished avatar into the scene, where that did not work at once."""
+
+    bl_idname = "grmm.fit_use"
+    bl_label = "Add to Scene"
+    bl_description = "Put the finished avatar into the scene, with the camera that took the photo"
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """When a finished avatar waits; building its rig needs object mode."""
+        if not watch.finished():
+            cls.poll_message_set("There is no finished avatar that is not in the scene")
+            return False
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Go to object mode first")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Add it."""
+        self.report({"INFO"}, watch.add_finished(context))
+        return {"FINISHED"}
+
+
 def _run(operator: bpy.types.Operator, context: bpy.types.Context, request: FitRequest) -> Result:
     """Start a job; a window goes on, background mode waits. Raises `GrmmError`s."""
     watch.start(FitJob.start(session_host.job_python(), request), request)
@@ -158,4 +183,6 @@ def _run(operator: bpy.types.Operator, context: bpy.types.Context, request: FitR
     return {"FINISHED"}
 
 
-CLASSES = (GRMM_OT_fit_add_photos, GRMM_OT_fit_remove_photo, GRMM_OT_fit_look, GRMM_OT_fit_photos, GRMM_OT_fit_cancel)
+CLASSES = (
+    GRMM_OT_fit_add_photos, GRMM_OT_fit_remove_photo, GRMM_OT_fit_look, GRMM_OT_fit_photos, GRMM_OT_fit_cancel, GRMM_OT_fit_use,
+)  # fmt: skip

@@ -3,6 +3,7 @@
 ``job``       runs `grmm fit` in the interpreter that has torch; knows no bpy
 ``settings``  photos, choices and state, kept on the window manager
 ``watch``     the timer that follows the job and puts the finished avatar into the scene
+``origin``    the sentence on what an avatar was made from; knows no bpy
 ``panel``     the sidebar panel
 """
 

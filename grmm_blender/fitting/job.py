@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import subprocess
 import sys
 import threading
@@ -26,6 +27,7 @@ STAGE_SHARES: dict[str, tuple[float, float]] = {
 }  # fmt: skip
 """Where each stage begins and ends on the progress bar."""
 _LOG_LINES = 100
+_SHOWN_CHARACTERS = 200
 _KILL_AFTER = 20.0  # seconds that a cancelled fit may take to save its state
 
 _log = logging.getLogger(__name__)
@@ -187,22 +189,30 @@ class FitJob:
             if self._cancelled and status.state != "done":
                 self._status = replace(status, state="cancelled", message="The fit was cancelled; it can be resumed.")
             elif status.state == "running":
-                self._status = replace(status, **self._ending(code))
+                self._status = replace(status, **self._ending(status, code))
 
-    def _ending(self, code: int) -> dict[str, Any]:
+    def _ending(self, status: FitStatus, code: int) -> dict[str, Any]:
         """What the end of the process means when its last event does not say."""
-        if code == 0:
+        if code == 0 and status.found:  # a look at the photos ends without an event of its own
             return {"state": "done", "fraction": 1.0}
-        last = next((line for line in reversed(self._lines) if line.strip()), "")
+        last = next((line.strip() for line in reversed(self._lines) if line.strip()), "")
+        if self._lines:
+            _log.error("the fit's last words:\n%s", self.log)
         if "No module named" in last:
-            reason = f"The Python that runs the model lacks a package ({last.strip()}); install it."
-            return {"state": "failed", "message": reason}
-        reason = f"ended with code {code}" if code > 0 else "was ended by the system, perhaps for lack of memory"
-        return {"state": "failed", "message": f"The fit {reason}; choose the preset fast, or see the system console."}
+            return _failed(f"The Python that runs the model lacks a package ({last}); install it.")
+        if code == 0:
+            return _failed("The fit ended without an avatar and said nothing; check the Python in the preferences.")
+        if code < 0 or not last:
+            reason = f"ended with code {code}" if code > 0 else "was ended by the system, perhaps for lack of memory"
+            return _failed(f"The fit {reason}; choose the preset fast, or see the system console.")
+        return _failed(f"The fit ended with code {code} ({last[:_SHOWN_CHARACTERS]}); see the system console.")
 
     def _apply(self, event: dict[str, Any]) -> None:
         with self._lock:
-            self._status = _after(self._status, event)
+            try:
+                self._status = _after(self._status, event)
+            except (TypeError, ValueError, OverflowError):  # not an event of ours; the reader must live on
+                _log.warning("the fit wrote an event that makes no sense: %.200r", event)
 
     def _read_log(self) -> None:
         with self._process.stderr as stream:
@@ -211,16 +221,20 @@ class FitJob:
                 _log.debug("fit %d: %s", self._process.pid, line.rstrip())
 
 
+def _failed(message: str) -> dict[str, Any]:
+    return {"state": "failed", "message": message}
+
+
 def _after(status: FitStatus, event: dict[str, Any]) -> FitStatus:
     """The status after an event; unknown events change nothing."""
     kind = event.get("event")
     if kind == "progress":
         begin, end = STAGE_SHARES.get(str(event.get("stage")), (status.fraction, status.fraction))
-        fraction = begin + (end - begin) * float(event.get("fraction") or 0.0)
+        fraction = begin + (end - begin) * _number(event.get("fraction") or 0.0)
         left = event.get("seconds_left")
         return replace(
             status, stage=str(event.get("stage", "")), fraction=max(status.fraction, fraction),
-            seconds_left=None if left is None else float(left), preview=str(event.get("preview") or status.preview),
+            seconds_left=None if left is None else _number(left), preview=str(event.get("preview") or status.preview),
         )  # fmt: skip
     if kind == "faces":
         return replace(status, faces=(*status.faces, (str(event.get("photo")), _count(event.get("boxes")))))
@@ -228,10 +242,19 @@ def _after(status: FitStatus, event: dict[str, Any]) -> FitStatus:
         faces = (*status.faces, (str(event.get("photo")), int(event.get("faces") or 0)))
         return replace(status, faces=faces, found=(*status.found, str(event.get("picture"))))
     if kind == "done":
+        if not event.get("avatar"):
+            raise ValueError("no avatar is named")
         return replace(status, state="done", fraction=1.0, seconds_left=0.0, avatar=str(event.get("avatar")))
     if kind == "error":
         return replace(status, state="failed", message=str(event.get("message")))
     return status
+
+
+def _number(value: Any) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError(f"{number} is no share and no time")
+    return number
 
 
 def _count(boxes: Any) -> int:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import bpy
 
+from ..avatar import avatar_of
 from ..panels.avatar_panels import CATEGORY
 from ..panels.width import draw_text, is_narrow
 from . import watch
-from .settings import GRMM_FitSettings, settings
+from .origin import origin_of
+from .settings import GRMM_FitSettings, can_go_on, settings
 
 _PICTURE_SCALE = 9.0
 _STAGES = {
@@ -54,6 +56,12 @@ class GRMM_PT_fit(bpy.types.Panel):
             self._start(layout, chosen)
         if watch.note() and not running:
             draw_text(layout, watch.note(), context)
+            if watch.finished():
+                layout.operator("grmm.fit_use", icon="OUTLINER_OB_ARMATURE")
+        avatar = avatar_of(context.object)
+        said = "" if avatar is None else origin_of(avatar.source)
+        if said:
+            draw_text(layout.box(), said, context, icon="INFO")
 
     def _photos(self, layout: bpy.types.UILayout, chosen: GRMM_FitSettings) -> None:
         row = layout.row()
@@ -78,8 +86,7 @@ class GRMM_PT_fit(bpy.types.Panel):
         column = layout.column(align=True)
         column.operator("grmm.fit_look", icon="VIEWZOOM")
         column.operator("grmm.fit_photos", icon="OUTLINER_OB_ARMATURE").resume = False
-        ended = watch.status()
-        if ended is not None and ended.state in ("cancelled", "failed") and watch.request().output is not None:
+        if can_go_on(chosen):
             column.operator("grmm.fit_photos", text="Resume", icon="FILE_REFRESH").resume = True
 
     def _progress(self, layout: bpy.types.UILayout) -> None:

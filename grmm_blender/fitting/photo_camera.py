@@ -34,15 +34,28 @@ def add_photo_camera(context: bpy.types.Context, head: bpy.types.Object, photo: 
     item.parent = avatar.armature if avatar is not None and avatar.armature is not None else head
     pose = HEAD_TO_BLENDER @ np.linalg.inv(np.asarray(camera.world_to_camera, float)) @ _TO_BLENDER_AXES
     item.matrix_local = Matrix(pose.tolist())
-    data.sensor_fit, data.sensor_width = "HORIZONTAL", _SENSOR
-    data.lens = _SENSOR * camera.fx / camera.width
-    data.shift_x = (camera.width / 2 - camera.cx) / camera.width
-    data.shift_y = (camera.cy - camera.height / 2) / camera.width
+    # The side on which the photo fills the scene's frame gives the angle of view: so the whole photo is seen, and the
+    # background, which Blender fits into the frame, lies where the avatar is.
+    upright = camera.width * _frame_height(context.scene) < camera.height * _frame_width(context.scene)
+    side, focal = (camera.height, camera.fy) if upright else (camera.width, camera.fx)
+    data.sensor_fit = "VERTICAL" if upright else "HORIZONTAL"
+    data.sensor_width = data.sensor_height = _SENSOR
+    data.lens = _SENSOR * focal / side
+    data.shift_x = (camera.width / 2 - camera.cx) / side
+    data.shift_y = (camera.cy - camera.height / 2) / side
     data.clip_start = 0.01
     _add_background(data, photo, camera)
     if context.scene.camera is None:
         context.scene.camera = item
     return item
+
+
+def _frame_width(scene: bpy.types.Scene) -> float:
+    return scene.render.resolution_x * scene.render.pixel_aspect_x
+
+
+def _frame_height(scene: bpy.types.Scene) -> float:
+    return scene.render.resolution_y * scene.render.pixel_aspect_y
 
 
 def _add_background(data: bpy.types.Camera, photo: Path, camera: Camera) -> None:

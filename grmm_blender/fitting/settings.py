@@ -8,6 +8,7 @@ import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ...grmm_core.avatar import EXTENSION
+from ...grmm_core.fitting.folder import WORK_SUFFIX, can_resume
 
 PROPERTY = "grmm_fit"
 PRESET_ITEMS = (
@@ -71,9 +72,12 @@ def output_path(chosen: GRMM_FitSettings) -> Path:
     return photo_paths(chosen)[0].with_suffix(EXTENSION)
 
 
-def work_folder(output: Path) -> Path:
-    """Where a fit keeps its state for a resume."""
-    return output.with_name(output.name + ".fit")
+def can_go_on(chosen: GRMM_FitSettings) -> bool:
+    """Whether a fit of this avatar's file was interrupted, in this Blender or an earlier one."""
+    if not photo_paths(chosen):
+        return False
+    output = output_path(chosen)
+    return can_resume(output.with_name(output.name + WORK_SUFFIX))
 
 
 CLASSES = (GRMM_FitPhoto, GRMM_FitSettings)

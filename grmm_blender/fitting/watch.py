@@ -23,14 +23,15 @@ _log = logging.getLogger(__name__)
 _job: FitJob | None = None
 _request: FitRequest | None = None
 _note = ""  # what went wrong or right after the job
+_added = False  # whether the finished avatar is in the scene
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 _shown: dict[str, float] = {}  # pictures in the collection by path, with their file's time
 
 
 def start(job: FitJob, request: FitRequest) -> None:
     """Follow a job. There is one at a time."""
-    global _job, _request, _note
-    _job, _request, _note = job, request, ""
+    global _job, _request, _note, _added
+    _job, _request, _note, _added = job, request, "", False
     if not bpy.app.background and not bpy.app.timers.is_registered(_poll):
         bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS)
 
@@ -59,19 +60,38 @@ def finish(context: bpy.types.Context) -> str:
     """Use the result of an ended job; returns one sentence about it, and raises `GrmmError` where there is none."""
     global _note
     ended = _job.status
+    if _request.output is None:
+        _take_found(context, ended)  # of a wrong choice, too: the picture shows which faces there are
     if ended.state != "done":
         _note = ended.message
         raise GrmmError(ended.message)
     if _request.output is None:
-        _take_found(context, ended)
         _note = "Check the faces and the outline, then fit."
         return _note
-    if bpy.ops.grmm.add_head("EXEC_DEFAULT", True, person="FILE", filepath=ended.avatar) != {"FINISHED"}:
-        raise GrmmError(f"{ended.avatar} is written, but its head cannot be added; open it in object mode.")
-    header = read_avatar_header(ended.avatar)
+    return add_finished(context)
+
+
+def finished() -> bool:
+    """Whether there is a finished avatar that is not in the scene."""
+    return _job is not None and _job.status.state == "done" and _request.output is not None and not _added
+
+
+def add_finished(context: bpy.types.Context) -> str:
+    """Put the finished avatar into the scene; returns one sentence about it. Raises `GrmmError`."""
+    global _note, _added
+    avatar = _job.status.avatar
+    try:
+        header = read_avatar_header(avatar)
+        bpy.ops.grmm.add_head("EXEC_DEFAULT", True, person="FILE", filepath=avatar)
+    except (GrmmError, RuntimeError) as error:  # RuntimeError: what an operator reports, or that it cannot run now
+        reason = " ".join(str(error).replace("Error:", "").split()).rstrip(".")
+        _note = f"The avatar is written, but it cannot be added to the scene ({reason}); press Add to Scene then."
+        raise GrmmError(_note) from error
+    _added = True
+    head = context.object
     if header.camera is not None:
-        add_photo_camera(context, context.object, _request.photos[0], header.camera)
-    _keep_thumbnail(Path(ended.avatar), header.thumbnail)
+        add_photo_camera(context, head, _request.photos[0], header.camera)
+    _keep_thumbnail(head, Path(avatar), header.thumbnail)
     _note = f"{header.name} is in the scene, with a camera that shows the photo."
     return _note
 
@@ -97,7 +117,7 @@ def icon_of(path: str) -> int:
 
 def unregister() -> None:
     """End the job and forget the pictures."""
-    global _job, _request, _note, _pictures
+    global _job, _request, _note, _added, _pictures
     if bpy.app.timers.is_registered(_poll):
         bpy.app.timers.unregister(_poll)
     if _job is not None:
@@ -105,7 +125,7 @@ def unregister() -> None:
         _job.wait(1.0)
     if _pictures is not None:
         bpy.utils.previews.remove(_pictures)
-    _job, _request, _note, _pictures = None, None, "", None
+    _job, _request, _note, _added, _pictures = None, None, "", False, None
     _shown.clear()
 
 
@@ -115,10 +135,9 @@ def _take_found(context: bpy.types.Context, ended: FitStatus) -> None:
         photo.faces, photo.found = faces, picture
 
 
-def _keep_thumbnail(path: Path, png: bytes) -> None:
+def _keep_thumbnail(head: bpy.types.Object, path: Path, png: bytes) -> None:
     """Show the avatar's picture on its object in the outliner and asset browser."""
-    head = bpy.context.object
-    if not png or head is None:
+    if not png:
         return
     temporary = Path(bpy.app.tempdir) / f"{path.stem}.thumbnail.png"
     try:

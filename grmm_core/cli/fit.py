@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import ConfigError, GrmmError
+from ..errors import CancelledError, ConfigError, GrmmError
 from ..fitting.presets import PRESETS
 from .common import add_model, add_output, check_folder, make_folder, positive_int
 
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int:
     with _StopOnSignal() as stop:
         try:
             if args.look is not None:
-                return _look(args, events)
+                return _look(args, events, stop)
             return _run(args, events, stop)
         except GrmmError as error:
             events.write(event="error", message=str(error))
@@ -60,28 +60,34 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int:
             raise
 
 
-def _look(args: argparse.Namespace, events: _Events) -> dict[str, Any] | int:
+def _look(args: argparse.Namespace, events: _Events, stop: _StopOnSignal) -> dict[str, Any] | int:
     """Draw faces, landmarks and outline of each photo, so that the user can check the choice."""
     from ..files import atomic_write_bytes
-    from ..fitting.api import check_masks, read_mask
+    from ..fitting.api import check_face, check_faces, check_masks, read_mask
     from ..fitting.look import found_picture
     from ..fitting.track import analyse_photo
     from ..images import encode_png
 
     check_masks(args.photos, args.masks)
+    check_faces(args.photos, args.faces)
     make_folder(args.look)
-    pictures = []
+    pictures, missing = [], []
     for index, photo in enumerate(args.photos):
+        if stop.requested:
+            raise CancelledError("Looking at the photos was cancelled.")
         found = analyse_photo(photo)
         mask = read_mask(args.masks[index]) if args.masks else None
         chosen = args.faces[index] if len(args.faces) == len(args.photos) else (args.faces or [1])[0]
         face = min(chosen, len(found.faces)) - 1
+        missing += [(photo, chosen, len(found.faces))] if chosen - 1 != face else []
         path = args.look / f"found_{index + 1}.png"
         atomic_write_bytes(path, encode_png(found_picture(found, face, mask)))
         pictures.append(str(path))
         events.write(event="found", photo=str(photo), picture=str(path), faces=len(found.faces))
         if not args.events:
             args.console.line(f"{photo.name}: {len(found.faces)} face{'s' * (len(found.faces) != 1)}, see {path}")
+    for photo, chosen, count in missing:  # said after all pictures are drawn: they show which numbers there are
+        check_face(photo, chosen - 1, count)
     return 0 if args.events else {"pictures": pictures}
 
 
@@ -116,8 +122,8 @@ def _run(args: argparse.Namespace, events: _Events, stop: _StopOnSignal) -> dict
 
         result = fit(
             args.photos, args.output, preset=args.preset, faces=[face - 1 for face in args.faces] or [0], masks=args.masks,
-            weights=args.weights, device=args.device, threads=args.threads, work=args.work, resume=args.resume, name=args.name,
-            progress=show, on_faces=faces, cancelled=lambda: stop.requested,
+            weights=args.weights, head=args.head, device=args.device, threads=args.threads, work=args.work, resume=args.resume,
+            name=args.name, progress=show, on_faces=faces, cancelled=lambda: stop.requested,
         )  # fmt: skip
     events.write(event="done", avatar=str(result.path))
     if args.events:

@@ -12,7 +12,8 @@
 ``overlay``            pictures of a track, to look at
 ``measure``            shape error on people whose shape is known
 ``invert``             tracks to codes and decoders (eq. 19 and 20)
+``folder``             the work folder: whose state it holds, what is refused before work begins
 ``api``                all of it, for the command line and Blender
 
-From `types` to `photometric_stage` numpy is enough; the rest needs torch.
+From `types` to `photometric_stage`, and for `folder`, numpy is enough; the rest needs torch.
 """

@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import datetime
 import hashlib
-import json
 import logging
 import os
 import shutil
@@ -25,8 +24,9 @@ import numpy as np
 
 from ..avatar import EXTENSION, Avatar, PhotoRecord, save_avatar
 from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
-from ..files import atomic_write_bytes, describe_os_error, read_bytes
+from ..files import atomic_write_bytes, read_bytes
 from ..images import encode_png, quantize
+from .folder import PREVIEW_FILE, TRACKS_FILE, WORK_SUFFIX, Job, can_resume, check_photos_differ, check_writable, prepare
 from .presets import Preset, preset_named
 from .types import PhotoTrack, load_tracks, save_tracks
 
@@ -35,8 +35,6 @@ if TYPE_CHECKING:
     from ..model.grmm import GRMM
 
 STAGES = ("analyse", "track", "codes", "decoders")
-TRACKS_FILE, JOB_FILE, PREVIEW_FILE = "tracks.safetensors", "job.json", "preview.png"
-WORK_SUFFIX = ".fit"
 MAX_PHOTOS = 16
 MAX_PHOTO_BYTES = 1 << 30
 THUMBNAIL_PIXELS = 192
@@ -70,18 +68,6 @@ class FitResult:
     tracks: tuple[PhotoTrack, ...] = ()
 
 
-@dataclass(frozen=True)
-class _Job:
-    """What identifies a fit in its work folder."""
-
-    photos: tuple[PhotoRecord, ...]
-    faces: tuple[int, ...]
-    masks: tuple[str, ...]
-
-    def to_json(self) -> bytes:
-        return json.dumps(dataclasses.asdict(self), sort_keys=True).encode()
-
-
 def fit(
     photos: Sequence[str | os.PathLike[str]],
     output: str | os.PathLike[str],
@@ -90,6 +76,7 @@ def fit(
     faces: Sequence[int] = (0,),
     masks: Sequence[str | os.PathLike[str]] = (),
     weights: str | os.PathLike[str] | None = None,
+    head: str | os.PathLike[str] | None = None,
     device: str = "auto",
     threads: int | None = None,
     work: str | os.PathLike[str] | None = None,
@@ -110,6 +97,7 @@ def fit(
         faces: Which face of each photo, counted from 0, the largest first; a single number counts for all photos.
         masks: Pictures of the person's outline (white on black), one for each photo, in its order; empty finds the outline.
         weights: Name of installed weights, or a file; None for the embedded ones.
+        head: Head file for weights of another head model than the open one.
         device: "auto", "cpu", "cuda" or "mps".
         threads: CPU threads; None leaves it to the libraries.
         work: Folder for the state; None is a folder beside the output. It is removed when the avatar is written, unless given.
@@ -125,35 +113,42 @@ def fit(
         CancelledError: `cancelled` said so; the same call with `resume` goes on.
         SessionError: Out of memory.
     """
-    output = Path(output)
+    output, faces = Path(output), tuple(faces) or (0,)
     settings = preset_named(preset)
     _check(photos, output, masks, faces)
-    chosen = tuple(faces) if len(faces) == len(photos) else tuple(faces) * len(photos)
-    job = _Job(
-        tuple(PhotoRecord(Path(photo).name, _hash(photo)) for photo in photos), chosen, tuple(_hash(mask) for mask in masks)
-    )
+    chosen = faces if len(faces) == len(photos) else faces * len(photos)
+    job = Job(
+        tuple(PhotoRecord(Path(photo).name, _hash(photo)) for photo in photos), chosen, tuple(_hash(mask) for mask in masks),
+        os.fspath(weights or ""), os.fspath(head or ""),
+    )  # fmt: skip
+    check_photos_differ(job.photos)
+    _check_pictures(photos, masks)
+    check_writable(output)
     begin = time.monotonic()
     folder = Path(work) if work is not None else output.with_name(output.name + WORK_SUFFIX)
-    _prepare(folder, job, resume)
+    prepare(folder, job, resume)
     relay = _Relay(progress, cancelled, folder)
     done = False
     try:
         avatar, tracks = _make(
-            photos, job, masks, name or output.stem, settings, weights, device, threads, folder, resume, relay, on_faces
+            photos, job, masks, name or output.stem, settings, weights, head, device, threads, folder, resume, relay, on_faces
         )
         save_avatar(avatar, output)
         done = True
+    except CancelledError as error:
+        kept = "what it has done is kept for --resume" if can_resume(folder) else "it had not found the person yet"
+        raise CancelledError(f"The fit was cancelled; {kept}.") from error
     finally:
-        if work is None and (done or not (folder / TRACKS_FILE).exists()):  # nothing to resume from
+        if work is None and (done or not can_resume(folder)):
             shutil.rmtree(folder, ignore_errors=True)
     figures = [tuple(float(value) for value in avatar.tracking[key]) for key in ("rmse", "landmark_error")]
     return FitResult(output, avatar, time.monotonic() - begin, *figures, tuple(tracks))
 
 
 def _make(
-    photos: Sequence[str | os.PathLike[str]], job: _Job, masks: Sequence[str | os.PathLike[str]], name: str, settings: Preset,
-    weights: str | os.PathLike[str] | None, device: str, threads: int | None, folder: Path, resume: bool, relay: _Relay,
-    on_faces: Faces | None,
+    photos: Sequence[str | os.PathLike[str]], job: Job, masks: Sequence[str | os.PathLike[str]], name: str, settings: Preset,
+    weights: str | os.PathLike[str] | None, head_file: str | os.PathLike[str] | None, device: str, threads: int | None,
+    folder: Path, resume: bool, relay: _Relay, on_faces: Faces | None,
 ) -> tuple[Avatar, list[PhotoTrack]]:  # fmt: skip
     """The avatar, complete but not written, and what tracking found."""
     relay.check()
@@ -167,7 +162,7 @@ def _make(
 
         torch.set_num_threads(threads)
         limit_rasteriser_threads(threads)
-    loaded = ModelStore(weights, choose_device(device)).default()
+    loaded = ModelStore(weights, choose_device(device), head_file).default()
     head = loaded.model.head_model
     tracks = _tracks(photos, job, head, masks, folder, resume, relay, on_faces)
     avatar = invert(
@@ -251,7 +246,7 @@ class _Relay:
 
 
 def _tracks(
-    photos: Sequence[str | os.PathLike[str]], job: _Job, head: HeadModel, masks: Sequence[str | os.PathLike[str]], folder: Path,
+    photos: Sequence[str | os.PathLike[str]], job: Job, head: HeadModel, masks: Sequence[str | os.PathLike[str]], folder: Path,
     resume: bool, relay: _Relay, on_faces: Faces | None,
 ) -> list[PhotoTrack]:  # fmt: skip
     """Track the photos, or read what an interrupted run has tracked."""
@@ -271,7 +266,7 @@ def _tracks(
         found = analyse_photo(photo)
         if on_faces is not None:
             on_faces(os.fspath(photo), np.stack([one.box for one in found.faces]) / found.photo.scale)
-        _check_face(photo, job.faces[index], len(found.faces))
+        check_face(photo, job.faces[index], len(found.faces))
         analysed.append(found)
     relay("analyse", 1.0)
     outlines = [read_mask(mask) for mask in masks] or None
@@ -296,10 +291,25 @@ def _check(
         raise FileAccessError(f"{output} is a folder; give a file name.")
 
 
+def _check_pictures(photos: Sequence[str | os.PathLike[str]], masks: Sequence[str | os.PathLike[str]]) -> None:
+    """Refuse files that are no pictures, and masks of another proportion than their photos, before torch is loaded."""
+    from ..photo.load import check_proportion, picture_size
+
+    sizes = [picture_size(photo) for photo in photos]
+    for photo, size, mask in zip(photos, sizes, masks, strict=False):
+        check_proportion(picture_size(mask), size, Path(photo).name)
+
+
 def check_masks(photos: Sequence[str | os.PathLike[str]], masks: Sequence[str | os.PathLike[str]]) -> None:
     """Refuse a number of outlines that is not the photos'. Raises `ConfigError`."""
     if masks and len(masks) != len(photos):
         raise ConfigError(f"{len(masks)} masks were given for {len(photos)} photos; give one for each, or none.")
+
+
+def check_faces(photos: Sequence[str | os.PathLike[str]], faces: Sequence[int]) -> None:
+    """Refuse a number of chosen faces that is neither none, one, nor the photos'. Raises `ConfigError`."""
+    if len(faces) not in (0, 1, len(photos)):
+        raise ConfigError(f"{len(faces)} faces were chosen for {len(photos)} photos; choose one for each, or one for all.")
 
 
 def _check_photos(
@@ -310,11 +320,11 @@ def _check_photos(
     if len(photos) > MAX_PHOTOS:
         raise ConfigError(f"{len(photos)} photos were given; use at most {MAX_PHOTOS}.")
     check_masks(photos, masks)
-    if len(faces) not in (1, len(photos)):
-        raise ConfigError(f"{len(faces)} faces were chosen for {len(photos)} photos; choose one for each, or one for all.")
+    check_faces(photos, faces)
 
 
-def _check_face(photo: str | os.PathLike[str], face: int, count: int) -> None:
+def check_face(photo: str | os.PathLike[str], face: int, count: int) -> None:
+    """Refuse a face, counted from 0, that a photo does not show. Raises `ConfigError`."""
     if not 0 <= face < count:
         raise ConfigError(
             f"{Path(photo).name} shows {count} usable face{'s' * (count != 1)}, and face {face + 1} was chosen; "
@@ -324,19 +334,6 @@ def _check_face(photo: str | os.PathLike[str], face: int, count: int) -> None:
 
 def _hash(path: str | os.PathLike[str]) -> str:
     return hashlib.sha256(read_bytes(path, limit=MAX_PHOTO_BYTES)).hexdigest()
-
-
-def _prepare(folder: Path, job: _Job, resume: bool) -> None:
-    """Make the work folder; forget the state of another job, or all where nothing is to be resumed."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        path = folder / JOB_FILE
-        if not (resume and path.exists() and path.read_bytes() == job.to_json()):
-            for stale in (*folder.glob("*.safetensors"), folder / PREVIEW_FILE):
-                stale.unlink(missing_ok=True)
-    except OSError as error:
-        raise FileAccessError(f"Cannot write {folder}: {describe_os_error(error)}; choose another folder.") from error
-    atomic_write_bytes(folder / JOB_FILE, job.to_json())
 
 
 def read_mask(path: str | os.PathLike[str]) -> np.ndarray:

@@ -21,10 +21,10 @@ from ..tensorfile import read_tensors, write_tensors
 from .codes import Codes
 from .colour import PhotoLight
 from .decoders import Tuner
+from .folder import CODES_FILE, DECODERS_FILE
 from .presets import Preset
 from .types import PhotoTrack
 
-CODES_FILE, DECODERS_FILE = "codes.safetensors", "decoders.safetensors"
 FORMAT, VERSION = "grmm-fit", "1"
 
 logger = logging.getLogger(__name__)

@@ -18,7 +18,7 @@ from ..camera import Camera
 from ..errors import CancelledError, ConfigError, NoFaceError, ShapeError
 from ..head.model import HeadModel
 from ..photo.faces import Face, find_faces
-from ..photo.load import Photo, load_photo
+from ..photo.load import Photo, check_proportion, load_photo
 from ..photo.person import person_mask
 from .landmark_priors import FULL_FRAME
 from .landmark_stage import LandmarkFit, Observation, fit_landmarks
@@ -274,9 +274,5 @@ def _fitted_mask(mask: np.ndarray, photo: Photo) -> np.ndarray:
     height, width = photo.pixels.shape[:2]
     if values.shape == (height, width):
         return values
-    if abs(values.shape[1] / values.shape[0] - width / height) > 0.02 * width / height:
-        raise ShapeError(
-            f"The mask has {values.shape[1]}x{values.shape[0]} pixels, another proportion than {photo.path.name}; "
-            "make it from the upright photo."
-        )
+    check_proportion((values.shape[1], values.shape[0]), (width, height), photo.path.name)
     return np.asarray(Image.fromarray(values).resize((width, height), Image.Resampling.BILINEAR))

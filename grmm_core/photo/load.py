@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import FileAccessError, FileFormatError
+from ..errors import FileAccessError, FileFormatError, GrmmError, ShapeError
 from ..files import describe_os_error
 
 if TYPE_CHECKING:
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 MAX_PIXELS = 300_000_000  # far above any camera; refuses pictures made to exhaust memory
 MAX_SIDE = 4096  # larger photos are reduced: a face is never fitted at more
 MIN_SIDE = 64
+MASK_TOLERANCE = 0.02  # relative difference of proportions
+_EXIF_ORIENTATION, _TURNED = 0x0112, (5, 6, 7, 8)  # values with which width and height change places
 _HEIC_SUFFIXES = {".heic", ".heif", ".avif"}
 
 
@@ -50,21 +54,48 @@ def load_photo(path: str | os.PathLike[str], max_side: int = MAX_SIDE) -> Photo:
         FileAccessError: Missing or not readable.
         FileFormatError: Not a picture, truncated, in a format that is not installed, too small or too large.
     """
-    from PIL import Image, ImageOps, UnidentifiedImageError
+    from PIL import ImageOps
 
     path = Path(path)
+    with _opened(path) as image:
+        width, height = image.size
+        image.draft("RGB", (max_side, max_side))  # JPEG decodes large photos at a fraction of their size
+        image.load()
+        image = ImageOps.exif_transpose(image)
+        scale = min(1.0, max_side / max(width, height))
+        rgb, alpha = _to_rgb(image)
+    return _reduced(Photo(path, rgb, alpha, scale), max_side)
+
+
+def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
+    """Width and height of the upright photo; its pixels are not decoded. Raises as `load_photo`."""
+    path = Path(path)
+    with _opened(path) as image:
+        width, height = image.size
+        return (height, width) if image.getexif().get(_EXIF_ORIENTATION, 1) in _TURNED else (width, height)
+
+
+def check_proportion(mask: tuple[int, int], photo: tuple[int, int], name: str) -> None:
+    """Refuse a mask whose width and height have another proportion than its photo's. Raises `ShapeError`."""
+    if abs(mask[0] / mask[1] - photo[0] / photo[1]) > MASK_TOLERANCE * photo[0] / photo[1]:
+        raise ShapeError(
+            f"The mask has {mask[0]}x{mask[1]} pixels, another proportion than {name} with {photo[0]}x{photo[1]}; "
+            "make it from the upright photo."
+        )
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """A picture that Pillow has opened and of which only the header is read; what goes wrong with it becomes one sentence."""
+    from PIL import Image, UnidentifiedImageError
+
     try:
         with warnings.catch_warnings():
             # Pillow's own bomb warning has another limit; ours is checked before anything is decoded.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(path) as image:
-                width, height = image.size
-                _check_size(path, width, height)
-                image.draft("RGB", (max_side, max_side))  # JPEG decodes large photos at a fraction of their size
-                image.load()
-                image = ImageOps.exif_transpose(image)
-                scale = min(1.0, max_side / max(width, height))
-                rgb, alpha = _to_rgb(image)
+                _check_size(path, *image.size)
+                yield image
     except (FileNotFoundError, IsADirectoryError) as error:
         raise FileAccessError(f"{path} does not exist or is a folder; choose a photo.") from error
     except PermissionError as error:
@@ -74,12 +105,11 @@ def load_photo(path: str | os.PathLike[str], max_side: int = MAX_SIDE) -> Photo:
         raise FileFormatError(f"{path.name} is not a picture that can be read here; {hint}.") from error
     except Image.DecompressionBombError as error:
         raise FileFormatError(f"{path.name} is too large to be a photo; reduce it first.") from error
+    except (GrmmError, MemoryError):
+        raise
     # Damaged files make Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error, EOFError, IndexError ...
     except Exception as error:
-        if isinstance(error, FileFormatError):
-            raise
         raise FileFormatError(f"{path.name} is damaged or truncated; get the photo again.") from error
-    return _reduced(Photo(path, rgb, alpha, scale), max_side)
 
 
 def _check_size(path: Path, width: int, height: int) -> None:

@@ -1,0 +1,91 @@
+"""The work folder of a fit: whose state it holds, what is thrown away, and what is refused before minutes are spent.
+
+Only files that a fit has written are ever removed or replaced. Called by `api`; needs neither torch nor a model.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..avatar import PhotoRecord
+from ..errors import ConfigError, FileAccessError
+from ..files import TEMPORARY_PATTERN, atomic_write_bytes, describe_os_error
+
+TRACKS_FILE, CODES_FILE, DECODERS_FILE = "tracks.safetensors", "codes.safetensors", "decoders.safetensors"
+JOB_FILE, PREVIEW_FILE = "job.json", "preview.png"
+WORK_SUFFIX = ".fit"
+_STATE_FILES = (TRACKS_FILE, CODES_FILE, DECODERS_FILE, PREVIEW_FILE)
+
+
+@dataclass(frozen=True)
+class Job:
+    """What identifies a fit in its work folder."""
+
+    photos: tuple[PhotoRecord, ...]
+    faces: tuple[int, ...]
+    masks: tuple[str, ...]
+    weights: str = ""
+    head: str = ""
+
+    def to_json(self) -> bytes:
+        """The contents of `JOB_FILE`."""
+        return json.dumps(dataclasses.asdict(self), sort_keys=True).encode()
+
+
+def check_photos_differ(photos: Sequence[PhotoRecord]) -> None:
+    """Refuse a photo that was given twice: it would count twice. Raises `ConfigError`."""
+    known: dict[str, str] = {}
+    for photo in photos:
+        if photo.sha256 in known:
+            first = known[photo.sha256]
+            names = f"{photo.name} was given twice" if first == photo.name else f"{first} and {photo.name} are the same photo"
+            raise ConfigError(f"{names}; give each photo once.")
+        known[photo.sha256] = photo.name
+
+
+def check_writable(output: Path) -> None:
+    """Refuse an output whose folder cannot be written. Raises `FileAccessError`."""
+    try:
+        with tempfile.TemporaryFile(dir=output.parent):
+            pass
+    except OSError as error:
+        raise FileAccessError(
+            f"Cannot write {output}: {describe_os_error(error)}; choose another folder or change its permissions."
+        ) from error
+
+
+def prepare(folder: Path, job: Job, resume: bool) -> None:
+    """Make the work folder; forget the state of another job, or all where nothing is to be resumed.
+
+    Raises:
+        ConfigError: The folder holds something else; nothing in it is touched.
+        FileAccessError: It cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / JOB_FILE
+        if any(folder.iterdir()) and not path.exists() and not _only_ours(folder):
+            raise ConfigError(f"{folder} holds other files; choose an empty folder, or none, for the state of the fit.")
+        if not (resume and path.exists() and path.read_bytes() == job.to_json()):
+            for name in _STATE_FILES:
+                (folder / name).unlink(missing_ok=True)
+        for unfinished in folder.glob(TEMPORARY_PATTERN):  # of a process that was killed
+            unfinished.unlink(missing_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"Cannot write {folder}: {describe_os_error(error)}; choose another folder.") from error
+    atomic_write_bytes(folder / JOB_FILE, job.to_json())
+
+
+def can_resume(folder: Path) -> bool:
+    """Whether a fit that was interrupted has left something to go on from."""
+    return (folder / TRACKS_FILE).exists()
+
+
+def _only_ours(folder: Path) -> bool:
+    """A process may have been killed before the job's file was there."""
+    return all(path.match(TEMPORARY_PATTERN) for path in folder.iterdir())

@@ -10,9 +10,11 @@ import bpy
 from ..grmm_blender import session_host
 from ..grmm_blender.fitting import watch
 from ..grmm_blender.fitting.job import FitJob, FitRequest
+from ..grmm_blender.fitting.origin import origin_of
+from ..grmm_blender.fitting.photo_camera import set_photo_expression
 from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings
 from ..grmm_core.errors import ConfigError, FileAccessError
-from .common import Result, reports_errors
+from .common import Result, active_avatar, needs_avatar, redraw_values, reports_errors
 
 _EXTENSIONS = "*.jpg;*.jpeg;*.png;*.webp;*.tif;*.tiff;*.bmp"
 
@@ -174,6 +176,33 @@ class GRMM_OT_fit_use(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class GRMM_OT_fit_photo_expression(bpy.types.Operator):
+    """Set expression and pose as the avatar's photo shows them."""
+
+    bl_idname = "grmm.fit_photo_expression"
+    bl_label = "Photo's Expression"
+    bl_description = "Set expression and pose of an avatar made from photos as the first photo shows them, to compare the two"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """An avatar whose file was made from photos."""
+        if not needs_avatar(cls, context):
+            return False
+        if not origin_of(active_avatar(context).source):
+            cls.poll_message_set("Select an avatar that was made from photos")
+            return False
+        return True
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Set sliders, learned detail and bones."""
+        avatar = active_avatar(context)
+        set_photo_expression(avatar)
+        redraw_values(avatar)
+        return {"FINISHED"}
+
+
 def _run(operator: bpy.types.Operator, context: bpy.types.Context, request: FitRequest) -> Result:
     """Start a job; a window goes on, background mode waits. Raises `GrmmError`s."""
     watch.start(FitJob.start(session_host.job_python(), request), request)
@@ -185,4 +214,5 @@ def _run(operator: bpy.types.Operator, context: bpy.types.Context, request: FitR
 
 CLASSES = (
     GRMM_OT_fit_add_photos, GRMM_OT_fit_remove_photo, GRMM_OT_fit_look, GRMM_OT_fit_photos, GRMM_OT_fit_cancel, GRMM_OT_fit_use,
+    GRMM_OT_fit_photo_expression,
 )  # fmt: skip

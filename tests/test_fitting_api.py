@@ -14,11 +14,13 @@ torch = pytest.importorskip("torch")
 from tiny_model import write_tiny_weights  # noqa: E402
 
 from grmm_core import cli  # noqa: E402
-from grmm_core.avatar import load_avatar, read_avatar_header  # noqa: E402
-from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError  # noqa: E402
+from grmm_core.avatar import PhotoRecord, load_avatar, read_avatar_header  # noqa: E402
+from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError, ShapeError  # noqa: E402
 from grmm_core.fitting import api, presets  # noqa: E402
 from grmm_core.fitting.api import fit  # noqa: E402
+from grmm_core.fitting.folder import TRACKS_FILE, Job, can_resume, prepare  # noqa: E402
 from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset  # noqa: E402
+from grmm_core.session import models  # noqa: E402
 
 QUICK = Preset("fast", CodeSettings(48, 48, 1, 1, 0, 2), DecoderSettings(((64, 4),), False))
 
@@ -80,7 +82,7 @@ def test_a_photo_becomes_a_file_that_says_so(photo, weights, tmp_path):
 def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, weights, tmp_path, monkeypatch):
     output, seen = tmp_path / "a.grmm", []
     arguments = {"preset": "fast", "weights": weights, "device": "cpu", "progress": lambda *values: seen.append(values[0])}
-    with pytest.raises(CancelledError):
+    with pytest.raises(CancelledError, match="--resume"):
         fit([photo], output, cancelled=lambda: "codes" in seen, **arguments)
     assert not output.exists()
     folder = tmp_path / f"a.grmm{api.WORK_SUFFIX}"
@@ -175,6 +177,72 @@ def test_arguments_are_checked_before_work_begins(photo, weights, tmp_path):
         values = {"photos": [photo], "output": tmp_path / "a.grmm", "preset": "fast"} | changes
         with pytest.raises(error, match=words):
             fit(values.pop("photos"), values.pop("output"), weights=weights, device="cpu", **values)
+
+
+def test_bad_pictures_are_refused_before_anything_is_written(photo, weights, tmp_path):
+    from PIL import Image
+
+    copy, mask, text = tmp_path / "copy.png", tmp_path / "mask.png", tmp_path / "mask.txt"
+    copy.write_bytes(photo.read_bytes())
+    Image.fromarray(np.zeros((100, 300), np.uint8)).save(mask)
+    text.write_text("no picture")
+    names = sorted(path.name for path in tmp_path.iterdir())
+    wrong = [
+        ({"photos": [photo, copy]}, ConfigError, r"face\.png and copy\.png are the same photo"),
+        ({"photos": [photo, photo]}, ConfigError, "given twice"),
+        ({"masks": [mask]}, ShapeError, "300x100 pixels, another proportion than face.png with 256x256"),
+        ({"masks": [text]}, FileFormatError, "mask.txt is not a picture"),
+        ({"work": photo}, FileAccessError, "choose another folder"),
+    ]
+    for changes, error, words in wrong:
+        values = {"photos": [photo]} | changes
+        with pytest.raises(error, match=words) as caught:
+            fit(values.pop("photos"), tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu", **values)
+        assert "\n" not in str(caught.value)
+        assert sorted(path.name for path in tmp_path.iterdir()) == names
+
+
+def test_a_work_folder_with_other_files_is_left_alone(photo, weights, tmp_path):
+    work = tmp_path / "mine"
+    work.mkdir()
+    (work / "codes.safetensors").write_text("my own weights")
+    (work / "preview.png").write_text("my own picture")
+    with pytest.raises(ConfigError, match="holds other files"):
+        fit([photo], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu", work=work)
+    assert {path.name: path.read_text() for path in work.iterdir()} == {
+        "codes.safetensors": "my own weights", "preview.png": "my own picture",
+    }  # fmt: skip
+    folder = tmp_path / "state"
+    job = Job((PhotoRecord("a.png", "1"),), (0,), ())
+    prepare(folder, job, False)
+    for name in (TRACKS_FILE, "notes.txt", "mine.safetensors", ".grmm-x.tmp"):
+        (folder / name).write_text(name)
+    prepare(folder, job, True)  # the same job goes on; what a killed process was writing is removed
+    assert can_resume(folder)
+    assert not (folder / ".grmm-x.tmp").exists()
+    prepare(folder, dataclasses.replace(job, weights="others"), True)
+    assert not can_resume(folder)
+    assert (folder / "mine.safetensors").exists()
+    assert (folder / "notes.txt").exists()
+
+
+def test_a_head_file_reaches_the_model(photo, weights, tmp_path, capsys):
+    arguments = ["fit", str(photo), "-o", str(tmp_path / "a.grmm"), "--preset", "fast", "--weights", str(weights)]
+    seen = []
+    original = models.ModelStore.__init__
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(models.ModelStore, "__init__", lambda self, *a, **k: (seen.append(a[2]), original(self, *a, **k))[1])
+        cli.main([*arguments, "--head", str(tmp_path / "flame.npz"), "--face", "9"])
+    assert [str(path) for path in seen] == [str(tmp_path / "flame.npz")]
+    assert "choose a number from 1 to 1" in capsys.readouterr().err
+
+
+def test_looking_names_a_face_that_is_not_there_after_drawing_those_that_are(photo, tmp_path, capsys):
+    assert cli.main(["fit", str(photo), "--look", str(tmp_path / "found"), "--face", "3"]) == 1
+    assert "choose a number from 1 to 1" in capsys.readouterr().err
+    assert (tmp_path / "found" / "found_1.png").exists()
+    assert cli.main(["fit", str(photo), "--look", str(tmp_path / "found"), "--face", "1", "--face", "1"]) == 1
+    assert "2 faces were chosen for 1 photos" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="needs a folder that this user cannot write")

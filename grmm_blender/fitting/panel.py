@@ -61,7 +61,9 @@ class GRMM_PT_fit(bpy.types.Panel):
         avatar = avatar_of(context.object)
         said = "" if avatar is None else origin_of(avatar.source)
         if said:
-            draw_text(layout.box(), said, context, icon="INFO")
+            box = layout.box()
+            draw_text(box, said, context, icon="INFO")
+            box.operator("grmm.fit_photo_expression", icon="LOOP_BACK")
 
     def _photos(self, layout: bpy.types.UILayout, chosen: GRMM_FitSettings) -> None:
         row = layout.row()

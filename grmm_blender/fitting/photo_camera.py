@@ -1,4 +1,4 @@
-"""The camera that took the photo, as a Blender camera with the photo behind the scene."""
+"""A photo in the scene: the camera that took it, with the photo behind the avatar, and the expression that it shows."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ...grmm_core.avatar import load_avatar
 from ...grmm_core.camera import Camera
+from ...grmm_core.errors import ConfigError
+from ...grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
+from ...grmm_core.fitting.result import photo_controls
+from ...grmm_core.head import load_open_head
 from ...grmm_core.session import HEAD_TO_BLENDER
-from ..avatar import avatar_of
+from ..avatar import Avatar, avatar_of
+from ..rig.definitions import EXPRESSION, Z_EXP
 
 _SENSOR = 36.0  # millimetres
 _OPACITY = 0.5
@@ -48,6 +54,37 @@ def add_photo_camera(context: bpy.types.Context, head: bpy.types.Object, photo: 
     if context.scene.camera is None:
         context.scene.camera = item
     return item
+
+
+def set_photo_expression(avatar: Avatar, index: int = 0) -> None:
+    """Set the rig as a photo shows the person: sliders, learned detail and bones; keys are not touched.
+
+    Args:
+        avatar: Made from photos.
+        index: Which photo.
+
+    Raises:
+        FileAccessError, FileFormatError: Its file cannot be read.
+        ShapeError: It has no such photo.
+        ConfigError: It is made for another head model than the open one.
+    """
+    stored, head = load_avatar(avatar.source), load_open_head()
+    if stored.head.name != head.name:
+        raise ConfigError(f"{avatar.name} has the head model {stored.head.name!r}; only the open head's sliders can be set.")
+    controls, target = photo_controls(stored, head, index), avatar.object
+    for name, value in zip(ALIGNED_NAMES, controls.aligned, strict=True):
+        target[name] = float(value)
+    for name in (EXPRESSION, Z_EXP):
+        values = np.zeros(len(target[name]), np.float32)
+        given = getattr(controls, name)[: len(values)]
+        values[: len(given)] = given
+        target[name] = values.tolist()
+    rig = avatar.armature
+    for joint, angles in zip(JOINT_NAMES, controls.pose, strict=True):
+        bone = None if rig is None else rig.pose.bones.get(joint)
+        if bone is not None and bone.parent is not None:
+            bone.rotation_mode = "XYZ"
+            bone.rotation_euler = angles.tolist()
 
 
 def _frame_width(scene: bpy.types.Scene) -> float:

@@ -18,6 +18,7 @@ from .photo_camera import add_photo_camera
 from .settings import settings
 
 _POLL_SECONDS = 0.3
+_POLL = ".poll()"  # stands before the reason why an operator cannot run now
 
 _log = logging.getLogger(__name__)
 _job: FitJob | None = None
@@ -84,7 +85,7 @@ def add_finished(context: bpy.types.Context) -> str:
         header = read_avatar_header(avatar)
         bpy.ops.grmm.add_head("EXEC_DEFAULT", True, person="FILE", filepath=avatar)
     except (GrmmError, RuntimeError) as error:  # RuntimeError: what an operator reports, or that it cannot run now
-        reason = " ".join(str(error).replace("Error:", "").split()).rstrip(".")
+        reason = " ".join(str(error).replace("Error:", "").rpartition(_POLL)[2].split()).rstrip(".")
         _note = f"The avatar is written, but it cannot be added to the scene ({reason}); press Add to Scene then."
         raise GrmmError(_note) from error
     _added = True

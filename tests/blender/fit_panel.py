@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import bpy
@@ -36,6 +37,14 @@ def statuses() -> dict[str, object]:
     failed = job_of([{"event": "error", "message": "No face was found."}], "sys.exit(1)").wait(60)
     crashed = job_of([PROGRESS], "import os; os.abort()").wait(60)
     lacking = job_of([], "import nothing_of_this_name").wait(60)
+    silent = job_of([]).wait(60)
+    nameless = job_of([{"event": "done"}]).wait(60)
+    garbage = job_of([
+        "\\x00\\xff not json {", [1, 2], "null", {"event": "progress", "stage": 7, "fraction": "much", "seconds_left": "soon"},
+        '{"event": "progress", "stage": "codes", "fraction": NaN}', {"event": "faces", "boxes": 3},
+        {"event": "found", "faces": "two"}, {}, {"event": "done", "avatar": "b.grmm"},
+    ]).wait(60)  # fmt: skip
+    stopped = job_of([], "print('Illegal instruction of some library', file=sys.stderr); sys.exit(3)").wait(60)
     slow = job_of([PROGRESS], "time.sleep(60)")
     slow.cancel()
     cancelled = slow.wait(60)
@@ -44,8 +53,22 @@ def statuses() -> dict[str, object]:
         "failed": (failed.state, failed.message),
         "crashed": (crashed.state, crashed.message, crashed.fraction),
         "lacking": (lacking.state, lacking.message),
+        "silent": (silent.state, silent.message),
+        "nameless": (nameless.state, nameless.message),
+        "garbage": (garbage.state, garbage.avatar, garbage.fraction),
+        "stopped": (stopped.state, stopped.message),
         "cancelled": (cancelled.state, cancelled.message),
     }
+
+
+def real_cancel(folder: Path) -> tuple[str, str]:
+    """Cancel a fit that has hardly begun: the real command, whatever it is doing then."""
+    jobs, host = module("grmm_blender.fitting.job"), module("grmm_blender.session_host")
+    job = jobs.FitJob.start(host.job_python(), jobs.FitRequest((folder / "face.png",), folder / "never.grmm"))
+    time.sleep(1.0)
+    job.cancel()
+    ended = job.wait(60)
+    return ended.state, ended.message
 
 
 def look(folder: Path) -> dict[str, object]:
@@ -57,6 +80,10 @@ def look(folder: Path) -> dict[str, object]:
     bpy.ops.grmm.fit_look()
     photo = chosen.photos[0]
     said |= {"faces": photo.faces, "found": Path(photo.found).stat().st_size}
+    photo.faces, photo.found, chosen.face = 0, "", 5
+    said["wrong_face"] = message_of(bpy.ops.grmm.fit_look)
+    said |= {"faces_then": photo.faces, "found_then": Path(photo.found).stat().st_size}
+    chosen.face = 1
     bpy.ops.grmm.fit_add_photos(filepath=str(folder / "text.jpg"))
     said["broken"] = message_of(bpy.ops.grmm.fit_look)
     bpy.ops.grmm.fit_remove_photo()
@@ -98,7 +125,7 @@ def main() -> None:
     folder, what = Path(sys.argv[-2]), sys.argv[-1]
     enable()
     empty_scene()
-    report(statuses=statuses())
+    report(statuses={**statuses(), "real": real_cancel(folder)})
     report(look=look(folder))
     if what == "fit":
         report(fit=fit(folder))

@@ -71,6 +71,11 @@ class Avatar:
         return path
 
     @property
+    def missing_file(self) -> str:
+        """One sentence if the avatar's file is not where it was, else empty; needs no runtime."""
+        return missing_file(self.source) if self.has_network else ""
+
+    @property
     def has_network(self) -> bool:
         """Whether a network draws this head; a user's FLAME head is a mesh like any other, or carries imported splats."""
         return not self.object.grmm.head_name.startswith(FLAME_PREFIX)
@@ -202,3 +207,10 @@ def instances_in(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[Avatar, np.nd
             yield avatar, avatar.instance_to_world(instance.matrix_world, depsgraph)
         else:
             yield avatar, avatar.model_to_world(depsgraph)
+
+
+def missing_file(source: str) -> str:
+    """Return one sentence if a source, as `Avatar.source` returns it, is a file that is not there, else an empty string."""
+    if source == DEFAULT_SOURCE or source.startswith((_SAMPLE_PREFIX, LIBRARY_PREFIX)) or Path(source).exists():
+        return ""
+    return f"{source} does not exist; choose the file again with Relink Avatar in the GRMM tab."

@@ -115,13 +115,31 @@ def test_film_and_scene(render_script, blender_version):
     assert result["agx_error"] <= STEP
 
 
+def test_kept_depths_of_meshes_are_never_old(render_script, blender_version):
+    found = render_script("engine_occluders.py", python=blender_version, timeout=400)
+    assert found["drawn"][0] == 1
+    assert sum(found["drawn"]) <= 2
+    assert found["drawn"][-2:] == [0, 0]
+    assert len(found["changes"]) == 18
+    for name, (from_fresh, from_last) in found["changes"].items():
+        assert from_fresh == 0, name
+        assert from_last > 20, name
+    assert found["left_hides"] > 0.001
+    assert found["right_hides"] > 0.005
+    assert found["swapped"] > 100
+    assert found["swapped_fresh"] == 0
+    assert found["errors"] < 1e-6
+    assert found["draws"] < 48
+    assert found["left"] == 0
+
+
 def test_errors_say_what_is_wrong_and_leave_no_file(run_blender, weights, tmp_path, blender_version):
     environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
     done = run_blender("engine_errors.py", weights, tmp_path, python=blender_version, environment=environment)
     messages, left = done.result["messages"], done.result["left"]
     wanted = {
         "nan": "jawOpen is not a finite number",
-        "missing_file": "missing.grmm does not exist",
+        "missing_file": "missing.grmm does not exist; choose the file again with Relink Avatar",
         "animation": "missing.grmm does not exist",
         "broken_file": "broken.grmm",
         "broken_file_exr": "broken.grmm",
@@ -147,7 +165,9 @@ def test_errors_say_what_is_wrong_and_leave_no_file(run_blender, weights, tmp_pa
     assert done.result["after"] <= STEP
     assert done.result["worker"] == "worker"
     assert done.result["world"] == pytest.approx([255, 0, 0, 255])
-    assert "no visible GRMM avatar" in done.output
+    # Nothing to be seen of an avatar: the background, and a warning each time.
+    assert done.result["hidden"] == 0
+    assert done.output.count("no visible GRMM avatar") == 2
 
 
 def test_renders_that_end_before_they_are_done(render_script, blender_version):

@@ -23,6 +23,10 @@ def test_every_slider_of_the_selected_avatar_is_drawn_once(run_blender: RunBlend
     edits = {"grmm.reset", "grmm.mirror", "grmm.random_expression", "grmm.random_detail"}
     edits |= {"grmm.save_code", "grmm.calibrate_neutral"}
     assert edits <= set(head["operators"])
+    # Also where no runtime could find out that the file is gone.
+    assert "grmm.relink_avatar" not in head["operators"]
+    assert "gone.grmm does not exist; choose the file again with Relink Avatar" in result["missing"]["text"]
+    assert "grmm.relink_avatar" in result["missing"]["operators"]
     assert len(result["registered"]) >= 2 * 5
 
 

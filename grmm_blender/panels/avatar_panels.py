@@ -76,10 +76,11 @@ class _Avatar(_AvatarPanel):
             row = layout.row()
             row.active = settings.live_detail
             row.prop(settings, "detail_in_playback")
-        problem = live.state_of(avatar).message or live.limitation(avatar)
+        wrong = avatar.missing_file or live.state_of(avatar).message
+        problem = wrong or live.limitation(avatar)
         if problem:
             draw_text(layout, problem, context, icon="ERROR")
-            if live.state_of(avatar).message and avatar.has_network:
+            if wrong and avatar.has_network:
                 layout.operator("grmm.relink_avatar", text="Relink Avatar...", icon="FILE_FOLDER")
             if avatar.mesh_owner not in (None, avatar.object):
                 layout.operator("grmm.make_independent")

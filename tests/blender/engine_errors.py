@@ -133,6 +133,10 @@ session.render = original
 # Everything works again afterwards.
 report(messages=messages, left=left, after=difference(load_png(render(folder / "after.png")), alone), worker=worker.kind)
 
+# A hidden avatar is no error, but is said.
+head.hide_render = True
+report(hidden=float(load_png(render(folder / "hidden.png"))[..., 3].max()))
+
 # No avatar: the world is drawn, with a warning.
 for item in (head, rig):
     bpy.data.objects.remove(item)

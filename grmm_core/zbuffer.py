@@ -21,6 +21,8 @@ EMPTY = np.float32(1.0e10)
 """Depth where nothing is; Blender's value for an empty Z pass."""
 SPAN_SLACK = 1e-6
 """Samples; a shared edge must not leave a gap between two triangles."""
+Window = tuple[int, int, int, int]
+"""Left, top, right and bottom edge of a part of a picture, pixels."""
 _CHUNK = 1 << 18  # rows or samples handled at once: their arrays stay in the processor's cache
 
 
@@ -30,6 +32,7 @@ def triangle_depth(
     samples: int = 1,
     near: float = 1e-4,
     far: float = float(EMPTY),
+    window: Window | None = None,
 ) -> np.ndarray:
     """Return the camera z of the nearest triangle at every sample.
 
@@ -39,9 +42,10 @@ def triangle_depth(
         samples: Samples per pixel and direction, in a regular grid.
         near: Nearer parts are cut off, metres.
         far: Farther samples are ignored, metres.
+        window: Part of the picture that is returned, None for all of it. A part has the very values that the whole has.
 
     Returns:
-        [H * samples, W * samples] float32, metres; `EMPTY` where nothing is. Top row first.
+        [H * samples, W * samples] float32 of the window, metres; `EMPTY` where nothing is. Top row first.
 
     Raises:
         ShapeError: `triangles` is not [T, 3, 3].
@@ -49,11 +53,11 @@ def triangle_depth(
     corners = np.asarray(triangles, np.float64)
     if corners.ndim != 3 or corners.shape[1:] != (3, 3):
         raise ShapeError(f"Triangles have shape {corners.shape}; it must be (T, 3, 3).")
-    height, width = camera.height * samples, camera.width * samples
-    depth = np.full((height, width), EMPTY, np.float32)
+    left, top, right, bottom = (edge * samples for edge in window or (0, 0, camera.width, camera.height))
+    depth = np.full((bottom - top, right - left), EMPTY, np.float32)
     x, y, linear = _project(corners, camera, samples, near, far)
     draw = _compiled_draw() or _draw
-    draw(depth, *_edges_and_planes(x, y, linear, width, height), camera.orthographic, float(far))
+    draw(depth, left, top, *_edges_and_planes(x, y, linear, (left, top, right, bottom)), camera.orthographic, float(far))
     return depth
 
 
@@ -141,7 +145,7 @@ def _cut(a: np.ndarray, b: np.ndarray, near: float) -> np.ndarray:
 
 
 def _edges_and_planes(
-    x: np.ndarray, y: np.ndarray, linear: np.ndarray, width: int, height: int
+    x: np.ndarray, y: np.ndarray, linear: np.ndarray, edges: Window
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return what `_draw` needs of the triangles that may cover a sample.
 
@@ -149,23 +153,23 @@ def _edges_and_planes(
         x: Columns of the corners in samples, [3, T].
         y: Rows of the corners in samples, [3, T].
         linear: Value per corner that is linear on the screen, [3, T].
-        width: Columns of samples.
-        height: Rows of samples.
+        edges: Those of what is drawn, samples.
 
     Returns:
         First and last row, [2, K] int64; columns and rows of the corners from the top down, [3, K] each; columns per row
         along the edges top-bottom, top-middle and middle-bottom, [3, K]; the value as a plane, [3, K]: at a sample it is
         plane[0] + plane[1] * column + plane[2] * row.
     """
+    left, top, right, bottom = edges
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
     rows = np.stack([
-        np.ceil(np.clip(y.min(axis=0), -1.0, height + 1.0) - 0.5).clip(0, height),
-        np.floor(np.clip(y.max(axis=0), -1.0, height + 1.0) - 0.5).clip(-1, height - 1),
+        np.ceil(np.clip(y.min(axis=0), top - 1.0, bottom + 1.0) - 0.5).clip(top, bottom),
+        np.floor(np.clip(y.max(axis=0), top - 1.0, bottom + 1.0) - 0.5).clip(top - 1, bottom - 1),
     ])  # fmt: skip
     x_min, x_max = x.min(axis=0), x.max(axis=0)
     # Most triangles of a dense mesh lie between samples and draw nothing.
     between = np.floor(x_max - 0.5 + SPAN_SLACK) < np.ceil(x_min - 0.5 - SPAN_SLACK)
-    keep = (area != 0) & np.isfinite(area) & (x_max > 0) & (x_min < width) & (rows[1] >= rows[0]) & ~between
+    keep = (area != 0) & np.isfinite(area) & (x_max > left) & (x_min < right) & (rows[1] >= rows[0]) & ~between
     order = np.argsort(y[:, keep], axis=0)
     x, y, linear = (np.take_along_axis(array[:, keep], order, axis=0) for array in (x, y, linear))
     # Sorting the corners may turn the triangle over, and with it the sign of the area.
@@ -181,11 +185,12 @@ def _edges_and_planes(
 
 
 def _draw(
-    depth: np.ndarray, rows: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, plane: np.ndarray,
-    orthographic: bool, far: float,
+    depth: np.ndarray, left: int, top: int,
+    rows: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, plane: np.ndarray, orthographic: bool, far: float,
 ) -> None:  # fmt: skip
-    """Write the nearer values into `depth` [H, W] for the triangles of `_edges_and_planes`."""
+    """Write the nearer values into `depth` [H, W], whose corner is at (left, top), for the triangles of `_edges_and_planes`."""
     width = depth.shape[1]
+    right = left + width
     target = depth.reshape(-1)
     for which, step in _runs(rows[1] - rows[0] + 1):
         row = rows[0][which] + step
@@ -195,8 +200,8 @@ def _draw(
         one = x[0][which] + (center - y[0][which]) * slopes[0][which]
         two = x[1][which] + to_middle * np.where(to_middle < 0, slopes[1][which], slopes[2][which])
         low, high = np.minimum(one, two), np.maximum(one, two)
-        first = np.ceil(np.clip(low, -1.0, width + 1.0) - 0.5 - SPAN_SLACK).clip(0, width).astype(np.int64)
-        last = np.floor(np.clip(high, -1.0, width + 1.0) - 0.5 + SPAN_SLACK).clip(-1, width - 1).astype(np.int64)
+        first = np.ceil(np.clip(low, left - 1.0, right + 1.0) - 0.5 - SPAN_SLACK).clip(left, right).astype(np.int64)
+        last = np.floor(np.clip(high, left - 1.0, right + 1.0) - 0.5 + SPAN_SLACK).clip(left - 1, right - 1).astype(np.int64)
         full = last >= first
         which, row, first, last = which[full], row[full], first[full], last[full]
         start, slope = plane[0][which] + plane[2][which] * row, plane[1][which]
@@ -205,7 +210,7 @@ def _draw(
             value = start[span] + slope[span] * column
             z = value if orthographic else 1.0 / np.maximum(value, 1.0 / float(EMPTY))
             z[~(z <= far)] = EMPTY
-            np.minimum.at(target, row[span] * width + column, z.astype(np.float32))
+            np.minimum.at(target, (row[span] - top) * width + (column - left), z.astype(np.float32))
 
 
 def _runs(counts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

@@ -17,23 +17,23 @@ _SMALLEST = 1.0 / float(EMPTY)
 
 @compiled(nogil=True, boundscheck=False)
 def draw(
-    depth: np.ndarray, rows: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, plane: np.ndarray,
-    orthographic: bool, far: float,
+    depth: np.ndarray, left: int, top: int,
+    rows: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, plane: np.ndarray, orthographic: bool, far: float,
 ) -> None:  # fmt: skip
-    """Write the nearer values into `depth` [H, W] float32; the rest are the results of `zbuffer._edges_and_planes`."""
-    width = depth.shape[1]
+    """Write the nearer values into `depth` [H, W], whose corner is at (left, top), as `zbuffer._draw` does."""
+    right = left + depth.shape[1]
     for t in range(rows.shape[1]):
         for row in range(rows[0, t], rows[1, t] + 1):
             center = row + 0.5
             to_middle = center - y[1, t]
             one = x[0, t] + (center - y[0, t]) * slopes[0, t]
             two = x[1, t] + to_middle * (slopes[1, t] if to_middle < 0 else slopes[2, t])
-            low, high = min(max(min(one, two), -1.0), width + 1.0), min(max(max(one, two), -1.0), width + 1.0)
-            first = max(math.ceil(low - 0.5 - SPAN_SLACK), 0)
-            last = min(math.floor(high - 0.5 + SPAN_SLACK), width - 1)
+            low, high = min(max(min(one, two), left - 1.0), right + 1.0), min(max(max(one, two), left - 1.0), right + 1.0)
+            first = max(math.ceil(low - 0.5 - SPAN_SLACK), left)
+            last = min(math.floor(high - 0.5 + SPAN_SLACK), right - 1)
             start = plane[0, t] + plane[2, t] * row
             for column in range(first, last + 1):
                 value = start + plane[1, t] * column
                 z = value if orthographic else 1.0 / max(value, _SMALLEST)
                 if z <= far:
-                    depth[row, column] = min(depth[row, column], np.float32(z))
+                    depth[row - top, column - left] = min(depth[row - top, column - left], np.float32(z))

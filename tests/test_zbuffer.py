@@ -170,6 +170,19 @@ def test_large_triangles_are_drawn_in_pieces(monkeypatch: pytest.MonkeyPatch):
     np.testing.assert_array_equal(triangle_depth(triangles, camera), whole)
 
 
+@pytest.mark.parametrize("window", [(0, 0, 64, 48), (10, 5, 40, 33), (63, 47, 64, 48), (0, 20, 64, 21)])
+@pytest.mark.parametrize("name", TRIANGLES)
+def test_a_part_has_the_values_of_the_whole(name: str, window: tuple[int, int, int, int]):
+    triangles = TRIANGLES[name](np.random.default_rng(9))
+    camera = Camera.orbit(64, 48, yaw=10.0, pitch=5.0, distance=0.9, fov=45.0)
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        whole = triangle_depth(triangles, camera, 3)
+        part = triangle_depth(triangles, camera, 3, window=window)
+    left, top, right, bottom = (3 * edge for edge in window)
+    np.testing.assert_array_equal(part, whole[top:bottom, left:right])
+    assert (whole < EMPTY).any()
+
+
 @pytest.mark.parametrize("form", ["numpy"], indirect=True)
 def test_numpy_alone_is_enough(form: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()

@@ -8,7 +8,7 @@ else on the machine can favour one of them.
 ===============  =====================================================================================
 ``core``         the session's picture
 ``engine``       the same and what the engine does around it: scene, camera, passes, handing over
-``overhead``     engine / core - 1; the goal is 5% for the plain scene
+``overhead``     engine / core - 1; the goal is 5%
 ``around``       processor time of Blender's thread in the engine but outside of the core: little changed by a busy machine
 ``frame``        the whole frame as Blender renders it, without saving: evaluation and frame handlers too
 ===============  =====================================================================================
@@ -42,6 +42,12 @@ def measure(frames: int, size: int) -> dict[str, Any]:
     result: dict[str, Any] = {"blender": bpy.app.version_string, "size": size, "plain": _timed(scene, frames)}
     bpy.ops.mesh.primitive_uv_sphere_add(segments=200, ring_count=ROUND_TABLE // 400, radius=0.06, location=(0.05, -0.3, 0.0))
     result["mesh in front"] = _timed(scene, frames)
+    camera = scene.camera
+    for frame, place in ((1, -0.05), (200, 0.05)):
+        camera.location.x = place
+        camera.keyframe_insert("location", frame=frame)
+    result["camera moves"] = _timed(scene, frames)
+    camera.animation_data_clear()
     layer = scene.view_layers[0]
     layer.use_pass_z = layer.grmm_passes.use_mask = layer.grmm_passes.use_raw = layer.grmm_passes.use_normal = True
     result["mesh and passes"] = _timed(scene, frames)
@@ -134,8 +140,9 @@ def main() -> int:
             f"  {name:16} core {ms['core']:7.1f} ms   engine {ms['engine']:7.1f} ms   frame {ms['frame']:7.1f} ms   "
             f"overhead {overhead['median']:6.1%} (least {overhead['least']:.1%})   around {ms['around']:.1f} ms"
         )
-    reached = result["plain"]["overhead"]["median"]
-    print(f"goal {GOAL:.0%}: {'met' if reached <= GOAL else 'missed'} ({reached:.1%})")
+    for name, values in scenes.items():
+        reached = values["overhead"]["median"]
+        print(f"goal {GOAL:.0%}, {name}: {'met' if reached <= GOAL else 'missed'} ({reached:.1%})")
     if arguments.output:
         arguments.output.write_text(json.dumps(result, indent=1), "utf-8")
     return 0

@@ -8,6 +8,7 @@
 ``passes``         which passes there are
 ``collect``        the avatars of a depsgraph
 ``occluders``      the meshes of a depsgraph
+``occlusion``      what they leave of the avatars, kept between pictures (numpy only)
 ``snapshot``       camera, region and world as plain values; the types that carry a frame
 ``picture``        from the session's buffers to pass values (numpy only)
 ``output``         whether there is room for the picture
@@ -19,7 +20,7 @@
 
 from __future__ import annotations
 
-from . import render_engine, settings, ui, view
+from . import final, render_engine, settings, ui, view
 
 CLASSES = (*settings.CLASSES, *render_engine.CLASSES, *ui.CLASSES)
 
@@ -28,11 +29,13 @@ def register() -> None:
     """Attach settings and panels."""
     settings.register()
     ui.register()
+    final.register()
     view.register()
 
 
 def unregister() -> None:
     """Take back `register`."""
     view.unregister()
+    final.unregister()
     ui.unregister()
     settings.unregister()

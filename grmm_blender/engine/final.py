@@ -11,14 +11,19 @@ import logging
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 
 from ...grmm_core.errors import CancelledError, GrmmError
 from .. import session_host
 from . import collect, occluders, output, passes, picture, pipeline, snapshot
+from .occlusion import OccluderDepths
 from .pipeline import DrawSettings, Frame
 from .snapshot import Region
 
 _log = logging.getLogger(__name__)
+
+_meshes = occluders.MeshCache()
+_depths = OccluderDepths()
 
 NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > GRMM Head."
 
@@ -86,10 +91,10 @@ def _view_values(
     """Return the passes of one eye, each [H, W, C] of the region."""
     scene = depsgraph.scene_eval
     if not scene.render.use_motion_blur:
-        frame = take_frame(engine, depsgraph)
+        frame = take_frame(engine, depsgraph, _meshes)
         if not frame.avatars:
             engine.report({"WARNING"}, NO_AVATARS)
-        return pipeline.frame_values(frame, settings, items, world, region, engine.test_break, progress)
+        return pipeline.frame_values(frame, settings, items, world, region, engine.test_break, progress, _depths)
     # Blur: the mean of pictures spread evenly over the shutter time. Positions and codes cannot be averaged, so depth and
     # normals are those of the middle of the shutter.
     steps = scene.grmm_render.motion_steps
@@ -100,8 +105,8 @@ def _view_values(
         for step, offset in enumerate(offsets):
             _set_time(engine, start + offset)
             part = progress.part(step / steps, 1.0 / steps)
-            frame = take_frame(engine, depsgraph)
-            found = pipeline.frame_values(frame, settings, items, world, region, engine.test_break, part)
+            frame = take_frame(engine, depsgraph, _meshes)
+            found = pipeline.frame_values(frame, settings, items, world, region, engine.test_break, part, _depths)
             for item in items:
                 if item.kind in ("depth", "normal"):
                     if step == steps // 2:
@@ -115,12 +120,16 @@ def _view_values(
     return total
 
 
-def take_frame(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> Frame:
-    """Copy what a picture of the depsgraph's moment needs."""
+def take_frame(
+    engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, kept: occluders.MeshCache | None = None
+) -> Frame:
+    """Copy what a picture of the depsgraph's moment needs; `kept` has meshes of the pictures before."""
     scene = depsgraph.scene_eval
     camera = snapshot.full_camera(engine, depsgraph, engine.resolution_x, engine.resolution_y)
     avatars = collect.avatars(depsgraph)
-    meshes = occluders.collect(depsgraph, camera, avatars, scene.grmm_render.use_occlusion)
+    if kept is not None:
+        kept.doubt()  # the depsgraph may be another one: nothing says what has changed
+    meshes = occluders.collect(depsgraph, camera, avatars, scene.grmm_render.use_occlusion, kept)
     return Frame([a.shot for a in avatars if not a.shot.holdout], camera, meshes, snapshot.clip_range(engine, depsgraph))
 
 
@@ -167,3 +176,22 @@ class _Progress:
     def part(self, start: float, length: float) -> _Progress:
         """Return the progress of a part of this part."""
         return _Progress(self._engine, self._start + self._length * start, self._length * length)
+
+
+@persistent
+def _forget(*_: object) -> None:
+    """Another file: what is kept of the scene is of no use any more."""
+    _meshes.forget()
+    _depths.clear()
+
+
+def register() -> None:
+    """Follow Blender's events."""
+    bpy.app.handlers.load_pre.append(_forget)
+
+
+def unregister() -> None:
+    """Take back `register`, and free what is kept."""
+    if _forget in bpy.app.handlers.load_pre:
+        bpy.app.handlers.load_pre.remove(_forget)
+    _forget()

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...grmm_core.camera import Camera
-from ...grmm_core.errors import CancelledError, GrmmError
+from ...grmm_core.errors import CancelledError, FileAccessError, GrmmError
 from ...grmm_core.session import CancelCheck, Instance, RenderOptions
 from .. import session_host
-from . import passes, picture, snapshot
+from ..avatar import missing_file
+from . import passes, picture
+from .occlusion import OccluderDepths, Visibility
 from .snapshot import AvatarShot, Occluders, Region
 
 Progress = Callable[[float, str], None]
@@ -62,6 +64,7 @@ def frame_values(
     region: Region,
     should_cancel: CancelCheck,
     progress: Progress = lambda fraction, text: None,
+    depths: OccluderDepths | None = None,
 ) -> dict[str, np.ndarray]:
     """Return the values of passes, each [H, W, C] of the region, top row first.
 
@@ -73,6 +76,7 @@ def frame_values(
         region: Part of the picture that is returned; all of it is drawn.
         should_cancel: Asked now and then.
         progress: Told where this stands.
+        depths: Keeps what frames have in common; not to be used on two threads at once.
 
     Raises:
         CancelledError: `should_cancel` said so.
@@ -83,19 +87,18 @@ def frame_values(
     progress(0.0, "opening avatars")
     instances = open_instances(frame.avatars)
     progress(OPENED, f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}")
-    hidden = len(frame.occluders.triangles) + len(frame.occluders.holdouts) > 0  # perhaps: their depths are compared
-    wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if hidden else []))))
+    scene = None  # what may hide the avatars
+    if frame.occluders:
+        scene = (OccluderDepths() if depths is None else depths).of(frame.occluders, frame.camera, settings.samples, frame.clip)
+    wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if scene is not None else []))))
     options = RenderOptions(refine=settings.refine, passes=wanted, lod=settings.lod)
     buffers = session_host.get_session().render(instances, frame.camera, options, should_cancel)
     progress(DRAWN, "putting the scene in front")
-    rows = slice(frame.camera.height - region.y - region.height, frame.camera.height - region.y)
-    columns = slice(region.x, region.x + region.width)
-    buffers = {name: buffer[rows, columns] for name, buffer in buffers.items()}
-    camera = snapshot.crop_camera(frame.camera, region)
-    visible = picture.Visibility()
-    if hidden:
-        depth, film = buffers["depth"][..., 0], world is not None
-        visible = picture.visibility(frame.occluders, depth, camera, settings.samples, frame.clip, film)
+    x, y = region.x, frame.camera.height - region.y - region.height  # Blender counts rows from below
+    buffers = {name: buffer[y : y + region.height, x : x + region.width] for name, buffer in buffers.items()}
+    visible = Visibility()
+    if scene is not None:
+        visible = scene.visibility(buffers["depth"][..., 0], (x, y), film=world is not None)
     names = [shot.name for shot in frame.avatars]
     values = {item.name: picture.pass_values(item, buffers, visible, world, names) for item in items}
     progress(1.0, "done")
@@ -106,6 +109,9 @@ def open_instances(shots: list[AvatarShot]) -> list[Instance]:
     """Open avatars and splat clouds in the session and place them. Errors name the object."""
     instances = []
     for shot in shots:
+        missing = missing_file(shot.source) if shot.cloud is None else ""
+        if missing:
+            raise FileAccessError(f"{shot.name}: {missing}")
         try:
             if shot.cloud is None:
                 number = session_host.open_avatar(shot.source).id

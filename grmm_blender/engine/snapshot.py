@@ -5,7 +5,7 @@ Called by `final` and `view`. After `take` returns, nothing of it refers to Blen
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -39,17 +39,38 @@ class AvatarShot:
     cloud: CloudShot | None = None
 
 
-@dataclass(frozen=True)
-class Occluders:
-    """Meshes in front of which or behind which avatars may stand.
+@dataclass(frozen=True, eq=False)
+class Occluder:
+    """A mesh in front of which or behind which avatars may stand.
 
     Attributes:
-        triangles: World corners of objects that only hide, [T, 3, 3].
-        holdouts: World corners of objects that cut holes into the alpha channel too, [T, 3, 3].
+        triangles: Corners in the mesh's own space, [T, 3, 3]. Never written to: the same array is the same mesh.
+        matrix: Places it in the world, [4, 4] float64.
     """
 
-    triangles: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3), np.float32))
-    holdouts: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3), np.float32))
+    triangles: np.ndarray
+    matrix: np.ndarray
+
+    def placed(self) -> np.ndarray:
+        """Return the corners in the world, [T, 3, 3] float32."""
+        world = self.triangles.reshape(-1, 3) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        return world.astype(np.float32).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True)
+class Occluders:
+    """The meshes of a scene.
+
+    Attributes:
+        plain: Objects that only hide.
+        holdouts: Objects that cut holes into the alpha channel too.
+    """
+
+    plain: tuple[Occluder, ...] = ()
+    holdouts: tuple[Occluder, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.plain or self.holdouts)
 
 
 @dataclass(frozen=True)
@@ -120,11 +141,6 @@ def render_region(render: bpy.types.RenderSettings, width: int, height: int) -> 
     if x1 <= x0 or y1 <= y0:
         raise ConfigError("The render border is empty; draw it again (Ctrl-B in the camera view) or switch it off.")
     return Region(x0, y0, x1 - x0, y1 - y0)
-
-
-def crop_camera(camera: Camera, region: Region) -> Camera:
-    """Return the camera of a region; Blender counts rows from below, our cameras from above."""
-    return camera.crop(region.x, camera.height - region.y - region.height, region.width, region.height)
 
 
 def world_color(scene: bpy.types.Scene) -> np.ndarray:

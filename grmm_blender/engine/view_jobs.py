@@ -18,6 +18,7 @@ import numpy as np
 from ...grmm_core.errors import CancelledError, GrmmError
 from ..newest import NewestJobs, WaitForRest
 from . import picture, pipeline
+from .occlusion import OccluderDepths
 from .passes import RenderPass
 from .pipeline import DrawSettings, Frame
 from .snapshot import Region
@@ -78,6 +79,7 @@ class ViewJobs(NewestJobs[ViewRequest, ViewPicture]):
         super().__init__(REST_SECONDS, wait_for_rest)
         self._error = ""
         self._closed = False
+        self._depths = OccluderDepths()
         self._in_the_way = False  # the good picture that is being drawn keeps the main thread from the model
         _live.add(self)
 
@@ -153,7 +155,7 @@ class ViewJobs(NewestJobs[ViewRequest, ViewPicture]):
             return self._closed or (level == "final" and (self._in_the_way or self._wanted is not request))
 
         region = Region(0, 0, frame.camera.width, frame.camera.height)
-        values = pipeline.frame_values(frame, settings, _COMBINED, request.world, region, given_up)
+        values = pipeline.frame_values(frame, settings, _COMBINED, request.world, region, given_up, depths=self._depths)
         rows = picture.blender_rows(values["Combined"]).reshape(region.height, region.width, 4)
         self._put(ViewPicture(rows, level, request))
 

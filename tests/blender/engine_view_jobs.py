@@ -32,7 +32,7 @@ def wait_for_rest(is_outdated: Callable[[], bool]) -> None:
         waiting.wait(0.002)
 
 
-def frame_values(frame, settings, items, world, region, should_cancel):
+def frame_values(frame, settings, items, world, region, should_cancel, depths):
     """Stands in for the pipeline: begins, waits to be let go on, and looks whether it was cancelled."""
     kind = "final" if settings.refine else "preview"
     name = f"{kind} {frame.avatars[0]} {region.width}x{region.height}"

@@ -1,6 +1,7 @@
 """Blender operators, one topic a file. Each module has a tuple `CLASSES`.
 
 ``common``              what they share
+``importing``           what operators that import files share
 ``add_head``            add an avatar to the scene
 ``add_flame``           add the user's own FLAME head
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,8 +14,8 @@ from ..grmm_core.head import load_flame
 from ..grmm_core.performance import REGIONS, Progress, read_performance
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
 from .common import Result, active_performer, flame_path, needs_performer, reports_errors
+from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 
-_MAX_WARNINGS = 5
 _HUNDRED = 100
 _READ, _RETARGETED = 0.3, 0.4  # of the progress
 
@@ -23,7 +24,7 @@ def _gain(name: str, description: str) -> Any:
     return bpy.props.FloatProperty(name=name, description=description, default=1.0, min=0.0, max=4.0, soft_max=2.0)
 
 
-class GRMM_OT_import_performance(bpy.types.Operator):
+class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
     """Read a performance and key the active avatar with it."""
 
     bl_idname = "grmm.import_performance"
@@ -194,41 +195,29 @@ class GRMM_OT_import_performance(bpy.types.Operator):
         for name in ("head", "eyes", "landscape", "flame_file"):
             layout.prop(self, name)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Open the file browser, unless a file was dropped."""
-        if self.filepath:
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Read the file and write the keys."""
         if not self.filepath:
             raise FileAccessError("No performance file is chosen; choose a file.")
-        manager = context.window_manager
-        manager.progress_begin(0, _HUNDRED)
-        try:
-            written = self._import(context, Path(bpy.path.abspath(self.filepath)))
-        finally:
-            manager.progress_end()
+        with pointer_progress(context, _HUNDRED) as show:
+            written = self._import(context, Path(bpy.path.abspath(self.filepath)), show)
         scene = context.scene
         if self.set_range:
             scene.frame_start, scene.frame_end = max(round(written.first), 0), max(round(written.last), 0)
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
-        for sentence in written.warnings[:_MAX_WARNINGS]:
-            self.report({"WARNING"}, sentence)
+        self.warn(written.warnings)
         self.report(
             {"INFO"}, f"Imported frames {written.first:g} to {written.last:g}: {written.curves} curves, {written.keys} keys"
         )
         return {"FINISHED"}
 
-    def _import(self, context: bpy.types.Context, path: Path) -> ImportedRange:
-        """Read, retarget, clean and key, with progress at the mouse pointer."""
+    def _import(self, context: bpy.types.Context, path: Path, show: Callable[[int], None]) -> ImportedRange:
+        """Read, retarget, clean and key; `show` is told how many hundredths are done."""
         performer = active_performer(context)
 
         def part(start: float, end: float) -> Progress:
-            return lambda done: context.window_manager.progress_update(int(_HUNDRED * (start + (end - start) * done)))
+            return lambda done: show(int(_HUNDRED * (start + (end - start) * done)))
 
         orientation = "landscape" if self.landscape else "portrait"
         performance = read_performance(path, fps=self.fps or None, orientation=orientation, progress=part(0.0, _READ))
@@ -275,21 +264,8 @@ class GRMM_FH_performance(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         """Only where an avatar is active."""
-        return context.area is not None and context.area.type == "VIEW_3D" and active_performer(context) is not None
-
-
-def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    self.layout.operator(GRMM_OT_import_performance.bl_idname, text="GRMM Performance (.json, .csv, .npz)")
+        return over_viewport(context) and active_performer(context) is not None
 
 
 CLASSES = (GRMM_OT_import_performance, GRMM_FH_performance)
-
-
-def register() -> None:
-    """Add the menu entry."""
-    bpy.types.TOPBAR_MT_file_import.append(_menu)
-
-
-def unregister() -> None:
-    """Remove the menu entry."""
-    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+register, unregister = menu_entry(GRMM_OT_import_performance, "GRMM Performance (.json, .csv, .npz)")

@@ -11,12 +11,12 @@ from ..grmm_blender.performance import ImportOptions, apply_performance
 from ..grmm_blender.splats.rigged import Imported, import_file
 from ..grmm_core.errors import FileAccessError
 from .common import Result, flame_path, reports_errors
+from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 
 EXTENSIONS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".zip")
-_MAX_WARNINGS = 5
 
 
-class GRMM_OT_import_splats(bpy.types.Operator):
+class GRMM_OT_import_splats(ImportsFiles, bpy.types.Operator):
     """Add the Gaussians of splat files, or avatars of other projects, to the scene."""
 
     bl_idname = "grmm.import_splats"
@@ -56,13 +56,6 @@ class GRMM_OT_import_splats(bpy.types.Operator):
             return False
         return True
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Open the file browser, unless files were dropped."""
-        if self.filepath or self.files:
-            return self.execute(context)
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Import every chosen file."""
@@ -70,14 +63,10 @@ class GRMM_OT_import_splats(bpy.types.Operator):
         paths = names or ([Path(bpy.path.abspath(self.filepath))] if self.filepath else [])
         if not paths:
             raise FileAccessError("No splat file is chosen; choose a file.")
-        manager = context.window_manager
-        manager.progress_begin(0, len(paths))
-        try:
+        with pointer_progress(context, len(paths)) as show:
             for number, path in enumerate(paths):
-                manager.progress_update(number)
+                show(number)
                 self._import(context, path)
-        finally:
-            manager.progress_end()
         return {"FINISHED"}
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -94,8 +83,7 @@ class GRMM_OT_import_splats(bpy.types.Operator):
         warnings = list(made.warnings)
         if made.track is not None and self.animation:
             warnings += self._animate(context, made, path)
-        for sentence in dict.fromkeys(warnings[:_MAX_WARNINGS]):
-            self.report({"WARNING"}, sentence)
+        self.warn(warnings)
         frames = f", {made.frames} frames" if made.frames else ""
         self.report({"INFO"}, f"Imported {made.objects[0].name}: {made.splats} splats{frames}")
 
@@ -120,21 +108,10 @@ class GRMM_FH_splats(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         """Only in 3D viewports."""
-        return context.area is not None and context.area.type == "VIEW_3D"
-
-
-def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    self.layout.operator(GRMM_OT_import_splats.bl_idname, text="GRMM Splats and Avatars (.ply, .splat, .spz, .sog, .glb, .zip)")
+        return over_viewport(context)
 
 
 CLASSES = (GRMM_OT_import_splats, GRMM_FH_splats)
-
-
-def register() -> None:
-    """Add the menu entry."""
-    bpy.types.TOPBAR_MT_file_import.append(_menu)
-
-
-def unregister() -> None:
-    """Remove the menu entry."""
-    bpy.types.TOPBAR_MT_file_import.remove(_menu)
+register, unregister = menu_entry(
+    GRMM_OT_import_splats, "GRMM Splats and Avatars (.ply, .splat, .spz, .sog, .glb, .zip)"
+)

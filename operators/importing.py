@@ -1,0 +1,54 @@
+"""What operators that import files share: the file browser, progress, warnings, dropped files, the menu entry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+
+import bpy
+
+from .common import Result
+
+_MAX_WARNINGS = 5
+
+
+class ImportsFiles:
+    """Mixin of operators with a `filepath`, and perhaps `files`."""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Open the file browser, unless something was dropped."""
+        if self.filepath or getattr(self, "files", ()):
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def warn(self, sentences: Iterable[str]) -> None:
+        """Report the first few different sentences as warnings."""
+        for sentence in list(dict.fromkeys(sentences))[:_MAX_WARNINGS]:
+            self.report({"WARNING"}, sentence)
+
+
+@contextmanager
+def pointer_progress(context: bpy.types.Context, total: int) -> Iterator[Callable[[int], None]]:
+    """Show progress at the mouse pointer; yields what sets it, 0..total."""
+    manager = context.window_manager
+    manager.progress_begin(0, total)
+    try:
+        yield manager.progress_update
+    finally:
+        manager.progress_end()
+
+
+def over_viewport(context: bpy.types.Context) -> bool:
+    """Whether something is held over a 3D viewport; `poll_drop` of file handlers asks."""
+    return context.area is not None and context.area.type == "VIEW_3D"
+
+
+def menu_entry(operator: type[bpy.types.Operator], text: str) -> tuple[Callable[[], None], Callable[[], None]]:
+    """Return what adds an operator to *File > Import*, and what removes it."""
+
+    def draw(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+        self.layout.operator(operator.bl_idname, text=text)
+
+    menu = bpy.types.TOPBAR_MT_file_import
+    return lambda: menu.append(draw), lambda: menu.remove(draw)

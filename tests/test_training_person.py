@@ -43,7 +43,7 @@ def folder(head, tmp_path_factory):
     trainer = Trainer(config(steps=30, ema=0.5), head, ColouredSpheres(), folder)
     trainer.run()
     trainer.save()
-    trainer.save_weights(folder / "w.safetensors", {"licence": "CC0-1.0"})
+    trainer.save_weights(folder / "w.safetensors", {})
     return folder
 
 
@@ -68,7 +68,7 @@ def test_the_person_gets_better_and_the_shared_parts_stay(folder, head, tmp_path
 def test_the_avatar_draws_what_was_trained(folder, head, tmp_path):
     trainer = run(folder, head, tmp_path)
     with trainer.averaged():
-        avatar = person_avatar(trainer, "Red")
+        avatar = person_avatar(trainer, "Red", "CC0-1.0")
         own = {name: value.detach().clone() for name, value in trainer.parameters.items()}
     model, info = load_weights(folder / "w.safetensors", head)
     model = with_deltas(model, avatar.deltas, tmp_path)

@@ -15,12 +15,13 @@ from pathlib import Path
 from grmm_core.avatar import EXTENSION
 from grmm_core.avatar.library import LIBRARY_FOLDER
 
+LICENCE = "CC0-1.0"
 SEED = 21  # of the embedded weights' capture
 PEOPLE = {  # name in the library to number in the capture and display name
-    "default": (80, "Default head"),
+    "default": (97, "Default head"),
     "beard": (15, "Bearded man"),
     "afro": (46, "Woman with an afro"),
-    "elder": (41, "Old man"),
+    "bob": (42, "Woman with a bob"),
 }
 CAPTURE = ("--subjects", "110", "--shots", "16", "--cameras", "5", "--size", "512", "--samples", "4", "--seed", str(SEED))
 
@@ -37,7 +38,7 @@ def main() -> int:
     for name, (number, title) in PEOPLE.items():
         person, run = f"s{SEED:04d}_{number:04d}", arguments.work / name
         code = code or _grmm(
-            "train", "person", "--data", str(data), "--out", str(run), "--name", title, "--resume",
+            "train", "person", "--data", str(data), "--out", str(run), "--name", title, "--licence", LICENCE, "--resume",
             "--set", f"person={person}", f"minutes={arguments.minutes}",
         )  # fmt: skip
         if not code:

@@ -39,6 +39,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda or mps")
     parser.add_argument("--name", metavar="TEXT", help="name of the avatar, where person=NAME is set; else the person's")
+    parser.add_argument("--licence", default="", metavar="TEXT", help="what may be done with the avatar")
     parser.add_argument("--default-person", metavar="NAME", help="person who becomes the default avatar; else the mean")
 
 
@@ -73,7 +74,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     path = Path(args.out) / (f"{config.person}{EXTENSION}" if config.person else f"{config.name}.safetensors")
     if trainer.rank == 0:
         if config.person:
-            _write_person(trainer, path, args.name or config.person)
+            _write_person(trainer, path, args.name or config.person, args.licence)
         else:
             provenance = {"seed": config.seed, "steps": trainer.step_count, "hours": round(trainer.seconds / 3600, 3)}
             provenance |= {"data": [Path(d).name for d in args.data], "views": len(source.training)}
@@ -83,13 +84,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     return {kind: str(path), "steps": trainer.step_count, "seconds": trainer.seconds, **recent}
 
 
-def _write_person(trainer: Trainer, path: Path, name: str) -> None:
+def _write_person(trainer: Trainer, path: Path, name: str, licence: str) -> None:
     from ..avatar import save_avatar
     from ..fitting.api import thumbnail
     from ..training.personal import person_avatar
 
     with trainer.averaged():  # the model as the avatar has it, but for the rounding to half precision
-        avatar = person_avatar(trainer, name)
+        avatar = person_avatar(trainer, name, licence)
         picture = thumbnail(trainer.model, avatar)
     save_avatar(avatar.with_thumbnail(picture), path)
 

@@ -74,12 +74,13 @@ def begin(config: TrainConfig, model: GRMM, people: tuple[str, ...], codes: Tens
     return own
 
 
-def person_avatar(trainer: Trainer, name: str) -> Avatar:
+def person_avatar(trainer: Trainer, name: str, licence: str = "") -> Avatar:
     """Return what a run for one person has trained as an avatar without a thumbnail; call it within `trainer.averaged()`.
 
     Args:
         trainer: Of a run whose configuration names a person.
         name: Display name.
+        licence: What may be done with the avatar.
 
     Raises:
         ConfigError: The run is for many people.
@@ -88,7 +89,6 @@ def person_avatar(trainer: Trainer, name: str) -> Avatar:
     if not trainer.base:
         raise ConfigError("This run is for many people; set person=NAME to make an avatar of one.")
     info = load_weights(resolve_weights(trainer.config.init_from), trainer.model.head_model)[1]
-    licence = info.provenance.get("licence", "")
     shape = np.zeros(SHAPE_SIZE, np.float32)
     known = trainer.source.shapes[0][:SHAPE_SIZE]
     shape[: known.size] = known
@@ -105,7 +105,7 @@ def person_avatar(trainer: Trainer, name: str) -> Avatar:
         provenance=Provenance(
             made_by=MADE_BY,
             date=datetime.datetime.now(datetime.UTC).date().isoformat(),
-            licence=licence if isinstance(licence, str) else "",
+            licence=licence,
         ),
     )
 

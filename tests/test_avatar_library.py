@@ -1,0 +1,65 @@
+"""The avatars that come with the package: all open, belong to the embedded weights, and draw what the plain model cannot."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from grmm_core.avatar import load_avatar, read_avatar_header
+from grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_names, library_path
+from grmm_core.camera import Camera
+from grmm_core.controls import Controls
+from grmm_core.errors import FileAccessError
+from grmm_core.session import Instance, create_session
+
+PIXELS = 128
+
+
+def test_the_default_avatar_is_first_and_files_say_what_they_are():
+    names = library_names()
+    assert names[0] == DEFAULT_NAME
+    assert len(names) >= 4
+    for name in names:
+        header = read_avatar_header(library_path(name))
+        assert header.provenance.licence == "CC0-1.0"
+        assert not header.provenance.from_photos
+        assert header.name
+        assert Image.open(io.BytesIO(header.thumbnail)).mode == "RGBA"
+        deltas = load_avatar(library_path(name)).deltas
+        assert all(np.abs(delta).max() > 0 for delta in deltas.values())
+
+
+@pytest.mark.parametrize("name", ["nobody", "../weights/default", "", "DEFAULT", "a" * 200, "default.grmm"])
+def test_a_name_that_is_not_there_is_explained(name):
+    with pytest.raises(FileAccessError, match=r"There is no avatar .* default"):
+        library_path(name)
+
+
+def test_every_avatar_is_drawn(weights):
+    pytest.importorskip("torch")
+    camera, smile = Camera.orbit(PIXELS, PIXELS), Controls().set_named({"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0})
+    pictures = {}
+    with create_session() as session:
+        for name in library_names():
+            avatar = session.open(LIBRARY_PREFIX + name)
+            assert avatar.source == LIBRARY_PREFIX + name
+            assert avatar.id == session.open(LIBRARY_PREFIX + name).id
+            neutral, smiling = (session.render([Instance(avatar.id, c)], camera)["rgb"] for c in (Controls(), smile))
+            assert np.abs(neutral - smiling).max() > 0.05
+            pictures[name] = neutral
+        default = session.render([Instance(session.open("default").id)], camera)["rgb"]
+        with pytest.raises(FileAccessError, match="no avatar"):
+            session.open(LIBRARY_PREFIX + "nobody")
+    np.testing.assert_array_equal(default, pictures.pop(DEFAULT_NAME))
+    for picture in pictures.values():
+        assert np.abs(picture - default).mean() > 0.01
+
+
+def test_weights_of_ones_own_have_their_own_default_person(weights):
+    pytest.importorskip("torch")
+    with create_session(weights=weights) as session:
+        assert session.open("default").weights_name == "tiny"
+        assert session.open(LIBRARY_PREFIX + DEFAULT_NAME).weights_name == "default"

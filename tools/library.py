@@ -18,10 +18,10 @@ from grmm_core.avatar.library import LIBRARY_FOLDER
 LICENCE = "CC0-1.0"
 SEED = 21  # of the embedded weights' capture
 PEOPLE = {  # name in the library to number in the capture and display name
-    "default": (97, "Default head"),
+    "default": (42, "Default head"),
+    "short": (97, "Short hair"),
     "beard": (15, "Bearded man"),
     "afro": (46, "Woman with an afro"),
-    "bob": (42, "Woman with a bob"),
 }
 CAPTURE = ("--subjects", "110", "--shots", "16", "--cameras", "5", "--size", "512", "--samples", "4", "--seed", str(SEED))
 

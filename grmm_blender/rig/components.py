@@ -17,16 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
+from ...grmm_core.avatar.library import LIBRARY_FOLDER
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.head import HeadModel, load_open_head
 from ...grmm_core.tensorfile import read_tensors
 from .. import session_host
 from .definitions import ALIGNED_NAMES, Z_EXP, Z_ID
 from .definitions import label as words
-from .identity import DEFAULT_WEIGHTS
 
 _log = logging.getLogger(__name__)
 
+# as `grmm_core.model.weights` writes them; that module needs torch, and sliders are named without a runtime too
+DEFAULT_WEIGHTS = LIBRARY_FOLDER.parent / "weights" / "default.safetensors"
 _SLOPE = 0.2  # of the decoders' leaky rectifiers
 _DECODER = "model/mesh_decoder."
 _COLOUR_WEIGHTS, _COLOUR_MAPS = "model/decoders.basis_weights.weight", "model/decoders.basis.colour"

@@ -13,19 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from ...grmm_core.avatar import AssetReference, load_avatar
-from ...grmm_core.avatar.library import LIBRARY_PREFIX, default_path, library_path
+from ...grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_path
 from ...grmm_core.errors import FileAccessError, FileFormatError
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
-from ...grmm_core.head.open_head import ASSET as OPEN_HEAD_ASSET
-from ...grmm_core.tensorfile import read_tensors
 from .. import session_host
 from .definitions import FLAME_PREFIX
 
 DEFAULT_SOURCE = "default"
 OPEN_HEAD = "open_head"
-# as `grmm_core.model.weights` writes them; that module needs torch, and a head is added without a runtime too
-DEFAULT_WEIGHTS = OPEN_HEAD_ASSET.parent / "weights" / "default.safetensors"
-_DEFAULT_SHAPE, _DEFAULT_Z_ID, _CODES = "people/default_shape", "people/default_z_id", "model/aligned_codes"
 _PAPER_SIZES = (512, 256)  # z_id, z_exp
 
 
@@ -82,10 +77,7 @@ def read_identity(source: str) -> Identity:
         RuntimeMissingError: A sample, and nothing here can run the model.
     """
     if source == DEFAULT_SOURCE:
-        path = default_path()
-        if path is None:
-            return _default()
-        source = str(path)
+        source = str(library_path(DEFAULT_NAME))
     elif source.startswith(LIBRARY_PREFIX):
         source = str(library_path(source.removeprefix(LIBRARY_PREFIX)))
     if source.startswith(session_host.SAMPLE_PREFIX):
@@ -128,15 +120,3 @@ def _flame(path: Path, stamp: int) -> HeadModel:
     """Read a FLAME file once for each time that it was written; asked for on every frame."""
     return load_flame(path)
 
-
-def _default() -> Identity:
-    head = load_open_head()
-    if not DEFAULT_WEIGHTS.exists():  # a development checkout before training
-        return Identity("Open head", head, np.zeros(head.shape_count, np.float32))
-    tensors, _ = read_tensors(DEFAULT_WEIGHTS)
-    try:
-        shape = tensors[_DEFAULT_SHAPE][: head.shape_count].astype(np.float32)
-        z_id_size, z_exp_size = tensors[_DEFAULT_Z_ID].shape[0], tensors[_CODES].shape[1]
-    except (KeyError, IndexError) as error:
-        raise FileFormatError(f"{DEFAULT_WEIGHTS} is not a usable weights file; install the add-on again.") from error
-    return Identity("Default head", head, shape, z_id_size=z_id_size, z_exp_size=z_exp_size)

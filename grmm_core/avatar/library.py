@@ -31,9 +31,3 @@ def library_path(name: str) -> Path:
         known = ", ".join(library_names()) or "none"
         raise FileAccessError(f"There is no avatar {name[:40]!r} in the library; there are {known}.")
     return path
-
-
-def default_path() -> Path | None:
-    """Return the file of the default avatar, or None where the package comes without it."""
-    path = LIBRARY_FOLDER / f"{DEFAULT_NAME}{EXTENSION}"
-    return path if path.is_file() else None

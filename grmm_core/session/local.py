@@ -22,7 +22,7 @@ import numpy as np
 import torch
 
 from ..avatar import Avatar, default_avatar, load_avatar, sampled_avatar, save_avatar
-from ..avatar.library import default_path, library_path
+from ..avatar.library import DEFAULT_NAME, library_path
 from ..camera import Camera
 from ..color import straight_rgba
 from ..controls import Controls
@@ -267,7 +267,7 @@ class LocalSession:
         if key.kind == "library":
             return library_path(key.name)
         # weights of the user's own have a default person of their own
-        return default_path() if key.kind == "default" and self._store.embedded else None
+        return library_path(DEFAULT_NAME) if key.kind == "default" and self._store.embedded else None
 
     def _add(self, avatar: Avatar, loaded: LoadedModel, key: SourceKey) -> AvatarInfo:
         self._next_id += 1

@@ -1,8 +1,6 @@
-"""Adding avatars of the library, without a runtime and with one: library_add.py."""
+"""Adding avatars of the library: library_add.py."""
 
 from __future__ import annotations
-
-import sys
 
 import bpy
 import numpy as np
@@ -21,7 +19,6 @@ for name in result["names"]:
         "object": avatar.name,
         "parity": float(np.abs(mesh_of(bare) - core_mesh(bare)).max()),
     }
-result["torch"] = "torch" in sys.modules
 path = bpy.app.tempdir + "library.blend"
 bpy.ops.wm.save_as_mainfile(filepath=path)
 bpy.ops.wm.open_mainfile(filepath=path)

@@ -155,7 +155,7 @@ def lam() -> dict:
         "occludes": len(module("grmm_blender.engine.occluders").collect(
             bpy.context.evaluated_depsgraph_get(), None,
             module("grmm_blender.engine.collect").avatars(bpy.context.evaluated_depsgraph_get()), True,
-        ).triangles),
+        ).plain),
     }  # fmt: skip
 
 

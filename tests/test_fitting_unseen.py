@@ -157,6 +157,21 @@ def test_hair_at_the_back_takes_no_tint_that_the_seen_hair_lacks(model, surface)
     torch.testing.assert_close(filled[front], start[front], atol=0.02, rtol=0.0)
 
 
+def test_seen_hair_keeps_its_extremes_out(model, surface):
+    """A few seen texels far brighter than all other hair would flash from the side."""
+    count = model.gaussian_count
+    scalp = torch.nonzero(surface.group == SCALP)[:, 0]
+    colours = 0.3 + 0.1 * torch.rand(count, 3, generator=torch.Generator().manual_seed(4))
+    few = scalp[:: max(1, len(scalp) // 5)][:5]
+    colours[few] = torch.tensor([1.4, 1.3, 0.9])
+    everything, nothing = torch.ones(count), torch.zeros(count)
+    changed = fill_colours(surface, colours, torch.zeros_like(colours), everything, nothing, nothing)
+    assert (colours + changed)[few].max() < 0.5
+    others = torch.tensor([index for index in scalp.tolist() if index not in few.tolist()])
+    assert changed[others].abs().mean() < 0.005
+    assert changed[surface.group != SCALP].abs().max() < 1e-5
+
+
 def test_unseen_skin_behind_hair_goes_on_as_hair(model, surface):
     places = model.anchor(model.head.v_template).positions
     skin, scalp = surface.group == SKIN, surface.group == SCALP

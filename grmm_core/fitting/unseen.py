@@ -29,6 +29,7 @@ LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
 HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
+SEEN_HAIR_RANGE = (0.03, 0.97)  # likewise of the seen hair itself: extremes cancel out in the photo's view only
 _BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
 _FEW_TEXELS = 100
 
@@ -120,21 +121,25 @@ def _bare_skin(surface: Surface, colours: Tensor, known: Tensor) -> Tensor:
 
 
 def _plausible_hair(surface: Surface, start: Tensor, changes: Tensor, known: Tensor) -> Tensor:
-    """Changes [N, 3] with unseen texels of the scalp brought into the range of the seen ones."""
+    """Changes [N, 3] with the scalp brought into the range of its seen texels: narrowly where it was not seen itself."""
     colours = start + changes
     scalp = surface.group == SCALP
     sample = colours[scalp & (known > 0.5)]
     if len(sample) < _FEW_TEXELS:
         return changes
+    unseen, seen = (_within(colours, sample, limits) for limits in (HAIR_RANGE, SEEN_HAIR_RANGE))
+    return torch.where(scalp[:, None], torch.lerp(unseen, seen, known[:, None]) - start, changes)
+
+
+def _within(colours: Tensor, sample: Tensor, quantiles: tuple[float, float]) -> Tensor:
+    """Colours [N, 3] whose lightness and tint keep to the quantiles of a sample's [M, 3]."""
 
     def parts(values: Tensor) -> tuple[Tensor, Tensor]:
         lightness = values.mean(1, keepdim=True)
         return lightness, values - lightness
 
-    ranges = sample.new_tensor(HAIR_RANGE)
     kept = []
-    for seen, all_ in zip(parts(sample), parts(colours), strict=True):
-        low, high = torch.quantile(seen, ranges, dim=0)
-        kept.append(torch.minimum(torch.maximum(all_, low), high))
-    unseen = ((1.0 - known) * scalp)[:, None]
-    return changes + unseen * (kept[0] + kept[1] - colours)
+    for known, every in zip(parts(sample), parts(colours), strict=True):
+        low, high = torch.quantile(known, sample.new_tensor(quantiles), dim=0)
+        kept.append(torch.minimum(torch.maximum(every, low), high))
+    return kept[0] + kept[1]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from model_fixtures import SHAPES, ColouredSpheres, small_head
+from model_fixtures import SHAPES, TEETH, ColouredSpheres, small_head
 
 from grmm_core.errors import ConfigError, FileFormatError
 from grmm_core.model.weights import load_weights
 from grmm_core.session.models import with_deltas
 from grmm_core.training.config import train_config
-from grmm_core.training.personal import OWN_MAPS, person_avatar
+from grmm_core.training.personal import APPEARANCE, OWN_MAPS, flesh_tones, person_avatar
 from grmm_core.training.trainer import CHECKPOINT, Trainer
 
 QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
@@ -72,12 +72,28 @@ def test_the_avatar_draws_what_was_trained(folder, head, tmp_path):
         own = {name: value.detach().clone() for name, value in trainer.parameters.items()}
     model, info = load_weights(folder / "w.safetensors", head)
     model = with_deltas(model, avatar.deltas, tmp_path)
+    own[APPEARANCE][:, :3] += flesh_tones(trainer.model, trainer.codes[0].detach())
     for name, value in model.named_parameters():
         if name in own:
             half = np.abs(avatar.deltas[name]).max() / 2048  # deltas are of half precision
             torch.testing.assert_close(value.detach(), own[name], rtol=0, atol=float(half) + 1e-6)
     assert (avatar.name, avatar.weights.sha256, avatar.provenance.licence) == ("Red", info.sha256, "CC0-1.0")
     assert not avatar.provenance.from_photos
+
+
+def test_nothing_in_the_mouth_is_greener_than_red(folder, head):
+    model, info = load_weights(folder / "w.safetensors", head)
+    z_id = torch.from_numpy(info.z_id[0])
+    teeth = torch.from_numpy(np.isin(head.faces[model.anchor.face.numpy()], TEETH).any(1))
+    assert 0 < teeth.sum() < len(teeth)
+    with torch.no_grad():
+        model.decoders.appearance_mean[:, :3] += torch.tensor([-0.6, 0.3, 0.0])
+        changes = flesh_tones(model, z_id)
+        colours = model.appearance(z_id, torch.tensor([0.0, 0.0, 1.0]))[0]
+    assert (changes[~teeth] == 0).all()
+    after = (colours + changes)[teeth]
+    assert (after[:, 1:] <= after[:, :1] + 1e-6).all()
+    torch.testing.assert_close(after[:, 0], colours[teeth, 0], rtol=0, atol=0)
 
 
 def test_a_killed_run_goes_on(folder, head, tmp_path):

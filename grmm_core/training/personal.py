@@ -22,6 +22,7 @@ from ..avatar import AssetReference, Avatar, Provenance
 from ..avatar.make import MADE_BY
 from ..avatar.types import SHAPE_SIZE, half_rounded
 from ..errors import ConfigError
+from ..model.config import COLOUR_CHANNELS
 from ..model.weights import load_weights, read_info, resolve_weights
 from .warm_start import warm_start
 
@@ -30,12 +31,15 @@ if TYPE_CHECKING:
     from .config import TrainConfig
     from .trainer import Trainer
 
+APPEARANCE = "decoders.appearance_mean"
 OWN_MAPS = (
     "decoders.transform_mean",
     "decoders.opacity_mean",
-    "decoders.appearance_mean",
+    APPEARANCE,
     "decoders.expression.maps",
 )
+MOUTH_REGIONS = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
+FRONT = (0.0, 0.0, 1.0)  # view direction, head space
 
 
 def begin(config: TrainConfig, model: GRMM, people: tuple[str, ...], codes: Tensor) -> dict[str, nn.Parameter]:
@@ -92,13 +96,16 @@ def person_avatar(trainer: Trainer, name: str, licence: str = "") -> Avatar:
     shape = np.zeros(SHAPE_SIZE, np.float32)
     known = trainer.source.shapes[0][:SHAPE_SIZE]
     shape[: known.size] = known
+    z_id = trainer.codes[0].detach()
     with torch.no_grad():
-        deltas = {key: half_rounded((value - trainer.base[key]).cpu().numpy()) for key, value in trainer.parameters.items()}
+        changes = {key: value - trainer.base[key] for key, value in trainer.parameters.items()}
+        changes[APPEARANCE][:, :COLOUR_CHANNELS] += flesh_tones(trainer.model, z_id)
+    deltas = {key: half_rounded(value.cpu().numpy()) for key, value in changes.items()}
     return Avatar(
         name=name,
         head=AssetReference(info.head_name, info.head_sha256),
         weights=AssetReference(info.name, info.sha256),
-        z_id=trainer.codes[0].detach().cpu().numpy(),
+        z_id=z_id.cpu().numpy(),
         z_exp=np.zeros(info.config.z_exp, np.float32),
         shape=shape,
         deltas=deltas,
@@ -108,6 +115,29 @@ def person_avatar(trainer: Trainer, name: str, licence: str = "") -> Avatar:
             licence=licence,
         ),
     )
+
+
+def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:
+    """What brings colours in the mouth to red >= green, blue: teeth, gums and tongue are never greener than red.
+
+    Molars are seen rarely and in the dark; what else happens to be drawn there gives them any colour.
+
+    Args:
+        model: As trained.
+        z_id: The person's code, [Z].
+
+    Returns:
+        To be added to the colours, display sRGB, [N, 3].
+    """
+    head, face = model.head_model, model.anchor.face.cpu().numpy()
+    inside = np.zeros(head.vertex_count, bool)
+    for name in MOUTH_REGIONS:
+        if name in head.regions:
+            inside[head.regions[name]] = True
+    texels = torch.from_numpy(inside[head.faces[face]].any(1)).to(model.device)  # [N]
+    colours, _ = model.appearance(z_id, z_id.new_tensor(FRONT))
+    limited = torch.minimum(colours, colours[:, :1])
+    return torch.where(texels[:, None], limited - colours, torch.zeros_like(colours))
 
 
 def _listed(names: Sequence[str], most: int = 8) -> str:

@@ -7,6 +7,8 @@ VENV   ?= .venv
 PY      = $(VENV)/bin/python
 PERFORMANCE ?=
 PYTEST_ARGS ?=
+# A file's tests stay in one process, and share what they set up. Torch's threads would only get in each other's way.
+PYTEST = OMP_NUM_THREADS=1 $(PY) -m pytest --numprocesses 2 --dist loadfile
 
 .PHONY: demo test test-all lint extension open-head help clean
 
@@ -19,11 +21,11 @@ demo: $(VENV)/.ready
 
 #: make test                      lint and run the quick tests (under 15 minutes on two cores)
 test: $(VENV)/.ready .venv52/.ready lint
-	$(PY) -m pytest -m "not slow" $(PYTEST_ARGS)
+	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
 
 #: make test-all                  run every test
 test-all: $(VENV)/.ready .venv52/.ready lint
-	$(PY) -m pytest $(PYTEST_ARGS)
+	$(PYTEST) $(PYTEST_ARGS)
 
 #: make lint                      check the style
 lint: $(VENV)/.ready

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..avatar import AssetReference, Avatar, PhotoRecord, Provenance
 from ..avatar.make import MADE_BY
-from ..avatar.types import SHAPE_SIZE
+from ..avatar.types import SHAPE_SIZE, half_rounded
 from ..camera import Camera
 from ..controls import ALIGNED_TO_ARKIT, Controls
 from ..errors import ShapeError
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from ..model.weights import WeightsInfo
 
 LICENCE = "Shows a real person. To be used only with that person's agreement."
-_HALF_MAX = 60000.0
 
 
 def make_avatar(
@@ -61,16 +60,11 @@ def make_avatar(
         shape=shape,
         camera=cameras[0],
         tracking={**found, **tracking},
-        deltas={key: _rounded(value) for key, value in deltas.items()},
+        deltas={key: half_rounded(value) for key, value in deltas.items()},
         provenance=Provenance(
             made_by=MADE_BY, from_photos=True, photos=tuple(PhotoRecord(track.source, "") for track in tracks), licence=LICENCE,
         ),
     )  # fmt: skip
-
-
-def _rounded(array: np.ndarray) -> np.ndarray:
-    """What half precision holds of an array, float32."""
-    return np.clip(array, -_HALF_MAX, _HALF_MAX).astype(np.float16).astype(np.float32)
 
 
 def photo_camera(avatar: Avatar, index: int = 0) -> Camera:

@@ -156,7 +156,7 @@ class GRMM_OT_fit_use(bpy.types.Operator):
     bl_idname = "grmm.fit_use"
     bl_label = "Add to Scene"
     bl_description = "Put the finished avatar into the scene, with the camera that took the photo"
-    bl_options: ClassVar[set[str]] = {"INTERNAL"}
+    bl_options: ClassVar[set[str]] = {"UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ...grmm_core.avatar import AssetReference, load_avatar
-from ...grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_path
+from ...grmm_core.avatar.library import DEFAULT_NAME, library_file, library_path
 from ...grmm_core.errors import FileAccessError, FileFormatError
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
 from .. import session_host
@@ -78,8 +78,8 @@ def read_identity(source: str) -> Identity:
     """
     if source == DEFAULT_SOURCE:
         source = str(library_path(DEFAULT_NAME))
-    elif source.startswith(LIBRARY_PREFIX):
-        source = str(library_path(source.removeprefix(LIBRARY_PREFIX)))
+    else:
+        source = str(library_file(source) or source)
     if source.startswith(session_host.SAMPLE_PREFIX):
         info = session_host.open_avatar(source)
         head = load_head(AssetReference(info.head_name))
@@ -119,4 +119,3 @@ def load_head(reference: AssetReference) -> HeadModel:
 def _flame(path: Path, stamp: int) -> HeadModel:
     """Read a FLAME file once for each time that it was written; asked for on every frame."""
     return load_flame(path)
-

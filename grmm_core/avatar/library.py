@@ -24,6 +24,11 @@ def library_names() -> tuple[str, ...]:
     return tuple(sorted(names, key=lambda name: name != DEFAULT_NAME))
 
 
+def library_file(source: str) -> Path | None:
+    """Return the file behind "library:NAME", or None for a source of another kind. Raises as `library_path`."""
+    return library_path(source.removeprefix(LIBRARY_PREFIX)) if source.startswith(LIBRARY_PREFIX) else None
+
+
 def library_path(name: str) -> Path:
     """Return an avatar's file. Raises `FileAccessError` where there is none of the name."""
     path = LIBRARY_FOLDER / f"{name}{EXTENSION}"

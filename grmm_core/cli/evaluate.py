@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..avatar import EXTENSION, load_avatar
-from ..avatar.library import LIBRARY_PREFIX, library_path
+from ..avatar.library import library_file
 from ..errors import ConfigError, FileAccessError
 from ..files import atomic_write_bytes, describe_os_error
 from .common import DEVICES, positive_int
@@ -142,9 +142,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
 def _avatar(source: str) -> Avatar | None:
     """The avatar that is to be judged in the place of weights, or None."""
-    if source.startswith(LIBRARY_PREFIX):
-        return load_avatar(library_path(source.removeprefix(LIBRARY_PREFIX)))
-    return load_avatar(source) if source.endswith(EXTENSION) else None
+    path = library_file(source) or (source if source.endswith(EXTENSION) else None)
+    return None if path is None else load_avatar(path)
 
 
 def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:

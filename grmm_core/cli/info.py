@@ -12,7 +12,7 @@ from typing import Any
 
 from .. import __version__
 from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
-from ..avatar.library import LIBRARY_PREFIX, library_names, library_path
+from ..avatar.library import LIBRARY_PREFIX, library_file, library_names
 from ..errors import ConfigError, GrmmError
 from ..head.flame import describe_flame
 from ..head.open_head import FLAME_SUFFIXES
@@ -35,12 +35,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Show the facts and return them."""
-    if args.avatar is None:
-        facts = installation()
-    else:
-        name = str(args.avatar)
-        inside = name.startswith(LIBRARY_PREFIX)
-        facts = describe_file(library_path(name.removeprefix(LIBRARY_PREFIX)) if inside else args.avatar)
+    facts = installation() if args.avatar is None else describe_file(library_file(str(args.avatar)) or args.avatar)
     _show(args.console, facts)
     return facts
 

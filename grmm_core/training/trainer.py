@@ -113,7 +113,7 @@ class Trainer:
         self.average = MovingAverage(self.parameters.values(), config.ema, config.ema_every) if config.ema else None
         self.step_count = 0
         self.seconds = 0.0
-        self.started = False
+        self.started = bool(self.base)  # one person's run begins above: a resumed one needs the frozen parts too
 
     @property
     def progress(self) -> float:
@@ -169,9 +169,9 @@ class Trainer:
     def start(self) -> None:
         """Prepare what depends on the data, once, before the first step of a new run."""
         if not self.started and self.step_count == 0:
-            if self.config.init_from and not self.base:  # for one person: done already, since resuming needs the frozen parts
+            if self.config.init_from:
                 warm_start(self.config.init_from, self.model, self.source.people, self.codes)
-            elif not self.base:
+            else:
                 initialise_colours(self.model, self.source, _COLOUR_VIEWS, self.config.seed)
             if self.average:
                 self.average = MovingAverage(self.parameters.values(), self.config.ema, self.config.ema_every)

@@ -10,6 +10,7 @@ from model_fixtures import SHAPES, small_head
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM
+from grmm_core.model.packing import BLOCK, pack, unpack
 from grmm_core.model.weights import WeightsInfo, head_fingerprint, load_weights, read_info, save_weights
 from grmm_core.tensorfile import read_tensors, write_tensors
 
@@ -53,7 +54,9 @@ def test_round_trip(saved, model, info, head):
     loaded, back = load_weights(saved, head)
     assert loaded.config == model.config
     for name, value in model.state_dict().items():
-        torch.testing.assert_close(loaded.state_dict()[name].float(), value.float(), rtol=1e-3, atol=1e-6)
+        packed = name.startswith("decoders.basis.")  # a 254th of the largest number in the neighbourhood
+        error = 1.1 * float(value.abs().max()) / 254 if packed else 1e-6
+        torch.testing.assert_close(loaded.state_dict()[name].float(), value.float(), rtol=1e-3, atol=error)
     assert back.people == ("Ada", "Zoë")
     assert back.provenance == {"seed": 3, "data": ["a"]}
     assert (back.head_name, back.head_sha256) == ("small_head", head_fingerprint(head))
@@ -72,6 +75,37 @@ def test_loaded_model_draws_the_same(saved, model, head):
     one, two = (m.gaussians(vertices, z_id, z_exp, view) for m in (model, loaded))
     torch.testing.assert_close(one.means, two.means, atol=1e-4, rtol=0)
     torch.testing.assert_close(one.colors, two.colors, atol=3e-3, rtol=0)
+
+
+@pytest.mark.parametrize("columns", [1, BLOCK, 3 * BLOCK + 7])
+def test_packed_numbers_are_near_in_every_block(columns):
+    rng = np.random.default_rng(columns)
+    array = (rng.normal(size=(5, columns)) * 10.0 ** rng.integers(-5, 3, (5, columns))).astype(np.float32)
+    array[0] = 0.0
+    whole, scales = pack(array)
+    back = unpack(whole, scales)
+    assert (whole.dtype, scales.dtype, back.shape) == (np.int8, np.float16, array.shape)
+    for start in range(0, columns, BLOCK):
+        block = np.s_[:, start : start + BLOCK]
+        largest = np.abs(array[block]).max(-1, keepdims=True)
+        # half a step, and what rounding the scale to half precision takes from the largest
+        assert (np.abs(back[block] - array[block]) <= largest * (0.5 / 127 + 2**-10) + 127 * 2**-24).all()
+
+
+def test_basis_maps_are_stored_in_eight_bits_and_version_1_is_read(saved, model, head):
+    tensors, _ = read_tensors(saved)
+    names = [f"decoders.basis.{name}" for name in model.config.basis_channels]
+    assert all(tensors[f"model/{name}"].dtype == np.int8 for name in names)
+
+    def unpacked(tensors):
+        for name in names:
+            del tensors[f"model/{name}.scales"]
+            tensors[f"model/{name}"] = model.state_dict()[name].numpy().astype(np.float16)
+
+    rewrite(saved, unpacked, lambda header: header.update(version=1))
+    loaded, _ = load_weights(saved, head)
+    for name in names:
+        torch.testing.assert_close(loaded.state_dict()[name], model.state_dict()[name], rtol=1e-3, atol=1e-6)
 
 
 def test_another_head_is_refused(saved):
@@ -104,6 +138,9 @@ def test_wrong_headers_are_explained(saved, head, change, word):
         (lambda t: t["model/aligned_codes"].fill(np.nan), "not finite"),
         (lambda t: t.update({"model/aligned_codes": np.zeros((2, 2), np.float32)}), "shape"),
         (lambda t: t.update({"model/aligned_codes": np.zeros((60, 5), np.int32)}), "data type"),
+        (lambda t: t.pop("model/decoders.basis.colour.scales"), "scales"),
+        (lambda t: t.update({"model/decoders.basis.colour.scales": np.ones((1, 1), np.float16)}), "scales"),
+        (lambda t: t["model/decoders.basis.colour.scales"].fill(np.inf), "not finite"),
         (lambda t: t["model/anchor.face"].fill(10**6), "layout"),
         (lambda t: t["model/anchor.texel"].fill(-1), "layout"),
         (lambda t: t["people/z_id"].fill(np.inf), "people/z_id"),

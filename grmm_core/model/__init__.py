@@ -9,6 +9,7 @@ The map:
 ``refine``        screen-space refinement network, eq. 14
 ``grmm``          `GRMM`, which composes all of these
 ``weights``       weights files
+``packing``       eight-bit storage of basis maps in them
 
 Used by `session`, `training`, `fitting` and `evaluation`. Everything but `config` imports torch; nothing here imports bpy.
 `docs/equations.md` lists which function holds which equation of the paper.

@@ -1,7 +1,8 @@
 """Weights files: a tensor file with the configuration, the head they belong to, the training people and the provenance.
 
-Parameters are stored in half precision, the texel layout exactly. Files are read with numpy (`tensorfile`), never unpickled,
-and everything in them is checked against the configuration before memory is allocated on their word.
+Parameters are stored in half precision, basis maps in eight bits (`packing`), the texel layout exactly. Files are read with
+numpy (`tensorfile`), never unpickled, and everything in them is checked against the configuration before memory is allocated
+on their word. Version 1 had basis maps in half precision; it is read as well.
 
 Used by `session`, `training`, `fitting`, `evaluation`.
 """
@@ -25,19 +26,23 @@ from ..errors import ConfigError, FileFormatError, ShapeError
 from ..tensorfile import read_metadata, read_tensors, write_tensors
 from .config import GRMMConfig
 from .grmm import GRMM
+from .packing import pack, scales_shape, unpack
 from .texels import TexelLayout
 
 if TYPE_CHECKING:
     from ..head import HeadModel
 
 FORMAT = "grmm-weights"
-VERSION = 1
+VERSION = 2
+READABLE = (1, 2)
 WEIGHTS_FOLDER = Path(__file__).resolve().parent.parent / "assets" / "weights"
 DEFAULT_WEIGHTS = "default"
 WEIGHTS_SUFFIX = ".safetensors"
 _METADATA_KEY = "grmm"
 _MODEL = "model/"
 _EXACT = ("anchor.",)  # parameters and buffers that are not rounded to half precision
+_PACKED = "decoders.basis."
+_SCALES = ".scales"  # after the name of a packed parameter
 _LAYOUT = ("anchor.texel", "anchor.face", "anchor.barycentric")
 _INITIALISERS = frozenset({"normal_", "uniform_", "kaiming_normal_", "kaiming_uniform_", "mul"})
 _HALF_MAX = float(np.finfo(np.float16).max)
@@ -110,7 +115,10 @@ def save_weights(path: str | os.PathLike[str], model: GRMM, info: WeightsInfo) -
         if array.dtype.kind == "f" and not name.startswith(_EXACT):
             if not np.isfinite(array).all() or np.abs(array).max(initial=0.0) > _HALF_MAX:
                 raise ShapeError(f"The parameter {name} is not finite or too large to store; go back to an earlier checkpoint.")
-            array = array.astype(np.float16)
+            if name.startswith(_PACKED):
+                array, tensors[_MODEL + name + _SCALES] = pack(array)
+            else:
+                array = array.astype(np.float16)
         tensors[_MODEL + name] = array
     for name in ("z_id", "shapes", "default_z_id", "default_shape"):
         array = np.asarray(getattr(info, name), np.float32)
@@ -168,8 +176,10 @@ def load_weights(path: str | os.PathLike[str], head: HeadModel | None = None) ->
         array = arrays[name]
         if array.shape != shape:
             raise _damaged(path, f"the parameter {name} has shape {array.shape} instead of {shape}")
+        if array.dtype == np.int8 and name.startswith(_PACKED):
+            array = _unpacked(path, name, array, arrays.get(name + _SCALES))
         if array.dtype.kind == "f":
-            array = array.astype(np.float32)
+            array = array.astype(np.float32, copy=False)
             if not np.isfinite(array).all():
                 raise _damaged(path, f"the parameter {name} holds numbers that are not finite")
         elif name not in _LAYOUT:
@@ -179,6 +189,13 @@ def load_weights(path: str | os.PathLike[str], head: HeadModel | None = None) ->
     for parameter in model.parameters():
         parameter.requires_grad_(True)
     return model.eval(), _with_people(path, info, tensors, model, head)
+
+
+def _unpacked(path: str | os.PathLike[str], name: str, whole: np.ndarray, scales: np.ndarray | None) -> np.ndarray:
+    usable = scales is not None and scales.dtype == np.float16 and scales.shape == scales_shape(whole.shape)
+    if scales is None or not usable or not np.isfinite(scales).all():
+        raise _damaged(path, f"the scales of the parameter {name} are missing, not finite or of another shape")
+    return unpack(whole, scales)
 
 
 class _Uninitialised(TorchFunctionMode):
@@ -204,8 +221,8 @@ def _header(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> dict[s
     if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise FileFormatError(f"{path} is not a GRMM weights file; choose one that `grmm train` wrote.")
     version = header.get("version")
-    if version != VERSION:
-        raise FileFormatError(f"{path} has version {version!r}, this program reads {VERSION}; update one of them.")
+    if version not in READABLE:
+        raise FileFormatError(f"{path} has version {version!r}, this program reads 1 to {VERSION}; update one of them.")
     return header
 
 

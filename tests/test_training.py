@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import torch
 from model_fixtures import ColouredSpheres, small_head
+from PIL import Image
 
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, RuntimeMissingError, TrainingError
 from grmm_core.model.weights import load_weights
 from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
+from grmm_core.training.curves import COLOURS, read_metrics, write_curves
 from grmm_core.training.optimise import MovingAverage, rate_factor
 from grmm_core.training.trainer import CHECKPOINT, METRICS, Trainer
 from grmm_core.training.views import choose, crop_to_person, random_crop, shrink
@@ -165,11 +167,22 @@ def test_curves_for_tensorboard(head, source, tmp_path, monkeypatch):
 def test_preview_is_a_picture(head, source, tmp_path):
     trainer = Trainer(config(steps=1, preview_every=1), head, source, tmp_path)
     trainer.run()
-    from PIL import Image
-
     picture = np.asarray(Image.open(tmp_path / "preview_000001.png"))
     assert picture.shape == (5 * 48, 4 * 48, 3)
     assert picture.std() > 10
+
+
+def test_curves_are_drawn_of_what_was_logged(head, source, tmp_path):
+    Trainer(config(steps=3, preview_every=3, evaluate_every=1), head, source, tmp_path).run()
+    drawn = np.asarray(Image.open(tmp_path / "curves.png"))
+    for panel in np.split(drawn, 2):  # the loss above, held-out views below; the first line of both has the first colour
+        assert (panel == COLOURS[0]).all(-1).sum() > 200
+    rows = read_metrics(tmp_path / "metrics.jsonl")
+    write_curves([rows, rows], tmp_path / "two.png")
+    assert (np.asarray(Image.open(tmp_path / "two.png")) != drawn).any()
+    (tmp_path / "metrics.jsonl").write_text('{"step": 1}\n')
+    with pytest.raises(FileFormatError, match=r"metrics\.jsonl"):
+        read_metrics(tmp_path / "metrics.jsonl")
 
 
 def test_every_view_is_used_once_an_epoch(source):

@@ -14,6 +14,7 @@ The map:
 ``checkpoint``  whole-or-nothing checkpoints as tensor files
 ``trainer``     `Trainer`: the loop
 ``preview``     picture sheets
+``curves``      the logged numbers as a picture
 
 Uses `model`, `splat`, `data`. Called by the command line (`grmm train`). Everything but `config` imports torch.
 """

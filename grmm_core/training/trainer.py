@@ -7,7 +7,8 @@
 
 A step renders `views_per_step` views, averages their gradients, and updates parameters with Adam. Several processes started
 by ``torchrun`` share the views of a step and average gradients, so that they do what one process would. Metrics go to
-``metrics.jsonl``, sheets to ``preview_*.png``, checkpoints to ``checkpoint.safetensors`` in the run's folder.
+``metrics.jsonl``, sheets to ``preview_*.png``, their curves to ``curves.png``, checkpoints to ``checkpoint.safetensors``, all
+in the run's folder.
 
 Used by the command line.
 """
@@ -49,6 +50,7 @@ logger = logging.getLogger(__name__)
 
 CHECKPOINT = "checkpoint.safetensors"
 METRICS = "metrics.jsonl"
+CURVES = "curves.png"
 _COLOUR_VIEWS = 48
 _RANDOM_CODE_INIT = 10_007  # keeps the stream of the codes apart from the model's
 
@@ -279,9 +281,11 @@ class Trainer:
         return shrink(view, self.config.image_size) if self.config.image_size else view
 
     def _preview(self) -> None:
+        from .curves import read_metrics, write_curves
         from .preview import write_preview
 
         write_preview(self, self.folder / f"preview_{self.step_count:06d}.png")
+        write_curves([read_metrics(self.folder / METRICS)], self.folder / CURVES)
 
     # --- files -----------------------------------------------------------------------------------------------------
 

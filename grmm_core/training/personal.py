@@ -10,6 +10,7 @@ Used by `trainer` and the command line.
 
 from __future__ import annotations
 
+import dataclasses
 import datetime
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -42,6 +43,15 @@ MOUTH_REGIONS = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
 FRONT = (0.0, 0.0, 1.0)  # view direction, head space
 
 
+def of_the_weights(config: TrainConfig) -> TrainConfig:
+    """The configuration with the model's sizes of the weights that it starts from.
+
+    Raises:
+        FileAccessError, FileFormatError: The weights are missing, damaged, or a checkpoint, which no avatar can refer to.
+    """
+    return dataclasses.replace(config, model=read_info(resolve_weights(config.init_from)).config)
+
+
 def begin(config: TrainConfig, model: GRMM, people: tuple[str, ...], codes: Tensor) -> dict[str, nn.Parameter]:
     """Load the weights that a run for one person starts from, and leave only the own maps to train.
 
@@ -56,12 +66,11 @@ def begin(config: TrainConfig, model: GRMM, people: tuple[str, ...], codes: Tens
 
     Raises:
         ConfigError: The data or the weights do not have the person, or the model no maps of its own.
-        FileAccessError, FileFormatError: The weights are missing, damaged, or a checkpoint, which no avatar can refer to.
+        FileAccessError, FileFormatError: The weights are missing or damaged.
     """
     person = config.person
     if people != (person,):
         raise ConfigError(f"The data has no training views of {person!r}; capture some, or name one of {_listed(people)}.")
-    read_info(resolve_weights(config.init_from))
     known = warm_start(config.init_from, model, people, codes)
     if person not in known:
         raise ConfigError(

@@ -38,7 +38,7 @@ from .initialise import initialise_colours
 from .losses import Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
 from .optimise import MovingAverage, parameter_groups, rate_factor
 from .perceptual import load_perceptual
-from .personal import begin
+from .personal import begin, of_the_weights
 from .precision import use_precision
 from .views import View, ViewSource, choose, shrink
 from .warm_start import warm_start
@@ -77,6 +77,8 @@ class Trainer:
     ) -> None:  # fmt: skip
         if not len(source.training):
             raise TrainingError("The data set has no training views; capture more or change its splits.")
+        if config.person:
+            config = of_the_weights(config)
         self.config, self.source, self.folder, self.backend = config, source, Path(folder), backend
         try:
             self.folder.mkdir(parents=True, exist_ok=True)

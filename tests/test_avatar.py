@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 
 from grmm_core.avatar import AssetReference, Avatar, PhotoRecord, Provenance, load_avatar, read_avatar_header, save_avatar
+from grmm_core.avatar.make import sampled_avatar
 from grmm_core.camera import Camera
 from grmm_core.color import linear_to_srgb, scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError, ShapeError
 from grmm_core.images import encode_exr, encode_png, quantize
+from grmm_core.model.config import PRESETS
+from grmm_core.model.weights import WeightsInfo
 from grmm_core.tensorfile import read_tensors, write_tensors
 
 
@@ -240,3 +243,22 @@ def test_exr_chunks_hold_the_values():
     lines = np.concatenate(rows)
     np.testing.assert_array_equal(lines[:, 0], picture["R"])
     np.testing.assert_array_equal(lines[:, 1], picture["depth.Z"])
+
+
+def test_drawn_people_are_near_one_kind_of_hair_and_shaped_like_everybody():
+    rng = np.random.default_rng(0)
+    kind = np.repeat([0, 1], 30)
+    codes = rng.normal(size=(60, 8)) + 40.0 * kind[:, None]  # two kinds of hair, far apart
+    shapes = rng.normal(size=(60, 4)) * [3.0, 1.0, 0.3, 0.1]
+    weights = WeightsInfo("w", "h", "", PRESETS["tiny"], people=tuple(map(str, range(60))), z_id=codes, shapes=shapes)
+    drawn = [sampled_avatar(weights, 5, seed) for seed in range(400)]
+    along = np.array([avatar.z_id for avatar in drawn]).mean(1) / 40.0
+    assert ((np.abs(along) < 0.35) | (np.abs(along - 1.0) < 0.35)).mean() > 0.98
+    assert 0.3 < (along > 0.5).mean() < 0.7
+    drawn_shapes = np.array([avatar.shape for avatar in drawn])
+    np.testing.assert_allclose(drawn_shapes[:, :4].std(0), shapes.std(0), rtol=0.2)
+    nearest = np.linalg.norm(drawn_shapes[:, None, :4] - shapes[None], axis=2).min(1)
+    assert np.median(nearest) > 0.1  # new people
+    again = sampled_avatar(weights, 5, 7)
+    assert np.array_equal(again.z_id, drawn[7].z_id)
+    assert np.array_equal(again.shape, drawn[7].shape)

@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from ..model.weights import WeightsInfo
 
 MADE_BY = f"grmm {__version__}"
+NEIGHBOURS = 4  # people whom a drawn person's code is mixed with
+CODE_VARIATION = 0.3  # of the Gaussian, in a drawn code
+_OWN_SHARE, _OTHERS_SHARE = 3.0, 2.0  # of a Dirichlet distribution: 60 % of a code are one person's on the average
 
 
 def default_avatar(weights: WeightsInfo, z_exp_size: int) -> Avatar:
@@ -28,10 +31,12 @@ def default_avatar(weights: WeightsInfo, z_exp_size: int) -> Avatar:
 
 
 def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int) -> Avatar:
-    """Draw a person from the Gaussian fitted jointly to the training people's codes and shapes.
+    """Draw a new person near one of the training people.
 
-    With P people the fitted covariance has rank P - 1, and x = mean + sum_p n_p (x_p - mean) / sqrt(P - 1) with standard
-    normal n has exactly this distribution; codes and shape use the same n, so that they stay related.
+    Hair styles and beards lie apart in the space of codes: a Gaussian over all people would draw what is between them, ghosts
+    of hair. So the code mixes a training person with a few who are alike, as SMOTE does (Chawla et al. 2002), and a part of
+    the Gaussian varies it. Shapes have no such gaps; the Gaussian's part is as large there as it takes to keep the covariance
+    of the training people. Both parts use the same numbers for code and shape, so that they stay related.
 
     Args:
         weights: What the weights file says.
@@ -44,8 +49,18 @@ def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int) -> Avatar:
     count = len(weights.people)
     if count < 2:
         raise ConfigError(f"The weights {weights.name!r} know fewer than two people to draw new ones from; choose others.")
-    draw = np.random.default_rng([abs(seed), int(seed < 0)]).standard_normal(count) / np.sqrt(count - 1)
-    z_id, shape = (table.mean(0) + draw @ (table - table.mean(0)) for table in (weights.z_id, weights.shapes))
+    rng = np.random.default_rng([abs(seed), int(seed < 0)])
+    # with P people the covariance has rank P - 1, and sum_p n_p (x_p - mean) / sqrt(P - 1) has exactly that covariance
+    normal = rng.standard_normal(count) / np.sqrt(count - 1)
+    distances = np.linalg.norm(weights.z_id - weights.z_id[rng.integers(count)], axis=1)
+    alike = np.argsort(distances, kind="stable")[: 1 + NEIGHBOURS]  # the person first
+    mix = np.zeros(count)
+    mix[alike] = rng.dirichlet([_OWN_SHARE, *[_OTHERS_SHARE / (len(alike) - 1)] * (len(alike) - 1)])
+    rest = np.sqrt(1.0 - np.square(mix).sum())
+    z_id, shape = (
+        mix @ table + share * rest * (normal @ (table - table.mean(0)))
+        for table, share in ((weights.z_id, CODE_VARIATION), (weights.shapes, 1.0))
+    )
     return _avatar(f"Sample {seed}", weights, z_exp_size, z_id, shape)
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, CaptureDataset
 from ..errors import ConfigError, NoFaceError
 from ..images import quantize
-from ..training.losses import psnr
 from .fit import CODES, fit_person, fit_photo, track_shot
 from .metrics import Distance, Errors, errors_of
 from .regions import region_pixels, triangle_groups
@@ -73,8 +72,8 @@ class Row:
         person: Who was drawn.
         errors: Of the refined picture.
         raw: Of the splatted picture; the same without a refinement network.
-        variants: Form of the residuals to (PSNR, PSNR inside the mask) in dB.
-        ablation: PSNR and PSNR inside the mask of the second model, or None.
+        variants: Errors of the refined picture by form of the residuals.
+        ablation: Errors of the second model's refined picture, or None.
         pictures: Truth, refined and splatted picture, each [H, W, 3] uint8.
     """
 
@@ -82,8 +81,8 @@ class Row:
     person: Person
     errors: Errors
     raw: Errors
-    variants: dict[str, tuple[float, float]] = field(default_factory=dict)
-    ablation: tuple[float, float] | None = None
+    variants: dict[str, Errors] = field(default_factory=dict)
+    ablation: Errors | None = None
     pictures: tuple[np.ndarray, ...] = ()
 
 
@@ -168,20 +167,21 @@ class Evaluation:
         rendering = self.scene.draw(person, sample.shot, view.camera, photo=photo)
         own = person.shape.cpu().numpy() if photo else None  # what the tracking found
         regions = self._regions(sample, view, own) if self.settings.regions else {}
-        errors = errors_of(rendering.image, truth, mask, regions, self.settings.distances)
+        distances = self.settings.distances
+        errors = errors_of(rendering.image, truth, mask, regions, distances)
         refined = self.scene.model.refinement is not None
-        raw = errors_of(rendering.raw, truth, mask, regions) if refined else errors
+        raw = errors_of(rendering.raw, truth, mask, regions, distances) if refined else errors
         pictures = tuple(quantize(picture.cpu().numpy()) for picture in (truth, rendering.image, rendering.raw))
         row = Row(sample, person, errors, raw, pictures=pictures)
         if self.settings.ablations:
             for variant in self.scene.variants:
                 if variant != FULL:
-                    image = self.scene.draw(person, sample.shot, view.camera, variant).image.clamp(0, 1)
-                    row.variants[variant] = (psnr(image, truth), psnr(image, truth, mask))
+                    image = self.scene.draw(person, sample.shot, view.camera, variant).image
+                    row.variants[variant] = errors_of(image, truth, mask, distances=distances)
         other = self._other(sample)
         if self.ablation is not None and other is not None:
-            image = self.ablation.draw(other, sample.shot, view.camera).image.clamp(0, 1)
-            row.ablation = (psnr(image, truth), psnr(image, truth, mask))
+            image = self.ablation.draw(other, sample.shot, view.camera).image
+            row.ablation = errors_of(image, truth, mask, distances=distances)
         return row
 
     def _tracked_photos(self) -> Result:

@@ -30,14 +30,12 @@ def summary(result: Result) -> dict[str, Any]:
     values: dict[str, Any] = {"views": len(rows), "people": len({row.person.name for row in rows})}
     values["refined"] = _means(row.errors for row in rows)
     values["unrefined"] = _means(row.raw for row in rows)
-    for name in sorted({name for row in rows for name in row.errors.perceptual}):
-        values["refined"][name] = _mean(row.errors.perceptual[name] for row in rows)
     for variant in rows[0].variants if rows else ():
-        values[variant] = _pair(row.variants[variant] for row in rows)
-    second = [row for row in rows if row.ablation is not None]
+        values[variant] = _means(row.variants[variant] for row in rows)
+    second = [(row.errors, row.ablation) for row in rows if row.ablation is not None]
     if second:
-        values["ablation"] = {**_pair(row.ablation for row in second if row.ablation), "views": len(second)}
-        values["ablation"]["same views"] = _pair((row.errors.psnr, row.errors.psnr_mask) for row in second)
+        values["ablation"] = {**_means(other for _, other in second), "views": len(second)}
+        values["ablation"]["same views"] = _means(own for own, _ in second)
     values["regions"] = {"refined": _pooled(row.errors for row in rows), "unrefined": _pooled(row.raw for row in rows)}
     groups: dict[str, Callable[[Row], bool]] = {
         name: (lambda row, name=name: row.sample.direction == name and not row.sample.close) for name in DIRECTIONS
@@ -60,30 +58,41 @@ def summary(result: Result) -> dict[str, Any]:
 
 def table(summaries: Mapping[str, Mapping[str, Any]]) -> str:
     """Tables of several protocols' `summary` in Markdown."""
-    perceptual = sorted({n for s in summaries.values() for n in s["refined"] if n not in _NAMES})
-    variants = list(dict.fromkeys(n for s in summaries.values() for n in s if "off" in n))
-    ablation = any("ablation" in s for s in summaries.values())
-    header = ["protocol", "views", "people", "PSNR", "PSNR in mask", "SSIM", "SSIM in mask", "RMSE", *perceptual]
-    header += ["unrefined PSNR in mask", *(f"{v}: PSNR in mask" for v in variants)]
-    header += ["second model: PSNR in mask", "gain over it"] if ablation else []
-    rows = []
-    for name, s in summaries.items():
-        refined, other = s["refined"], s.get("ablation")
-        row = [name, str(s["views"]), str(s["people"]), _db(refined["psnr"]), _db(refined["psnr_mask"])]
-        row += [_number(refined[key]) for key in ("ssim", "ssim_mask", "rmse")] + [_number(refined.get(p)) for p in perceptual]
-        row += [_db(s["unrefined"]["psnr_mask"]), *(_db(s.get(v, {}).get("psnr_mask")) for v in variants)]
-        if ablation:
-            gain = None if other is None else other["same views"]["psnr_mask"] - other["psnr_mask"]
-            row += [_db(None if other is None else other["psnr_mask"]), _db(gain, sign=True)]
-        rows.append(row)
+    figures = list(_NAMES[:-1]) + sorted({n for s in summaries.values() for n in s["refined"] if n not in _NAMES})
+    titles = [_TITLES.get(name, name) for name in figures]
+    header = ["protocol", "views", "people", *titles]
+    rows = [[name, str(s["views"]), str(s["people"]), *_cells(s["refined"], figures)] for name, s in summaries.items()]
     text = _markdown(header, rows) + "\n\nPSNR in dB by region of the head (refined / unrefined):\n\n"
     regions = [[name, *(_both(s["regions"], region) for region in REGIONS)] for name, s in summaries.items()]
     text += _markdown(["protocol", *REGIONS], regions) + "\n\nPSNR inside the mask in dB (number of views):\n\n"
     names = list(dict.fromkeys(group for s in summaries.values() for group in s["groups"]))
     groups = [[name, *(_group(s["groups"].get(group)) for group in names)] for name, s in summaries.items()]
-    return text + _markdown(["protocol", *names], groups) + "\n"
+    text += _markdown(["protocol", *names], groups) + "\n\nAblations, on the same views:\n\n"
+    without = [[name, *row] for name, s in summaries.items() for row in _ablations(s, figures)]
+    return text + _markdown(["protocol", "picture", "views", *titles], without) + "\n"
 
 
+def _ablations(values: Mapping[str, Any], figures: Sequence[str]) -> list[list[str]]:
+    """Rows of one protocol: the whole model, what is left without a part, and the second model."""
+    views = str(values["views"])
+    forms = ["unrefined", *(name for name in values if "off" in name)]
+    rows = [["whole", views, *_cells(values["refined"], figures)]]
+    rows += [[form, views, *_cells(values[form], figures)] for form in forms]
+    other = values.get("ablation")
+    if other is not None:
+        if other["views"] != values["views"]:
+            rows.append(["whole", str(other["views"]), *_cells(other["same views"], figures)])
+        rows.append(["second model", str(other["views"]), *_cells(other, figures)])
+    return rows
+
+
+def _cells(values: Mapping[str, float], figures: Sequence[str]) -> list[str]:
+    return [_db(values[name]) if name.startswith("psnr") else _number(values.get(name)) for name in figures]
+
+
+_TITLES = {
+    "psnr": "PSNR", "psnr_mask": "PSNR in mask", "ssim": "SSIM", "ssim_mask": "SSIM in mask", "rmse": "RMSE",
+}  # fmt: skip
 _NAMES = ("psnr", "psnr_mask", "ssim", "ssim_mask", "rmse", "rmse_mask")
 
 
@@ -121,15 +130,17 @@ def _row(row: Row) -> dict[str, Any]:
     values |= {"close-up": sample.close, "neutral": sample.neutral}
     values |= {name: getattr(errors, name) for name in _NAMES} | errors.perceptual
     values |= {"unrefined_psnr": row.raw.psnr, "unrefined_psnr_mask": row.raw.psnr_mask}
-    values |= {f"{name}: psnr_mask": pair[1] for name, pair in row.variants.items()}
+    values |= {f"{name}: psnr_mask": errors.psnr_mask for name, errors in row.variants.items()}
     if row.ablation is not None:
-        values["ablation_psnr_mask"] = row.ablation[1]
+        values["ablation_psnr_mask"] = row.ablation.psnr_mask
     return values
 
 
 def _means(errors: Iterable[Errors]) -> dict[str, float]:
     every = list(errors)
-    return {name: _mean(getattr(e, name) for e in every) for name in _NAMES}
+    means = {name: _mean(getattr(e, name) for e in every) for name in _NAMES}
+    distances = sorted({name for e in every for name in e.perceptual})
+    return means | {name: _mean(e.perceptual[name] for e in every if name in e.perceptual) for name in distances}
 
 
 def _pair(pairs: Iterable[tuple[float, float]]) -> dict[str, float]:
@@ -159,8 +170,8 @@ def _markdown(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
-def _db(value: float | None, sign: bool = False) -> str:
-    return NOTHING if value is None or not math.isfinite(value) else f"{value:+.2f}" if sign else f"{value:.2f}"
+def _db(value: float | None) -> str:
+    return NOTHING if value is None or not math.isfinite(value) else f"{value:.2f}"
 
 
 def _number(value: float | None) -> str:

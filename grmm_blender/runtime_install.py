@@ -27,7 +27,7 @@ from typing import Literal
 from ..grmm_core.errors import CancelledError, GrmmError, RuntimeMissingError
 from ..grmm_core.files import describe_os_error
 
-REQUIREMENTS = ("torch>=2.6,<3", "numba>=0.61,<1", "numpy>=1.26,<3", "pillow>=10.3,<14", "tqdm>=4.66,<5")
+REQUIREMENTS = ("torch>=2.6,<3", "numba>=0.61,<1", "numpy>=1.26,<3", "pillow>=10.3,<14")
 """What the worker imports; the same as the dependencies of the package `grmm-core`."""
 FOLDER = "runtime"
 STATE_FILE = "grmm_runtime.json"
@@ -36,7 +36,7 @@ _LOG_LINES = 400
 _USUAL_PACKAGES = 14  # that pip fetches for the requirements on a machine without CUDA; only shapes the progress bar
 _ENVIRONMENT_SHARE, _FETCH_SHARE, _INSTALL_SHARE = 0.05, 0.70, 0.95  # of the progress bar, at the end of each stage
 _CHECK = (
-    "import json, platform, numpy, numba, torch, PIL, tqdm; "
+    "import json, platform, numpy, numba, torch, PIL; "
     "torch.zeros(3).sum(); "
     "print(json.dumps({'python': platform.python_version(), 'torch': torch.__version__, 'numba': numba.__version__, "
     "'numpy': numpy.__version__, 'cuda': torch.cuda.is_available()}))"

@@ -1,7 +1,7 @@
 """Running a capture job: which person and shot is next, render, write. Several processes can share one folder.
 
 The order interleaves people: rounds of a few shots of everybody, so that a capture that is cut short
-still has everybody. Imports bpy through `scene`.
+still has everybody. Imports bpy through `scene`, with the first shot.
 """
 
 from __future__ import annotations
@@ -31,9 +31,12 @@ from grmm_core.data.jobs import TimeLeft, claim
 from grmm_core.errors import ConfigError
 from grmm_core.head.open_head import load_open_head, load_people_model
 
-from .shots import HELD_OUT_CAMERAS, expression_pool, make_shot
+from .shots import HELD_OUT_CAMERAS, MAX_CAMERAS, expression_pool, make_shot
 from .subjects import Subject, draw_subject
 
+STUDIO = 2  # raise whenever the pictures of a seed change: a capture is not continued with others
+UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
+MAX_SHOTS = 10_000  # their numbers have four digits in file names
 ROUND = 4  # shots of everybody before anybody's next ones
 HELD_OUT_EVERY = 12  # one person of so many is held out
 HELD_OUT_SHOTS = (6, 13)  # numbers modulo 15: expressions that are not trained on
@@ -68,12 +71,32 @@ class CaptureSettings:
 
 @dataclass(frozen=True)
 class Progress:
-    """Sent after every shot: pieces done and in all, seconds left, what was done."""
+    """Sent after every shot: shots complete (by all processes) and in all, seconds left, what was done."""
 
     done: int
     total: int
     seconds_left: float
     text: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a job stands when this process has nothing left to do.
+
+    Attributes:
+        made: Shots that this process made.
+        complete: Shots that are complete, by whomever.
+        total: Shots of the job.
+    """
+
+    made: int
+    complete: int
+    total: int
+
+    @property
+    def in_work(self) -> int:
+        """Shots that other processes hold; to be made again where those end early."""
+        return self.total - self.complete
 
 
 def held_out(index: int) -> bool:
@@ -99,23 +122,57 @@ def job_order(subjects: int, shots: int) -> Iterator[tuple[int, range]]:
             yield index, range(start, min(start + ROUND, shots))
 
 
+def check_settings(settings: CaptureSettings, only: Sequence[int] = ()) -> tuple[str, ...]:
+    """Check everything before a folder is touched; returns the expressions that may be used. Raises `ConfigError`."""
+    s = settings
+    if min(s.subjects, s.shots, s.size, s.samples) < 1:
+        raise ConfigError("--subjects, --shots, --size and --samples must be at least 1.")
+    if s.shots > MAX_SHOTS:
+        raise ConfigError(f"--shots {s.shots} is not possible; use at most {MAX_SHOTS}.")
+    if not 1 <= s.views <= MAX_CAMERAS:
+        raise ConfigError(f"--cameras {s.views} is not possible; use 1 to {MAX_CAMERAS}.")
+    if s.seed < 0:
+        raise ConfigError(f"--seed {s.seed} is not possible; use 0 or more.")
+    absent = [index for index in only if not 0 <= index < s.subjects]
+    if absent:
+        raise ConfigError(f"There is no person {absent[0]} for --only; choose from 0 to {s.subjects - 1}.")
+    return expression_pool(s.expressions)
+
+
 def open_job(folder: Path, settings: CaptureSettings) -> None:
     """Write the manifest of a new capture, or check that the existing one is the same.
 
     Raises:
-        ConfigError: The folder holds a capture of other settings.
+        ConfigError: The settings are not possible, or the folder holds a capture of others or of another studio.
     """
+    check_settings(settings)
     values = asdict(settings)
     if (folder / "dataset.json").exists():
         known = read_manifest(folder).settings
+        studio = known.get("studio", UNNUMBERED_STUDIO)
+        if studio != STUDIO:
+            raise ConfigError(
+                f"{folder} holds a capture of studio {studio}, and this is studio {STUDIO}, whose pictures differ; "
+                "use another folder."
+            )
         for key, value in values.items():
             if known.get(key) != value:
-                raise ConfigError(
-                    f"{folder} holds a capture with {key} {known.get(key)}, not {value}; use the same or another folder."
-                )
+                difference = _difference(key, known.get(key), value)
+                raise ConfigError(f"{folder} holds a capture {difference}; use the same or another folder.")
         return
+    values["studio"] = STUDIO
     names = [subject_name(settings.seed, i) for i in range(settings.subjects)]
     write_manifest(folder, Manifest("open_head", names, values, [n for i, n in enumerate(names) if held_out(i)]))
+
+
+def _difference(key: str, known: object, wanted: object) -> str:
+    """What differs, in the words of the command line."""
+    if key == "depth":
+        key, known, wanted = "no_depth", not known, not wanted
+    option = "--cameras" if key == "views" else "--" + key.replace("_", "-")
+    if isinstance(wanted, bool):
+        return f"without {option}" if wanted else f"with {option}"
+    return f"with {option} {known}, not {wanted}"
 
 
 def subject_name(seed: int, index: int) -> str:
@@ -137,38 +194,48 @@ def run_job(
         only: Numbers of the people to render now; everybody when empty.
 
     Returns:
-        The number of shots that this process made.
+        What was made, and how the job stands.
 
     Raises:
         ConfigError: Bad settings. FileAccessError: The folder is not writable or the disk is full.
     """
-    if min(settings.subjects, settings.shots, settings.views, settings.size, settings.samples) < 1:
-        raise ConfigError("Subjects, shots, cameras, size and samples must be at least 1.")
-    absent = [index for index in only if not 0 <= index < settings.subjects]
-    if absent:
-        raise ConfigError(f"There is no person {absent[0]} here; choose from 0 to {settings.subjects - 1}.")
-    pool = expression_pool(settings.expressions)
+    if threads < 1:
+        raise ConfigError("--threads must be at least 1.")
+    pool = check_settings(settings, only)
     open_job(folder, settings)
-    pieces = [piece for piece in job_order(settings.subjects, settings.shots) if not only or piece[0] in only]
-    left = TimeLeft(sum(len(numbers) for _, numbers in pieces))
+    everything = [piece for piece in job_order(settings.subjects, settings.shots) if not only or piece[0] in only]
+    records = [shot_record(folder, subject_name(settings.seed, index), n) for index, numbers in everything for n in numbers]
+
+    def complete() -> int:  # by all processes
+        return sum(record.exists() for record in records)
+
+    left = TimeLeft(len(records), complete())
     worker = _Worker(folder, settings, threads, pool)
-    made = 0
+    made, before, pieces = 0, -1, everything
     try:
-        for index, numbers in pieces:
-            name = subject_name(settings.seed, index)
-            with claim(folder / "locks" / f"{name}_{numbers.start:04d}.lock") as mine:
-                for number in numbers:
-                    record = shot_record(folder, name, number)
-                    work = mine and not record.exists()
-                    if work:
+        # again until nothing more is ours: a process that held a piece may have died in the meantime
+        while pieces and made > before:
+            before, held = made, []
+            for index, numbers in pieces:
+                name = subject_name(settings.seed, index)
+                missing = [number for number in numbers if not shot_record(folder, name, number).exists()]
+                if not missing:
+                    continue
+                with claim(folder / "locks" / f"{name}_{numbers.start:04d}.lock") as mine:
+                    if not mine:
+                        held.append((index, numbers))
+                        continue
+                    for number in missing:
+                        if shot_record(folder, name, number).exists():
+                            continue
                         worker.shoot(index, number)
                         made += 1
-                    left.step(work)
-                    if work:
-                        report(Progress(left.done, left.total, left.seconds, f"{name} shot {number}"))
+                        done = complete()
+                        report(Progress(done, left.total, left.seconds(done), f"{name} shot {number}"))
+            pieces = held
     finally:
         worker.close()
-    return made
+    return Outcome(made, complete(), len(records))
 
 
 class _Worker:

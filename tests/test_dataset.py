@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -138,46 +137,94 @@ def test_pictures_with_nan_are_not_written(tmp_path):
     assert not record.exists()
 
 
+def _start(script: str, *arguments: object) -> subprocess.Popen:
+    command = [sys.executable, "-c", script, *map(str, arguments)]
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent.parent)
+
+
+CLAIM = """
+import sys
+from pathlib import Path
+from grmm_core.data.jobs import claim
+with claim(Path(sys.argv[1])) as mine:
+    print(mine, flush=True)
+    sys.stdin.readline()
+"""
+
+
 def test_claims_exclude_each_other(tmp_path):
     path = tmp_path / "locks" / "a.lock"
     with claim(path) as mine:
         assert mine
-        script = (
-            "import sys\nfrom pathlib import Path\nfrom grmm_core.data.jobs import claim\n"
-            "with claim(Path(sys.argv[1])) as mine: print(mine)"
-        )
-        result = subprocess.run(
-            [sys.executable, "-c", script, str(path)],
-            capture_output=True,
-            text=True,
-            check=True,
-            cwd=Path(__file__).parent.parent,
-        )
-        assert result.stdout.strip() == "False"
-    assert not path.exists()
-
-
-def test_claim_of_a_dead_process_is_taken_over(tmp_path):
-    import socket
-
-    child = subprocess.Popen([sys.executable, "-c", "pass"])
-    child.wait()
-    path = tmp_path / "a.lock"
-    path.write_text(json.dumps({"host": socket.gethostname(), "process": child.pid}))
-    with claim(path) as mine:
-        assert mine
-    path.write_text(json.dumps({"host": "elsewhere", "process": 1}))
+        with claim(path) as again:
+            assert not again
+        assert _start(CLAIM, path).communicate("\n")[0].strip() == "False"
+    other = _start(CLAIM, path)
+    assert other.stdout.readline().strip() == "True"
     with claim(path) as mine:
         assert not mine
-    old = path.stat().st_mtime - 7200
-    os.utime(path, (old, old))
+    other.kill()  # a killed process keeps nothing
+    other.wait()
     with claim(path) as mine:
         assert mine
 
 
-def test_time_left():
-    left = TimeLeft(4)
-    left.step(worked=False)
-    assert left.seconds == float("inf")
-    left.step(worked=True)
-    assert 0 <= left.seconds < 5
+@pytest.mark.parametrize("content", ["", "{", '{"host": "elsewhere", "process": 1}'])
+def test_a_file_that_is_left_over_is_no_claim(tmp_path, content):
+    path = tmp_path / "a.lock"
+    path.write_text(content)
+    with claim(path) as mine:
+        assert mine
+
+
+FIGHT = """
+import os, sys, time
+from pathlib import Path
+from grmm_core.data.jobs import claim
+folder, rounds = Path(sys.argv[1]), int(sys.argv[2])
+print("ready", flush=True)
+sys.stdin.readline()
+for number in range(rounds):
+    while not (folder / f"go{number}").exists():
+        time.sleep(0.0005)
+    with claim(folder / f"{number}.lock") as mine:
+        if mine:
+            inside = folder / f"{number}.inside"
+            os.close(os.open(inside, os.O_CREAT | os.O_EXCL))  # fails where two are inside
+            time.sleep(0.002)
+            inside.unlink()
+    print("won" if mine else "lost", flush=True)
+"""
+
+
+def test_of_processes_that_fight_for_a_claim_never_two_have_it(tmp_path):
+    """The file of a dead process lies there at the start of every round; owners come and go while others try."""
+    rounds, fighters = 60, [_start(FIGHT, tmp_path, 60) for _ in range(4)]
+    for fighter in fighters:
+        assert fighter.stdout.readline().strip() == "ready"
+        fighter.stdin.write("\n")
+        fighter.stdin.flush()
+    for number in range(rounds):
+        (tmp_path / f"{number}.lock").write_text("{")
+        (tmp_path / f"go{number}").touch()
+        assert "won" in [fighter.stdout.readline().strip() for fighter in fighters]
+    for fighter in fighters:
+        fighter.communicate()
+        assert fighter.returncode == 0
+
+
+def test_a_folder_that_cannot_be_written_is_explained(tmp_path):
+    (tmp_path / "locks").write_text("a file")
+    with pytest.raises(FileAccessError, match="choose another folder"), claim(tmp_path / "locks" / "a.lock"):
+        pass
+    (tmp_path / "subjects").write_text("a file")
+    with pytest.raises(FileAccessError, match="choose another folder"):
+        write_subject(tmp_path, "anna", np.zeros(3), {})
+
+
+def test_time_left_counts_what_all_processes_make():
+    left = TimeLeft(10, done=4)
+    assert left.seconds(4) == float("inf")
+    left._start -= 6.0
+    assert left.seconds(7) == pytest.approx(6.0, abs=0.5)
+    assert left.seconds(10) == 0.0

@@ -70,5 +70,12 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         left = progress.seconds_left
         args.console.message(f"{progress.done}/{progress.total}  {progress.text}  {left / 60:.0f} min left")
 
-    made = run_job(args.folder, settings, args.threads, report, args.only)
-    return {"folder": str(args.folder), "shots": made}
+    outcome = run_job(args.folder, settings, args.threads, report, args.only)
+    text = f"{outcome.complete} of {outcome.total} shots are complete, {outcome.made} of them made now"
+    if outcome.in_work:
+        text += f"; other processes hold {outcome.in_work}, run the command again if they end before these are made"
+    args.console.message(f"{text}.")
+    return {
+        "folder": str(args.folder), "shots": outcome.made, "complete": outcome.complete, "total": outcome.total,
+        "in_work": outcome.in_work,
+    }  # fmt: skip

@@ -1,14 +1,15 @@
-"""Sharing a capture between processes: claims on pieces of work by lock files, and an estimate of the time left.
+"""Sharing a capture between processes: claims on pieces of work by locked files, and an estimate of the time left.
 
-A claim is a file made with O_EXCL that holds host and process; it is stale when that process is gone or, from another host,
-when it is old. Needs the standard library only.
+A claim is the operating system's exclusive lock on a file. The system ends it with the process, however that dies, so no claim
+is ever stale and none must be taken over: a file that is left behind is merely one that nobody has locked. Between computers
+this holds where the shared folder passes locks on (NFS, SMB); where it does not, they may make a piece twice, and the same.
+Needs the standard library only.
 """
 
 from __future__ import annotations
 
-import json
 import os
-import socket
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -17,81 +18,95 @@ from pathlib import Path
 from ..errors import FileAccessError
 from ..files import describe_os_error
 
-STALE_SECONDS = 3600.0  # of a claim from another host
-
 
 @contextmanager
 def claim(path: Path) -> Iterator[bool]:
     """Claim a piece of work; yields whether it is ours. The claim ends with the block.
 
     Raises:
-        FileAccessError: The folder is not writable.
+        FileAccessError: The folder is not writable or its file system has no locks.
     """
-    mine = _take(path) or (_is_stale(path) and _steal(path))
+    descriptor = _take(path)
     try:
-        yield mine
+        yield descriptor is not None
     finally:
-        if mine:
-            path.unlink(missing_ok=True)
+        if descriptor is not None:
+            _release(path, descriptor)
 
 
-def _take(path: Path) -> bool:
+def _take(path: Path) -> int | None:
+    """The open and locked file, or None where another process has locked it."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY)
-    except FileExistsError:
-        return False
+        while True:
+            descriptor = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
+            try:
+                ours = _lock(descriptor)
+                current = ours and _is_at(path, descriptor)
+            except OSError:
+                os.close(descriptor)
+                raise
+            if current:
+                return descriptor
+            os.close(descriptor)
+            if not ours:
+                return None
+            # the owner removed the file between our opening and our locking it: another may hold its successor
     except OSError as error:
-        raise FileAccessError(f"Cannot write {path}: {describe_os_error(error)}; choose another folder.") from error
-    with os.fdopen(descriptor, "w") as file:
-        json.dump({"host": socket.gethostname(), "process": os.getpid()}, file)
-    return True
+        raise FileAccessError(f"Cannot lock {path}: {describe_os_error(error)}; choose another folder.") from error
 
 
-def _is_stale(path: Path) -> bool:
+def _release(path: Path, descriptor: int) -> None:
     try:
-        age = time.time() - path.stat().st_mtime
-        owner = json.loads(path.read_text() or "{}")
-    except FileNotFoundError:
-        return False  # just finished elsewhere
-    except (OSError, ValueError):
-        return False
-    if owner.get("host") != socket.gethostname():
-        return age > STALE_SECONDS if owner else age > 60.0
-    try:
-        os.kill(int(owner["process"]), 0)
-    except ProcessLookupError:
-        return True
-    except (OSError, KeyError, ValueError):
-        return False
-    return int(owner["process"]) == os.getpid()  # a claim that an earlier run of this very process number left
-
-
-def _steal(path: Path) -> bool:
-    """Replace a stale claim; of several processes that try, one wins because the rename of the old file succeeds once."""
-    grave = path.with_suffix(f".stale{os.getpid()}")
-    try:
-        path.rename(grave)
+        if sys.platform != "win32":  # Windows cannot remove an open file; there the empty file stays
+            path.unlink(missing_ok=True)  # while it is still locked: nobody else can own this name
     except OSError:
+        pass  # the folder has become read-only; a file that is left does no harm
+    finally:
+        os.close(descriptor)
+
+
+def _is_at(path: Path, descriptor: int) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
         return False
-    grave.unlink(missing_ok=True)
-    return _take(path)
+
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(descriptor: int) -> bool:
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except PermissionError:
+            return False
+        return True
+
+else:
+    import fcntl
+
+    def _lock(descriptor: int) -> bool:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        return True
 
 
 class TimeLeft:
-    """Estimate of the time left from the pace of this process."""
+    """Estimate of the time left from how fast all processes together finish pieces.
 
-    def __init__(self, total: int) -> None:
-        self.total, self.done, self._worked, self._start = total, 0, 0, time.monotonic()
+    Args:
+        total: Pieces of the job.
+        done: Those that were complete when we began.
+    """
 
-    def step(self, worked: bool) -> None:
-        """One more piece is done, by us (`worked`) or before."""
-        self.done += 1
-        self._worked += worked
+    def __init__(self, total: int, done: int) -> None:
+        self.total, self._first, self._start = total, done, time.monotonic()
 
-    @property
-    def seconds(self) -> float:
-        """Seconds left at the present pace; infinite before the first piece."""
-        if not self._worked:
+    def seconds(self, done: int) -> float:
+        """Seconds left when `done` pieces are complete; infinite before the first new one."""
+        if done <= self._first:
             return float("inf")
-        return (time.monotonic() - self._start) / self._worked * (self.total - self.done)
+        return (time.monotonic() - self._start) / (done - self._first) * (self.total - done)

@@ -181,36 +181,46 @@ FIGHT = """
 import os, sys, time
 from pathlib import Path
 from grmm_core.data.jobs import claim
-folder, rounds = Path(sys.argv[1]), int(sys.argv[2])
+path, rounds = Path(sys.argv[1]), int(sys.argv[2])
 print("ready", flush=True)
 sys.stdin.readline()
-for number in range(rounds):
-    while not (folder / f"go{number}").exists():
-        time.sleep(0.0005)
-    with claim(folder / f"{number}.lock") as mine:
+won = 0
+for _ in range(rounds):
+    with claim(path) as mine:
         if mine:
-            inside = folder / f"{number}.inside"
-            os.close(os.open(inside, os.O_CREAT | os.O_EXCL))  # fails where two are inside
-            time.sleep(0.002)
-            inside.unlink()
-    print("won" if mine else "lost", flush=True)
+            os.close(os.open(path.with_suffix(".inside"), os.O_CREAT | os.O_EXCL))  # fails where two are inside
+            time.sleep(0)
+            path.with_suffix(".inside").unlink()
+            won += 1
+print(won)
 """
 
 
 def test_of_processes_that_fight_for_a_claim_never_two_have_it(tmp_path):
-    """The file of a dead process lies there at the start of every round; owners come and go while others try."""
-    rounds, fighters = 60, [_start(FIGHT, tmp_path, 60) for _ in range(4)]
+    """A dead process's file lies there at the start; then owners come and go while others try."""
+    path = tmp_path / "a.lock"
+    path.write_text("{")
+    fighters = [_start(FIGHT, path, 3000) for _ in range(4)]
     for fighter in fighters:
         assert fighter.stdout.readline().strip() == "ready"
+    for fighter in fighters:
         fighter.stdin.write("\n")
         fighter.stdin.flush()
-    for number in range(rounds):
-        (tmp_path / f"{number}.lock").write_text("{")
-        (tmp_path / f"go{number}").touch()
-        assert "won" in [fighter.stdout.readline().strip() for fighter in fighters]
-    for fighter in fighters:
-        fighter.communicate()
-        assert fighter.returncode == 0
+    won = [fighter.communicate()[0].strip() for fighter in fighters]
+    assert [fighter.returncode for fighter in fighters] == [0] * 4
+    assert sum(map(int, won)) >= 3000  # whenever nobody has it, somebody gets it
+
+
+def test_one_of_the_processes_that_find_a_dead_ones_file_gets_it(tmp_path):
+    path = tmp_path / "a.lock"
+    for _ in range(3):
+        path.write_text("{")
+        others = [_start(CLAIM, path) for _ in range(4)]
+        answers = [other.stdout.readline().strip() for other in others]
+        assert sorted(answers) == ["False"] * 3 + ["True"]
+        for other in others:
+            other.kill()
+            other.communicate()
 
 
 def test_a_folder_that_cannot_be_written_is_explained(tmp_path):

@@ -42,16 +42,16 @@ def _take(path: Path) -> int | None:
             descriptor = os.open(path, os.O_CREAT | os.O_RDWR, 0o666)
             try:
                 ours = _lock(descriptor)
-                current = ours and _is_at(path, descriptor)
+                current = _is_at(path, descriptor)
             except OSError:
                 os.close(descriptor)
                 raise
-            if current:
+            if ours and current:
                 return descriptor
             os.close(descriptor)
-            if not ours:
+            if current:
                 return None
-            # the owner removed the file between our opening and our locking it: another may hold its successor
+            # an owner removed the file after we had opened it: what counts is its successor
     except OSError as error:
         raise FileAccessError(f"Cannot lock {path}: {describe_os_error(error)}; choose another folder.") from error
 

@@ -131,14 +131,16 @@ def test_equations_15_to_18_of_the_objective(model):
     camera = Camera.orbit(26, 22, yaw=15.0, distance=0.8)
     out = model.render(camera, **data, backend="torch")
     random = torch.Generator().manual_seed(3)
-    target = Target(torch.rand(22, 26, 3, generator=random, dtype=torch.float64))
+    metres = 0.8 + 0.1 * torch.rand(22, 26, generator=random, dtype=torch.float64)
+    metres[:, :9] = 0.0  # unknown there
+    target = Target(torch.rand(22, 26, 3, generator=random, dtype=torch.float64), depth=metres)
 
     def perceptual(a, b):
         return (a - b).square().mean().sqrt()
 
     laplacian = vertex_laplacian(torch.from_numpy(model.head_model.faces.copy()), model.head_model.vertex_count).double()
     codes = (data["z_id"], data["z_exp"])
-    loss, _ = total_loss(out, target, codes, laplacian, LossWeights(), True, perceptual)
+    loss, terms = total_loss(out, target, codes, laplacian, LossWeights(), True, perceptual)
 
     def L_rec(picture):  # eq. 16
         L_l1 = (picture - target.image).abs().mean()
@@ -152,7 +154,11 @@ def test_equations_15_to_18_of_the_objective(model):
     assert code_loss(*codes).item() == pytest.approx(L_z, rel=1e-9)
     rough = array(laplacian(out.displacement * 1e3))
     L_reg = 0.1 * l_s.mean() + 0.001 * L_z + 0.01 * (rough**2).sum(1).mean()  # eq. 17
-    expected = (L_rec(out.image) + L_rec(out.raw)).item() + L_reg  # eq. 15; without depth, which has tests of its own
+    known = (array(metres) > 0) & (array(out.alpha) > 0.5)
+    assert 0 < known.sum() < (array(out.alpha) > 0.5).sum()
+    L_depth = (((array(out.depth) - array(metres))[known] * 10.0) ** 2).mean()  # decimetres
+    assert terms["depth"].item() == pytest.approx(L_depth, rel=1e-9)
+    expected = (L_rec(out.image) + L_rec(out.raw)).item() + 0.5 * L_depth + L_reg  # eq. 15
     assert loss.item() == pytest.approx(expected, rel=1e-9)
 
 

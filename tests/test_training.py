@@ -12,9 +12,13 @@ from PIL import Image
 
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, RuntimeMissingError, TrainingError
 from grmm_core.model.weights import load_weights
+from grmm_core.training.checkpoint import load_checkpoint
 from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
 from grmm_core.training.curves import COLOURS, read_metrics, write_curves
+from grmm_core.training.curves import main as draw_curves
+from grmm_core.training.losses import TERMS, total_loss
 from grmm_core.training.optimise import MovingAverage, rate_factor
+from grmm_core.training.processes import mean_terms
 from grmm_core.training.trainer import CHECKPOINT, METRICS, Trainer
 from grmm_core.training.views import choose, crop_to_person, random_crop, shrink
 
@@ -95,6 +99,41 @@ def test_resume_repeats_the_run_exactly(head, source, tmp_path):
         torch.testing.assert_close(one, two, rtol=0, atol=0)
 
 
+def test_settings_that_differ_are_named(head, source, tmp_path):
+    first = Trainer(config(tensorboard=False), head, source, tmp_path)
+    first.step()
+    first.save()
+    same = Trainer(config(minutes=3.0, threads=1, preview_every=7), head, source, tmp_path)
+    assert same.resume()
+    assert same.differences == []
+    source.training = source.training[:6]
+    losses_then = {**LOSSES, "depth": 0.2, "l1": 0.8}  # 0.8 is the default
+    changed = train_config({"preset": "tiny"}, {"steps": 50, "warmup_steps": 5, **QUIET}, losses_then)
+    other = Trainer(changed, head, source, tmp_path)
+    assert other.resume()
+    assert other.differences == [
+        "steps 50 instead of 40", "depth 0.2 instead of 0.1", "6 training views instead of 8, in another order",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "device", ["cpu", pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device"))]
+)
+def test_the_optimiser_is_restored_where_it_was(head, source, tmp_path, device):
+    first = Trainer(config(), head, source, tmp_path, device, "torch" if device == "cpu" else "auto")
+    first.step()
+    first.save()
+    second = Trainer(config(), head, source, tmp_path, device, "torch" if device == "cpu" else "auto")
+    assert second.resume()
+    for name, parameter in first.parameters.items():
+        expected, found = first.optimiser.state[parameter], second.optimiser.state[second.parameters[name]]
+        assert expected.keys() == found.keys()
+        for key, value in expected.items():
+            assert (found[key].device, found[key].dtype, found[key].shape) == (value.device, value.dtype, value.shape)
+            assert torch.equal(found[key], value)
+    second.step()
+
+
 def test_two_views_average_their_gradients(head, source, tmp_path):
     pair = Trainer(config(views_per_step=2, clip_norm=0.0), head, source, tmp_path)
     pair.start()
@@ -103,8 +142,6 @@ def test_two_views_average_their_gradients(head, source, tmp_path):
     expected = None
     for view, background in views:
         pair.optimiser.zero_grad(set_to_none=True)
-        from grmm_core.training.losses import total_loss
-
         rendering, codes = pair.draw(view, background, True)
         total_loss(rendering, pair._target(view, background), codes, pair.laplacian, pair.loss_weights)[0].backward()
         gradient = pair.model.decoders.appearance_mean.grad.clone()
@@ -123,9 +160,45 @@ def test_a_loss_that_is_not_finite_keeps_the_checkpoint(head, source, tmp_path):
         trainer.model.decoders.appearance_mean.fill_(torch.nan)
         # non-finite Gaussians are not drawn, so the raw loss stays finite; the offsets' terms do not
         trainer.model.mesh_decoder.identity[-1].bias.fill_(torch.nan)
-    with pytest.raises(TrainingError, match="resume"):
+    with pytest.raises(TrainingError, match="--resume"):
         trainer.run()
     assert (tmp_path / CHECKPOINT).read_bytes() == kept
+    (tmp_path / CHECKPOINT).unlink()
+    with pytest.raises(TrainingError, match="start again"):
+        trainer.run()
+
+
+@pytest.mark.parametrize("clip_norm", [0.0, 1.0])
+def test_gradients_that_are_not_finite_keep_checkpoint_and_weights(head, source, tmp_path, clip_norm):
+    trainer = Trainer(config(checkpoint_every=1, clip_norm=clip_norm), head, source, tmp_path)
+    with pytest.raises(CancelledError):
+        trainer.run(should_stop=lambda: True)
+    kept = (tmp_path / CHECKPOINT).read_bytes()
+    weights = {name: value.detach().clone() for name, value in trainer.parameters.items()}
+    trainer.codes.register_hook(lambda gradient: gradient * torch.nan)
+    with pytest.raises(TrainingError, match="gradient is not finite at step 1"):
+        trainer.run()
+    assert (tmp_path / CHECKPOINT).read_bytes() == kept
+    assert all(torch.equal(trainer.parameters[name], value) for name, value in weights.items())
+
+
+def test_the_numbers_of_a_step_are_means_over_its_views(head, source, tmp_path):
+    pair = Trainer(config(views_per_step=2, clip_norm=0.0), head, source, tmp_path)
+    pair.start()
+    singles = []
+    for view, background in (choose(pair.config, source, 0, place, 0.0) for place in (0, 1)):
+        rendering, codes = pair.draw(view, background, True)
+        target = pair._target(view, background)
+        loss, terms = total_loss(rendering, target, codes, pair.laplacian, pair.loss_weights)
+        singles.append({"loss": float(loss.detach()), **{name: float(value) for name, value in terms.items()}})
+    numbers = pair.step()
+    assert set(singles[0]) - {"loss"} <= set(TERMS)
+    for name, value in singles[0].items():
+        assert numbers[name] == pytest.approx((value + singles[1][name]) / 2, rel=1e-5)
+    assert numbers["gradient_norm"] > 0
+    assert mean_terms([{"loss": 1.0, "depth": 3.0}, {"loss": 2.0}], ("loss", "depth", "alpha"), torch.device("cpu")) == {
+        "loss": 1.5, "depth": 3.0,
+    }  # fmt: skip
 
 
 def test_damaged_and_foreign_checkpoints_are_refused(head, source, tmp_path):
@@ -134,13 +207,16 @@ def test_damaged_and_foreign_checkpoints_are_refused(head, source, tmp_path):
     trainer.step()
     trainer.save()
     path = tmp_path / CHECKPOINT
-    other = Trainer(config(), head, source, tmp_path)
-    other.source.people = ("red", "green")
+    strangers = ColouredSpheres()
+    strangers.people = ("red", "green")
     with pytest.raises(ConfigError, match="people"):
-        other.resume()
-    larger = train_config({"preset": "tiny", "z_exp": 7}, QUIET, LOSSES)
-    with pytest.raises(FileFormatError, match="fit"):
-        Trainer(larger, head, source, tmp_path).resume()
+        Trainer(config(), head, strangers, tmp_path).resume()
+    larger = Trainer(train_config({"preset": "tiny", "z_exp": 7}, QUIET, LOSSES), head, source, tmp_path)
+    with pytest.raises(ConfigError, match="z_exp 7 instead of 5"):
+        larger.resume()
+    averages = dict(zip(larger.parameters, larger.average.values, strict=True))
+    with pytest.raises(FileFormatError, match="fit"):  # a checkpoint whose tensors are not what its settings say
+        load_checkpoint(path, larger.parameters, larger.optimiser, averages)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(FileFormatError):
         Trainer(config(), head, source, tmp_path).resume()
@@ -155,10 +231,31 @@ def test_unusable_folder_and_empty_data_are_explained(head, source, tmp_path):
         Trainer(config(), head, source, tmp_path)
 
 
+def forget(trainer):
+    """Let the next step fail."""
+    with torch.no_grad():
+        trainer.model.mesh_decoder.identity[-1].bias.fill_(torch.nan)
+
+
+def scalars(folder, name):
+    """Steps of a TensorBoard curve."""
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(folder))
+    events.Reload()
+    return [event.step for event in events.Scalars(name)]
+
+
 def test_curves_for_tensorboard(head, source, tmp_path, monkeypatch):
     if importlib.util.find_spec("tensorboard") is not None:
-        Trainer(config(tensorboard=True, steps=2), head, source, tmp_path).run()
-        assert list(tmp_path.glob("events.*"))
+        trainer = Trainer(config(tensorboard=True, steps=4, checkpoint_every=2), head, source, tmp_path)
+        with pytest.raises(TrainingError):
+            trainer.run(on_step=lambda numbers: forget(trainer) if numbers["step"] == 3 else None)
+        second = Trainer(config(tensorboard=True, steps=4), head, source, tmp_path)
+        assert second.resume()
+        second.run()
+        assert second.curves is None  # closed
+        assert scalars(tmp_path, "loss") == [1, 2, 3, 4]
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)  # not installed, or without what it needs
     with pytest.raises(RuntimeMissingError, match="pip install tensorboard"):
         Trainer(config(tensorboard=True), head, source, tmp_path)
@@ -183,6 +280,16 @@ def test_curves_are_drawn_of_what_was_logged(head, source, tmp_path):
     (tmp_path / "metrics.jsonl").write_text('{"step": 1}\n')
     with pytest.raises(FileFormatError, match=r"metrics\.jsonl"):
         read_metrics(tmp_path / "metrics.jsonl")
+    (tmp_path / "metrics.jsonl").write_text("")
+    with pytest.raises(FileFormatError, match="no steps"):
+        read_metrics(tmp_path / "metrics.jsonl")
+
+
+def test_curves_of_a_missing_file_are_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["curves", str(tmp_path / "missing.jsonl"), "-o", str(tmp_path / "c.png")])
+    with pytest.raises(SystemExit, match=r"missing\.jsonl does not exist") as stop:
+        draw_curves()
+    assert stop.value.__cause__ is None
 
 
 def test_every_view_is_used_once_an_epoch(source):
@@ -242,6 +349,11 @@ def test_moving_average_and_rates():
 @pytest.mark.parametrize("path", sorted(CONFIG_FOLDER.glob("*.toml")), ids=lambda p: p.stem)
 def test_the_projects_configurations_load(path):
     assert load_config(path.stem).model.name in ("small", "paper", "base")
+
+
+def test_a_name_that_is_no_configuration_gets_the_known_ones():
+    with pytest.raises(FileAccessError, match=r"'smal'.*paper, person, small, small_no_residuals"):
+        load_config("smal")
 
 
 @pytest.mark.parametrize(

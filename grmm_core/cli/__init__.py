@@ -67,6 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_ERROR
     except Exception as error:  # noqa: BLE001 - the last line of defence: no traceback unless it is asked for
+        if _out_of_gpu_memory(error):
+            return _fail(args, console, "The graphics card has not enough memory; choose a smaller size or --device cpu.")
         return _fail(args, console, f"Internal error ({type(error).__name__}: {error}); run again with --debug and report it.")
     return EXIT_OK
 
@@ -86,6 +88,12 @@ def build_parser() -> tuple[argparse.ArgumentParser, dict[str, ModuleType]]:
         command.add_argument("--json", action="store_true", help="print the result as one JSON object on stdout")
         command.add_argument("--debug", action="store_true", help="show log messages, and tracebacks of errors")
     return parser, modules
+
+
+def _out_of_gpu_memory(error: Exception) -> bool:
+    """Whether torch found a graphics card full; torch is not imported for the question."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(error, torch.OutOfMemoryError)
 
 
 def _fail(args: argparse.Namespace, console: Console, message: str) -> int:

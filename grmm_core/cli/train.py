@@ -10,7 +10,8 @@ from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from ..avatar import EXTENSION
-from ..errors import ConfigError
+from ..errors import CancelledError, ConfigError
+from .console import Console
 
 if TYPE_CHECKING:
     from ..training.trainer import Trainer
@@ -25,7 +26,9 @@ def add_parser(subparsers: Any) -> None:
         help="train a model on captured data",
         description="Train a model. Ctrl-C saves a checkpoint, --resume continues. Processes: torchrun -m grmm_core train.",
     )
-    parser.add_argument("config", metavar="CONFIG", help="TOML file, or one of the project's: small, person, paper")
+    parser.add_argument(
+        "config", metavar="CONFIG", help="TOML file, or one of the project's: small, small_no_residuals, person, paper"
+    )
     parser.add_argument(
         "--data", nargs="+", metavar="DIR", required=True,
         help="data sets of grmm capture, or of VHAP, RenderMe-360, NeRSemble (found by looking at the folder)",
@@ -43,8 +46,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--default-person", metavar="NAME", help="person who becomes the default avatar; else the mean")
 
 
-def run(args: argparse.Namespace) -> dict[str, Any]:
-    """Train, and write the weights at the end. Raises `GrmmError`s."""
+def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
+    """Train, and write the weights at the end; of several processes the first one alone says so. Raises `GrmmError`s."""
     from ..head import load_flame
     from ..training.capture import capture_views
     from ..training.config import load_config
@@ -57,12 +60,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if (Path(args.out) / CHECKPOINT).exists() and not args.resume:
         raise ConfigError(f"{args.out} holds a checkpoint already; add --resume or choose another folder with --out.")
     trainer = Trainer(config, head, source, args.out, _device(args.device))
-    if args.resume and trainer.resume():
-        args.console.message(f"Continuing after step {trainer.step_count}.")
+    console = args.console if trainer.rank == 0 else Console(as_json=True)  # silent
+    if args.resume:
+        console.message(_continued(trainer) if trainer.resume() else f"There is no checkpoint in {args.out}; starting anew.")
     stop = _StopOnInterrupt()
     recent: dict[str, float] = {}
 
-    with stop, args.console.progress("training", 1000) as bar:
+    with stop, console.progress("training", 1000) as bar:
 
         def show(metrics: dict[str, float]) -> None:
             recent.update(metrics)
@@ -70,18 +74,29 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             show.done = int(1000 * trainer.progress)
 
         show.done = 0
-        trainer.run(lambda: stop.requested, show)
+        try:
+            trainer.run(lambda: stop.requested, show)
+        except CancelledError:
+            if trainer.rank == 0:
+                raise
+            return 1
+    if trainer.rank:
+        return None
     path = Path(args.out) / (f"{config.person}{EXTENSION}" if config.person else f"{config.name}.safetensors")
-    if trainer.rank == 0:
-        if config.person:
-            _write_person(trainer, path, args.name or config.person, args.licence)
-        else:
-            provenance = {"seed": config.seed, "steps": trainer.step_count, "hours": round(trainer.seconds / 3600, 3)}
-            provenance |= {"data": [Path(d).name for d in args.data], "views": len(source.training)}
-            trainer.save_weights(path, provenance, person)
-        args.console.line(f"Wrote {path} after {trainer.step_count} steps, {trainer.seconds / 60:.1f} minutes.")
+    if config.person:
+        _write_person(trainer, path, args.name or config.person, args.licence)
+    else:
+        provenance = {"seed": config.seed, "steps": trainer.step_count, "hours": round(trainer.seconds / 3600, 3)}
+        provenance |= {"data": [Path(d).name for d in args.data], "views": len(source.training)}
+        trainer.save_weights(path, provenance, person)
+    console.line(f"Wrote {path} after {trainer.step_count} steps, {trainer.seconds / 60:.1f} minutes.")
     kind = "avatar" if config.person else "weights"
     return {kind: str(path), "steps": trainer.step_count, "seconds": trainer.seconds, **recent}
+
+
+def _continued(trainer: Trainer) -> str:
+    changes = "; ".join(trainer.differences)
+    return f"Continuing after step {trainer.step_count}" + (f", not as it began: {changes}." if changes else ".")
 
 
 def _write_person(trainer: Trainer, path: Path, name: str, licence: str) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -70,8 +70,16 @@ def load_checkpoint(
     parameters: dict[str, Tensor],
     optimiser: torch.optim.Optimizer,
     averages: dict[str, Tensor],
+    check: Callable[[dict[str, Any]], None] | None = None,
 ) -> dict[str, Any]:
     """Restore parameters, optimiser, averages and random state in place.
+
+    Args:
+        path: Checkpoint.
+        parameters: By name.
+        optimiser: Adam over (some of) these parameters.
+        averages: Moving averages by parameter name; may be empty.
+        check: Called with the state before anything is changed; may raise.
 
     Returns:
         The state given to `save_checkpoint`.
@@ -84,6 +92,8 @@ def load_checkpoint(
     state = read_state(metadata)
     if state is None:
         raise FileFormatError(f"{path} is not a checkpoint that this version reads; start the training anew in another folder.")
+    if check is not None:
+        check(state)
 
     def array(name: str, like: Tensor | None) -> Tensor:
         value = tensors.get(name)
@@ -109,7 +119,10 @@ def load_checkpoint(
     for name, values in moments.items():
         if values:
             device = parameters[name].device
-            optimiser.state[parameters[name]] = {k: v if k == "step" else v.to(device) for k, v in values.items()}
+            # a fused Adam counts steps where the parameter is, another one on the CPU
+            optimiser.state[parameters[name]] = {
+                k: v if k == "step" and not optimiser.defaults.get("fused") else v.to(device) for k, v in values.items()
+            }
     torch.set_rng_state(rng)
     return state
 

@@ -11,18 +11,24 @@ import json
 import math
 import os
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..errors import ConfigError
+from ..errors import ConfigError, FileAccessError
 from ..files import read_bytes
 from ..model.config import PRESETS, GRMMConfig
+from .losses import LossWeights
 
 CONFIG_FOLDER = Path(__file__).resolve().parent / "configs"
 PRECISIONS = ("float32", "bfloat16")
 _MAX_FILE_BYTES = 1 << 20
+# what a resumed run may change without becoming another one: when it ends, what it uses, what it shows
+_FREE = {
+    "minutes", "threads", "checkpoint_every", "preview_every", "evaluate_every", "evaluate_views", "refresh_every",
+    "tensorboard", "name",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -136,7 +142,10 @@ def load_config(source: str | os.PathLike[str], overrides: Mapping[str, Any] | N
     """
     path = Path(source)
     named = CONFIG_FOLDER / f"{source}.toml"
-    if not path.exists() and named.exists():
+    if not path.exists():
+        if not named.exists():
+            known = ", ".join(sorted(file.stem for file in CONFIG_FOLDER.glob("*.toml")))
+            raise FileAccessError(f"There is no configuration {str(source)!r}; choose a TOML file, or one of {known}.")
         path = named
     try:
         values = tomllib.loads(read_bytes(path, _MAX_FILE_BYTES).decode("utf-8"))
@@ -163,3 +172,32 @@ def train_config(model: Mapping[str, Any], training: Mapping[str, Any], losses: 
         if isinstance(value, bool) != (known[name] == "bool") or not isinstance(value, kinds[known[name]]):
             raise ConfigError(f"The training setting {name} is {value!r}; it must be of type {known[name]}.")
     return TrainConfig(config, dict(losses), **training)
+
+
+def changed_settings(earlier: object, config: TrainConfig, tables: Sequence[str]) -> list[str]:
+    """Settings that differ from those of an earlier run, in words, without those that any run may change (`minutes`, previews).
+
+    Args:
+        earlier: What `TrainConfig.to_json` returned then; anything else has no settings to compare.
+        config: Of now.
+        tables: Which to compare of model, training and losses.
+    """
+    try:
+        then = json.loads(earlier) if isinstance(earlier, str) else {}
+    except ValueError:
+        then = {}
+    then, now = _tables(then), _tables(json.loads(config.to_json()))
+    return [
+        f"{name} {now[table][name]!r} instead of {value!r}"
+        for table in tables
+        for name, value in sorted(then[table].items())
+        if name in now[table] and now[table][name] != value and name not in _FREE
+    ]
+
+
+def _tables(values: object) -> dict[str, dict[str, Any]]:
+    """The tables of a configuration as JSON; loss weights that are not given are their defaults."""
+    values = values if isinstance(values, dict) else {}
+    model, losses = (values.get(name) if isinstance(values.get(name), dict) else {} for name in ("model", "losses"))
+    training = {name: value for name, value in values.items() if name not in ("model", "losses")}
+    return {"model": model, "training": training, "losses": dataclasses.asdict(LossWeights()) | losses if values else {}}

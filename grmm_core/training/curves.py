@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ..errors import FileFormatError
+from ..errors import FileFormatError, GrmmError
+from ..files import read_bytes
 from ..images import write_png
 
 WIDTH, PANEL, MARGIN = 900, 260, 56
@@ -44,14 +45,21 @@ class Curve:
 
 
 def read_metrics(path: Path) -> list[dict[str, float]]:
-    """Rows of a metrics file. Raises `FileFormatError` where a line is not an object of numbers with a step."""
+    """Rows of a metrics file.
+
+    Raises:
+        FileAccessError: It is missing or cannot be read.
+        FileFormatError: It has no line, or one that is not an object of numbers with a step.
+    """
     rows = []
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in read_bytes(path).decode("utf-8", "replace").splitlines():
         try:
             row = {str(name): float(value) for name, value in json.loads(line).items()}
             rows.append(row | {"step": row["step"], "loss": row["loss"]})
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise FileFormatError(f"{path} is not a metrics file of grmm train; choose RUN/metrics.jsonl.") from error
+    if not rows:
+        raise FileFormatError(f"{path} holds no steps; choose a run that has done some.")
     return rows
 
 
@@ -131,7 +139,10 @@ def main() -> None:
     parser.add_argument("metrics", nargs="+", type=Path, help="metrics.jsonl of each run")
     parser.add_argument("-o", "--output", type=Path, required=True, help="PNG file")
     arguments = parser.parse_args()
-    write_curves([read_metrics(path) for path in arguments.metrics], arguments.output)
+    try:
+        write_curves([read_metrics(path) for path in arguments.metrics], arguments.output)
+    except GrmmError as error:
+        raise SystemExit(f"curves: {error}") from None
 
 
 if __name__ == "__main__":

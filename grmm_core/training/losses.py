@@ -25,6 +25,12 @@ SCALE_MIN_MM, SCALE_MAX_MM = 0.1, 10.0  # eq. 18
 _SCALE_EPSILON = 1e-7
 _MM_PER_METRE = 1e3
 
+TERMS = (
+    "raw_l1", "raw_ssim", "raw_perceptual", "image_l1", "image_ssim", "image_perceptual", "depth", "alpha", "scale", "code",
+    "laplacian", "position", "rotation", "log_scale",
+)  # fmt: skip
+"""Names of all terms that `total_loss` can return."""
+
 Perceptual = Callable[[Tensor, Tensor], Tensor]
 
 
@@ -36,7 +42,7 @@ class LossWeights:
 
     Attributes:
         l1, ssim, perceptual: Of the reconstruction loss, eq. 16, applied to the refined and to the splatted picture.
-        depth: Squared depth error, millimetres scaled to decimetres, see `depth_loss`.
+        depth: Mean squared depth error in squared decimetres (metres times 10), see `depth_loss`.
         scale: Range of the Gaussians' sizes, eq. 18.
         code: Squared length of z_id and z_exp.
         laplacian: Smoothness of the learned displacement.

@@ -6,9 +6,9 @@
     trainer.save_weights(path)
 
 A step renders `views_per_step` views, averages their gradients, and updates parameters with Adam. Several processes started
-by ``torchrun`` share the views of a step and average gradients, so that they do what one process would. Metrics go to
-``metrics.jsonl``, sheets to ``preview_*.png``, their curves to ``curves.png``, checkpoints to ``checkpoint.safetensors``, all
-in the run's folder.
+by ``torchrun`` share the views of a step and average gradients, so that they do what one process would (`processes`). Metrics
+go to ``metrics.jsonl``, sheets to ``preview_*.png``, their curves to ``curves.png``, checkpoints to
+``checkpoint.safetensors``, all in the run's folder.
 
 Used by the command line.
 """
@@ -18,6 +18,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
+import math
 import os
 import time
 from collections.abc import Callable
@@ -33,13 +34,14 @@ from ..files import describe_os_error
 from ..model.grmm import GRMM, Rendering
 from ..model.weights import WeightsInfo, head_fingerprint, save_weights
 from .checkpoint import load_checkpoint, save_checkpoint, tidy
-from .config import TrainConfig
+from .config import TrainConfig, changed_settings
 from .initialise import initialise_colours
-from .losses import Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
+from .losses import TERMS, Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
 from .optimise import MovingAverage, parameter_groups, rate_factor
 from .perceptual import load_perceptual
 from .personal import begin, of_the_weights
 from .precision import use_precision
+from .processes import add_gradients, anybody, join, mean_terms
 from .views import View, ViewSource, choose, shrink
 from .warm_start import warm_start
 
@@ -86,12 +88,16 @@ class Trainer:
             raise FileAccessError(f"Cannot use the folder {folder}: {describe_os_error(error)}; choose another.") from error
         if config.threads:
             torch.set_num_threads(config.threads)
-        self.rank, self.world = _processes(device)
+        self.rank, self.world = join(device)
         if config.views_per_step % self.world:
             raise ConfigError(f"views_per_step {config.views_per_step} must be a multiple of the {self.world} processes.")
         if self.world > 1 and config.minutes:
             raise ConfigError("Several processes cannot follow the clock; set steps, and minutes to 0.")
-        self.curves = _tensorboard(self.folder) if config.tensorboard and self.rank == 0 else None
+        if self.world > 1 and config.refresh_every:
+            raise ConfigError("Several processes cannot follow a capture; wait until it is complete and leave out --follow.")
+        self.curves: Any = None  # opened with the first numbers, when it is known after which step they are written
+        if config.tensorboard:
+            _tensorboard()
         torch.manual_seed(config.seed)
         self.model = GRMM(head, config.model).to(device)
         use_precision(self.model, config.precision)
@@ -115,6 +121,7 @@ class Trainer:
             parameter_groups(self.model, self.codes, config), betas=(config.beta1, config.beta2), fused=True
         )
         self.average = MovingAverage(self.parameters.values(), config.ema, config.ema_every) if config.ema else None
+        self.differences: list[str] = []  # of a resumed run from the one that wrote the checkpoint, in words
         self.step_count = 0
         self.seconds = 0.0
         self.started = bool(self.base)  # one person's run begins above: a resumed one needs the frozen parts too
@@ -133,7 +140,7 @@ class Trainer:
         """Train to the end of the schedule; ends with a checkpoint.
 
         Args:
-            should_stop: Asked after each step; True saves a checkpoint and ends.
+            should_stop: Asked after each step; True saves a checkpoint and ends, in all processes where one says so.
             on_step: Called with the numbers of each step.
 
         Raises:
@@ -141,6 +148,16 @@ class Trainer:
             TrainingError: The loss is not finite. The last checkpoint is kept as it was.
             FileAccessError: Disk full or not writable.
         """
+        try:
+            self._run(should_stop, on_step)
+        finally:
+            if self.curves is not None:
+                self.curves.close()
+                self.curves = None
+
+    def _run(
+        self, should_stop: Callable[[], bool] | None, on_step: Callable[[dict[str, float]], None] | None
+    ) -> None:  # fmt: skip
         self.start()
         c = self.config
         while self.progress < 1.0:
@@ -157,7 +174,7 @@ class Trainer:
             self._log(metrics)
             if self.rank == 0 and c.preview_every and (n % c.preview_every == 0 or ends):
                 self._preview()
-            stopped = should_stop is not None and should_stop()
+            stopped = anybody(should_stop is not None and should_stop(), self.model.device)
             if self.rank == 0 and ((c.checkpoint_every and n % c.checkpoint_every == 0) or ends or stopped):
                 self.save()
             if stopped and not ends:
@@ -188,7 +205,7 @@ class Trainer:
         refined = self.model.refinement is not None and progress >= c.refine_from
         self.optimiser.zero_grad(set_to_none=True)
         share = c.views_per_step // self.world
-        total, terms = 0.0, {}
+        rows: list[dict[str, Tensor]] = []
         for place in range(self.rank * share, (self.rank + 1) * share):
             view, background = choose(c, self.source, n, place, progress)
             rendering, codes = self.draw(view, background, refined)
@@ -197,15 +214,13 @@ class Trainer:
             )
             value = float(loss.detach())
             if not np.isfinite(value):
-                raise TrainingError(
-                    f"The loss is {value} at step {n} ({view.name}); lower the learning rates and resume the last checkpoint."
-                )
+                raise TrainingError(f"The loss is {value} at step {n} ({view.name}); {self._way_out()}.")
             (loss / c.views_per_step).backward()
-            total += value / share
-        self._average_gradients()
-        norm = torch.nn.utils.clip_grad_norm_(self.parameters.values(), c.clip_norm) if c.clip_norm else torch.zeros(())
+            rows.append({"loss": loss.detach(), **terms})
+        add_gradients(self.parameters.values())
+        norm = torch.nn.utils.clip_grad_norm_(self.parameters.values(), c.clip_norm or math.inf)  # infinity clips nothing
         if not bool(torch.isfinite(norm)):
-            raise TrainingError(f"A gradient is not finite at step {n}; lower the rates and resume the last checkpoint.")
+            raise TrainingError(f"A gradient is not finite at step {n}; {self._way_out()}.")
         factor = rate_factor(c, n, progress)
         for group in self.optimiser.param_groups:
             group["lr"] = group["peak"] * factor
@@ -214,9 +229,11 @@ class Trainer:
         if self.average:
             self.average.update(self.step_count)
         self.seconds += time.perf_counter() - begin
-        numbers = {"step": float(self.step_count), "loss": total, "gradient_norm": float(norm), "rate": factor}
+        views = [dict(zip(row, torch.stack([*row.values()]).tolist(), strict=True)) for row in rows]
+        means = mean_terms(views, ("loss", *TERMS), self.model.device)
+        numbers = {"step": float(self.step_count), "loss": means.pop("loss"), "gradient_norm": float(norm), "rate": factor}
         numbers |= {"seconds": self.seconds, "progress": self.progress}
-        return numbers | {name: float(value) for name, value in terms.items()}
+        return numbers | means
 
     def draw(self, view: View, background: np.ndarray | None, refined: bool) -> tuple[Rendering, tuple[Tensor, Tensor]]:
         """Render a view's person, expression and camera. Returns the rendering and the codes z_id and z_exp."""
@@ -238,15 +255,10 @@ class Trainer:
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32, device=self.model.device)
 
-    def _average_gradients(self) -> None:
-        """Add up the processes' gradients (each is divided by the views of the whole step already)."""
-        if self.world == 1:
-            return
-        gradients = [p.grad if p.grad is not None else torch.zeros_like(p) for p in self.parameters.values()]
-        flat = torch.cat([g.reshape(-1) for g in gradients])
-        torch.distributed.all_reduce(flat)
-        for parameter, part in zip(self.parameters.values(), flat.split([g.numel() for g in gradients]), strict=True):
-            parameter.grad = part.view_as(parameter).clone()
+    def _way_out(self) -> str:
+        """What to do about numbers that are not finite."""
+        kept = (self.folder / CHECKPOINT).exists()
+        return "lower the learning rates and " + ("continue from the last checkpoint with --resume" if kept else "start again")
 
     # --- judging ---------------------------------------------------------------------------------------------------
 
@@ -295,22 +307,37 @@ class Trainer:
         """Write the checkpoint. Raises `FileAccessError`; an earlier checkpoint is then intact."""
         averages = dict(zip(self.parameters, self.average.values, strict=True)) if self.average else {}
         state = {"step": self.step_count, "seconds": self.seconds, "people": self.source.people}
-        state["config"] = self.config.to_json()
+        state |= {"views": len(self.source.training), "config": self.config.to_json()}
         save_checkpoint(self.folder / CHECKPOINT, self.parameters, self.optimiser, averages, state)
 
     def resume(self) -> bool:
-        """Continue from the folder's checkpoint; False where there is none. Raises `FileFormatError` for a damaged one."""
+        """Continue from the folder's checkpoint; `differences` then says in what this run is not the one that wrote it.
+
+        Returns:
+            False where there is no checkpoint.
+
+        Raises:
+            FileFormatError: It is damaged.
+            ConfigError: It is of other people, or of a model of other sizes.
+        """
         path = self.folder / CHECKPOINT
         if not path.exists():
             return False
         averages = dict(zip(self.parameters, self.average.values, strict=True)) if self.average else {}
-        state = load_checkpoint(path, self.parameters, self.optimiser, averages)
-        if tuple(state.get("people", ())) != tuple(self.source.people):
-            raise ConfigError("The checkpoint is of other people than this data set has; use its data or another folder.")
+        state = load_checkpoint(path, self.parameters, self.optimiser, averages, self._check)
+        self.differences = _differences(state, self.config, len(self.source.training))
         self.step_count, self.seconds, self.started = int(state["step"]), float(state["seconds"]), True
         if self.rank == 0:
             tidy(self.folder, METRICS, self.step_count)
         return True
+
+    def _check(self, state: dict[str, Any]) -> None:
+        """Refuse a checkpoint that is not of this model and these people. Raises `ConfigError`."""
+        if tuple(state.get("people", ())) != tuple(self.source.people):
+            raise ConfigError("The checkpoint is of other people than this data set has; use its data or another folder.")
+        sizes = "; ".join(changed_settings(state.get("config"), self.config, ("model",)))
+        if sizes:
+            raise ConfigError(f"This is not the model of the checkpoint ({sizes}); use its configuration or another folder.")
 
     def save_weights(self, path: str | os.PathLike[str], provenance: dict[str, Any], default_person: int | None = None) -> None:
         """Write the averaged weights.
@@ -337,7 +364,9 @@ class Trainer:
     def _log(self, metrics: dict[str, float]) -> None:
         if self.rank:
             return
-        if self.curves is not None:
+        if self.config.tensorboard:
+            if self.curves is None:  # what an earlier process wrote of the steps from here on is done again
+                self.curves = _tensorboard()(str(self.folder), purge_step=self.step_count)
             for name, value in metrics.items():
                 self.curves.add_scalar(name, value, self.step_count)
         try:
@@ -347,6 +376,12 @@ class Trainer:
             raise FileAccessError(
                 f"Cannot write {self.folder / METRICS}: {describe_os_error(error)}; free some space."
             ) from error
+
+
+def _differences(state: dict[str, Any], config: TrainConfig, views: int) -> list[str]:
+    known = state.get("views", views)
+    more = [f"{views} training views instead of {known}, in another order"] if known != views else []
+    return changed_settings(state.get("config"), config, ("training", "losses")) + more
 
 
 @dataclasses.dataclass
@@ -362,21 +397,12 @@ class _Averaged:
             self.average.swap()
 
 
-def _tensorboard(folder: Path) -> Any:
-    """A writer of TensorBoard files. Raises `RuntimeMissingError` where the package is missing."""
+def _tensorboard() -> Any:
+    """The class that writes TensorBoard files. Raises `RuntimeMissingError` where the package is missing."""
     try:
         from torch.utils.tensorboard import SummaryWriter
     except ImportError as error:
         raise RuntimeMissingError(
             "TensorBoard is not installed or not complete; run pip install tensorboard, or switch the setting off."
         ) from error
-    return SummaryWriter(str(folder))
-
-
-def _processes(device: str) -> tuple[int, int]:
-    """Rank and number of processes; starts torch's process group under ``torchrun``."""
-    if "WORLD_SIZE" not in os.environ or int(os.environ["WORLD_SIZE"]) == 1:
-        return 0, 1
-    if not torch.distributed.is_initialized():
-        torch.distributed.init_process_group("nccl" if str(device).startswith("cuda") else "gloo")
-    return torch.distributed.get_rank(), torch.distributed.get_world_size()
+    return SummaryWriter

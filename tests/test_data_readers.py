@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from fractions import Fraction
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -116,6 +118,39 @@ def test_broken_vhap_exports_are_explained(head, tmp_path):
         dataset.picture(shot, shot.views[0])
     np.savez(folder / "flame_param" / "00000.npz", expr=np.zeros((1, 100)))
     with pytest.raises(FileFormatError, match="translation"):
+        open_dataset(folder, head)
+
+
+def test_grey_pictures_of_an_export(head, tmp_path):
+    folder = write_vhap(tmp_path / "x")
+    (folder / "images" / "00000_00.png").write_bytes(png(102, "L"))
+    dataset = open_dataset(folder, head)
+    shot = dataset.shots[0]
+    picture = dataset.picture(shot, shot.views[0])
+    assert picture.rgb.shape == (HEIGHT, WIDTH, 3)
+    np.testing.assert_allclose(picture.rgb, 0.4, atol=1e-6)
+    np.testing.assert_allclose(picture.mask, 0.2, atol=1e-6)
+    path = folder / "transforms_train.json"
+    values = json.loads(path.read_text())
+    for frame in values["frames"]:
+        del frame["fg_mask_path"]
+    path.write_text(json.dumps(values))
+    dataset = open_dataset(folder, head)
+    shot = dataset.shots[0]
+    with pytest.raises(FileFormatError, match=r"00000_00\.png has no mask"):
+        dataset.picture(shot, shot.views[0])
+    (folder / "images" / "00000_00.png").write_bytes(png(51, "LA"))  # grey with a mask of its own
+    np.testing.assert_allclose(dataset.picture(shot, shot.views[0]).mask, 0.2, atol=1e-6)
+
+
+@pytest.mark.parametrize("value", ["first", None, [0], 0.5, float("inf"), float("nan")])
+def test_moments_of_an_export_are_whole_numbers(head, tmp_path, value):
+    folder = write_vhap(tmp_path / "x")
+    path = folder / "transforms_train.json"
+    values = json.loads(path.read_text())
+    values["frames"][1]["timestep_index"] = value
+    path.write_text(json.dumps(values))
+    with pytest.raises(FileFormatError, match=r"transforms_train\.json: the timestep_index of frame 1 is not a whole number"):
         open_dataset(folder, head)
 
 
@@ -255,6 +290,36 @@ def test_broken_nersemble_is_explained(head, tmp_path):
     calibration.write_text(json.dumps({"world_2_cam": {}, "intrinsics": {}}))
     with pytest.raises(FileFormatError, match="VHAP"):
         open_dataset(folder, head)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("frames", np.arange(2)), ("scale", np.zeros(0)), ("jaw", np.float32(0)), ("expression", np.float32(0))],
+)
+def test_arrays_of_nersemble_are_checked(head, tmp_path, name, values):
+    pytest.importorskip("av")
+    folder = write_nersemble(tmp_path / "nersemble")
+    path = folder / "mono_flame_avatar" / "393" / "sequences" / "EXP-4-lips" / "tracking" / "flame2023_tracking.npz"
+    with np.load(path) as arrays:
+        changed = dict(arrays) | {name: values}
+    np.savez(path, **changed)
+    with pytest.raises(FileFormatError, match="has a wrong shape"):
+        open_dataset(folder, head)
+
+
+def test_videos_without_times_are_explained(tmp_path):
+    pytest.importorskip("av")
+    from grmm_core.data.readers_nersemble import _Videos
+
+    for rate, words in ((None, "how many frames a second"), (25, "frames without a time")):
+        stream = SimpleNamespace(average_rate=rate, time_base=Fraction(1, 25), start_time=None)
+        container = SimpleNamespace(
+            streams=SimpleNamespace(video=[stream]), seek=lambda *_, **__: None, decode=lambda _: [SimpleNamespace(pts=None)]
+        )
+        videos = _Videos()
+        videos._open[tmp_path / "a.mp4"] = container
+        with pytest.raises(FileFormatError, match=words):
+            videos.frame(tmp_path / "a.mp4", 0)
 
 
 # --- all of them -----------------------------------------------------------------------------------------------------

@@ -20,18 +20,23 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
 from ..camera import Camera
 from ..errors import FileAccessError, FileFormatError, ShapeError
+from ..expressions import ALIGNED_NAMES
 from ..files import atomic_write_bytes, describe_os_error, read_bytes
 from ..npz import read_npz
 
 FORMAT = "grmm-capture"
 VERSION = 1
 DEPTH_UNIT = 1e-4  # metres
+POSE_SHAPE = (5, 3)
+MAX_SHAPE_BYTES = 1 << 20
 TRAIN, HELD_OUT_PERSON, HELD_OUT_EXPRESSION, HELD_OUT_CAMERA = "train", "person", "expression", "camera"
 SPLITS = (TRAIN, HELD_OUT_PERSON, HELD_OUT_EXPRESSION, HELD_OUT_CAMERA)
 
@@ -139,8 +144,11 @@ def read_manifest(folder: str | Path) -> Manifest:
             f"{folder} is a capture of version {values.get('version')}, this program reads {VERSION}; update it."
         )
     try:
-        return Manifest(values["head"], list(values["subjects"]), dict(values["settings"]), list(values["held_out_people"]))
-    except (KeyError, TypeError) as error:
+        people = [list(map(str, values[key])) for key in ("subjects", "held_out_people")]
+        if len(set(people[0])) < len(people[0]):
+            raise ValueError("a person is listed twice")
+        return Manifest(values["head"], people[0], dict(values["settings"]), people[1])
+    except (KeyError, TypeError, ValueError) as error:
         raise FileFormatError(f"{path} is damaged ({error}); capture again into an empty folder.") from error
 
 
@@ -217,10 +225,18 @@ class CaptureDataset:
         self.refresh()
 
     def refresh(self) -> None:
-        """Read records again; a running capture adds some."""
-        self.shots = [
-            _read_shot(p) for name in self.manifest.subjects for p in sorted((self.folder / "shots" / name).glob("????.json"))
-        ]
+        """Read records again; a running capture adds some. Raises `FileFormatError` naming a record that cannot be used."""
+        shots = []
+        for name in self.manifest.subjects:
+            for path in sorted((self.folder / "shots" / name).glob("????.json")):
+                shots.append(_read_shot(path))
+                count, usual = len(shots[-1].expression), len(shots[0].expression)
+                if count != usual:
+                    raise FileFormatError(
+                        f"{path} has {count} expression coefficients and the first shot {usual}; delete it and run the capture "
+                        "again."
+                    )
+        self.shots = shots
 
     @property
     def subjects(self) -> list[str]:
@@ -229,12 +245,20 @@ class CaptureDataset:
         return [name for name in self.manifest.subjects if name in present]
 
     def shape(self, subject: str) -> np.ndarray:
-        """Shape coefficients of a person, [S]."""
-        data = read_bytes(self.folder / "subjects" / f"{subject}.npy")
+        """Shape coefficients of a person, float32 [S]. Raises `FileAccessError`, `FileFormatError`."""
+        path = self.folder / "subjects" / f"{subject}.npy"
         try:
-            return np.load(io.BytesIO(data), allow_pickle=False)
-        except (ValueError, EOFError) as error:
-            raise FileFormatError(f"The shape of {subject} is damaged ({error}); capture the person again.") from error
+            values = np.load(io.BytesIO(read_bytes(path, limit=MAX_SHAPE_BYTES)), allow_pickle=False)
+        except (ValueError, TypeError, SyntaxError, EOFError, MemoryError, OSError, TokenError, BadZipFile) as error:
+            # what numpy raises for damaged headers, and for headers that claim more than there is
+            raise FileFormatError(f"{path} is damaged ({_reason(error)}); delete it and capture the person again.") from error
+        if not isinstance(values, np.ndarray) or values.dtype.kind not in "fiu":
+            raise FileFormatError(f"{path} holds no numbers; delete it and capture the person again.")
+        if values.ndim != 1 or not len(values) or not np.isfinite(values).all():
+            raise FileFormatError(
+                f"{path} is not a row of finite numbers (its size is {_size(values)}); delete it and capture the person again."
+            )
+        return values.astype(np.float32)
 
     def facts(self, subject: str) -> dict[str, Any]:
         """What the source knows of a person."""
@@ -316,15 +340,35 @@ def _read_shot(path: Path) -> Shot:
     values = _json(path)
     try:
         arrays, _ = read_npz(path.with_suffix(".npz"), ("aligned", "expression", "pose"))
-        aligned, expression, pose = (arrays[name] for name in ("aligned", "expression", "pose"))
+        aligned, expression, pose = (_finite(arrays[name], name) for name in ("aligned", "expression", "pose"))
+        for name, array, shape in (("aligned", aligned, (len(ALIGNED_NAMES),)), ("pose", pose, POSE_SHAPE)):
+            if array.shape != shape:
+                raise ShapeError(f"{name} has the size {_size(array)} instead of {_size(np.zeros(shape))}")
+        if expression.ndim != 1 or not len(expression):
+            raise ShapeError(f"expression has the size {_size(expression)}")
         views = tuple(
             View(v["name"], camera_from_json(v["camera"]), v["image"], v["depth"], v["split"]) for v in values["views"]
         )
         return Shot(values["subject"], int(values["number"]), values["kind"], aligned, expression, pose, views, path.parent)
     except FileAccessError:
         raise
-    except (KeyError, TypeError, ValueError, ShapeError, FileFormatError) as error:
-        raise FileFormatError(f"{path} is damaged ({error}); delete it and run the capture again.") from error
+    except (KeyError, TypeError, ValueError, OverflowError, ShapeError, FileFormatError) as error:
+        raise FileFormatError(f"{path} is damaged ({_reason(error)}); delete it and run the capture again.") from error
+
+
+def _finite(values: np.ndarray, name: str) -> np.ndarray:
+    if values.dtype.kind not in "fiu" or not np.isfinite(values).all():
+        raise ShapeError(f"{name} has values that are not finite numbers")
+    return values
+
+
+def _size(values: np.ndarray) -> str:
+    return "x".join(map(str, values.shape)) or "1 number"
+
+
+def _reason(error: Exception) -> str:
+    """What a library says, to stand inside our sentence."""
+    return " ".join(str(error).split()).rstrip(".") or type(error).__name__
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -187,7 +187,7 @@ def decode(data: bytes, where: str) -> np.ndarray:
     try:
         with Image.open(io.BytesIO(data)) as image:
             image.load()
-            mode = image.mode if image.mode in ("L", "RGB", "RGBA") else "RGB"
+            mode = image.mode if image.mode in ("L", "RGB", "RGBA") else "RGBA" if image.mode in ("LA", "PA") else "RGB"
             return np.asarray(image.convert(mode))
     except (OSError, ValueError, SyntaxError) as error:
         raise FileFormatError(f"{where} is a damaged picture; get it again or remove its frame.") from error

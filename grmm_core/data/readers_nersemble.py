@@ -69,8 +69,11 @@ class NersembleDataset(ForeignDataset):
         lost = [name for name in _ARRAYS if name not in tracks and name not in ("scale", "frames")]
         if lost:
             raise FileFormatError(f"{path} has no {lost[0]}; download it again.")
-        count = len(tracks["expression"])
-        wrong = [n for n in ("rotation_matrices", "translation", "jaw", "neck", "eyes") if len(tracks[n]) != count]
+        count = len(np.atleast_1d(tracks["expression"]))
+        rows = [n for n in ("rotation_matrices", "translation", "jaw", "neck", "eyes", "frames") if n in tracks]
+        wrong = [n for n in rows if tracks[n].shape[:1] != (count,)]
+        if "scale" in tracks and not tracks["scale"].size:
+            wrong.append("scale")
         if wrong or tracks["rotation_matrices"].shape != (count, 3, 3) or tracks["eyes"].shape != (count, 6):
             what = wrong[0] if wrong else "rotation_matrices or eyes"
             raise FileFormatError(f"{path}: {what} has a wrong shape; download it again.")
@@ -130,10 +133,14 @@ class _Videos:
         with self._lock:
             container = self._container(path)
             stream = container.streams.video[0]
+            if not stream.average_rate or not stream.time_base:
+                raise FileFormatError(f"{path} does not say how many frames a second has; download it again.")
             seconds = number / float(stream.average_rate)
             try:
                 container.seek(max(0, round(seconds / float(stream.time_base))), stream=stream)
                 for picture in container.decode(stream):
+                    if picture.pts is None:
+                        raise FileFormatError(f"{path} has frames without a time; download it again.")
                     at = round(float((picture.pts - (stream.start_time or 0)) * stream.time_base * stream.average_rate))
                     if at >= number:
                         pixels: np.ndarray = picture.to_ndarray(format="rgb24")

@@ -49,7 +49,7 @@ class VhapDataset(ForeignDataset):
                     raise FileFormatError(
                         f"{self.folder / name}: frame {number} has no {missing[0]}; export again with FLAME parameters."
                     )
-                frames.setdefault(int(frame["timestep_index"]), []).append((frame, split))
+                frames.setdefault(_whole(frame["timestep_index"], self.folder / name, number), []).append((frame, split))
         if not frames:
             raise FileFormatError(f"{self.folder} lists no frames; export it again.")
         self.manifest.subjects.clear()
@@ -84,7 +84,7 @@ class VhapDataset(ForeignDataset):
             width, height = int(frame["w"]), int(frame["h"])
             k = np.eye(3)
             k[0, 0], k[1, 1], k[0, 2], k[1, 2] = (float(frame[key]) for key in ("fl_x", "fl_y", "cx", "cy"))
-        except (KeyError, ValueError, TypeError, np.linalg.LinAlgError) as error:
+        except (KeyError, ValueError, TypeError, OverflowError, np.linalg.LinAlgError) as error:
             raise FileFormatError(f"{where}: its camera is missing or damaged ({error}); export it again.") from error
         camera = intrinsic_camera(to_camera, k, width, height, where, name)
         key = _SEPARATOR.join([str(frame["file_path"]), str(frame.get("fg_mask_path") or "")])
@@ -97,11 +97,18 @@ class VhapDataset(ForeignDataset):
         if mask_name:
             mask = _decoded(self.folder / mask_name, view.camera)
             mask = mask if mask.ndim == 2 else mask[..., 0]
-        elif image.shape[2] == 4:
+        elif image.ndim == 3 and image.shape[2] == 4:
             mask = image[..., 3]
         else:
             raise FileFormatError(f"{self.folder / image_name} has no mask; export again with foreground masks.")
+        image = image if image.ndim == 3 else np.repeat(image[..., None], 3, 2)
         return Picture(image[..., :3].astype(np.float32) / 255.0, mask.astype(np.float32) / 255.0, None)
+
+
+def _whole(value: Any, path: Path, number: int) -> int:
+    if isinstance(value, (int, float)) and value == value // 1:  # neither infinite nor NaN
+        return int(value)
+    raise FileFormatError(f"{path}: the timestep_index of frame {number} is not a whole number; export it again.")
 
 
 def _decoded(path: Path, camera: Camera) -> np.ndarray:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from collections import OrderedDict
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, CaptureDataset, Shot
 from ..data.dataset import View as CapturedView
-from ..errors import ConfigError, TrainingError
+from ..errors import ConfigError, FileFormatError, TrainingError
 from .views import View
 
 if TYPE_CHECKING:
@@ -25,12 +26,15 @@ class CapturedViews:
     """A `ViewSource` over one or several capture folders; decoded pictures are kept in memory up to a limit.
 
     Args:
-        datasets: Opened folders of one head model; people are named FOLDER/NAME where there are several.
+        datasets: Opened folders of one head model; people are named FOLDER/NAME where there are several, with as much of the
+            path as tells the folders apart.
         follow: The captures are still running: count everybody whom they will show, and find new shots at `refresh`.
         cache_bytes: Limit of the memory for pictures.
         only: The one person whose views are used, by name; everybody when empty.
 
     Raises:
+        ConfigError: A folder is given twice.
+        FileFormatError: People have shapes of different lengths.
         TrainingError: No view to train on.
     """
 
@@ -44,6 +48,7 @@ class CapturedViews:
         self._room = cache_bytes
         self._numbers: dict[tuple[int, str], int] = {}
         names: list[str] = []
+        labels = _labels([dataset.folder for dataset in self._datasets])
         for place, dataset in enumerate(self._datasets):
             trained = {shot.subject for shot, _ in dataset.views(TRAIN)}
             everybody = dataset.manifest.subjects if follow else dataset.subjects
@@ -52,7 +57,7 @@ class CapturedViews:
                     continue
                 if name not in dataset.manifest.held_out_people and (follow or name in trained):
                     self._numbers[place, name] = 0 if only else len(names)
-                    names.append(name if only or len(datasets) == 1 else f"{dataset.folder.name}/{name}")
+                    names.append(name if only or len(datasets) == 1 else f"{labels[place]}/{name}")
         self.people = tuple(dict.fromkeys(names))  # one person's views may lie in several folders
         self.shapes = np.zeros((0, 0), np.float32)
         self._collect()
@@ -68,6 +73,7 @@ class CapturedViews:
 
     def _collect(self) -> None:
         shapes: list[np.ndarray | None] = [None] * len(self.people)
+        size, first = 0, ""
         for place, dataset in enumerate(self._datasets):
             for shot in dataset.shots:
                 number, key = self._numbers.get((place, shot.subject)), (place, shot.subject, shot.number)
@@ -76,9 +82,15 @@ class CapturedViews:
                     self._items += [(number, dataset, shot, view) for view in shot.views]
             for name in dataset.subjects:
                 number = self._numbers.get((place, name))
-                if number is not None:
-                    shapes[number] = dataset.shape(name)
-        size = max((len(shape) for shape in shapes if shape is not None), default=0)
+                if number is None:
+                    continue
+                shape = shapes[number] = dataset.shape(name)
+                size, first = size or len(shape), first or name
+                if len(shape) != size:
+                    raise FileFormatError(
+                        f"{dataset.folder}: {name} has {len(shape)} shape coefficients and {first} has {size}; "
+                        "capture the person again."
+                    )
         rows = [np.zeros(size, np.float32) if shape is None else shape for shape in shapes]  # not captured yet
         self.shapes = np.stack(rows).astype(np.float32) if rows else np.zeros((0, size), np.float32)
         self.subjects = np.array([number for number, _, _, _ in self._items], np.int64)
@@ -123,7 +135,7 @@ def capture_views(
 
     Raises:
         FileAccessError, FileFormatError: A folder is missing or not a capture.
-        ConfigError: The folders belong to different head models, or to another one than `head`.
+        ConfigError: The folders belong to different head models, or to another one than `head`, or one is given twice.
         TrainingError: No view to train on.
     """
     from ..data.readers import open_dataset
@@ -135,6 +147,21 @@ def capture_views(
         if dataset.manifest.head != head.name:
             raise ConfigError(f"{dataset.folder} was made with the head model {dataset.manifest.head!r}, not {head.name!r}.")
     return CapturedViews(datasets, follow, only=only), head
+
+
+def _labels(folders: Sequence[Path]) -> list[str]:
+    """The shortest ends of paths that tell folders apart, of equally many names; the last name alone where that will do."""
+    absolute = [folder.absolute() for folder in folders]
+    resolved = [folder.resolve() for folder in folders]
+    for folder, place in zip(folders, resolved, strict=True):
+        if resolved.count(place) > 1:
+            raise ConfigError(f"The data folder {folder} is given twice; give every folder once.")
+    labels = [path.name for path in absolute]
+    for count in range(1, max((len(path.parts) for path in absolute), default=0) + 1):
+        labels = ["/".join(path.parts[-count:]) for path in absolute]
+        if len(set(labels)) == len(labels):
+            break
+    return labels
 
 
 def _size(view: View) -> int:

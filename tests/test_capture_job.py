@@ -31,9 +31,10 @@ class FakeStudio:
 
     log: Path | None = None
     pause = 0.0
+    built = 0
 
     def __init__(self, *_):
-        pass
+        FakeStudio.built += 1
 
     def set_subject(self, subject):
         self.person = subject
@@ -112,6 +113,15 @@ def test_a_killed_job_is_continued(tmp_path, whole):
         path.unlink()
     assert content(folder) == whole
     assert run_job(folder, SETTINGS) == Outcome(0, 15, 15)
+
+
+def test_the_studio_is_built_anew_after_many_people(tmp_path, whole, monkeypatch):
+    for kept, built in ((3, 1), (2, 3), (1, 6)):  # the order is 0 1 2 0 1 2
+        monkeypatch.setattr(capture, "PEOPLE_IN_STUDIO", kept)
+        monkeypatch.setattr(FakeStudio, "built", 0)
+        run_job(tmp_path / str(kept), SETTINGS)
+        assert FakeStudio.built == built
+        assert content(tmp_path / str(kept)) == whole
 
 
 def test_processes_share_a_job(tmp_path, whole):

@@ -186,7 +186,7 @@ def subject_name(seed: int, index: int) -> str:
 def run_job(
     folder: Path, settings: CaptureSettings, threads: int = 2, report: Callable[[Progress], None] = lambda _: None,
     only: Sequence[int] = (),
-) -> int:  # fmt: skip
+) -> Outcome:  # fmt: skip
     """Render what is missing.
 
     Args:
@@ -221,14 +221,13 @@ def run_job(
             before, held = made, []
             for index, numbers in pieces:
                 name = subject_name(settings.seed, index)
-                missing = [number for number in numbers if not shot_record(folder, name, number).exists()]
-                if not missing:
+                if all(shot_record(folder, name, number).exists() for number in numbers):
                     continue
                 with claim(folder / "locks" / f"{name}_{numbers.start:04d}.lock") as mine:
                     if not mine:
                         held.append((index, numbers))
                         continue
-                    for number in missing:
+                    for number in numbers:
                         if shot_record(folder, name, number).exists():
                             continue
                         worker.shoot(index, number)

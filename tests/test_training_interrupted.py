@@ -180,7 +180,7 @@ def train(folder, out, *more):
         (lambda folder: (folder / "shots/ada/0000_00.png").write_bytes(b"no picture"), "0000_00.png is a damaged picture"),
         (lambda folder: (folder / "shots/ada/0000_01.png").unlink(), "0000_01.png does not exist"),
         (lambda folder: drop_camera(folder / "shots/ada/0000.json"), "0000.json is damaged"),
-        (lambda folder: (folder / "subjects/ada.npy").write_bytes(b"x"), "shape of ada is damaged"),
+        (lambda folder: (folder / "subjects/ada.npy").write_bytes(b"x"), "ada.npy is damaged"),
         (lambda folder: (folder / "dataset.json").write_text('{"format": "other"}'), "not a capture data set"),
         (lambda folder: (folder / "dataset.json").unlink(), "no data set that is known here"),
     ],

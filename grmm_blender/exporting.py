@@ -1,7 +1,7 @@
 """From the scene to what the core's writers take: splats, meshes, performances. Called by the export operators.
 
 Avatars are exported in their own space (head axes, y up, metres), without the placement of their object: what another program
-then places. Splats carry the unrefined colours, which look right without the network.
+then places. Splats carry the unrefined colors, which look right without the network.
 """
 
 from __future__ import annotations
@@ -292,4 +292,3 @@ def _head_mesh(
         raised.aligned[ARKIT_NAMES.index(name)] += 1.0
         targets[name] = posed(raised) - vertices
     return vertices, targets
-

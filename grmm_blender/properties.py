@@ -78,9 +78,7 @@ CLASSES = (GRMM_PG_avatar,)
 
 def register() -> None:
     """Attach the groups to Blender's types."""
-    bpy.types.Object.grmm = bpy.props.PointerProperty(
-        type=GRMM_PG_avatar, name="GRMM Avatar", override={"LIBRARY_OVERRIDABLE"}
-    )
+    bpy.types.Object.grmm = bpy.props.PointerProperty(type=GRMM_PG_avatar, name="GRMM Avatar", override={"LIBRARY_OVERRIDABLE"})
 
 
 def unregister() -> None:

@@ -79,9 +79,7 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """Return the same view at another resolution; the pixel aspect changes when the ratio does."""
         sx, sy = width / self.width, height / self.height
-        return replace(
-            self, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height
-        )
+        return replace(self, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height)
 
     @staticmethod
     def orbit(

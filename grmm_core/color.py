@@ -1,6 +1,6 @@
-"""Colour: display sRGB, scene-linear, premultiplied and straight alpha.
+"""Color: display sRGB, scene-linear, premultiplied and straight alpha.
 
-The network works in display sRGB and its pictures are premultiplied in that space (a covered fraction a of colour c gives
+The network works in display sRGB and its pictures are premultiplied in that space (a covered fraction a of color c gives
 a c). Blender wants scene-linear premultiplied, PNG wants straight alpha. Used by the render engine and the command line;
 needs numpy only.
 """
@@ -14,7 +14,7 @@ SRGB_TOE_SLOPE = 12.92
 SRGB_GAMMA = 2.4
 SRGB_OFFSET = 0.055
 MIN_ALPHA = 0.5 / 255.0
-"""Coverage below which the colour of a pixel cannot be told and is left black."""
+"""Coverage below which the color of a pixel cannot be told and is left black."""
 
 
 def srgb_to_linear(values: np.ndarray) -> np.ndarray:
@@ -41,7 +41,7 @@ def straight_srgb(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         alpha: Coverage, [H, W, 1].
 
     Returns:
-        Straight colour clipped to 0..1, [H, W, 3] float32; black where the coverage is below `MIN_ALPHA`.
+        Straight color clipped to 0..1, [H, W, 3] float32; black where the coverage is below `MIN_ALPHA`.
     """
     alpha = np.asarray(alpha, np.float32)
     visible = alpha >= MIN_ALPHA
@@ -49,7 +49,7 @@ def straight_srgb(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def scene_linear_premultiplied(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Return what a Blender render result holds: linear colour times alpha, and alpha.
+    """Return what a Blender render result holds: linear color times alpha, and alpha.
 
     Args:
         rgb: Premultiplied display sRGB of a transparent picture, [H, W, 3].

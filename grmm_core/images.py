@@ -1,7 +1,7 @@
 """Picture files out: PNG with 8 or 16 bits and OpenEXR with named float channels, written with numpy and zlib alone.
 
 Small writers of our own, because stock Blender's Python has no imaging library and the common one writes neither 16-bit
-colour PNG nor EXR. Pictures are read with Pillow where they are needed (fitting). Used by the command line and thumbnails.
+color PNG nor EXR. Pictures are read with Pillow where they are needed (fitting). Used by the command line and thumbnails.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .errors import ShapeError
 from .files import atomic_write_bytes
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}  # channels to the format's colour type
+_PNG_COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}  # channels to the format's color type
 _PNG_FILTER_UP = 2
 _EXR_MAGIC = struct.pack("<ii", 20000630, 2)
 _EXR_FLOAT = 2
@@ -81,9 +81,7 @@ def encode_exr(channels: Mapping[str, np.ndarray]) -> bytes:
     height, width = shapes.pop()
     # Within a scan line the channels follow one another: [H, channel, W].
     lines = np.stack([np.asarray(channels[name], "<f4") for name in names], axis=1)
-    channel_list = b"".join(
-        name.encode() + b"\0" + struct.pack("<iB3xii", _EXR_FLOAT, 0, 1, 1) for name in names
-    ) + b"\0"
+    channel_list = b"".join(name.encode() + b"\0" + struct.pack("<iB3xii", _EXR_FLOAT, 0, 1, 1) for name in names) + b"\0"
     window = struct.pack("<iiii", 0, 0, width - 1, height - 1)
     attributes = (
         ("channels", "chlist", channel_list),
@@ -95,10 +93,14 @@ def encode_exr(channels: Mapping[str, np.ndarray]) -> bytes:
         ("screenWindowCenter", "v2f", struct.pack("<ff", 0.0, 0.0)),
         ("screenWindowWidth", "float", struct.pack("<f", 1.0)),
     )
-    header = _EXR_MAGIC + b"".join(
-        name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
-        for name, kind, value in attributes
-    ) + b"\0"
+    header = (
+        _EXR_MAGIC
+        + b"".join(
+            name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+            for name, kind, value in attributes
+        )
+        + b"\0"
+    )
     chunks = []
     for top in range(0, height, _EXR_LINES_PER_CHUNK):
         data = _zip_chunk(lines[top : top + _EXR_LINES_PER_CHUNK])

@@ -1,7 +1,7 @@
 """Depth of triangle meshes as a camera sees them; numpy is enough, numba makes it faster.
 
 The render engine uses it for scene objects that stand in front of avatars: Gaussians are drawn by the splat rasteriser,
-meshes only hide them. Exact per sample, no colour. Triangles are turned into pixel spans first, so that the work is
+meshes only hide them. Exact per sample, no color. Triangles are turned into pixel spans first, so that the work is
 proportional to the covered samples and not to bounding boxes, and so that no loop of Python runs over triangles.
 Everything per triangle is done here; the samples are filled by `_draw`, or by its compiled twin in `zbuffer_kernel` where
 numba can be imported (stock Blender has only numpy). Both do the same arithmetic in the same order.

@@ -27,7 +27,7 @@ class Strands:
         weights: Barycentric coordinates of the root, [N, 3].
         local: Points in the triangle's frame, metres, root first, [N, K, 3].
         radius: Radius at the root in metres, [N]; strands taper towards the tip.
-        tint: Random factor of the colour, [N].
+        tint: Random factor of the color, [N].
     """
 
     faces: np.ndarray

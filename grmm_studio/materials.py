@@ -17,8 +17,8 @@ from .wrinkles import LINE_DEPTH
 
 Socket = Any  # a bpy node socket, or a constant for it
 TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068)  # from the middle outwards, metres
-MOUTH_GLOW = 0.10  # of the colour: light that bounces in the mouth more often than the render follows it
-LINE_SHADE = 0.9  # how much of the groove's colour the deepest line of an expression takes
+MOUTH_GLOW = 0.10  # of the color: light that bounces in the mouth more often than the render follows it
+LINE_SHADE = 0.9  # how much of the groove's color the deepest line of an expression takes
 ARC_RANGE = 0.05  # metres mapped to 0..1 of the tooth ramp
 
 
@@ -62,7 +62,7 @@ class Nodes:
         return self.node("ShaderNodeMath", {0: a, 1: b}, operation=operation, use_clamp=clamp).outputs[0]
 
     def mix(self, factor: Socket, a: Socket, b: Socket, blend: str = "MIX") -> Any:
-        """Mix colours."""
+        """Mix colors."""
         node = self.tree.nodes.new("ShaderNodeMix")
         node.data_type = "RGBA"
         node.blend_type = blend
@@ -78,7 +78,7 @@ class Nodes:
         return node.outputs["Fac"]
 
     def image(self, name: str, pixels: Any) -> Any:
-        """Colour of a float texture [H, W, 3] whose first row is v = 0, used as it is.
+        """Color of a float texture [H, W, 3] whose first row is v = 0, used as it is.
 
         Images are never removed: with persistent data Cycles knows them by address, and a new image at the address of a
         removed one would show the old pixels. So `name` must name the content, person and all.
@@ -120,7 +120,7 @@ def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.t
     """Skin from painted maps; grooves deepen with the vertex attribute `wrinkle`.
 
     The lines of the expression are the sum of the map's channels times the vertex attribute `lines`; `blood` multiplies the
-    colour.
+    color.
     """
     n = Nodes("skin")
     color = n.image(f"{s.name}_albedo", textures.albedo)
@@ -278,7 +278,7 @@ def tongue_material(s: Subject) -> bpy.types.Material:
 
 
 def hair_material(name: str, color: tuple[float, float, float], variation: float, roots_dark: float) -> bpy.types.Material:
-    """Hair strands: coloured diffuse body, soft highlight along the strand, colour varies by strand and towards the tip."""
+    """Hair strands: colored diffuse body, soft highlight along the strand, color varies by strand and towards the tip."""
     n = Nodes(name)
     bright = n.math("ADD", n.math("MULTIPLY", n.attribute("tint"), 2.0 * variation), 1.0 - variation)
     along = n.math("ADD", n.math("MULTIPLY", n.ramp(n.attribute("along"), 0.0, 0.35), roots_dark), 1.0 - roots_dark)

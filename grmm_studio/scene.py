@@ -33,7 +33,7 @@ from .textures import Atlas, SkinTextures, paint_skin
 from .wrinkles import LineField
 
 LASH_TINT = 50.0  # strands of a larger tint are lashes
-LOCKS = 260  # of the scalp hair that differ in colour
+LOCKS = 260  # of the scalp hair that differ in color
 UPPER_GUM, LOWER_GUM = 0.0105, 0.0095  # crown heights in metres from the tips
 
 
@@ -154,7 +154,7 @@ class Studio:
         """Picture of the present shot.
 
         Returns:
-            Straight display-sRGB colour 0..1 [H, W, 3], alpha 0..1 [H, W], depth in metres [H, W] (0: background).
+            Straight display-sRGB color 0..1 [H, W, 3], alpha 0..1 [H, W], depth in metres [H, W] (0: background).
         """
         _place_camera(self._camera, camera)
         self.scene.render.resolution_x, self.scene.render.resolution_y = camera.width, camera.height

@@ -54,7 +54,7 @@ class Subject:
         melanin: Skin melanin, 0 (very light) to 2.2 (very dark), optical depth units of `skin_albedo`.
         blood: Haemoglobin, 0.3 to 1.1, likewise.
         redness: Strength of the redder zones (cheeks, nose, ears), 0..1.
-        lips: Linear RGB factor on the skin's colour, [3].
+        lips: Linear RGB factor on the skin's color, [3].
         pores, freckles, wrinkles, spots, shine: 0..1.
         stubble: Beard shadow density, 0..1.
         beard: Length of the beard's hair in metres; 0 is none.

@@ -1,4 +1,4 @@
-"""Skin textures painted with numpy in the head model's UV layout: colour, relief, wrinkle grooves, roughness.
+"""Skin textures painted with numpy in the head model's UV layout: color, relief, wrinkle grooves, roughness.
 
 Painting once per person is far cheaper than noise nodes, which Cycles would evaluate for every sample and bounce. Needs numpy
 and scipy, no bpy.
@@ -81,7 +81,7 @@ class SkinTextures:
 
     Attributes:
         albedo: Linear RGB, [size, size, 3].
-        groove_albedo: Factor of the colour inside wrinkles, [3].
+        groove_albedo: Factor of the color inside wrinkles, [3].
         detail: Height in metres, groove depth 0..1, roughness, [size, size, 3].
         lines: Relief of the lines that expressions bring, by channel of `wrinkles`, [size, size, 3].
     """

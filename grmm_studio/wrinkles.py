@@ -1,8 +1,8 @@
 """Lines and blood that an expression brings to the skin: painted once per person, driven per shot. Needs numpy only.
 
 `paint_lines` makes a relief map with three channels, in which families of lines that overlap nowhere share a channel;
-`LineField.amounts` says for a shot how far each channel is driven at each vertex and how the colour changes. The material adds
-the product of both to the skin's relief and darkens the grooves. In the neutral face every amount is 0 and every colour factor
+`LineField.amounts` says for a shot how far each channel is driven at each vertex and how the color changes. The material adds
+the product of both to the skin's relief and darkens the grooves. In the neutral face every amount is 0 and every color factor
 1. Used by `textures`, `scene` and `materials`; all places are template positions (head space, metres), x = 0 the middle.
 """
 
@@ -78,8 +78,8 @@ class LineField:
 
     Attributes:
         families: Channel and weight at each vertex, by (family, side), [n] each.
-        colors: Weight at each vertex of each colour change, by (name, side), [n] each.
-        flush, pale: Factors of the colour with more and with less blood, [3].
+        colors: Weight at each vertex of each color change, by (name, side), [n] each.
+        flush, pale: Factors of the color with more and with less blood, [3].
         depth: `line_depth` of the person.
     """
 
@@ -139,7 +139,7 @@ class LineField:
         )
 
     def amounts(self, expression: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Line amounts [n, 3] of the map's channels and colour factors [n, 3] of a shot's coefficients [E >= 52]."""
+        """Line amounts [n, 3] of the map's channels and color factors [n, 3] of a shot's coefficients [E >= 52]."""
         weights = {name: float(value) for name, value in zip(ARKIT_NAMES, expression, strict=False)}
         count = len(next(iter(self.colors.values())))
         lines, blood = np.zeros((count, 3)), np.zeros(count)

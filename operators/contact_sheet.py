@@ -50,12 +50,10 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
     )
     count: bpy.props.IntProperty(name="Tiles", description="How many views or frames", default=12, min=1, max=1000)
     columns: bpy.props.IntProperty(name="Columns", description="Tiles in a row", default=6, min=1, max=100)
-    size: bpy.props.IntProperty(
-        name="Tile Size", description="Width of a tile", default=256, min=16, max=4096, subtype="PIXEL"
-    )
+    size: bpy.props.IntProperty(name="Tile Size", description="Width of a tile", default=256, min=16, max=4096, subtype="PIXEL")
     captions: bpy.props.BoolProperty(name="Captions", description="Write what a tile shows above it", default=True)
     background: bpy.props.FloatVectorProperty(
-        name="Background", description="Colour behind the avatar", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0,
+        name="Background", description="Color behind the avatar", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0,
         default=(0.94, 0.94, 0.94),
     )  # fmt: skip
 

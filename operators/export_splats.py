@@ -28,7 +28,7 @@ FORMATS = (
 )
 _DEGREE = {
     "name": "View Dependence",
-    "description": "Degree of the spherical harmonics that follow how the avatar's colours change with the view; 0 for none",
+    "description": "Degree of the spherical harmonics that follow how the avatar's colors change with the view; 0 for none",
     "default": 1, "min": 0, "max": 3,
 }  # fmt: skip
 
@@ -136,9 +136,7 @@ class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
     canonical: bpy.props.BoolProperty(
         name="At Rest", description="The neutral face, not turned, instead of the scene's frame", default=True
     )
-    morphs: bpy.props.BoolProperty(
-        name="ARKit Morph Targets", description="Add the 52 ARKit shapes (glTF only)", default=True
-    )
+    morphs: bpy.props.BoolProperty(name="ARKit Morph Targets", description="Add the 52 ARKit shapes (glTF only)", default=True)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

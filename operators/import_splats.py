@@ -112,6 +112,4 @@ class GRMM_FH_splats(bpy.types.FileHandler):
 
 
 CLASSES = (GRMM_OT_import_splats, GRMM_FH_splats)
-register, unregister = menu_entry(
-    GRMM_OT_import_splats, "GRMM Splats and Avatars (.ply, .splat, .spz, .sog, .glb, .zip)"
-)
+register, unregister = menu_entry(GRMM_OT_import_splats, "GRMM Splats and Avatars (.ply, .splat, .spz, .sog, .glb, .zip)")

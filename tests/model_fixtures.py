@@ -1,4 +1,4 @@
-"""A head model of 160 vertices and views rendered from known colours, for the tests of model and training."""
+"""A head model of 160 vertices and views rendered from known colors, for the tests of model and training."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def small_head(seed: int = 0) -> HeadModel:
     )  # fmt: skip
 
 
-class ColouredSpheres:
+class ColoredSpheres:
     """Views of two spheres, one reddish and one bluish, shaded by direction; sizes and poses known exactly."""
 
     def __init__(self, size: int = 48, count: int = 8) -> None:
@@ -70,8 +70,8 @@ class ColouredSpheres:
         hit = root > 0
         distance = (-b - np.sqrt(np.where(hit, root, 0.0))) / a
         normal = (origin + distance[..., None] * rays) / RADIUS
-        colour = np.array([[0.8, 0.4, 0.3], [0.3, 0.4, 0.8]])[subject] * (0.7 + 0.3 * normal[..., 1:2])
-        image = np.where(hit[..., None], colour * 255.0, 0.0).astype(np.uint8)
+        color = np.array([[0.8, 0.4, 0.3], [0.3, 0.4, 0.8]])[subject] * (0.7 + 0.3 * normal[..., 1:2])
+        image = np.where(hit[..., None], color * 255.0, 0.0).astype(np.uint8)
         depth = np.where(hit, distance, 0.0).astype(np.float32)
         aligned = np.zeros(len(ALIGNED_NAMES), np.float32)
         aligned[index % 3] = 0.5

@@ -9,7 +9,7 @@ from grmm_core.formats.cloud import SH_C0
 
 
 def make_cloud(count=400, degree=0, seed=0):
-    """A head-sized cloud whose colours are within 0..1 and whose scales are those of skin texels."""
+    """A head-sized cloud whose colors are within 0..1 and whose scales are those of skin texels."""
     rng = np.random.default_rng(seed)
     terms = (degree + 1) ** 2
     sh = rng.uniform(-0.3, 0.3, (count, terms, 3))

@@ -1,4 +1,4 @@
-"""Avatar files: round trip, versions, damage, hostile headers; pictures and colour."""
+"""Avatar files: round trip, versions, damage, hostile headers; pictures and color."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ def test_a_real_photo_is_cancelled_resumed_and_seen_through_its_camera(
     straight = drawn[..., :3] * drawn[..., 3:] + (1.0 - drawn[..., 3:]) * 0.5
     error = float(np.sqrt(np.square(straight - found.photo.pixels)[head].mean()))
     grey = float(np.sqrt(np.square(found.photo.pixels - found.photo.pixels[head].mean(0))[head].mean()))
-    for name, value in (("colour_error", error), ("colour_error_of_one_colour", grey), ("seconds", done["seconds"])):
+    for name, value in (("color_error", error), ("color_error_of_one_color", grey), ("seconds", done["seconds"])):
         record_property(name, value)
     assert error < MOST_ERROR
     assert error < 0.5 * grey

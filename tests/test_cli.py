@@ -333,8 +333,8 @@ def test_exported_arrays_are_complete(export, tmp_path):
     assert "does not end in" in err
 
 
-def test_harmonics_reproduce_the_colours_seen(weights):
-    """Degree 3 follows the decoder's view dependence closer than the mean colour, from where Gaussians are seen."""
+def test_harmonics_reproduce_the_colors_seen(weights):
+    """Degree 3 follows the decoder's view dependence closer than the mean color, from where Gaussians are seen."""
     from grmm_core.controls import Controls
     from grmm_core.session import create_session
     from grmm_core.session.harmonics import fit_harmonics, harmonic_basis

@@ -119,7 +119,7 @@ def test_equations_13_and_14_rasterise_then_refine(model):
     covered = array(raster.alpha) > 0.5
     depth = array(raster.depth)
     low, high = depth[covered].min(), depth[covered].max()
-    normalised = np.clip((depth - low) / (high - low), 0, 1) * array(raster.alpha)  # min-max, premultiplied as the colours are
+    normalised = np.clip((depth - low) / (high - low), 0, 1) * array(raster.alpha)  # min-max, premultiplied as the colors are
     refined = model.refinement(raster.rgb, raster.features, torch.from_numpy(normalised), raster.alpha)
     np.testing.assert_allclose(array(out.raw), array(raster.rgb), atol=1e-12)
     np.testing.assert_allclose(array(out.image), array(refined), atol=1e-9)

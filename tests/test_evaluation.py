@@ -208,14 +208,14 @@ def test_what_cannot_be_evaluated_is_explained(scene, folder, tmp_path):
 def test_an_avatar_of_a_trained_person_is_judged_alone(weights, scene, folder):
     """Its own changes count, other people's views do not; strangers and avatars of other weights are refused."""
     info = scene.info
-    colours = np.zeros((scene.model.gaussian_count, 3 + scene.model.config.features), np.float32)
+    colors = np.zeros((scene.model.gaussian_count, 3 + scene.model.config.features), np.float32)
     shape = np.zeros(300, np.float32)
     shape[: info.shapes.shape[1]] = info.shapes[1]
     same = Avatar(
         "Somebody", AssetReference(info.head_name, info.head_sha256), AssetReference(info.name, info.sha256), info.z_id[1],
-        np.zeros(scene.model.z_exp_size, np.float32), shape, deltas={"decoders.appearance_mean": colours},
+        np.zeros(scene.model.z_exp_size, np.float32), shape, deltas={"decoders.appearance_mean": colors},
     )  # fmt: skip
-    brighter = dataclasses.replace(same, deltas={"decoders.appearance_mean": colours + 0.05})
+    brighter = dataclasses.replace(same, deltas={"decoders.appearance_mean": colors + 0.05})
     found = []
     for avatar in (same, brighter):
         rows = evaluation(Scene(weights, avatar=avatar), folder, ablations=False, regions=False).run("expression").rows

@@ -17,7 +17,7 @@ MARKS = np.array([[60, 80], [80, 80], [140, 80], [120, 80], [100, 110], [85, 140
 
 
 class Mean(torch.nn.Module):
-    """Embedding: the mean colour."""
+    """Embedding: the mean color."""
 
     def forward(self, faces: torch.Tensor) -> torch.Tensor:
         return faces.mean((2, 3))
@@ -60,7 +60,7 @@ def test_the_distance_is_that_of_the_embeddings(track, tmp_path):
     path = tmp_path / "network.pt"
     torch.jit.script(Mean()).save(str(path))
     distance = load_identity(path)
-    red, blue = (torch.tensor(colour).expand(200, 200, 3) for colour in ([1.0, 0.5, 0.5], [0.5, 0.5, 1.0]))
+    red, blue = (torch.tensor(color).expand(200, 200, 3) for color in ([1.0, 0.5, 0.5], [0.5, 0.5, 1.0]))
     assert distance(red, red, track, track.camera) == pytest.approx(0.0, abs=1e-6)
     assert distance(red, blue, track, track.camera) == pytest.approx(1.0, abs=1e-5)
     assert IdentityDistance(Mean())(red, red * 0.0, track, track.camera) > 1.0

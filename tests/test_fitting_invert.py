@@ -17,7 +17,7 @@ from grmm_core.controls import Controls, resolve  # noqa: E402
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError  # noqa: E402
 from grmm_core.expressions import ALIGNED_NAMES  # noqa: E402
 from grmm_core.fitting.codes import code_prior, expression_code  # noqa: E402
-from grmm_core.fitting.colour import PhotoLight, recolour, solve_maps, unchanged  # noqa: E402
+from grmm_core.fitting.color import PhotoLight, recolor, solve_maps, unchanged  # noqa: E402
 from grmm_core.fitting.invert import invert, photo_errors  # noqa: E402
 from grmm_core.fitting.locality import Locality, code_distances  # noqa: E402
 from grmm_core.fitting.objective import decode, draw, mesh  # noqa: E402
@@ -26,6 +26,7 @@ from grmm_core.fitting.result import photo_camera, photo_controls  # noqa: E402
 from grmm_core.fitting.surface import SKIN, texel_surface  # noqa: E402
 from grmm_core.fitting.types import PhotoTrack  # noqa: E402
 from grmm_core.fitting.views import fit_view, project  # noqa: E402
+from grmm_core.model.config import BASIS_COLOR  # noqa: E402
 from grmm_core.model.config import PRESETS as MODEL_PRESETS  # noqa: E402
 from grmm_core.model.grmm import GRMM  # noqa: E402
 from grmm_core.model.weights import WeightsInfo  # noqa: E402
@@ -42,10 +43,10 @@ def person():
     torch.manual_seed(3)
     model = GRMM(small_head(), MODEL_PRESETS["tiny"].replace(grid=64, decoder_grid=16))
     with torch.no_grad():
-        # colours that change over centimetres, as those of faces do
+        # colors that change over centimetres, as those of faces do
         places = model.anchor(model.head.v_template).positions * 40.0  # [N, 3]
         model.decoders.appearance_mean[:, :3] = 0.5 + 0.2 * torch.sin(places @ torch.randn(3, 3))
-        for row in model.decoders.basis["colour"]:
+        for row in model.decoders.basis[BASIS_COLOR]:
             row.copy_(0.1 * torch.sin(places @ torch.randn(3, 3)).flatten())
         model.refinement.exit.weight.normal_(std=0.02)
     rng = np.random.default_rng(4)
@@ -87,7 +88,7 @@ def test_both_stages_bring_the_avatar_nearer_to_the_photo(person):
     before = {name: value.clone() for name, value in model.state_dict().items()}
     track = photo(model, z_id, brown=0.4)
     image = track.image.copy()
-    image[42:54, 40:58] *= np.array([0.4, 0.7, 1.0], np.float32)  # a mark that no code and no colour map explains
+    image[42:54, 40:58] *= np.array([0.4, 0.7, 1.0], np.float32)  # a mark that no code and no color map explains
     tracks = [dataclasses.replace(track, image=image)]
     errors = []
     for second in (False, True):
@@ -223,7 +224,7 @@ def test_locality_codes_are_at_the_documented_distance(person):
         assert float(locality(model, number).detach()) == 0.0
 
 
-def test_colour_maps_are_found_exactly(person):
+def test_color_maps_are_found_exactly(person):
     model, _, z_id = person
     surface = texel_surface(model)
     view = fit_view(photo(model, z_id), model.head_model, 0, 96, len(ALIGNED_NAMES), model.dtype)
@@ -233,11 +234,11 @@ def test_colour_maps_are_found_exactly(person):
         vertices, look = mesh(model, view, code, z_exp), decode(model, code, z_exp, view.camera)
         wanted = unchanged(code)
         wanted[SKIN] = torch.tensor([[0.7, 0.05, 0.0], [0.0, 0.8, 0.1], [0.05, 0.0, 0.5], [0.1, 0.02, -0.03]])
-        drawn = draw(model, view.camera, vertices, look.recoloured(recolour(look.colours, wanted, surface)), refined=False)
+        drawn = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, wanted, surface)), refined=False)
         picture = drawn.raw / drawn.alpha[..., None].clamp(min=1e-3)
         target = dataclasses.replace(view, image=picture, mask=(drawn.alpha > 0.9).to(code))
         found = solve_maps(model, [target], [vertices], [look], surface, PhotoLight.even(1, code))
-        shown = draw(model, view.camera, vertices, look.recoloured(recolour(look.colours, found, surface)), refined=False).raw
+        shown = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, found, surface)), refined=False).raw
     assert float((shown - drawn.raw)[target.mask > 0].abs().mean()) < 0.01
 
 

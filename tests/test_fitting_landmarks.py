@@ -68,9 +68,7 @@ def test_rig_is_the_heads_landmarks(head, rig):
     g = np.random.default_rng(0)
     shape, coefficients, pose = g.normal(size=300), g.uniform(0, 0.6, 100), g.normal(size=(5, 3)) * 0.1
     vertices = head.vertices(shape, coefficients, head.pose_of(coefficients, pose))
-    np.testing.assert_allclose(
-        rig.positions(shape, coefficients, pose), head.landmark_positions(vertices, 478), atol=2e-6
-    )
+    np.testing.assert_allclose(rig.positions(shape, coefficients, pose), head.landmark_positions(vertices, 478), atol=2e-6)
 
 
 def test_derivatives_are_those_of_finite_differences(rig):

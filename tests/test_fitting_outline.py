@@ -39,7 +39,7 @@ def projected(points, camera):
 
 
 def drawn(head, vertices, camera):
-    """A bald person of one colour, and the mask."""
+    """A bald person of one color, and the mask."""
     mask = (triangle_depth(vertices[head.faces], camera) < EMPTY).astype(np.float32)
     image = mask[:, :, None] * SKIN + (1.0 - mask[:, :, None]) * BACKGROUND
     return image.astype(np.float32), mask
@@ -151,9 +151,9 @@ def test_light_is_that_of_the_shading(head, person):
     _, camera, vertices = person
     light = np.zeros((9, 3))
     light[0], light[1], light[2], light[3] = [0.35, 0.28, 0.24], [0.10, 0.07, 0.05], [0.06, 0.06, 0.06], [0.08, 0.06, 0.05]
-    colours = linear_to_srgb(np.clip(harmonics(vertex_normals(vertices, head.faces)) @ light, 0.0, 1.0))
+    colors = linear_to_srgb(np.clip(harmonics(vertex_normals(vertices, head.faces)) @ light, 0.0, 1.0))
     image, mask = drawn(head, vertices, camera)
-    # paint every pixel with the nearest visible vertex's colour
+    # paint every pixel with the nearest visible vertex's color
     spatial = pytest.importorskip("scipy.spatial")
     depth = triangle_depth(vertices[head.faces], camera)
     local = vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
@@ -162,7 +162,7 @@ def test_light_is_that_of_the_shading(head, person):
     visible = np.flatnonzero(local[:, 2] < depth[rows, columns] + 0.003)
     ys, xs = np.nonzero(mask > 0.5)
     nearest = spatial.cKDTree(pixels[visible]).query(np.stack([xs, ys], axis=1) + 0.5)[1]
-    image[ys, xs] = colours[visible[nearest]]
+    image[ys, xs] = colors[visible[nearest]]
     found = estimate_light(head, vertices, camera, image, mask)
     assert found.shape == (9, 3)
     normals = vertex_normals(vertices, head.faces)[head.regions["face"]]
@@ -172,7 +172,7 @@ def test_light_is_that_of_the_shading(head, person):
     assert estimate_light(head, vertices, camera, image, np.zeros_like(mask)) is None
 
 
-def test_skin_map_knows_skin_from_other_colours():
+def test_skin_map_knows_skin_from_other_colors():
     image = np.zeros((40, 60, 3), np.float32)
     image[:, :20], image[:, 20:40], image[:, 40:] = SKIN, SKIN * 0.7, BACKGROUND
     g = np.random.default_rng(0)

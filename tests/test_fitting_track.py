@@ -198,8 +198,7 @@ def test_a_rolled_photo_gives_a_rolled_camera(analysed, head, photo_file, tmp_pa
     photo = image_module.open(photo_file("p07")).convert("RGB").rotate(20.0, image_module.Resampling.BICUBIC)
     photo.save(tmp_path / "rolled.png")
     upright, rolled = (
-        track_photos([item], head, size=SIZE)[0]
-        for item in (analysed("p07"), analyse_photo(tmp_path / "rolled.png"))
+        track_photos([item], head, size=SIZE)[0] for item in (analysed("p07"), analyse_photo(tmp_path / "rolled.png"))
     )
     rolls = [np.degrees(np.arctan2(*t.camera.world_to_camera[[1, 0], 0])) for t in (upright, rolled)]
     assert rolls[0] - rolls[1] == pytest.approx(20.0, abs=3.0)  # turned against the clock, y points down

@@ -12,7 +12,7 @@ from grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES  # noqa: E402
 from grmm_core.fitting.objective import FIT_WEIGHTS, Drawn, fit_loss  # noqa: E402
 from grmm_core.fitting.surface import SCALP, SKIN, texel_surface  # noqa: E402
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack  # noqa: E402
-from grmm_core.fitting.unseen import facing, fill_colours, lid_exposure  # noqa: E402
+from grmm_core.fitting.unseen import facing, fill_colors, lid_exposure  # noqa: E402
 from grmm_core.fitting.views import fit_view, project  # noqa: E402
 from grmm_core.head.open_head import load_open_head  # noqa: E402
 from grmm_core.model.config import PRESETS  # noqa: E402
@@ -88,7 +88,7 @@ def test_clothes_are_fitted_on_the_bust_but_not_measured(model):
     assert float((view.empty * view.inside).sum()) == 0.0
 
 
-def test_the_rim_of_the_outline_does_not_tell_the_hairs_colour(model):
+def test_the_rim_of_the_outline_does_not_tell_the_hairs_color(model):
     view, head = view_of(model), model.head_model
     assert at(view.inner, view, head, 1) == 1.0
     gone = (view.inside > 0.5) & (view.inner == 0.0)
@@ -129,7 +129,7 @@ def test_only_open_eyes_fold_lids_away(model):
     assert float(eyes[:, 1].max() - eyes[:, 1].min()) < 0.04, "around the eyes only, metres"
 
 
-def test_shade_in_folded_lids_is_not_taken_for_their_colour(model, surface):
+def test_shade_in_folded_lids_is_not_taken_for_their_color(model, surface):
     folded = lid_exposure(model, view_of(model))
     start = torch.full((model.gaussian_count, 3), 0.6)
     skin = surface.group == SKIN
@@ -137,10 +137,10 @@ def test_shade_in_folded_lids_is_not_taken_for_their_colour(model, surface):
     changes = torch.zeros_like(start)
     changes[lids] = changes[mole] = -0.4
     known = torch.ones(model.gaussian_count)
-    filled = fill_colours(surface, start, changes, known, folded, torch.zeros_like(folded))
+    filled = fill_colors(surface, start, changes, known, folded, torch.zeros_like(folded))
     assert float(filled[lids].mean()) > -0.1, "the tone of the skin around"
     torch.testing.assert_close(filled[mole], changes[mole])
-    untouched = fill_colours(surface, start, changes, known, torch.zeros_like(folded), torch.zeros_like(folded))
+    untouched = fill_colors(surface, start, changes, known, torch.zeros_like(folded), torch.zeros_like(folded))
     assert float(untouched[lids].mean()) < -0.35
 
 
@@ -151,7 +151,7 @@ def test_hair_at_the_back_takes_no_tint_that_the_seen_hair_lacks(model, surface)
     start = torch.full((model.gaussian_count, 3), 0.3)
     start[scalp & ~front] = torch.tensor([0.2, 0.6, 0.2])  # green
     seen = front.to(start)
-    filled = start + fill_colours(surface, start, torch.zeros_like(start), seen, *torch.zeros(2, len(seen)))
+    filled = start + fill_colors(surface, start, torch.zeros_like(start), seen, *torch.zeros(2, len(seen)))
     back = filled[scalp & (z < -0.03)]
     assert float((back - back.mean(1, keepdim=True)).abs().max()) < 0.02
     torch.testing.assert_close(filled[front], start[front], atol=0.02, rtol=0.0)
@@ -161,12 +161,12 @@ def test_seen_hair_keeps_its_extremes_out(model, surface):
     """A few seen texels far brighter than all other hair would flash from the side."""
     count = model.gaussian_count
     scalp = torch.nonzero(surface.group == SCALP)[:, 0]
-    colours = 0.3 + 0.1 * torch.rand(count, 3, generator=torch.Generator().manual_seed(4))
+    colors = 0.3 + 0.1 * torch.rand(count, 3, generator=torch.Generator().manual_seed(4))
     few = scalp[:: max(1, len(scalp) // 5)][:5]
-    colours[few] = torch.tensor([1.4, 1.3, 0.9])
+    colors[few] = torch.tensor([1.4, 1.3, 0.9])
     everything, nothing = torch.ones(count), torch.zeros(count)
-    changed = fill_colours(surface, colours, torch.zeros_like(colours), everything, nothing, nothing)
-    assert (colours + changed)[few].max() < 0.5
+    changed = fill_colors(surface, colors, torch.zeros_like(colors), everything, nothing, nothing)
+    assert (colors + changed)[few].max() < 0.5
     others = torch.tensor([index for index in scalp.tolist() if index not in few.tolist()])
     assert changed[others].abs().mean() < 0.005
     assert changed[surface.group != SCALP].abs().max() < 1e-5
@@ -183,7 +183,7 @@ def test_unseen_skin_behind_hair_goes_on_as_hair(model, surface):
     changes[strip] = changes[scalp] = -0.6
     seen = (~(left & (places[:, 2] <= 0.02) & skin)).to(start)
     none = torch.zeros_like(seen)
-    light, dark = (start + fill_colours(surface, start, changes, seen, none, hairy) for hairy in (none, strip.to(seen)))
+    light, dark = (start + fill_colors(surface, start, changes, seen, none, hairy) for hairy in (none, strip.to(seen)))
     assert int(behind.sum()) > 50
     assert float(dark[behind].mean()) < float(light[behind].mean()) - 0.1
     torch.testing.assert_close(dark[skin & ~left], light[skin & ~left], atol=0.02, rtol=0.0)

@@ -18,7 +18,7 @@ from grmm_core.formats import SplatCloud, read_splats, write_splats
 from grmm_core.formats.cloud import SH_C0
 from grmm_core.formats.sequence import frame_path, write_sequence
 
-# Largest allowed error of a round trip: metres, 1 - |cos| of half the angle, logarithm of scale, opacity, colour, harmonics.
+# Largest allowed error of a round trip: metres, 1 - |cos| of half the angle, logarithm of scale, opacity, color, harmonics.
 TOLERANCES = {
     ".ply": (0.0, 2e-7, 1e-6, 1e-6, 1e-6, 1e-6),
     ".splat": (0.0, 1e-4, 0.0, 2e-3, 2.1e-3, None),
@@ -128,7 +128,7 @@ def harmonics_basis(directions):
     )  # fmt: skip
 
 
-def test_turning_keeps_the_colour_seen_from_every_side_and_the_ellipsoids():
+def test_turning_keeps_the_color_seen_from_every_side_and_the_ellipsoids():
     cloud = make_cloud(50, 3)
     turned = cloud.flipped()
     directions = np.random.default_rng(1).normal(size=(30, 3))
@@ -290,7 +290,7 @@ def test_unknown_extensions_missing_files_and_bad_clouds(tmp_path):
         replace(cloud, binding=np.full(5, -1)).validated()
 
 
-def test_colour_of_an_export_is_the_given_rgb():
+def test_color_of_an_export_is_the_given_rgb():
     rgb = np.array([[0.1, 0.5, 0.9]])
     cloud = SplatCloud.from_rgb(np.zeros((1, 3)), np.array([[1, 0, 0, 0]]), np.full((1, 3), 1e-3), np.array([0.5]), rgb)
     assert cloud.sh[0, 0] == pytest.approx((rgb[0] - 0.5) / 0.28209479)

@@ -12,7 +12,7 @@ from model_fixtures import SHAPES, TEETH, inputs, randomise, small_head
 from grmm_core.camera import Camera
 from grmm_core.errors import ConfigError, ShapeError
 from grmm_core.expressions import ALIGNED_NAMES
-from grmm_core.model.config import PRESETS, GRMMConfig
+from grmm_core.model.config import BASIS_COLOR, PRESETS, GRMMConfig
 from grmm_core.model.decoders import MapDecoder
 from grmm_core.model.grmm import GRMM, euler_to_rotvec
 
@@ -47,7 +47,7 @@ def test_presets_survive_json():
         ({"view_stage": 5}, "view_stage"),
         ({"basis_channels": ("smell",)}, "smell"),
         ({"position_unit_mm": math.nan}, "position_unit_mm"),
-        ({"colour": 1}, "colour"),
+        ({"color": 1}, "color"),
     ],
 )
 def test_inconsistent_configurations_are_named(change, word):
@@ -154,26 +154,26 @@ def test_opacity_depends_on_identity_only_and_appearance_on_the_view(model):
     assert (one.colors - other.colors).abs().max() > 1e-4
     assert (one.features - other.features).abs().max() > 1e-4
     assert (one.means - other.means).abs().max() > 1e-5
-    added = model.expression_colours(data["z_id"], data["z_exp"])
+    added = model.expression_colors(data["z_id"], data["z_exp"])
     torch.testing.assert_close(model.appearance(data["z_id"], front)[0] + added, one.colors)
 
 
-def test_expression_maps_colour_by_expression_with_a_gain_by_identity(model):
+def test_expression_maps_color_by_expression_with_a_gain_by_identity(model):
     randomise(model)
     maps = model.decoders.expression
     z_id, z_exp = inputs(model)["z_id"], inputs(model)["z_exp"]
     weights = (maps.weights.weight @ z_exp) * (1 + maps.gains.weight @ z_id)
     expected = torch.einsum("k,knc->nc", weights, maps.maps.view(len(weights), -1, 3))
-    torch.testing.assert_close(model.expression_colours(z_id, z_exp), expected)
+    torch.testing.assert_close(model.expression_colors(z_id, z_exp), expected)
     assert expected.abs().max() > 1e-3
-    assert not model.expression_colours(z_id, 0 * z_exp).any()
-    assert not torch.equal(model.expression_colours(-z_id, z_exp), expected)
+    assert not model.expression_colors(z_id, 0 * z_exp).any()
+    assert not torch.equal(model.expression_colors(-z_id, z_exp), expected)
 
 
 def test_without_expression_maps_nothing_is_added():
     plain = GRMM(small_head(), PRESETS["tiny"].replace(expression_maps=0))
     assert plain.decoders.expression is None
-    added = plain.expression_colours(torch.ones(plain.z_id_size), torch.ones(plain.z_exp_size))
+    added = plain.expression_colors(torch.ones(plain.z_id_size), torch.ones(plain.z_exp_size))
     assert added.shape == (1, 3)
     assert not added.any()
 
@@ -186,7 +186,7 @@ def test_view_direction_enters_at_its_stage():
 
 def test_basis_maps_are_linear_in_the_identity_code(model):
     decoders = model.decoders
-    for name, width in (("position", 3), ("colour", 3), ("opacity", 1)):
+    for name, width in (("position", 3), (BASIS_COLOR, 3), ("opacity", 1)):
         one, two = torch.randn(6), torch.randn(6)
         both = decoders._basis(name, one + two, width)
         separate = decoders._basis(name, one, width) + decoders._basis(name, two, width)

@@ -315,9 +315,7 @@ def test_saved_avatars_open_again(session, tmp_path):
     assert opened.name == made.name == "Sample 11"
     assert opened.thumbnail.startswith(b"\x89PNG")
     np.testing.assert_array_equal(opened.z_id, made.z_id)
-    np.testing.assert_array_equal(
-        session.deform(opened.id, Controls()).vertices, session.deform(made.id, Controls()).vertices
-    )
+    np.testing.assert_array_equal(session.deform(opened.id, Controls()).vertices, session.deform(made.id, Controls()).vertices)
     assert session.open(os.fspath(path)).id == opened.id
     session.save(session.sample(12).id, path)  # another person under the same name
     assert session.open(path).name == "Sample 12"

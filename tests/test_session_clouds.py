@@ -62,7 +62,7 @@ def test_an_avatars_own_gaussians_come_back_as_the_same_picture(session):
     np.testing.assert_array_equal(drawn["rgb"], drawn["raw"])  # no network touches it
 
 
-def test_colours_follow_the_direction_of_view(session):
+def test_colors_follow_the_direction_of_view(session):
     one = ball(1, terms=4)
     one.means[:] = 0.0
     one.scales[:] = 0.05

@@ -6,14 +6,14 @@ import sys
 import numpy as np
 import pytest
 import torch
-from model_fixtures import ColouredSpheres, small_head
+from model_fixtures import ColoredSpheres, small_head
 from PIL import Image
 
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, RuntimeMissingError, TrainingError
 from grmm_core.model.weights import load_weights
 from grmm_core.training.checkpoint import load_checkpoint
 from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
-from grmm_core.training.curves import COLOURS, read_metrics, write_curves
+from grmm_core.training.curves import COLORS, read_metrics, write_curves
 from grmm_core.training.curves import main as draw_curves
 from grmm_core.training.losses import TERMS, total_loss
 from grmm_core.training.optimise import MovingAverage, rate_factor
@@ -36,7 +36,7 @@ def head():
 
 @pytest.fixture
 def source():
-    return ColouredSpheres()
+    return ColoredSpheres()
 
 
 def losses(folder):
@@ -61,12 +61,12 @@ def test_training_learns_two_people(head, source, tmp_path):
     np.testing.assert_allclose(info.default_z_id, info.z_id[1])
 
 
-def test_colours_start_from_the_pictures(head, source, tmp_path):
+def test_colors_start_from_the_pictures(head, source, tmp_path):
     trainer = Trainer(config(), head, source, tmp_path)
     trainer.start()
-    colours = trainer.model.decoders.appearance_mean[:, :3]
-    # the mean of the two people's colours, shaded 0.4 to 1
-    np.testing.assert_allclose(colours.mean(0).detach().numpy(), np.array([0.55, 0.4, 0.55]) * 0.7, atol=0.08)
+    colors = trainer.model.decoders.appearance_mean[:, :3]
+    # the mean of the two people's colors, shaded 0.4 to 1
+    np.testing.assert_allclose(colors.mean(0).detach().numpy(), np.array([0.55, 0.4, 0.55]) * 0.7, atol=0.08)
 
 
 def test_training_without_residuals(head, source, tmp_path):
@@ -206,7 +206,7 @@ def test_damaged_and_foreign_checkpoints_are_refused(head, source, tmp_path):
     trainer.step()
     trainer.save()
     path = tmp_path / CHECKPOINT
-    strangers = ColouredSpheres()
+    strangers = ColoredSpheres()
     strangers.people = ("red", "green")
     with pytest.raises(ConfigError, match="people"):
         Trainer(config(), head, strangers, tmp_path).resume()
@@ -270,8 +270,8 @@ def test_preview_is_a_picture(head, source, tmp_path):
 def test_curves_are_drawn_of_what_was_logged(head, source, tmp_path):
     Trainer(config(steps=3, preview_every=3, evaluate_every=1), head, source, tmp_path).run()
     drawn = np.asarray(Image.open(tmp_path / "curves.png"))
-    for panel in np.split(drawn, 2):  # the loss above, held-out views below; the first line of both has the first colour
-        assert (panel == COLOURS[0]).all(-1).sum() > 200
+    for panel in np.split(drawn, 2):  # the loss above, held-out views below; the first line of both has the first color
+        assert (panel == COLORS[0]).all(-1).sum() > 200
     rows = read_metrics(tmp_path / "metrics.jsonl")
     write_curves([rows, rows], tmp_path / "two.png")
     assert (np.asarray(Image.open(tmp_path / "two.png")) != drawn).any()
@@ -313,7 +313,7 @@ def test_shrinking_and_cropping_keep_camera_and_pixels_in_step(source):
     crop = random_crop(view, 16, np.random.default_rng(0))
     x, y = np.round(pixel(view.camera) - pixel(crop.camera)).astype(int)
     np.testing.assert_array_equal(crop.image, view.image[y : y + 16, x : x + 16])
-    view = ColouredSpheres(96).load(5)
+    view = ColoredSpheres(96).load(5)
     person = crop_to_person(view, 3)
     x, y = np.round(pixel(view.camera) - pixel(person.camera)).astype(int)
     assert person.mask.sum() == view.mask.sum()

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from model_fixtures import ColouredSpheres, small_head
+from model_fixtures import ColoredSpheres, small_head
 
 from grmm_core.camera import Camera
 from grmm_core.cli import main
@@ -221,7 +221,7 @@ def test_training_with_the_papers_loss_weights(network, tmp_path):
     weights = weights_from(dict(paper))
     assert (weights.perceptual, weights.depth) == (0.04, 0.5)
     settings = {"steps": 2, "preview_every": 0, "evaluate_every": 0, "perceptual_network": f"mobilenet:{network}"}
-    Trainer(train_config({"preset": "tiny"}, settings, paper), small_head(), ColouredSpheres(), tmp_path).run()
+    Trainer(train_config({"preset": "tiny"}, settings, paper), small_head(), ColoredSpheres(), tmp_path).run()
     rows = [json.loads(line) for line in (tmp_path / METRICS).read_text().splitlines()]
     assert len(rows) == 2
     for row in rows:
@@ -247,7 +247,7 @@ def test_perceptual_networks_that_cannot_be_used(network, tmp_path):
         load_perceptual(f"vgg19:{tmp_path}/evil.pth")
     assert not (tmp_path / "ran").exists()
     with pytest.raises(ConfigError, match="perceptual_network"):
-        Trainer(train_config({"preset": "tiny"}, {}, {}), small_head(), ColouredSpheres(), tmp_path)
+        Trainer(train_config({"preset": "tiny"}, {}, {}), small_head(), ColoredSpheres(), tmp_path)
 
 
 # --- several processes -----------------------------------------------------------------------------------------------
@@ -257,7 +257,7 @@ import sys
 import torch
 from pathlib import Path
 sys.path[:0] = [{root!r}, {tests!r}]
-from model_fixtures import ColouredSpheres, small_head
+from model_fixtures import ColoredSpheres, small_head
 from grmm_core.errors import CancelledError, ConfigError
 from grmm_core.training.config import train_config
 from grmm_core.training.processes import join
@@ -267,7 +267,7 @@ folder = Path({out!r}) / str(world)
 def trainer(folder, **settings):
     quiet = {{"preview_every": 0, "checkpoint_every": 0, "evaluate_every": 0, "views_per_step": 2}}
     config = train_config({{"preset": "tiny"}}, {{"steps": 4, **quiet, **settings}}, {{"perceptual": 0.0, "alpha": 0.3}})
-    return Trainer(config, small_head(), ColouredSpheres(32), folder, backend="torch")
+    return Trainer(config, small_head(), ColoredSpheres(32), folder, backend="torch")
 one = trainer(folder)
 said = []
 try:

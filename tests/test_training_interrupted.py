@@ -14,7 +14,7 @@ import time
 import numpy as np
 import pytest
 import torch
-from model_fixtures import ColouredSpheres, small_head
+from model_fixtures import ColoredSpheres, small_head
 
 from grmm_core.cli import main
 from grmm_core.data.dataset import CaptureDataset, Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
@@ -31,11 +31,11 @@ LOSSES = {"perceptual": 0.0, "alpha": 0.3, "depth": 0.1}
 _TRAINING = """
 import sys
 sys.path[:0] = [{root!r}, {tests!r}]
-from model_fixtures import ColouredSpheres, small_head
+from model_fixtures import ColoredSpheres, small_head
 from grmm_core.training.config import train_config
 from grmm_core.training.trainer import Trainer
 config = train_config({{"preset": "tiny"}}, {settings!r}, {losses!r})
-Trainer(config, small_head(), ColouredSpheres(), {out!r}).run()
+Trainer(config, small_head(), ColoredSpheres(), {out!r}).run()
 """
 
 
@@ -54,7 +54,7 @@ def numbers(folder):
 
 
 def test_a_killed_training_resumes_to_the_same_losses(head, tmp_path, repository):
-    whole = Trainer(config(), head, ColouredSpheres(), tmp_path / "whole")
+    whole = Trainer(config(), head, ColoredSpheres(), tmp_path / "whole")
     whole.start()
     begun = {name: value.detach().clone() for name, value in whole.parameters.items()}
     whole.run()
@@ -74,7 +74,7 @@ def test_a_killed_training_resumes_to_the_same_losses(head, tmp_path, repository
     (out / ".grmm-half.tmp").write_bytes(b"half a checkpoint")
     with (out / METRICS).open("a") as file:
         file.write('{"step": 99, "lo')
-    second = Trainer(config(), head, ColouredSpheres(), out)
+    second = Trainer(config(), head, ColoredSpheres(), out)
     assert second.resume()
     assert 3 <= second.step_count < 14
     assert not list(out.glob("*.tmp"))
@@ -98,7 +98,7 @@ def test_numbers_after_the_checkpoint_are_forgotten(tmp_path):
 
 
 def test_a_full_disk_keeps_the_last_checkpoint(head, tmp_path):
-    trainer = Trainer(config(), head, ColouredSpheres(), tmp_path)
+    trainer = Trainer(config(), head, ColoredSpheres(), tmp_path)
     trainer.start()
     trainer.step()
     trainer.save()
@@ -113,7 +113,7 @@ def test_a_full_disk_keeps_the_last_checkpoint(head, tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert (tmp_path / CHECKPOINT).read_bytes() == kept
     assert [path.name for path in tmp_path.iterdir()] == [CHECKPOINT]
-    again = Trainer(config(), head, ColouredSpheres(), tmp_path)
+    again = Trainer(config(), head, ColoredSpheres(), tmp_path)
     assert again.resume()
     assert again.step_count == 1
 
@@ -206,7 +206,7 @@ def drop_camera(record):
 
 
 def test_mixed_precision_learns_and_leaves_geometry_alone(head, tmp_path):
-    source = ColouredSpheres()
+    source = ColoredSpheres()
     settings = {"steps": 50, "checkpoint_every": 0, "crop_share": 0.0, "ema": 0.9}
     plain = Trainer(config(**settings), head, source, tmp_path / "plain")
     mixed = Trainer(config(**settings, precision="bfloat16"), head, source, tmp_path / "mixed")

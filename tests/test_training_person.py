@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from model_fixtures import SHAPES, TEETH, ColouredSpheres, small_head
+from model_fixtures import SHAPES, TEETH, ColoredSpheres, small_head
 
 from grmm_core.errors import ConfigError, FileFormatError
 from grmm_core.model.weights import load_weights
@@ -17,7 +17,7 @@ from grmm_core.training.trainer import CHECKPOINT, Trainer
 QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
 
 
-class RedSphere(ColouredSpheres):
+class RedSphere(ColoredSpheres):
     """Views of the first person alone."""
 
     def __init__(self, name="red"):
@@ -41,7 +41,7 @@ def head():
 def folder(head, tmp_path_factory):
     """Briefly trained weights of both people, and a checkpoint of them."""
     folder = tmp_path_factory.mktemp("trained")
-    trainer = Trainer(config(steps=30, ema=0.5), head, ColouredSpheres(), folder)
+    trainer = Trainer(config(steps=30, ema=0.5), head, ColoredSpheres(), folder)
     trainer.run()
     trainer.save()
     trainer.save_weights(folder / "w.safetensors", {})
@@ -90,11 +90,11 @@ def test_nothing_in_the_mouth_is_greener_than_red(folder, head):
     with torch.no_grad():
         model.decoders.appearance_mean[:, :3] += torch.tensor([-0.6, 0.3, 0.0])
         changes = flesh_tones(model, z_id)
-        colours = model.appearance(z_id, torch.tensor([0.0, 0.0, 1.0]))[0]
+        colors = model.appearance(z_id, torch.tensor([0.0, 0.0, 1.0]))[0]
     assert (changes[~teeth] == 0).all()
-    after = (colours + changes)[teeth]
+    after = (colors + changes)[teeth]
     assert (after[:, 1:] <= after[:, :1] + 1e-6).all()
-    torch.testing.assert_close(after[:, 0], colours[teeth, 0], rtol=0, atol=0)
+    torch.testing.assert_close(after[:, 0], colors[teeth, 0], rtol=0, atol=0)
 
 
 def test_a_killed_run_goes_on(folder, head, tmp_path):
@@ -124,4 +124,4 @@ def test_what_cannot_be_trained_is_said_first(folder, head, tmp_path):
     with pytest.raises(ConfigError, match="init_from"):
         begin("red", RedSphere(), "")
     with pytest.raises(ConfigError, match="many people"):
-        person_avatar(Trainer(config(), head, ColouredSpheres(), tmp_path / "all"), "Red")
+        person_avatar(Trainer(config(), head, ColoredSpheres(), tmp_path / "all"), "Red")

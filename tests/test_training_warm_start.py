@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from model_fixtures import SHAPES, ColouredSpheres, small_head
+from model_fixtures import SHAPES, ColoredSpheres, small_head
 
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError
 from grmm_core.tensorfile import write_tensors
@@ -15,7 +15,7 @@ from grmm_core.training.trainer import CHECKPOINT, Trainer
 QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
 
 
-class ThreeSpheres(ColouredSpheres):
+class ThreeSpheres(ColoredSpheres):
     def __init__(self):
         super().__init__()
         self.people = ("x", "y", "z")
@@ -34,7 +34,7 @@ def head():
 @pytest.fixture(scope="module")
 def trained(head, tmp_path_factory):
     folder = tmp_path_factory.mktemp("trained")
-    trainer = Trainer(config(steps=60, ema=0.5), head, ColouredSpheres(), folder)
+    trainer = Trainer(config(steps=60, ema=0.5), head, ColoredSpheres(), folder)
     trainer.run()
     trainer.save()
     trainer.save_weights(folder / "w.safetensors", {})
@@ -62,11 +62,11 @@ def test_networks_are_taken_and_people_are_new(head, trained, tmp_path, name, to
 def test_a_model_with_more_basis_maps_keeps_the_trained_ones(head, trained, tmp_path):
     path = str(trained.folder / CHECKPOINT)
     warm = Trainer(config({"basis_maps": 5}, init_from=path), head, ThreeSpheres(), tmp_path / "more")
-    fresh = warm.model.decoders.basis["colour"].detach().clone()
+    fresh = warm.model.decoders.basis[BASIS_COLOR].detach().clone()
     warm.start()
-    basis = warm.model.decoders.basis["colour"].detach()
+    basis = warm.model.decoders.basis[BASIS_COLOR].detach()
     with trained.averaged():
-        torch.testing.assert_close(basis[:3], trained.model.decoders.basis["colour"].detach(), rtol=0, atol=0)
+        torch.testing.assert_close(basis[:3], trained.model.decoders.basis[BASIS_COLOR].detach(), rtol=0, atol=0)
     torch.testing.assert_close(basis[3:], fresh[3:], rtol=0, atol=0)
     with pytest.raises(ConfigError, match="does not fit"):
         Trainer(config({"basis_maps": 2}, init_from=path), head, ThreeSpheres(), tmp_path / "fewer").start()
@@ -76,7 +76,7 @@ def test_people_of_the_same_names_keep_their_codes(head, trained, tmp_path):
     class OneKnown(ThreeSpheres):
         def __init__(self):
             super().__init__()
-            self.people = ("x", ColouredSpheres().people[1], "z")
+            self.people = ("x", ColoredSpheres().people[1], "z")
 
     warm = Trainer(config(init_from=str(trained.folder / CHECKPOINT)), head, OneKnown(), tmp_path / "known")
     before = warm.codes.detach().clone()
@@ -88,16 +88,14 @@ def test_people_of_the_same_names_keep_their_codes(head, trained, tmp_path):
 
 
 def test_expression_maps_may_be_added(head, trained, tmp_path):
-    plain = Trainer(config({"expression_maps": 0}, steps=2), head, ColouredSpheres(), tmp_path / "plain")
+    plain = Trainer(config({"expression_maps": 0}, steps=2), head, ColoredSpheres(), tmp_path / "plain")
     plain.run()
     plain.save()
-    warm = Trainer(config(init_from=str(plain.folder / CHECKPOINT)), head, ColouredSpheres(), tmp_path / "with")
+    warm = Trainer(config(init_from=str(plain.folder / CHECKPOINT)), head, ColoredSpheres(), tmp_path / "with")
     warm.start()
     assert not warm.model.decoders.expression.maps.any()
     with plain.averaged():
-        torch.testing.assert_close(
-            warm.model.decoders.appearance_mean, plain.model.decoders.appearance_mean, rtol=0, atol=0
-        )
+        torch.testing.assert_close(warm.model.decoders.appearance_mean, plain.model.decoders.appearance_mean, rtol=0, atol=0)
 
 
 def test_a_resumed_run_keeps_its_own_state(head, trained, tmp_path):

@@ -13,8 +13,8 @@ from grmm_core.camera import Camera
 
 pytestmark = pytest.mark.blender
 
-# Mean absolute error of premultiplied display colours and cover between the graphics card's picture and the rasteriser's, and
-# the largest error of all but a thousandth of the values. Half floats (which the software device rounds down), 12-bit colours
+# Mean absolute error of premultiplied display colors and cover between the graphics card's picture and the rasteriser's, and
+# the largest error of all but a thousandth of the values. Half floats (which the software device rounds down), 12-bit colors
 # and no early stop cause it: 0.0013 for thousands of random layers, 0.0004 for an avatar.
 MEAN_ERROR = 2e-3
 TAIL_ERROR = 0.03

@@ -30,7 +30,7 @@ def main() -> int:
     folder = Path(tempfile.mkdtemp(prefix="grmm-formats-"))
     cloud = _cloud()
     print(f"{COUNT} splats of a head's size, harmonics of degree {DEGREE}; largest errors\n")
-    print("| file | bytes a splat | position | rotation | scale | opacity | colour | harmonics |")
+    print("| file | bytes a splat | position | rotation | scale | opacity | color | harmonics |")
     print("|---|---|---|---|---|---|---|---|")
     for label, name, options in (
         (".ply", "a.ply", {}), (".splat", "a.splat", {}), (".spz 2", "a.spz", {"version": 2}), (".spz 3", "a.spz", {}),
@@ -65,14 +65,16 @@ def _row(wanted: SplatCloud, found: SplatCloud, name: str) -> str:
     turn = 4.0 * np.arcsin(np.clip(apart / 2.0, 0.0, 1.0)) * _DEGREES
     terms = min(wanted.sh.shape[1], found.sh.shape[1])
     rest = "not kept" if terms == 1 else f"{np.abs(wanted.sh[:, 1:terms] - found.sh[:, 1:terms]).max():.2g}"
-    return " | ".join([
-        f"{np.abs(wanted.means - found.means).max() * 1e6:.2g} µm",
-        f"{turn.max():.2g}°",
-        f"{np.abs(found.scales / wanted.scales - 1).max() * 100:.2g} %",
-        f"{np.abs(wanted.opacities - found.opacities).max():.2g}",
-        f"{np.abs(wanted.colors() - found.colors()).max():.2g}",
-        rest,
-    ])
+    return " | ".join(
+        [
+            f"{np.abs(wanted.means - found.means).max() * 1e6:.2g} µm",
+            f"{turn.max():.2g}°",
+            f"{np.abs(found.scales / wanted.scales - 1).max() * 100:.2g} %",
+            f"{np.abs(wanted.opacities - found.opacities).max():.2g}",
+            f"{np.abs(wanted.colors() - found.colors()).max():.2g}",
+            rest,
+        ]
+    )
 
 
 def _meshes(folder: Path) -> None:
@@ -105,9 +107,7 @@ def _performances(folder: Path) -> None:
         write_performance(folder / name, performance)
         found = read_performance(folder / name)
         values = (found.expression, flame.expression) if name == "a.npz" else (found.weights, recorded.weights)
-        turn = max(
-            np.abs(euler_to_matrix(getattr(found, part)) - euler_to_matrix(angles[part])).max() for part in angles
-        )
+        turn = max(np.abs(euler_to_matrix(getattr(found, part)) - euler_to_matrix(angles[part])).max() for part in angles)
         times = np.abs(found.times - recorded.times).max()
         print(f"| {name[1:]} | {np.abs(values[0] - values[1]).max():.2g} | {turn:.2g} | {times:.2g} s |")
 

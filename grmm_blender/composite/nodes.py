@@ -42,9 +42,7 @@ def insert(scene: bpy.types.Scene, partner: bpy.types.Scene) -> None:
     end.location.x += 1.2 * _SPACING
     # A viewer that looks at the same picture goes on looking at what will be saved.
     viewers = [
-        link.to_socket
-        for link in tree.links
-        if link.from_socket == source and link.to_node.bl_idname == "CompositorNodeViewer"
+        link.to_socket for link in tree.links if link.from_socket == source and link.to_node.bl_idname == "CompositorNodeViewer"
     ]
     tree.links.new(source, merge.inputs["Scene"])
     for target in (output, *viewers):

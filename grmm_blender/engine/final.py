@@ -133,9 +133,7 @@ def take_frame(
     return Frame([a.shot for a in avatars if not a.shot.holdout], camera, meshes, snapshot.clip_range(engine, depsgraph))
 
 
-def _write(
-    engine: bpy.types.RenderEngine, region: Region, layer: str, values: dict[str, dict[str, np.ndarray]]
-) -> None:
+def _write(engine: bpy.types.RenderEngine, region: Region, layer: str, values: dict[str, dict[str, np.ndarray]]) -> None:
     """Hand finished passes to Blender; nothing before this point can leave a half result behind."""
     for view, view_values in values.items():
         result = engine.begin_result(0, 0, region.width, region.height, layer=layer, view=view)

@@ -26,7 +26,7 @@ def pass_values(
         item: The pass.
         buffers: Result of `Session.render`.
         visible: What meshes leave of avatars and background.
-        world: Scene-linear colour of the background, [3], or None for a transparent film.
+        world: Scene-linear color of the background, [3], or None for a transparent film.
         avatar_names: Names of the drawn avatars, in the order of the buffer "mask".
 
     Returns:
@@ -72,9 +72,9 @@ def _over_world(front: np.ndarray, visible: Visibility, world: np.ndarray | None
     """Put avatars over the world, [H, W, 4].
 
     Args:
-        front: Scene-linear premultiplied colour of the avatars, [H, W, 4].
+        front: Scene-linear premultiplied color of the avatars, [H, W, 4].
         visible: What meshes leave of avatars and background.
-        world: Scene-linear colour, [3], or None for nothing.
+        world: Scene-linear color, [3], or None for nothing.
     """
     if visible.avatars is None and world is None:
         return front

@@ -72,7 +72,7 @@ def frame_values(
         frame: What to draw.
         settings: How to draw it.
         items: Passes.
-        world: Scene-linear colour of the background, [3], or None for a transparent film.
+        world: Scene-linear color of the background, [3], or None for a transparent film.
         region: Part of the picture that is returned; all of it is drawn.
         should_cancel: Asked now and then.
         progress: Told where this stands.

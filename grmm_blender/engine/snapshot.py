@@ -144,7 +144,7 @@ def render_region(render: bpy.types.RenderSettings, width: int, height: int) -> 
 
 
 def world_color(scene: bpy.types.Scene) -> np.ndarray:
-    """Return the scene-linear colour of the world's background, [3]; textures are not evaluated."""
+    """Return the scene-linear color of the world's background, [3]; textures are not evaluated."""
     world = scene.world
     if world is None:
         return np.zeros(3, np.float32)

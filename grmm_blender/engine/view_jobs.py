@@ -40,7 +40,7 @@ class ViewRequest:
         frame: Scene and camera; the camera has the size of the viewport.
         preview: How the cheap picture is drawn.
         final: How the good picture is drawn.
-        world: Scene-linear colour of the background, [3], or None for a transparent film.
+        world: Scene-linear color of the background, [3], or None for a transparent film.
     """
 
     frame: Frame

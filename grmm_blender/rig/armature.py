@@ -23,7 +23,7 @@ REST_AXES = Matrix(((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)))
 """A bone's rest orientation in the armature: its columns are the head's axes in Blender's."""
 _FORWARD = Vector((0.0, -1.0, 0.0))
 _LENGTHS = {"root": 0.06, "neck": 0.09, "jaw": 0.06, "left_eye": 0.02, "right_eye": 0.02}  # metres, for display
-_COLOURS = {"root": "THEME09", "neck": "THEME04", "jaw": "THEME03", "left_eye": "THEME01", "right_eye": "THEME01"}
+_COLORS = {"root": "THEME09", "neck": "THEME04", "jaw": "THEME03", "left_eye": "THEME01", "right_eye": "THEME01"}
 
 
 def joint_parents(head: HeadModel) -> list[int]:
@@ -153,7 +153,7 @@ def _add_collections(data: bpy.types.Armature) -> None:
     for bone in data.bones:
         if bone.name in JOINT_NAMES:
             controls.assign(bone)
-            bone.color.palette = _COLOURS[bone.name]
+            bone.color.palette = _COLORS[bone.name]
         else:
             mechanism.assign(bone)
 

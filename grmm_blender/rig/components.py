@@ -1,8 +1,8 @@
 """What single components of the residual codes do to the face, in words: "Chin forward", "Hair darker".
 
 The codes are learned, so nobody has named their components. This moves each by one standard deviation about the default
-person at rest, sees which part of the mesh moves and which way, and which part's colour changes, and sorts by what is seen
-most. It evaluates the mesh decoder (eq. 5-11) and the linear colour maps with numpy, from the arrays of the weights file: some
+person at rest, sees which part of the mesh moves and which way, and which part's color changes, and sorts by what is seen
+most. It evaluates the mesh decoder (eq. 5-11) and the linear color maps with numpy, from the arrays of the weights file: some
 tenths of a second, once for each file, without a runtime. Components of the expression code that move the mesh by less than
 can be seen change the Gaussians only; they are named after the trained expression that uses them most.
 Used by panels and operators; imports neither bpy nor torch.
@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 DEFAULT_WEIGHTS = LIBRARY_FOLDER.parent / "weights" / "default.safetensors"
 _SLOPE = 0.2  # of the decoders' leaky rectifiers
 _DECODER = "model/mesh_decoder."
-_COLOUR_WEIGHTS, _COLOUR_MAPS = "model/decoders.basis_weights.weight", "model/decoders.basis.colour"
+_COLOR_WEIGHTS, _COLOR_MAPS = "model/decoders.basis_weights.weight", "model/decoders.basis.color"
 _ANCHOR = "model/anchor.face"
 _CODES, _PEOPLE, _PERSON = "model/aligned_codes", "people/z_id", "people/default_z_id"
 _JOINTS = 6  # axis-angle vectors of neck and jaw, at rest
@@ -47,8 +47,8 @@ _DIRECTIONS = (("left", "right"), ("up", "down"), ("forward", "back"))
 _TOGETHER = 0.6  # of the mean motion that one direction must have to be named
 _ONE_SIDED = 2.0  # times that one side must move more than the other to be named
 _MIDLINE = 0.005  # metres: nearer the middle a vertex belongs to no side
-_SEEN_MOTION, _SEEN_COLOUR = 0.1, 0.01  # the least that can be seen: millimetres; display sRGB 0..1
-_COLOUR_PARTS = (("Skin", ("face", "neck", "ears")), ("Hair", ("scalp",)), ("Eyes", ("left_eyeball", "right_eyeball")))
+_SEEN_MOTION, _SEEN_COLOR = 0.1, 0.01  # the least that can be seen: millimetres; display sRGB 0..1
+_COLOR_PARTS = (("Skin", ("face", "neck", "ears")), ("Hair", ("scalp",)), ("Eyes", ("left_eyeball", "right_eyeball")))
 _TINTS = (("redder", "less red"), ("greener", "less green"), ("bluer", "less blue"))
 _TINTED = 0.5  # of the whole change that must be common to the three channels to be called lighter or darker
 
@@ -99,7 +99,7 @@ def _tables(path: Path, stamp: int) -> dict[str, tuple[Component, ...]]:
     person = tensors[_PERSON].astype(np.float32)
     rest = np.zeros(tensors[_CODES].shape[1], np.float32)
     spreads = {Z_ID: _spread(tensors[_PEOPLE], person.size), Z_EXP: _spread(tensors[_CODES], rest.size)}
-    colours = _colour_changes(tensors, head, spreads[Z_ID])
+    colors = _color_changes(tensors, head, spreads[Z_ID])
     found = {}
     for name, spread in spreads.items():
         steps = np.diag(spread)  # [K, K]
@@ -111,10 +111,10 @@ def _tables(path: Path, stamp: int) -> dict[str, tuple[Component, ...]]:
         for k in range(len(spread)):
             label, motion = describe(moved[k] / 2, head, parts)
             effect = motion / _SEEN_MOTION
-            if name == Z_ID and colours:
-                tint, change = _describe_colour({part: each[k] for part, each in colours.items()})
-                if change / _SEEN_COLOUR > effect:
-                    label, effect = tint, change / _SEEN_COLOUR
+            if name == Z_ID and colors:
+                tint, change = _describe_color({part: each[k] for part, each in colors.items()})
+                if change / _SEEN_COLOR > effect:
+                    label, effect = tint, change / _SEEN_COLOR
             if name == Z_EXP and effect < 1.0:
                 label = _user_of(tensors[_CODES][:, k].astype(np.float32))
             made.append(Component(k, label, effect, float(spread[k])))
@@ -174,23 +174,23 @@ def _direction(motion: np.ndarray, places: np.ndarray, size: float) -> str:
     return (("wider", "narrower"), ("taller", "flatter"), ("deeper", "shallower"))[axis][int(growth[axis] < 0)]
 
 
-def _colour_changes(tensors: dict[str, np.ndarray], head: HeadModel, spread: np.ndarray) -> dict[str, np.ndarray]:
-    """Mean change of each part's colour for one standard deviation of each component of z_id, [K, 3]; empty without maps."""
-    if _COLOUR_MAPS not in tensors:
+def _color_changes(tensors: dict[str, np.ndarray], head: HeadModel, spread: np.ndarray) -> dict[str, np.ndarray]:
+    """Mean change of each part's color for one standard deviation of each component of z_id, [K, 3]; empty without maps."""
+    if _COLOR_MAPS not in tensors:
         return {}
-    weights = tensors[_COLOUR_WEIGHTS].astype(np.float32) * spread  # [M, K]
-    maps = tensors[_COLOUR_MAPS].reshape(len(weights), -1, 3)  # [M, N, 3], float16
+    weights = tensors[_COLOR_WEIGHTS].astype(np.float32) * spread  # [M, K]
+    maps = tensors[_COLOR_MAPS].reshape(len(weights), -1, 3)  # [M, N, 3], float16
     corner = head.faces[tensors[_ANCHOR], 0]  # [N]
     found = {}
-    for name, regions in _COLOUR_PARTS:
+    for name, regions in _COLOR_PARTS:
         inside = np.isin(corner, np.concatenate([head.regions[region] for region in regions]))
         if inside.any():
             found[name] = weights.T @ maps[:, inside].mean(1, dtype=np.float32)
     return found
 
 
-def _describe_colour(changes: dict[str, np.ndarray]) -> tuple[str, float]:
-    """Say which part's colour changes most and how, and by how much, from the mean changes [3]."""
+def _describe_color(changes: dict[str, np.ndarray]) -> tuple[str, float]:
+    """Say which part's color changes most and how, and by how much, from the mean changes [3]."""
     name = max(changes, key=lambda part: float(np.linalg.norm(changes[part])))
     change = changes[name]
     size = float(np.linalg.norm(change))

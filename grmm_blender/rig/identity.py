@@ -92,9 +92,7 @@ def read_identity(source: str) -> Identity:
     head = load_head(avatar.head)
     if avatar.shape[head.shape_count :].any() or avatar.expression.size > head.expression_count:
         raise FileFormatError(f"{source} does not fit the head model {head.name!r}; make the avatar anew.")
-    return Identity(
-        avatar.name, head, avatar.shape[: head.shape_count], avatar.expression, avatar.z_id.size, avatar.z_exp.size
-    )
+    return Identity(avatar.name, head, avatar.shape[: head.shape_count], avatar.expression, avatar.z_id.size, avatar.z_exp.size)
 
 
 def load_head(reference: AssetReference) -> HeadModel:

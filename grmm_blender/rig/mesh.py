@@ -25,7 +25,7 @@ UV_NAME = "UVMap"
 KEY_LIMIT = 10.0  # the most that Blender allows a shape key
 _MIN_WEIGHT = 1e-7
 _SMALLEST = 1e-8  # metres
-# region, colour (linear), roughness: what the bare mesh looks like where no splats are drawn
+# region, color (linear), roughness: what the bare mesh looks like where no splats are drawn
 _MATERIALS = (
     ("Skin", (), (0.58, 0.34, 0.25, 1.0), 0.5),
     ("Eyes", ("eye",), (0.75, 0.74, 0.72, 1.0), 0.1),
@@ -183,8 +183,8 @@ def _add_key(obj: bpy.types.Object, name: str, positions: np.ndarray) -> bpy.typ
 def _add_materials(mesh: bpy.types.Mesh, head: HeadModel) -> None:
     """Give each part of the head a plain material; a face belongs to a part when all its corners do."""
     part = np.zeros(len(head.faces), np.int32)
-    for index, (name, words, colour, roughness) in enumerate(_MATERIALS):
-        mesh.materials.append(_material(name, colour, roughness))
+    for index, (name, words, color, roughness) in enumerate(_MATERIALS):
+        mesh.materials.append(_material(name, color, roughness))
         inside = np.zeros(head.vertex_count, bool)
         for region, vertices in head.regions.items():
             if any(word in region for word in words) and "lid" not in region:
@@ -193,7 +193,7 @@ def _add_materials(mesh: bpy.types.Mesh, head: HeadModel) -> None:
     mesh.polygons.foreach_set("material_index", part)
 
 
-def _material(name: str, colour: tuple[float, float, float, float], roughness: float) -> bpy.types.Material:
+def _material(name: str, color: tuple[float, float, float, float], roughness: float) -> bpy.types.Material:
     """Return the material of that name that heads share, made on first use."""
     full_name = f"GRMM {name}"
     material = bpy.data.materials.get(full_name)
@@ -202,8 +202,8 @@ def _material(name: str, colour: tuple[float, float, float, float], roughness: f
     material = bpy.data.materials.new(full_name)
     if material.node_tree is None:  # Blender 5 gives every material nodes
         material.use_nodes = True
-    material.diffuse_color = colour
+    material.diffuse_color = color
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    shader.inputs["Base Color"].default_value = colour
+    shader.inputs["Base Color"].default_value = color
     shader.inputs["Roughness"].default_value = roughness
     return material

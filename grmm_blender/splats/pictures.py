@@ -34,7 +34,7 @@ def decode_picture(data: bytes) -> np.ndarray:
         except RuntimeError as error:
             raise FileFormatError("A picture inside the splat file cannot be decoded; export the file again.") from error
         try:
-            # Stored numbers and no colours: as they are, and not multiplied by the fourth of them.
+            # Stored numbers and no colors: as they are, and not multiplied by the fourth of them.
             image.colorspace_settings.name = "Non-Color"
             image.alpha_mode = "CHANNEL_PACKED"
             width, height = image.size

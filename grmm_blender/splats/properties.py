@@ -28,9 +28,7 @@ class GRMM_PG_cloud(bpy.types.PropertyGroup):
         default="",
         subtype="FILE_PATH",
     )
-    kind: bpy.props.StringProperty(
-        name="Kind", description="What the file holds", default="", options={"HIDDEN"}
-    )
+    kind: bpy.props.StringProperty(name="Kind", description="What the file holds", default="", options={"HIDDEN"})
     carrier: bpy.props.PointerProperty(
         name="Carrier",
         description="Mesh whose triangles move the splats; none for splats that move by themselves",

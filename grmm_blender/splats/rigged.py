@@ -171,9 +171,7 @@ def _add_cap4d(name: str, avatar: AnimatedAvatar, path: Path, start: float) -> I
     return Imported([splats, carrier], avatar.cloud.count, frames=len(avatar.deltas), warnings=list(avatar.cloud.warnings))
 
 
-def _add_gaussian_avatar(
-    context: bpy.types.Context, name: str, avatar: GaussianAvatar, path: Path, flame: str
-) -> Imported:
+def _add_gaussian_avatar(context: bpy.types.Context, name: str, avatar: GaussianAvatar, path: Path, flame: str) -> Imported:
     """A rigged FLAME head and the splats that it carries."""
     if not flame:
         raise FileFormatError(NEEDS_FLAME.format(path=path))

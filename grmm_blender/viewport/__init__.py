@@ -2,7 +2,7 @@
 
 One `Viewport` for each 3D region. On the main thread, when Blender draws the region: copy the scene when it changed, ask
 `jobs` for Gaussians and their order, draw the newest that came. On a thread: Gaussians from the model or from cloud objects,
-packing, sorting. The picture is blended in display colours in a buffer of its own, as the rasteriser does, and then put into
+packing, sorting. The picture is blended in display colors in a buffer of its own, as the rasteriser does, and then put into
 the viewport with one depth for each pixel, so that it hides objects and is hidden by them.
 
 =============  =================================================================================

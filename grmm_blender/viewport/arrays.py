@@ -1,6 +1,6 @@
 """Gaussians in world space as arrays: placing, packing for textures, sorting. Plain numpy; knows no Blender.
 
-A texel is four floats; a Gaussian takes three: centre and two packed colours, four of the covariance, two of the covariance and
+A texel is four floats; a Gaussian takes three: centre and two packed colors, four of the covariance, two of the covariance and
 the packed rest. Two values of 12 bits share a float, which holds 24 bits exactly.
 """
 

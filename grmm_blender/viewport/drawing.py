@@ -1,6 +1,6 @@
 """Draw calls of the splat viewport: Gaussians into buffers of their own, then into the viewport. Main thread only.
 
-The buffers hold display colours, so that soft edges mix as in the rasteriser whatever the viewport's own buffer does, and 16
+The buffers hold display colors, so that soft edges mix as in the rasteriser whatever the viewport's own buffer does, and 16
 bits a channel, so that hundreds of thin layers do not lose precision.
 """
 

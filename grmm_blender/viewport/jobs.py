@@ -1,7 +1,7 @@
 """Gaussians and their order for one viewport, made on a thread so that Blender never waits for them.
 
 The newest request wins. While something changes, Gaussians come in the level of detail that the request allows; when the view
-rests they come once more in full, with the colours of the present view. A moved camera costs a new order only. The thread ends
+rests they come once more in full, with the colors of the present view. A moved camera costs a new order only. The thread ends
 when there is nothing left to do. Touches none of Blender's data.
 """
 
@@ -25,7 +25,7 @@ from .pace import Pace
 from .sources import SceneShots
 
 REST_SECONDS = 0.2  # without a newer request before full detail is made
-MOVING_DEGREES = 8.0  # that an avatar may have turned before its colours are made anew while the view moves
+MOVING_DEGREES = 8.0  # that an avatar may have turned before its colors are made anew while the view moves
 RESTING_DEGREES = 0.5  # the same when it rests
 
 _log = logging.getLogger(__name__)

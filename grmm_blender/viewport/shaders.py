@@ -162,7 +162,7 @@ void main()
 
 @functools.cache
 def splat_shader() -> gpu.types.GPUShader:
-    """Draws sorted Gaussians into two buffers: premultiplied display colours, and depth from the reference times cover."""
+    """Draws sorted Gaussians into two buffers: premultiplied display colors, and depth from the reference times cover."""
     info = _info(
         ("VEC4", "row_x"),  # world to camera, with the translation; x / z only matters under perspective
         ("VEC4", "row_y"),

@@ -83,7 +83,7 @@ def view_direction(shot: AvatarShot, camera: Camera) -> np.ndarray:
 
 
 def world_gaussians(shot: AvatarShot, camera: Camera, lod: int) -> WorldGaussians:
-    """Return an avatar's or a cloud's Gaussians with the colours that a camera sees.
+    """Return an avatar's or a cloud's Gaussians with the colors that a camera sees.
 
     Raises:
         GrmmError: The avatar or the session cannot be used.
@@ -113,7 +113,7 @@ def _thinned(arrays: CloudArrays, lod: int) -> CloudArrays:
 
 
 def _cloud_colors(arrays: CloudArrays, camera: Camera) -> np.ndarray:
-    """Colours [N, 3] of a cloud as a camera in the cloud's space sees them."""
+    """Colors [N, 3] of a cloud as a camera in the cloud's space sees them."""
     degree = round(arrays.harmonics.shape[1] ** 0.5) - 1
     colors = np.empty((len(arrays.means), 3), np.float32)
     for start in range(0, len(colors), _CHUNK):

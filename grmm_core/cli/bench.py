@@ -130,9 +130,7 @@ def caching(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, An
     return {name: {"ratio": s / times["everything"], "ms": 1e3 * s} for name, s in times.items()}
 
 
-def scaling(
-    session: LocalSession, avatar_id: int, repeats: int, values: tuple[int, ...], what: str
-) -> dict[str, Any]:
+def scaling(session: LocalSession, avatar_id: int, repeats: int, values: tuple[int, ...], what: str) -> dict[str, Any]:
     """Time whole frames, with new expressions, over picture sizes or levels of detail; ratios to the first."""
     step = iter(range(1 << 30))
 

@@ -56,14 +56,14 @@ def stages(best_times: BestTimes, model: GRMM, inputs: Mapping[str, Tensor], siz
         offsets = model.offsets(z_id, z_exp)
         placed = model.geometry(vertices, offsets)
         colors, features = model.appearance(z_id, view)
-        colors = colors + model.expression_colours(z_id, z_exp)
+        colors = colors + model.expression_colors(z_id, z_exp)
         gaussians = Gaussians(placed.means, placed.quats, placed.scales, model.opacity(z_id), colors, features)
         raster = rasterize(gaussians, camera)
         calls: dict[str, Callable[[], object]] = {
             "opacity": lambda: model.opacity(z_id),
             "appearance": lambda: model.appearance(z_id, view),
             "offsets": lambda: model.offsets(z_id, z_exp),
-            "expression colours": lambda: model.expression_colours(z_id, z_exp),
+            "expression colors": lambda: model.expression_colors(z_id, z_exp),
             "displacement": lambda: model.displacement(z_id[None], z_exp[None], turns[:1], turns[1:], expression[None]),
             "skinning": lambda: model.vertices(shape[None], expression[None], pose[None], displacement),
             "placing": lambda: model.geometry(vertices, offsets),

@@ -1,7 +1,7 @@
 """The rasteriser's part of `grmm bench`: a head of the paper's size, threads, sizes, the arithmetic limit, alternatives.
 
 Called by `bench.py`, whose `best_times` it is given. The scene is the open head with one Gaussian at each texel of an N_g x N_g
-map, sized as the model places them, with random opacities, colours and features: its work is that of a trained model's frame.
+map, sized as the model places them, with random opacities, colors and features: its work is that of a trained model's frame.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ALTERNATIVES: dict[str, str] = {
     "gswarp": "CUDA only, through Warp; three channels",
     "splax": "CUDA only, through JAX and Warp",
     "msplat": "Metal only",
-    "gausscam": "WebGPU: colour and depth in whole numbers, no gradients; a CPU only where it poses as a Vulkan device",
+    "gausscam": "WebGPU: color and depth in whole numbers, no gradients; a CPU only where it poses as a Vulkan device",
 }
 """Published rasterisers in the Python package index. None draws feature channels, or differentiates, on a CPU."""
 
@@ -51,7 +51,7 @@ def head_scene(grid: int, features: int = FEATURES, seed: int = 1) -> Gaussians:
     Args:
         grid: N_g.
         features: Feature channels.
-        seed: Of opacities, colours and features.
+        seed: Of opacities, colors and features.
     """
     import torch
 
@@ -99,12 +99,12 @@ def channels(best_times: BestTimes, scene: Gaussians, size: int, repeats: int) -
     """Compare 3 and 36 channels, forward and with gradients."""
     plain = dataclasses.replace(scene, features=None)
     calls = {
-        "colour, alpha, depth": lambda: _forward(plain, size),
+        "color, alpha, depth": lambda: _forward(plain, size),
         f"with {FEATURES} features": lambda: _forward(scene, size),
         f"with {FEATURES} features and gradients": _with_gradients(scene, size),
     }
     times = best_times(calls, repeats)
-    first = times["colour, alpha, depth"]
+    first = times["color, alpha, depth"]
     return {
         "scene": f"{len(scene)} Gaussians (N_g {GRIDS[-1]}), {size}x{size}",
         **{name: {"ratio": seconds / first, "ms": 1e3 * seconds} for name, seconds in times.items()},
@@ -118,9 +118,7 @@ def against_torch(best_times: BestTimes, scene: Gaussians) -> dict[str, Any]:
     fastest = choose_backend(scene.means.device.type)
     result: dict[str, Any] = {"compared": f"{fastest}, {len(scene)} Gaussians, {REFERENCE_SIZE}x{REFERENCE_SIZE}"}
     for name, make in (("forward", _forward_call), ("forward and backward", _with_gradients)):
-        times = best_times(
-            {backend: make(scene, REFERENCE_SIZE, backend) for backend in ("torch", fastest)}, REFERENCE_REPEATS
-        )
+        times = best_times({backend: make(scene, REFERENCE_SIZE, backend) for backend in ("torch", fastest)}, REFERENCE_REPEATS)
         result[name] = {"times faster": times["torch"] / times[fastest], "ms": 1e3 * times[fastest]}
     return result
 
@@ -187,12 +185,12 @@ def arithmetic(best_times: BestTimes, scene: Gaussians, size: int, repeats: int)
     left, right = torch.rand(MATRIX, MATRIX), torch.rand(MATRIX, MATRIX)
     times = best_times({"draw": lambda: draw(inputs, ground, view, False), "product": lambda: left @ right}, repeats)
     speed = 2 * MATRIX**3 / times["product"]
-    colours = CHANNEL_OPERATIONS * (4 + FEATURES)
+    colors = CHANNEL_OPERATIONS * (4 + FEATURES)
     tiled = int((drawing.ends - drawing.starts[:-1]).sum()) * TILE**2
     counts = {
-        "blended pairs": (work.needed, work.needed * (ALPHA_OPERATIONS + colours)),
-        "our blocks": (work.evaluated, work.evaluated * ALPHA_OPERATIONS + work.blended * colours),
-        "whole tiles": (tiled, tiled * (ALPHA_OPERATIONS + colours)),
+        "blended pairs": (work.needed, work.needed * (ALPHA_OPERATIONS + colors)),
+        "our blocks": (work.evaluated, work.evaluated * ALPHA_OPERATIONS + work.blended * colors),
+        "whole tiles": (tiled, tiled * (ALPHA_OPERATIONS + colors)),
     }
     return {
         "ms": 1e3 * times["draw"],
@@ -234,9 +232,7 @@ def _with_gradients(scene: Gaussians, size: int, backend: str = "auto") -> Calla
 
     from ..splat import rasterize
 
-    leaves = {
-        field.name: getattr(scene, field.name).clone().requires_grad_(True) for field in dataclasses.fields(scene)
-    }
+    leaves = {field.name: getattr(scene, field.name).clone().requires_grad_(True) for field in dataclasses.fields(scene)}
     learning = type(scene)(**leaves)
 
     def step() -> None:

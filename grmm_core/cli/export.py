@@ -1,7 +1,7 @@
 """`grmm export`: take an avatar, with an expression, to other programs.
 
 By the ending of the file: .ply, .splat, .spz and .glb hold Gaussians (.glb with --mesh: the mesh with the aligned
-expressions as morph targets), .obj the mesh, .npz everything as arrays. Exported colours are those that look right alone,
+expressions as morph targets), .obj the mesh, .npz everything as arrays. Exported colors are those that look right alone,
 without the refinement network.
 """
 
@@ -40,7 +40,7 @@ def add_parser(subparsers: Any) -> None:
     add_controls(parser)
     parser.add_argument("--mesh", action="store_true", help="write the mesh with morph targets into a .glb")
     parser.add_argument(
-        "--sh-degree", type=int, choices=range(MAX_DEGREE + 1), default=1, help="view dependence of splat colours (default: 1)"
+        "--sh-degree", type=int, choices=range(MAX_DEGREE + 1), default=1, help="view dependence of splat colors (default: 1)"
     )
     parser.add_argument("--lod", type=int, choices=range(MAX_LOD + 1), default=0, help="fewer, larger Gaussians (default: 0)")
     add_model(parser)

@@ -128,7 +128,7 @@ def _run(args: argparse.Namespace, events: _Events, stop: _StopOnSignal) -> dict
     events.write(event="done", avatar=str(result.path))
     if args.events:
         return 0
-    args.console.line(f"Wrote {result.path} in {result.seconds:.0f} s; colour error {np.mean(result.rmse):.3f} in the photos.")
+    args.console.line(f"Wrote {result.path} in {result.seconds:.0f} s; color error {np.mean(result.rmse):.3f} in the photos.")
     args.console.line("It shows a real person: use it only with that person's agreement.")
     return {
         "file": str(result.path), "name": result.avatar.name, "seconds": result.seconds, "rmse": list(result.rmse),

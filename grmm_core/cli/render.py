@@ -168,5 +168,5 @@ def _color(text: str) -> tuple[float, float, float]:
     try:
         red, green, blue = (float(part) for part in text.split(","))
     except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a colour; write for example 1,1,1") from error
+        raise argparse.ArgumentTypeError(f"{text!r} is not a color; write for example 1,1,1") from error
     return red, green, blue

@@ -9,7 +9,7 @@ Folder::
     subjects/NAME.json           what is known of a person; NAME.npy: shape coefficients
     shots/NAME/0003.json         one shot's record; written last, so what has a record is complete
     shots/NAME/0003.npz          aligned [60], expression [E], pose [5, 3]
-    shots/NAME/0003_00.png       RGBA, straight colour in display sRGB, alpha is the mask
+    shots/NAME/0003_00.png       RGBA, straight color in display sRGB, alpha is the mask
     shots/NAME/0003_00_z.png     16-bit depth along the optical axis in 0.1 mm; 0 is background
 """
 
@@ -99,7 +99,7 @@ class Picture:
     depth: np.ndarray | None
 
     def over(self, background: float | np.ndarray) -> np.ndarray:
-        """Colour over a constant background 0..1, [H, W, 3]."""
+        """Color over a constant background 0..1, [H, W, 3]."""
         alpha = self.mask[..., None]
         return (self.rgb * alpha + np.asarray(background, np.float32) * (1 - alpha)).astype(np.float32)
 
@@ -296,7 +296,7 @@ class CaptureDataset:
 
 
 def encode_rgba(rgb: np.ndarray, mask: np.ndarray) -> bytes:
-    """PNG bytes of straight colour [H, W, 3] and mask [H, W], 0..1."""
+    """PNG bytes of straight color [H, W, 3] and mask [H, W], 0..1."""
     from PIL import Image
 
     data = np.concatenate([rgb, mask[..., None]], -1)

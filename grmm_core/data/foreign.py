@@ -85,9 +85,7 @@ class ForeignDataset(CaptureDataset):
             self.manifest.subjects.append(name)
         self.shapes[name] = padded(shape, self.head.shape_count, self.folder, "shape")
 
-    def make_shot(
-        self, subject: str, number: int, kind: str, frame: FlameFrame, views: Iterable[View], folder: Path
-    ) -> Shot:
+    def make_shot(self, subject: str, number: int, kind: str, frame: FlameFrame, views: Iterable[View], folder: Path) -> Shot:
         """Build a shot from FLAME parameters and views whose cameras are in the world."""
         expression = padded(frame.expression, self.head.expression_count, folder, "expression")
         pose = np.zeros((5, 3))

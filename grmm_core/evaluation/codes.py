@@ -111,9 +111,7 @@ def posed(scene: Scene, z_id: np.ndarray, shape: np.ndarray, name: str) -> Posed
     vertices = model.vertices(person.shape[None], expression[None], pose[None], displacement)[0]
     geometry = model.geometry(vertices, model.offsets(person.z_id, z_exp))
     mesh, learned = vertices.cpu().numpy(), displacement[0].cpu().numpy()
-    return Posed(
-        scene.head.landmark_positions(mesh), geometry.means.cpu().numpy(), scene.head.landmark_positions(learned)
-    )
+    return Posed(scene.head.landmark_positions(mesh), geometry.means.cpu().numpy(), scene.head.landmark_positions(learned))
 
 
 def smoothness(pictures: Sequence[Tensor]) -> dict[str, float]:

@@ -153,12 +153,12 @@ def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarr
     for step in range(STEPS):
         for group in optimiser.param_groups:
             group["lr"] = RATE * 0.5 * (1.0 + float(np.cos(np.pi * step / STEPS)))
-        colour = scene.tensor(background.random(3))
+        color = scene.tensor(background.random(3))
         rendering = scene.model.render(
             target.camera, shape=start.shape, expression=expression, pose=pose, z_id=start.z_id + step_id * spread,
-            z_exp=base + offset, background=colour, backend=scene.backend,
+            z_exp=base + offset, background=color, backend=scene.backend,
         )  # fmt: skip
-        truth = image + (1.0 - mask)[..., None] * colour
+        truth = image + (1.0 - mask)[..., None] * color
         loss = sum(_L1 * l1_loss(p, truth) + _SSIM * (1.0 - ssim(p, truth)) for p in (rendering.image, rendering.raw))
         loss = loss + PRIOR * (step_id.square().mean() + offset.square().mean())
         optimiser.zero_grad(set_to_none=True)

@@ -100,9 +100,7 @@ def load(sample: Sample, size: int = 0) -> LoadedView:
         0, sample.name, sample.view.camera, image, mask, picture.depth, shot.aligned, shot.expression, shot.pose
     )
     small = shrink(whole, size) if size else whole
-    return LoadedView(
-        small.camera, small.image.astype(np.float32) / 255.0, small.mask.astype(np.float32) / 255.0, small.depth
-    )
+    return LoadedView(small.camera, small.image.astype(np.float32) / 255.0, small.mask.astype(np.float32) / 255.0, small.depth)
 
 
 def samples(datasets: Iterable[CaptureDataset], *splits: str) -> list[Sample]:

@@ -6,7 +6,7 @@
 ``landmark_priors``    how exact landmarks are, how likely expressions and cameras
 ``landmark_stage``     camera, shape, expression and pose from landmarks
 ``outline``            where the skin ends in a photo: ears and cheeks
-``light``              spherical-harmonic light from the skin's colours
+``light``              spherical-harmonic light from the skin's colors
 ``photometric_stage``  the refinement by outline
 ``track``              photos to tracks
 ``overlay``            pictures of a track, to look at

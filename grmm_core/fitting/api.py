@@ -55,7 +55,7 @@ class FitResult:
         path: The avatar's file.
         avatar: What is in it.
         seconds: Time taken, without what an earlier, interrupted run did.
-        rmse: Root mean square colour error in each photo's view, inside the mask.
+        rmse: Root mean square color error in each photo's view, inside the mask.
         landmark_error: Mean landmark distance of each photo relative to the eye distance.
         tracks: What tracking found in the photos.
     """
@@ -183,7 +183,7 @@ def _make(
 
 
 def thumbnail(model: GRMM, avatar: Avatar, pixels: int = THUMBNAIL_PIXELS) -> bytes:
-    """PNG of an avatar's neutral face, straight colour with alpha.
+    """PNG of an avatar's neutral face, straight color with alpha.
 
     Args:
         model: With the avatar's own changes.

@@ -19,7 +19,7 @@ from ..errors import FileAccessError, FileFormatError
 from ..model.weights import WeightsInfo
 from ..tensorfile import read_tensors, write_tensors
 from .codes import Codes
-from .colour import PhotoLight
+from .color import PhotoLight
 from .decoders import Tuner
 from .folder import CODES_FILE, DECODERS_FILE
 from .presets import Preset

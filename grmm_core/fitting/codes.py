@@ -3,7 +3,7 @@
 z_id is sought in the Gaussian of the training people's codes, z_id = mean + sum_k w_k s_k u_k, and L_z is the squared length
 of w: what no photo shows then is what people of the training set have. z_exp of a photo is the code of its tracked expression
 plus an offset that all photos share (the avatar's own) plus a small one of the photo. Several starts: the training people
-whose recoloured pictures come nearest, and the mean.
+whose recolored pictures come nearest, and the mean.
 
 Called by `invert`. Imports torch.
 """
@@ -19,7 +19,7 @@ from torch import Tensor
 from ..model.grmm import GRMM
 from ..model.weights import WeightsInfo
 from ..training.losses import Perceptual
-from .colour import PhotoLight, recolour, solve_light, solve_maps, unchanged
+from .color import PhotoLight, recolor, solve_light, solve_maps, unchanged
 from .objective import FIT_WEIGHTS, Drawn, Look, decode, draw, fit_loss, mesh
 from .presets import CodeSettings
 from .surface import Surface
@@ -31,7 +31,7 @@ EXPRESSION_WEIGHT = 0.02  # of the squared offsets of z_exp
 PHOTO_WEIGHT = 0.05  # of the squared offsets of single photos
 CODE_WEIGHTS = replace(FIT_WEIGHTS, alpha=OUTLINE_WEIGHT)
 RATE, EXPRESSION_RATE = 0.12, 0.02
-RECOLOUR_EVERY = 6
+RECOLOR_EVERY = 6
 WARM = 0.25  # the rates grow over this share of the steps
 
 Tick = Callable[[float, "Drawn | None"], None]
@@ -79,7 +79,7 @@ class Codes:
         z_id: [Z].
         z_exp: Offset that all photos share, [Y].
         photo_z_exp: Further offset of each photo, [P, Y].
-        maps: Colour maps of the groups, [3, 4, 3].
+        maps: Color maps of the groups, [3, 4, 3].
         light: Exposure of the photos.
     """
 
@@ -121,7 +121,7 @@ def fit_codes(
     if not model.config.residuals:  # eq. 21: the tracked coefficients are the codes
         z_exp = prior.mean.new_zeros(model.z_exp_size)
         search = _Search(model, prior, views, surface, light, perceptual, fixed=views[0].shape)
-        search.colour()
+        search.color()
         return Codes(views[0].shape, z_exp, z_exp.new_zeros((len(views), len(z_exp))), search.maps, search.light)
     total = settings.starts * settings.trial_steps + settings.steps
     share = 0.3 if settings.candidates else 0.0
@@ -140,7 +140,7 @@ def fit_codes(
     for step in range(settings.steps):
         drawn = best.step(step, settings.steps)
         done += 1
-        tick(share + (1 - share) * min(1.0, done / total), drawn if step % RECOLOUR_EVERY == 0 else None)
+        tick(share + (1 - share) * min(1.0, done / total), drawn if step % RECOLOR_EVERY == 0 else None)
     return best.codes()
 
 
@@ -148,7 +148,7 @@ def _starts(
     model: GRMM, prior: CodePrior, views: Sequence[FitView], surface: Surface, settings: CodeSettings,
     report: Callable[[float], None],
 ) -> list[Tensor]:  # fmt: skip
-    """The mean and the people whose recoloured pictures of the first photo come nearest, each [R]."""
+    """The mean and the people whose recolored pictures of the first photo come nearest, each [R]."""
     people = prior.people
     if settings.candidates < len(people):
         people = people[torch.linspace(0, len(people) - 1, settings.candidates).round().long()]
@@ -159,7 +159,7 @@ def _starts(
         for number, w in enumerate(people):
             vertices, look = _Search(model, prior, [view], surface, light, None, w).look(view)
             maps = solve_maps(model, [view], [vertices], [look], surface, light)
-            drawn = draw(model, view.camera, vertices, look.recoloured(recolour(look.colours, maps, surface)))
+            drawn = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, maps, surface)))
             scored.append((float(fit_loss(drawn, view, background(0, view), start_weights, None)), number))
             report((number + 1) / len(people))
     nearest = [people[number] for _, number in sorted(scored)]
@@ -193,32 +193,32 @@ class _Search:
         return z_id, expression_code(self.model, view, self.z_exp + self.photo[view.index])
 
     def look(self, view: FitView) -> tuple[Tensor, Look]:
-        """Mesh and attributes for a photo, not recoloured."""
+        """Mesh and attributes for a photo, not recolored."""
         z_id, z_exp = self.codes_of(view)
         return mesh(self.model, view, z_id, z_exp), decode(self.model, z_id, z_exp, view.camera)
 
     @torch.no_grad()
-    def colour(self) -> None:
-        """Solve the colour maps for the present codes, and the exposures of several photos."""
+    def color(self) -> None:
+        """Solve the color maps for the present codes, and the exposures of several photos."""
         pairs = [self.look(view) for view in self.views]
         meshes, looks = [vertices for vertices, _ in pairs], [look for _, look in pairs]
         self.maps = solve_maps(self.model, self.views, meshes, looks, self.surface, self.light)
         if len(self.views) > 1:
             pictures = []
             for view, vertices, look in zip(self.views, meshes, looks, strict=True):
-                drawn = draw(self.model, view.camera, vertices, look.recoloured(self.coloured(look)))
+                drawn = draw(self.model, view.camera, vertices, look.recolored(self.colored(look)))
                 pictures.append((view, drawn.image, drawn.alpha))
             self.light = solve_light(pictures)
             self.maps = solve_maps(self.model, self.views, meshes, looks, self.surface, self.light)
 
-    def coloured(self, look: Look) -> Tensor:
-        """The look's colours under the maps, [N, 3]."""
-        return recolour(look.colours, self.maps, self.surface)
+    def colored(self, look: Look) -> Tensor:
+        """The look's colors under the maps, [N, 3]."""
+        return recolor(look.colors, self.maps, self.surface)
 
     def loss(self, view: FitView, step: int = 0) -> tuple[Tensor, Drawn]:
         """Eq. 19 of one photo."""
         vertices, look = self.look(view)
-        drawn = draw(self.model, view.camera, vertices, look.recoloured(self.coloured(look)))
+        drawn = draw(self.model, view.camera, vertices, look.recolored(self.colored(look)))
         drawn = drawn.relit(self.light.gain[view.index], self.light.offset[view.index])
         value = fit_loss(drawn, view, background(step, view), CODE_WEIGHTS, self.perceptual)
         value = value + CODE_WEIGHT * self.w.square().sum() + EXPRESSION_WEIGHT * self.z_exp.square().sum()
@@ -226,8 +226,8 @@ class _Search:
 
     def step(self, step: int, steps: int) -> Drawn:
         """One step on one photo, in turn. Returns the picture."""
-        if step % RECOLOUR_EVERY == 0:
-            self.colour()
+        if step % RECOLOR_EVERY == 0:
+            self.color()
         for group in self.optimiser.param_groups:
             group["lr"] = group["peak"] * min(1.0, (step + 1) / max(1.0, WARM * steps)) * min(1.0, 2.0 * (1.0 - step / steps))
         self.optimiser.zero_grad(set_to_none=True)
@@ -240,7 +240,7 @@ class _Search:
 
     def codes(self) -> Codes:
         """The result."""
-        self.colour()
+        self.color()
         photo = self.photo.detach()
         # what all photos share belongs to the person
         shared = photo.mean(0) if len(photo) > 1 else torch.zeros_like(photo[0])
@@ -250,6 +250,6 @@ class _Search:
 
 
 def background(step: int, view: FitView) -> Tensor:
-    """Colour behind avatar and photo in a step, [3]: changing, so that coverage matters."""
+    """Color behind avatar and photo in a step, [3]: changing, so that coverage matters."""
     generator = torch.Generator().manual_seed(step)
     return torch.rand(3, generator=generator).to(view.image)

@@ -1,6 +1,6 @@
 """Stage 2 (eq. 20): the decoders are tuned to the photos while the codes stay, near the pretrained solution.
 
-What is tuned: full-resolution maps of colour, opacity, position and scale, added to the decoders' outputs (an avatar's own
+What is tuned: full-resolution maps of color, opacity, position and scale, added to the decoders' outputs (an avatar's own
 mean maps), and in the larger presets the decoders' networks as well. The maps can show every texel that a photo shows; the
 networks change all texels together. The refinement network stays.
 
@@ -26,44 +26,44 @@ from torch import Tensor
 from ..model.grmm import GRMM
 from ..training.losses import Perceptual
 from .codes import CodePrior, Codes, Tick, background
-from .colour import recolour
+from .color import recolor
 from .locality import LOCALITY_WEIGHT, Locality
-from .objective import FIT_WEIGHTS, Drawn, Look, contributions, decode, draw, fit_loss, mesh, spread_to_colours
+from .objective import FIT_WEIGHTS, Drawn, Look, contributions, decode, draw, fit_loss, mesh, spread_to_colors
 from .presets import DecoderSettings
 from .surface import INNER, SCALP, SKIN, Surface
-from .unseen import facing, fill_colours, lid_exposure
+from .unseen import facing, fill_colors, lid_exposure
 from .views import FitView
 
 NETWORKS = ("transform", "opacity", "appearance")
-RATES = {"colour": 0.012, "opacity": 0.06, "position": 0.012, "scale": 0.02, "networks": 3e-4}
+RATES = {"color": 0.012, "opacity": 0.06, "position": 0.012, "scale": 0.02, "networks": 3e-4}
 END_RATE = 0.15
 PULL = {  # of squared maps in skin, scalp, inner parts; positions in the model's unit (10 mm)
-    "colour": (0.02, 0.02, 0.05), "opacity": (0.05, 0.002, 0.02), "position": (4.0, 0.02, 8.0), "scale": (0.2, 0.02, 0.4),
+    "color": (0.02, 0.02, 0.05), "opacity": (0.05, 0.002, 0.02), "position": (4.0, 0.02, 8.0), "scale": (0.2, 0.02, 0.4),
 }  # fmt: skip
-BLENDS = {"colour": 1, "opacity": 2, "position": 3, "scale": 2}
-"""How often a map is averaged with its neighbours before it is added. Several Gaussians make a pixel: without this, colours
+BLENDS = {"color": 1, "opacity": 2, "position": 3, "scale": 2}
+"""How often a map is averaged with its neighbours before it is added. Several Gaussians make a pixel: without this, colors
 that cancel out in the photo would be found, and come out as speckles where another expression moves the Gaussians."""
-SHARPNESS = 0.5  # share of the colours' map that is added as it is: averaged alone it could not hold fine detail
+SHARPNESS = 0.5  # share of the colors' map that is added as it is: averaged alone it could not hold fine detail
 SCALP_STRIDE = 8.0  # positions of hair go so much faster than those of skin: hair stands centimetres off
 VARIANTS, VARIANT_SHARE = 2, 0.5  # other expressions' codes in every second step, and how far towards them
-TRUSTED = ("colour", "opacity")  # maps that texels of the skin take from photos that face them only
-WIDTHS = {"colour": 3, "opacity": 1, "position": 3, "scale": 3}
-DETAIL_TEXELS = 5.0  # length below which colours are detail
+TRUSTED = ("color", "opacity")  # maps that texels of the skin take from photos that face them only
+WIDTHS = {"color": 3, "opacity": 1, "position": 3, "scale": 3}
+DETAIL_TEXELS = 5.0  # length below which colors are detail
 HALF_SEEN_PIXELS = 0.5  # contribution, in pixels, at which a texel counts as half seen
-SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colours
+SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colors
 REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
 LOCALITY_EVERY = 2  # steps of which one has L_loc, with that much more weight: decoding at another code is a third of a step
-COLOUR_ROUNDS, LAST_ROUNDS = 3, 6  # of `Tuner.match_colours` at the beginning of each level, and at the end
+COLOR_ROUNDS, LAST_ROUNDS = 3, 6  # of `Tuner.match_colors` at the beginning of each level, and at the end
 
 
-def start_colours(colours: Tensor, codes: Codes, surface: Surface) -> Tensor:
-    """Stage 1's colours with the skin smoothed: freckles are the training people's, and this person's come from the photo.
+def start_colors(colors: Tensor, codes: Codes, surface: Surface) -> Tensor:
+    """Stage 1's colors with the skin smoothed: freckles are the training people's, and this person's come from the photo.
 
     Freckles that were only painted over would come out where an expression moves the Gaussians, since several make a pixel.
     """
-    recoloured = recolour(colours, codes.maps, surface)
-    even = surface.smooth(recoloured, DETAIL_TEXELS)
-    return torch.where((surface.group == SKIN)[:, None], even, recoloured)
+    recolored = recolor(colors, codes.maps, surface)
+    even = surface.smooth(recolored, DETAIL_TEXELS)
+    return torch.where((surface.group == SKIN)[:, None], even, recolored)
 
 
 class Tuner:
@@ -94,7 +94,7 @@ class Tuner:
             self.z_exp = [codes.expression_code(model, view) for view in first]
             self.meshes = [mesh(model, view, codes.z_id, z) for view, z in zip(first, self.z_exp, strict=True)]
             self.looks = [decode(model, codes.z_id, z, view.camera) for view, z in zip(first, self.z_exp, strict=True)]
-            self.tint = start_colours(self.looks[0].colours, codes, surface) - self.looks[0].colours  # [N, 3]
+            self.tint = start_colors(self.looks[0].colors, codes, surface) - self.looks[0].colors  # [N, 3]
         count = model.gaussian_count
         self.maps = {
             name: torch.zeros(count, width, dtype=model.dtype, device=model.device, requires_grad=True)
@@ -160,7 +160,7 @@ class Tuner:
             widths = [result[name].shape[1] for name in names]
             parts = self.surface.average(torch.cat([result[name] for name in names], 1)).split(widths, 1)
             result |= dict(zip(names, parts, strict=True))
-        result["colour"] = result["colour"].lerp(self.maps["colour"], SHARPNESS)
+        result["color"] = result["color"].lerp(self.maps["color"], SHARPNESS)
         return result
 
     def changed(self, base: Look) -> Look:
@@ -169,7 +169,7 @@ class Tuner:
         zero = torch.zeros_like(base.offsets[:, 3:7])
         return Look(
             base.offsets + torch.cat([maps["position"], zero, maps["scale"]], 1), base.logits + maps["opacity"][:, 0],
-            base.colours + self.tint + maps["colour"], base.features,
+            base.colors + self.tint + maps["color"], base.features,
         )  # fmt: skip
 
     def run(self, tick: Tick) -> None:
@@ -178,11 +178,11 @@ class Tuner:
             level, start = self._level()
             if self.step_count == start:
                 self.look_around(level)
-                self.match_colours(level, COLOUR_ROUNDS)
+                self.match_colors(level, COLOR_ROUNDS)
             drawn = self.step(level)
             tick(self.step_count / self.total, drawn if self.step_count % 8 == 1 else None)
         self.look_around(len(self.levels) - 1)
-        self.match_colours(len(self.levels) - 1, LAST_ROUNDS)
+        self.match_colors(len(self.levels) - 1, LAST_ROUNDS)
 
     def _level(self) -> tuple[int, int]:
         start = 0
@@ -222,8 +222,8 @@ class Tuner:
         return Drawn(drawn.image.detach(), drawn.raw.detach(), drawn.alpha.detach())
 
     @torch.no_grad()
-    def match_colours(self, level: int, rounds: int) -> None:
-        """Bring every shown Gaussian's colour nearer to the photos at once (see `spread_to_colours`)."""
+    def match_colors(self, level: int, rounds: int) -> None:
+        """Bring every shown Gaussian's color nearer to the photos at once (see `spread_to_colors`)."""
         light = self.codes.light
         for turn in range(rounds):
             variant = turn if turn < rounds - 1 else None
@@ -233,10 +233,10 @@ class Tuner:
                 drawn = draw(self.model, view.camera, self.meshes[index], look).relit(light.gain[index], light.offset[index])
                 target = view.image * drawn.alpha[..., None]
                 both = 0.5 * ((target - drawn.image) + (target - drawn.raw)) / light.gain[index]
-                step = spread_to_colours(self.model, view, self.meshes[index], look, both * view.inside[..., None])
+                step = spread_to_colors(self.model, view, self.meshes[index], look, both * view.inside[..., None])
                 shown = self.seen_by[index][:, None]
                 change, weight = change + shown * step, weight + shown
-            self.maps["colour"] += change / torch.as_tensor(weight).clamp(min=1.0)
+            self.maps["color"] += change / torch.as_tensor(weight).clamp(min=1.0)
 
     @torch.no_grad()
     def look_around(self, level: int) -> None:
@@ -258,9 +258,9 @@ class Tuner:
         """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
         maps = self.blended()
         if fill:
-            start = self.looks[0].colours + self.tint
+            start = self.looks[0].colors + self.tint
             folded = torch.stack([lid_exposure(self.model, view) for view in self.levels[0]]).amin(0)
-            maps["colour"] = fill_colours(self.surface, start, maps["colour"], self.seen, folded, self._hairy())
+            maps["color"] = fill_colors(self.surface, start, maps["color"], self.seen, folded, self._hairy())
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
@@ -269,7 +269,7 @@ class Tuner:
         deltas = {
             "decoders.transform_mean": torch.cat([maps["position"], rotation, maps["scale"]], 1),
             "decoders.opacity_mean": maps["opacity"],
-            "decoders.appearance_mean": torch.cat([self.tint + maps["colour"], features], 1),
+            "decoders.appearance_mean": torch.cat([self.tint + maps["color"], features], 1),
         }
         if self.settings.networks:
             frozen = dict(self.model.named_parameters())

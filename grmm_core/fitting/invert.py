@@ -24,7 +24,7 @@ from ..model.weights import WeightsInfo
 from ..training.losses import Perceptual
 from .checkpoint import codes_key, decoders_key, load_codes, resume_tuner, save_codes, save_tuner
 from .codes import Codes, code_prior, expression_code, fit_codes
-from .colour import recolour
+from .color import recolor
 from .decoders import Tuner
 from .locality import LOCALITY_WEIGHT
 from .objective import Drawn, decode, draw, mesh
@@ -207,10 +207,10 @@ class _Inversion:
 
 
 def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]) -> dict[str, Tensor]:
-    """Stage 1 as an avatar: the colour maps alone."""
+    """Stage 1 as an avatar: the color maps alone."""
     with torch.no_grad():
-        colours = decode(model, codes.z_id, codes.expression_code(model, views[0]), views[0].camera).colours
-        tint = recolour(colours, codes.maps, surface) - colours
+        colors = decode(model, codes.z_id, codes.expression_code(model, views[0]), views[0].camera).colors
+        tint = recolor(colors, codes.maps, surface) - colors
         return {"decoders.appearance_mean": torch.cat([tint, tint.new_zeros(len(tint), model.config.features)], 1)}
 
 

@@ -1,7 +1,7 @@
-"""The light of a photo in nine spherical-harmonic coefficients, from the skin's colours.
+"""The light of a photo in nine spherical-harmonic coefficients, from the skin's colors.
 
 Ramamoorthi and Hanrahan, "An Efficient Representation for Irradiance Environment Maps", 2001: nine coefficients describe what a
-matt surface reflects to better than a few percent. Skin colour and light cannot be told apart in one photo, so the coefficients
+matt surface reflects to better than a few percent. Skin color and light cannot be told apart in one photo, so the coefficients
 hold their product. Used by `photometric_stage`. Needs numpy only.
 """
 
@@ -30,9 +30,9 @@ def harmonics(normals: np.ndarray) -> np.ndarray:
 def estimate_light(
     head: HeadModel, vertices: np.ndarray, camera: Camera, image: np.ndarray, mask: np.ndarray
 ) -> np.ndarray | None:
-    """Light times mean skin colour, by robust least squares over the visible skin.
+    """Light times mean skin color, by robust least squares over the visible skin.
 
-    The colour of skin with normal n (head space) is `harmonics(n) @ light` in linear RGB. Highlights, freckles and stubble
+    The color of skin with normal n (head space) is `harmonics(n) @ light` in linear RGB. Highlights, freckles and stubble
     count as outliers.
 
     Args:
@@ -53,15 +53,15 @@ def estimate_light(
     if len(chosen) < _MIN_SAMPLES:
         return None
     basis = harmonics(vertex_normals(vertices, head.faces)[chosen])  # [N, 9]
-    colours = srgb_to_linear(sample(image, pixels)).astype(np.float64)  # [N, 3]
+    colors = srgb_to_linear(sample(image, pixels)).astype(np.float64)  # [N, 3]
     weights = np.ones(len(chosen))
     ridge = np.eye(COEFFICIENTS) * _RIDGE
     ridge[0, 0] = 0.0
     light = np.zeros((COEFFICIENTS, 3))
     for _ in range(_ROBUST_STEPS):
         weighted = basis * weights[:, None]
-        light = np.linalg.solve(weighted.T @ basis / weights.sum() + ridge, weighted.T @ colours / weights.sum())
-        distance = np.linalg.norm(basis @ light - colours, axis=1)
+        light = np.linalg.solve(weighted.T @ basis / weights.sum() + ridge, weighted.T @ colors / weights.sum())
+        distance = np.linalg.norm(basis @ light - colors, axis=1)
         scale = max(1.48 * float(np.median(distance)), 1e-4)
         weights = 1.0 / (1.0 + (distance / (_ROBUST_CUT * scale)) ** 2) ** 2
     return light

@@ -48,7 +48,7 @@ class Locality:
         look = decode(tuned, z_id, z_exp, self.view.camera)
         pairs = [
             (look.offsets, frozen.offsets), (torch.sigmoid(look.logits), torch.sigmoid(frozen.logits)),
-            (look.colours, frozen.colours), (look.features, frozen.features),
+            (look.colors, frozen.colors), (look.features, frozen.features),
         ]  # fmt: skip
         return torch.stack([(a - b).abs().mean() for a, b in pairs if a.numel()]).sum()
 

@@ -1,10 +1,10 @@
 """What both stages minimise: decoded attributes drawn into a photo's camera, and the reconstruction loss of eq. 19 and 20.
 
-A person's attributes can be changed between decoding and drawing (`Look`): stage 1 recolours them, stage 2 adds maps. The
+A person's attributes can be changed between decoding and drawing (`Look`): stage 1 recolors them, stage 2 adds maps. The
 loss is L_rec of the refined and of the splatted picture (eq. 16) over a plain background where the photo is a target, and the
 L1 of the coverage, which keeps the outline.
 
-Called by `colour`, `codes`, `decoders`, `invert`. Imports torch.
+Called by `color`, `codes`, `decoders`, `invert`. Imports torch.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ class Look:
     Attributes:
         offsets: Position, rotation, log scale, [N, 10].
         logits: Of the opacities, [N].
-        colours: Display sRGB, [N, 3].
+        colors: Display sRGB, [N, 3].
         features: [N, F].
     """
 
     offsets: Tensor
     logits: Tensor
-    colours: Tensor
+    colors: Tensor
     features: Tensor
 
     def detached(self) -> Look:
         """The same without gradients."""
-        return Look(self.offsets.detach(), self.logits.detach(), self.colours.detach(), self.features.detach())
+        return Look(self.offsets.detach(), self.logits.detach(), self.colors.detach(), self.features.detach())
 
-    def recoloured(self, colours: Tensor) -> Look:
-        """The same with other colours [N, 3]."""
-        return replace(self, colours=colours)
+    def recolored(self, colors: Tensor) -> Look:
+        """The same with other colors [N, 3]."""
+        return replace(self, colors=colors)
 
 
 @dataclass(frozen=True)
@@ -65,16 +65,16 @@ class Drawn:
     alpha: Tensor
 
     def relit(self, gain: Tensor, offset: Tensor) -> Drawn:
-        """The same under a photo's own exposure: gain [3] and offset [3] of the straight colours."""
+        """The same under a photo's own exposure: gain [3] and offset [3] of the straight colors."""
         added = self.alpha[..., None] * offset
         return Drawn(self.image * gain + added, self.raw * gain + added, self.alpha)
 
 
 def decode(model: GRMM, z_id: Tensor, z_exp: Tensor, camera: Camera) -> Look:
     """Attributes of codes z_id [Z], z_exp [Y] seen by a camera."""
-    colours, features = model.appearance(z_id, model.view_direction(camera))
-    colours = colours + model.expression_colours(z_id, z_exp)
-    return Look(model.offsets(z_id, z_exp), model.decoders.opacity_logits(z_id), colours, features)
+    colors, features = model.appearance(z_id, model.view_direction(camera))
+    colors = colors + model.expression_colors(z_id, z_exp)
+    return Look(model.offsets(z_id, z_exp), model.decoders.opacity_logits(z_id), colors, features)
 
 
 def mesh(model: GRMM, view: FitView, z_id: Tensor, z_exp: Tensor) -> Tensor:
@@ -89,7 +89,7 @@ def gaussians(model: GRMM, vertices: Tensor, look: Look) -> Gaussians:
     """Place a look on posed vertices [V, 3]."""
     placed = model.geometry(vertices, look.offsets)
     features = look.features if model.config.features else None
-    return Gaussians(placed.means, placed.quats, placed.scales, torch.sigmoid(look.logits), look.colours, features)
+    return Gaussians(placed.means, placed.quats, placed.scales, torch.sigmoid(look.logits), look.colors, features)
 
 
 def draw(model: GRMM, camera: Camera, vertices: Tensor, look: Look, refined: bool = True) -> Drawn:
@@ -110,7 +110,7 @@ def fit_loss(
     Args:
         drawn: Over black.
         view: The photo.
-        background: Colour put behind both, [3].
+        background: Color put behind both, [3].
         weights: Factors.
         perceptual: Distance of two pictures, or None.
         pictures: Which of the two terms to compute; stage 2 takes them in turn, which halves the time of a step.
@@ -127,11 +127,11 @@ def fit_loss(
     return total
 
 
-def spread_to_colours(model: GRMM, view: FitView, vertices: Tensor, look: Look, picture: Tensor) -> Tensor:
+def spread_to_colors(model: GRMM, view: FitView, vertices: Tensor, look: Look, picture: Tensor) -> Tensor:
     """Mean of a picture [H, W, C <= 3] over the pixels that each Gaussian contributes to, [N, C]: sum_p w_pi r_p / sum_p w_pi.
 
-    Of the difference between photo and avatar this is a step that brings every Gaussian's colour nearer at once (Jacobi's
-    method for the least squares of colours; weights of a pixel sum to at most 1).
+    Of the difference between photo and avatar this is a step that brings every Gaussian's color nearer at once (Jacobi's
+    method for the least squares of colors; weights of a pixel sum to at most 1).
     """
     scene = gaussians(model, vertices.detach(), look.detached())
     width = picture.shape[-1]
@@ -144,7 +144,7 @@ def spread_to_colours(model: GRMM, view: FitView, vertices: Tensor, look: Look, 
 
 
 def contributions(model: GRMM, view: FitView, vertices: Tensor, look: Look, pixels: Tensor) -> Tensor:
-    """How many pixels each Gaussian contributes to: the derivative of the weighted picture by its colour, [N].
+    """How many pixels each Gaussian contributes to: the derivative of the weighted picture by its color, [N].
 
     Args:
         model: Model.

@@ -1,7 +1,7 @@
 """Where the head's outline should be in a photo: ears and cheeks against background, hair or clothes.
 
 The person's mask alone does not show the head's outline, for it has hair in it. What is looked for is the end of the *skin*:
-from every point of the mesh's outline outward to where person and skin colour end, or inward to where the person begins. Used
+from every point of the mesh's outline outward to where person and skin color end, or inward to where the person begins. Used
 by `photometric_stage`. Needs numpy only.
 """
 
@@ -22,7 +22,7 @@ _CLEAR = (0.03, 0.08)  # eye distances outward that must be free of the mesh: in
 _INSIDE = 0.05  # eye distances inside the outline where skin must be seen
 _STEPS = 96
 _HALF = 0.5
-_CHROMA_FLOOR, _LUMA_FLOOR = 0.12, 0.45  # spreads of skin colour (logarithms) that are always allowed
+_CHROMA_FLOOR, _LUMA_FLOOR = 0.12, 0.45  # spreads of skin color (logarithms) that are always allowed
 _SKIN_LIMIT, _SKIN_SOFTNESS = 9.0, 1.5  # squared standard scores
 _BLACK = 0.02
 
@@ -68,7 +68,7 @@ def sample(picture: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def skin_map(image: np.ndarray, skin_points: np.ndarray) -> np.ndarray:
-    """How much each pixel has the colour of the person's skin.
+    """How much each pixel has the color of the person's skin.
 
     Args:
         image: Display sRGB 0..1, [H, W, 3].
@@ -77,7 +77,7 @@ def skin_map(image: np.ndarray, skin_points: np.ndarray) -> np.ndarray:
     Returns:
         0..1, [H, W].
     """
-    features = _colour_features(image)  # [H, W, 3]
+    features = _color_features(image)  # [H, W, 3]
     known = sample(features, skin_points)
     middle = np.median(known, axis=0)
     spread = 1.48 * np.median(np.abs(known - middle), axis=0)
@@ -157,8 +157,8 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return result / np.maximum(np.linalg.norm(result, axis=1, keepdims=True), 1e-12)
 
 
-def _colour_features(image: np.ndarray) -> np.ndarray:
-    """Two logarithmic colour ratios and logarithmic lightness, [..., 3]."""
+def _color_features(image: np.ndarray) -> np.ndarray:
+    """Two logarithmic color ratios and logarithmic lightness, [..., 3]."""
     r, g, b = (np.log(np.maximum(image[..., c], 0.0) + _BLACK) for c in range(3))
     return np.stack([r - g, b - g, g], axis=-1)
 

@@ -80,4 +80,3 @@ def _draw_wire(draw: object, track: PhotoTrack, head: HeadModel, scale: int) -> 
     for a, b in edges:
         color = _EYE_COLOR if eyeballs[a] else _WIRE_COLOR
         draw.line([tuple((pixels[a] * scale).tolist()), tuple((pixels[b] * scale).tolist())], fill=(*color, 70))
-

@@ -75,7 +75,7 @@ def refine(
 
     Returns:
         The refined fit, or `fit` itself where the outlines contradict the landmarks, would change the shape beyond belief
-        (hair of the skin's colour), or none is seen.
+        (hair of the skin's color), or none is seen.
     """
     result = fit
     for number in range(ROUNDS):

@@ -1,10 +1,10 @@
 """The texels of a model as a surface: parts of the head, neighbours, mirror images; and filling in what no photo shows.
 
-Parts: skin, scalp (where hair grows) and the inner parts (eyes, teeth, tongue, mouth, lashes), whose colours a photo's skin
+Parts: skin, scalp (where hair grows) and the inner parts (eyes, teeth, tongue, mouth, lashes), whose colors a photo's skin
 says nothing about. `fill` spreads values from texels that a photo shows to those that none does, along the surface and
 across the plane of symmetry: the membrane of least bending by conjugate gradients.
 
-Called by `colour` and `decoders`. Imports torch.
+Called by `color` and `decoders`. Imports torch.
 """
 
 from __future__ import annotations

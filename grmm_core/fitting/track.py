@@ -199,9 +199,7 @@ def _working_picture(photo: Photo, camera: Camera, size: int, mask: np.ndarray |
     return Appearance(image, np.clip(outline * valid, 0.0, 1.0), valid, left, top, size / side)
 
 
-def _track(
-    item: AnalysedPhoto, face: Face, fit: LandmarkFit, index: int, picture: Appearance, rig: LandmarkRig
-) -> PhotoTrack:
+def _track(item: AnalysedPhoto, face: Face, fit: LandmarkFit, index: int, picture: Appearance, rig: LandmarkRig) -> PhotoTrack:
     """Move everything that was found into the working picture."""
     photo, view = item.photo, fit.views[index]
     height, width = photo.pixels.shape[:2]

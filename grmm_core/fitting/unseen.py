@@ -1,8 +1,8 @@
-"""What a photo does not show, or shows wrongly: how far its colours are known, and what stands where they are not.
+"""What a photo does not show, or shows wrongly: how far its colors are known, and what stands where they are not.
 
 ``facing``          skin that a photo sees edge-on tells nothing
 ``lid_exposure``    skin that lies folded away in the photo and comes out when the eyes close
-``fill_colours``    tone of skin, change of hair, spread along the surface; hair of no other colour than the photo's
+``fill_colors``    tone of skin, change of hair, spread along the surface; hair of no other color than the photo's
 
 Called by `decoders`. Imports torch.
 """
@@ -20,10 +20,10 @@ from ..model.texels import rotate
 from .surface import SCALP, SKIN, Surface
 from .views import FitView
 
-GRAZING = (0.1, 0.4)  # cosine between normal and view below which colours say nothing, and above which they count fully
-TONE_TEXELS = 40.0  # length above which colours are a general tone
-COLOUR_REST = 5e-4  # pulls unseen colours to the general tone; the reach is some 45 texels
-SURELY_SEEN = (0.2, 0.6)  # below the first a texel's colour counts as unknown, above the second as known
+GRAZING = (0.1, 0.4)  # cosine between normal and view below which colors say nothing, and above which they count fully
+TONE_TEXELS = 40.0  # length above which colors are a general tone
+COLOR_REST = 5e-4  # pulls unseen colors to the general tone; the reach is some 45 texels
+SURELY_SEEN = (0.2, 0.6)  # below the first a texel's color counts as unknown, above the second as known
 LID_TRAVEL = (0.001, 0.003)  # metres that closing the eyes moves skin: below the first it was seen, above the second folded
 LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may be, and from where on it is not believed
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
@@ -71,19 +71,19 @@ def _lids(head: HeadModel) -> Tensor:
     return chosen
 
 
-def fill_colours(
+def fill_colors(
     surface: Surface, start: Tensor, changes: Tensor, seen: Tensor, folded: Tensor, hairy: Tensor
 ) -> Tensor:  # fmt: skip
-    """Changes of colour [N, 3] with those of unseen texels.
+    """Changes of color [N, 3] with those of unseen texels.
 
     What is filled in on skin is the tone, not the change: the decoded tone may be wrong just where nothing is seen, as on
-    lids. Where hair falls over a cheek, unseen skin behind it goes on as hair, and does not take the other cheek's colour. On
+    lids. Where hair falls over a cheek, unseen skin behind it goes on as hair, and does not take the other cheek's color. On
     the scalp and inside it is the change: the decoded hair at the back goes with that at the sides, but takes no tint that the
     seen hair does not have.
 
     Args:
         surface: Texels.
-        start: Colours that the changes are added to, [N, 3].
+        start: Colors that the changes are added to, [N, 3].
         changes: [N, 3].
         seen: How well each texel was seen, 0..1, [N].
         folded: `lid_exposure`, [N].
@@ -97,9 +97,9 @@ def fill_colours(
     shade = ((darker - LID_SHADE[0]) / (LID_SHADE[1] - LID_SHADE[0])).clamp(0, 1)  # the fold's shadow, lashes, the iris
     shown = torch.lerp(start + changes, around, (folded * shade)[:, None])
     skin_known = torch.maximum(known, folded * shade)
-    filled = tone + surface.fill(shown - tone, skin_known, rest=COLOUR_REST)
+    filled = tone + surface.fill(shown - tone, skin_known, rest=COLOR_REST)
     if bool((hairy > 0.0).any()):
-        beside = tone + surface.fill(shown - tone, skin_known, mirrored=False, rest=COLOUR_REST)
+        beside = tone + surface.fill(shown - tone, skin_known, mirrored=False, rest=COLOR_REST)
         covered = torch.where(surface.group == SCALP, torch.ones_like(hairy), hairy)[:, None]
         near_hair = surface.fill(covered, torch.maximum(known, (surface.group == SCALP).to(known)), mirrored=False)
         filled = torch.lerp(filled, beside, (HAIR_REACH * near_hair).clamp(0, 1))
@@ -109,37 +109,37 @@ def fill_colours(
     return torch.where((surface.group == SKIN)[:, None], outer, other)
 
 
-def _bare_skin(surface: Surface, colours: Tensor, known: Tensor) -> Tensor:
-    """Colours [N, 3] of the known skin, spread over everything; brows, lashes and stubble are left out."""
+def _bare_skin(surface: Surface, colors: Tensor, known: Tensor) -> Tensor:
+    """Colors [N, 3] of the known skin, spread over everything; brows, lashes and stubble are left out."""
     skin = surface.group == SKIN
-    sample = colours[skin & (known > 0.5)]
+    sample = colors[skin & (known > 0.5)]
     if len(sample) < _FEW_TEXELS:
-        return colours
+        return colors
     middle = torch.quantile(sample, 0.5, dim=0)
-    bare = skin & (colours.mean(1) > middle.mean() - BARE_SKIN)
-    return middle + surface.fill(colours - middle, known * bare, mirrored=False, rest=COLOUR_REST)
+    bare = skin & (colors.mean(1) > middle.mean() - BARE_SKIN)
+    return middle + surface.fill(colors - middle, known * bare, mirrored=False, rest=COLOR_REST)
 
 
 def _plausible_hair(surface: Surface, start: Tensor, changes: Tensor, known: Tensor) -> Tensor:
     """Changes [N, 3] with the scalp brought into the range of its seen texels: narrowly where it was not seen itself."""
-    colours = start + changes
+    colors = start + changes
     scalp = surface.group == SCALP
-    sample = colours[scalp & (known > 0.5)]
+    sample = colors[scalp & (known > 0.5)]
     if len(sample) < _FEW_TEXELS:
         return changes
-    unseen, seen = (_within(colours, sample, limits) for limits in (HAIR_RANGE, SEEN_HAIR_RANGE))
+    unseen, seen = (_within(colors, sample, limits) for limits in (HAIR_RANGE, SEEN_HAIR_RANGE))
     return torch.where(scalp[:, None], torch.lerp(unseen, seen, known[:, None]) - start, changes)
 
 
-def _within(colours: Tensor, sample: Tensor, quantiles: tuple[float, float]) -> Tensor:
-    """Colours [N, 3] whose lightness and tint keep to the quantiles of a sample's [M, 3]."""
+def _within(colors: Tensor, sample: Tensor, quantiles: tuple[float, float]) -> Tensor:
+    """Colors [N, 3] whose lightness and tint keep to the quantiles of a sample's [M, 3]."""
 
     def parts(values: Tensor) -> tuple[Tensor, Tensor]:
         lightness = values.mean(1, keepdim=True)
         return lightness, values - lightness
 
     kept = []
-    for known, every in zip(parts(sample), parts(colours), strict=True):
+    for known, every in zip(parts(sample), parts(colors), strict=True):
         low, high = torch.quantile(known, sample.new_tensor(quantiles), dim=0)
         kept.append(torch.minimum(torch.maximum(every, low), high))
     return kept[0] + kept[1]

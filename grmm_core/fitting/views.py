@@ -25,8 +25,8 @@ from .types import PhotoTrack
 MARGIN_SIDE, MARGIN_TOP, MARGIN_BOTTOM = 0.18, 0.22, 0.03  # of the head's height in the picture, around the mesh
 BODY_BELOW_CHIN = -0.1  # of the head's height: collars and shoulders may begin so far above the chin
 SURELY_BODY = 0.12  # likewise: below this it is clothes
-HAIR_NEARER = 0.7  # a pixel is hair where it is so much nearer to the hair's colour than to the clothes'
-COLOURS_DIFFER = 0.15  # distance of these colours from which they can be told apart
+HAIR_NEARER = 0.7  # a pixel is hair where it is so much nearer to the hair's color than to the clothes'
+COLORS_DIFFER = 0.15  # distance of these colors from which they can be told apart
 BODY_MASK = 0.05  # coverage above which a pixel counts as the person's
 MESH_MARGIN = 0.015  # of the head's height by which the mesh is widened before what lies outside counts as body
 _CHIN_LANDMARK, _FOREHEAD_LANDMARK = 152, 10
@@ -34,10 +34,27 @@ _SIDE_LANDMARKS = (234, 454)  # the face's sides before the ears
 _MOUTH_LANDMARKS = (61, 291)
 _BEARD_LANDMARKS = (18, 199, 200, 32, 262)  # between lower lip and chin
 _SKIN_LANDMARKS = (
-    50, 280, 205, 425, 101, 330, 36, 266, 118, 347, 4, 195, 9, 151, 108, 337, 69, 299,
+    50,
+    280,
+    205,
+    425,
+    101,
+    330,
+    36,
+    266,
+    118,
+    347,
+    4,
+    195,
+    9,
+    151,
+    108,
+    337,
+    69,
+    299,
 )  # cheeks, nose, forehead
 HAIR_LATERAL = 0.6  # of the face's half width: dark pixels nearer to the middle are brows, eyes, stubble, not hair before skin
-RIM = 0.006  # of the picture's height: how far from the outline hair may have the background's colours
+RIM = 0.006  # of the picture's height: how far from the outline hair may have the background's colors
 CLOTHES_RIM = 0.02  # of the head's height by which clothes are widened: there the coarse bust blurs their edge
 _INNER = 0.9  # coverage
 _FEW_PIXELS = 30
@@ -92,7 +109,7 @@ class FitView:
         return self.inside * (1.0 - self.clothes)
 
     def target(self, background: Tensor) -> Tensor:
-        """The photo's person over a colour [3]: [H, W, 3]."""
+        """The photo's person over a color [3]: [H, W, 3]."""
         mask = self.mask[..., None]
         return self.image * mask + (1.0 - mask) * background
 
@@ -189,7 +206,7 @@ class _Parts:
 
 
 def _parts(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> _Parts:
-    """Tell clothes, hair and skin apart by where they are and by their colours."""
+    """Tell clothes, hair and skin apart by where they are and by their colors."""
     camera = track.camera
     height = float(np.ptp(pixels[:, 1]))
     covered = torch.tensor(triangle_depth(triangles, camera) < EMPTY, dtype=torch.float32)
@@ -205,7 +222,7 @@ def _parts(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> _Par
     hair = _median(track, (track.mask > 0.5) & above)
     clothes = _median(track, (track.mask > 0.5) & outside & (below > SURELY_BODY * height))
     body = outside & (below > BODY_BELOW_CHIN * height)
-    if hair is not None and clothes is not None and np.linalg.norm(hair - clothes) > COLOURS_DIFFER:
+    if hair is not None and clothes is not None and np.linalg.norm(hair - clothes) > COLORS_DIFFER:
         nearer = np.linalg.norm(track.image - hair, axis=-1) < HAIR_NEARER * np.linalg.norm(track.image - clothes, axis=-1)
         body &= ~(nearer & (below < SURELY_BODY * height))
     empty = body.copy()
@@ -220,13 +237,13 @@ def _parts(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> _Par
 def _side_hair(
     track: PhotoTrack, hair: np.ndarray | None, skin: np.ndarray, pixels: tuple[np.ndarray, np.ndarray], down: np.ndarray
 ) -> np.ndarray:
-    """Pixels of hair over cheeks, temples and ears, [H, W] bool: nearer to the hair's colour than to that of the skin.
+    """Pixels of hair over cheeks, temples and ears, [H, W] bool: nearer to the hair's color than to that of the skin.
 
-    Below the mouth only of people without a beard: there the same colours can be skin's.
+    Below the mouth only of people without a beard: there the same colors can be skin's.
     """
     marks = track.landmarks_fitted
     tone = np.median(sample(track.image, marks[list(_SKIN_LANDMARKS)]), axis=0)
-    if hair is None or np.linalg.norm(hair - tone) < COLOURS_DIFFER:
+    if hair is None or np.linalg.norm(hair - tone) < COLORS_DIFFER:
         return np.zeros(skin.shape, bool)
     middle = 0.5 * (marks[_SIDE_LANDMARKS[0]] + marks[_SIDE_LANDMARKS[1]])
     half = 0.5 * float(np.linalg.norm(marks[_SIDE_LANDMARKS[1]] - marks[_SIDE_LANDMARKS[0]]))
@@ -244,5 +261,5 @@ def _widened(mask: torch.Tensor, reach: int) -> np.ndarray:
 
 
 def _median(track: PhotoTrack, pixels: np.ndarray) -> np.ndarray | None:
-    """Middle colour of some pixels, [3]; None of too few."""
+    """Middle color of some pixels, [3]; None of too few."""
     return np.median(track.image[pixels], axis=0) if int(pixels.sum()) >= _FEW_PIXELS else None

@@ -74,7 +74,7 @@ def write_splats(path: str | os.PathLike[str], cloud: SplatCloud, **options: Any
 
     Args:
         path: A .ply, .splat, .spz, .sog or .glb file.
-        cloud: Splats, y up. Its colour must be the one that looks right alone (the unrefined RGB).
+        cloud: Splats, y up. Its color must be the one that looks right alone (the unrefined RGB).
         options: Passed to the writer: `axes` for .ply, .splat and .sog; `version`, `fractional_bits`, `full_sh` for .spz.
 
     Raises:

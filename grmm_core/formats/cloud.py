@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import FileFormatError, ShapeError
 
 SH_C0 = 0.28209479177387814
-"""Value of the constant spherical harmonic: colour = 0.5 + SH_C0 * coefficient."""
+"""Value of the constant spherical harmonic: color = 0.5 + SH_C0 * coefficient."""
 MAX_DEGREE = 3
 MAX_SPLATS = 10_000_000  # limit of packed files, whose size says little about their count; five times a large capture
 _MIN_SCALE, _MAX_SCALE = 1e-12, 1e12
@@ -72,7 +72,7 @@ class SplatCloud:
     def from_rgb(
         cls, means: np.ndarray, quats: np.ndarray, scales: np.ndarray, opacities: np.ndarray, rgb: np.ndarray
     ) -> SplatCloud:
-        """Build a cloud of degree 0 from display colours [N, 3] 0..1: f_dc = (rgb - 0.5) / SH_C0. Raises `ShapeError`."""
+        """Build a cloud of degree 0 from display colors [N, 3] 0..1: f_dc = (rgb - 0.5) / SH_C0. Raises `ShapeError`."""
         sh = ((np.asarray(rgb, np.float32) - 0.5) / SH_C0)[:, None, :]
         return cls(means, quats, scales, opacities, sh).validated()
 

@@ -151,7 +151,7 @@ def _transform(reader: GltfReader, cloud: SplatCloud, matrix: np.ndarray) -> Spl
     cloud.quats = multiply_quaternions(matrix_to_quaternion(rotation)[None], cloud.quats)
     if cloud.sh.shape[1] > 1 and not np.allclose(rotation, np.eye(3), atol=1e-4):
         cloud.sh = cloud.sh[:, :1]
-        cloud.warnings.append("View-dependent colour was dropped, since its node is turned.")
+        cloud.warnings.append("View-dependent color was dropped, since its node is turned.")
     return cloud
 
 
@@ -210,7 +210,7 @@ def write_gltf_splats(path: str | os.PathLike[str], cloud: SplatCloud) -> None:
 
 
 def _to_linear(rgba: np.ndarray) -> np.ndarray:
-    """COLOR_0 is linear in glTF: undo the sRGB curve of the colours, keep alpha. [N, 4]."""
+    """COLOR_0 is linear in glTF: undo the sRGB curve of the colors, keep alpha. [N, 4]."""
     rgb = rgba[:, :3]
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     return np.concatenate([linear, rgba[:, 3:]], 1).astype(np.float32)

@@ -1,6 +1,6 @@
 """SOG files: splats as lossless WebP pictures with a `meta.json`, zipped (`.sog`) or in a folder.
 
-Version 2. One pixel is one splat: positions in 16 bits after a symmetric logarithm, scales and colours as indices to tables of
+Version 2. One pixel is one splat: positions in 16 bits after a symmetric logarithm, scales and colors as indices to tables of
 256 values, the three smallest components of quaternions in 8 bits with the fourth byte naming the largest, opacity as alpha;
 higher harmonics as indices to a palette of coefficient rows. y is down, as in the PLY files that these are made from.
 
@@ -262,7 +262,7 @@ def write_sog(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file
 
 
 def _encode(path: Path, pixels: np.ndarray, width: int) -> bytes:
-    """Lossless WebP of pixels [N, 4], filled up to whole rows; colours under zero alpha are kept."""
+    """Lossless WebP of pixels [N, 4], filled up to whole rows; colors under zero alpha are kept."""
     height = -(-pixels.shape[0] // width)
     canvas = np.zeros((height * width, 4), np.uint8)
     canvas[: pixels.shape[0]] = pixels

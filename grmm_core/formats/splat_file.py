@@ -1,6 +1,6 @@
 """`.splat` files: headerless records of 32 bytes, written by the first web viewer and read by most.
 
-Position and linear scale as float32, colour and opacity as bytes, quaternion wxyz as bytes around 128. Colour is that of the
+Position and linear scale as float32, color and opacity as bytes, quaternion wxyz as bytes around 128. Color is that of the
 constant harmonic; higher degrees are lost. y is down, as in the PLY files that these are made from. No library is needed for a
 plain record array. Needs numpy only.
 """

@@ -1,6 +1,6 @@
 """SPZ files: packed splats, versions 2 and 3 (one gzip stream) and 4 (zstandard streams).
 
-Layout of version 2 and 3: a header of 16 bytes, then positions, opacities, colours, scales, rotations and harmonics, each for
+Layout of version 2 and 3: a header of 16 bytes, then positions, opacities, colors, scales, rotations and harmonics, each for
 all splats. Positions are 24-bit fixed point, scales 8-bit logarithms, rotations either x, y, z as bytes (version 2) or the
 three smallest components in 10 bits each (from 3 on), harmonics bytes with the channel innermost. Axes: x right, y up, z
 backward.
@@ -31,7 +31,7 @@ _HEADER = struct.Struct("<IIIBBBB")
 _HEADER_V4 = struct.Struct("<IIIBBBBI12x")
 _TOC_ENTRY = struct.Struct("<QQ")
 _SH_COUNTS = (0, 3, 8, 15, 24)
-_COLOR_SCALE = 0.15  # range of the 8-bit colours: wider than 0..1, since higher harmonics can bring them back
+_COLOR_SCALE = 0.15  # range of the 8-bit colors: wider than 0..1, since higher harmonics can bring them back
 _FLAG_ANTIALIASED = 1
 _MAX_FRACTIONAL_BITS = 23
 _FRACTIONAL_BITS = 12  # a quarter of a millimetre, the format's usual value

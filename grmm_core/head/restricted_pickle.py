@@ -237,9 +237,7 @@ class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         builder = _builder(module, name)
         if builder is None:
-            raise FileFormatError(
-                f"{self._label} asks to run {module}.{name}, which no head model needs; nothing of it ran."
-            )
+            raise FileFormatError(f"{self._label} asks to run {module}.{name}, which no head model needs; nothing of it ran.")
         return builder
 
 

@@ -18,12 +18,13 @@ POSITION_CHANNELS = 3
 ROTATION_CHANNELS = 4
 SCALE_CHANNELS = 3
 TRANSFORM_CHANNELS = POSITION_CHANNELS + ROTATION_CHANNELS + SCALE_CHANNELS  # the paper's 10
-COLOUR_CHANNELS = 3
+COLOR_CHANNELS = 3
+BASIS_COLOR = "colour"  # spelled as weights files have it
 JOINTS_OF_MESH_DECODER = 6  # theta_neck and theta_jaw, axis-angle
 
 BASIS_GROUPS: dict[str, int] = {
     "position": POSITION_CHANNELS, "rotation": ROTATION_CHANNELS, "scale": SCALE_CHANNELS,
-    "opacity": 1, "colour": COLOUR_CHANNELS,
+    "opacity": 1, BASIS_COLOR: COLOR_CHANNELS,
 }  # fmt: skip
 """Attributes that basis maps can carry, with their channels."""
 
@@ -49,8 +50,8 @@ class GRMMConfig:
         mean_maps: Free full-resolution maps added to each decoder's output.
         basis_maps: Number of full-resolution maps weighted by a linear map of z_id; 0 is the paper's plain form.
         basis_channels: Which attributes the basis maps carry, names of `BASIS_GROUPS`.
-        expression_maps: Number of full-resolution colour maps weighted by z_exp and z_id, for wrinkles and blood; 0 is the
-            paper's plain form, in which colours do not change with expression.
+        expression_maps: Number of full-resolution color maps weighted by z_exp and z_id, for wrinkles and blood; 0 is the
+            paper's plain form, in which colors do not change with expression.
         position_unit_mm: Millimetres that a decoder output of 1 moves a Gaussian.
         position_limit_mm: Soft limit of position offsets (hair needs centimetres).
         scale_log_limit: Soft limit of |log(scale / base scale)|; None leaves it free.
@@ -77,7 +78,7 @@ class GRMMConfig:
     view_stage: int = 8
     mean_maps: bool = False
     basis_maps: int = 0
-    basis_channels: tuple[str, ...] = ("position", "opacity", "colour")
+    basis_channels: tuple[str, ...] = ("position", "opacity", BASIS_COLOR)
     expression_maps: int = 0
     position_unit_mm: float = 1.0
     position_limit_mm: float = 200.0

@@ -1,7 +1,7 @@
 """Phi_T, Phi_alpha and Phi_app: maps of Gaussian attributes in UV space (paper section 3.3).
 
 Each is a `MapDecoder` of transposed convolutions. Extensions that the paper does not have, off in its configuration: maps may
-end below the grid and be enlarged bilinearly; free mean maps and basis maps weighted by a linear map of z_id are added; colours
+end below the grid and be enlarged bilinearly; free mean maps and basis maps weighted by a linear map of z_id are added; colors
 change with expression by `ExpressionMaps`, which the paper's Phi_app, a function of z_id and d, leaves out.
 Values are needed at active texels only, so mean and basis maps exist only there and decoder maps are read only there.
 
@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from .config import BASIS_GROUPS, COLOUR_CHANNELS, TRANSFORM_CHANNELS, GRMMConfig
+from .config import BASIS_COLOR, BASIS_GROUPS, COLOR_CHANNELS, TRANSFORM_CHANNELS, GRMMConfig
 from .sparse import FixedSparse
 
 SLOPE = 0.2
@@ -78,7 +78,7 @@ class MapDecoder(nn.Module):
 
 
 class ExpressionMaps(nn.Module):
-    """Colour changes of an expression: maps weighted by z_exp, with a gain for each person.
+    """Color changes of an expression: maps weighted by z_exp, with a gain for each person.
 
     A furrow is a few texels of darker skin, too fine for the displacement of vertices, deep in one face and faint in another:
     weights = (A z_exp) (1 + B z_id). Nothing is added at z_exp = 0, and by an untrained model.
@@ -94,12 +94,12 @@ class ExpressionMaps(nn.Module):
         self.weights = nn.Linear(z_exp, maps, bias=False)
         self.gains = nn.Linear(z_id, maps, bias=False)
         nn.init.zeros_(self.gains.weight)
-        self.maps = nn.Parameter(torch.zeros(maps, count * COLOUR_CHANNELS))
+        self.maps = nn.Parameter(torch.zeros(maps, count * COLOR_CHANNELS))
 
     def forward(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
-        """Return what codes z_id [Z] and z_exp [Y] add to the colours, display sRGB [N, 3]."""
+        """Return what codes z_id [Z] and z_exp [Y] add to the colors, display sRGB [N, 3]."""
         weights = self.weights(z_exp) * (1.0 + self.gains(z_id))  # [K]
-        added: Tensor = (weights @ self.maps).view(-1, COLOUR_CHANNELS)
+        added: Tensor = (weights @ self.maps).view(-1, COLOR_CHANNELS)
         return added
 
 
@@ -119,7 +119,7 @@ class AttributeDecoders(nn.Module):
         self.features = config.features
         self.basis_channels = config.basis_channels
         start, channels = config.decoder_start, config.decoder_channels
-        app_channels = COLOUR_CHANNELS + config.features
+        app_channels = COLOR_CHANNELS + config.features
         self.transform = MapDecoder(z_id + z_exp, TRANSFORM_CHANNELS, start, channels)
         self.opacity = MapDecoder(z_id, 1, start, channels)
         self.appearance = MapDecoder(z_id, app_channels, start, channels, config.view_stage)
@@ -130,7 +130,7 @@ class AttributeDecoders(nn.Module):
             self.register_parameter(f"{name}_mean", mean)
         if not config.mean_maps:
             with torch.no_grad():
-                self.appearance.stages[-1].bias[:COLOUR_CHANNELS] = 0.5  # mid grey
+                self.appearance.stages[-1].bias[:COLOR_CHANNELS] = 0.5  # mid grey
         self.basis = nn.ParameterDict()
         self.basis_weights: nn.Linear | None = None
         if config.basis_maps:
@@ -146,8 +146,7 @@ class AttributeDecoders(nn.Module):
         added = [self._basis(name, z_id, part.stop - part.start) for name, part in parts.items()]
         if any(a is not None for a in added):
             columns = [
-                offsets[:, part] if a is None else offsets[:, part] + a
-                for a, part in zip(added, parts.values(), strict=True)
+                offsets[:, part] if a is None else offsets[:, part] + a for a, part in zip(added, parts.values(), strict=True)
             ]
             offsets = torch.cat(columns, -1)
         return offsets
@@ -163,16 +162,16 @@ class AttributeDecoders(nn.Module):
         logits = logits if added is None else logits + added
         return logits[:, 0] + self.opacity_bias
 
-    def colours(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
+    def colors(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
         """Phi_app: display sRGB [N, 3] and features [N, F] from z_id [Z] and the unit view direction [3]."""
         values = self._decode(self.appearance, self.appearance_mean, z_id[None], view[None])
-        colours, features = values[:, :COLOUR_CHANNELS], values[:, COLOUR_CHANNELS:]
-        added = self._basis("colour", z_id, COLOUR_CHANNELS)
-        return (colours if added is None else colours + added), features
+        colors, features = values[:, :COLOR_CHANNELS], values[:, COLOR_CHANNELS:]
+        added = self._basis(BASIS_COLOR, z_id, COLOR_CHANNELS)
+        return (colors if added is None else colors + added), features
 
-    def expression_colours(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
-        """What z_exp [Y] adds to the `colours` of z_id [Z], display sRGB [N, 3]; one row of zeros without expression maps."""
-        added: Tensor = z_id.new_zeros(1, COLOUR_CHANNELS) if self.expression is None else self.expression(z_id, z_exp)
+    def expression_colors(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
+        """What z_exp [Y] adds to the `colors` of z_id [Z], display sRGB [N, 3]; one row of zeros without expression maps."""
+        added: Tensor = z_id.new_zeros(1, COLOR_CHANNELS) if self.expression is None else self.expression(z_id, z_exp)
         return added
 
     def _decode(self, decoder: MapDecoder, mean: Tensor | None, code: Tensor, view: Tensor | None = None) -> Tensor:

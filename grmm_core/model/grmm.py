@@ -191,22 +191,22 @@ class GRMM(nn.Module):
 
     def appearance(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
         """Phi_app: display sRGB [N, 3] and features [N, F] from z_id [Z] and the unit view direction [3]."""
-        return self.decoders.colours(z_id, view)
+        return self.decoders.colors(z_id, view)
 
     def gaussians(self, vertices: Tensor, z_id: Tensor, z_exp: Tensor, view: Tensor) -> Gaussians:
         """All attributes at once for posed vertices [V, 3], z_id [Z], z_exp [Y] and the unit view direction [3]."""
         return self._assemble(self.geometry(vertices, self.offsets(z_id, z_exp)), z_id, z_exp, view)
 
-    def expression_colours(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
-        """What z_exp [Y] adds to the colours of z_id [Z]: wrinkles and blood, display sRGB, [N, 3] or a row of zeros."""
-        return self.decoders.expression_colours(z_id, z_exp)
+    def expression_colors(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
+        """What z_exp [Y] adds to the colors of z_id [Z]: wrinkles and blood, display sRGB, [N, 3] or a row of zeros."""
+        return self.decoders.expression_colors(z_id, z_exp)
 
     def _assemble(self, geometry: Geometry, z_id: Tensor, z_exp: Tensor, view: Tensor) -> Gaussians:
-        colours, features = self.appearance(z_id, view)
-        colours = colours + self.expression_colours(z_id, z_exp)
+        colors, features = self.appearance(z_id, view)
+        colors = colors + self.expression_colors(z_id, z_exp)
         return Gaussians(
             means=geometry.means, quats=geometry.quats, scales=geometry.scales, opacities=self.opacity(z_id),
-            colors=colours, features=features if self.config.features else None,
+            colors=colors, features=features if self.config.features else None,
         )  # fmt: skip
 
     # --- pictures --------------------------------------------------------------------------------------------------
@@ -215,13 +215,13 @@ class GRMM(nn.Module):
         """Psi_ref (eq. 14) on a picture that was rasterised over black.
 
         Args:
-            raster: Rasterised colours (background black), alpha, depth, features.
+            raster: Rasterised colors (background black), alpha, depth, features.
             limits: Depths in metres that become 0 and 1, [2]; those of the covered pixels when None. Give the range of the
                 whole picture when only a part of it is drawn, or the range at each pixel, [2, H, W].
             coarse: For previews: look at half the resolution, which takes a quarter of the time; the change is enlarged.
 
         Returns:
-            Refined colours premultiplied over black, [H, W, 3]; unchanged without a refinement network.
+            Refined colors premultiplied over black, [H, W, 3]; unchanged without a refinement network.
         """
         if self.refinement is None:
             return raster.rgb
@@ -294,8 +294,8 @@ class GRMM(nn.Module):
         refined = self.refine(raster) if refine else raster.rgb
         behind = 0.0
         if background is not None:
-            colour = torch.as_tensor(background, dtype=refined.dtype, device=refined.device)
-            behind = (1.0 - raster.alpha)[..., None] * colour
+            color = torch.as_tensor(background, dtype=refined.dtype, device=refined.device)
+            behind = (1.0 - raster.alpha)[..., None] * color
         return Rendering(
             refined + behind, raster.rgb + behind, raster.alpha, raster.depth, gaussians, offsets, vertices, displacement[0]
         )

@@ -1,6 +1,6 @@
 """Psi_ref: the screen-space refinement network, eq. 14.
 
-A small U-Net reads the splatted colours and features, premultiplied over black, and the min-max normalised depth, and gives a
+A small U-Net reads the splatted colors and features, premultiplied over black, and the min-max normalised depth, and gives a
 residual that is added where the avatar covers the pixel: I = I_rgb + alpha * residual. So alpha stays right over any
 background, and an untrained network (zero last layer) changes nothing. Any picture size works.
 
@@ -12,7 +12,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from .config import COLOUR_CHANNELS, GRMMConfig
+from .config import COLOR_CHANNELS, GRMMConfig
 
 SLOPE = 0.2
 COVERED = 0.5  # alpha above which a pixel's depth counts for the normalisation
@@ -79,13 +79,13 @@ class RefinementNetwork(nn.Module):
         self.activation = nn.LeakyReLU(SLOPE)
         # Most of the time goes at the finest level: there the many channels of the folded pixels are first mixed without
         # looking at neighbours, as one matrix product, and skips are added rather than concatenated.
-        self.entry = nn.Linear((COLOUR_CHANNELS + config.features + 1) * fold * fold, widths[0])
+        self.entry = nn.Linear((COLOR_CHANNELS + config.features + 1) * fold * fold, widths[0])
         self.first = nn.Conv2d(widths[0], widths[0], 3, padding=1)
         self.down = nn.ModuleList(nn.Conv2d(widths[i], widths[i + 1], 3, stride=2, padding=1) for i in steps)
         self.middle = nn.Conv2d(widths[-1], widths[-1], 3, padding=1)
         self.narrow = nn.ModuleList(nn.Conv2d(widths[i + 1], widths[i], 1) for i in reversed(steps))
         self.up = nn.ModuleList(nn.Conv2d(widths[i], widths[i], 3, padding=1) for i in reversed(steps))
-        self.exit = nn.Conv2d(widths[0], COLOUR_CHANNELS * fold * fold, 3, padding=1)
+        self.exit = nn.Conv2d(widths[0], COLOR_CHANNELS * fold * fold, 3, padding=1)
         nn.init.zeros_(self.exit.weight)
         if self.exit.bias is not None:
             nn.init.zeros_(self.exit.bias)
@@ -94,13 +94,13 @@ class RefinementNetwork(nn.Module):
         """Refine one picture.
 
         Args:
-            rgb: Splatted colours premultiplied over black, [H, W, 3].
+            rgb: Splatted colors premultiplied over black, [H, W, 3].
             features: Splatted features, [H, W, F], or None when the model has none.
             depth: Normalised depth, [H, W].
             alpha: [H, W].
 
         Returns:
-            Refined colours premultiplied over black, [H, W, 3].
+            Refined colors premultiplied over black, [H, W, 3].
         """
         height, width = alpha.shape
         parts = [rgb, depth[..., None]] if features is None else [rgb, features, depth[..., None]]

@@ -153,9 +153,7 @@ class TexelAnchor(nn.Module):
         self.register_buffer("used_corners", torch.from_numpy(uv_faces[used].reshape(-1)), persistent=False)  # [U * 3]
         texel_rows = np.repeat(np.arange(self.count), 3)
         texel_columns = (local.reshape(-1)[:, None] * 3 + np.arange(3)).reshape(-1)
-        self.interpolate = FixedSparse(
-            texel_rows, texel_columns, layout.barycentric.reshape(-1), (self.count, 3 * len(used))
-        )
+        self.interpolate = FixedSparse(texel_rows, texel_columns, layout.barycentric.reshape(-1), (self.count, 3 * len(used)))
 
     def corners(self, vertices: Tensor) -> Tensor:
         """Position, texel-free width and height |dP/du| and |dP/dv across|, and quaternion at the UV corners: [T, 9]."""
@@ -239,7 +237,7 @@ class _Place(torch.autograd.Function):
 
 @dataclass
 class Geometry:
-    """Placed Gaussians without opacity and colour.
+    """Placed Gaussians without opacity and color.
 
     Attributes:
         means: [N, 3] metres.

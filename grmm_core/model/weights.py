@@ -242,9 +242,7 @@ def _info(path: str | os.PathLike[str], header: Mapping[str, Any], sha256: str) 
     )
 
 
-def _layout(
-    path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], config: GRMMConfig, head: HeadModel
-) -> TexelLayout:
+def _layout(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], config: GRMMConfig, head: HeadModel) -> TexelLayout:
     """Check the stored texels, whose indices are used without further checks."""
     try:
         texel, face, barycentric = (arrays[name] for name in _LAYOUT)

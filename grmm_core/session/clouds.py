@@ -1,6 +1,6 @@
 """Gaussians from elsewhere (splat files, other projects' avatars) drawn beside the model's avatars.
 
-A cloud has no networks: its colour comes from spherical harmonics, it has no features and no normals, and refinement leaves it
+A cloud has no networks: its color comes from spherical harmonics, it has no features and no normals, and refinement leaves it
 alone. `compose` treats it as one more instance. Called by `local` and `compose`. Imports torch.
 """
 
@@ -29,7 +29,7 @@ class OpenCloud:
     Attributes:
         id: Handle in the session.
         name, version: What `Session.put_cloud` was given.
-        gaussians: In head axes, without colours, on the session's device; zeros [N, 3] stand for the colours.
+        gaussians: In head axes, without colors, on the session's device; zeros [N, 3] stand for the colors.
         harmonics: [N, K, 3].
     """
 
@@ -47,13 +47,11 @@ class OpenCloud:
             return torch.tensor(values, dtype=torch.float32, device=device)
 
         means = tensor(cloud.means)
-        parts = Gaussians(
-            means, tensor(cloud.quats), tensor(cloud.scales), tensor(cloud.opacities), torch.zeros_like(means)
-        )
+        parts = Gaussians(means, tensor(cloud.quats), tensor(cloud.scales), tensor(cloud.opacities), torch.zeros_like(means))
         return OpenCloud(number, name, version, parts, tensor(cloud.harmonics))
 
     def seen_from(self, camera: Camera, lod: int = 0) -> Gaussians:
-        """Return the Gaussians with the colours that a camera sees.
+        """Return the Gaussians with the colors that a camera sees.
 
         Args:
             camera: In the cloud's own axes.
@@ -80,7 +78,7 @@ class OpenCloud:
 
 
 def _shade(means: Tensor, harmonics: Tensor, camera: Camera) -> Tensor:
-    """Colours [N, 3] of Gaussians as a camera sees them: 0.5 + sum_k basis_k(direction) coefficient_k, not below 0."""
+    """Colors [N, 3] of Gaussians as a camera sees them: 0.5 + sum_k basis_k(direction) coefficient_k, not below 0."""
     if camera.orthographic:
         directions = means.new_tensor(camera.forward).expand(len(means), 3)
     else:

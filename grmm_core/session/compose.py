@@ -178,7 +178,7 @@ def _at_origin(camera: Camera) -> Camera:
 def _refine(
     placed: Sequence[Placed], raster: RasterOutput, channels: _Channels, coarse: bool, check: Callable[[], None]
 ) -> Tensor:
-    """Return the refined colours, premultiplied over black, [H, W, 3]."""
+    """Return the refined colors, premultiplied over black, [H, W, 3]."""
     coverage = None if channels.coverage is None else raster.features[..., channels.coverage]  # [H, W, K]
     limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
     result = raster.rgb
@@ -276,7 +276,7 @@ def _scene_linear(rgb: Tensor, alpha: Tensor) -> Tensor:
     if not len(bounds[0]):
         result[..., 3] = alpha.clamp(0.0, 1.0)
         return result
-    rows, columns = (slice(int(hit[0]), int(hit[-1]) + 1) for hit in bounds)  # outside colours are black
+    rows, columns = (slice(int(hit[0]), int(hit[-1]) + 1) for hit in bounds)  # outside colors are black
     cover = alpha.clamp(0.0, 1.0)
     result[..., 3] = cover
     cover = cover[rows, columns, None]

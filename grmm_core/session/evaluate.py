@@ -169,7 +169,7 @@ class Evaluator:
         return self.cache.get((target.id, "offsets", *inputs.code_key), make)[0]
 
     def tint(self, target: OpenAvatar, inputs: Inputs) -> Tensor:
-        """Return what the expression adds to the colours, [N, 3] or one row of zeros."""
+        """Return what the expression adds to the colors, [N, 3] or one row of zeros."""
 
         def make() -> tuple[Tensor, ...]:
             return self._decoded(target, "tint", inputs, inputs.z_exp)
@@ -181,7 +181,7 @@ class Evaluator:
         return self.cache.get((target.id, "opacity", inputs.identity_key), lambda: self._decoded(target, "opacity", inputs))[0]
 
     def appearance(self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray) -> tuple[Tensor, Tensor]:
-        """Return Phi_app's colours [N, 3] and features [N, F] for a unit view direction [3] in head space."""
+        """Return Phi_app's colors [N, 3] and features [N, F] for a unit view direction [3] in head space."""
         direction = np.asarray(direction, np.float32)
 
         def make() -> tuple[Tensor, ...]:

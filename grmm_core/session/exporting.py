@@ -1,6 +1,6 @@
 """What exporters take from a session: an avatar's splats with view dependence, and its aligned expressions as morph targets.
 
-Called by `grmm export` and by Blender's exporters. Exported colours are those that look right alone, without the refinement
+Called by `grmm export` and by Blender's exporters. Exported colors are those that look right alone, without the refinement
 network. Needs numpy only.
 """
 

@@ -1,6 +1,6 @@
-"""View-dependent colour as spherical harmonics, for splat files.
+"""View-dependent color as spherical harmonics, for splat files.
 
-The model's appearance decoder gives every Gaussian a colour for each view direction of the whole head (eq. 4); splat files
+The model's appearance decoder gives every Gaussian a color for each view direction of the whole head (eq. 4); splat files
 hold spherical harmonics of the direction in which a Gaussian is seen. This fits the second to the first by weighted least
 squares over directions around the head, for each Gaussian mostly over those from which it can be seen at all.
 
@@ -66,11 +66,11 @@ def fit_harmonics(session: Session, avatar_id: int, controls: Controls, degree: 
         session: Where the avatar is open.
         avatar_id: The avatar.
         controls: Expression and pose.
-        degree: 0 to 3; 0 gives the mean colour over the views of each Gaussian.
+        degree: 0 to 3; 0 gives the mean color over the views of each Gaussian.
         lod: As `Session.gaussians`.
 
     Returns:
-        [N, (degree + 1)^2, 3] float32, with colour = 0.5 + sum_k basis_k(direction) coefficient_k.
+        [N, (degree + 1)^2, 3] float32, with color = 0.5 + sum_k basis_k(direction) coefficient_k.
 
     Raises:
         ShapeError: Another degree.
@@ -88,7 +88,7 @@ def fit_harmonics(session: Session, avatar_id: int, controls: Controls, degree: 
     basis = harmonic_basis(-views, degree)  # [K, C]
     colors = np.stack([cloud.colors for cloud in clouds], 1) - 0.5  # [N, K, 3]
     ridge = RIDGE * np.eye(basis.shape[1])
-    ridge[0, 0] = 0.0  # the mean colour is not pulled towards grey
+    ridge[0, 0] = 0.0  # the mean color is not pulled towards grey
     result = np.empty((len(means), basis.shape[1], 3), np.float32)
     for start in range(0, len(means), _CHUNK):
         part = slice(start, start + _CHUNK)

@@ -21,7 +21,7 @@ from ..avatar import AssetReference, Avatar
 from ..errors import BackendError, FileAccessError, FileFormatError
 from ..expressions import ALIGNED_NAMES
 from ..head import HeadModel, load_open_head, read_head
-from ..model.config import COLOUR_CHANNELS, TRANSFORM_CHANNELS
+from ..model.config import COLOR_CHANNELS, TRANSFORM_CHANNELS
 from ..model.grmm import GRMM
 from ..model.weights import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, load_weights, read_info, resolve_weights, weights_path
 from .graphs import Replayed
@@ -39,7 +39,7 @@ class LoadedModel:
         codes: Table Z of aligned expression codes, [60, Y], or [60, 0] without residuals.
         shared: The weights without an avatar's own changes; None where there are none.
         opacity, appearance, offsets, tint: The model's decoders as functions to tuples of tensors, replayed on a graphics card;
-            the tint is `GRMM.expression_colours`.
+            the tint is `GRMM.expression_colors`.
     """
 
     model: GRMM
@@ -56,7 +56,7 @@ class LoadedModel:
         object.__setattr__(self, "opacity", Replayed(lambda z_id: (model.opacity(z_id),)))
         object.__setattr__(self, "appearance", Replayed(lambda z_id, view: model.appearance(z_id, view)))
         object.__setattr__(self, "offsets", Replayed(lambda z_id, z_exp: (model.offsets(z_id, z_exp),)))
-        object.__setattr__(self, "tint", Replayed(lambda z_id, z_exp: (model.expression_colours(z_id, z_exp),)))
+        object.__setattr__(self, "tint", Replayed(lambda z_id, z_exp: (model.expression_colors(z_id, z_exp),)))
 
     @functools.cached_property
     def reach(self) -> float:
@@ -194,7 +194,7 @@ def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: Path) -> GR
 def _absent_maps(model: GRMM) -> dict[str, tuple[int, int]]:
     """Mean maps that the model's configuration leaves out, by parameter name, with the shapes they would have."""
     config = model.config
-    widths = {"transform": TRANSFORM_CHANNELS, "opacity": 1, "appearance": COLOUR_CHANNELS + config.features}
+    widths = {"transform": TRANSFORM_CHANNELS, "opacity": 1, "appearance": COLOR_CHANNELS + config.features}
     count = model.gaussian_count
     return {} if config.mean_maps else {f"decoders.{name}_mean": (count, width) for name, width in widths.items()}
 

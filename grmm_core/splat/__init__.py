@@ -1,4 +1,4 @@
-"""Drawing 3D Gaussians with colour, cover, depth and feature channels, differentiable, on the CPU or a GPU.
+"""Drawing 3D Gaussians with color, cover, depth and feature channels, differentiable, on the CPU or a GPU.
 
     rasterize(gaussians, camera) -> RasterOutput(rgb, alpha, depth, features)
 

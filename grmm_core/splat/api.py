@@ -114,7 +114,7 @@ def rasterize(
     frame: Camera | None = None,
     motion: Tensor | None = None,
 ) -> RasterOutput:
-    """Draw Gaussians: colour, cover, expected depth and features in one pass, differentiable in all of their parameters.
+    """Draw Gaussians: color, cover, expected depth and features in one pass, differentiable in all of their parameters.
 
     Exact 3DGS rules (`rules.py`): perspective expanded within 1.3 times the field of view, 0.3 px^2 dilation, Gaussians
     skipped where they cover less than 1 / 255, cover capped at 0.999, a pixel ends before the Gaussian that would take its
@@ -124,7 +124,7 @@ def rasterize(
     Args:
         gaussians: The scene.
         camera: Perspective or orthographic; crops and lens shift are a moved principal point.
-        background: [3] or [H, W, 3] colours behind the scene; black when None.
+        background: [3] or [H, W, 3] colors behind the scene; black when None.
         backend: "torch", "cpu", "cuda", or the fastest that is there for the tensors' device.
         antialiased: Compensate opacities for the dilation (Mip-Splatting), which keeps small Gaussians from swelling.
         frame: The camera of the whole picture where `camera` is a crop of it; see `rules.View.of`.

@@ -157,7 +157,7 @@ def rasterize_reference(
     Args:
         gaussians: The scene, validated.
         view: The camera.
-        background: [3] or [H, W, 3] colours behind the scene; black when None.
+        background: [3] or [H, W, 3] colors behind the scene; black when None.
         antialiased: Mip-Splatting's opacity compensation.
     """
     means = gaussians.means
@@ -166,7 +166,7 @@ def rasterize_reference(
     channels = [gaussians.colors[projected.index], projected.depths[:, None]]
     if features is not None:
         channels.append(features[projected.index])
-    values = torch.cat(channels, -1)  # [V, K]: colour, depth, features
+    values = torch.cat(channels, -1)  # [V, K]: color, depth, features
     low = (projected.centres - projected.extents).detach() - 0.5  # half a pixel of margin for rounding
     high = (projected.centres + projected.extents).detach() + 0.5
 

@@ -29,7 +29,7 @@ class Gaussians:
         scales: [N, 3] standard deviations along the rotated axes, metres, linear.
         opacities: [N], 0..1; what is above 1 counts as 1.
         colors: [N, 3], display values; not clamped.
-        features: [N, C] further channels blended like the colours, or None.
+        features: [N, C] further channels blended like the colors, or None.
     """
 
     means: Tensor
@@ -90,7 +90,7 @@ class RasterOutput:
     """The picture of a scene.
 
     Attributes:
-        rgb: [H, W, 3] colours, premultiplied, over the background.
+        rgb: [H, W, 3] colors, premultiplied, over the background.
         alpha: [H, W] cover, 0..1: one minus the transmittance that is left.
         depth: [H, W] expected depth along the camera's z axis, metres: sum of w z / alpha; 0 where nothing covers the pixel.
         features: [H, W, C] blended features (premultiplied, over zero), or None.

@@ -24,7 +24,7 @@ from ..images import write_png
 WIDTH, PANEL, MARGIN = 900, 260, 56
 SMOOTHED = 400  # steps in a running mean
 _INK, _FAINT, _GRID = (30, 30, 30), (200, 208, 222), (228, 228, 228)
-COLOURS = ((31, 90, 180), (196, 78, 32), (40, 140, 70))
+COLORS = ((31, 90, 180), (196, 78, 32), (40, 140, 70))
 HELD_OUT = {"val_psnr_mask": "in the mask", "val_psnr": "whole frame", "val_psnr_raw": "whole frame, unrefined"}
 
 
@@ -116,12 +116,12 @@ def _panel(picture: Image.Image, top: int, title: str, curves: Sequence[Curve], 
         draw.text((x - 12, top + PANEL - 24), f"{tick:g}", fill=_INK)
     for border in borders:
         draw.line(place(np.full(2, border), np.array([low, high])), fill=_FAINT, width=2)
-    for number, (curve, colour) in enumerate(zip(curves, COLOURS, strict=False)):
+    for number, (curve, color) in enumerate(zip(curves, COLORS, strict=False)):
         points = place(curve.x, curve.y)
-        draw.line(points, fill=colour, width=2)
+        draw.line(points, fill=color, width=2)
         for x, y in points if curve.dots else ():
-            draw.ellipse((x - 3, y - 3, x + 3, y + 3), fill=colour)
-        draw.text((WIDTH // 3 + 170 * number, top + 6), curve.name, fill=colour)
+            draw.ellipse((x - 3, y - 3, x + 3, y + 3), fill=color)
+        draw.text((WIDTH // 3 + 170 * number, top + 6), curve.name, fill=color)
     draw.text((MARGIN, top + 6), title, fill=_INK)
     draw.text((WIDTH - 44, top + PANEL - 12), "step", fill=_INK)
 

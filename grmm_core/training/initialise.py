@@ -1,6 +1,6 @@
-"""Mean colours from the pictures, before the first step.
+"""Mean colors from the pictures, before the first step.
 
-Starting from the average colour of every texel instead of grey was worth several decibels in short trainings. Each texel is
+Starting from the average color of every texel instead of grey was worth several decibels in short trainings. Each texel is
 projected into training pictures; it counts where it faces the camera and the picture's depth agrees, and texels that hardly
 any picture sees so (under hair, in the mouth) fall back to what lies in front of them, then to the average of all.
 
@@ -24,8 +24,8 @@ _GREY_WEIGHT = 1e-6
 
 
 @torch.no_grad()
-def initialise_colours(model: GRMM, source: ViewSource, views: int, seed: int) -> None:
-    """Set the mean colour map (or the appearance decoder's last bias) from training pictures.
+def initialise_colors(model: GRMM, source: ViewSource, views: int, seed: int) -> None:
+    """Set the mean color map (or the appearance decoder's last bias) from training pictures.
 
     Args:
         model: Before training.
@@ -40,22 +40,22 @@ def initialise_colours(model: GRMM, source: ViewSource, views: int, seed: int) -
     flat = np.zeros(3)
     for position in chosen:
         view = source.load(int(source.training[position]))
-        colours, weights = _project(model, view, source.shapes[view.subject])
-        total += colours * weights
+        colors, weights = _project(model, view, source.shapes[view.subject])
+        total += colors * weights
         weight += weights
         covered = view.image[view.mask > 250]
         flat += covered.mean(0) / 255.0 / len(chosen) if len(covered) else 0.0
     mean = (total + _GREY_WEIGHT * flat) / (weight + _GREY_WEIGHT)
-    colours = torch.as_tensor(mean, dtype=model.dtype, device=model.device)
+    colors = torch.as_tensor(mean, dtype=model.dtype, device=model.device)
     appearance = model.decoders.appearance_mean
     if appearance is not None:
-        appearance[:, :3] = colours
+        appearance[:, :3] = colors
     else:
-        model.decoders.appearance.stages[-1].bias[:3] = colours.mean(0)
+        model.decoders.appearance.stages[-1].bias[:3] = colors.mean(0)
 
 
 def _project(model: GRMM, view: View, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Colours [N, 3] of the texels in a picture and their weights [N, 1]."""
+    """Colors [N, 3] of the texels in a picture and their weights [N, 1]."""
     arrays = (shape, view.expression, view.pose)
     shape_t, expression, pose = (torch.as_tensor(a, dtype=model.dtype, device=model.device)[None] for a in arrays)
     frames = model.anchor(model.vertices(shape_t, expression, pose)[0])

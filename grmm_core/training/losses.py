@@ -160,7 +160,7 @@ def ssim_map(a: Tensor, b: Tensor) -> Tensor:
 
 
 def depth_loss(depth: Tensor, alpha: Tensor, target: Tensor) -> Tensor:
-    """L2 loss of the expected depth (eq. 15), in squared decimetres so that centimetres of error weigh like colours.
+    """L2 loss of the expected depth (eq. 15), in squared decimetres so that centimetres of error weigh like colors.
 
     Args:
         depth: Metres, [H, W].

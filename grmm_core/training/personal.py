@@ -1,8 +1,8 @@
 """Training for one captured person on top of trained weights: the person's own maps, everything else frozen.
 
 What eq. 20 does with a photo, `Trainer` does here with many views of somebody whom the weights know: free maps of offsets,
-opacity, colour and features take up what networks and basis maps, shared by all people, leave out - strands, spots, a mouth's
-own corner. Networks and codes stay, so that the rig moves the person as before. So do the maps by which colours change with
+opacity, color and features take up what networks and basis maps, shared by all people, leave out - strands, spots, a mouth's
+own corner. Networks and codes stay, so that the rig moves the person as before. So do the maps by which colors change with
 expression: a dozen expressions of one person are too few to learn these from. The result is an avatar with deltas.
 
 Used by `trainer` and the command line.
@@ -23,7 +23,7 @@ from ..avatar import AssetReference, Avatar, Provenance
 from ..avatar.make import MADE_BY
 from ..avatar.types import SHAPE_SIZE, half_rounded
 from ..errors import ConfigError
-from ..model.config import COLOUR_CHANNELS
+from ..model.config import COLOR_CHANNELS
 from ..model.weights import load_weights, read_info, resolve_weights
 from .warm_start import warm_start
 
@@ -107,7 +107,7 @@ def person_avatar(trainer: Trainer, name: str, licence: str = "") -> Avatar:
     z_id = trainer.codes[0].detach()
     with torch.no_grad():
         changes = {key: value - trainer.base[key] for key, value in trainer.parameters.items()}
-        changes[APPEARANCE][:, :COLOUR_CHANNELS] += flesh_tones(trainer.model, z_id)
+        changes[APPEARANCE][:, :COLOR_CHANNELS] += flesh_tones(trainer.model, z_id)
     deltas = {key: half_rounded(value.cpu().numpy()) for key, value in changes.items()}
     return Avatar(
         name=name,
@@ -126,16 +126,16 @@ def person_avatar(trainer: Trainer, name: str, licence: str = "") -> Avatar:
 
 
 def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:
-    """What brings colours in the mouth to red >= green, blue: teeth, gums and tongue are never greener than red.
+    """What brings colors in the mouth to red >= green, blue: teeth, gums and tongue are never greener than red.
 
-    Molars are seen rarely and in the dark; what else happens to be drawn there gives them any colour.
+    Molars are seen rarely and in the dark; what else happens to be drawn there gives them any color.
 
     Args:
         model: As trained.
         z_id: The person's code, [Z].
 
     Returns:
-        To be added to the colours, display sRGB, [N, 3].
+        To be added to the colors, display sRGB, [N, 3].
     """
     head, face = model.head_model, model.anchor.face.cpu().numpy()
     inside = np.zeros(head.vertex_count, bool)
@@ -143,9 +143,9 @@ def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:
         if name in head.regions:
             inside[head.regions[name]] = True
     texels = torch.from_numpy(inside[head.faces[face]].any(1)).to(model.device)  # [N]
-    colours, _ = model.appearance(z_id, z_id.new_tensor(FRONT))
-    limited = torch.minimum(colours, colours[:, :1])
-    return torch.where(texels[:, None], limited - colours, torch.zeros_like(colours))
+    colors, _ = model.appearance(z_id, z_id.new_tensor(FRONT))
+    limited = torch.minimum(colors, colors[:, :1])
+    return torch.where(texels[:, None], limited - colors, torch.zeros_like(colors))
 
 
 def _listed(names: Sequence[str], most: int = 8) -> str:

@@ -35,7 +35,7 @@ from ..model.grmm import GRMM, Rendering
 from ..model.weights import WeightsInfo, head_fingerprint, save_weights
 from .checkpoint import load_checkpoint, save_checkpoint, tidy
 from .config import TrainConfig, changed_settings
-from .initialise import initialise_colours
+from .initialise import initialise_colors
 from .losses import TERMS, Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
 from .optimise import MovingAverage, parameter_groups, rate_factor
 from .perceptual import load_perceptual
@@ -53,7 +53,7 @@ logger = logging.getLogger(__name__)
 CHECKPOINT = "checkpoint.safetensors"
 METRICS = "metrics.jsonl"
 CURVES = "curves.png"
-_COLOUR_VIEWS = 48
+_COLOR_VIEWS = 48
 _RANDOM_CODE_INIT = 10_007  # keeps the stream of the codes apart from the model's
 
 
@@ -193,7 +193,7 @@ class Trainer:
             if self.config.init_from:
                 warm_start(self.config.init_from, self.model, self.source.people, self.codes)
             else:
-                initialise_colours(self.model, self.source, _COLOUR_VIEWS, self.config.seed)
+                initialise_colors(self.model, self.source, _COLOR_VIEWS, self.config.seed)
             if self.average:
                 self.average = MovingAverage(self.parameters.values(), self.config.ema, self.config.ema_every)
         self.started = True

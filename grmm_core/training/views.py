@@ -81,7 +81,7 @@ def choose(config: TrainConfig, source: ViewSource, step: int, place: int, progr
         progress: 0..1.
 
     Returns:
-        The view at the size to be rendered, and the background colour, [3] float32.
+        The view at the size to be rendered, and the background color, [3] float32.
     """
     epoch, position = divmod(step * config.views_per_step + place, len(source.training))
     order = np.random.default_rng((config.seed, 1, epoch)).permutation(len(source.training))  # every view once an epoch

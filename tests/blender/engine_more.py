@@ -130,7 +130,7 @@ wanted = np.concatenate([color.linear_to_srgb(straight), mean[..., 3:]], -1) * 2
 scene.frame_set(2)
 settings.use_motion_blur = False
 sharp = load_png(render(folder / "sharp.png"))
-strong = np.where(wanted[..., 3:] > 32, 1.0, 0.0)  # faint pixels store coarse colours
+strong = np.where(wanted[..., 3:] > 32, 1.0, 0.0)  # faint pixels store coarse colors
 report(
     blur=float((np.abs(blurred - wanted) * strong).max()),
     blur_differs=difference(sharp, blurred),

@@ -43,14 +43,14 @@ def plane(name: str, distance: float, x0: float, x1: float) -> bpy.types.Object:
 
 
 def over(background: np.ndarray) -> np.ndarray:
-    """The avatar over a linear colour, as PNG bytes."""
+    """The avatar over a linear color, as PNG bytes."""
     mixed = linear[..., :3] + (1 - alpha) * background
     return np.concatenate([color.linear_to_srgb(mixed), np.ones_like(alpha)], -1) * 255
 
 
 report(transparent=difference(shot(), alone))
 
-# The world behind, by node and by colour.
+# The world behind, by node and by color.
 scene.render.film_transparent = False
 world = bpy.data.worlds.new("World")
 scene.world = world
@@ -120,7 +120,7 @@ head.hide_render = True
 report(hidden=float(shot()[..., 3].max()))
 head.hide_render = False
 
-# AgX: what the colour management makes of our linear values, not the network's own.
+# AgX: what the color management makes of our linear values, not the network's own.
 scene.view_settings.view_transform = "AgX"
 agx = shot()
 report(agx_alpha=float(np.abs(agx[..., 3] - alone[..., 3]).max()), agx_differs=difference(agx, alone))

@@ -72,9 +72,7 @@ avatar = module("grmm_blender.avatar").avatar_of(head)
 messages = []
 for wanted in ("poses.blend/Action/Nothing", "gone.blend/Action/My Pose", "Action/Nothing"):
     try:
-        bpy.ops.grmm.apply_pose(
-            relative_asset_identifier=wanted, asset_library_type="CUSTOM", asset_library_identifier="Poses"
-        )
+        bpy.ops.grmm.apply_pose(relative_asset_identifier=wanted, asset_library_type="CUSTOM", asset_library_identifier="Poses")
         messages.append("")
     except RuntimeError as error:
         messages.append(str(error))

@@ -20,7 +20,7 @@ def use_weights(path: str) -> None:
 
 
 def new_scene(weights: str, heads: int = 1, size: tuple[int, int] = (96, 80)) -> bpy.types.Scene:
-    """Return an empty scene with heads beside one another and a camera in front, set up for exact colours."""
+    """Return an empty scene with heads beside one another and a camera in front, set up for exact colors."""
     empty_scene()
     use_weights(weights)
     scene = bpy.context.scene
@@ -37,7 +37,7 @@ def new_scene(weights: str, heads: int = 1, size: tuple[int, int] = (96, 80)) ->
 
 
 def exact_colors(scene: bpy.types.Scene) -> None:
-    """Save the network's colours as they are."""
+    """Save the network's colors as they are."""
     scene.view_settings.view_transform = "Standard"
     scene.render.dither_intensity = 0.0
     scene.render.image_settings.file_format = "PNG"
@@ -116,7 +116,7 @@ def load_png(path: Path | str) -> np.ndarray:
 
 
 def difference(found: np.ndarray, wanted: np.ndarray) -> float:
-    """Return the largest difference of two pictures, of colours where something is to be seen, in steps of 1/255."""
+    """Return the largest difference of two pictures, of colors where something is to be seen, in steps of 1/255."""
     visible = np.round(wanted[..., 3:]) > 0
     color = np.where(visible, np.abs(found[..., :3] - wanted[..., :3]), 0.0).max()
     return float(max(color, np.abs(found[..., 3] - wanted[..., 3]).max()))

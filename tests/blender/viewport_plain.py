@@ -71,7 +71,7 @@ def served(scene_shots, yaw: float) -> list[list[object]]:
 shots = sources.SceneShots((shot_class("a", "default", controls_class(), np.eye(4)),))
 report(made=served(shots, 0.0))
 report(camera_moved=served(shots, 0.2))
-# Turned so far that colours are stale: they come in the moving level first, then in full.
+# Turned so far that colors are stale: they come in the moving level first, then in full.
 report(turned=served(shots, 40.0))
 plan.error = errors.SessionError("The model worker ended.")
 served(sources.SceneShots(tuple([*shots.shots])), 0.0)

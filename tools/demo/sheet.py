@@ -60,11 +60,16 @@ def write_sheet(path: Path, session: Session, frames: Sequence[Path]) -> None:
     camera = Camera.orbit(TILE, TILE, **close)
     pair = {"mouthSmileLeft": 0.6, "mouthSmileRight": 0.6, "jawOpen": 0.2}
     samples = [session.sample(seed).id for seed in range(COLUMNS - 2)]
-    rows.append([
-        ("unrefined", tile(pair, camera, refine=False)),
-        ("refined", tile(pair, camera)),
-        *((f"sample {i}", tile({}, Camera.orbit(TILE, TILE, yaw=15.0, **whole), avatar_id=s)) for i, s in enumerate(samples)),
-    ])
+    rows.append(
+        [
+            ("unrefined", tile(pair, camera, refine=False)),
+            ("refined", tile(pair, camera)),
+            *(
+                (f"sample {i}", tile({}, Camera.orbit(TILE, TILE, yaw=15.0, **whole), avatar_id=s))
+                for i, s in enumerate(samples)
+            ),
+        ]
+    )
     chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, 2 * COLUMNS).round().astype(int)]
     for start in range(0, len(chosen), COLUMNS):
         rows.append([(f"Blender {p.stem}", _load_tile(p)) for p in chosen[start : start + COLUMNS]])

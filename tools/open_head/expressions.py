@@ -67,9 +67,7 @@ class ExpressionSpace:
     weights: np.ndarray
 
 
-def build_expression_space(
-    source: Source, topology: Topology, parts: InnerParts, template: np.ndarray
-) -> ExpressionSpace:
+def build_expression_space(source: Source, topology: Topology, parts: InnerParts, template: np.ndarray) -> ExpressionSpace:
     """Split every sculpted shape of the source on the template [V, 3]."""
     base = parts.base
     names, sculpted = _sculpted(source, topology, parts, template)
@@ -177,9 +175,7 @@ def _raw_target(source: Source, topology: Topology, name: str) -> np.ndarray:
     return DECIMETRE * (topology.matrix @ source.target(f"faceunits01/targets/faceunits/{name}.target"))
 
 
-def _sculpted(
-    source: Source, topology: Topology, parts: InnerParts, template: np.ndarray
-) -> tuple[list[str], np.ndarray]:
+def _sculpted(source: Source, topology: Topology, parts: InnerParts, template: np.ndarray) -> tuple[list[str], np.ndarray]:
     project = parts.keep_spheres
     names = list(ARKIT_NAMES)
     offsets = [_raw_target(source, topology, name) for name in names]

@@ -37,9 +37,15 @@ def boundary_loops(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def flatten(
-    vertices: np.ndarray, faces: np.ndarray, density: np.ndarray, *,
-    outer: np.ndarray | None = None, sides: Sequence[Side] = (),
-    pull: float = 0.0, steps: int = 40, stiffness: np.ndarray | None = None,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    density: np.ndarray,
+    *,
+    outer: np.ndarray | None = None,
+    sides: Sequence[Side] = (),
+    pull: float = 0.0,
+    steps: int = 40,
+    stiffness: np.ndarray | None = None,
 ) -> np.ndarray:
     """Flatten an island.
 
@@ -155,8 +161,13 @@ def _energy(
 
 
 def _slim_step(
-    plane: np.ndarray, faces: np.ndarray, gradient: tuple[sparse.csr_matrix, sparse.csr_matrix], inverse: np.ndarray,
-    weights: np.ndarray, sides: Sequence[Side], pull: float,
+    plane: np.ndarray,
+    faces: np.ndarray,
+    gradient: tuple[sparse.csr_matrix, sparse.csr_matrix],
+    inverse: np.ndarray,
+    weights: np.ndarray,
+    sides: Sequence[Side],
+    pull: float,
 ) -> np.ndarray:
     jacobian = _edges(plane, faces) @ inverse
     left, values, right = np.linalg.svd(jacobian)

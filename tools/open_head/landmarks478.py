@@ -116,24 +116,24 @@ def _whole(head: HeadModel, regions: tuple[str, ...]) -> np.ndarray:
 
 
 def _paint(head: HeadModel, seen: np.ndarray, owner: np.ndarray, place: np.ndarray, facing: np.ndarray) -> np.ndarray:
-    """A plausible face for the network: flat colours by place on the mean person, shaded by the angle. [H, W, 3] 0..1."""
-    colour = np.full((*seen.shape, 3), SKIN)
+    """A plausible face for the network: flat colors by place on the mean person, shaded by the angle. [H, W, 3] 0..1."""
+    color = np.full((*seen.shape, 3), SKIN)
     for regions, value in (
         (("lips",), LIP), (("scalp",), HAIR), (("mouth_interior",), MOUTH), (("tongue",), LIP),
         (("upper_teeth", "lower_teeth"), TEETH), (("left_eyeball", "right_eyeball"), WHITE),
     ):  # fmt: skip
-        colour[_whole(head, regions)[owner]] = value
+        color[_whole(head, regions)[owner]] = value
     x, y, z = np.moveaxis(place, -1, 0)
     brow = (np.abs(y - brow_height(x)) < 0.0035) & (np.abs(x) > 0.009) & (np.abs(x) < 0.051) & (z > 0.04)
-    colour[brow & _whole(head, ("face",))[owner]] = BROW
+    color[brow & _whole(head, ("face",))[owner]] = BROW
     eyes = _whole(head, ("left_eyeball", "right_eyeball"))[owner]
     for joint in (3, 4):
         centre = head.joints(np.zeros(0))[joint]
         radial = np.hypot(x - centre[0], y - centre[1])
         front = eyes & (z > centre[2]) & (np.abs(x - centre[0]) < 0.02)
-        colour[front & (radial < IRIS_RADIUS)] = IRIS
-        colour[front & (radial < PUPIL_RADIUS)] = PUPIL
-    shaded = colour * (0.35 + 0.65 * facing[owner])[..., None]
+        color[front & (radial < IRIS_RADIUS)] = IRIS
+        color[front & (radial < PUPIL_RADIUS)] = PUPIL
+    shaded = color * (0.35 + 0.65 * facing[owner])[..., None]
     return np.where(seen[..., None], shaded, 0.55).astype(np.float32)
 
 

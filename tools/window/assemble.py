@@ -12,7 +12,7 @@ DETAIL = (714, 90, 1296, 700)
 PHOTOS = (714, 90, 1296, 316)
 GAP = 12  # pixels between pieces
 BACKGROUND = (24, 24, 24)
-COLOURS = 256  # of the saved palette; dithered, so that the shaded head shows no steps
+COLORS = 256  # of the saved palette; dithered, so that the shaded head shows no steps
 
 
 def main(source: Path, target: Path) -> None:
@@ -32,7 +32,7 @@ def main(source: Path, target: Path) -> None:
         ("panel_detail.png", sheet),
     ):
         # Only with a palette given does Pillow dither.
-        palette = picture.quantize(COLOURS)
+        palette = picture.quantize(COLORS)
         picture.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(target / name, optimize=True)
 
 

@@ -1,7 +1,7 @@
 """Stand-ins for what Blender 3.4 lacks, so that the extension's panels and drawing code run in its window.
 
 Left out there: drag and drop (FileHandler), the asset shelf, action slots (so no import of performances and no pose library),
-bone collections and bone colours (bones have layers and keep their default colour), the extension system itself. The head's
+bone collections and bone colors (bones have layers and keep their default color), the extension system itself. The head's
 mesh is made face by face, because polygons there need their length as well as their start. Splats in the viewport need
 `depth_write` of shaders, which came later; the mesh is shown.
 """

@@ -37,9 +37,7 @@ E1, E2, E3, E4, E5 = -0.999994755, 0.499899775, -0.166028395, 0.0398483016, -0.0
 FARTHEST = 0.7  # e^(-8 FARTHEST) is below ALPHA_MIN, so what is smaller need not be known
 
 # The kernels get these as an argument: the compiler would otherwise load every one of them anew in the innermost loop.
-CONSTANTS = np.array(
-    [1.0, E1, E2, E3, E4, E5, FARTHEST, ALPHA_MIN, ALPHA_MAX, TRANSMITTANCE_MIN, 0.0, 1e-30, -1.0], np.float32
-)
+CONSTANTS = np.array([1.0, E1, E2, E3, E4, E5, FARTHEST, ALPHA_MIN, ALPHA_MAX, TRANSMITTANCE_MIN, 0.0, 1e-30, -1.0], np.float32)
 
 
 @kernel

@@ -241,8 +241,23 @@ def draw(
             sums[:] = ZERO
             start_tile(through, columns, rows)
             ends[tile] = _blend_tile(
-                low, high, gaussian, geometry, features, F(x0), F(y0), constants, sums, through, values, places, pairs, first,
-                weights, sources, counts,
+                low,
+                high,
+                gaussian,
+                geometry,
+                features,
+                F(x0),
+                F(y0),
+                constants,
+                sums,
+                through,
+                values,
+                places,
+                pairs,
+                first,
+                weights,
+                sources,
+                counts,
             )
             _write_tile(x0, y0, columns, rows, sums, through, channels, background, rgb, alpha, depth, blended)
         else:

@@ -122,9 +122,7 @@ def differentiate(
         ),
     )  # fmt: skip
     chunks = _pieces(len(inputs[0]), CHUNK_MIN, TASKS * thread_count())
-    for_each(
-        len(chunks), lambda k: backward.collect(*chunks[k], rows, *inputs[:4], drawing.camera, geometry, whole, *d_inputs)
-    )
+    for_each(len(chunks), lambda k: backward.collect(*chunks[k], rows, *inputs[:4], drawing.camera, geometry, whole, *d_inputs))
     return d_inputs
 
 

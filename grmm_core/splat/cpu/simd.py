@@ -222,9 +222,7 @@ def negative(typing: Any, value: Any) -> Any:
     """Minus the absolute value of each lane."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        function = cgutils.get_or_insert_function(
-            builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), f"llvm.fabs.v{WIDTH}f32"
-        )
+        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), f"llvm.fabs.v{WIDTH}f32")
         return builder.fneg(builder.call(function, args))
 
     return LANES(value), generate

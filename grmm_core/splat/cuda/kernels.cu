@@ -199,7 +199,7 @@ __device__ inline void fetch(
 }
 
 // One block a tile, one thread a pixel. `starts`: first instance of each tile, sorted by depth.
-// `background_step`: 3 for a picture [H, W, 3], 0 for one colour.
+// `background_step`: 3 for a picture [H, W, 3], 0 for one color.
 extern "C" __global__ void __launch_bounds__(THREADS) blend(
     int tiles_x, int width, int height, const int64 *starts, const int *gaussian, const Record *records, const float *features,
     const float *background, int background_step, float *rgb, float *alpha, float *depth, float *blended) {

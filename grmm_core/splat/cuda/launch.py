@@ -60,7 +60,7 @@ class DeviceKernels:
 
         Args:
             device: A CUDA device.
-            features: Channels beside colour and depth.
+            features: Channels beside color and depth.
 
         Raises:
             BackendError: Too many channels, no compiler, or the driver refuses.

@@ -29,7 +29,7 @@ def row_length(features: int) -> int:
 
 
 def kernel_source(features: int) -> str:
-    """Return the CUDA C++ text of the kernels for pictures with `features` channels beside colour and depth."""
+    """Return the CUDA C++ text of the kernels for pictures with `features` channels beside color and depth."""
     row = row_length(features)
     parts = -(-row // WARP) * WARP
     numbers: dict[str, float | int] = {

@@ -1,9 +1,9 @@
-"""Colour and light: what of a photo's light an avatar keeps, and what is taken out.
+"""Color and light: what of a photo's light an avatar keeps, and what is taken out.
 
 What is baked: the first photo's light, exposure and white balance. One picture cannot tell a dark skin in bright light from a
 light one in the shade, and the avatar must look as the person does there. So skin, hair and the inner parts each get an
-affine map of the decoded colours (3 x 3 and an offset) that brings them to the photo's; it is solved in closed form, because
-splatting is linear in colour. Stage 2 turns it into a map of colours.
+affine map of the decoded colors (3 x 3 and an offset) that brings them to the photo's; it is solved in closed form, because
+splatting is linear in color. Stage 2 turns it into a map of colors.
 
 What is removed: the difference of each further photo from the first, a gain and an offset a channel (`PhotoLight`).
 What is left of the light (its direction) goes where each photo shows it, into stage 2's map.
@@ -55,15 +55,15 @@ def unchanged(like: Tensor) -> Tensor:
     return torch.eye(_COLUMNS, 3, dtype=like.dtype, device=like.device).expand(GROUPS, -1, -1).clone()
 
 
-def recolour(colours: Tensor, maps: Tensor, surface: Surface) -> Tensor:
-    """Apply each group's map to colours [N, 3]."""
+def recolor(colors: Tensor, maps: Tensor, surface: Surface) -> Tensor:
+    """Apply each group's map to colors [N, 3]."""
     own = maps[surface.group]  # [N, 4, 3]
-    return torch.einsum("nc,ncd->nd", colours, own[:, :3]) + own[:, 3]
+    return torch.einsum("nc,ncd->nd", colors, own[:, :3]) + own[:, 3]
 
 
 def solve_maps(model: GRMM, views: list[FitView], meshes: list[Tensor], looks: list[Look], surface: Surface,
                light: PhotoLight) -> Tensor:  # fmt: skip
-    """The groups' colour maps that bring the looks nearest to the photos, robust least squares, [3, 4, 3].
+    """The groups' color maps that bring the looks nearest to the photos, robust least squares, [3, 4, 3].
 
     Args:
         model: Model.
@@ -75,7 +75,7 @@ def solve_maps(model: GRMM, views: list[FitView], meshes: list[Tensor], looks: l
     """
     rows, targets, counts = [], [], []
     for view, vertices, look in zip(views, meshes, looks, strict=True):
-        columns = torch.cat([look.colours, torch.ones_like(look.colours[:, :1])], 1)  # [N, 4]
+        columns = torch.cat([look.colors, torch.ones_like(look.colors[:, :1])], 1)  # [N, 4]
         spread = (surface.membership[:, :, None] * columns[:, None]).flatten(1)  # [N, 12]
         scene = gaussians(model, vertices, look)
         scene.features = spread
@@ -102,7 +102,7 @@ def solve_maps(model: GRMM, views: list[FitView], meshes: list[Tensor], looks: l
 
 
 def solve_light(pictures: list[tuple[FitView, Tensor, Tensor]]) -> PhotoLight:
-    """Exposure of each photo relative to the avatar's colours; that of the first is none by definition.
+    """Exposure of each photo relative to the avatar's colors; that of the first is none by definition.
 
     Args:
         pictures: For each photo the view, the avatar's picture over black [H, W, 3] and its coverage [H, W].

@@ -15,8 +15,8 @@ import numpy as np
 from mathutils import Matrix
 
 from ..grmm_core.avatar.library import LIBRARY_PREFIX
-from ..grmm_core.controls import Controls
-from ..grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
+from ..grmm_core.controls.frame import Controls
+from ..grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
 from ..grmm_core.session import HEAD_TO_BLENDER
 from .rig.armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset
 from .rig.codes import blend_of

@@ -15,9 +15,9 @@ import bpy
 import numpy as np
 
 from ..grmm_core.avatar import AssetReference
-from ..grmm_core.controls import Controls
+from ..grmm_core.controls.frame import Controls
+from ..grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from ..grmm_core.errors import ConfigError, FileFormatError, GrmmError
-from ..grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES
 from ..grmm_core.performance import CleanOptions, Performance, Progress, clean, to_arkit
 from ..grmm_core.performance.closures import LipModel, keep_lips_closed, lip_model
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves

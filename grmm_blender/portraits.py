@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..grmm_core.camera import Camera
-from ..grmm_core.controls import Controls
-from ..grmm_core.expressions import ALIGNED_NAMES
+from ..grmm_core.controls.frame import Controls
+from ..grmm_core.controls.names import ALIGNED_NAMES
+from ..grmm_core.geometry.camera import Camera
 from ..grmm_core.session import PORTRAIT_DISTANCE, PORTRAIT_FOV, Instance, RenderOptions
 from . import session_host
 
@@ -64,7 +64,7 @@ def portrait(
     """
 
     def draw(should_cancel: Callable[[], bool]) -> np.ndarray:
-        from ..grmm_core.color import straight_rgba
+        from ..grmm_core.pictures.color import straight_rgba
 
         info = session_host.open_avatar(source)
         options = RenderOptions(passes=("rgb", "alpha"), background=background)

@@ -14,7 +14,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ..grmm_core.files import atomic_write_bytes
+from ..grmm_core.files.access import atomic_write_bytes
 from .avatar import Avatar
 from .rig.definitions import (
     ALIGNED_NAMES,

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..grmm_core.errors import CancelledError, GrmmError, RuntimeMissingError
-from ..grmm_core.files import describe_os_error
+from ..grmm_core.files.access import describe_os_error
 
 REQUIREMENTS = ("torch>=2.6,<3", "numba>=0.61,<1", "numpy>=1.26,<3", "pillow>=10.3,<14")
 """What the worker imports; the same as the dependencies of the package `grmm-core`."""

@@ -10,8 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls, resolve
+from grmm_core.controls.frame import Controls, resolve
 from grmm_core.data.dataset import (
     HELD_OUT_CAMERA,
     HELD_OUT_EXPRESSION,
@@ -29,6 +28,7 @@ from grmm_core.data.dataset import (
 )
 from grmm_core.data.jobs import TimeLeft, claim
 from grmm_core.errors import ConfigError
+from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head, load_people_model
 
 from .shots import HELD_OUT_CAMERAS, MAX_CAMERAS, expression_pool, make_shot

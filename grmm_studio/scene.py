@@ -20,7 +20,7 @@ import numpy as np
 from mathutils import Matrix
 from scipy.spatial import cKDTree
 
-from grmm_core.camera import Camera
+from grmm_core.geometry.camera import Camera
 
 from . import fields
 from .face_hair import face_strands, scalp_strands

@@ -9,7 +9,7 @@ import numpy as np
 
 from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import ConfigError
-from grmm_core.files import atomic_write_bytes
+from grmm_core.files.access import atomic_write_bytes
 
 BACKGROUND = 0.88
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grmm_core.camera import Camera
+from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES, MIXTURE_NAMES
 from grmm_core.errors import ConfigError
-from grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES, MIXTURE_NAMES
+from grmm_core.geometry.camera import Camera
 
 ORBIT_PITCHES = (-12.0, 8.0, 28.0)
 MAX_CAMERAS = 24

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.controls.names import ARKIT_NAMES
 
 from .fields import bump, smoothstep, wave_noise
 from .subjects import Subject, skin_albedo

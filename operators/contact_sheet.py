@@ -11,9 +11,9 @@ from ..grmm_blender.engine import final, passes, pipeline, snapshot
 from ..grmm_blender.portraits import face_camera, head_camera, portrait, with_expression
 from ..grmm_blender.rig.definitions import ALIGNED_NAMES, REGIONS, label
 from ..grmm_blender.sheet import grid
-from ..grmm_core.color import linear_to_srgb
 from ..grmm_core.errors import ConfigError
-from ..grmm_core.images import quantize, write_png
+from ..grmm_core.pictures.color import linear_to_srgb
+from ..grmm_core.pictures.images import quantize, write_png
 from .common import Result, active_avatar, needs_avatar, output_path
 from .steps import CancelCheck, Step, SteppedOperator, Steps
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls, resolve
+from grmm_core.controls.frame import Controls, resolve
 from grmm_core.data.dataset import Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
+from grmm_core.geometry.camera import Camera
 
 SIZE = 48
 HELD_OUT = "stranger"

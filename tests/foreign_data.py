@@ -11,10 +11,10 @@ import numpy as np
 from model_fixtures import small_head
 from PIL import Image
 
-from grmm_core.camera import Camera
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.rotations import axis_angle_to_matrix
 from grmm_core.head import HeadModel
-from grmm_core.performance.rotations import axis_angle_to_matrix
 
 WIDTH, HEIGHT = 32, 24
 JAW_OPEN = ARKIT_NAMES.index("jawOpen")

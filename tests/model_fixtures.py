@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from grmm_core.camera import Camera
-from grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES
+from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
+from grmm_core.geometry.camera import Camera
 from grmm_core.head import HeadModel
 from grmm_core.model.grmm import GRMM
 from grmm_core.training.views import View

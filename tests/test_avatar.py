@@ -12,13 +12,13 @@ import pytest
 
 from grmm_core.avatar import AssetReference, Avatar, PhotoRecord, Provenance, load_avatar, read_avatar_header, save_avatar
 from grmm_core.avatar.make import sampled_avatar
-from grmm_core.camera import Camera
-from grmm_core.color import linear_to_srgb, scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError, ShapeError
-from grmm_core.images import encode_exr, encode_png, quantize
+from grmm_core.files.tensorfile import read_tensors, write_tensors
+from grmm_core.geometry.camera import Camera
 from grmm_core.model.config import PRESETS
 from grmm_core.model.weights import WeightsInfo
-from grmm_core.tensorfile import read_tensors, write_tensors
+from grmm_core.pictures.color import linear_to_srgb, scene_linear_premultiplied, srgb_to_linear, straight_rgba
+from grmm_core.pictures.images import encode_exr, encode_png, quantize
 
 
 def make_avatar(**changes) -> Avatar:
@@ -181,7 +181,7 @@ def test_a_failed_write_leaves_the_old_file(saved, monkeypatch):
     def full_disk(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("grmm_core.files.os.fsync", full_disk)
+    monkeypatch.setattr("grmm_core.files.access.os.fsync", full_disk)
     with pytest.raises(FileAccessError, match="no space left"):
         save_avatar(make_avatar(name="other"), saved)
     assert saved.read_bytes() == before

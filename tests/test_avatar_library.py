@@ -10,9 +10,9 @@ from PIL import Image
 
 from grmm_core.avatar import load_avatar, read_avatar_header
 from grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_names, library_path
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls
+from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileAccessError
+from grmm_core.geometry.camera import Camera
 from grmm_core.session import Instance, create_session
 
 PIXELS = 128

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from blender_process import RunBlender, find_python
 
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls
-from grmm_core.images import encode_png, quantize
+from grmm_core.controls.frame import Controls
+from grmm_core.geometry.camera import Camera
+from grmm_core.pictures.images import encode_png, quantize
 
 pytestmark = pytest.mark.blender
 PHOTO_SIDE = 320

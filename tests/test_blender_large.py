@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from blender_process import RunBlender
 
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.formats import SplatCloud, write_splats
 
 pytestmark = [pytest.mark.blender, pytest.mark.slow]

@@ -11,7 +11,7 @@ from blender_process import RunBlender, find_python
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
 
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.controls.names import ARKIT_NAMES
 
 pytestmark = pytest.mark.blender
 

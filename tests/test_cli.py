@@ -217,7 +217,7 @@ def test_unwritable_folders_leave_nothing(render, tmp_path, monkeypatch):
     def full_disk(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("grmm_core.files.os.fsync", full_disk)
+    monkeypatch.setattr("grmm_core.files.access.os.fsync", full_disk)
     code, _, err = render("default", "-o", tmp_path / "x.png", "--size", "16")
     assert code == 1
     assert "no space left on device" in err
@@ -335,7 +335,7 @@ def test_exported_arrays_are_complete(export, tmp_path):
 
 def test_harmonics_reproduce_the_colors_seen(weights):
     """Degree 3 follows the decoder's view dependence closer than the mean color, from where Gaussians are seen."""
-    from grmm_core.controls import Controls
+    from grmm_core.controls.frame import Controls
     from grmm_core.session import create_session
     from grmm_core.session.harmonics import fit_harmonics, harmonic_basis
 

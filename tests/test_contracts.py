@@ -8,11 +8,11 @@ import struct
 import numpy as np
 import pytest
 
-from grmm_core.camera import Camera
-from grmm_core.controls import ALIGNED_TO_ARKIT, Controls, parse_assignments, resolve
+from grmm_core.controls.frame import ALIGNED_TO_ARKIT, Controls, parse_assignments, resolve
+from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES, MIXTURES
 from grmm_core.errors import ControlError, FileAccessError, FileFormatError, ShapeError
-from grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES, MIXTURES
-from grmm_core.tensorfile import read_metadata, read_tensors, write_tensors
+from grmm_core.files.tensorfile import read_metadata, read_tensors, write_tensors
+from grmm_core.geometry.camera import Camera
 
 
 def project(camera: Camera, point: tuple[float, float, float]) -> np.ndarray:

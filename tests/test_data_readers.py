@@ -23,13 +23,13 @@ from foreign_data import (
     write_vhap,
 )
 
-from grmm_core.camera import Camera
 from grmm_core.cli import main
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.data.foreign import head_camera, nearest_arkit
 from grmm_core.data.readers import is_dataset, open_dataset
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError, RuntimeMissingError
-from grmm_core.expressions import ARKIT_NAMES
-from grmm_core.performance.rotations import axis_angle_to_matrix, matrix_to_euler
+from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.rotations import axis_angle_to_matrix, matrix_to_euler
 
 
 @pytest.fixture(scope="module")

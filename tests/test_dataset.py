@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from grmm_core.camera import Camera
 from grmm_core.data.dataset import (
     DEPTH_UNIT,
     CaptureDataset,
@@ -27,6 +26,7 @@ from grmm_core.data.dataset import (
 )
 from grmm_core.data.jobs import TimeLeft, claim
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError, ShapeError
+from grmm_core.geometry.camera import Camera
 
 SIZE = 24
 

@@ -14,7 +14,7 @@ torch = pytest.importorskip("torch")
 from model_fixtures import TEETH, small_head  # noqa: E402
 from test_model import inputs, randomise  # noqa: E402
 
-from grmm_core.camera import Camera  # noqa: E402
+from grmm_core.geometry.camera import Camera  # noqa: E402
 from grmm_core.head.skinning import euler_matrices  # noqa: E402
 from grmm_core.model.config import PRESETS  # noqa: E402
 from grmm_core.model.grmm import GRMM, JAW, NECK, euler_to_rotvec  # noqa: E402

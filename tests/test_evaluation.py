@@ -14,7 +14,6 @@ from evaluation_data import HELD_OUT, write_own_pictures
 from tiny_model import write_tiny_weights
 
 from grmm_core.avatar import AssetReference, Avatar
-from grmm_core.camera import Camera
 from grmm_core.cli import main
 from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import ConfigError, FileFormatError
@@ -26,6 +25,7 @@ from grmm_core.evaluation.protocols import Evaluation, Settings
 from grmm_core.evaluation.regions import REGIONS, region_pixels, triangle_groups
 from grmm_core.evaluation.scene import FULL, MEAN_CODES, NO_EXPRESSION_CODE, Scene
 from grmm_core.evaluation.views import Sample, limited, load, samples, source_view
+from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
 
 
@@ -83,7 +83,7 @@ def test_regions_are_where_they_should_be():
         expression[head.expression_index("jawOpen")] = jaw
         vertices = head.vertices(np.zeros(10), expression, head.pose_of(expression))
         camera = Camera.orbit(128, 128, yaw=yaw, distance=1.1, fov=20.0)
-        from grmm_core.zbuffer import EMPTY, triangle_depth
+        from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 
         depth = triangle_depth(vertices[head.faces], camera)
         depth = np.where(depth < EMPTY, depth, 0.0)

@@ -35,7 +35,7 @@ def photo(tmp_path_factory):
     """A picture of the embedded avatar: a face that nobody owns, found by the same networks as a real one."""
     from PIL import Image
 
-    from grmm_core.camera import Camera
+    from grmm_core.geometry.camera import Camera
     from grmm_core.session import create_session
     from grmm_core.session.api import Instance, RenderOptions
 

@@ -12,10 +12,9 @@ torch = pytest.importorskip("torch")
 from model_fixtures import small_head  # noqa: E402
 
 from grmm_core.avatar import load_avatar, save_avatar  # noqa: E402
-from grmm_core.camera import Camera  # noqa: E402
-from grmm_core.controls import Controls, resolve  # noqa: E402
+from grmm_core.controls.frame import Controls, resolve  # noqa: E402
+from grmm_core.controls.names import ALIGNED_NAMES  # noqa: E402
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError  # noqa: E402
-from grmm_core.expressions import ALIGNED_NAMES  # noqa: E402
 from grmm_core.fitting.codes import code_prior, expression_code  # noqa: E402
 from grmm_core.fitting.color import PhotoLight, recolor, solve_maps, unchanged  # noqa: E402
 from grmm_core.fitting.invert import invert, photo_errors  # noqa: E402
@@ -26,6 +25,7 @@ from grmm_core.fitting.result import photo_camera, photo_controls  # noqa: E402
 from grmm_core.fitting.surface import SKIN, texel_surface  # noqa: E402
 from grmm_core.fitting.types import PhotoTrack  # noqa: E402
 from grmm_core.fitting.views import fit_view, project  # noqa: E402
+from grmm_core.geometry.camera import Camera  # noqa: E402
 from grmm_core.model.config import BASIS_COLOR  # noqa: E402
 from grmm_core.model.config import PRESETS as MODEL_PRESETS  # noqa: E402
 from grmm_core.model.grmm import GRMM  # noqa: E402

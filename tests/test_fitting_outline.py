@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grmm_core.camera import Camera
-from grmm_core.color import linear_to_srgb
 from grmm_core.fitting import photometric_stage
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.fitting.light import estimate_light, harmonics
 from grmm_core.fitting.outline import find_outline, sample, skin_map, vertex_normals
 from grmm_core.fitting.photometric_stage import Appearance, posed, refine, shape_change
 from grmm_core.fitting.point_rig import LandmarkRig
+from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 from grmm_core.head.open_head import load_open_head
-from grmm_core.zbuffer import EMPTY, triangle_depth
+from grmm_core.pictures.color import linear_to_srgb
 
 SIZE = 320
 SKIN = np.array([0.80, 0.58, 0.47])

@@ -8,8 +8,8 @@ import pytest
 torch = pytest.importorskip("torch")
 image_module = pytest.importorskip("PIL.Image")
 
+from grmm_core.controls.names import ARKIT_NAMES  # noqa: E402
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, NoFaceError, ShapeError  # noqa: E402
-from grmm_core.expressions import ARKIT_NAMES  # noqa: E402
 from grmm_core.fitting.measure import measure_shapes  # noqa: E402
 from grmm_core.fitting.overlay import overlay_picture, track_vertices  # noqa: E402
 from grmm_core.fitting.track import AnalysedPhoto, analyse_photo, cut_square, frame_of, track_photos  # noqa: E402

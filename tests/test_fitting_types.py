@@ -7,10 +7,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from grmm_core.camera import Camera
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
+from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.fitting.types import PhotoTrack, load_tracks, save_tracks
-from grmm_core.tensorfile import read_tensors, write_tensors
+from grmm_core.geometry.camera import Camera
 
 
 def make_track(seed=0, size=24, light=True):

@@ -8,9 +8,9 @@ from flame_files import flame_fields, write_flame_pickle
 from flame_head_files import EYE, SCALE, SHIFT, SKIN, flame_head_fields
 from test_head_uv import cover_texels
 
-from grmm_core.controls import Controls, resolve
+from grmm_core.controls.frame import Controls, resolve
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileFormatError, GrmmError
-from grmm_core.expressions import ARKIT_NAMES
 from grmm_core.head import load_flame, load_open_head, read_head
 from grmm_core.head.flame import describe_flame, read_landmark_embedding
 from grmm_core.head.flame_regions import find_surface

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from splat_files import make_cloud, ply_bytes
 
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
-from grmm_core.expressions import ARKIT_NAMES
 from grmm_core.formats import SplatCloud, write_mesh, write_splats
 from grmm_core.formats.avatars import (
     AnimatedAvatar,
@@ -26,8 +26,8 @@ from grmm_core.formats.avatars import (
 from grmm_core.formats.binding import bind_to_mesh, place_on_mesh, triangle_frames
 from grmm_core.formats.cloud import SH_C0
 from grmm_core.formats.mesh import Mesh, read_gltf_mesh, split_seams, vertex_normals, write_gltf_mesh
+from grmm_core.geometry.rotations import axis_angle_to_matrix, quaternion_to_matrix
 from grmm_core.performance import Performance
-from grmm_core.performance.rotations import axis_angle_to_matrix, quaternion_to_matrix
 
 
 def grid(n=8, seed=0):

@@ -15,8 +15,8 @@ from fuzzing import fuzz, glb_document, glb_with, memory_limit, mutate, odd_docu
 from splat_files import make_cloud, ply_bytes, splat_rows
 from test_formats_avatars import cap4d_bytes, flame_track, lam_archive, seamed_mesh
 
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileFormatError
-from grmm_core.expressions import ARKIT_NAMES
 from grmm_core.formats import read_splats, write_mesh, write_splats
 from grmm_core.formats.avatars import read_cap4d, read_gaussian_avatar, read_lam
 from grmm_core.formats.mesh import read_gltf_mesh

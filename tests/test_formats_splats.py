@@ -136,7 +136,7 @@ def test_turning_keeps_the_color_seen_from_every_side_and_the_ellipsoids():
     before = np.einsum("dk,nkc->ndc", harmonics_basis(directions), cloud.sh)
     after = np.einsum("dk,nkc->ndc", harmonics_basis(directions * [1, -1, -1]), turned.sh)
     assert after == pytest.approx(before, abs=1e-5)
-    from grmm_core.performance.rotations import quaternion_to_matrix
+    from grmm_core.geometry.rotations import quaternion_to_matrix
 
     def covariance(c):
         axes = quaternion_to_matrix(c.quats) * c.scales[:, None, :]

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.controls import Controls, resolve
+from grmm_core.controls.frame import Controls, resolve
+from grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from grmm_core.errors import ControlError, FileAccessError, FileFormatError, ShapeError
-from grmm_core.expressions import ARKIT_NAMES, JOINT_NAMES
+from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.head import load_open_head, load_people_model, read_head
 from grmm_core.head.open_head import ASSET
 from grmm_core.head.skinning import euler_matrices, joint_transforms, posed_vertices
-from grmm_core.tensorfile import read_tensors, write_tensors
 
 SCULPT_TOLERANCE = 5e-6  # metres; 16-bit rounding of directions gives under 1e-6
 PEOPLE = 12

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
+from grmm_core.files.tensorfile import read_metadata
 from grmm_core.head import load_open_head
 from grmm_core.head.open_head import ASSET
-from grmm_core.tensorfile import read_metadata
 
 
 @pytest.fixture(scope="module")

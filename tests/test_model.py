@@ -9,9 +9,9 @@ import pytest
 import torch
 from model_fixtures import SHAPES, TEETH, inputs, randomise, small_head
 
-from grmm_core.camera import Camera
+from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.errors import ConfigError, ShapeError
-from grmm_core.expressions import ALIGNED_NAMES
+from grmm_core.geometry.camera import Camera
 from grmm_core.model.config import BASIS_COLOR, PRESETS, GRMMConfig
 from grmm_core.model.decoders import MapDecoder
 from grmm_core.model.grmm import GRMM, euler_to_rotvec

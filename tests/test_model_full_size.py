@@ -11,7 +11,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from grmm_core.camera import Camera  # noqa: E402
+from grmm_core.geometry.camera import Camera  # noqa: E402
 from grmm_core.head import load_open_head  # noqa: E402
 from grmm_core.model.config import PRESETS  # noqa: E402
 from grmm_core.model.grmm import GRMM  # noqa: E402
@@ -22,7 +22,7 @@ MEMORY_GOAL = 2 << 30  # bytes
 RENDER = r"""
 import json, re
 import torch
-from grmm_core.camera import Camera
+from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM

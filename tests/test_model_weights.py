@@ -8,11 +8,11 @@ import torch
 from model_fixtures import SHAPES, small_head
 
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
+from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM
 from grmm_core.model.packing import BLOCK, pack, unpack
 from grmm_core.model.weights import WeightsInfo, head_fingerprint, load_weights, read_info, save_weights
-from grmm_core.tensorfile import read_tensors, write_tensors
 
 
 @pytest.fixture(scope="module")

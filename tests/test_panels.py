@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from blender_process import RunBlender
 
-from grmm_core.expressions import ALIGNED_NAMES
+from grmm_core.controls.names import ALIGNED_NAMES
 
 pytestmark = pytest.mark.blender
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.head import load_open_head
 from grmm_core.performance import CleanOptions, Performance, clean
 from grmm_core.performance.closures import keep_lips_closed, lip_model

@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileFormatError, ShapeError
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.geometry.rotations import euler_to_matrix
 from grmm_core.performance import (
     REGIONS,
     CleanOptions,
@@ -34,7 +35,6 @@ from grmm_core.performance import (
 )
 from grmm_core.performance.curves import key_count, largest_errors, reduce_curves
 from grmm_core.performance.retarget import arkit_to_expression_map, bounded_least_squares, nearest_vertices
-from grmm_core.performance.rotations import euler_to_matrix
 from grmm_core.performance.smoothing import jitter, noise_level, smooth_curves
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -11,10 +11,10 @@ import zipfile
 import numpy as np
 import pytest
 
+from grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError
-from grmm_core.expressions import ARKIT_NAMES, JOINT_NAMES
+from grmm_core.geometry.rotations import axis_angle_to_matrix, euler_to_matrix
 from grmm_core.performance import read_performance
-from grmm_core.performance.rotations import axis_angle_to_matrix, euler_to_matrix
 
 ANGLES = [f"{part}{axis}" for part in ("Head", "LeftEye", "RightEye") for axis in ("Yaw", "Pitch", "Roll")]
 PASCAL = [name[0].upper() + name[1:] for name in ARKIT_NAMES]

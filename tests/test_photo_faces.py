@@ -7,8 +7,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from grmm_core.controls.names import ARKIT_NAMES  # noqa: E402
 from grmm_core.errors import NoFaceError  # noqa: E402
-from grmm_core.expressions import ARKIT_NAMES  # noqa: E402
 from grmm_core.photo.faces import find_faces  # noqa: E402
 from grmm_core.photo.networks import load_networks  # noqa: E402
 

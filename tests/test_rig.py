@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from blender_process import RunBlender
 
-from grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
+from grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
 from grmm_core.head import load_open_head
 
 pytestmark = pytest.mark.blender

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from grmm_core.avatar import load_avatar, save_avatar
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls
+from grmm_core.controls.frame import Controls
 from grmm_core.errors import (
     CancelledError,
     ConfigError,
@@ -20,6 +19,7 @@ from grmm_core.errors import (
     SessionError,
     ShapeError,
 )
+from grmm_core.geometry.camera import Camera
 from grmm_core.session import EMPTY_DEPTH, PASS_NAMES, Instance, RenderOptions, Session, create_session
 
 pytest.importorskip("torch")

@@ -8,9 +8,9 @@ import signal
 import numpy as np
 import pytest
 
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls
+from grmm_core.controls.frame import Controls
 from grmm_core.errors import SessionError, ShapeError
+from grmm_core.geometry.camera import Camera
 from grmm_core.session import CloudArrays, Instance, RenderOptions, create_session
 from grmm_core.session.harmonics import harmonic_basis
 

@@ -11,9 +11,9 @@ from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
 from tiny_model import write_tiny_weights
 
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls
+from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileFormatError
+from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_flame
 from grmm_core.session import Instance, RenderOptions, create_session
 

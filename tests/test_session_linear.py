@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.camera import Camera
-from grmm_core.color import scene_linear_premultiplied
+from grmm_core.geometry.camera import Camera
+from grmm_core.pictures.color import scene_linear_premultiplied
 from grmm_core.session import Instance, RenderOptions, create_session
 from grmm_core.session.api import LINEAR_PASS
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from grmm_core.avatar import load_avatar, save_avatar
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls
+from grmm_core.controls.frame import Controls
 from grmm_core.errors import ConfigError, RuntimeMissingError
+from grmm_core.geometry.camera import Camera
 from grmm_core.session import PASS_NAMES, Instance, RenderOptions, create_session
 
 pytest.importorskip("torch")

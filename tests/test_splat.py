@@ -10,8 +10,8 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from grmm_core.camera import Camera  # noqa: E402
 from grmm_core.errors import BackendError, ShapeError  # noqa: E402
+from grmm_core.geometry.camera import Camera  # noqa: E402
 from grmm_core.splat import Gaussians, available_backends, rasterize, rasterize_batch  # noqa: E402
 
 BACKENDS = [info.name for info in available_backends() if info.available and info.name != "cuda"]

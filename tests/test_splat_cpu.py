@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from test_splat import orbit, scene  # noqa: E402
 
-from grmm_core.camera import Camera  # noqa: E402
+from grmm_core.geometry.camera import Camera  # noqa: E402
 from grmm_core.splat import Gaussians, rasterize  # noqa: E402
 from grmm_core.splat.cpu import jit, threads  # noqa: E402
 

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import ConfigError
-from grmm_core.expressions import ALIGNED_NAMES
 from grmm_core.head.open_head import load_open_head, load_people_model
 from grmm_studio import face_hair
 from grmm_studio.capture import CaptureSettings, held_out, job_order, open_job, view_split

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.head.open_head import load_open_head, load_people_model
 from grmm_studio.face_hair import face_strands
 from grmm_studio.fields import bump

@@ -12,11 +12,11 @@ import pytest
 import torch
 from model_fixtures import ColoredSpheres, small_head
 
-from grmm_core.camera import Camera
 from grmm_core.cli import main
 from grmm_core.data.dataset import Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
 from grmm_core.errors import ConfigError, FileFormatError, TrainingError
-from grmm_core.tensorfile import write_tensors
+from grmm_core.files.tensorfile import write_tensors
+from grmm_core.geometry.camera import Camera
 from grmm_core.training.capture import CapturedViews, capture_views
 from grmm_core.training.config import load_config, train_config
 from grmm_core.training.losses import weights_from

@@ -131,7 +131,7 @@ SIZE = 96
 
 
 def write_shots(folder, count, split="train"):
-    from grmm_core.camera import Camera
+    from grmm_core.geometry.camera import Camera
 
     rng = np.random.default_rng(0)
     for number in range(count):

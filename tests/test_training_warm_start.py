@@ -8,7 +8,8 @@ import torch
 from model_fixtures import SHAPES, ColoredSpheres, small_head
 
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError
-from grmm_core.tensorfile import write_tensors
+from grmm_core.files.tensorfile import write_tensors
+from grmm_core.model.config import BASIS_COLOR
 from grmm_core.training.config import train_config
 from grmm_core.training.trainer import CHECKPOINT, Trainer
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from blender_process import RunBlender
 
-from grmm_core.camera import Camera
+from grmm_core.geometry.camera import Camera
 
 pytestmark = pytest.mark.blender
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls
+from grmm_core.controls.frame import Controls
 from grmm_core.errors import CancelledError, RuntimeMissingError, SessionError
+from grmm_core.geometry.camera import Camera
 from grmm_core.session import Instance, RenderOptions, create_session
 from grmm_core.session.arena import SharedArena
 from grmm_core.session.client import WorkerSession
@@ -218,7 +218,7 @@ def test_the_parent_needs_no_torch(weights):
                 if name.partition(".")[0] in ("torch", "numba", "scipy", "PIL"):
                     raise ImportError(name)
         sys.meta_path.insert(0, Refuse())
-        from grmm_core.camera import Camera
+        from grmm_core.geometry.camera import Camera
         from grmm_core.session import Instance, create_session
         with create_session("worker", python=sys.executable, weights=sys.argv[1]) as session:
             info = session.open("default")

@@ -11,10 +11,10 @@ import sys
 import numpy as np
 import pytest
 
-from grmm_core import zbuffer
-from grmm_core.camera import Camera
 from grmm_core.errors import ShapeError
-from grmm_core.zbuffer import EMPTY, triangle_depth, visible_fraction
+from grmm_core.geometry import zbuffer
+from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.zbuffer import EMPTY, triangle_depth, visible_fraction
 
 
 def choose_form(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -23,7 +23,7 @@ def choose_form(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(zbuffer, "_compiled_draw", lambda: None)
     else:
         pytest.importorskip("numba")
-        draw = importlib.import_module("grmm_core.zbuffer_kernel").draw
+        draw = importlib.import_module("grmm_core.geometry.zbuffer_kernel").draw
         monkeypatch.setattr(zbuffer, "_compiled_draw", lambda: draw)
 
 
@@ -186,7 +186,7 @@ def test_a_part_has_the_values_of_the_whole(name: str, window: tuple[int, int, i
 @pytest.mark.parametrize("form", ["numpy"], indirect=True)
 def test_numpy_alone_is_enough(form: str, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
-    monkeypatch.setitem(sys.modules, "grmm_core.zbuffer_kernel", None)  # its import fails, as where numba is missing
+    monkeypatch.setitem(sys.modules, "grmm_core.geometry.zbuffer_kernel", None)  # its import fails, as where numba is missing
     zbuffer._compiled_draw.cache_clear()
     wall = np.array([[[-9, -9, 1], [9, -9, 1], [0, 9, 1]]], float)
     depth = triangle_depth(wall, Camera(np.eye(4), 10.0, 10.0, 8.0, 8.0, 16, 16))

@@ -79,10 +79,10 @@ def main() -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     from PIL import Image
 
-    from grmm_core.camera import Camera
-    from grmm_core.controls import Controls
+    from grmm_core.controls.frame import Controls
     from grmm_core.formats import read_splats, write_splats
-    from grmm_core.images import quantize
+    from grmm_core.geometry.camera import Camera
+    from grmm_core.pictures.images import quantize
     from grmm_core.session import CloudArrays, Instance, RenderOptions, create_session
     from grmm_core.session.exporting import splat_cloud
 

@@ -17,13 +17,13 @@ import numpy as np
 
 from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import NoFaceError
+from grmm_core.files.tensorfile import write_tensors
 from grmm_core.fitting.landmark_priors import NOISE_ASSET
 from grmm_core.fitting.outline import project_points
 from grmm_core.head.model import HeadModel
 from grmm_core.head.open_head import load_open_head
 from grmm_core.head.skinning import euler_matrices
 from grmm_core.photo.faces import find_faces
-from grmm_core.tensorfile import write_tensors
 
 MAX_ANGLE = 45.0  # degrees between the face and the camera
 GREY = 0.6

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...grmm_core.camera import Camera
+from ...grmm_core.geometry.camera import Camera
 from .collect import Collected
 from .snapshot import Occluder, Occluders
 

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grmm_core.camera import Camera
+from ...grmm_core.geometry.camera import Camera
+from ...grmm_core.geometry.zbuffer import EMPTY, Window, mean_of_samples, triangle_depth
 from ...grmm_core.session import EMPTY_DEPTH
-from ...grmm_core.zbuffer import EMPTY, Window, mean_of_samples, triangle_depth
 from .snapshot import Occluder, Occluders
 
 BUDGET = 128 << 20  # bytes of depths that are kept after a picture

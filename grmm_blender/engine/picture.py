@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...grmm_core.color import scene_linear_premultiplied
+from ...grmm_core.pictures.color import scene_linear_premultiplied
 from ...grmm_core.session import EMPTY_DEPTH
 from .occlusion import Visibility, bounds
 from .passes import FEATURES_IN_A_PASS, RenderPass

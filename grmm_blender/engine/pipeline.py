@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grmm_core.camera import Camera
 from ...grmm_core.errors import CancelledError, FileAccessError, GrmmError
+from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.session import CancelCheck, Instance, RenderOptions
 from .. import session_host
 from ..avatar import missing_file

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ...grmm_core.camera import Camera
-from ...grmm_core.controls import Controls
+from ...grmm_core.controls.frame import Controls
 from ...grmm_core.errors import ConfigError
+from ...grmm_core.geometry.camera import Camera
 from ..splats import CloudShot
 
 SUPPORTED_CAMERAS = ("PERSP", "ORTHO")

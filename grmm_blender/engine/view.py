@@ -16,8 +16,8 @@ import numpy as np
 from bpy.app.handlers import persistent
 from gpu_extras.presets import draw_texture_2d
 
-from ...grmm_core.camera import Camera
 from ...grmm_core.errors import GrmmError
+from ...grmm_core.geometry.camera import Camera
 from . import collect, occluders, snapshot, view_jobs
 from .pipeline import DrawSettings, Frame
 from .snapshot import AvatarShot, Occluders

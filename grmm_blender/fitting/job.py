@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ...grmm_core.errors import RuntimeMissingError
-from ...grmm_core.files import describe_os_error
+from ...grmm_core.files.access import describe_os_error
 from ...grmm_core.session.process import core_environment, core_folder
 
 STAGE_SHARES: dict[str, tuple[float, float]] = {

@@ -22,7 +22,7 @@ How a control reaches the mesh (no scripted driver, no add-on needed, except for
 * Joints have four bones with the same rest pose, aligned with the head's axes: ``MCH-jaw`` carries the shift of the joint
   with the person's shape, ``jaw`` is the animator's, ``DEF-jaw`` deforms, and ``DRV-jaw`` receives the rotation that
   expressions give. A Copy Rotation constraint in the mode Add puts DRV's Euler angles on top of the animator's own: the sum is
-  linear, as `grmm_core.controls.resolve` wants it, and the animator's channels stay free.
+  linear, as `grmm_core.controls.frame.resolve` wants it, and the animator's channels stay free.
 * So a pose control has one place, the bone's rotation; panels show that channel itself and nothing has to be kept in step.
 
 Nothing here imports torch; the model is reached through `session_host`.

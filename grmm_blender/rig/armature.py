@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ...grmm_core.expressions import JOINT_NAMES
+from ...grmm_core.controls.names import JOINT_NAMES
 from ...grmm_core.head import HeadModel
 from .mesh import DEFORM_PREFIX, to_blender
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import bpy
 
+from ...grmm_core.controls.names import ALIGNED_NAMES
 from ...grmm_core.errors import FileFormatError, GrmmError
-from ...grmm_core.expressions import ALIGNED_NAMES
 from ..avatar import Avatar
 from . import armature, drivers, live, mesh
 from .definitions import (

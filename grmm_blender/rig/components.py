@@ -19,8 +19,8 @@ import numpy as np
 
 from ...grmm_core.avatar.library import LIBRARY_FOLDER
 from ...grmm_core.errors import GrmmError
+from ...grmm_core.files.tensorfile import read_tensors
 from ...grmm_core.head import HeadModel, load_open_head
-from ...grmm_core.tensorfile import read_tensors
 from .. import session_host
 from .definitions import ALIGNED_NAMES, Z_EXP, Z_ID
 from .definitions import label as words

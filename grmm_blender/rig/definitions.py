@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from ...grmm_core.expressions import ALIGNED_NAMES, ARKIT_NAMES, MIXTURE_NAMES, MIXTURES
+from ...grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES, MIXTURE_NAMES, MIXTURES
 
 SHAPE = "shape"
 EXPRESSION = "expression"

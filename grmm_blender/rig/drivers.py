@@ -11,8 +11,8 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from ...grmm_core.controls import ALIGNED_TO_ARKIT
-from ...grmm_core.expressions import ALIGNED_NAMES, JOINT_NAMES
+from ...grmm_core.controls.frame import ALIGNED_TO_ARKIT
+from ...grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
 from ...grmm_core.head import HeadModel
 from .armature import DRIVEN_PREFIX, driven_joints
 from .definitions import EXPRESSION, SHAPE, property_path

@@ -18,7 +18,7 @@ import bpy
 import numpy as np
 
 from ...grmm_core.avatar import AssetReference
-from ...grmm_core.controls import Controls, resolve
+from ...grmm_core.controls.frame import Controls, resolve
 from ...grmm_core.errors import GrmmError, RuntimeMissingError
 from ...grmm_core.head import HeadModel
 from ...grmm_core.head.skinning import euler_matrices

@@ -8,8 +8,8 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...grmm_core.controls import ALIGNED_TO_ARKIT
-from ...grmm_core.expressions import ALIGNED_NAMES
+from ...grmm_core.controls.frame import ALIGNED_TO_ARKIT
+from ...grmm_core.controls.names import ALIGNED_NAMES
 from ...grmm_core.head import HeadModel
 from .definitions import SHAPE
 from .identity import Identity

@@ -14,8 +14,8 @@ import bpy
 import numpy as np
 
 from ...grmm_core.avatar import AssetReference
+from ...grmm_core.controls.names import ALIGNED_NAMES
 from ...grmm_core.errors import FileFormatError
-from ...grmm_core.expressions import ALIGNED_NAMES
 from ...grmm_core.formats import SplatCloud
 from ...grmm_core.formats.avatars import AnimatedAvatar, GaussianAvatar, LamAvatar, read_avatar
 from ...grmm_core.formats.binding import place_on_mesh

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grmm_core.camera import Camera
+from ...grmm_core.geometry.camera import Camera
 
 TEXTURE_WIDTH = 2048  # texels in a row; every card has textures of this size
 TEXELS = 3  # of a Gaussian

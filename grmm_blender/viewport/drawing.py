@@ -11,7 +11,7 @@ import numpy as np
 from gpu_extras.batch import batch_for_shader
 from mathutils import Matrix
 
-from ...grmm_core.camera import Camera
+from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.splat.rules import NEAR, View
 from . import shaders
 from .arrays import TEXTURE_WIDTH, Packed

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...grmm_core.camera import Camera
 from ...grmm_core.errors import GrmmError
+from ...grmm_core.geometry.camera import Camera
 from ..engine.snapshot import AvatarShot
 from ..newest import NewestJobs, WaitForRest
 from . import arrays, sources

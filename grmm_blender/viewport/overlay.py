@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ...grmm_core.camera import Camera
+from ...grmm_core.geometry.camera import Camera
 from ..engine.settings import DETAIL_ITEMS
 from . import shaders
 from .drawing import SplatPicture

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...grmm_core.camera import Camera
-from ...grmm_core.controls import Controls
+from ...grmm_core.controls.frame import Controls
 from ...grmm_core.errors import GrmmError
+from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.session import CloudArrays
 from ...grmm_core.session.harmonics import harmonic_basis
 from .. import session_host

@@ -25,9 +25,9 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import FileFormatError, GrmmError, ShapeError
-from ..tensorfile import read_metadata, read_tensors, write_tensors
+from ..files.tensorfile import read_metadata, read_tensors, write_tensors
+from ..geometry.camera import Camera
 from .types import MAX_NAME_LENGTH, AssetReference, Avatar, PhotoRecord, Provenance
 
 FORMAT_NAME = "grmm-avatar"

@@ -11,8 +11,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import ShapeError
+from ..geometry.camera import Camera
 
 SHAPE_SIZE = 300
 JOINT_COUNT = 5

@@ -12,8 +12,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..camera import Camera
-from ..controls import Controls
+from ..controls.frame import Controls
+from ..geometry.camera import Camera
 from ..session import Instance, RenderOptions, create_session
 from . import bench_model, bench_splat
 from .common import add_model, positive_int

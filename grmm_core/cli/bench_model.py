@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 
 if TYPE_CHECKING:
     from ..splat import Gaussians

@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from ..controls import Controls, parse_assignments
+from ..controls.frame import Controls, parse_assignments
 from ..errors import FileAccessError
-from ..files import describe_os_error
+from ..files.access import describe_os_error
 
 DEVICES = ("auto", "cpu", "cuda", "mps")
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from ..avatar import EXTENSION, load_avatar
 from ..avatar.library import library_file
 from ..errors import ConfigError, FileAccessError
-from ..files import atomic_write_bytes, describe_os_error
+from ..files.access import atomic_write_bytes, describe_os_error
 from .common import DEVICES, positive_int
 from .console import _plain
 
@@ -218,7 +218,7 @@ def _codes(scene: Scene, output: Path | None, advance: Any) -> dict[str, Any]:
 def _write_pictures(evaluation: Evaluation, result: Result, folder: Path) -> None:
     from ..evaluation import report
     from ..evaluation.strips import transfer_sheet
-    from ..images import write_png
+    from ..pictures.images import write_png
 
     rows = []
     for row in report.picked(result.rows):

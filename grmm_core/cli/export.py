@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from ..controls import Controls
+from ..controls.frame import Controls
+from ..controls.names import ALIGNED_NAMES
 from ..errors import ConfigError
-from ..expressions import ALIGNED_NAMES
-from ..files import atomic_write_bytes
+from ..files.access import atomic_write_bytes
 from ..formats import write_mesh, write_splats
 from ..head import HeadModel, load_open_head
 from ..session import MAX_LOD, AvatarInfo, Session, create_session

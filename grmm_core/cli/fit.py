@@ -62,11 +62,11 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int:
 
 def _look(args: argparse.Namespace, events: _Events, stop: _StopOnSignal) -> dict[str, Any] | int:
     """Draw faces, landmarks and outline of each photo, so that the user can check the choice."""
-    from ..files import atomic_write_bytes
+    from ..files.access import atomic_write_bytes
     from ..fitting.api import check_face, check_faces, check_masks, read_mask
     from ..fitting.look import found_picture
     from ..fitting.track import analyse_photo
-    from ..images import encode_png
+    from ..pictures.images import encode_png
 
     check_masks(args.photos, args.masks)
     check_faces(args.photos, args.faces)

@@ -14,9 +14,9 @@ from .. import __version__
 from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
 from ..avatar.library import LIBRARY_PREFIX, library_file, library_names
 from ..errors import ConfigError, GrmmError
+from ..files.tensorfile import read_metadata
 from ..head.flame import describe_flame
 from ..head.open_head import FLAME_SUFFIXES
-from ..tensorfile import read_metadata
 
 LIBRARIES = ("numpy", "torch", "numba", "pillow", "bpy", "gsplat")
 ASSETS = Path(__file__).resolve().parent.parent / "assets"

@@ -26,11 +26,11 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from ..camera import Camera
+from ..controls.names import ALIGNED_NAMES
 from ..errors import FileAccessError, FileFormatError, ShapeError
-from ..expressions import ALIGNED_NAMES
-from ..files import atomic_write_bytes, describe_os_error, read_bytes
-from ..npz import read_npz
+from ..files.access import atomic_write_bytes, describe_os_error, read_bytes
+from ..files.npz import read_npz
+from ..geometry.camera import Camera
 
 FORMAT = "grmm-capture"
 VERSION = 1

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Camera
+from ..controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from ..errors import ConfigError, FileFormatError
-from ..expressions import ALIGNED_NAMES, ARKIT_NAMES
+from ..geometry.camera import Camera
+from ..geometry.rotations import axis_angle_to_matrix, matrix_to_euler
 from ..head import HeadModel
-from ..performance.rotations import axis_angle_to_matrix, matrix_to_euler
 from .dataset import CaptureDataset, Manifest, Shot, View
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])

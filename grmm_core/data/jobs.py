@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import FileAccessError
-from ..files import describe_os_error
+from ..files.access import describe_os_error
 
 
 @contextmanager

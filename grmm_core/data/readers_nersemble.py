@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
-from ..files import read_bytes
-from ..npz import read_npz
+from ..files.access import read_bytes
+from ..files.npz import read_npz
 from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 from .foreign import FlameFrame, ForeignDataset, held_out_people, intrinsic_camera, vector3
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
-from ..performance.rotations import matrix_to_axis_angle
+from ..geometry.camera import Camera
+from ..geometry.rotations import matrix_to_axis_angle
 from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 from .foreign import FlameFrame, ForeignDataset, decode, held_out_people, intrinsic_camera, root_transform, vector3
 

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import FileAccessError, FileFormatError
-from ..files import read_bytes
-from ..npz import read_npz
+from ..files.access import read_bytes
+from ..files.npz import read_npz
+from ..geometry.camera import Camera
 from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, Picture, Shot, View
 from .foreign import OPENGL_TO_OPENCV, FlameFrame, ForeignDataset, decode, intrinsic_camera, root_transform, vector3
 

@@ -16,9 +16,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..controls import Controls, resolve
+from ..controls.frame import Controls, resolve
+from ..controls.names import MIXTURE_NAMES
 from ..errors import ConfigError
-from ..expressions import MIXTURE_NAMES
 from ..model.grmm import JAW, NECK, euler_to_rotvec
 from .scene import Scene
 

@@ -17,12 +17,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
-from ..controls import ALIGNED_TO_ARKIT
+from ..controls.frame import ALIGNED_TO_ARKIT
 from ..data.dataset import Shot
 from ..fitting.types import LANDMARK_COUNT, PhotoTrack
+from ..geometry.camera import Camera
 from ..head import HeadModel
-from ..images import quantize, write_png
+from ..pictures.images import quantize, write_png
 from ..training.losses import l1_loss, ssim
 from ..training.views import View, crop_to_person, shrink
 from .scene import Person, Scene

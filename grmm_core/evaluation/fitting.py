@@ -20,15 +20,15 @@ import numpy as np
 import torch
 
 from ..avatar import Avatar
-from ..camera import Camera
-from ..controls import Controls, resolve
+from ..controls.frame import Controls, resolve
 from ..errors import GrmmError
 from ..fitting.api import fit
 from ..fitting.invert import invert, photo_pictures
 from ..fitting.presets import Preset
 from ..fitting.types import PhotoTrack
-from ..images import write_png
+from ..geometry.camera import Camera
 from ..model.grmm import GRMM
+from ..pictures.images import write_png
 from ..session.models import with_deltas
 from .fit import exact_track
 from .identity import Identity

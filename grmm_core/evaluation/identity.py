@@ -13,10 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..camera import Camera
 from ..errors import FileAccessError, FileFormatError
 from ..fitting.landmark_stage import similarity
 from ..fitting.types import PhotoTrack
+from ..geometry.camera import Camera
 
 SIDE = 112
 PLACES = np.array([[38.3, 51.7], [73.5, 51.5], [56.0, 71.7], [41.5, 92.4], [70.7, 92.2]])

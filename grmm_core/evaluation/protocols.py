@@ -21,7 +21,7 @@ import numpy as np
 
 from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, CaptureDataset
 from ..errors import ConfigError, NoFaceError
-from ..images import quantize
+from ..pictures.images import quantize
 from .fit import CODES, fit_person, fit_photo, track_shot
 from .metrics import Distance, Errors, errors_of
 from .regions import region_pixels, triangle_groups

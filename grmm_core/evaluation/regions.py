@@ -10,9 +10,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
+from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head import HeadModel
-from ..zbuffer import EMPTY, triangle_depth
 
 # in order: a triangle belongs to the first group that holds all its corners
 GROUPS: Mapping[str, tuple[str, ...]] = {

@@ -98,7 +98,7 @@ _NAMES = ("psnr", "psnr_mask", "ssim", "ssim_mask", "rmse", "rmse_mask")
 
 def sheet(rows: Sequence[Sequence[np.ndarray]]) -> np.ndarray:
     """Join pictures [H, W, 3], values 0..1, in rows and columns with gaps; sizes may differ. Returns uint8."""
-    from ..images import quantize
+    from ..pictures.images import quantize
 
     height = max(picture.shape[0] for row in rows for picture in row)
     width = max(picture.shape[1] for row in rows for picture in row)

@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
 from ..errors import ConfigError
+from ..geometry.camera import Camera
 from ..model.grmm import GRMM, Rendering
 from ..model.weights import WeightsInfo, load_weights
 

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from ..avatar.make import sampled_avatar
-from ..camera import Camera
-from ..controls import Controls, resolve
-from ..images import write_png
+from ..controls.frame import Controls, resolve
+from ..geometry.camera import Camera
+from ..pictures.images import write_png
 from .codes import smoothness
 from .report import sheet
 from .scene import Person, Scene

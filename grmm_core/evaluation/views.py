@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import Camera
 from ..data.dataset import CaptureDataset, Shot, View
 from ..errors import ConfigError
+from ..geometry.camera import Camera
 
 FRONT_DEGREES, BACK_DEGREES = 60.0, 120.0
 CLOSE_UP_MM = 300.0  # that the picture's shorter side spans at the distance of the head: a whole head needs more

@@ -24,8 +24,8 @@ import numpy as np
 
 from ..avatar import EXTENSION, Avatar, PhotoRecord, save_avatar
 from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
-from ..files import atomic_write_bytes, read_bytes
-from ..images import encode_png, quantize
+from ..files.access import atomic_write_bytes, read_bytes
+from ..pictures.images import encode_png, quantize
 from .folder import PREVIEW_FILE, TRACKS_FILE, WORK_SUFFIX, Job, can_resume, check_photos_differ, check_writable, prepare
 from .presets import Preset, preset_named
 from .types import PhotoTrack, load_tracks, save_tracks
@@ -192,8 +192,8 @@ def thumbnail(model: GRMM, avatar: Avatar, pixels: int = THUMBNAIL_PIXELS) -> by
     """
     import torch
 
-    from ..camera import Camera
-    from ..color import straight_rgba
+    from ..geometry.camera import Camera
+    from ..pictures.color import straight_rgba
     from ..session.api import PORTRAIT_DISTANCE, PORTRAIT_FOV
 
     def tensor(array: np.ndarray) -> torch.Tensor:

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from ..errors import FileAccessError, FileFormatError
+from ..files.tensorfile import read_tensors, write_tensors
 from ..model.weights import WeightsInfo
-from ..tensorfile import read_tensors, write_tensors
 from .codes import Codes
 from .color import PhotoLight
 from .decoders import Tuner

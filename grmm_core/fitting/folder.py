@@ -14,7 +14,7 @@ from pathlib import Path
 
 from ..avatar import PhotoRecord
 from ..errors import ConfigError, FileAccessError
-from ..files import TEMPORARY_PATTERN, atomic_write_bytes, describe_os_error
+from ..files.access import TEMPORARY_PATTERN, atomic_write_bytes, describe_os_error
 
 TRACKS_FILE, CODES_FILE, DECODERS_FILE = "tracks.safetensors", "codes.safetensors", "decoders.safetensors"
 JOB_FILE, PREVIEW_FILE = "job.json", "preview.png"

@@ -15,12 +15,12 @@ import torch
 from torch import Tensor
 
 from ..avatar import Avatar
+from ..controls.names import ALIGNED_NAMES
 from ..errors import CancelledError, ConfigError, SessionError
-from ..expressions import ALIGNED_NAMES
 from ..head import HeadModel
-from ..images import quantize
 from ..model.grmm import GRMM
 from ..model.weights import WeightsInfo
+from ..pictures.images import quantize
 from ..training.losses import Perceptual
 from .checkpoint import codes_key, decoders_key, load_codes, resume_tuner, save_codes, save_tuner
 from .codes import Codes, code_prior, expression_code, fit_codes

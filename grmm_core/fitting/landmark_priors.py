@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..controls.names import ARKIT_NAMES
 from ..errors import FileFormatError
-from ..expressions import ARKIT_NAMES
+from ..files.tensorfile import read_tensors
 from ..head.model import JOINT_COUNT, HeadModel
-from ..tensorfile import read_tensors
 from .point_rig import LandmarkRig
 from .types import LANDMARK_COUNT
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import ShapeError
+from ..geometry.camera import Camera
 from ..head.model import JOINT_COUNT
 from .landmark_priors import landmark_modes, landmark_sigmas, make_priors
 from .point_rig import LandmarkRig

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..camera import Camera
-from ..color import srgb_to_linear
+from ..geometry.camera import Camera
+from ..geometry.zbuffer import triangle_depth
 from ..head.model import HeadModel
-from ..zbuffer import triangle_depth
+from ..pictures.color import srgb_to_linear
 from .outline import project_points, sample, vertex_normals, visible_skin_vertices
 
 COEFFICIENTS = 9

@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import ConfigError
-from ..images import quantize
 from ..photo.person import person_mask
+from ..pictures.images import quantize
 from .track import AnalysedPhoto
 
 PICTURE_SIDE = 640  # pixels of the longer side

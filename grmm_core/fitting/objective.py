@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 from ..model.grmm import GRMM, JAW, NECK, euler_to_rotvec
 from ..splat import Gaussians, rasterize
 from ..training.losses import LossWeights, Perceptual, l1_loss, ssim

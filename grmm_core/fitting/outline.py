@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
+from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head.model import HeadModel
-from ..zbuffer import EMPTY, triangle_depth
 
 REGIONS = ("face", "ears")
 REACH_OUT, REACH_IN = 0.30, 0.15  # eye distances from the mesh's outline that are searched

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry.zbuffer import triangle_depth
 from ..head.model import HeadModel
-from ..images import quantize
-from ..zbuffer import triangle_depth
+from ..pictures.images import quantize
 from .outline import project_points
 from .types import PhotoTrack
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 from ..head.model import HeadModel
 from .landmark_stage import LandmarkFit, finished, similarity
 from .outline import REGIONS, OutlinePoints, find_outline

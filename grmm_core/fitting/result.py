@@ -14,9 +14,9 @@ import numpy as np
 from ..avatar import AssetReference, Avatar, PhotoRecord, Provenance
 from ..avatar.make import MADE_BY
 from ..avatar.types import SHAPE_SIZE, half_rounded
-from ..camera import Camera
-from ..controls import ALIGNED_TO_ARKIT, Controls
+from ..controls.frame import ALIGNED_TO_ARKIT, Controls
 from ..errors import ShapeError
+from ..geometry.camera import Camera
 from ..head import HeadModel
 from .types import PhotoTrack
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 from ..head.model import JOINT_COUNT
 from .landmark_priors import Priors
 from .point_rig import PointRig

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import CancelledError, ConfigError, NoFaceError, ShapeError
+from ..geometry.camera import Camera
 from ..head.model import HeadModel
 from ..photo.faces import Face, find_faces
 from ..photo.load import Photo, check_proportion, load_photo

@@ -11,9 +11,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ..camera import Camera
 from ..errors import FileFormatError, ShapeError
-from ..tensorfile import read_tensors, write_tensors
+from ..files.tensorfile import read_tensors, write_tensors
+from ..geometry.camera import Camera
 
 FORMAT = "grmm-tracks"
 VERSION = 1

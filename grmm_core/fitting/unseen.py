@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..expressions import ARKIT_NAMES
+from ..controls.names import ARKIT_NAMES
 from ..head import HeadModel
 from ..model.grmm import GRMM
 from ..model.texels import rotate

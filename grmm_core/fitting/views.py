@@ -16,9 +16,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from ..camera import Camera
+from ..geometry.camera import Camera
+from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head import HeadModel
-from ..zbuffer import EMPTY, triangle_depth
 from .outline import sample, skin_map
 from .types import PhotoTrack
 

@@ -11,7 +11,7 @@ import zlib
 from pathlib import Path
 
 from ..errors import FileAccessError, FileFormatError
-from ..files import describe_os_error, read_bytes
+from ..files.access import describe_os_error, read_bytes
 from .cloud import bad_file
 
 _MAX_MEMBERS = 1000

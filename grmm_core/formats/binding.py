@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import ShapeError
-from ..performance.rotations import matrix_to_quaternion
+from ..geometry.rotations import matrix_to_quaternion
 from .cloud import SplatCloud
 from .gltf_splats import multiply_quaternions
 

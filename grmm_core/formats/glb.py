@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileFormatError
-from ..files import atomic_write, read_bytes
+from ..files.access import atomic_write, read_bytes
 from .cloud import bad_file
 
 KIND = "glTF file"

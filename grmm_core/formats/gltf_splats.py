@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..performance.rotations import matrix_to_quaternion, quaternion_to_matrix
+from ..geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
 from .cloud import MAX_DEGREE, MAX_SPLATS, SH_C0, SplatCloud, exp_scale, finish_reading
 from .glb import GltfReader, GltfWriter
 

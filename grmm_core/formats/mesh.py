@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileFormatError, ShapeError
-from ..files import atomic_write_bytes
+from ..files.access import atomic_write_bytes
 from .glb import ELEMENT_BUFFER, UINT32, GltfReader, GltfWriter
 
 KIND = "glTF mesh file"

@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..errors import FileAccessError
-from ..files import atomic_write, describe_os_error
+from ..files.access import atomic_write, describe_os_error
 from .cloud import MAX_DEGREE, SplatCloud, bad_file, exp_scale, finish_reading, log_scale, logit, sigmoid
 
 KIND = "PLY file"

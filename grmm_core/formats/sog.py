@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError
-from ..files import atomic_write, read_bytes
+from ..files.access import atomic_write, read_bytes
 from .archive import member, read_members, read_neighbour
 from .cloud import MAX_SPLATS, SplatCloud, bad_file, exp_scale, finish_reading, log_scale
 from .splat_file import to_byte

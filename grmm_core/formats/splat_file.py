@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files import atomic_write_bytes, read_bytes
+from ..files.access import atomic_write_bytes, read_bytes
 from .cloud import SH_C0, SplatCloud, bad_file, finish_reading
 
 KIND = ".splat file"

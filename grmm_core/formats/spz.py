@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import BackendError
-from ..files import atomic_write_bytes, read_bytes
+from ..files.access import atomic_write_bytes, read_bytes
 from .cloud import MAX_DEGREE, MAX_SPLATS, SplatCloud, bad_file, exp_scale, finish_reading, log_scale
 from .splat_file import to_byte
 

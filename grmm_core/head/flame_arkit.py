@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..expressions import ARKIT_NAMES, JOINT_NAMES
+from ..controls.names import ARKIT_NAMES, JOINT_NAMES
 from .flame_align import Correspondence
 from .flame_regions import FlameSurface
 from .model import HeadModel

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileFormatError
-from ..files import read_bytes
-from ..npz import read_npz
+from ..files.access import read_bytes
+from ..files.npz import read_npz
 from .restricted_pickle import load_restricted
 
 FLAME_VERTICES = 5023

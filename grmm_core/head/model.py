@@ -16,8 +16,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..controls.names import ARKIT_NAMES, JOINT_NAMES
 from ..errors import ShapeError
-from ..expressions import ARKIT_NAMES, JOINT_NAMES
 from .skinning import euler_matrices, posed_vertices
 
 JOINT_COUNT = len(JOINT_NAMES)

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import ControlError, FileFormatError, ShapeError
-from ..tensorfile import read_tensors
+from ..files.tensorfile import read_tensors
 from .model import HeadModel
 
 FORMAT = "grmm-head"

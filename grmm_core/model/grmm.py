@@ -15,9 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..camera import Camera
+from ..controls.names import ALIGNED_NAMES, JOINT_NAMES
 from ..errors import ConfigError, ShapeError
-from ..expressions import ALIGNED_NAMES, JOINT_NAMES
+from ..geometry.camera import Camera
 from ..head.torch_head import TorchHead
 from ..splat import Gaussians, RasterOutput, rasterize
 from .config import GRMMConfig

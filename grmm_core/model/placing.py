@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from ..kernels import compiled
+from ..compute.kernels import compiled
 
 _OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)

@@ -23,7 +23,7 @@ import torch
 from torch.overrides import TorchFunctionMode
 
 from ..errors import ConfigError, FileFormatError, ShapeError
-from ..tensorfile import read_metadata, read_tensors, write_tensors
+from ..files.tensorfile import read_metadata, read_tensors, write_tensors
 from .config import GRMMConfig
 from .grmm import GRMM
 from .packing import pack, scales_shape, unpack

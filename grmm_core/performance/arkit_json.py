@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from ..expressions import ARKIT_NAMES
-from ..files import read_bytes
+from ..controls.names import ARKIT_NAMES
+from ..files.access import read_bytes
 from .repair import (
     MAX_FILE_BYTES,
     MAX_FRAMES,

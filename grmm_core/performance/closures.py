@@ -15,7 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..expressions import ARKIT_NAMES
+from ..controls.names import ARKIT_NAMES
 from .types import Performance
 
 MOUTH_CLOSE = ARKIT_NAMES.index("mouthClose")

@@ -18,8 +18,8 @@ from typing import Literal
 
 import numpy as np
 
+from ..controls.names import ARKIT_NAMES
 from ..errors import ShapeError
-from ..expressions import ARKIT_NAMES
 from .types import Performance, Progress
 
 Interpolation = Literal["linear", "bezier"]

@@ -11,9 +11,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..controls.names import ARKIT_NAMES
 from ..errors import ShapeError
-from ..expressions import ARKIT_NAMES
-from .rotations import euler_to_matrix, matrix_to_euler, unwrap_euler
+from ..geometry.rotations import euler_to_matrix, matrix_to_euler, unwrap_euler
 from .types import Performance
 
 _PREFIXES = {

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..expressions import ARKIT_NAMES
-from ..npz import read_npz
+from ..controls.names import ARKIT_NAMES
+from ..files.npz import read_npz
+from ..geometry.rotations import axis_angle_to_euler
 from .repair import MAX_FRAMES, fill_missing, not_readable
-from .rotations import axis_angle_to_euler
 from .types import Performance, Progress
 
 KIND = "FLAME parameter file"

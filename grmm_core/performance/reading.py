@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from ..errors import FileAccessError, FileFormatError
-from ..files import describe_os_error
+from ..files.access import describe_os_error
 from .arkit_json import read_arkit_json
 from .flame_npz import read_flame_npz
 from .live_link_csv import Orientation, read_live_link_csv

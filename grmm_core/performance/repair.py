@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..controls.names import ARKIT_NAMES
 from ..errors import FileFormatError
-from ..expressions import ARKIT_NAMES
 
 MAX_FRAMES = 2_000_000  # nine hours at 60 frames per second
 MAX_FILE_BYTES = 128 << 20  # ten minutes at 60 frames per second with full-precision text are about 50 MB

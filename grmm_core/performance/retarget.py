@@ -11,8 +11,8 @@ from typing import Protocol
 
 import numpy as np
 
+from ..controls.names import ARKIT_NAMES, JOINT_NAMES
 from ..errors import ShapeError
-from ..expressions import ARKIT_NAMES, JOINT_NAMES
 from .types import Performance, Progress
 
 _LEVER = 0.10  # metres from a joint to the surface that it moves

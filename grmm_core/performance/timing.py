@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import ShapeError
-from .rotations import unwrap_euler
+from ..geometry.rotations import unwrap_euler
 from .types import Performance
 
 _PROMINENCE = 0.04  # weight; a bump lower than this is noise and need not survive a lower frame rate

@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..controls import Controls
+from ..controls.frame import Controls
+from ..controls.names import ALIGNED_NAMES, ARKIT_NAMES, JOINT_NAMES
 from ..errors import ShapeError
-from ..expressions import ALIGNED_NAMES, ARKIT_NAMES, JOINT_NAMES
 
 Progress = Callable[[float], None]
 """Called with the fraction done, 0..1. A caller cancels by raising `CancelledError` from it."""

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..controls.names import ARKIT_NAMES
 from ..errors import FileFormatError, ShapeError
-from ..expressions import ARKIT_NAMES
-from ..files import atomic_write_bytes
+from ..files.access import atomic_write_bytes
+from ..geometry.rotations import euler_to_axis_angle
 from .arkit_json import JSON_TRACKS
 from .flame_npz import FLAME_EXPRESSIONS, FLAME_SHAPES
 from .live_link_csv import HEAD_SIGNS
-from .rotations import euler_to_axis_angle
 from .types import Performance, Progress
 
 EXTENSIONS = (".json", ".csv", ".npz")

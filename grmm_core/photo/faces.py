@@ -19,8 +19,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from ..controls.names import ARKIT_NAMES
 from ..errors import NoFaceError
-from ..expressions import ARKIT_NAMES
 from .networks import load_networks
 
 LANDMARK_COUNT = 478

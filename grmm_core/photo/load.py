@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import FileAccessError, FileFormatError, GrmmError, ShapeError
-from ..files import describe_os_error
+from ..files.access import describe_os_error
 
 if TYPE_CHECKING:
     from PIL import Image

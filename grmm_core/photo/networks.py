@@ -20,7 +20,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from ..errors import FileFormatError
-from ..tensorfile import read_tensors
+from ..files.tensorfile import read_tensors
 
 ASSET = Path(__file__).resolve().parent.parent / "assets" / "photo_networks.safetensors"
 NetworkName = Literal["face_detector", "face_landmarks_detector", "face_blendshapes", "selfie_segmentation"]

@@ -27,9 +27,9 @@ from typing import Literal, Protocol, Self, runtime_checkable
 
 import numpy as np
 
-from ..camera import Camera
-from ..controls import Controls
+from ..controls.frame import Controls
 from ..errors import ConfigError, ShapeError
+from ..geometry.camera import Camera
 
 PassName = Literal["rgb", "alpha", "depth", "raw", "normal", "features", "mask"]
 PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask")
@@ -348,7 +348,7 @@ class Session(Protocol):
             mask      K   coverage of each of the K instances, after mutual occlusion; sums to alpha
             ========  ==  ===========================================================================================
 
-            `grmm_core.color` converts rgb to scene-linear premultiplied (Blender) or straight alpha (PNG).
+            `grmm_core.pictures.color` converts rgb to scene-linear premultiplied (Blender) or straight alpha (PNG).
 
         Raises:
             ControlError, ShapeError: Bad controls.

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import SessionError
-from ..files import describe_os_error
+from ..files.access import describe_os_error
 
 INITIAL_BYTES = 1 << 20
 MAX_BYTES = 1 << 34  # 16 GiB; a picture of the largest size with every pass stays below

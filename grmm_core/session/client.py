@@ -20,9 +20,10 @@ from typing import Any, Self
 import numpy as np
 
 from .. import errors
-from ..camera import Camera
-from ..controls import Controls
+from ..compute.memory import resident_memory
+from ..controls.frame import Controls
 from ..errors import GrmmError, SessionError
+from ..geometry.camera import Camera
 from .api import (
     AvatarInfo,
     CancelCheck,
@@ -36,7 +37,6 @@ from .api import (
 )
 from .process import WorkerDiedError, WorkerProcess
 from .sources import SourceKey, source_key
-from .system import resident_memory
 
 CLOSE_GRACE = 0.5  # seconds that closing waits for another thread's call
 CALL_TIMEOUT = 600.0  # seconds; a picture of a film's size on an old machine stays below

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 from ..splat import Gaussians
 from .api import CloudArrays
 from .harmonics import harmonic_basis

@@ -17,9 +17,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..camera import Camera
-from ..controls import Controls
+from ..controls.frame import Controls
 from ..errors import SessionError
+from ..geometry.camera import Camera
 from .api import AvatarInfo, CloudArrays, Deformation, GaussianArrays, Instance, RenderOptions, SessionStatus
 from .arena import SharedArena
 

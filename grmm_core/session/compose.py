@@ -23,12 +23,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
-from ..color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
 from ..errors import CancelledError
+from ..geometry.camera import Camera
 from ..model.grmm import GRMM, HEAD_CENTRE
 from ..model.refine import depth_range
 from ..model.texels import matrix_to_quaternion, multiply_quaternions
+from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
 from ..splat import Gaussians, RasterOutput, rasterize
 from .api import EMPTY_DEPTH, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud

@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from ..avatar import Avatar
-from ..controls import Controls, resolve
+from ..controls.frame import Controls, resolve
 from ..errors import ShapeError
 from ..head.skinning import euler_matrices, posed_vertices
 from ..model.grmm import GRMM, JAW, NECK, euler_to_rotvec

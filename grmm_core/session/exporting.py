@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from ..controls import Controls
-from ..expressions import ALIGNED_NAMES
+from ..controls.frame import Controls
+from ..controls.names import ALIGNED_NAMES
 from ..formats import SplatCloud
 from .api import Session
 from .harmonics import fit_harmonics

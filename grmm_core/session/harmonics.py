@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..controls import Controls
+from ..controls.frame import Controls
 from ..errors import ShapeError
 from .api import Session
 

@@ -23,12 +23,13 @@ import torch
 
 from ..avatar import Avatar, default_avatar, load_avatar, sampled_avatar, save_avatar
 from ..avatar.library import DEFAULT_NAME, library_path
-from ..camera import Camera
-from ..color import straight_rgba
-from ..controls import Controls
+from ..compute.memory import resident_memory
+from ..controls.frame import Controls
 from ..errors import BackendError, SessionError, ShapeError
+from ..geometry.camera import Camera
 from ..head.skinning import euler_matrices, joint_transforms
-from ..images import encode_png, quantize
+from ..pictures.color import straight_rgba
+from ..pictures.images import encode_png, quantize
 from .api import (
     MAX_LOD,
     PORTRAIT_DISTANCE,
@@ -48,7 +49,6 @@ from .compose import Placed, compose
 from .evaluate import Evaluator, Inputs, OpenAvatar
 from .models import LoadedModel, ModelStore
 from .sources import SourceKey, source_key
-from .system import resident_memory
 
 CACHE_BYTES = 512 << 20
 THUMBNAIL_PIXELS = 192

@@ -18,8 +18,8 @@ import numpy as np
 import torch
 
 from ..avatar import AssetReference, Avatar
+from ..controls.names import ALIGNED_NAMES
 from ..errors import BackendError, FileAccessError, FileFormatError
-from ..expressions import ALIGNED_NAMES
 from ..head import HeadModel, load_open_head, read_head
 from ..model.config import COLOR_CHANNELS, TRANSFORM_CHANNELS
 from ..model.grmm import GRMM

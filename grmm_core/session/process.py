@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import CancelledError, SessionError
-from ..files import describe_os_error
+from ..files.access import describe_os_error
 from .api import CancelCheck
 from .arena import SharedArena
 from .codec import receive, send, unpack

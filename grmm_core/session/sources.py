@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..avatar.library import LIBRARY_PREFIX, library_path
 from ..errors import FileAccessError
-from ..files import describe_os_error
+from ..files.access import describe_os_error
 
 DEFAULT_SOURCE = "default"
 _SAMPLE = re.compile(r"sample:(-?[0-9]{1,18})")

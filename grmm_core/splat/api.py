@@ -17,7 +17,7 @@ from .types import Gaussians, RasterOutput
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ..camera import Camera
+    from ..geometry.camera import Camera
 
 Backend = Literal["auto", "torch", "cpu", "cuda"]
 BACKENDS: tuple[str, ...] = ("torch", "cpu", "cuda")

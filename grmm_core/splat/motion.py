@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
 from ..errors import ShapeError
+from ..geometry.camera import Camera
 from .types import Gaussians
 
 _SMALL = 1e-8  # squared radians below which sin(x / 2) / x is 1/2 to the last digit

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 
 DILATION = 0.3  # px^2 added to both variances of a projected Gaussian, so that none is thinner than a pixel
 ALPHA_MIN = 1.0 / 255.0  # a Gaussian is skipped at a pixel where it covers less

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from ..kernels import compiled
+from ..compute.kernels import compiled
 
 
 @compiled(fastmath=True, boundscheck=False)

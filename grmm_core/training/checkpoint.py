@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from ..errors import FileFormatError
-from ..files import TEMPORARY_PATTERN, atomic_write_bytes, read_bytes
-from ..tensorfile import read_tensors, write_tensors
+from ..files.access import TEMPORARY_PATTERN, atomic_write_bytes, read_bytes
+from ..files.tensorfile import read_tensors, write_tensors
 
 FORMAT = "grmm-checkpoint"
 VERSION = 1

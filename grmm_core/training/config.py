@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import ConfigError, FileAccessError
-from ..files import read_bytes
+from ..files.access import read_bytes
 from ..model.config import PRESETS, GRMMConfig
 from .losses import LossWeights
 

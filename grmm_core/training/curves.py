@@ -18,8 +18,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from ..errors import FileFormatError, GrmmError
-from ..files import read_bytes
-from ..images import write_png
+from ..files.access import read_bytes
+from ..pictures.images import write_png
 
 WIDTH, PANEL, MARGIN = 900, 260, 56
 SMOOTHED = 400  # steps in a running mean

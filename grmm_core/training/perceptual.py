@@ -18,8 +18,8 @@ import torch
 from torch import Tensor, nn
 
 from ..errors import ConfigError, FileAccessError, FileFormatError, RuntimeMissingError
-from ..files import describe_os_error
-from ..tensorfile import read_tensors
+from ..files.access import describe_os_error
+from ..files.tensorfile import read_tensors
 
 VGG19_LAYOUT: tuple[int | str, ...] = (64, 64, "pool", 128, 128, "pool", 256, 256, 256, 256, "pool", 512, 512, 512, 512)
 VGG19_TAPS = (1, 3, 5, 9, 13)  # convolutions whose rectified output counts: relu1_2, 2_2, 3_2, 4_2 and the last one read

@@ -12,10 +12,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..camera import Camera
-from ..controls import Controls, resolve
-from ..files import atomic_write_bytes
-from ..images import encode_png, quantize
+from ..controls.frame import Controls, resolve
+from ..files.access import atomic_write_bytes
+from ..geometry.camera import Camera
+from ..pictures.images import encode_png, quantize
 
 if TYPE_CHECKING:
     from .trainer import Trainer

@@ -30,7 +30,7 @@ import torch
 from torch import Tensor, nn
 
 from ..errors import CancelledError, ConfigError, FileAccessError, RuntimeMissingError, TrainingError
-from ..files import describe_os_error
+from ..files.access import describe_os_error
 from ..model.grmm import GRMM, Rendering
 from ..model.weights import WeightsInfo, head_fingerprint, save_weights
 from .checkpoint import load_checkpoint, save_checkpoint, tidy

@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ..camera import Camera
+from ..geometry.camera import Camera
 from .config import TrainConfig
 
 _MULTIPLE = 16

@@ -17,8 +17,8 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
+from ..files.tensorfile import read_tensors
 from ..model.weights import load_weights, weights_path
-from ..tensorfile import read_tensors
 from .checkpoint import read_state
 
 if TYPE_CHECKING:

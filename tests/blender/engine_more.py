@@ -15,7 +15,7 @@ scene = new_scene(weights, heads=2, size=(80, 64))
 camera = scene.camera
 camera.location.x, camera.rotation_euler.z, camera.data.lens = 0.17, 0.0, 45.0
 bpy.context.view_layer.update()
-color = module("grmm_core.color")
+color = module("grmm_core.pictures.color")
 host = module("grmm_blender.session_host")
 session = module("grmm_core.session")
 first, second = heads(scene)

@@ -21,8 +21,8 @@ camera.location.x, camera.rotation_euler.z = 0.0, 0.0
 final = module("grmm_blender.engine.final")
 occlusion = module("grmm_blender.engine.occlusion")
 snapshot = module("grmm_blender.engine.snapshot")
-zbuffer = module("grmm_core.zbuffer")
-cameras = module("grmm_core.camera")
+zbuffer = module("grmm_core.geometry.zbuffer")
+cameras = module("grmm_core.geometry.camera")
 count = 0
 
 

@@ -31,6 +31,6 @@ bpy.ops.render.render(write_still=True)
 
 bpy.context.view_layer.update()
 buffers = expected(scene, full_camera(scene), passes=("rgb", "alpha", "depth", "raw", "normal", "features", "mask"))
-buffers["combined"] = module("grmm_core.color").scene_linear_premultiplied(buffers["rgb"], buffers["alpha"])
+buffers["combined"] = module("grmm_core.pictures.color").scene_linear_premultiplied(buffers["rgb"], buffers["alpha"])
 np.savez(folder / "expected.npz", **buffers)
 report(heads=[head.name for head in heads(scene)], layer=layer.name)

@@ -18,7 +18,7 @@ scene = new_scene(weights)
 scene.camera.location.x = 0.0
 scene.camera.rotation_euler.z = 0.0
 bpy.context.view_layer.update()
-color = module("grmm_core.color")
+color = module("grmm_core.pictures.color")
 camera = full_camera(scene)
 buffers = expected(scene, camera)
 alone = expected_png(buffers)

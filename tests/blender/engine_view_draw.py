@@ -24,7 +24,7 @@ scene.camera.location.x = 0.0
 scene.camera.rotation_euler.z = 0.0
 scene.grmm_render.occlusion_samples = 2  # as in the viewport
 bpy.context.view_layer.update()
-color = module("grmm_core.color")
+color = module("grmm_core.pictures.color")
 view = module("grmm_blender.engine.view")
 view_jobs = module("grmm_blender.engine.view_jobs")
 

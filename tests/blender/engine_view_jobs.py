@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 from support import module, report
 
-camera_module = module("grmm_core.camera")
+camera_module = module("grmm_core.geometry.camera")
 errors = module("grmm_core.errors")
 pipeline = module("grmm_blender.engine.pipeline")
 snapshot = module("grmm_blender.engine.snapshot")

@@ -116,7 +116,7 @@ def gaussian_avatars() -> dict:
     flame = str(folder / "flame2023.pkl")
     bpy.ops.grmm.export_gaussian_avatar(directory=str(folder / "ours"), flame_file=flame, degree=0)
     info = host.open_avatar(avatar.source)
-    found = host.get_session().gaussians(info.id, module("grmm_core.controls").Controls())
+    found = host.get_session().gaussians(info.id, module("grmm_core.controls.frame").Controls())
     np.savez(folder / "resting.npz", means=found.means)
     # The other way: somebody else's avatar, imported, written, imported again.
     new_scene(weights, heads=0)

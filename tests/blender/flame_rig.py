@@ -13,7 +13,7 @@ from support import empty_scene, module, report
 path = Path(sys.argv[1])
 preferences = module("grmm_blender.preferences").get()
 avatar_of, avatars_in = (getattr(module("grmm_blender.avatar"), name) for name in ("avatar_of", "avatars_in"))
-JOINTS = module("grmm_core.expressions").JOINT_NAMES
+JOINTS = module("grmm_core.controls.names").JOINT_NAMES
 
 
 def message_of(**options: object) -> str:
@@ -50,7 +50,7 @@ for name in ("jawOpen", "eyeLookInLeft", "scream", "mouthSmileLeft"):
 report(single=single)
 everything = []
 for _ in range(2):
-    for name in module("grmm_core.expressions").ALIGNED_NAMES:
+    for name in module("grmm_core.controls.names").ALIGNED_NAMES:
         avatar.object[name] = float(generator.uniform(0.0, 0.4))
     avatar.object["expression"] = generator.uniform(-0.3, 0.3, len(avatar.object["expression"])).tolist()
     avatar.object["shape"] = generator.normal(size=len(avatar.object["shape"])).clip(-2, 2).tolist()

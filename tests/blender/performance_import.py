@@ -12,7 +12,7 @@ from support import module, report
 folder = Path(sys.argv[1])
 actions = module("grmm_blender.rig.actions")
 read_performance = module("grmm_core.performance").read_performance
-ARKIT = module("grmm_core.expressions").ARKIT_NAMES
+ARKIT = module("grmm_core.controls.names").ARKIT_NAMES
 scene = bpy.context.scene
 
 

@@ -12,7 +12,7 @@ from support import module, report
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
 poses = module("grmm_blender.poses")
-expressions = module("grmm_core.expressions")
+expressions = module("grmm_core.controls.names")
 avatar = fresh_head(weights)
 bpy.ops.wm.save_as_mainfile(filepath=str(folder / "poses.blend"))
 (folder / poses.CATALOGUE_FILE).write_text("VERSION 1\n\n11111111-2222-3333-4444-555555555555:Mine:Mine\n", "utf-8")

@@ -10,7 +10,7 @@ from support import module, report
 
 avatar = fresh_head()
 head = avatar.object
-names = module("grmm_core.expressions").ALIGNED_NAMES
+names = module("grmm_core.controls.names").ALIGNED_NAMES
 presets = module("grmm_blender.preset_menus")
 shown = lambda: {n: round(head[n], 4) for n in names if abs(head[n]) > 1e-6}  # noqa: E731
 

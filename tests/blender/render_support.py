@@ -100,7 +100,7 @@ def expected(scene: bpy.types.Scene, camera: Any, **options: Any) -> dict[str, n
 
 def expected_png(buffers: dict[str, np.ndarray]) -> np.ndarray:
     """Return what a PNG of the buffers holds, [H, W, 4] 0..255 as float."""
-    return module("grmm_core.color").straight_rgba(buffers["rgb"], buffers["alpha"]) * 255.0
+    return module("grmm_core.pictures.color").straight_rgba(buffers["rgb"], buffers["alpha"]) * 255.0
 
 
 def load_png(path: Path | str) -> np.ndarray:

@@ -10,7 +10,7 @@ from support import module, report
 actions = module("grmm_blender.rig.actions")
 components = module("grmm_blender.rig.components")
 codes = module("grmm_blender.rig.codes")
-ALIGNED = module("grmm_core.expressions").ALIGNED_NAMES
+ALIGNED = module("grmm_core.controls.names").ALIGNED_NAMES
 
 
 def code() -> np.ndarray:

@@ -17,7 +17,7 @@ def keyframe_everything(avatar) -> None:
     """Key every control at three frames."""
     for frame in (1, 11, 21):
         randomise(avatar, generator)
-        for name in module("grmm_core.expressions").ALIGNED_NAMES:
+        for name in module("grmm_core.controls.names").ALIGNED_NAMES:
             avatar.object.keyframe_insert(f'["{name}"]', frame=frame)
         for name in ("shape", "expression", "z_id", "z_exp"):
             avatar.object.keyframe_insert(f'["{name}"]', frame=frame)
@@ -43,7 +43,7 @@ for _ in range(4):
 single = {}
 for name in ("shape", "expression"):
     avatar.object[name] = [0.0] * len(avatar.object[name])
-for name in module("grmm_core.expressions").ALIGNED_NAMES:
+for name in module("grmm_core.controls.names").ALIGNED_NAMES:
     avatar.object[name] = 0.0
 neutral = mesh_of(avatar)
 for name in ("jawOpen", "eyeLookInLeft", "scream", "tongueOut"):

@@ -45,7 +45,7 @@ def update(avatar: Any) -> None:
 
 def randomise(avatar: Any, generator: np.random.Generator, shape: float = 1.0) -> None:
     """Set every control to something that a face could do, all at once."""
-    head, names = avatar.object, module("grmm_core.expressions").ALIGNED_NAMES
+    head, names = avatar.object, module("grmm_core.controls.names").ALIGNED_NAMES
     for name in names:
         head[name] = float(generator.uniform(-0.1, 0.5))
     head["expression"] = generator.uniform(-0.3, 0.3, len(head["expression"])).tolist()
@@ -71,7 +71,7 @@ def core_mesh(avatar: Any, controls: Any = None, displacement: np.ndarray | None
     """What the core's head model makes of an avatar's controls, with a given displacement or none, [V, 3]."""
     controls = controls or avatar.controls()
     identity = module("grmm_blender.rig.identity").read_identity(avatar.source)
-    resolved = module("grmm_core.controls").resolve(controls, identity.head)
+    resolved = module("grmm_core.controls.frame").resolve(controls, identity.head)
     shape = identity.shape.copy()
     shape[: controls.shape.size] += controls.shape
     return identity.head.vertices(shape, resolved.expression, resolved.pose, displacement)

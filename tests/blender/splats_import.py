@@ -17,7 +17,7 @@ avatars = module("grmm_core.formats.avatars")
 session_api = module("grmm_core.session")
 splats = module("grmm_blender.splats")
 host = module("grmm_blender.session_host")
-arkit = module("grmm_core.expressions").ARKIT_NAMES
+arkit = module("grmm_core.controls.names").ARKIT_NAMES
 
 
 def scene_with(*names: str, **options) -> list[bpy.types.Object]:

@@ -21,7 +21,7 @@ weights, folder = sys.argv[1], Path(sys.argv[2])
 gpu.init()
 SIZE = 200, 160
 scene = new_scene(weights, size=SIZE)
-camera_class = module("grmm_core.camera").Camera
+camera_class = module("grmm_core.geometry.camera").Camera
 arrays = module("grmm_blender.viewport.arrays")
 drawing = module("grmm_blender.viewport.drawing")
 jobs_module = module("grmm_blender.viewport.jobs")

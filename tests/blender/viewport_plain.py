@@ -12,8 +12,8 @@ from render_support import new_scene
 from support import module, report
 
 arrays = module("grmm_blender.viewport.arrays")
-camera_class = module("grmm_core.camera").Camera
-controls_class = module("grmm_core.controls").Controls
+camera_class = module("grmm_core.geometry.camera").Camera
+controls_class = module("grmm_core.controls.frame").Controls
 errors = module("grmm_core.errors")
 jobs_module = module("grmm_blender.viewport.jobs")
 overlay = module("grmm_blender.viewport.overlay")

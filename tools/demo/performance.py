@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from grmm_core.expressions import ARKIT_NAMES, MIXTURES
+from grmm_core.controls.names import ARKIT_NAMES, MIXTURES
 
 FRAMES_PER_SECOND = 24
 DURATION = 2.5  # seconds

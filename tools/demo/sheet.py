@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-from grmm_core.camera import Camera
-from grmm_core.controls import Controls
-from grmm_core.images import quantize
+from grmm_core.controls.frame import Controls
+from grmm_core.geometry.camera import Camera
+from grmm_core.pictures.images import quantize
 from grmm_core.session import Instance, RenderOptions, Session
 
 TILE = 256  # pixels

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.files.tensorfile import write_tensors
 from grmm_core.head.open_head import ASSET, FORMAT, VERSION, read_head
-from grmm_core.tensorfile import write_tensors
 
 from .expressions import PARENTS, ExpressionSpace, build_expression_space, component_groups
 from .landmarks import place_landmarks68

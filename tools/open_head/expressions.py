@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from grmm_core.expressions import ARKIT_NAMES
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.head.skinning import euler_matrices, joint_transforms, skin
 
 from .parts import InnerParts

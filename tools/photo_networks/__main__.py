@@ -22,7 +22,7 @@ import numpy as np
 import tflite
 
 from grmm_core.errors import FileFormatError
-from grmm_core.tensorfile import write_tensors
+from grmm_core.files.tensorfile import write_tensors
 
 TARGET = Path(__file__).resolve().parents[2] / "grmm_core" / "assets" / "photo_networks.safetensors"
 TASK_SHA256 = "64184e229b263107bc2b804c6625db1341ff2bb731874b0bcc2fe6544e0bc9ff"

@@ -14,8 +14,8 @@ import importlib.util
 import torch
 from torch import Tensor
 
-from ...camera import Camera
 from ...errors import BackendError
+from ...geometry.camera import Camera
 from ..reference import drawable, rasterize_reference
 from ..rules import DILATION, NEAR, View
 from ..types import Gaussians, RasterOutput

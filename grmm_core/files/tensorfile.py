@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import FileAccessError, FileFormatError, ShapeError
-from .files import atomic_write, describe_os_error
+from ..errors import FileAccessError, FileFormatError, ShapeError
+from .access import atomic_write, describe_os_error
 
 MAX_HEADER_BYTES = 64 << 20  # far above any file of ours; refuses lengths that lie
 _LENGTH = struct.Struct("<Q")

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from .kernels import compiled
+from ..compute.kernels import compiled
 from .zbuffer import EMPTY, SPAN_SLACK
 
 _SMALLEST = 1.0 / float(EMPTY)

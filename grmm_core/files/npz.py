@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from .errors import FileAccessError, FileFormatError
-from .files import describe_os_error
+from ..errors import FileAccessError, FileFormatError
+from .access import describe_os_error
 
 MAX_ARRAY_BYTES = 1 << 30
 _MAX_MEMBERS = 10_000

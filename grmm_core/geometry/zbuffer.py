@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from ..errors import ShapeError
 from .camera import Camera
-from .errors import ShapeError
 
 EMPTY = np.float32(1.0e10)
 """Depth where nothing is; Blender's value for an empty Z pass."""

@@ -13,8 +13,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from .errors import ShapeError
-from .files import atomic_write_bytes
+from ..errors import ShapeError
+from ..files.access import atomic_write_bytes
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}  # channels to the format's color type

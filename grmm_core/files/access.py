@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from .errors import FileAccessError
+from ..errors import FileAccessError
 
 _PREFIX, _SUFFIX = ".grmm-", ".tmp"
 TEMPORARY_PATTERN = f"{_PREFIX}*{_SUFFIX}"

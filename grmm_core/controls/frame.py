@@ -24,8 +24,8 @@ from typing import Protocol
 
 import numpy as np
 
-from .errors import ControlError, ShapeError
-from .expressions import ALIGNED_NAMES, ARKIT_NAMES, JOINT_NAMES, MIXTURE_NAMES, MIXTURES
+from ..errors import ControlError, ShapeError
+from .names import ALIGNED_NAMES, ARKIT_NAMES, JOINT_NAMES, MIXTURE_NAMES, MIXTURES
 
 _ALIGNED_INDEX = {name: i for i, name in enumerate(ALIGNED_NAMES)}
 _JOINT_CONTROLS = JOINT_NAMES[1:]

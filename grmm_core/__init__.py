@@ -2,10 +2,11 @@
 
 The map, from the ground up; each part uses only those above it:
 
-``errors`` ``files`` ``tensorfile``     typed errors, whole-or-nothing writes, the tensor file format
-``npz``                                 named arrays out of `.npz` files that nobody vouches for
-``camera`` ``expressions`` ``controls`` what every part agrees on: cameras, names, one frame of animation
-``kernels``                             how compiled kernels are cached
+``errors``                              typed errors
+``compute``                             compiled kernels, devices, memory
+``files`` ``pictures``                  whole-or-nothing writes, tensor files, `.npz`; color, PNG and EXR
+``geometry``                            cameras, rotations, depth of meshes
+``controls``                            names of expressions, one frame of animation
 ``head``                                the mesh model (open head, or FLAME from the user's file)
 ``splat``                               the differentiable Gaussian rasteriser and its backends
 ``model``                               the paper's decoders, UV-anchored Gaussians and refinement network

@@ -1,9 +1,9 @@
 """Run scripts in Blender with the built extension installed: the `run_blender` fixture.
 
-Each script of `tests/blender/` runs in a process of its own, in the interpreter of the tests ("4.5", the bpy wheel beside
-pytest) or in that of Blender 5.2 ("5.2": environment variable GRMM_BPY52_PYTHON, else `.venv52`). The zip is built once per
-test run and installed once per interpreter into a Blender user folder that starts empty. Where a bpy is missing, the test
-skips and says so.
+Each script of `tests/blender/scripts/` runs in a process of its own, in the interpreter of the tests ("4.5", the bpy wheel
+beside pytest) or in that of Blender 5.2 ("5.2": environment variable GRMM_BPY52_PYTHON, else `.venv52`). The zip is built
+once per test run and installed once per interpreter into a Blender user folder that starts empty. Where a bpy is missing, the
+test skips and says so.
 
     def test_something(run_blender, tmp_path):
         done = run_blender("my_script.py", tmp_path / "out.png")
@@ -32,7 +32,7 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
-SCRIPTS = ROOT / "tests" / "blender"
+SCRIPTS = ROOT / "tests" / "blender" / "scripts"
 PYTHON_52_VARIABLE = "GRMM_BPY52_PYTHON"
 KERNEL_TIME = 1_700_000_000  # seconds; any constant
 DEFAULT_TIMEOUT = 180.0  # seconds; numba may compile for the first time
@@ -144,7 +144,7 @@ def _run(
     """Run a script in Blender with the extension enabled.
 
     Args:
-        script: File name in `tests/blender/`, or a path.
+        script: File name in `tests/blender/scripts/`, or a path.
         arguments: Become `sys.argv[1:]`.
         python: Blender version, "4.5" or "5.2".
         timeout: Seconds until the process is killed and the test fails.

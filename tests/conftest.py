@@ -1,4 +1,8 @@
-"""Shared fixtures. The repository root is on the path, so that `grmm_core` and `grmm_studio` import without an install."""
+"""Shared fixtures.
+
+The repository root is on the path, so that `grmm_core` and `grmm_studio` import without an install, and `tests/support`,
+whose modules make small models, heads and files for many tests.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +18,7 @@ if TYPE_CHECKING:
     from grmm_core.session import Session
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "tests" / "core" / "formats")]
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,7 @@ from grmm_studio import capture
 from grmm_studio.capture import STUDIO, CaptureSettings, Outcome, check_settings, open_job, run_job
 from grmm_studio.sheet import write_sheet
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 SETTINGS = CaptureSettings(subjects=3, shots=5, views=2, size=40)
 
 
@@ -80,7 +80,10 @@ except t.FileAccessError as error:
 
 def start(folder, log, pause=0.0, *limit):
     arguments = [str(folder), str(log), str(pause), *map(str, limit)]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests" / "support"), str(Path(__file__).parent)]),
+    }
     return subprocess.Popen([sys.executable, "-c", CHILD, *arguments], stdout=subprocess.PIPE, text=True, env=environment)
 
 

@@ -37,7 +37,7 @@ from grmm_core.performance.curves import key_count, largest_errors, reduce_curve
 from grmm_core.performance.retarget import arkit_to_expression_map, bounded_least_squares, nearest_vertices
 from grmm_core.performance.smoothing import jitter, noise_level, smooth_curves
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 BLINK, JAW = ARKIT_NAMES.index("eyeBlinkLeft"), ARKIT_NAMES.index("jawOpen")
 
 

@@ -190,7 +190,7 @@ def test_the_table_names_what_exists(repository):
     rows = [line.split("|")[1:-1] for line in text.splitlines() if line.startswith("| ") and line.count("|") == 5]
     rows = [row for row in rows if not row[0].strip().startswith("eq")]
     tests = {}
-    for path in (repository / "tests").glob("test_*.py"):
+    for path in (repository / "tests").rglob("test_*.py"):
         names = {node.name for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.FunctionDef)}
         tests[path.name] = names
     every = set().union(*tests.values())

@@ -27,7 +27,7 @@ pytest.importorskip("torch")
 
 CAMERA = Camera.orbit(64, 64)
 LARGE = Camera.orbit(2200, 2200)  # long enough to be interrupted
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 SOON = 10.0  # seconds; on a machine with nothing else to do it takes less than two
 SAME = 1e-5  # metres or display values: another process may add in another order
 posix = pytest.mark.skipif(sys.platform == "win32", reason="sends POSIX signals")

@@ -20,7 +20,7 @@ from grmm_core.cli import build_parser, main
 from grmm_core.cli.console import Console
 from grmm_core.session import EMPTY_DEPTH
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")

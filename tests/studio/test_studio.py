@@ -27,7 +27,7 @@ from grmm_studio.mesh import RenderMesh
 from grmm_studio.shots import expression_pool, make_shot
 from grmm_studio.subjects import HAIR_STYLES, draw_subject, skin_albedo
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from blender_process import RunBlender
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def _table() -> dict[str, tuple[str, ...]]:

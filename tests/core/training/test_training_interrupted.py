@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +24,10 @@ from grmm_core.training.checkpoint import tidy
 from grmm_core.training.config import train_config
 from grmm_core.training.trainer import CHECKPOINT, METRICS, Trainer
 
+SCRIPT_PATHS = [
+    str(Path(__file__).parents[2] / "support"),
+    str(Path(__file__).parent),
+]  # of the tests' own modules, for child processes
 SETTINGS = {
     "steps": 14, "warmup_steps": 3, "checkpoint_every": 3, "preview_every": 0, "evaluate_every": 0, "refine_from": 0.2,
     "crop_size": 32, "crop_share": 0.5, "ema_every": 2,
@@ -30,7 +35,7 @@ SETTINGS = {
 LOSSES = {"perceptual": 0.0, "alpha": 0.3, "depth": 0.1}
 _TRAINING = """
 import sys
-sys.path[:0] = [{root!r}, {tests!r}]
+sys.path[:0] = [{root!r}, *{tests!r}]
 from model_fixtures import ColoredSpheres, small_head
 from grmm_core.training.config import train_config
 from grmm_core.training.trainer import Trainer
@@ -59,7 +64,7 @@ def test_a_killed_training_resumes_to_the_same_losses(head, tmp_path, repository
     begun = {name: value.detach().clone() for name, value in whole.parameters.items()}
     whole.run()
     out = tmp_path / "killed"
-    tests = str(repository / "tests")
+    tests = SCRIPT_PATHS
     script = _TRAINING.format(root=str(repository), tests=tests, settings=SETTINGS, losses=LOSSES, out=str(out))
     environment = {**os.environ, "OMP_NUM_THREADS": str(torch.get_num_threads())}
     child = subprocess.Popen([sys.executable, "-c", script], env=environment)
@@ -122,7 +127,7 @@ def test_a_full_disk_keeps_the_last_checkpoint(head, tmp_path):
 
 _CAPTURE = """
 import sys
-sys.path[:0] = [{root!r}, {tests!r}]
+sys.path[:0] = [{root!r}, *{tests!r}]
 from pathlib import Path
 from test_training_interrupted import write_shots
 write_shots(Path({out!r}), 400)
@@ -152,7 +157,7 @@ def capture(folder):
 
 def test_a_killed_capture_has_no_broken_picture(tmp_path, repository):
     folder = capture(tmp_path / "capture")
-    script = _CAPTURE.format(root=str(repository), tests=str(repository / "tests"), out=str(folder))
+    script = _CAPTURE.format(root=str(repository), tests=SCRIPT_PATHS, out=str(folder))
     child = subprocess.Popen([sys.executable, "-c", script])
     deadline = time.monotonic() + 200
     while time.monotonic() < deadline and len(list(folder.glob("shots/ada/*.json"))) < 5:

@@ -231,7 +231,7 @@ def test_shapes_of_unequal_length_are_explained(tmp_path):
 
 def _start(script: str, *arguments: object) -> subprocess.Popen:
     command = [sys.executable, "-c", script, *map(str, arguments)]
-    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parent.parent)
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[3])
 
 
 CLAIM = """

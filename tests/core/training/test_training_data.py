@@ -6,6 +6,7 @@ import pickle
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -252,11 +253,12 @@ def test_perceptual_networks_that_cannot_be_used(network, tmp_path):
 
 # --- several processes -----------------------------------------------------------------------------------------------
 
+SCRIPT_PATHS = [str(Path(__file__).parents[2] / "support")]  # of the tests' own modules, for child processes
 _PROCESS = """
 import sys
 import torch
 from pathlib import Path
-sys.path[:0] = [{root!r}, {tests!r}]
+sys.path[:0] = [{root!r}, *{tests!r}]
 from model_fixtures import ColoredSpheres, small_head
 from grmm_core.errors import CancelledError, ConfigError
 from grmm_core.training.config import train_config
@@ -294,7 +296,7 @@ def free_port() -> str:
 
 def test_two_processes_do_what_one_does(tmp_path, repository):
     script = tmp_path / "run.py"
-    script.write_text(_PROCESS.format(root=str(repository), tests=str(repository / "tests"), out=str(tmp_path)))
+    script.write_text(_PROCESS.format(root=str(repository), tests=SCRIPT_PATHS, out=str(tmp_path)))
     shared = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": free_port()}  # as torchrun sets them
     places = ({}, {**shared, "RANK": "0"}, {**shared, "RANK": "1"})
     environments = [{**os.environ, "OMP_NUM_THREADS": "1", **place} for place in places]

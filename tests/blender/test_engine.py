@@ -29,7 +29,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def render_script(run_blender: RunBlender, weights: Path, tmp_path: Path):
-    """Run a script of `tests/blender/` as SCRIPT WEIGHTS FOLDER ... and return what it reported."""
+    """Run a script of `tests/blender/scripts/` as SCRIPT WEIGHTS FOLDER ... and return what it reported."""
 
     def run(script: str, *arguments: object, python: str = "4.5", **options):
         environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from grmm_core.session import Session
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support"), str(ROOT / "tests" / "core" / "formats")]
+sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
 
 @pytest.fixture(scope="session")

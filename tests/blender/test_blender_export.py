@@ -7,13 +7,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import plyfile
 import pytest
+import trimesh
+from avatar_files import flame_track
 from blender_process import RunBlender, find_python
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
+from performance_files import write_performances
 from splat_files import make_cloud
-from test_blender_performance import write_files
-from test_blender_splats import flame_track
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.formats import read_splats, write_splats
@@ -34,12 +36,11 @@ def exported(
     request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[dict, Path]:
     find_python(request.param)
-    pytest.importorskip("torch")
     from tiny_model import write_tiny_weights
 
     folder = tmp_path_factory.mktemp("export")
     weights = write_tiny_weights(folder / "tiny.safetensors")
-    write_files(folder)  # speech.json
+    write_performances(folder)  # speech.json
     write_splats(folder / "cloud.ply", make_cloud(500, 2))
     (folder / "person").mkdir()
     write_flame_pickle(folder / "flame2023.pkl", flame_head_fields())
@@ -81,7 +82,6 @@ def test_rest_and_sequence(exported):
 
 
 def test_splats_in_other_readers(exported):
-    plyfile = pytest.importorskip("plyfile")
     _, folder = exported
     rows = plyfile.PlyData.read(str(folder / "frame.ply"))["vertex"]
     wanted = np.load(folder / "gaussians.npz")
@@ -97,7 +97,6 @@ def test_meshes(exported):
     assert list(mesh.morphs) == list(ARKIT_NAMES)
     assert np.abs(mesh.morphs["jawOpen"]).max() > 0.01
     assert len(mesh.faces) == len(head.faces)
-    trimesh = pytest.importorskip("trimesh")
     other = trimesh.load(folder / "head.obj", process=False, maintain_order=True)
     posed = np.load(folder / "posed.npy")
     assert len(other.faces) == len(head.faces)

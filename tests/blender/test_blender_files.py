@@ -20,7 +20,6 @@ ENVIRONMENT = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
 @pytest.fixture(scope="module", params=["4.5", "5.2"])
 def saved(request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_factory: pytest.TempPathFactory):
     """A folder with a saved head, and a function that runs a script on it."""
-    pytest.importorskip("torch")
     find_python(request.param)
     from tiny_model import write_tiny_weights
 

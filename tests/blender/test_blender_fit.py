@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from blender_process import RunBlender, find_python
+from PIL import Image
 
 from grmm_core.controls.frame import Controls
 from grmm_core.geometry.camera import Camera
@@ -21,7 +22,6 @@ MOST_ERROR = 0.08  # of 0..1; a person of other weights, or a camera that is off
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A photo of nobody: the default avatar, rendered."""
-    pytest.importorskip("torch")
     from grmm_core.session import Instance, RenderOptions, create_session
 
     folder = tmp_path_factory.mktemp("photos")
@@ -91,11 +91,9 @@ def test_a_fit_puts_the_avatar_into_the_scene(run_blender: RunBlender, folder: P
 def test_a_real_photo_is_cancelled_resumed_and_seen_through_its_camera(
     run_blender: RunBlender, photo_file, tmp_path: Path, record_property
 ):
-    pytest.importorskip("torch")
-    image = pytest.importorskip("PIL.Image")
     photo = tmp_path / "photo.png"
-    with image.open(photo_file("p05")) as whole:
-        whole.convert("RGB").resize((PHOTO_SIDE, PHOTO_SIDE), image.Resampling.LANCZOS).save(photo)
+    with Image.open(photo_file("p05")) as whole:
+        whole.convert("RGB").resize((PHOTO_SIDE, PHOTO_SIDE), Image.Resampling.LANCZOS).save(photo)
     done = run_blender("fit_photo.py", photo, tmp_path, python="4.5", environment=environment(), timeout=1800.0).result
     assert not done["before"]
     cancelled = done["cancelled"]
@@ -118,7 +116,7 @@ def test_a_real_photo_is_cancelled_resumed_and_seen_through_its_camera(
 
     found = analyse_photo(photo)
     (face,) = found.faces
-    with image.open(tmp_path / "through_the_camera.png") as shown:
+    with Image.open(tmp_path / "through_the_camera.png") as shown:
         drawn = np.asarray(shown.convert("RGBA"), np.float32) / 255.0
     mask = person_mask(found.photo.pixels, face.box) > 0.9
     rows = np.arange(PHOTO_SIDE)[:, None]

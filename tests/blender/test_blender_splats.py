@@ -10,16 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from avatar_files import cap4d_bytes, flame_track, lam_archive
 from blender_process import RunBlender, find_python
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
+from performance_files import write_performances
+from PIL import Image
 from splat_files import make_cloud
-from test_blender_performance import write_files
-from test_formats_avatars import cap4d_bytes, lam_archive
 
 from grmm_core.formats import write_splats
 from grmm_core.formats.avatars import GaussianAvatar, write_gaussian_avatar
-from grmm_core.performance import Performance
 
 pytestmark = pytest.mark.blender
 
@@ -28,27 +28,9 @@ STEP = 1.0 + 1e-3  # of an 8-bit channel
 CLOSE = (2e-6, 1e-5, 1e-3)  # metres, 1 - |cos|, share of a scale
 
 
-def flame_track(count: int = 6) -> Performance:
-    rng = np.random.default_rng(2)
-    return Performance(
-        np.arange(count) / 25,
-        np.zeros((count, 52)),
-        25.0,
-        expression=rng.normal(0, 0.4, (count, 100)).astype(np.float32),
-        head_rotation=rng.normal(0, 0.1, (count, 3)),
-        neck_rotation=rng.normal(0, 0.1, (count, 3)),
-        jaw_rotation=np.abs(rng.normal(0, 0.05, (count, 3))) * [1, 0, 0],
-        left_eye_rotation=rng.normal(0, 0.1, (count, 3)),
-        right_eye_rotation=rng.normal(0, 0.1, (count, 3)),
-        shape=rng.normal(0, 0.5, 300).astype(np.float32),
-        head_model="flame",
-    )
-
-
 @pytest.fixture(scope="module", params=["4.5", "5.2"])
 def imported(request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_factory: pytest.TempPathFactory) -> dict:
     find_python(request.param)
-    pytest.importorskip("torch")
     from tiny_model import write_tiny_weights
 
     folder = tmp_path_factory.mktemp("splats")
@@ -58,7 +40,7 @@ def imported(request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_f
         write_splats(folder / f"cloud{extension}", cloud)
     lam_archive(folder / "lam.zip")
     (folder / "cap4d.ply").write_bytes(cap4d_bytes()[0])
-    write_files(folder)  # speech.json
+    write_performances(folder)  # speech.json
     (folder / "person").mkdir()
     write_flame_pickle(folder / "flame2023.pkl", flame_head_fields())
     bound = replace(make_cloud(2000), binding=np.random.default_rng(3).integers(0, 10144, 2000).astype(np.int32))
@@ -120,14 +102,13 @@ def test_gaussian_avatars_ride_on_the_users_flame(imported):
 
 
 def test_sog_is_decoded_by_blender(imported):
-    image_module = pytest.importorskip("PIL.Image")
     assert imported["sog"] == {"count": 3000, "images": 0}
     found = np.load(imported["folder"] / "pictures.npz")
     with zipfile.ZipFile(imported["folder"] / "cloud.sog") as archive:
         names = [name for name in archive.namelist() if name.endswith(".webp")]
         assert sorted(found.files) == sorted(names)
         for name in names:
-            with image_module.open(io.BytesIO(archive.read(name))) as picture:
+            with Image.open(io.BytesIO(archive.read(name))) as picture:
                 wanted = np.asarray(picture.convert("RGBA"))
             assert np.array_equal(found[name], wanted), name
 

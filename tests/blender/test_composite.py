@@ -16,7 +16,6 @@ EEVEE_PATIENCE = 900.0  # seconds
 
 
 def test_pixels_in_front_and_behind(run_blender: RunBlender, blender_version: str, tmp_path: Path):
-    pytest.importorskip("torch")
     from tiny_model import write_tiny_weights
 
     weights = write_tiny_weights(tmp_path / "tiny.safetensors")
@@ -49,7 +48,6 @@ def test_pixels_in_front_and_behind(run_blender: RunBlender, blender_version: st
 @pytest.mark.slow
 def test_pixels_in_front_and_behind_in_eevee(run_blender: RunBlender, tmp_path: Path):
     """On 5.2 only: there Blender's module draws without a window; on Blender's software device each picture takes seconds."""
-    pytest.importorskip("torch")
     from tiny_model import write_tiny_weights
 
     weights = write_tiny_weights(tmp_path / "tiny.safetensors")

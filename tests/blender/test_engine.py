@@ -21,7 +21,6 @@ STEP = 1.0 + 1e-3  # of an 8-bit channel: rounding on both sides
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("torch")
     from tiny_model import write_tiny_weights
 
     return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")

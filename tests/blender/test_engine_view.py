@@ -32,7 +32,6 @@ def test_pictures_are_made_on_a_thread_and_the_newest_request_wins(run_blender: 
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("torch")
     from tiny_model import write_tiny_weights
 
     return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")

@@ -8,7 +8,7 @@ import pytest
 from blender_process import RunBlender, find_python
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
-from test_blender_performance import write_files
+from performance_files import write_performances
 
 pytestmark = pytest.mark.blender
 
@@ -142,7 +142,7 @@ def test_a_users_flame_head(run_blender: RunBlender, version: str, tmp_path: Pat
 def test_without_a_runtime(run_blender: RunBlender, tmp_path: Path):
     """On Blender 5.2 with its own Python, which has no torch, as every stock Blender."""
     find_python("5.2")
-    write_files(tmp_path)
+    write_performances(tmp_path)
     environment = {"GRMM_WORKER_PYTHON": ""}
     result = run_blender("no_runtime.py", tmp_path / "speech.json", python="5.2", environment=environment).result
     assert result["available"] is False

@@ -9,38 +9,18 @@ import zlib
 
 import numpy as np
 import pytest
+from grmm_files import make_avatar
+from PIL import Image
+from safetensors import numpy as safetensors
 
-from grmm_core.avatar import AssetReference, Avatar, PhotoRecord, Provenance, load_avatar, read_avatar_header, save_avatar
+from grmm_core.avatar import load_avatar, read_avatar_header, save_avatar
 from grmm_core.avatar.make import sampled_avatar
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError, ShapeError
 from grmm_core.files.tensorfile import read_tensors, write_tensors
-from grmm_core.geometry.camera import Camera
 from grmm_core.model.config import PRESETS
 from grmm_core.model.weights import WeightsInfo
 from grmm_core.pictures.color import linear_to_srgb, scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from grmm_core.pictures.images import encode_exr, encode_png, quantize
-
-
-def make_avatar(**changes) -> Avatar:
-    rng = np.random.default_rng(7)
-    fields = {
-        "name": "Ünï 人",
-        "head": AssetReference("open_head", "a" * 64),
-        "weights": AssetReference("default", "0123456789abcdef" * 4),
-        "z_id": rng.normal(size=32),
-        "z_exp": rng.normal(size=16),
-        "shape": rng.normal(size=300),
-        "expression": rng.normal(size=52),
-        "pose": rng.normal(size=(5, 3)),
-        "camera": Camera.orbit(640, 480, yaw=12.0, pitch=-3.0, distance=0.8),
-        "tracking": {"z_exp": rng.normal(size=(2, 16))},
-        "deltas": {"opacity.layers.0.weight": rng.normal(size=(4, 3, 2, 2)) * 1e-3},
-        "provenance": Provenance(
-            "grmm 0.1.0", True, (PhotoRecord("me.jpg", "b" * 64), PhotoRecord("ich.png", "")), "2026-11-21", "with consent"
-        ),
-        "thumbnail": encode_png(np.zeros((4, 4, 3), np.uint8)),
-    }
-    return Avatar(**(fields | changes))
 
 
 @pytest.fixture
@@ -72,7 +52,6 @@ def test_header_agrees_with_the_whole_file(saved):
 
 
 def test_an_independent_library_reads_the_file(saved):
-    safetensors = pytest.importorskip("safetensors.numpy")
     tensors = safetensors.load_file(saved)
     np.testing.assert_array_equal(tensors["z_id"], make_avatar().z_id)
 
@@ -205,16 +184,14 @@ def test_premultiplied_conversions_agree_on_half_covered_pixels():
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
 def test_png_8_bit_is_read_back_exactly(channels):
-    image = pytest.importorskip("PIL.Image")
     pixels = np.random.default_rng(0).integers(0, 256, (19, 23, channels), dtype=np.uint8)
-    decoded = np.asarray(image.open(io.BytesIO(encode_png(pixels))))
+    decoded = np.asarray(Image.open(io.BytesIO(encode_png(pixels))))
     np.testing.assert_array_equal(decoded.reshape(pixels.shape), pixels)
 
 
 def test_png_16_bit_is_read_back_exactly():
-    image = pytest.importorskip("PIL.Image")
     pixels = np.random.default_rng(0).integers(0, 1 << 16, (11, 7), dtype=np.uint16)
-    np.testing.assert_array_equal(np.asarray(image.open(io.BytesIO(encode_png(pixels)))), pixels)
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(encode_png(pixels)))), pixels)
 
 
 def test_quantize_rounds_and_clips():

@@ -39,7 +39,6 @@ def test_a_name_that_is_not_there_is_explained(name):
 
 
 def test_every_avatar_is_drawn(weights):
-    pytest.importorskip("torch")
     camera, smile = Camera.orbit(PIXELS, PIXELS), Controls().set_named({"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0})
     pictures = {}
     with create_session() as session:
@@ -59,7 +58,6 @@ def test_every_avatar_is_drawn(weights):
 
 
 def test_weights_of_ones_own_have_their_own_default_person(weights):
-    pytest.importorskip("torch")
     with create_session(weights=weights) as session:
         assert session.open("default").weights_name == "tiny"
         assert session.open(LIBRARY_PREFIX + DEFAULT_NAME).weights_name == "default"

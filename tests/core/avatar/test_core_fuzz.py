@@ -12,9 +12,10 @@ import time
 
 import numpy as np
 import pytest
+import torch
 from flame_files import flame_fields, write_flame_pickle
 from fuzzing import fuzz
-from test_avatar import make_avatar
+from grmm_files import make_avatar
 
 from grmm_core.avatar import load_avatar, save_avatar
 from grmm_core.head.flame import read_landmark_embedding
@@ -35,7 +36,6 @@ def make_grmm(folder):
 
 
 def make_weights(folder):
-    torch = pytest.importorskip("torch")
     from model_fixtures import SHAPES, small_head
 
     from grmm_core.model.config import PRESETS

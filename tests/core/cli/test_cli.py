@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from grmm_core.avatar import load_avatar
 from grmm_core.cli import build_parser, main
@@ -25,7 +26,6 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @pytest.fixture(scope="module")
 def weights(tmp_path_factory):
-    pytest.importorskip("torch")
     from tiny_model import write_tiny_weights
 
     return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
@@ -50,8 +50,7 @@ def render(grmm, weights):
 
 
 def read_png(path: Path) -> np.ndarray:
-    image = pytest.importorskip("PIL.Image")
-    return np.asarray(image.open(path))
+    return np.asarray(Image.open(path))
 
 
 def test_every_command_has_help(grmm):

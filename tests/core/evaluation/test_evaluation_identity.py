@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from grmm_core.errors import FileAccessError, FileFormatError  # noqa: E402
-from grmm_core.evaluation.identity import PLACES, SIDE, IdentityDistance, aligned_face, load_identity  # noqa: E402
-from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack  # noqa: E402
-from grmm_core.geometry.camera import Camera  # noqa: E402
+from grmm_core.errors import FileAccessError, FileFormatError
+from grmm_core.evaluation.identity import PLACES, SIDE, IdentityDistance, aligned_face, load_identity
+from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
+from grmm_core.geometry.camera import Camera
 
 CORNERS = (33, 133, 263, 362, 1, 61, 291)
 MARKS = np.array([[60, 80], [80, 80], [140, 80], [120, 80], [100, 110], [85, 140], [115, 140]], np.float32)

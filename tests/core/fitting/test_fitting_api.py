@@ -8,19 +8,16 @@ import os
 
 import numpy as np
 import pytest
+from tiny_model import write_tiny_weights
 
-torch = pytest.importorskip("torch")
-
-from tiny_model import write_tiny_weights  # noqa: E402
-
-from grmm_core import cli  # noqa: E402
-from grmm_core.avatar import PhotoRecord, load_avatar, read_avatar_header  # noqa: E402
-from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError, ShapeError  # noqa: E402
-from grmm_core.fitting import api, presets  # noqa: E402
-from grmm_core.fitting.api import fit  # noqa: E402
-from grmm_core.fitting.folder import TRACKS_FILE, Job, can_resume, prepare  # noqa: E402
-from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset  # noqa: E402
-from grmm_core.session import models  # noqa: E402
+from grmm_core import cli
+from grmm_core.avatar import PhotoRecord, load_avatar, read_avatar_header
+from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError, ShapeError
+from grmm_core.fitting import api, presets
+from grmm_core.fitting.api import fit
+from grmm_core.fitting.folder import TRACKS_FILE, Job, can_resume, prepare
+from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset
+from grmm_core.session import models
 
 QUICK = Preset("fast", CodeSettings(48, 48, 1, 1, 0, 2), DecoderSettings(((64, 4),), False))
 

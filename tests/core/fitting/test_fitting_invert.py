@@ -6,31 +6,29 @@ import dataclasses
 
 import numpy as np
 import pytest
+import torch
+from model_fixtures import small_head
 
-torch = pytest.importorskip("torch")
-
-from model_fixtures import small_head  # noqa: E402
-
-from grmm_core.avatar import load_avatar, save_avatar  # noqa: E402
-from grmm_core.controls.frame import Controls, resolve  # noqa: E402
-from grmm_core.controls.names import ALIGNED_NAMES  # noqa: E402
-from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError  # noqa: E402
-from grmm_core.fitting.codes import code_prior, expression_code  # noqa: E402
-from grmm_core.fitting.color import PhotoLight, recolor, solve_maps, unchanged  # noqa: E402
-from grmm_core.fitting.invert import invert, photo_errors  # noqa: E402
-from grmm_core.fitting.locality import Locality, code_distances  # noqa: E402
-from grmm_core.fitting.objective import decode, draw, mesh  # noqa: E402
-from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset, preset_named  # noqa: E402
-from grmm_core.fitting.result import photo_camera, photo_controls  # noqa: E402
-from grmm_core.fitting.surface import SKIN, texel_surface  # noqa: E402
-from grmm_core.fitting.types import PhotoTrack  # noqa: E402
-from grmm_core.fitting.views import fit_view, project  # noqa: E402
-from grmm_core.geometry.camera import Camera  # noqa: E402
-from grmm_core.model.config import BASIS_COLOR  # noqa: E402
-from grmm_core.model.config import PRESETS as MODEL_PRESETS  # noqa: E402
-from grmm_core.model.grmm import GRMM  # noqa: E402
-from grmm_core.model.weights import WeightsInfo  # noqa: E402
-from grmm_core.session.models import with_deltas  # noqa: E402
+from grmm_core.avatar import load_avatar, save_avatar
+from grmm_core.controls.frame import Controls, resolve
+from grmm_core.controls.names import ALIGNED_NAMES
+from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError
+from grmm_core.fitting.codes import code_prior, expression_code
+from grmm_core.fitting.color import PhotoLight, recolor, solve_maps, unchanged
+from grmm_core.fitting.invert import invert, photo_errors
+from grmm_core.fitting.locality import Locality, code_distances
+from grmm_core.fitting.objective import decode, draw, mesh
+from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset, preset_named
+from grmm_core.fitting.result import photo_camera, photo_controls
+from grmm_core.fitting.surface import SKIN, texel_surface
+from grmm_core.fitting.types import PhotoTrack
+from grmm_core.fitting.views import fit_view, project
+from grmm_core.geometry.camera import Camera
+from grmm_core.model.config import BASIS_COLOR
+from grmm_core.model.config import PRESETS as MODEL_PRESETS
+from grmm_core.model.grmm import GRMM
+from grmm_core.model.weights import WeightsInfo
+from grmm_core.session.models import with_deltas
 
 SIZE = 96
 QUICK = Preset("quick", CodeSettings(64, 48, 4, 1, 0, 10), DecoderSettings(((64, 8), (96, 10)), False))

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import spatial
 
 from grmm_core.fitting import photometric_stage
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
@@ -154,7 +155,6 @@ def test_light_is_that_of_the_shading(head, person):
     colors = linear_to_srgb(np.clip(harmonics(vertex_normals(vertices, head.faces)) @ light, 0.0, 1.0))
     image, mask = drawn(head, vertices, camera)
     # paint every pixel with the nearest visible vertex's color
-    spatial = pytest.importorskip("scipy.spatial")
     depth = triangle_depth(vertices[head.faces], camera)
     local = vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     pixels = projected(vertices, camera)

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from PIL import Image
 
-torch = pytest.importorskip("torch")
-image_module = pytest.importorskip("PIL.Image")
-
-from grmm_core.controls.names import ARKIT_NAMES  # noqa: E402
-from grmm_core.errors import CancelledError, ConfigError, FileFormatError, NoFaceError, ShapeError  # noqa: E402
-from grmm_core.fitting.measure import measure_shapes  # noqa: E402
-from grmm_core.fitting.overlay import overlay_picture, track_vertices  # noqa: E402
-from grmm_core.fitting.track import AnalysedPhoto, analyse_photo, cut_square, frame_of, track_photos  # noqa: E402
-from grmm_core.head.open_head import load_open_head  # noqa: E402
+from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.errors import CancelledError, ConfigError, FileFormatError, NoFaceError, ShapeError
+from grmm_core.fitting.measure import measure_shapes
+from grmm_core.fitting.overlay import overlay_picture, track_vertices
+from grmm_core.fitting.track import AnalysedPhoto, analyse_photo, cut_square, frame_of, track_photos
+from grmm_core.head.open_head import load_open_head
 
 SIZE = 256
 PORTRAITS = ("p01", "p02", "p05", "p07")
@@ -144,8 +142,8 @@ def test_a_photo_without_a_face_is_named(photo_file, name):
 
 
 def test_a_tiny_face_is_refused_in_one_sentence(photo_file, tmp_path):
-    portrait = image_module.open(photo_file("p05")).convert("RGB").resize((80, 80))
-    canvas = image_module.new("RGB", (500, 400), (120, 120, 130))
+    portrait = Image.open(photo_file("p05")).convert("RGB").resize((80, 80))
+    canvas = Image.new("RGB", (500, 400), (120, 120, 130))
     canvas.paste(portrait, (200, 150))
     canvas.save(tmp_path / "far.png")
     with pytest.raises(NoFaceError, match=r"far\.png"):
@@ -161,8 +159,8 @@ def test_damaged_files_are_refused_in_one_sentence(photo_file, tmp_path):
 
 
 def test_a_stated_focal_length_is_read(photo_file, tmp_path):
-    photo = image_module.open(photo_file("p02")).convert("RGB")
-    exif = image_module.Exif()
+    photo = Image.open(photo_file("p02")).convert("RGB")
+    exif = Image.Exif()
     exif.get_ifd(0x8769)[0xA405] = 72
     photo.save(tmp_path / "exif.jpg", exif=exif)
     assert analyse_photo(tmp_path / "exif.jpg").focal == pytest.approx(72 / 36 * max(photo.size))
@@ -195,7 +193,7 @@ def test_overlay_shows_found_and_fitted_landmarks(tracked, head):
 
 
 def test_a_rolled_photo_gives_a_rolled_camera(analysed, head, photo_file, tmp_path):
-    photo = image_module.open(photo_file("p07")).convert("RGB").rotate(20.0, image_module.Resampling.BICUBIC)
+    photo = Image.open(photo_file("p07")).convert("RGB").rotate(20.0, Image.Resampling.BICUBIC)
     photo.save(tmp_path / "rolled.png")
     upright, rolled = (
         track_photos([item], head, size=SIZE)[0] for item in (analysed("p07"), analyse_photo(tmp_path / "rolled.png"))

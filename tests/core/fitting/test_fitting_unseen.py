@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES  # noqa: E402
-from grmm_core.fitting.objective import FIT_WEIGHTS, Drawn, fit_loss  # noqa: E402
-from grmm_core.fitting.surface import SCALP, SKIN, texel_surface  # noqa: E402
-from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack  # noqa: E402
-from grmm_core.fitting.unseen import facing, fill_colors, lid_exposure  # noqa: E402
-from grmm_core.fitting.views import fit_view, project  # noqa: E402
-from grmm_core.geometry.camera import Camera  # noqa: E402
-from grmm_core.geometry.zbuffer import EMPTY, triangle_depth  # noqa: E402
-from grmm_core.head.open_head import load_open_head  # noqa: E402
-from grmm_core.model.config import PRESETS  # noqa: E402
-from grmm_core.model.grmm import GRMM  # noqa: E402
+from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
+from grmm_core.fitting.objective import FIT_WEIGHTS, Drawn, fit_loss
+from grmm_core.fitting.surface import SCALP, SKIN, texel_surface
+from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
+from grmm_core.fitting.unseen import facing, fill_colors, lid_exposure
+from grmm_core.fitting.views import fit_view, project
+from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
+from grmm_core.head.open_head import load_open_head
+from grmm_core.model.config import PRESETS
+from grmm_core.model.grmm import GRMM
 
 SIZE = 160
 SKIN_TONE, HAIR, CLOTH = np.array([0.8, 0.6, 0.5]), np.array([0.1, 0.07, 0.05]), np.array([0.1, 0.2, 0.7])

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import io
-import zipfile
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from splat_files import make_cloud, ply_bytes
+import trimesh
+from avatar_files import cap4d_bytes, flame_track, lam_archive
+from mesh_files import grid, seamed_mesh
+from splat_files import make_cloud
 
-from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
 from grmm_core.formats import SplatCloud, write_mesh, write_splats
 from grmm_core.formats.avatars import (
@@ -25,19 +26,8 @@ from grmm_core.formats.avatars import (
 )
 from grmm_core.formats.binding import bind_to_mesh, place_on_mesh, triangle_frames
 from grmm_core.formats.cloud import SH_C0
-from grmm_core.formats.mesh import Mesh, read_gltf_mesh, split_seams, vertex_normals, write_gltf_mesh
+from grmm_core.formats.mesh import Mesh, read_gltf_mesh, split_seams, vertex_normals
 from grmm_core.geometry.rotations import axis_angle_to_matrix, quaternion_to_matrix
-from grmm_core.performance import Performance
-
-
-def grid(n=8, seed=0):
-    """A bumpy sheet of n x n vertices and its triangles."""
-    rng = np.random.default_rng(seed)
-    x, y = np.meshgrid(np.linspace(-0.1, 0.1, n), np.linspace(-0.1, 0.1, n))
-    vertices = np.stack([x.ravel(), y.ravel(), 0.02 * rng.normal(size=n * n)], 1).astype(np.float32)
-    cell = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
-    faces = np.concatenate([np.stack([cell, cell + 1, cell + n], 1), np.stack([cell + 1, cell + n + 1, cell + n], 1)])
-    return vertices, faces
 
 
 def covariances(cloud):
@@ -83,18 +73,6 @@ def test_binding_beyond_the_mesh_and_flat_triangles():
     assert np.isfinite(placed.quats).all()
 
 
-def flame_track(count=6):
-    rng = np.random.default_rng(2)
-    return Performance(
-        np.arange(count) / 25,
-        np.zeros((count, 52)),
-        25.0,
-        expression=rng.normal(size=(count, 100)).astype(np.float32),
-        jaw_rotation=rng.normal(0, 0.1, (count, 3)),
-        head_model="flame",
-    )
-
-
 def test_gaussian_avatar_round_trip(tmp_path):
     cloud = replace(make_cloud(300, 3), binding=np.random.default_rng(3).integers(0, 10144, 300).astype(np.int32))
     write_gaussian_avatar(tmp_path, GaussianAvatar(cloud, flame_track()))
@@ -119,45 +97,6 @@ def test_gaussian_avatar_errors(tmp_path):
     bound = replace(make_cloud(5), binding=np.zeros(5, np.int32))
     with pytest.raises(FileAccessError, match="not a folder"):
         write_gaussian_avatar(tmp_path / "none", GaussianAvatar(bound, None))
-
-
-def element(name, rows, binary=True):
-    text = ply_bytes(rows).decode("latin1").split("end_header\n", 1)
-    header = text[0].split("\n", 2)[2].replace("element vertex", f"element {name}")
-    return header.encode("latin1"), text[1].encode("latin1")
-
-
-def cap4d_bytes(quantised=True, frames=3):
-    """An animated PLY: a sheet, splats on it, and offsets of every frame."""
-    rng = np.random.default_rng(4)
-    vertices, faces = grid()
-    corner = np.zeros(len(faces), [(f"index_{k}", "<i4") for k in range(3)])
-    for k in range(3):
-        corner[f"index_{k}"] = faces[:, k]
-
-    def xyz(values, code="<f4"):
-        rows = np.zeros(len(values), [(axis, code) for axis in "xyz"])
-        for k, axis in enumerate("xyz"):
-            rows[axis] = values[:, k]
-        return rows
-
-    names = ["x", "y", "z", *(f"f_dc_{i}" for i in range(3)), "opacity", *(f"scale_{i}" for i in range(3))]
-    splats = np.zeros(50, [(name, "<f4") for name in [*names, *(f"rot_{i}" for i in range(4)), "binding"]])
-    for name in splats.dtype.names:
-        splats[name] = rng.normal(size=50)
-    splats["binding"] = rng.integers(0, len(faces), 50)
-    parts = [element("faces", corner), element("base_vertex", xyz(vertices)), element("vertex", splats)]
-    meshes = []
-    for i in range(frames):
-        offset = rng.normal(0, 0.01, vertices.shape).astype(np.float32)
-        low, high = offset.min(0), offset.max(0)
-        share = (offset - low) / (high - low)
-        values = xyz((share * 255).astype(np.uint8), "u1") if quantised else xyz(share)
-        parts += [element(f"meta_delta_min_{i:05d}", xyz(low[None])), element(f"meta_delta_max_{i:05d}", xyz(high[None]))]
-        parts.append(element(f"delta_vertex_{i:05d}", values))
-        meshes.append(vertices + offset)
-    header = b"ply\nformat binary_little_endian 1.0\n" + b"".join(part[0] for part in parts) + b"end_header\n"
-    return header + b"".join(part[1] for part in parts), meshes, faces
 
 
 @pytest.mark.parametrize("quantised", [True, False])
@@ -188,24 +127,6 @@ def test_bad_cap4d_files(tmp_path, old, new, reason):
     (tmp_path / "a.ply").write_bytes(data.replace(old, new))
     with pytest.raises(FileFormatError, match=reason):
         read_cap4d(tmp_path / "a.ply")
-
-
-def lam_archive(path, change=None):
-    """A LAM zip of a small sheet with the 51 morph targets."""
-    vertices, faces = grid()
-    rng = np.random.default_rng(5)
-    morphs = {name: rng.normal(0, 0.01, vertices.shape) for name in ARKIT_NAMES if name != "tongueOut"}
-    names = ["x", "y", "z", *(f"f_dc_{i}" for i in range(3)), "opacity", *(f"scale_{i}" for i in range(3))]
-    rows = np.zeros(len(vertices), [(name, "<f4") for name in [*names, *(f"rot_{i}" for i in range(4))]])
-    for name in rows.dtype.names:
-        rows[name] = rng.uniform(0.1, 0.9, len(rows)) * (0.01 if name in "xyz" else 1)
-    write_gltf_mesh(path.with_suffix(".glb"), Mesh(vertices, faces, None, None, morphs))
-    members = {"skin.glb": path.with_suffix(".glb").read_bytes(), "offset.ply": ply_bytes(rows), "vertex_order.json": b"[]"}
-    members = change(members) if change else members
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, data in members.items():
-            archive.writestr(f"avatar/{name}", data)
-    return vertices, morphs, rows
 
 
 def test_lam_splats_ride_on_the_vertices(tmp_path):
@@ -244,17 +165,6 @@ def test_archive_bombs_are_refused_by_their_stated_size(tmp_path):
         read_lam(tmp_path / "a.zip")
 
 
-def seamed_mesh():
-    """A sheet whose texture coordinates have a seam between its two halves of triangles."""
-    vertices, faces = grid()
-    rng = np.random.default_rng(6)
-    uv = rng.uniform(size=(2 * len(vertices), 2)).astype(np.float32)
-    uv_faces = faces + np.where(np.arange(len(faces)) % 2, len(vertices), 0)[:, None]
-    jaw = np.zeros_like(vertices)
-    jaw[10:20] = rng.normal(size=(10, 3))
-    return vertices, faces, uv, uv_faces, {"jawOpen": jaw, "still": np.zeros_like(vertices)}
-
-
 def test_gltf_mesh_round_trip_with_seams_and_morph_targets(tmp_path):
     vertices, faces, uv, uv_faces, morphs = seamed_mesh()
     write_mesh(tmp_path / "a.glb", vertices, faces, uv, uv_faces, morphs)
@@ -275,14 +185,12 @@ def test_seams_double_only_the_vertices_on_them():
 
 
 def test_normals_point_out_of_a_sphere():
-    trimesh = pytest.importorskip("trimesh")
     sphere = trimesh.creation.icosphere(2)
     normals = vertex_normals(np.asarray(sphere.vertices, np.float32), np.asarray(sphere.faces))
     assert (normals * sphere.vertices).sum(1) == pytest.approx(1, abs=0.02)
 
 
 def test_obj_is_read_alike_by_another_program(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
     vertices, faces, uv, uv_faces, _ = seamed_mesh()
     write_mesh(tmp_path / "a.obj", vertices, faces, uv, uv_faces)
     other = trimesh.load(tmp_path / "a.obj", process=False)
@@ -291,7 +199,6 @@ def test_obj_is_read_alike_by_another_program(tmp_path):
 
 
 def test_gltf_mesh_is_read_alike_by_another_program(tmp_path):
-    trimesh = pytest.importorskip("trimesh")
     vertices, faces, uv, uv_faces, morphs = seamed_mesh()
     write_mesh(tmp_path / "a.glb", vertices, faces, uv, uv_faces, morphs)
     other = next(iter(trimesh.load(tmp_path / "a.glb", process=False).geometry.values()))

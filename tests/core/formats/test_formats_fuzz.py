@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from avatar_files import cap4d_bytes, flame_track, lam_archive
 from fuzzing import fuzz, glb_document, glb_with, memory_limit, mutate, odd_documents, read_or_refuse
+from mesh_files import seamed_mesh
 from splat_files import make_cloud, ply_bytes, splat_rows
-from test_formats_avatars import cap4d_bytes, flame_track, lam_archive, seamed_mesh
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileFormatError
@@ -51,13 +52,11 @@ def make_spz(folder):
 
 
 def make_spz_4(folder):
-    pytest.importorskip("zstandard")
     write_splats(folder / "a.spz", make_cloud(40, 1), version=4)
     return folder / "a.spz", read_splats
 
 
 def make_sog(folder):
-    pytest.importorskip("PIL")
     write_splats(folder / "a.sog", make_cloud(40))
     return folder / "a.sog", read_splats
 

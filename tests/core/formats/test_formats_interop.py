@@ -11,10 +11,12 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import gsply
 import numpy as np
+import plyfile
 import pytest
+from mesh_files import seamed_mesh
 from splat_files import make_cloud
-from test_formats_avatars import seamed_mesh
 
 from grmm_core.formats import read_splats, write_mesh, write_splats
 from grmm_core.formats.cloud import SH_C0
@@ -23,7 +25,6 @@ NODE_MODULES = Path(os.environ.get("GRMM_NODE_MODULES", "none"))
 
 
 def test_plyfile_reads_our_ply(tmp_path):
-    plyfile = pytest.importorskip("plyfile")
     cloud = make_cloud(200, 2)
     write_splats(tmp_path / "a.ply", cloud, axes="y_up")
     rows = plyfile.PlyData.read(tmp_path / "a.ply")["vertex"]
@@ -35,7 +36,6 @@ def test_plyfile_reads_our_ply(tmp_path):
 
 
 def test_plyfile_writes_what_we_read(tmp_path):
-    plyfile = pytest.importorskip("plyfile")
     rng = np.random.default_rng(0)
     names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", *(f"scale_{i}" for i in range(3))]
     rows = np.zeros(30, [(name, "f4") for name in [*names, *(f"rot_{i}" for i in range(4))]])
@@ -48,7 +48,6 @@ def test_plyfile_writes_what_we_read(tmp_path):
 
 
 def test_gsply_reads_our_ply_and_spz(tmp_path):
-    gsply = pytest.importorskip("gsply")
     cloud = make_cloud(200)
     write_splats(tmp_path / "a.ply", cloud, axes="y_up")
     other = gsply.plyread(tmp_path / "a.ply")
@@ -76,10 +75,6 @@ def matched(found, expected):
     (".ply", {}), (".splat", {}), (".spz", {"version": 2}), (".spz", {"version": 3}), (".spz", {"version": 4}), (".sog", {}),
 ])  # fmt: skip
 def test_splat_transform_reads_our_files_upright(tmp_path, extension, options):
-    if options.get("version") == 4:
-        pytest.importorskip("zstandard")
-    if extension == ".sog":
-        pytest.importorskip("PIL")
     cloud = make_cloud(300, 1)
     write_splats(tmp_path / f"a{extension}", cloud, **options)
     found = read_splats(splat_transform(tmp_path / f"a{extension}", tmp_path / "b.ply"))
@@ -93,8 +88,6 @@ def test_splat_transform_reads_our_files_upright(tmp_path, extension, options):
 
 @pytest.mark.parametrize("target", ["b.spz", "b.glb"])
 def test_we_read_what_splat_transform_writes(tmp_path, target):
-    if target.endswith("spz"):
-        pytest.importorskip("zstandard")  # it writes version 4
     cloud = make_cloud(300, 1)
     write_splats(tmp_path / "a.ply", cloud)
     found = read_splats(splat_transform(tmp_path / "a.ply", tmp_path / target))

@@ -10,6 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from PIL import Image
 from splat_files import make_cloud
 
 from grmm_core.errors import BackendError, FileFormatError
@@ -18,7 +19,6 @@ from grmm_core.formats.glb import GltfWriter
 
 
 def sog_parts(tmp_path):
-    pytest.importorskip("PIL")
     write_splats(tmp_path / "a.sog", make_cloud())
     with zipfile.ZipFile(tmp_path / "a.sog") as archive:
         return {name: archive.read(name) for name in archive.namelist()}
@@ -53,9 +53,8 @@ def test_sog_names_that_leave_the_folder_are_refused(tmp_path):
 
 
 def test_sog_without_pillow_takes_a_decoder_or_says_what_to_install(tmp_path, monkeypatch):
-    image = pytest.importorskip("PIL.Image")
     pictures = {
-        data: np.asarray(image.open(io.BytesIO(data)).convert("RGBA"))
+        data: np.asarray(Image.open(io.BytesIO(data)).convert("RGBA"))
         for name, data in sog_parts(tmp_path).items()
         if name.endswith(".webp")
     }
@@ -102,7 +101,6 @@ def test_bad_sog_files(tmp_path, change, reason):
 
 
 def test_sog_with_higher_harmonics(tmp_path):
-    image = pytest.importorskip("PIL.Image")
     parts = sog_parts(tmp_path)
     meta = json.loads(parts["meta.json"])
     rng = np.random.default_rng(3)
@@ -115,7 +113,7 @@ def test_sog_with_higher_harmonics(tmp_path):
 
     def encode(array):
         buffer = io.BytesIO()
-        image.fromarray(array, "RGBA").save(buffer, "WEBP", lossless=True, exact=True)
+        Image.fromarray(array, "RGBA").save(buffer, "WEBP", lossless=True, exact=True)
         return buffer.getvalue()
 
     meta["shN"] = {"bands": 1, "count": entries, "codebook": codebook.tolist(), "files": ["c.webp", "l.webp"]}

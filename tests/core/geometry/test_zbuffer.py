@@ -22,7 +22,6 @@ def choose_form(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if name == "numpy":
         monkeypatch.setattr(zbuffer, "_compiled_draw", lambda: None)
     else:
-        pytest.importorskip("numba")
         draw = importlib.import_module("grmm_core.geometry.zbuffer_kernel").draw
         monkeypatch.setattr(zbuffer, "_compiled_draw", lambda: draw)
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from flame_files import flame_fields, write_flame_pickle
 from flame_head_files import EYE, SCALE, SHIFT, SKIN, flame_head_fields
-from test_head_uv import cover_texels
+from uv_layout import cover_texels
 
 from grmm_core.controls.frame import Controls, resolve
 from grmm_core.controls.names import ARKIT_NAMES
@@ -97,7 +98,6 @@ def test_skinning_is_the_textbooks(flame, fields):
 
 
 def test_torch_twin_agrees(flame):
-    torch = pytest.importorskip("torch")
     from grmm_core.head.torch_head import TorchHead
 
     rng = np.random.default_rng(4)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from grmm_core.controls.frame import Controls, resolve
 from grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
@@ -212,7 +213,6 @@ def test_root_moves_everything_rigidly(head):
 
 
 def test_numpy_and_torch_agree(head):
-    torch = pytest.importorskip("torch")
     from grmm_core.head.torch_head import TorchHead
 
     generator = np.random.default_rng(3)
@@ -233,7 +233,6 @@ def test_numpy_and_torch_agree(head):
 
 
 def test_gradients_match_finite_differences(head):
-    torch = pytest.importorskip("torch")
     from grmm_core.head.torch_head import TorchHead
 
     twin = TorchHead(head, dtype=torch.float64)

@@ -8,19 +8,16 @@ import re
 
 import numpy as np
 import pytest
+import torch
+from model_fixtures import TEETH, inputs, randomise, small_head
 
-torch = pytest.importorskip("torch")
-
-from model_fixtures import TEETH, small_head  # noqa: E402
-from test_model import inputs, randomise  # noqa: E402
-
-from grmm_core.geometry.camera import Camera  # noqa: E402
-from grmm_core.head.skinning import euler_matrices  # noqa: E402
-from grmm_core.model.config import PRESETS  # noqa: E402
-from grmm_core.model.grmm import GRMM, JAW, NECK, euler_to_rotvec  # noqa: E402
-from grmm_core.splat import rasterize  # noqa: E402
-from grmm_core.splat.reference import rotation_matrices  # noqa: E402
-from grmm_core.training.losses import LossWeights, Target, code_loss, scale_loss, ssim, total_loss, vertex_laplacian  # noqa: E402
+from grmm_core.geometry.camera import Camera
+from grmm_core.head.skinning import euler_matrices
+from grmm_core.model.config import PRESETS
+from grmm_core.model.grmm import GRMM, JAW, NECK, euler_to_rotvec
+from grmm_core.splat import rasterize
+from grmm_core.splat.reference import rotation_matrices
+from grmm_core.training.losses import LossWeights, Target, code_loss, scale_loss, ssim, total_loss, vertex_laplacian
 
 SLOPE = 0.2
 

@@ -8,13 +8,12 @@ import subprocess
 import sys
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from grmm_core.geometry.camera import Camera  # noqa: E402
-from grmm_core.head import load_open_head  # noqa: E402
-from grmm_core.model.config import PRESETS  # noqa: E402
-from grmm_core.model.grmm import GRMM  # noqa: E402
+from grmm_core.geometry.camera import Camera
+from grmm_core.head import load_open_head
+from grmm_core.model.config import PRESETS
+from grmm_core.model.grmm import GRMM
 
 pytestmark = pytest.mark.slow
 MEMORY_GOAL = 2 << 30  # bytes

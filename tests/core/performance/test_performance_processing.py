@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import optimize
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileFormatError, ShapeError
@@ -340,7 +341,6 @@ def test_retargeting_on_the_open_head():
 
 
 def test_bounded_least_squares_matches_an_independent_solver():
-    optimize = pytest.importorskip("scipy.optimize")
     rng = np.random.default_rng(7)
     basis = rng.normal(size=(12, 30))
     wanted = rng.normal(0, 1.5, (9, 12)) @ basis

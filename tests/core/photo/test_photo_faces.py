@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
+from PIL import Image
 
-torch = pytest.importorskip("torch")
-
-from grmm_core.controls.names import ARKIT_NAMES  # noqa: E402
-from grmm_core.errors import NoFaceError  # noqa: E402
-from grmm_core.photo.faces import find_faces  # noqa: E402
-from grmm_core.photo.networks import load_networks  # noqa: E402
+from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.errors import NoFaceError
+from grmm_core.photo.faces import find_faces
+from grmm_core.photo.networks import load_networks
 
 INPUT_SCALE = {"face_detector": 1.0, "face_landmarks_detector": 1.0, "face_blendshapes": 256.0, "selfie_segmentation": 1.0}
 
@@ -28,8 +28,7 @@ def test_networks_answer_as_litert_does(name, repository):
 
 @pytest.fixture(scope="module")
 def photos(photo_file):
-    image = pytest.importorskip("PIL.Image")
-    return lambda name: np.asarray(image.open(photo_file(name)).convert("RGB"))
+    return lambda name: np.asarray(Image.open(photo_file(name)).convert("RGB"))
 
 
 def arkit(face, name):
@@ -69,10 +68,9 @@ def test_a_small_face_is_found_by_tiles(photos):
 
 
 def test_landmarks_follow_a_turned_photo(photos):
-    image_module = pytest.importorskip("PIL.Image")
     image, angle = photos("p07"), 25.0
     (face,) = find_faces(image)
-    turned = np.asarray(image_module.fromarray(image).rotate(angle, resample=image_module.Resampling.BICUBIC))
+    turned = np.asarray(Image.fromarray(image).rotate(angle, resample=Image.Resampling.BICUBIC))
     (result,) = find_faces(turned)
     c, s = np.cos(np.radians(-angle)), np.sin(np.radians(-angle))
     middle = np.array([image.shape[1], image.shape[0]]) / 2.0

@@ -6,13 +6,12 @@ import os
 
 import numpy as np
 import pytest
+import torch
+from PIL import Image
 
-pytest.importorskip("torch")
-Image = pytest.importorskip("PIL.Image")
-
-from grmm_core.errors import FileAccessError, FileFormatError, GrmmError  # noqa: E402
-from grmm_core.photo.load import load_photo  # noqa: E402
-from grmm_core.photo.person import guided_filter, person_mask  # noqa: E402
+from grmm_core.errors import FileAccessError, FileFormatError, GrmmError
+from grmm_core.photo.load import load_photo
+from grmm_core.photo.person import guided_filter, person_mask
 
 
 @pytest.fixture
@@ -122,7 +121,6 @@ def test_damaged_photos_give_typed_errors_only(tmp_path, gradient, suffix):
 
 
 def test_guided_filter_of_a_flat_guide_is_a_mean_and_keeps_edges_of_the_guide():
-    torch = pytest.importorskip("torch")
     value = torch.rand(1, 1, 20, 24, generator=torch.Generator().manual_seed(0))
     flat = guided_filter(torch.full_like(value, 0.5), value, 2, 1e-3)
     window = torch.nn.functional.avg_pool2d(value, 5, 1, 2, count_include_pad=False)

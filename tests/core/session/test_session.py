@@ -22,8 +22,6 @@ from grmm_core.errors import (
 from grmm_core.geometry.camera import Camera
 from grmm_core.session import EMPTY_DEPTH, PASS_NAMES, Instance, RenderOptions, Session, create_session
 
-pytest.importorskip("torch")
-
 SIZE = 96
 CAMERA = Camera.orbit(SIZE, SIZE)
 FLOAT = {"rtol": 1e-5, "atol": 1e-5}  # another order of additions

@@ -14,8 +14,6 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.session import CloudArrays, Instance, RenderOptions, create_session
 from grmm_core.session.harmonics import harmonic_basis
 
-pytest.importorskip("torch")
-
 SIZE = 96
 CAMERA = Camera.orbit(SIZE, SIZE)
 SAME = {"rtol": 0.0, "atol": 2e-3}

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-
-from grmm_core.session.graphs import SHAPES_KEPT, Replayed  # noqa: E402
+from grmm_core.session.graphs import SHAPES_KEPT, Replayed
 
 
 class Recorder:

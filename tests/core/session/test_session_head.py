@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch")
-
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
 from tiny_model import write_tiny_weights

@@ -10,8 +10,6 @@ from grmm_core.pictures.color import scene_linear_premultiplied
 from grmm_core.session import Instance, RenderOptions, create_session
 from grmm_core.session.api import LINEAR_PASS
 
-pytest.importorskip("torch")
-
 CAMERA = Camera.orbit(96, 96)
 CLOSE = {"rtol": 0.0, "atol": 5e-6}
 RED = (1.0, 0.0, 0.0)

@@ -13,8 +13,6 @@ from grmm_core.errors import ConfigError, RuntimeMissingError
 from grmm_core.geometry.camera import Camera
 from grmm_core.session import PASS_NAMES, Instance, RenderOptions, create_session
 
-pytest.importorskip("torch")
-
 SIZE = 96
 CAMERA = Camera.orbit(SIZE, SIZE)
 

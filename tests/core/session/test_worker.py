@@ -23,8 +23,6 @@ from grmm_core.session.arena import SharedArena
 from grmm_core.session.client import WorkerSession
 from grmm_core.session.codec import receive, send, unpack
 
-pytest.importorskip("torch")
-
 CAMERA = Camera.orbit(64, 64)
 LARGE = Camera.orbit(2200, 2200)  # long enough to be interrupted
 ROOT = Path(__file__).resolve().parents[3]

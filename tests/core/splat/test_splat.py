@@ -7,12 +7,12 @@ import math
 
 import numpy as np
 import pytest
+import torch
+from splat_scenes import orbit, scene
 
-torch = pytest.importorskip("torch")
-
-from grmm_core.errors import BackendError, ShapeError  # noqa: E402
-from grmm_core.geometry.camera import Camera  # noqa: E402
-from grmm_core.splat import Gaussians, available_backends, rasterize, rasterize_batch  # noqa: E402
+from grmm_core.errors import BackendError, ShapeError
+from grmm_core.geometry.camera import Camera
+from grmm_core.splat import Gaussians, available_backends, rasterize, rasterize_batch
 
 BACKENDS = [info.name for info in available_backends() if info.available and info.name != "cuda"]
 each_backend = pytest.mark.parametrize("backend", BACKENDS)
@@ -28,30 +28,6 @@ def ball(z=1.0, x=0.0, y=0.0, size=0.02, opacity=0.8, color=(1.0, 0.5, 0.25), fe
         torch.tensor([color]),
         None if features is None else torch.tensor([features]),
     )
-
-
-def scene(count, channels=4, seed=0, dtype=torch.float32, spread=0.12, size=0.012):
-    random = torch.Generator().manual_seed(seed)
-
-    def normal(*shape):
-        return torch.randn(*shape, generator=random, dtype=torch.float64).to(dtype)
-
-    def uniform(*shape):
-        return torch.rand(*shape, generator=random, dtype=torch.float64).to(dtype)
-
-    features = normal(count, channels) if channels else None
-    return Gaussians(
-        spread * normal(count, 3),
-        normal(count, 4),
-        size * torch.exp(0.5 * normal(count, 3)),
-        uniform(count),
-        uniform(count, 3),
-        features,
-    )
-
-
-def orbit(width=48, height=40, **options):
-    return Camera.orbit(width, height, **{"yaw": 20.0, "pitch": 10.0, "distance": 0.6, "fov": 25.0, **options})
 
 
 @each_backend

@@ -11,19 +11,16 @@ import subprocess
 from pathlib import Path
 
 import pytest
+import torch
+from splat_scenes import OUTPUTS, SCENES, assert_parity, leaves_of, orbit, pulled, scene
 
-torch = pytest.importorskip("torch")
-
-from test_splat import orbit, scene  # noqa: E402
-from test_splat_cpu import GRADIENT_TOLERANCE, NAMES, OUTPUTS, PICTURE_TOLERANCE, SCENES  # noqa: E402
-
-from grmm_core.errors import BackendError  # noqa: E402
-from grmm_core.splat import Gaussians, rasterize  # noqa: E402
-from grmm_core.splat.cuda import compile as cuda_compile  # noqa: E402
-from grmm_core.splat.cuda.function import rasterize_kernels  # noqa: E402
-from grmm_core.splat.cuda.launch import pack  # noqa: E402
-from grmm_core.splat.cuda.source import FEATURES_MAX, KERNELS, THREADS, kernel_source  # noqa: E402
-from grmm_core.splat.rules import View  # noqa: E402
+from grmm_core.errors import BackendError
+from grmm_core.splat import Gaussians, rasterize
+from grmm_core.splat.cuda import compile as cuda_compile
+from grmm_core.splat.cuda.function import rasterize_kernels
+from grmm_core.splat.cuda.launch import pack
+from grmm_core.splat.cuda.source import FEATURES_MAX, KERNELS, THREADS, kernel_source
+from grmm_core.splat.rules import View
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 STAND_IN = Path(__file__).with_name("cuda_stand_in") / "stand_in.h"
@@ -71,19 +68,6 @@ def stand_in(tmp_path_factory):
     return make
 
 
-def leaves_of(gaussians, dtype):
-    found = [getattr(gaussians, name) for name in NAMES]
-    return [None if leaf is None else leaf.to(dtype).clone().requires_grad_() for leaf in found]
-
-
-def pulled(out, leaves):
-    pictures = [getattr(out, name) for name in OUTPUTS if getattr(out, name) is not None]
-    random = torch.Generator().manual_seed(99)
-    pulls = [torch.randn(p.shape, generator=random, dtype=torch.float64).to(p.dtype) for p in pictures]
-    gradients = torch.autograd.grad(pictures, [leaf for leaf in leaves if leaf is not None], pulls)
-    return [p.detach().double() for p in pictures], [g.double() for g in gradients]
-
-
 @pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
 @pytest.mark.parametrize("name", SCENES)
 def test_the_kernels_equal_the_reference(name, antialiased, stand_in):
@@ -92,16 +76,10 @@ def test_the_kernels_equal_the_reference(name, antialiased, stand_in):
     kernels = stand_in(0 if gaussians.features is None else gaussians.features.shape[1])
     background = (0.2, 0.5, 0.7)
     leaves = leaves_of(gaussians, torch.float64)
-    expected, expected_gradients = pulled(rasterize(Gaussians(*leaves), camera, background, "torch", antialiased), leaves)
+    expected = pulled(rasterize(Gaussians(*leaves), camera, background, "torch", antialiased), leaves)
     leaves = leaves_of(gaussians, torch.float32)
     out = rasterize_kernels(kernels, Gaussians(*leaves), View.of(camera), torch.tensor(background), antialiased)
-    pictures, gradients = pulled(out, leaves)
-    for label, ours, theirs in zip(OUTPUTS, pictures, expected, strict=False):
-        error = (ours - theirs).abs().max() / theirs.abs().max().clamp(min=1.0)
-        assert error < PICTURE_TOLERANCE, f"{label}: {error:.2e}"
-    for label, ours, theirs in zip(NAMES, gradients, expected_gradients, strict=False):
-        error = (ours - theirs).abs().max() / theirs.abs().max().clamp(min=1e-3)
-        assert error < GRADIENT_TOLERANCE, f"gradient of {label}: {error:.2e}"
+    assert_parity(pulled(out, leaves), expected)
 
 
 def test_equal_depths_and_dropped_gaussians(stand_in):
@@ -187,12 +165,8 @@ def test_on_a_graphics_card(name):
     gaussians = make()
     kernels = device_kernels(torch.device("cuda"), 0 if gaussians.features is None else gaussians.features.shape[1])
     leaves = leaves_of(gaussians, torch.float64)
-    expected, expected_gradients = pulled(rasterize(Gaussians(*leaves), camera, None, "torch"), leaves)
+    expected = pulled(rasterize(Gaussians(*leaves), camera, None, "torch"), leaves)
     leaves = leaves_of(gaussians, torch.float32)
     out = rasterize_kernels(kernels, Gaussians(*leaves).to("cuda"), View.of(camera))
     out = type(out)(*(None if part is None else part.cpu() for part in (out.rgb, out.alpha, out.depth, out.features)))
-    pictures, gradients = pulled(out, leaves)
-    for ours, theirs in zip(pictures, expected, strict=True):
-        assert (ours - theirs).abs().max() / theirs.abs().max().clamp(min=1.0) < PICTURE_TOLERANCE
-    for ours, theirs in zip(gradients, expected_gradients, strict=True):
-        assert (ours - theirs).abs().max() / theirs.abs().max().clamp(min=1e-3) < GRADIENT_TOLERANCE
+    assert_parity(pulled(out, leaves), expected)

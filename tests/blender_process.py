@@ -34,6 +34,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = ROOT / "tests" / "blender" / "scripts"
 PYTHON_52_VARIABLE = "GRMM_BPY52_PYTHON"
+EXTENSION = Path("extensions", "user_default", "grmm")  # in a Blender user folder
 KERNEL_TIME = 1_700_000_000  # seconds; any constant
 DEFAULT_TIMEOUT = 180.0  # seconds; numba may compile for the first time
 
@@ -99,7 +100,7 @@ def user_folder(version: str) -> Path:
     folder = _temporary_folder()
     done = _launch(version, folder, "install.py", [str(extension_zip())], DEFAULT_TIMEOUT, enable=False)
     assert done.returncode == 0, done.output
-    _keep_kernels(folder / "extensions" / "user_default" / "grmm" / "grmm_core", version)
+    _keep_kernels(folder / EXTENSION / "grmm_core", version)
     return folder
 
 
@@ -140,6 +141,7 @@ def _run(
     fresh: bool = False,
     enable: bool = True,
     environment: dict[str, str] | None = None,
+    edit: Callable[[Path], None] | None = None,
 ) -> BlenderRun:
     """Run a script in Blender with the extension enabled.
 
@@ -152,12 +154,15 @@ def _run(
         fresh: Use a copy of the user folder, so that the script may disable or remove the extension.
         enable: Enable the extension before the script runs.
         environment: Further environment variables.
+        edit: Changes the files of the installed extension, whose folder it is given, in a copy of the user folder.
     """
     folder = user_folder(version=python)
-    if fresh:
+    if fresh or edit:
         copy = _temporary_folder()
         shutil.copytree(folder, copy, dirs_exist_ok=True)
         folder = copy
+    if edit:
+        edit(folder / EXTENSION)
     done = _launch(python, folder, script, [str(a) for a in arguments], timeout, enable, environment)
     if check:
         assert done.returncode == 0, f"{script} exited with {done.returncode}:\n{done.output}"

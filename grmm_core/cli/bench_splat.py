@@ -56,7 +56,8 @@ def head_scene(grid: int, features: int = FEATURES, seed: int = 1) -> Gaussians:
     import torch
 
     from ..head import load_open_head
-    from ..model.texels import TexelAnchor, place_gaussians, texel_layout
+    from ..model.layout import texel_layout
+    from ..model.texels import TexelAnchor, place_gaussians
     from ..splat import Gaussians
 
     head = load_open_head()

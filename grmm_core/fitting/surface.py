@@ -101,7 +101,7 @@ def texel_surface(model: GRMM) -> Surface:
     matrices, degrees = [], []
     for edges, weight in ((plain, weights[: plain.shape[1]]), (both, weights)):
         rows, columns, values = np.concatenate([edges[0], edges[1]]), np.concatenate([edges[1], edges[0]]), np.tile(weight, 2)
-        matrices.append(FixedSparse(rows, columns, values, (count, count)).to(model.device))
+        matrices.append(FixedSparse((rows, columns, values), (count, count)).to(model.device))
         degrees.append(np.bincount(rows, values, count))
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
@@ -113,7 +113,7 @@ def _average(edges: np.ndarray, count: int) -> FixedSparse:
     """Mean over a texel and its neighbours."""
     own = np.arange(count)
     rows, columns = np.concatenate([own, edges[0], edges[1]]), np.concatenate([own, edges[1], edges[0]])
-    return FixedSparse(rows, columns, 1.0 / np.bincount(rows, minlength=count)[rows], (count, count))
+    return FixedSparse((rows, columns, 1.0 / np.bincount(rows, minlength=count)[rows]), (count, count))
 
 
 def _parts(head: HeadModel, vertex: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

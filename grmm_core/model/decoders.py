@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from .config import BASIS_COLOR, BASIS_GROUPS, COLOR_CHANNELS, TRANSFORM_CHANNELS, GRMMConfig
+from .layout import map_reader
 from .sparse import FixedSparse
 
 SLOPE = 0.2
@@ -123,7 +124,8 @@ class AttributeDecoders(nn.Module):
         self.transform = MapDecoder(z_id + z_exp, TRANSFORM_CHANNELS, start, channels)
         self.opacity = MapDecoder(z_id, 1, start, channels)
         self.appearance = MapDecoder(z_id, app_channels, start, channels, config.view_stage)
-        self.read = texel_reader(texel, config.grid, config.decoder_grid)
+        side = config.decoder_grid
+        self.read = FixedSparse(map_reader(texel, config.grid, side), (count, side * side))
         self.opacity_bias = config.opacity_bias
         for name, width in (("transform", TRANSFORM_CHANNELS), ("opacity", 1), ("appearance", app_channels)):
             mean = nn.Parameter(torch.zeros(count, width)) if config.mean_maps else None
@@ -183,28 +185,3 @@ class AttributeDecoders(nn.Module):
         if self.basis_weights is None or name not in self.basis:
             return None
         return (self.basis_weights(z_id) @ self.basis[name]).view(-1, width)
-
-
-def texel_reader(texel: np.ndarray, grid: int, side: int) -> FixedSparse:
-    """Return the operator that reads a side x side map at texels of a grid x grid map by bilinear interpolation.
-
-    Args:
-        texel: Flat indices row * grid + column, [N].
-        grid: Side of the texel grid, a multiple of `side`.
-        side: Side of the map.
-    """
-    texel = np.asarray(texel, np.int64)
-    rows, columns, values = [], [], []
-    count = np.arange(len(texel))
-    # centres of both grids at half texels, as in image resizing without aligned corners
-    y, x = ((part + 0.5) * side / grid - 0.5 for part in (texel // grid, texel % grid))
-    y, x = np.clip(y, 0, side - 1), np.clip(x, 0, side - 1)
-    y0, x0 = np.minimum(np.floor(y), side - 1).astype(np.int64), np.minimum(np.floor(x), side - 1).astype(np.int64)
-    for dy in (0, 1):
-        for dx in (0, 1):
-            weight = (dy * (y - y0) + (1 - dy) * (1 - (y - y0))) * (dx * (x - x0) + (1 - dx) * (1 - (x - x0)))
-            keep = weight > 0
-            rows.append(count[keep])
-            columns.append((np.minimum(y0 + dy, side - 1) * side + np.minimum(x0 + dx, side - 1))[keep])
-            values.append(weight[keep])
-    return FixedSparse(np.concatenate(rows), np.concatenate(columns), np.concatenate(values), (len(texel), side * side))

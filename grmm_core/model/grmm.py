@@ -22,9 +22,10 @@ from ..head.torch_head import TorchHead
 from ..splat import Gaussians, RasterOutput, rasterize
 from .config import GRMMConfig
 from .decoders import AttributeDecoders
+from .layout import TexelLayout, texel_layout
 from .mesh_decoder import MeshDecoder
 from .refine import RefinementNetwork, depth_range, doubled, halved, normalise_depth
-from .texels import Geometry, TexelAnchor, TexelLayout, texel_layout
+from .texels import Geometry, TexelAnchor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

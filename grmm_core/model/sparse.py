@@ -10,9 +10,10 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor, nn
+
+from .layout import Entries, compressed_rows
 
 with warnings.catch_warnings():
     # Torch says once a process that compressed rows are in beta. Making the first matrix here keeps that from the user.
@@ -24,24 +25,19 @@ class FixedSparse(nn.Module):
     """y = A x with A constant.
 
     Args:
-        rows, columns: Positions of the entries, [E]; repeated positions add up.
-        values: Entries, [E].
+        entries: Of A.
         shape: Rows and columns of A.
     """
 
-    def __init__(self, rows: np.ndarray, columns: np.ndarray, values: np.ndarray, shape: tuple[int, int]) -> None:
+    def __init__(self, entries: Entries, shape: tuple[int, int]) -> None:
         super().__init__()
         self.shape = shape
-        rows, columns, values = _merge(rows, columns, values, shape)
-        for prefix, (r, c, v), count in (
-            ("", (rows, columns, values), shape[0]),
-            ("t_", _by_row(columns, rows, values), shape[1]),
-        ):
-            starts = np.zeros(count + 1, np.int64)
-            np.cumsum(np.bincount(r, minlength=count), out=starts[1:])
-            self.register_buffer(f"{prefix}starts", torch.from_numpy(starts.astype(np.int32)), persistent=False)
-            self.register_buffer(f"{prefix}columns", torch.from_numpy(c.astype(np.int32)), persistent=False)
-            self.register_buffer(f"{prefix}values", torch.from_numpy(v.astype(np.float32)), persistent=False)
+        rows, columns, values = entries
+        forward, backward = compressed_rows(entries, shape), compressed_rows((columns, rows, values), shape[::-1])
+        for prefix, matrix in (("", forward), ("t_", backward)):
+            self.register_buffer(f"{prefix}starts", torch.from_numpy(matrix.starts), persistent=False)
+            self.register_buffer(f"{prefix}columns", torch.from_numpy(matrix.columns), persistent=False)
+            self.register_buffer(f"{prefix}values", torch.from_numpy(matrix.values), persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return A x for x [columns, C]: [rows, C]."""
@@ -70,17 +66,3 @@ def _product(matrix: tuple[Tensor, ...], shape: tuple[int, int], x: Tensor) -> T
     starts, columns, values = matrix
     sparse = torch.sparse_csr_tensor(starts, columns, values.to(x.dtype), shape, check_invariants=False)
     return sparse @ x.contiguous()
-
-
-def _by_row(rows: np.ndarray, columns: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    order = np.lexsort((columns, rows))
-    return rows[order], columns[order], values[order]
-
-
-def _merge(
-    rows: np.ndarray, columns: np.ndarray, values: np.ndarray, shape: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sort by row and column and add up entries at the same position."""
-    keys, inverse = np.unique(rows.astype(np.int64) * shape[1] + columns.astype(np.int64), return_inverse=True)
-    summed = np.bincount(inverse.reshape(-1), weights=values.astype(np.float64), minlength=len(keys))
-    return keys // shape[1], keys % shape[1], summed

@@ -1,14 +1,8 @@
 """Gaussians anchored to the UV map of a mesh (paper section 3.3, "Gaussian Primitive Initialisation", and eq. 12).
 
-`texel_layout` finds once, with numpy, which texels of an N_g x N_g grid lie on the mesh and where (face and barycentric
-coordinates). `TexelAnchor` turns the vertices of the current mesh into a tangent frame and a base size for each texel,
+`TexelAnchor` turns the vertices of the current mesh into a tangent frame and a base size for each texel of a `layout`,
 differentiably: both follow from dP/du and dP/dv, so that Gaussians follow identity, expression and pose by themselves.
-`place_gaussians` applies the decoded offsets in these frames.
-
-The Jacobian is averaged at the corners of the UV mesh and interpolated, not taken per face: hair stands centimetres off the
-skull, where the kinks between flat faces would open gaps.
-
-Conventions: texel (row i, column j) has its centre at u = (j + 1/2) / N_g, v = (i + 1/2) / N_g. Used by `grmm` only.
+`place_gaussians` applies the decoded offsets in these frames. Used by `grmm` only.
 """
 
 from __future__ import annotations
@@ -22,73 +16,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..errors import ShapeError
+from .layout import TexelLayout, anchor_tables
 from .sparse import FixedSparse
 
-_INSIDE = -1e-7  # barycentric tolerance: a texel centre on an edge belongs to the first of its faces
 _TINY = 1e-9  # metres per unit of UV; keeps frames of degenerate triangles defined
 _TINY_NORM = 1e-20
-
-
-@dataclass(frozen=True)
-class TexelLayout:
-    """The active texels of a grid.
-
-    Attributes:
-        grid: N_g.
-        texel: Flat index row * grid + column of each active texel, ascending, [N] int32.
-        face: Face that holds the texel's centre, [N] int32.
-        barycentric: Coordinates in that face, [N, 3] float32, rows sum to 1.
-    """
-
-    grid: int
-    texel: np.ndarray
-    face: np.ndarray
-    barycentric: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.texel)
-
-
-def texel_layout(uv: np.ndarray, uv_faces: np.ndarray, grid: int) -> TexelLayout:
-    """Find the texels whose centres lie on the UV mesh.
-
-    Args:
-        uv: UV coordinates 0..1, [T, 2].
-        uv_faces: Indices into `uv`, [F, 3].
-        grid: Texels along a side.
-
-    Returns:
-        The layout. Where triangles overlap in UV the first face wins.
-
-    Raises:
-        ShapeError: No texel lies on the mesh.
-    """
-    corners = np.asarray(uv, np.float64)[uv_faces] * grid - 0.5  # [F, 3, 2] in texels, centres at whole numbers
-    low = np.maximum(np.ceil(corners.min(1) - 1e-6), 0).astype(np.int64)  # [F, 2]
-    high = np.minimum(np.floor(corners.max(1) + 1e-6), grid - 1).astype(np.int64)
-    extent = np.maximum(high - low + 1, 0)
-    counts = extent[:, 0] * extent[:, 1]
-    face = np.repeat(np.arange(len(counts)), counts)  # candidates: every texel of every face's bounding box
-    within = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
-    column = low[face, 0] + within % np.maximum(extent[face, 0], 1)
-    row = low[face, 1] + within // np.maximum(extent[face, 0], 1)
-
-    a, b, c = (corners[face, k] for k in range(3))
-    point = np.stack([column, row], -1).astype(np.float64)
-    area = _cross(b - a, c - a)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        l1 = _cross(point - a, c - a) / area
-        l2 = _cross(b - a, point - a) / area
-        barycentric = np.stack([1.0 - l1 - l2, l1, l2], -1)
-        inside = (barycentric >= _INSIDE).all(-1)  # NaN of degenerate faces compares false
-    texel, face, barycentric = (row * grid + column)[inside], face[inside], barycentric[inside]
-    texel, first = np.unique(texel, return_index=True)  # candidates are in order of faces: the first face wins
-    if not len(texel):
-        raise ShapeError(f"No texel of a {grid}x{grid} grid lies on the head's UV map; use a finer grid or another head model.")
-    barycentric = np.clip(barycentric[first], 0.0, 1.0)
-    barycentric /= barycentric.sum(-1, keepdims=True)
-    return TexelLayout(grid, texel.astype(np.int32), face[first].astype(np.int32), barycentric.astype(np.float32))
 
 
 @dataclass
@@ -121,39 +53,21 @@ class TexelAnchor(nn.Module):
         super().__init__()
         self.grid = layout.grid
         self.count = len(layout)
-        faces, uv_faces, uv = np.asarray(faces, np.int64), np.asarray(uv_faces, np.int64), np.asarray(uv, np.float64)
+        tables = anchor_tables(layout, faces, uv, uv_faces)
         # Saved with the weights: trained maps belong to exactly these texels.
         self.register_buffer("texel", torch.from_numpy(layout.texel.copy()))
         self.register_buffer("face", torch.from_numpy(layout.face.copy()))
         self.register_buffer("barycentric", torch.from_numpy(layout.barycentric.copy()))
-
-        slopes, weights = _barycentric_slopes(uv, uv_faces)  # [F, 3, 2], [F]
-        corner_count = len(uv)
-        total = np.zeros(corner_count)
-        np.add.at(total, uv_faces.reshape(-1), np.repeat(np.abs(weights), 3))
-        share = np.abs(weights)[:, None] / np.maximum(total[uv_faces], 1e-300)  # [F, 3 corners]
-        rows = np.broadcast_to(uv_faces[:, :, None], (len(faces), 3, 3)).reshape(-1)
-        columns = np.broadcast_to(faces[:, None, :], (len(faces), 3, 3)).reshape(-1)
-        values = (share[:, :, None, None] * slopes[:, None, :, :]).reshape(-1, 2)
-        self.jacobian = FixedSparse(
-            np.concatenate([rows, rows + corner_count]), np.concatenate([columns, columns]),
-            np.concatenate([values[:, 0], values[:, 1]]), (2 * corner_count, vertex_count),
-        )  # fmt: skip
-        signed = np.zeros(corner_count)
-        np.add.at(signed, uv_faces.reshape(-1), np.repeat(weights, 3))
-        # mirrored UV islands would turn the normal inwards
-        outward = np.where(signed < 0, -1.0, 1.0).astype(np.float32)[:, None]
-        self.register_buffer("outward", torch.from_numpy(outward), persistent=False)
-        corner_vertex = torch.from_numpy(_corner_vertices(uv_faces, faces, corner_count))
-        self.register_buffer("corner_vertex", corner_vertex, persistent=False)
-
-        texel_corners = torch.from_numpy(uv_faces[layout.face].astype(np.int32))  # [N, 3]
-        self.register_buffer("texel_corners", texel_corners, persistent=False)
+        self.jacobian = FixedSparse(tables.jacobian, (2 * len(uv), vertex_count))
+        self.register_buffer("outward", torch.from_numpy(tables.outward), persistent=False)
+        self.register_buffer("corner_vertex", torch.from_numpy(tables.corner_vertex), persistent=False)
+        self.register_buffer("texel_corners", torch.from_numpy(tables.texel_corners), persistent=False)
         used, local = np.unique(layout.face, return_inverse=True)
-        self.register_buffer("used_corners", torch.from_numpy(uv_faces[used].reshape(-1)), persistent=False)  # [U * 3]
+        self.register_buffer("used_corners", torch.from_numpy(uv_faces[used].reshape(-1).astype(np.int64)), persistent=False)
         texel_rows = np.repeat(np.arange(self.count), 3)
         texel_columns = (local.reshape(-1)[:, None] * 3 + np.arange(3)).reshape(-1)
-        self.interpolate = FixedSparse(texel_rows, texel_columns, layout.barycentric.reshape(-1), (self.count, 3 * len(used)))
+        entries = (texel_rows, texel_columns, layout.barycentric.reshape(-1))
+        self.interpolate = FixedSparse(entries, (self.count, 3 * len(used)))
 
     def corners(self, vertices: Tensor) -> Tensor:
         """Position, texel-free width and height |dP/du| and |dP/dv across|, and quaternion at the UV corners: [T, 9]."""
@@ -332,25 +246,3 @@ def matrix_to_quaternion(matrix: Tensor) -> Tensor:
 
 def _unit(vectors: Tensor) -> Tensor:
     return vectors / vectors.square().sum(-1, keepdim=True).clamp(min=_TINY_NORM).sqrt()
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
-def _barycentric_slopes(uv: np.ndarray, uv_faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return d(barycentric_k)/d(u, v) of each face, [F, 3, 2], and signed UV areas, [F]; zero for degenerate faces."""
-    a, b, c = (uv[uv_faces[:, k]] for k in range(3))
-    area = _cross(b - a, c - a)
-    usable = np.abs(area) > 1e-14
-    inverse = np.where(usable, 1.0 / np.where(usable, area, 1.0), 0.0)[:, None]
-    edges = (c - b, a - c, b - a)  # opposite to each corner
-    slopes = np.stack([np.stack([-edge[:, 1], edge[:, 0]], -1) * inverse for edge in edges], 1)
-    return slopes, np.where(usable, area, 0.0)
-
-
-def _corner_vertices(uv_faces: np.ndarray, faces: np.ndarray, corner_count: int) -> np.ndarray:
-    """Return the mesh vertex of each UV corner, [T] int64; unused corners get vertex 0."""
-    vertex = np.zeros(corner_count, np.int64)
-    vertex[uv_faces.reshape(-1)] = faces.reshape(-1)
-    return vertex

@@ -26,8 +26,8 @@ from ..errors import ConfigError, FileFormatError, ShapeError
 from ..files.tensorfile import read_metadata, read_tensors, write_tensors
 from .config import GRMMConfig
 from .grmm import GRMM
+from .layout import TexelLayout
 from .packing import pack, scales_shape, unpack
-from .texels import TexelLayout
 
 if TYPE_CHECKING:
     from ..head import HeadModel

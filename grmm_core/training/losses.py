@@ -208,7 +208,7 @@ def vertex_laplacian(faces: Tensor, vertex_count: int) -> Callable[[Tensor], Ten
     rows = np.concatenate([used, edges[:, 0]])
     columns = np.concatenate([used, edges[:, 1]])
     values = np.concatenate([np.ones(len(used)), -1.0 / degree[edges[:, 0]]])
-    return FixedSparse(rows, columns, values, (vertex_count, vertex_count)).to(faces.device)
+    return FixedSparse((rows, columns, values), (vertex_count, vertex_count)).to(faces.device)
 
 
 def psnr(a: Tensor, b: Tensor, mask: Tensor | None = None) -> float:

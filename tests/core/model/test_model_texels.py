@@ -9,8 +9,8 @@ from model_fixtures import RADIUS, inputs, randomise, small_head
 
 from grmm_core.errors import ShapeError
 from grmm_core.model.config import PRESETS
-from grmm_core.model.decoders import texel_reader
 from grmm_core.model.grmm import GRMM
+from grmm_core.model.layout import map_reader, texel_layout
 from grmm_core.model.sparse import FixedSparse
 from grmm_core.model.texels import (
     TexelAnchor,
@@ -18,7 +18,6 @@ from grmm_core.model.texels import (
     multiply_quaternions,
     place_gaussians,
     rotate,
-    texel_layout,
 )
 from grmm_core.splat.reference import rotation_matrices
 
@@ -154,7 +153,7 @@ def test_fixed_sparse_is_the_dense_product_and_its_gradient():
     rows, columns, values = rng.integers(0, 7, 30), rng.integers(0, 5, 30), rng.normal(size=30)
     dense = np.zeros((7, 5))
     np.add.at(dense, (rows, columns), values)
-    operator = FixedSparse(rows, columns, values, (7, 5)).double()
+    operator = FixedSparse((rows, columns, values), (7, 5)).double()
     x = torch.randn(5, 3, dtype=torch.float64, requires_grad=True)
     torch.testing.assert_close(operator(x), torch.from_numpy(dense) @ x, atol=1e-6, rtol=0)
     weight = torch.randn(7, 3, dtype=torch.float64)
@@ -162,9 +161,9 @@ def test_fixed_sparse_is_the_dense_product_and_its_gradient():
     torch.testing.assert_close(x.grad, torch.from_numpy(dense).T @ weight, atol=1e-6, rtol=0)
 
 
-def test_texel_reader_is_bilinear_enlargement():
+def test_map_reader_is_bilinear_enlargement():
     coarse = torch.randn(2, 8, 8)
     full = torch.nn.functional.interpolate(coarse[None], size=(32, 32), mode="bilinear", align_corners=False)[0]
     texel = np.arange(0, 1024, 7)
-    read = texel_reader(texel, 32, 8)(coarse.flatten(1).T)
+    read = FixedSparse(map_reader(texel, 32, 8), (len(texel), 64))(coarse.flatten(1).T)
     torch.testing.assert_close(read, full.flatten(1).T[torch.from_numpy(texel)], atol=1e-5, rtol=0)

@@ -7,7 +7,7 @@ from collections import Counter
 import numpy as np
 
 from .fields import beard_density, scalp_density, smoothstep, wave_noise
-from .grooms import make_groom, tail_points
+from .grooms import growth_of, tail_points
 from .hair import STEPS, Strands, bind, grow, scatter
 from .mesh import Head, RenderMesh, region_vertices
 from .subjects import Subject
@@ -22,19 +22,19 @@ BROW_HALF = (0.0032, 0.0042, 0.0042, 0.0032, 0.0022, 0.0008)
 
 def scalp_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Subject, share: float = 1.0) -> Strands | None:
     """Scalp hair on the neutral head [V, 3]; `share` of the style's strand count."""
-    groom = make_groom(subject)
-    if groom is None:
+    growth = growth_of(subject)
+    if growth is None:
         return None
     g = np.random.default_rng([subject.seed, subject.index, 21])
     template = np.asarray(head.v_template, float)
     skin = mesh.coarse_faces[mesh.materials[::4] == 0]
     skin = skin[~np.isin(skin, region_vertices(head, "mouth_interior")).any(1)]
-    corner = scalp_density(template, groom.receding, subject.hairline, subject.asymmetry)
+    corner = scalp_density(template, growth.receding, subject.hairline, subject.asymmetry)
     bound = corner[skin].max(1)
     triangles, weights, rest = scatter(
-        neutral, skin, template, np.maximum(bound, 0.02) * (bound > 0), int(groom.count * share * 1.15 * COUNT_SHARE), g
+        neutral, skin, template, np.maximum(bound, 0.02) * (bound > 0), int(growth.style.count * share * 1.15 * COUNT_SHARE), g
     )
-    keep = g.random(len(rest)) < scalp_density(rest, groom.receding, subject.hairline, subject.asymmetry) / np.maximum(
+    keep = g.random(len(rest)) < scalp_density(rest, growth.receding, subject.hairline, subject.asymmetry) / np.maximum(
         bound_of(corner, triangles), 0.02
     )
     triangles, weights, rest = triangles[keep], weights[keep], rest[keep]
@@ -53,17 +53,17 @@ def scalp_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Su
     fine = mesh.refine(neutral)
     fine_normals = mesh.spread(normals)
     fine_outside = mesh.spread(outside.astype(float)) > 0.99
-    points = grow(roots, root_normals, rest, groom, fine[fine_outside], fine_normals[fine_outside], g)
+    points = grow(roots, root_normals, rest, growth, fine[fine_outside], fine_normals[fine_outside], g)
     # baby hair: shorter strands at the border
-    border = scalp_density(rest, groom.receding, subject.hairline, subject.asymmetry)
+    border = scalp_density(rest, growth.receding, subject.hairline, subject.asymmetry)
     short = np.clip(0.35 + 0.65 * smoothstep(0.1, 0.9, border) + g.normal(0, 0.1, len(rest)), 0.2, 1.0)
-    if groom.curl_radius < 0.003 and subject.hair_style not in ("ponytail", "bun"):
+    if growth.curl_radius < 0.003 and subject.hair_style not in ("ponytail", "bun"):
         points = _shorten(points, short)
     # nothing hangs in front of the throat or comes out of the chest
     stray = ((points[..., 2] > 0.025) & (points[..., 1] < -0.065) & (np.abs(points[..., 0]) < 0.055)).any(1)
     points, triangles, weights = points[~stray], triangles[~stray], weights[~stray]
     tail = tail_points(subject, g, STEPS)
-    radius = np.full(len(points), groom.radius * WIDENING)
+    radius = np.full(len(points), growth.style.radius * WIDENING)
     if len(tail):
         moved = tail + _local_shift(neutral, template, tail[:, 0])[:, None]
         nearest = _nearest_face(skin, template, np.array([0.0, 0.09, -0.09]))
@@ -71,7 +71,7 @@ def scalp_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Su
         middle = np.full((len(tail), 3), 1 / 3)
         points = np.concatenate([points, moved])
         triangles, weights = np.concatenate([triangles, faces]), np.concatenate([weights, middle])
-        radius = np.concatenate([radius, np.full(len(tail), groom.radius * WIDENING * 1.2)])
+        radius = np.concatenate([radius, np.full(len(tail), growth.style.radius * WIDENING * 1.2)])
     return bind(neutral, triangles, weights, points, radius, g.normal(0, 1, len(points)))
 
 

@@ -1,62 +1,80 @@
-"""Hair styles as fields over the template head: length, direction, clearance, clumps, curls. Needs numpy only."""
+"""Hair styles as fields over the template head: length, direction, clearance. Needs numpy only.
+
+`growth_of` reads a row of `styles.STYLES` for a person. A cut, a comb or a way is one function each, found by its name.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from .fields import azimuth, smoothstep
+from .styles import BALD, STYLES, Style
 from .subjects import Subject
 
-Field = Callable[[np.ndarray], np.ndarray]
 DOWN = np.array([0.0, -1.0, 0.0])
-TAIL_ROOT = np.array([0.0, 0.085, -0.098])  # where a ponytail is tied
-BUN_ROOT = np.array([0.0, 0.105, -0.088])
+KNOTS = {"ponytail": np.array([0.0, 0.085, -0.098]), "bun": np.array([0.0, 0.105, -0.088])}  # where hair is tied
+CROWN = np.array([0.0, 0.055, -0.01])  # what round hair stands away from
 
 
 @dataclass
-class Groom:
-    """One style.
+class Growth:
+    """How the strands of one person grow.
 
     Attributes:
-        count: Strands.
-        length: Template root positions [N, 3] -> metres [N].
-        flow: (template roots, person's roots) -> combing direction at the root, [N, 3].
-        field: (template roots, positions, t in 0..1) -> wanted unit direction, [N, 3].
-        clearance: Metres that the hair lies above the skin, [N, 3] -> [N].
+        style: The row of the table.
+        length: Template roots [N, 3] -> metres [N].
+        flow: Template roots -> combing direction at the root, [N, 3].
+        way: (template roots, positions, t in 0..1) -> wanted unit direction, [N, 3].
+        clearance: Template roots -> metres that the hair lies above the skin, [N].
         lift: Share of the skin's normal in the first direction.
-        stiffness: (unused, how fast the direction follows the field), 0..1.
-        messiness: Standard deviation of directions.
-        clumps, clumping: Number of locks and how strongly strands join them.
-        curl_radius, curl_wavelength, curl_cell, curl_spread: Metres, metres, metres, radians.
+        curl_radius: Metres.
         receding: 0..1.
-        hug: How much hair is held at the skull, 0..1.
-        radius: Strand radius in metres.
     """
 
-    count: int
-    length: Field
-    flow: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    field: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
-    clearance: Field
-    lift: float = 0.6
-    stiffness: tuple[float, float] = (0.0, 0.35)
-    messiness: float = 0.12
-    clumps: int = 500
-    clumping: float = 0.5
-    curl_radius: float = 0.0
-    curl_wavelength: float = 0.03
-    curl_cell: float = 0.008
-    curl_spread: float = 0.4
-    receding: float = 0.0
-    hug: float = 0.0
-    radius: float = 0.00021
+    style: Style
+    length: Callable[[np.ndarray], np.ndarray]
+    flow: Callable[[np.ndarray], np.ndarray]
+    way: Callable[[np.ndarray, np.ndarray, float], np.ndarray]
+    clearance: Callable[[np.ndarray], np.ndarray]
+    lift: float
+    curl_radius: float
+    receding: float
+
+
+def growth_of(subject: Subject) -> Growth | None:
+    """The style of a person; None when bald."""
+    if subject.hair_style == BALD:
+        return None
+    style = STYLES[subject.hair_style]
+    return Growth(
+        style,
+        partial(CUTS[style.cut], style, subject),
+        partial(_flow, style, subject),
+        partial(WAYS[style.way], partial(COMBS[style.comb], subject)),
+        partial(_clearance, style, subject),
+        style.lift * (subject.hair_volume if style.lift_volume else 1.0),
+        style.curl + style.own_curl * subject.hair_curl,
+        1.0 if style.receding > 1 else style.receding * _recede(subject),
+    )
+
+
+def _recede(s: Subject) -> float:
+    if s.female:
+        return 0.0
+    return float(np.clip((s.macros["age"] - 32) / 60 + 0.15 * np.sin(s.asymmetry), 0.0, 0.6))
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-9)
+
+
+def _rows(rest: np.ndarray, *xyz: float | np.ndarray) -> np.ndarray:
+    """A direction for each root from numbers or columns, [N, 3]."""
+    return np.stack([np.broadcast_to(np.asarray(v, float), rest.shape[:1]) for v in xyz], -1)
 
 
 def _top(rest: np.ndarray) -> np.ndarray:
@@ -66,287 +84,164 @@ def _top(rest: np.ndarray) -> np.ndarray:
     return (1 - side) * (1 - back) * smoothstep(0.06, 0.095, rest[..., 1])
 
 
-def _forward(rest: np.ndarray) -> np.ndarray:
-    return np.broadcast_to(np.array([0.0, -0.15, 1.0]), rest.shape)
+def _flow(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    top = _top(rest)[:, None]
+    led = style.root_comb * COMBS[style.comb](s, rest, rest)
+    down = style.root_down * DOWN
+    return led * (top if style.comb_on_top else 1.0) + down * (1 - top if style.down_on_sides else 1.0)
 
 
-def _parted(rest: np.ndarray, part: float, back: float) -> np.ndarray:
-    """Directions away from a part line at x = part, a little backwards, then down."""
-    away = np.sign(rest[..., 0] - part * 0.035 + 1e-6)
-    # behind the crown the part dissolves and hair falls backwards
+def _clearance(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    where = {"": 0.0, "top": _top(rest), "crown": smoothstep(0.0, 0.1, rest[:, 1])}[style.puffs]
+    return np.full(len(rest), style.clearance) + style.puff * s.hair_volume * where
+
+
+def _length(style: Style, s: Subject) -> float:
+    return style.length if s.female or style.mens is None else style.mens
+
+
+def _even(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    return np.full(len(rest), _length(style, s) * s.hair_length)
+
+
+def _graded(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    low = smoothstep(-0.04, 0.06, rest[:, 1])
+    sides = 0.004 + (style.sides - 0.004) * low
+    return s.hair_length * (sides + (_length(style, s) - sides) * _top(rest))
+
+
+def _fringe(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    # ends above the brows: the way over the forehead plus a few centimetres
+    front = np.clip(0.105 - rest[:, 2], 0.0, 0.12)
+    sides = style.sides if s.female or style.mens_sides is None else style.mens_sides
+    return s.hair_length**0.3 * (_top(rest) * (_length(style, s) + 0.75 * front) + (1 - _top(rest)) * sides)
+
+
+def _line(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    # one cutting line: hair from lower down is shorter
+    return s.hair_length**0.5 * np.maximum(_length(style, s) - 0.55 * (0.14 - rest[:, 1]), 0.06)
+
+
+def _round(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    height = 0.35 + 0.65 * smoothstep(-0.05, 0.08, rest[:, 1])
+    return s.hair_length * _length(style, s) * height * np.where(azimuth(rest) < 75, 0.8, 1.0)
+
+
+def _to_knot(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(rest - KNOTS[style.comb], axis=1) * 1.22 + 0.004
+
+
+CUTS = {"even": _even, "graded": _graded, "fringe": _fringe, "line": _line, "round": _round, "tied": _to_knot}
+
+
+def _no_comb(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return np.zeros_like(rest)
+
+
+def _comb_forward(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return _rows(rest, 0.0, -0.15, 1.0)
+
+
+def _comb_aside(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    away = np.sign(rest[:, 0] - np.sign(s.part) * 0.036)
+    return _unit(_rows(rest, away, 0.10, np.where(rest[:, 2] > 0.05, 0.25, -0.25)))
+
+
+def _comb_back(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return _unit(_rows(rest, 0.15 * np.sign(rest[:, 0]), np.where(rest[:, 2] > 0.03, 0.35, -0.25), -1.0))
+
+
+def _comb_fringe(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return _unit(_rows(rest, 0.30 * np.sign(s.part), -0.1, np.where(rest[:, 2] > -0.02, 1.0, -0.7)))
+
+
+def _comb_parted(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Away from a part line, a little backwards; behind the crown the part dissolves and hair falls backwards."""
+    away = np.sign(rest[..., 0] - s.part * 0.035 + 1e-6)
     crown = smoothstep(-0.03, -0.06, rest[..., 2])
-    side = np.stack([away * (1 - 0.7 * crown), np.full_like(away, -0.25), np.full_like(away, -back) - crown], -1)
-    return _unit(side)
+    return _unit(_rows(rest, away * (1 - 0.7 * crown), -0.25, -0.55 - crown))
 
 
-def make_groom(subject: Subject) -> Groom | None:
-    """The style of a person; None when bald."""
-    s = subject
-    scale, style = s.hair_length, s.hair_style
-    volume = s.hair_volume
-    sign = float(np.sign(s.part))
-
-    def constant(value: float) -> Field:
-        return lambda rest: np.full(len(rest), value)
-
-    def down_flow(rest: np.ndarray, roots: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(DOWN, rest.shape) * 0.4
-
-    def short_field(comb: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray, np.ndarray, float], np.ndarray]:
-        def field(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
-            top = _top(rest)[:, None]
-            sides = np.stack([np.zeros(len(rest)), np.full(len(rest), -1.0), np.where(rest[:, 2] > 0, -0.45, -0.1)], -1)
-            return _unit(top * comb(rest) + (1 - top) * sides)
-
-        return field
-
-    def graded(top_length: float, side_length: float) -> Field:
-        def length(rest: np.ndarray) -> np.ndarray:
-            low = smoothstep(-0.04, 0.06, rest[:, 1])
-            sides = 0.004 + (side_length - 0.004) * low
-            return scale * (sides + (top_length - sides) * _top(rest))
-
-        return length
-
-    def hanging(comb: Callable[[np.ndarray], np.ndarray], fall: float) -> Callable[[np.ndarray, np.ndarray, float], np.ndarray]:
-        def field(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
-            # first along the skull, then straight down; hair in front of the ears is combed behind the face
-            aside = smoothstep(0.035, 0.072, np.abs(position[:, 0]))
-            behind = smoothstep(-0.045, -0.090, position[:, 2])
-            weight = np.clip(fall * t + np.maximum(aside, behind) + smoothstep(0.08, 0.045, position[:, 1]), 0, 1)[:, None]
-            # below the jaw the hair draws in towards the neck
-            inward = -0.10 * np.sign(position[:, 0]) * smoothstep(0.02, -0.06, position[:, 1]) * (np.abs(position[:, 0]) > 0.06)
-            fallen = np.stack([inward, np.full(len(rest), -1.0), np.where(position[:, 2] > 0.045, -0.45, 0.0)], -1)
-            return _unit((1 - weight) * comb(rest) + weight * fallen)
-
-        return field
-
-    wave = s.hair_curl
-    if style == "bald":
-        return None
-    if style == "buzz":
-        return Groom(
-            9000,
-            constant(0.0055 * scale),
-            down_flow,
-            short_field(_forward),
-            constant(0.0),
-            lift=1.0,
-            stiffness=(0, 0.15),
-            messiness=0.25,
-            clumps=0,
-            radius=0.00016,
-            receding=_recede(s),
-        )
-    if style in ("crop", "receding"):
-        return Groom(
-            8000,
-            graded(0.036, 0.013),
-            lambda r, p: 0.5 * _forward(r) + 0.3 * DOWN,
-            short_field(_forward),
-            constant(0.002),
-            lift=1.0 * volume,
-            stiffness=(0, 0.22),
-            messiness=0.22,
-            clumps=900,
-            clumping=0.45,
-            curl_radius=0.0018 * wave,
-            curl_wavelength=0.018,
-            receding=1.0 if style == "receding" else _recede(s),
-        )
-    if style == "side_part":
-
-        def comb(r: np.ndarray) -> np.ndarray:
-            away = np.sign(r[:, 0] - sign * 0.036)
-            return _unit(np.stack([away, np.full(len(r), 0.10), np.where(r[:, 2] > 0.05, 0.25, -0.25)], -1))
-
-        return Groom(
-            8000,
-            graded(0.075, 0.017),
-            lambda r, p: 0.9 * comb(r) * _top(r)[:, None] + 0.4 * DOWN * (1 - _top(r))[:, None],
-            short_field(comb),
-            lambda r: 0.002 + 0.009 * volume * _top(r),
-            lift=0.75 * volume,
-            stiffness=(0, 0.30),
-            messiness=0.09,
-            hug=0.6,
-            clumps=600,
-            clumping=0.55,
-            curl_radius=0.002 * wave,
-            curl_wavelength=0.035,
-            receding=_recede(s),
-        )
-    if style == "slick_back":
-
-        def comb(r: np.ndarray) -> np.ndarray:
-            return _unit(np.stack([0.15 * np.sign(r[:, 0]), np.where(r[:, 2] > 0.03, 0.35, -0.25), np.full(len(r), -1.0)], -1))
-
-        def back_field(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
-            down = smoothstep(-0.02, -0.085, position[:, 2])[:, None]
-            return _unit(comb(rest) * (1 - down) + DOWN * down)
-
-        return Groom(
-            8000,
-            graded(0.115, 0.055),
-            lambda r, p: comb(r),
-            back_field,
-            lambda r: 0.003 + 0.006 * volume * _top(r),
-            lift=0.45,
-            stiffness=(0, 0.40),
-            messiness=0.06,
-            hug=0.6,
-            clumps=450,
-            clumping=0.7,
-            receding=_recede(s) * 0.7,
-        )
-    if style == "fringe":
-
-        def comb(r: np.ndarray) -> np.ndarray:
-            return _unit(
-                np.stack([0.30 * sign * np.ones(len(r)), np.full(len(r), -0.1), np.where(r[:, 2] > -0.02, 1.0, -0.7)], -1)
-            )
-
-        def fringe_field(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
-            over = smoothstep(0.06, 0.095, position[:, 2])[:, None]
-            top = _top(rest)[:, None]
-            sides = np.stack([np.zeros(len(rest)), np.full(len(rest), -1.0), np.where(rest[:, 2] > 0, -0.15, 0.0)], -1)
-            return _unit(top * (comb(rest) * (1 - over) + (DOWN + 0.15 * comb(rest)) * over) + (1 - top) * sides)
-
-        side = 0.13 if s.macros["female"] > 0.5 else 0.03
-
-        def fringe_length(rest: np.ndarray) -> np.ndarray:
-            # ends above the brows: the way over the forehead plus a few centimetres
-            front = np.clip(0.105 - rest[:, 2], 0.0, 0.12)
-            return scale**0.3 * (_top(rest) * (0.042 + 0.75 * front) + (1 - _top(rest)) * side)
-
-        return Groom(
-            8500,
-            fringe_length,
-            lambda r, p: comb(r) * _top(r)[:, None] + 0.4 * DOWN,
-            fringe_field,
-            lambda r: 0.003 + 0.005 * volume * _top(r),
-            lift=0.7,
-            stiffness=(0, 0.38),
-            messiness=0.07,
-            hug=0.5,
-            clumps=600,
-            clumping=0.55,
-        )
-    if style in ("bob", "long", "wavy_long"):
-        length = {"bob": 0.20, "long": 0.275, "wavy_long": 0.27}[style]
-
-        def comb(r: np.ndarray) -> np.ndarray:
-            return _parted(r, s.part, 0.55)
-
-        waves = {"bob": 0.25 * wave, "long": 0.35 * wave, "wavy_long": 0.5 + 0.5 * wave}[style]
-
-        def fall_length(rest: np.ndarray) -> np.ndarray:
-            # one cutting line: hair from lower down is shorter
-            return scale**0.5 * np.maximum(length - 0.55 * (0.14 - rest[:, 1]), 0.06)
-
-        return Groom(
-            8500,
-            fall_length,
-            lambda r, p: comb(r),
-            hanging(comb, 0.35),
-            lambda r: 0.003 + 0.007 * volume * smoothstep(0.0, 0.1, r[:, 1]),
-            lift=0.4 * volume,
-            stiffness=(0, 0.6),
-            messiness=0.05,
-            hug=0.6,
-            clumps=420,
-            clumping=0.6,
-            curl_radius=0.0095 * waves,
-            curl_wavelength=0.085,
-            curl_cell=0.016,
-            curl_spread=0.35,
-            radius=0.00025,
-        )
-    if style in ("afro", "curly"):
-        big = style == "afro"
-
-        def out(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
-            outward = _unit(position - np.array([0.0, 0.055, -0.01]))
-            weight = 0.0 if big else np.clip(0.9 * t, 0, 1)
-            return _unit(outward * (1 - 0.6 * weight) + weight * DOWN)
-
-        base = 0.060 if big else (0.13 if s.macros["female"] > 0.5 else 0.055)
-
-        def curly_length(rest: np.ndarray) -> np.ndarray:
-            return scale * base * (0.35 + 0.65 * smoothstep(-0.05, 0.08, rest[:, 1])) * np.where(azimuth(rest) < 75, 0.8, 1.0)
-
-        return Groom(
-            8500,
-            curly_length,
-            lambda r, p: np.zeros_like(r),
-            out,
-            constant(0.003),
-            lift=1.0,
-            stiffness=(0, 0.25),
-            messiness=0.22 if big else 0.16,
-            clumps=700 if big else 420,
-            clumping=0.25 if big else 0.4,
-            curl_radius=0.0035 if big else 0.0065,
-            curl_wavelength=0.013 if big else 0.026,
-            curl_cell=0.006,
-            curl_spread=0.9 if big else 0.5,
-            receding=_recede(s) * 0.5,
-            radius=0.00023,
-        )
-    # ponytail, bun: combed to a knot; the tail itself is grown by `tail_points`
-    knot = TAIL_ROOT if style == "ponytail" else BUN_ROOT
-
-    def tied_length(rest: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(rest - knot, axis=1) * 1.22 + 0.004
-
-    def tied(rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
-        return _unit(knot + np.array([0, 0, -0.004]) - position)
-
-    return Groom(
-        7500,
-        tied_length,
-        lambda r, p: _unit(knot - r),
-        tied,
-        constant(0.0028),
-        lift=0.25,
-        stiffness=(0, 0.75),
-        messiness=0.04,
-        hug=0.5,
-        clumps=350,
-        clumping=0.35,
-        radius=0.00022,
-    )
+def _comb_knot(name: str, s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    return _unit(KNOTS[name] - at)
 
 
-def _recede(s: Subject) -> float:
-    if s.macros["female"] > 0.5:
-        return 0.0
-    return float(np.clip((s.macros["age"] - 32) / 60 + 0.15 * np.sin(s.asymmetry), 0.0, 0.6))
+COMBS = {
+    "none": _no_comb, "forward": _comb_forward, "aside": _comb_aside, "back": _comb_back, "fringe": _comb_fringe,
+    "parted": _comb_parted, **{name: partial(_comb_knot, name) for name in KNOTS},
+}  # fmt: skip
+Comb = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
-def tail_points(subject: Subject, g: np.random.Generator, steps: int) -> np.ndarray:
+def _sides(rest: np.ndarray, front: float, behind: float) -> np.ndarray:
+    return _rows(rest, 0.0, -1.0, np.where(rest[:, 2] > 0, front, behind))
+
+
+def _way_short(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
+    top = _top(rest)[:, None]
+    return _unit(top * comb(rest, position) + (1 - top) * _sides(rest, -0.45, -0.1))
+
+
+def _way_fringe(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
+    over, top = smoothstep(0.06, 0.095, position[:, 2])[:, None], _top(rest)[:, None]
+    led = comb(rest, position)
+    return _unit(top * (led * (1 - over) + (DOWN + 0.15 * led) * over) + (1 - top) * _sides(rest, -0.15, 0.0))
+
+
+def _way_back(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
+    down = smoothstep(-0.02, -0.085, position[:, 2])[:, None]
+    return _unit(comb(rest, position) * (1 - down) + DOWN * down)
+
+
+def _way_hanging(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
+    """First along the skull, then straight down; hair in front of the ears is combed behind the face."""
+    x, y, z = position.T
+    aside, behind = smoothstep(0.035, 0.072, np.abs(x)), smoothstep(-0.045, -0.090, z)
+    weight = np.clip(0.35 * t + np.maximum(aside, behind) + smoothstep(0.08, 0.045, y), 0, 1)[:, None]
+    # below the jaw the hair draws in towards the neck
+    inward = -0.10 * np.sign(x) * smoothstep(0.02, -0.06, y) * (np.abs(x) > 0.06)
+    fallen = _rows(rest, inward, -1.0, np.where(z > 0.045, -0.45, 0.0))
+    return _unit((1 - weight) * comb(rest, position) + weight * fallen)
+
+
+def _way_out(droop: float, comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
+    weight = min(droop * t, 1.0)
+    return _unit(_unit(position - CROWN) * (1 - 0.6 * weight) + weight * DOWN)
+
+
+def _way_tied(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
+    return comb(rest, position + np.array([0, 0, 0.004]))
+
+
+WAYS = {
+    "short": _way_short, "fringe": _way_fringe, "back": _way_back, "hanging": _way_hanging, "out": partial(_way_out, 0.0),
+    "drooping": partial(_way_out, 0.9), "ponytail": _way_tied, "bun": _way_tied,
+}  # fmt: skip
+
+
+def tail_points(s: Subject, g: np.random.Generator, steps: int) -> np.ndarray:
     """Strands of a ponytail or a bun in template coordinates, [N, steps, 3]; empty for other styles."""
     t = np.linspace(0, 1, steps)
-    if subject.hair_style == "ponytail":
-        count, length = 2600, 0.24 * subject.hair_length
+    count = 2600
+    if s.hair_style == "ponytail":
+        length = 0.24 * s.hair_length
         disk = g.normal(0, 1, (count, 2))
-        disk /= np.maximum(np.linalg.norm(disk, axis=1, keepdims=True), 1.0) * 1.0
+        disk /= np.maximum(np.linalg.norm(disk, axis=1, keepdims=True), 1.0)
         swell = (0.004 + 0.016 * np.sin(np.clip(t * 1.15, 0, 1) * np.pi) * (1 - 0.4 * t))[None]
         own = length * np.clip(g.normal(1, 0.12, (count, 1)), 0.6, 1.3)
         out = 0.035 * (1 - np.exp(-5 * t))[None] * np.ones((count, 1))
-        wave = 0.006 * subject.hair_curl * np.sin(t * 9 + g.normal(0, 0.4, (count, 1)))
+        wave = 0.006 * s.hair_curl * np.sin(t * 9 + g.normal(0, 0.4, (count, 1)))
         x = disk[:, :1] * swell + wave
         y = 0.012 * np.sin(np.clip(t * 4, 0, np.pi))[None] - own * np.maximum(t - 0.06, 0)[None] ** 1.15
         z = -out + disk[:, 1:] * swell * 0.8
-        return TAIL_ROOT + np.stack([x, y, z], -1)
-    if subject.hair_style == "bun":
-        count = 2600
+        return KNOTS["ponytail"] + np.stack([x, y, z], -1)
+    if s.hair_style == "bun":
         tilt = g.normal(0, 0.55, (count, 1))
         start = g.uniform(0, 2 * np.pi, (count, 1))
-        ring = g.uniform(0.012, 0.030, (count, 1)) * np.sqrt(subject.hair_volume)
+        ring = g.uniform(0.012, 0.030, (count, 1)) * np.sqrt(s.hair_volume)
         angle = start + (0.9 + 0.8 * g.random((count, 1))) * np.pi * t[None]
         thickness = g.uniform(-1, 1, (count, 1)) * np.sqrt(np.maximum(0.031**2 - ring**2, 0)) * 0.75
         x, y = ring * np.cos(angle), ring * np.sin(angle) * 0.9
         z = -0.014 + thickness + 0.004 * np.sin(3 * angle + tilt)
-        return BUN_ROOT + np.stack([x, y + 0.3 * z, z], -1)
+        return KNOTS["bun"] + np.stack([x, y + 0.3 * z, z], -1)
     return np.zeros((0, steps, 3))

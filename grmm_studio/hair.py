@@ -12,7 +12,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from .fields import smoothstep
-from .grooms import Groom
+from .grooms import Growth
+from .styles import Style
 
 STEPS = 13  # points of a scalp strand
 RIBBON_WIDTH = 1.45  # of the radius: strips are seen at an angle
@@ -134,7 +135,7 @@ def grow(
     roots: np.ndarray,
     normals: np.ndarray,
     rest: np.ndarray,
-    groom: Groom,
+    growth: Growth,
     surface: np.ndarray,
     surface_normals: np.ndarray,
     g: np.random.Generator,
@@ -145,14 +146,14 @@ def grow(
         roots: Root positions on the person, [N, 3].
         normals: Skin normals there, [N, 3].
         rest: Template positions of the roots, [N, 3].
-        groom: The style.
+        growth: How they grow.
         surface: Points of the head that hair must not enter, [M, 3].
         surface_normals: Their normals, [M, 3].
         g: Generator.
     """
-    count = len(roots)
+    count, style = len(roots), growth.style
     tree = cKDTree(surface)
-    length = groom.length(rest) * np.clip(g.normal(1.0, 0.10, count), 0.6, 1.4)
+    length = growth.length(rest) * np.clip(g.normal(1.0, 0.10, count), 0.6, 1.4)
     pace = 0.25 + 1.75 * np.arange(STEPS) / (STEPS - 1)  # short first segments stay above the curved skull
     pace[0] = 0.0
     pace /= pace.sum()
@@ -160,54 +161,54 @@ def grow(
     points = np.empty((count, STEPS, 3))
     points[:, 0] = roots - 0.001 * normals
     position = roots.copy()
-    jitter = g.normal(0, groom.messiness, (count, 3))
-    direction = _unit(normals * groom.lift + groom.flow(rest, roots) + jitter)
+    jitter = g.normal(0, style.messiness, (count, 3))
+    direction = _unit(normals * growth.lift + growth.flow(rest) + jitter)
     for k in range(1, STEPS):
         t = float(travelled[k])
-        want = groom.field(rest, position, t)
-        direction = _unit((1 - groom.stiffness[1]) * direction + groom.stiffness[1] * want + 0.35 * jitter * groom.stiffness[1])
+        want = growth.way(rest, position, t)
+        direction = _unit((1 - style.follow) * direction + style.follow * want + 0.35 * jitter * style.follow)
         position = position + direction * (length * pace[k])[:, None]
         distance, near = tree.query(position)
         n = surface_normals[near]
         height = ((position - surface[near]) * n).sum(1)
-        wanted = groom.clearance(rest) * min(1.0, 0.2 + 8.0 * t) + 0.0008
+        wanted = growth.clearance(rest) * min(1.0, 0.2 + 8.0 * t) + 0.0008
         push = np.where(distance < 0.04, np.maximum(wanted - height, 0.0), 0.0)
-        if groom.hug > 0:  # combed hair lies on the skull instead of flying off at its tangent
+        if style.hug > 0:  # combed hair lies on the skull instead of flying off at its tangent
             over = np.maximum(height - wanted - 0.003, 0.0) * smoothstep(0.0, 0.05, position[:, 1]) * (distance < 0.06)
-            push = push - groom.hug * over
+            push = push - style.hug * over
         position = position + push[:, None] * n
         points[:, k] = position
-    points = _clump(points, roots, groom, g)
-    return _curl(points, length, groom, g)
+    points = _clump(points, roots, growth.style, g)
+    return _curl(points, length, growth, g)
 
 
-def _clump(points: np.ndarray, roots: np.ndarray, groom: Groom, g: np.random.Generator) -> np.ndarray:
-    if groom.clumps == 0 or groom.clumping == 0:
+def _clump(points: np.ndarray, roots: np.ndarray, style: Style, g: np.random.Generator) -> np.ndarray:
+    if style.clumps == 0 or style.clumping == 0:
         return points
-    leaders = g.choice(len(points), min(groom.clumps, len(points)), replace=False)
+    leaders = g.choice(len(points), min(style.clumps, len(points)), replace=False)
     # ragged clump borders: distances are perturbed per strand
     _, which = cKDTree(roots[leaders]).query(roots + g.normal(0, 0.0025, roots.shape))
     t = (np.linspace(0, 1, points.shape[1]) ** 1.5)[None, :, None]
-    strength = groom.clumping * np.clip(g.normal(1.0, 0.35, (len(points), 1, 1)), 0.0, 1.25)
+    strength = style.clumping * np.clip(g.normal(1.0, 0.35, (len(points), 1, 1)), 0.0, 1.25)
     pull = np.clip(strength * smoothstep(0.05, 1.0, t), 0.0, 0.97)
     leader = points[leaders][which]
     return points + pull * (leader - points)
 
 
-def _curl(points: np.ndarray, length: np.ndarray, groom: Groom, g: np.random.Generator) -> np.ndarray:
-    if groom.curl_radius == 0:
+def _curl(points: np.ndarray, length: np.ndarray, growth: Growth, g: np.random.Generator) -> np.ndarray:
+    if growth.curl_radius == 0:
         return points
-    count, steps = points.shape[:2]
+    count, steps, style = *points.shape[:2], growth.style
     tangent = _unit(np.gradient(points, axis=1))
     side = _unit(np.cross(tangent, np.array([0.31, 0.42, 0.85])))
     other = np.cross(tangent, side)
-    cell = np.floor(points[:, 0] / groom.curl_cell).astype(np.int64)
+    cell = np.floor(points[:, 0] / style.curl_cell).astype(np.int64)
     key = (cell @ np.array([73856093, 19349663, 83492791])) % 9973
-    phase = (key * 0.618034 % 1.0) * 2 * np.pi + g.normal(0, groom.curl_spread, count)
-    turns = length / groom.curl_wavelength
+    phase = (key * 0.618034 % 1.0) * 2 * np.pi + g.normal(0, style.curl_spread, count)
+    turns = length / style.wavelength
     t = np.linspace(0, 1, steps) ** 1.6
     angle = phase[:, None] + 2 * np.pi * turns[:, None] * t
-    radius = groom.curl_radius * smoothstep(0.0, 0.35, t) * np.clip(g.normal(1, 0.25, (count, 1)), 0.4, 1.6)
+    radius = growth.curl_radius * smoothstep(0.0, 0.35, t) * np.clip(g.normal(1, 0.25, (count, 1)), 0.4, 1.6)
     return points + radius[..., None] * (np.cos(angle)[..., None] * side + np.sin(angle)[..., None] * other)
 
 

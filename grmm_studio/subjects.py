@@ -14,24 +14,6 @@ SHAPE_COUNT = 300
 CALM_SHARE = 0.75  # of the residual spread: the far tails of independent coefficients look like nobody
 SHAPE_LIMIT = 2.2  # standard deviations
 
-# Hair: melanin 0..1 (white, blond ... black), redness 0..1
-HAIR_STYLES: tuple[str, ...] = (
-    "buzz",
-    "crop",
-    "side_part",
-    "slick_back",
-    "fringe",
-    "bob",
-    "long",
-    "wavy_long",
-    "afro",
-    "curly",
-    "ponytail",
-    "bun",
-    "receding",
-    "bald",
-)
-
 
 class ShapePrior(Protocol):
     """The part of a head model that says how macro attributes move the shape coefficients."""
@@ -62,7 +44,7 @@ class Subject:
         iris_inner: Linear RGB of the ring around the pupil, [3].
         sclera: Linear RGB of the white, [3].
         iris_angle, pupil_angle: Half angles on the eyeball, radians.
-        hair_style: One of `HAIR_STYLES`.
+        hair_style: One of `styles.HAIR_STYLES`.
         hair_color: Linear RGB, [3].
         hair_length, hair_curl, hair_volume, hairline, part: Factors around 1 (curl 0..1; hairline metres up; part -1..1).
         brow_thickness, brow_height, brow_arch, brow_density: Factors.
@@ -105,6 +87,11 @@ class Subject:
     lash_density: float
     teeth: tuple[float, float, float]
     asymmetry: int
+
+    @property
+    def female(self) -> bool:
+        """Whether hair, lips, lashes and brows are drawn as a woman's."""
+        return self.macros["female"] > 0.5
 
     @property
     def name(self) -> str:

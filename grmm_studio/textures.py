@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from . import fields
 from .face_hair import brow_density
 from .fields import smoothstep
-from .grooms import make_groom
+from .grooms import growth_of
 from .mesh import Head, region_vertices
 from .subjects import Subject, skin_albedo
 from .wrinkles import paint_lines
@@ -154,9 +154,9 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
 
     hair_dark = 0.55 * np.array(s.hair_color)
     scalp = np.zeros(len(rest))
-    groom = make_groom(s)
-    if groom is not None:
-        scalp = fields.scalp_density(rest, groom.receding, s.hairline, seed)
+    growth = growth_of(s)
+    if growth is not None:
+        scalp = fields.scalp_density(rest, growth.receding, s.hairline, seed)
         color = _mix(scalp * 0.85, color, 0.9 * hair_dark + 0.1 * color)
     else:
         shade = fields.scalp_density(rest, 0.9, s.hairline, seed) * smoothstep(0.35, 0.65, pores) * 0.35 * s.stubble

@@ -22,10 +22,11 @@ from grmm_core.head.open_head import load_open_head, load_people_model
 from grmm_studio import face_hair
 from grmm_studio.capture import CaptureSettings, held_out, job_order, open_job, view_split
 from grmm_studio.face_hair import face_strands, lash_edges, scalp_strands
-from grmm_studio.grooms import make_groom
+from grmm_studio.grooms import growth_of
 from grmm_studio.mesh import RenderMesh
 from grmm_studio.shots import expression_pool, make_shot
-from grmm_studio.subjects import HAIR_STYLES, draw_subject, skin_albedo
+from grmm_studio.styles import HAIR_STYLES
+from grmm_studio.subjects import draw_subject, skin_albedo
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -56,8 +57,8 @@ def test_people_are_varied():
     assert melanin.max() > 1.2
     assert len({p.hair_style for p in people}) >= 7
     assert {p.hair_style for p in people} <= set(HAIR_STYLES)
-    assert 8 <= sum(p.macros["female"] > 0.5 for p in people) <= 16
-    assert all(p.stubble == 0 and p.beard == 0 for p in people if p.macros["female"] > 0.5)
+    assert 8 <= sum(p.female for p in people) <= 16
+    assert all(p.stubble == 0 and p.beard == 0 for p in people if p.female)
     age, weight = (np.array([p.macros[name] for p in people]) for name in ("age", "weight"))
     assert age.min() >= 18
     assert age.min() < 28
@@ -218,7 +219,7 @@ def test_styles_differ_in_length(grown):
 @pytest.mark.parametrize("style", ["crop", "side_part", "bob", "long", "wavy_long", "afro", "curly", "receding"])
 def test_the_radius_of_curls_acts(grown, monkeypatch, style):
     curled = bends(grown(style, hair_curl=1.0))
-    monkeypatch.setattr(face_hair, "make_groom", lambda subject: replace(make_groom(subject), curl_radius=0.0))
+    monkeypatch.setattr(face_hair, "growth_of", lambda subject: replace(growth_of(subject), curl_radius=0.0))
     straight = bends(grown.__wrapped__(style, hair_curl=1.0))  # past the cache
     assert straight < 12
     assert curled > straight + 3

@@ -1,21 +1,79 @@
-"""GRMM for Blender: the extension's entry point.
+"""GRMM for Blender: the extension's entry point, and the table of what it registers.
 
-Blender imports this module from the installed extension. The Blender half is imported inside the two functions, because
-Python tools that walk the repository import this file where there is no bpy.
+Blender imports this module from the installed extension. Everything else is imported inside the functions, because Python
+tools that walk the repository import this file where there is no bpy.
+
+A module of the table exports `CLASSES` (Blender's classes in registration order) and may have `register()` and `unregister()`
+for everything else.
 """
 
 from __future__ import annotations
 
+import atexit
+import importlib
+from types import ModuleType
+
+MODULES = (
+    ".grmm_blender.preferences",
+    ".grmm_blender.properties",
+    ".grmm_blender.splats.properties",
+    ".grmm_blender.composite",
+    ".operators",
+    ".grmm_blender.engine",
+    ".grmm_blender.viewport",
+    ".grmm_blender.preset_menus",
+    ".grmm_blender.panels",
+    ".grmm_blender.fitting",
+    ".grmm_blender.menus",
+    ".grmm_blender.translations",
+    ".grmm_blender.handlers",
+    ".grmm_blender.session_host",
+)
+"""In the order of registration: what others refer to comes first."""
+
+_registered: list[tuple[ModuleType, tuple[type, ...]]] = []
+
 
 def register() -> None:
-    """Register every class and handler of the extension."""
-    from . import grmm_blender
+    """Register all modules; when one fails, take back those before it and let the error out.
 
-    grmm_blender.register()
+    Everything also goes when the process ends: Blender 4.5 hangs at exit with a render engine registered, and a worker
+    process must not stay behind.
+    """
+    atexit.register(unregister)
+    try:
+        for name in MODULES:
+            _register_module(importlib.import_module(name, __package__))
+    except BaseException:
+        unregister()
+        raise
 
 
 def unregister() -> None:
-    """Take everything back that `register` did and close the model's session."""
-    from . import grmm_blender
+    """Unregister what is registered, last first, and close the model's session; harmless when nothing is."""
+    import bpy
 
-    grmm_blender.unregister()
+    atexit.unregister(unregister)
+    while _registered:
+        module, classes = _registered.pop()
+        if hasattr(module, "unregister"):
+            module.unregister()
+        for cls in reversed(classes):
+            bpy.utils.unregister_class(cls)
+
+
+def _register_module(module: ModuleType) -> None:
+    import bpy
+
+    done: list[type] = []
+    try:
+        for cls in module.CLASSES:
+            bpy.utils.register_class(cls)
+            done.append(cls)
+        if hasattr(module, "register"):
+            module.register()
+    except BaseException:
+        for cls in reversed(done):
+            bpy.utils.unregister_class(cls)
+        raise
+    _registered.append((module, tuple(done)))

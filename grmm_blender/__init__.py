@@ -1,88 +1,24 @@
-"""The Blender half of the extension: registration only; every topic lives in a module of its own.
+"""The Blender half of the extension: what operators, panels and Blender's events work with.
 
-=================  ======================================================================================
-``compat``         differences between Blender versions, found by feature
-``session_host``   the one model session of this process (in-process, or a worker interpreter)
-``preferences``    the extension's preferences: runtime, diagnostics
-``properties``     properties of avatars and scenes
-``avatar`` ``rig``  the avatar as a Python object; armature, shape keys, drivers
-``splats``         splat clouds: imported splat files and other projects' avatars
-``handlers``       frame change, load and save
-``panels``         user interface
-``engine``         the GRMM render engine
-``production``     composites, pose library, turntables, contact sheets, presets, menus, translations
-``viewport``       drawing splats in the 3D viewport
-``newest``         work on a thread for the newest of many requests
-``fitting``        avatars from photos: job, panel
-``..operators``    operators, one topic a file
-=================  ======================================================================================
+From the ground up; each room uses only those above it. `grmm_core` is reached by relative import only, and nothing here
+imports torch or numba, or knows the operators. What is registered stands in the table of the extension's entry point.
 
-A module in `MODULES` exports `CLASSES` (Blender classes in registration order) and may have `register()` and
-`unregister()` for everything else. Nothing here imports torch or numba; `grmm_core` is reached by relative import only.
+``compat`` ``latest_request``           differences between Blender versions, found by feature; work on a thread
+``session_host``                        the one model session of this process (in-process, or a worker interpreter)
+``rig``                                 the avatar as a Python object; head mesh, armature, shape keys, drivers, controls
+``splats``                              splat clouds: imported splat files and other projects' avatars
+``properties``                          settings of avatars on Blender's objects
+``scene``                               who and what is in a scene
+``engine``                              the GRMM render engine: stills, animations, the rendered viewport
+``viewport``                            drawing splats in solid and material preview viewports
+``composite``                           scenes of another engine with avatars in them
+``portraits`` ``sheet``                 small pictures of one avatar; tiles of many with captions
+``poses`` ``performance``               the pose library; keys of recorded performances
+``exporting``                           from the scene to what the core's writers take
+``runtime_install``                     torch in a folder of the extension's own
+``diagnostics`` ``preferences``         what runs where, in words; the extension's preferences
+``preset_menus`` ``panels``             user interface
+``fitting``                             avatars from photos: job, panel
+``menus`` ``translations``              menus of the viewport; labels in other languages
+``handlers``                            frame change, edits, load and save
 """
-
-from __future__ import annotations
-
-import atexit
-import importlib
-from types import ModuleType
-
-import bpy
-
-# Order of registration: what others refer to comes first.
-MODULES = (
-    ".preferences",
-    ".properties",
-    ".splats.properties",
-    "..operators",
-    ".panels",
-    ".engine",
-    ".viewport",
-    ".fitting",
-    ".production",
-    ".handlers",
-    ".session_host",
-)
-
-_registered: list[tuple[ModuleType, tuple[type, ...]]] = []
-
-
-def register() -> None:
-    """Register all modules; when one fails, take back those before it and let the error out.
-
-    Everything also goes when the process ends: Blender 4.5 hangs at exit with a render engine registered, and a worker
-    process must not stay behind.
-    """
-    atexit.register(unregister)
-    try:
-        for name in MODULES:
-            _register_module(importlib.import_module(name, __package__))
-    except BaseException:
-        unregister()
-        raise
-
-
-def unregister() -> None:
-    """Unregister what is registered, last first; harmless when nothing is."""
-    atexit.unregister(unregister)
-    while _registered:
-        module, classes = _registered.pop()
-        if hasattr(module, "unregister"):
-            module.unregister()
-        for cls in reversed(classes):
-            bpy.utils.unregister_class(cls)
-
-
-def _register_module(module: ModuleType) -> None:
-    done: list[type] = []
-    try:
-        for cls in module.CLASSES:
-            bpy.utils.register_class(cls)
-            done.append(cls)
-        if hasattr(module, "register"):
-            module.register()
-    except BaseException:
-        for cls in reversed(done):
-            bpy.utils.unregister_class(cls)
-        raise
-    _registered.append((module, tuple(done)))

@@ -27,7 +27,7 @@ from ..grmm_core.head.skinning import euler_matrices
 from ..grmm_core.performance import Performance, to_expression
 from ..grmm_core.session.exporting import morph_targets, splat_cloud
 from . import session_host
-from .avatar import Avatar, avatar_of
+from .rig.avatar import Avatar, avatar_of
 from .rig.identity import FLAME_PREFIX, load_head
 from .splats.cloud import Cloud, clouds_in, is_cloud, resting_positions, triangles
 from .splats.rigged import PERSON_SHAPE, Puppet, is_puppet

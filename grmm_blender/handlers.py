@@ -14,8 +14,9 @@ from bpy.app.handlers import persistent
 
 from ..grmm_core.errors import GrmmError
 from . import session_host
-from .avatar import Avatar, avatar_of, avatars_in
 from .rig import live
+from .rig.avatar import Avatar, avatar_of
+from .scene.avatars import avatars_in
 
 CLASSES = ()
 

@@ -22,8 +22,8 @@ from ..grmm_core.performance import CleanOptions, Performance, Progress, clean, 
 from ..grmm_core.performance.closures import LipModel, keep_lips_closed, lip_model
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
 from . import session_host
-from .avatar import Avatar
 from .rig.actions import ensure_bag, find_curve, linear_keys, reduced_keys, replace_keys
+from .rig.avatar import Avatar
 from .rig.definitions import ALIGNED_RANGE, ARRAY_RANGES, EXPRESSION, REGIONS, property_path
 from .rig.identity import load_head
 from .splats.cloud import resting_positions

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from ..grmm_core.files.access import atomic_write_bytes
-from .avatar import Avatar
+from .rig.avatar import Avatar
 from .rig.definitions import (
     ALIGNED_NAMES,
     ALIGNED_RANGE,

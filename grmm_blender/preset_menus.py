@@ -12,7 +12,7 @@ import bpy
 from bl_operators.presets import AddPresetBase
 from bpy.types import Menu
 
-from .avatar import avatar_of
+from .rig.avatar import avatar_of
 from .rig.definitions import ALIGNED_NAMES, property_path
 
 EXPRESSIONS, RENDER = "grmm/expression", "grmm/render"

@@ -8,7 +8,7 @@ from __future__ import annotations
 import bpy
 
 from ..grmm_core.controls.names import JOINT_NAMES
-from .avatar import Avatar
+from .rig.avatar import Avatar
 from .rig.build import show_source
 from .rig.identity import DEFAULT_SOURCE
 

@@ -14,6 +14,13 @@
 ``residual``            random learned detail, saved codes and their blend
 ``calibrate``           make the face of chosen frames the neutral one
 ``relink``              choose an avatar's file again
+``composite``           Cycles or EEVEE scenes with their avatars
+``pose_library``        poses as assets
+``turntable``           a camera around the avatar
+``contact_sheet``       many small pictures in one file
+
+Nothing imports this package but the table of the extension's entry point, which registers it; nothing calls an operator of it
+through `bpy.ops`.
 """
 
 from __future__ import annotations
@@ -22,14 +29,18 @@ from . import (
     add_flame,
     add_head,
     calibrate,
+    composite,
+    contact_sheet,
     edit,
     export_animation,
     export_splats,
     fit,
     import_performance,
     import_splats,
+    pose_library,
     relink,
     residual,
+    turntable,
 )
 
 _TOPICS = (
@@ -44,6 +55,10 @@ _TOPICS = (
     calibrate,
     relink,
     fit,
+    composite,
+    pose_library,
+    turntable,
+    contact_sheet,
 )
 
 CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)

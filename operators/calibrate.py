@@ -13,9 +13,9 @@ from typing import ClassVar
 import bpy
 import numpy as np
 
-from ..grmm_blender.avatar import Avatar
 from ..grmm_blender.performance import parse_frames
 from ..grmm_blender.rig.actions import action_curves
+from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.rig.definitions import ALIGNED_NAMES, CONTROL_JOINTS, EXPRESSION, property_path
 from ..grmm_core.errors import ControlError
 from .common import Result, active_avatar, reports_errors

@@ -10,8 +10,8 @@ from typing import TypeVar
 import bpy
 
 from ..grmm_blender import preferences
-from ..grmm_blender.avatar import Avatar, avatar_of
 from ..grmm_blender.exporting import frames_between, performer_of
+from ..grmm_blender.rig.avatar import Avatar, avatar_of
 from ..grmm_blender.splats.rigged import Puppet
 from ..grmm_core.errors import FileAccessError, GrmmError
 

@@ -12,8 +12,8 @@ import bpy
 import numpy as np
 
 from ..grmm_blender import session_host
-from ..grmm_blender.avatar import Avatar
 from ..grmm_blender.rig import live
+from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.rig.build import make_independent
 from ..grmm_blender.rig.codes import code_properties
 from ..grmm_blender.rig.definitions import (

@@ -9,8 +9,8 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
-from ..grmm_blender.avatar import avatar_of
 from ..grmm_blender.exporting import SplatOptions, splat_target
+from ..grmm_blender.rig.avatar import avatar_of
 from ..grmm_blender.splats.cloud import Cloud
 from ..grmm_core.errors import FileAccessError, FileFormatError
 from ..grmm_core.formats import write_splats

@@ -7,7 +7,7 @@ from typing import ClassVar
 import bpy
 import numpy as np
 
-from ..grmm_blender.avatar import Avatar
+from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.rig.build import add_property
 from ..grmm_blender.rig.codes import (
     BLEND_DESCRIPTION,

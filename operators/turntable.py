@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
-from ..grmm_blender.avatar import Avatar
+from ..grmm_blender.rig.avatar import Avatar
 from .common import Result, active_avatar, needs_avatar
 
 PIVOT_TAG = "grmm_turntable"  # custom property of the objects: a second run uses them again

@@ -60,7 +60,7 @@ def measure(frames: int) -> dict[str, Any]:
     generator = np.random.default_rng(0)
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.grmm.add_head()
-    avatar = _module("grmm_blender.avatar").avatar_of(bpy.context.object)
+    avatar = _module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
     avatar.object.grmm.live_detail = False  # the model's own time is not Blender's
     names = definitions.ALIGNED_NAMES
     for frame in KEYED_FRAMES:

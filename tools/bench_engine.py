@@ -61,7 +61,7 @@ def _scene(size: int) -> Any:
     bpy.ops.wm.read_homefile(use_empty=True)
     scene = bpy.context.scene
     bpy.ops.grmm.add_head()
-    head = _module("grmm_blender.avatar").avatar_of(bpy.context.object).object
+    head = _module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).object
     for frame, value in ((1, 0.0), (200, 1.0)):
         head["jawOpen"] = value
         head.keyframe_insert('["jawOpen"]', frame=frame)

@@ -75,10 +75,10 @@ class _Blender:
         bpy.ops.wm.read_homefile(use_empty=True)
         bpy.ops.extensions.package_install_files(filepath=str(extension), repo="user_default", enable_on_install=True)
         self.modules = {
-            name: sys.modules[f"bl_ext.user_default.grmm.{name}"] for name in ("grmm_blender.avatar", "grmm_core.head")
+            name: sys.modules[f"bl_ext.user_default.grmm.{name}"] for name in ("grmm_blender.rig.avatar", "grmm_core.head")
         }
         bpy.ops.grmm.add_head()
-        self.avatar = self.modules["grmm_blender.avatar"].avatar_of(bpy.context.object)
+        self.avatar = self.modules["grmm_blender.rig.avatar"].avatar_of(bpy.context.object)
         scene = bpy.context.scene
         scene.render.fps = 30
         scene.render.engine = "GRMM"

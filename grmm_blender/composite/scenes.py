@@ -10,7 +10,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...grmm_core.errors import GrmmError
-from ..avatar import avatars_in
+from ..scene.avatars import avatars_in
 from ..splats import clouds_in
 from . import nodes
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import bpy
 
 from ...grmm_core.controls.frame import Controls
-from ..avatar import avatars_in, instances_in
+from ..scene.avatars import avatars_in, instances_in
 from ..splats.cloud import carries_splats, cloud_instances, clouds_in
 from .snapshot import AvatarShot
 

@@ -14,7 +14,7 @@ from ...grmm_core.errors import CancelledError, FileAccessError, GrmmError
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.session import CancelCheck, Instance, RenderOptions
 from .. import session_host
-from ..avatar import missing_file
+from ..rig.avatar import missing_file
 from . import passes, picture
 from .occlusion import OccluderDepths, Visibility
 from .snapshot import AvatarShot, Occluders, Region

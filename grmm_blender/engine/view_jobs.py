@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from ...grmm_core.errors import CancelledError, GrmmError
-from ..newest import NewestJobs, WaitForRest
+from ..latest_request import LatestRequestThread, WaitForRest
 from . import picture, pipeline
 from .occlusion import OccluderDepths
 from .passes import RenderPass
@@ -64,7 +64,7 @@ class ViewPicture:
     request: ViewRequest
 
 
-class ViewJobs(NewestJobs[ViewRequest, ViewPicture]):
+class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
     """Draws the newest request; see the module."""
 
     thread_name = "GRMM viewport"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..avatar import avatar_of
 from ..panels.avatar_panels import CATEGORY
 from ..panels.width import draw_text, is_narrow
+from ..rig.avatar import avatar_of
 from . import watch
 from .origin import origin_of
 from .settings import GRMM_FitSettings, can_go_on, settings

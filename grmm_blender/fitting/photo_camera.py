@@ -15,7 +15,7 @@ from ...grmm_core.fitting.result import photo_controls
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.head import load_open_head
 from ...grmm_core.session import HEAD_TO_BLENDER
-from ..avatar import Avatar, avatar_of
+from ..rig.avatar import Avatar, avatar_of
 from ..rig.definitions import EXPRESSION, Z_EXP
 
 _SENSOR = 36.0  # millimetres

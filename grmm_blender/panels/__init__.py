@@ -2,12 +2,15 @@
 
 ``avatar_panels``  the selected avatar: source, sliders, pose, identity, learned detail
 ``splat_panels``   the selected splat cloud
+``picture_panels`` poses and presets, composite, turntable, contact sheet; presets above the engine's settings
 """
 
 from __future__ import annotations
 
-from . import avatar_panels, splat_panels
+from . import avatar_panels, picture_panels, splat_panels
 
-CLASSES = (*avatar_panels.CLASSES, *splat_panels.CLASSES)
+CLASSES = (*avatar_panels.CLASSES, *splat_panels.CLASSES, *picture_panels.CLASSES)
 
-__all__ = ["CLASSES"]
+register, unregister = picture_panels.register, picture_panels.unregister
+
+__all__ = ["CLASSES", "register", "unregister"]

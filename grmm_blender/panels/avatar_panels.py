@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..avatar import Avatar, avatar_of
 from ..rig import live
+from ..rig.avatar import Avatar, avatar_of
 from ..rig.codes import SLOTS, blend_name, saved_slots
 from ..rig.components import components
 from ..rig.definitions import ARRAY_NAMES, CONTROL_JOINTS, REGIONS, SHAPE, STRENGTH, Z_EXP, Z_ID, label, mirrored, property_path

@@ -8,8 +8,8 @@ import bpy
 
 from ...grmm_core.controls.names import ALIGNED_NAMES
 from ...grmm_core.errors import FileFormatError, GrmmError
-from ..avatar import Avatar
 from . import armature, drivers, live, mesh
+from .avatar import Avatar
 from .definitions import (
     ALIGNED_RANGE,
     ARRAY_DESCRIPTIONS,

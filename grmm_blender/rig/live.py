@@ -23,9 +23,9 @@ from ...grmm_core.errors import GrmmError, RuntimeMissingError
 from ...grmm_core.head import HeadModel
 from ...grmm_core.head.skinning import euler_matrices
 from .. import session_host
-from ..avatar import Avatar
 from .actions import action_fcurves
 from .armature import joint_parents, shift_joints
+from .avatar import Avatar
 from .definitions import ARRAY_RANGES, SHAPE, property_path
 from .drivers import resting_pose
 from .identity import load_head

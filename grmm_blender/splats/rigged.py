@@ -20,8 +20,8 @@ from ...grmm_core.formats import SplatCloud
 from ...grmm_core.formats.avatars import AnimatedAvatar, GaussianAvatar, LamAvatar, read_avatar
 from ...grmm_core.formats.binding import place_on_mesh
 from ...grmm_core.performance import Performance
-from ..avatar import Avatar
 from ..rig.actions import ensure_bag, find_curve, linear_keys, replace_keys
+from ..rig.avatar import Avatar
 from ..rig.build import add_property, build_avatar
 from ..rig.definitions import ALIGNED_RANGE, describe_aligned, property_path
 from ..rig.drivers import drive_sum

@@ -18,7 +18,7 @@ import numpy as np
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
 from ..engine.snapshot import AvatarShot
-from ..newest import NewestJobs, WaitForRest
+from ..latest_request import LatestRequestThread, WaitForRest
 from . import arrays, sources
 from .arrays import Packed
 from .pace import Pace
@@ -78,7 +78,7 @@ class _Made:
     messages: tuple[str, ...]
 
 
-class SplatJobs(NewestJobs[SplatRequest, Drawable]):
+class SplatJobs(LatestRequestThread[SplatRequest, Drawable]):
     """Makes what the newest request needs; see the module."""
 
     thread_name = "GRMM splats"

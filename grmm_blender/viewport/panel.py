@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..avatar import avatar_of
+from ..rig.avatar import avatar_of
 from . import overlay
 
 _WRAP = 48  # characters of a line in the sidebar

@@ -16,8 +16,8 @@ from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.session import CloudArrays
 from ...grmm_core.session.harmonics import harmonic_basis
 from .. import session_host
-from ..avatar import instances_in
 from ..engine.snapshot import AvatarShot
+from ..scene.avatars import instances_in
 from ..splats import clouds_in
 from ..splats.cloud import carries_splats, cloud_instances
 from .arrays import WorldGaussians

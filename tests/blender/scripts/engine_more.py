@@ -25,7 +25,7 @@ both = expected_png(expected(scene, full_camera(scene)))
 def only(head: bpy.types.Object) -> np.ndarray:
     """PNG bytes of one head alone, by the session."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    avatar = module("grmm_blender.avatar").Avatar(head)
+    avatar = module("grmm_blender.rig.avatar").Avatar(head)
     instance = session.Instance(
         host.open_avatar(avatar.source).id, avatar.controls(depsgraph), avatar.model_to_world(depsgraph)
     )

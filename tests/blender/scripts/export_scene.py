@@ -14,7 +14,7 @@ from support import module, report
 weights, folder = sys.argv[1], Path(sys.argv[2])
 session_api = module("grmm_core.session")
 host = module("grmm_blender.session_host")
-avatar_of = module("grmm_blender.avatar").avatar_of
+avatar_of = module("grmm_blender.rig.avatar").avatar_of
 splats = module("grmm_blender.splats")
 
 

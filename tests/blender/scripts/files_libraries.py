@@ -14,7 +14,7 @@ from support import empty_scene, module, report
 weights, folder = sys.argv[1], Path(sys.argv[2])
 library = folder / "head.blend"
 live = module("grmm_blender.rig.live")
-avatar_of, avatars_in = (getattr(module("grmm_blender.avatar"), name) for name in ("avatar_of", "avatars_in"))
+avatar_of, avatars_in = module("grmm_blender.rig.avatar").avatar_of, module("grmm_blender.scene.avatars").avatars_in
 
 
 def bring(link: bool):

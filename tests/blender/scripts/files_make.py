@@ -20,7 +20,7 @@ host = module("grmm_blender.session_host")
 host.get_session().save(host.open_avatar("sample:4").id, folder / "person.grmm")
 bpy.ops.wm.save_as_mainfile(filepath=str(folder / "head.blend"))
 bpy.ops.grmm.add_head(person="FILE", filepath=str(folder / "person.grmm"))
-avatar = module("grmm_blender.avatar").avatar_of(bpy.context.object)
+avatar = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
 generator = np.random.default_rng(11)
 shape = generator.normal(size=len(avatar.object["shape"])).tolist()
 for frame in FRAMES:

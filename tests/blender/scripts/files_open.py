@@ -66,7 +66,7 @@ report(
     polygons=len(head.data.polygons),
 )
 if enabled:
-    avatars = module("grmm_blender.avatar").avatars_in(scene)
+    avatars = module("grmm_blender.scene.avatars").avatars_in(scene)
     report(avatars=[avatar.name for avatar in avatars], source=[avatar.source for avatar in avatars])
     from render_support import difference, load_png, render
 

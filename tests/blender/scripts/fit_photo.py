@@ -47,7 +47,7 @@ def main() -> None:
     bpy.ops.grmm.fit_photos(resume=True)
     watch = module("grmm_blender.fitting.watch")
     head = bpy.context.object
-    avatar = module("grmm_blender.avatar").avatar_of(head)
+    avatar = module("grmm_blender.rig.avatar").avatar_of(head)
     camera = scene.camera
     background = camera.data.background_images[0]
     report(

@@ -12,7 +12,7 @@ from support import empty_scene, module, report
 
 path = Path(sys.argv[1])
 preferences = module("grmm_blender.preferences").get()
-avatar_of, avatars_in = (getattr(module("grmm_blender.avatar"), name) for name in ("avatar_of", "avatars_in"))
+avatar_of, avatars_in = module("grmm_blender.rig.avatar").avatar_of, module("grmm_blender.scene.avatars").avatars_in
 JOINTS = module("grmm_core.controls.names").JOINT_NAMES
 
 

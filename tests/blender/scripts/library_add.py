@@ -12,7 +12,7 @@ result: dict = {"names": list(library.library_names()), "menu": hasattr(bpy.type
 empty_scene()
 for name in result["names"]:
     bpy.ops.grmm.add_head(person="LIBRARY", library=name)
-    avatar = module("grmm_blender.avatar").avatar_of(bpy.context.object)
+    avatar = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
     bare = without_detail(avatar)
     result["people"][name] = {
         "source": avatar.source,
@@ -22,7 +22,7 @@ for name in result["names"]:
 path = bpy.app.tempdir + "library.blend"
 bpy.ops.wm.save_as_mainfile(filepath=path)
 bpy.ops.wm.open_mainfile(filepath=path)
-avatars = [module("grmm_blender.avatar").Avatar(o) for o in bpy.data.objects if o.type == "MESH" and o.grmm.source]
+avatars = [module("grmm_blender.rig.avatar").Avatar(o) for o in bpy.data.objects if o.type == "MESH" and o.grmm.source]
 for avatar in avatars:
     update(avatar)
 result["reopened"] = sorted(avatar.source for avatar in avatars)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from types import FunctionType, SimpleNamespace
 
 import bpy
 from support import empty_scene, module, report
@@ -41,6 +41,9 @@ class Recorder:
 
     column = box = row
 
+    def menu(self, name: str, **_: object) -> None:
+        assert hasattr(bpy.types, name), name
+
 
 class Narrow:
     """Stands in for the context of a sidebar as it is first opened; in background there is no region."""
@@ -57,7 +60,8 @@ def draw_all(context: object = bpy.context) -> dict[str, list[str]]:
         if panel.poll(context):
             notes["panels"].append(panel.__name__)
             # Blender alone can make instances of a panel's class; its content class is plain Python.
-            instance = type("Drawn", panel.__mro__[1:2], {})()
+            drawing = {name: value for name, value in vars(panel).items() if isinstance(value, FunctionType)}
+            instance = type("Drawn", panel.__mro__[1:2], drawing)()
             instance.layout = Recorder(notes)
             instance.draw(context)
     return notes

@@ -68,7 +68,7 @@ bpy.ops.grmm.apply_pose(
     relative_asset_identifier="poses.blend/Action/My Pose", asset_library_type="CUSTOM", asset_library_identifier="Poses"
 )
 report(from_library=shown(), code=round(head["z_exp"][2], 4), left_over=len(bpy.data.actions) - count)
-avatar = module("grmm_blender.avatar").avatar_of(head)
+avatar = module("grmm_blender.rig.avatar").avatar_of(head)
 messages = []
 for wanted in ("poses.blend/Action/Nothing", "gone.blend/Action/My Pose", "Action/Nothing"):
     try:

@@ -58,7 +58,7 @@ def add_camera(scene: bpy.types.Scene, location: tuple[float, float, float] = (0
 
 def heads(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Return the head objects, sorted by name."""
-    return [avatar.object for avatar in module("grmm_blender.avatar").avatars_in(scene)]
+    return [avatar.object for avatar in module("grmm_blender.scene.avatars").avatars_in(scene)]
 
 
 def render(path: Path | str) -> Path:
@@ -93,7 +93,7 @@ def expected(scene: bpy.types.Scene, camera: Any, **options: Any) -> dict[str, n
     depsgraph = bpy.context.evaluated_depsgraph_get()
     instances = [
         session.Instance(host.open_avatar(a.source).id, a.controls(depsgraph), a.model_to_world(depsgraph))
-        for a in module("grmm_blender.avatar").avatars_in(scene)
+        for a in module("grmm_blender.scene.avatars").avatars_in(scene)
     ]
     return host.get_session().render(instances, camera, session.RenderOptions(**options))
 

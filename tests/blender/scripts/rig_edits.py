@@ -158,7 +158,7 @@ def undone() -> dict:
     after = mesh_of(avatar)
     bpy.ops.ed.undo_push(message="edited")
     bpy.ops.ed.undo()
-    avatar = module("grmm_blender.avatar").Avatar(bpy.data.objects[name])
+    avatar = module("grmm_blender.rig.avatar").Avatar(bpy.data.objects[name])
     update(avatar)
     result = {
         "moved": largest(after - before),
@@ -166,7 +166,7 @@ def undone() -> dict:
         "saved": "z_exp_a" in avatar.object,
     }
     bpy.ops.ed.redo()
-    avatar = module("grmm_blender.avatar").Avatar(bpy.data.objects[name])
+    avatar = module("grmm_blender.rig.avatar").Avatar(bpy.data.objects[name])
     update(avatar)
     return result | {"redone": largest(mesh_of(avatar) - after), "again": "z_exp_a" in avatar.object}
 

@@ -63,7 +63,7 @@ bpy.ops.wm.save_as_mainfile(filepath=str(folder / "frames.blend"))
 report(saved=stored_error())
 scene.frame_set(2)
 bpy.ops.wm.open_mainfile(filepath=str(folder / "frames.blend"))
-avatar, scene = module("grmm_blender.avatar").avatars_in(bpy.context.scene)[0], bpy.context.scene
+avatar, scene = module("grmm_blender.scene.avatars").avatars_in(bpy.context.scene)[0], bpy.context.scene
 report(opened=largest(mesh_of(avatar) - expected))
 
 # two view layers have an evaluated scene each

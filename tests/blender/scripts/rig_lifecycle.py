@@ -18,7 +18,7 @@ folder = Path(sys.argv[1])
 
 
 def find(name: str):
-    return module("grmm_blender.avatar").Avatar(bpy.data.objects[name])
+    return module("grmm_blender.rig.avatar").Avatar(bpy.data.objects[name])
 
 
 def parity(avatar, seed: int) -> float:
@@ -84,7 +84,7 @@ def one_of_two_deleted() -> dict:
     for obj in (other.object, other.armature):
         obj.select_set(True)
     bpy.ops.object.delete()
-    left = [avatar.name for avatar in module("grmm_blender.avatar").avatars_in(bpy.context.scene)]
+    left = [avatar.name for avatar in module("grmm_blender.scene.avatars").avatars_in(bpy.context.scene)]
     return {"both": both, "left": left, "parity": parity(find("Ada"), 6)}
 
 
@@ -113,7 +113,7 @@ def switched_off() -> dict:
     result = {"gone": not hasattr(bpy.types.Object, "grmm"), "moved": largest(positions() - before)}
     bpy.context.scene.frame_set(5)
     enable()
-    ours = [avatar.name for avatar in module("grmm_blender.avatar").avatars_in(bpy.context.scene)]
+    ours = [avatar.name for avatar in module("grmm_blender.scene.avatars").avatars_in(bpy.context.scene)]
     return result | {"back": ours, "parity": parity(find("Ada"), 8)}
 
 

@@ -10,7 +10,7 @@ from rig_support import core_mesh, fresh_head, largest, mesh_of, new_head, rando
 from support import module, report
 
 live = module("grmm_blender.rig.live")
-avatars_in = module("grmm_blender.avatar").avatars_in
+avatars_in = module("grmm_blender.scene.avatars").avatars_in
 
 
 def structure(avatar) -> dict:
@@ -80,7 +80,7 @@ def undone(avatar) -> dict:
     bpy.ops.ed.undo_push(message="after")
     changed = largest(mesh_of(avatar) - before)
     bpy.ops.ed.undo()
-    again = module("grmm_blender.avatar").Avatar(bpy.data.objects[name])
+    again = module("grmm_blender.rig.avatar").Avatar(bpy.data.objects[name])
     update(again)
     return {
         "changed": changed,
@@ -133,7 +133,7 @@ def duplicates() -> dict:
 def elsewhere() -> dict:
     """Heads added from edit-like modes, hidden collections, and with names taken."""
     fresh_head()
-    rig = module("grmm_blender.avatar").avatar_of(bpy.context.object).armature
+    rig = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).armature
     bpy.context.view_layer.objects.active = rig
     bpy.ops.object.mode_set(mode="POSE")
     polled = bpy.ops.grmm.add_head.poll()

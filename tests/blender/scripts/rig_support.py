@@ -20,7 +20,7 @@ def new_head(weights: str = "", seed: int = SEED) -> Any:
         bpy.ops.grmm.add_head(person="RANDOM", seed=seed)
     else:
         bpy.ops.grmm.add_head()
-    return module("grmm_blender.avatar").avatar_of(bpy.context.object)
+    return module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
 
 
 def fresh_head(weights: str = "", seed: int = SEED) -> Any:

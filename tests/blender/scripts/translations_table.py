@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from types import SimpleNamespace
 
-from support import module, report
+from support import MODULE, module, report
 
 translations = module("grmm_blender.translations")
-production = module("grmm_blender.production")
 held: dict[str, dict] = {}
 translations.bpy = SimpleNamespace(
     app=SimpleNamespace(translations=SimpleNamespace(register=held.__setitem__, unregister=held.__delitem__))
@@ -18,7 +18,7 @@ report(
     locales=sorted(table),
     sizes=[len(rows) for rows in table.values()],
     contexts=sorted({context for rows in table.values() for context, _ in rows}),
-    hooked=translations in production._TOPICS,
+    hooked=translations.__name__ in [f"{MODULE}{name}" for name in sys.modules[MODULE].MODULES],
 )
 translations.unregister()
 report(left=list(held))

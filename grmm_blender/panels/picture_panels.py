@@ -6,7 +6,6 @@ from typing import ClassVar
 
 import bpy
 
-from ..avatar import avatar_of, avatars_in
 from ..composite import nodes, scenes
 from ..poses import local_poses
 from ..preset_menus import (
@@ -16,6 +15,8 @@ from ..preset_menus import (
     GRMM_OT_render_preset_add,
     draw_presets,
 )
+from ..rig.avatar import avatar_of
+from ..scene.avatars import avatars_in
 from .avatar_panels import CATEGORY
 
 
@@ -53,7 +54,7 @@ class GRMM_PT_poses(_SidebarPanel, bpy.types.Panel):
         column.operator("grmm.save_pose", text="Save Expression...", icon="ADD")
 
 
-class GRMM_PT_production(_SidebarPanel, bpy.types.Panel):
+class GRMM_PT_pictures(_SidebarPanel, bpy.types.Panel):
     """Composite, turntable, contact sheet."""
 
     bl_label = "Pictures"
@@ -94,7 +95,7 @@ def _render_presets(self: bpy.types.Panel, _context: bpy.types.Context) -> None:
     draw_presets(self.layout, GRMM_MT_render_presets, GRMM_OT_render_preset_add)
 
 
-CLASSES = (GRMM_PT_poses, GRMM_PT_production)
+CLASSES = (GRMM_PT_poses, GRMM_PT_pictures)
 
 
 def register() -> None:

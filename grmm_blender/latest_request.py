@@ -1,8 +1,8 @@
-"""Work on a thread for the newest of many requests, as a viewport makes them while it moves.
+"""Work on a thread for the latest of many requests, as a viewport makes them while it moves.
 
-`NewestJobs` is the letter box between Blender's main thread, which asks and takes, and one thread, which works and ends when
-nothing is left to do. `engine.view_jobs` (pictures) and `viewport.jobs` (splats) say what the work is. Touches none of
-Blender's data.
+`LatestRequestThread` is the letter box between Blender's main thread, which asks and takes, and one thread, which works and
+ends when nothing is left to do. `engine.view_jobs` (pictures) and `viewport.jobs` (splats) say what the work is. Touches none
+of Blender's data.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ Result = TypeVar("Result")
 WaitForRest = Callable[[Callable[[], bool]], object]
 
 
-class NewestJobs(Generic[Request, Result]):
-    """Serves the newest request. A class gives `_serve` and `_failed`, and calls `_put` with results."""
+class LatestRequestThread(Generic[Request, Result]):
+    """Serves the latest request. A class gives `_serve` and `_failed`, and calls `_put` with results."""
 
     thread_name = "GRMM"
 

@@ -1,4 +1,4 @@
-"""An avatar in a Blender scene as a Python object: the only place that reads its controls and placement.
+"""An avatar as a Python object: the only place that reads its controls and placement.
 
 `Avatar` wraps the head object, which carries the controls (see `rig`). The render engine, the viewport, handlers, operators
 and panels all go through it. Values come from the evaluated scene, so animation, drivers, constraints and library overrides
@@ -7,20 +7,19 @@ count as they do for the mesh. Imports neither torch nor the session.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
-from ..grmm_core.avatar.library import LIBRARY_PREFIX
-from ..grmm_core.controls.frame import Controls
-from ..grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
-from ..grmm_core.session import HEAD_TO_BLENDER
-from .rig.armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset
-from .rig.codes import blend_of
-from .rig.definitions import ARRAY_NAMES, CODES, FLAME_PREFIX, STRENGTH
+from ...grmm_core.avatar.library import LIBRARY_PREFIX
+from ...grmm_core.controls.frame import Controls
+from ...grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
+from ...grmm_core.session import HEAD_TO_BLENDER
+from .armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset
+from .codes import blend_of
+from .definitions import ARRAY_NAMES, CODES, FLAME_PREFIX, STRENGTH
 
 DEFAULT_SOURCE = "default"
 _SAMPLE_PREFIX = "sample:"
@@ -136,7 +135,7 @@ class Avatar:
         return self._placement(np.array(placed.matrix_world, np.float64), rig)
 
     def instance_to_world(self, matrix_world: Matrix, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
-        """Return head space to world for an instance of the head object, [4, 4]: see `instances_in`."""
+        """Return head space to world for an instance of the head object, [4, 4]: see `scene.walk`."""
         return self._placement(np.array(matrix_world, np.float64), self._evaluated_armature(depsgraph))
 
     def _placement(self, matrix_world: np.ndarray, rig: bpy.types.Object | None) -> np.ndarray:
@@ -188,25 +187,6 @@ def avatar_of(obj: bpy.types.Object | None) -> Avatar | None:
             if is_avatar(child) and Avatar(child).armature == obj:
                 return Avatar(child)
     return None
-
-
-def avatars_in(where: bpy.types.Scene | bpy.types.Depsgraph) -> list[Avatar]:
-    """Return the avatars of a scene, or those that an evaluated scene shows; each once, in the order of their names."""
-    objects = where.objects
-    found = {Avatar(obj) for obj in objects if is_avatar(obj)}
-    return sorted(found, key=lambda avatar: avatar.name)
-
-
-def instances_in(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[Avatar, np.ndarray]]:
-    """Yield every visible avatar with its placement, [4, 4]; several times where collections are instanced."""
-    for instance in depsgraph.object_instances:
-        if not is_avatar(instance.object):
-            continue
-        avatar = Avatar(instance.object)
-        if instance.is_instance:
-            yield avatar, avatar.instance_to_world(instance.matrix_world, depsgraph)
-        else:
-            yield avatar, avatar.model_to_world(depsgraph)
 
 
 def missing_file(source: str) -> str:

@@ -43,6 +43,11 @@ _CHECK = (
 )
 # Present where NVIDIA's driver is: Linux; Windows.
 _NVIDIA_FILES = ("/proc/driver/nvidia/version", "/dev/nvidiactl", r"C:\Windows\System32\nvcuda.dll")
+# Where Blender's Python is, and where pip would put packages instead of into the environment.
+_OF_ANOTHER_PYTHON = (
+    "PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "__PYVENV_LAUNCHER__",
+    "PIP_TARGET", "PIP_USER", "PIP_PREFIX", "PIP_ROOT",
+)  # fmt: skip
 # Pip's messages that say more to a user than its last line does.
 _KNOWN_FAILURES = (
     (r"No space left on device|Errno 28", "The disk is full; free some gigabytes and try again."),
@@ -216,7 +221,7 @@ class InstallJob:
             try:
                 self._process = subprocess.Popen(
                     command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True,
-                    errors="replace", env=_environment(), **_hidden_window(),
+                    errors="replace", env=tool_environment(self._request), **_hidden_window(),
                 )  # fmt: skip
             except OSError as error:
                 reason = describe_os_error(error)
@@ -321,10 +326,17 @@ def explain_failure(output: str, python: str) -> str:
     return f"The runtime could not be installed ({errors[0].removeprefix('ERROR: ')}); the diagnostics show the whole output."
 
 
-def _environment() -> dict[str, str]:
-    """The environment for tools: nothing of Blender's own Python in it."""
-    drop = ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "__PYVENV_LAUNCHER__", "PIP_TARGET", "PIP_USER")
-    kept = {name: value for name, value in os.environ.items() if name not in drop}
+def tool_environment(request: InstallRequest) -> dict[str, str]:
+    """The environment for Python and pip: nothing of Blender's own Python in it.
+
+    A folder of wheels is all that an installation without network uses: the machine's settings for pip (variables, files of
+    the user and of the system) could add indexes, other folders and constraints, and are left out. An installation from an
+    index needs them, for proxies and mirrors.
+    """
+    kept = {name: value for name, value in os.environ.items() if name not in _OF_ANOTHER_PYTHON}
+    if request.wheels:
+        kept = {name: value for name, value in kept.items() if not name.upper().startswith("PIP_")}
+        kept["PIP_CONFIG_FILE"] = os.devnull  # pip's own way to read no file at all
     return kept | {"PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"}
 
 

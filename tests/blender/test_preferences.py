@@ -19,6 +19,7 @@ FAKES = {
     "numpy": "2.0.0",
     "pillow": "11.0.0",
 }
+NEWER = {"torch": "2.9.0", "numba": "0.63.0", "numpy": "2.2.0", "pillow": "12.0.0"}
 TORCH = """
 __version__ = "2.6.0"
 class zeros:
@@ -47,15 +48,42 @@ def write_wheel(folder: Path, name: str, version: str) -> None:
         archive.writestr(f"{info}/RECORD", "\n".join([*record, f"{info}/RECORD,,"]) + "\n")
 
 
+def hostile_settings(folder: Path) -> dict[str, str]:
+    """Settings for pip as machines have them, which would spoil an installation from a folder of wheels.
+
+    Other packages of the same names, a constraint that none meets, an index that nobody serves, another target; by variables
+    and by a file where pip looks for that of the user.
+    """
+    others, constraints = folder / "others", folder / "constraints.txt"
+    (folder / "pip").mkdir(parents=True)
+    others.mkdir()
+    for name in FAKES:
+        write_wheel(others, name, NEWER[name])
+    constraints.write_text("numpy==1.0\ntorch==1.0\n")
+    index = "http://127.0.0.1:9/simple"
+    (folder / "pip" / "pip.conf").write_text(
+        f"[global]\nextra-index-url = {index}\nfind-links = {others}\nconstraint = {constraints}\n"
+        f"target = {folder / 'elsewhere'}\n[install]\nrequire-hashes = true\n"
+    )
+    return {
+        "XDG_CONFIG_HOME": str(folder), "PIP_FIND_LINKS": str(others), "PIP_CONSTRAINT": str(constraints),
+        "PIP_EXTRA_INDEX_URL": index, "PIP_INDEX_URL": index, "PIP_REQUIRE_HASHES": "1", "PIP_DRY_RUN": "1", "PIP_PRE": "1",
+        "PIP_TARGET": str(folder / "elsewhere"),
+    }  # fmt: skip
+
+
 @pytest.mark.parametrize("version", ["4.5", pytest.param("5.2", marks=pytest.mark.slow)])
 def test_runtime_from_wheels(run_blender: RunBlender, version: str, tmp_path: Path):
     find_python(version)
-    wheels, empty = tmp_path / "wheels", tmp_path / "empty"
+    wheels, empty, settings = tmp_path / "wheels", tmp_path / "empty", tmp_path / "settings"
     wheels.mkdir()
     empty.mkdir()
-    for name, version in FAKES.items():
-        write_wheel(wheels, name, version)
-    result = run_blender("preferences_runtime.py", wheels, empty, python=version, fresh=True).result
+    for name, number in FAKES.items():
+        write_wheel(wheels, name, number)
+    hostile = hostile_settings(settings)
+    done = run_blender("preferences_runtime.py", wheels, empty, python=version, fresh=True, environment=hostile)
+    result = done.result
+    assert not (settings / "elsewhere").exists()
     assert result["online"] is False
     assert result["offline_poll"] is False
     assert "There is no package" in result["empty"]
@@ -68,6 +96,7 @@ def test_runtime_from_wheels(run_blender: RunBlender, version: str, tmp_path: Pa
     assert result["installed"] == ""
     assert result["after_install"] == ["runtime"]
     assert result["facts"]["torch"] == "2.6.0"
+    assert result["facts"]["numpy"] == FAKES["numpy"]
     assert result["found"]
     assert "runtime" in result["python"]
     assert result["progress"] == 1.0

@@ -108,7 +108,7 @@ class SteppedOperator:
         if self._asked and context.window is not None and self.is_slow(context):
             # The file browser frees its operator when this returns, so that another one has to go modal.
             names = [name for name in self.properties.keys() if name != "running"]  # noqa: SIM118 - no dictionary
-            category, _, name = self.bl_idname.partition(".")
+            category, _, name = type(self).bl_idname.partition(".")  # of an instance it is "GRMM_OT_..."
             again = getattr(getattr(bpy.ops, category), name)
             return again("INVOKE_DEFAULT", running=True, **{name: getattr(self, name) for name in names})
         steps, value = self.steps(context), None

@@ -10,6 +10,7 @@ pytestmark = pytest.mark.blender
 
 def test_long_operators(run_blender: RunBlender, blender_version: str):
     found = run_blender("operator_steps.py", python=blender_version).result
+    assert found["asked"] == {"window": True, "result": ["FINISHED"], "calls": [[True, "chosen.txt"]]}
     done = found["finished"]
     assert done["results"] == ["RUNNING_MODAL", "RUNNING_MODAL", "PASS_THROUGH", "PASS_THROUGH", "FINISHED"]
     assert done["said"] == [["INFO", "done value"]]

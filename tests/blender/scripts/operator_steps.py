@@ -8,9 +8,39 @@ from __future__ import annotations
 import threading
 from types import SimpleNamespace
 
+import bpy
 from support import module, report
 
 steps = module("operators.steps")
+
+
+class GRMM_OT_asks_for_a_file(steps.SteppedOperator, bpy.types.Operator):
+    """A registered one, which goes through Blender's own call of operators after the file browser."""
+
+    bl_idname = "grmm.asks_for_a_file"
+    bl_label = "Asks"
+
+    filepath: bpy.props.StringProperty()
+    calls: list = []  # noqa: RUF012 - of the class: every call is another instance
+
+    def execute(self, context):
+        self._asked = not self.running  # a background Blender has no file browser, and executes where it is to invoke
+        return super().execute(context)
+
+    def steps(self, _context):
+        self.calls.append([self.running, self.filepath])
+        yield steps.Step(0.5)
+        return "done"
+
+
+def after_the_file_browser() -> dict:
+    bpy.utils.register_class(GRMM_OT_asks_for_a_file)
+    result = bpy.ops.grmm.asks_for_a_file(filepath="chosen.txt")
+    bpy.utils.unregister_class(GRMM_OT_asks_for_a_file)
+    return {"window": bpy.context.window is not None, "result": sorted(result), "calls": GRMM_OT_asks_for_a_file.calls}
+
+
+report(asked=after_the_file_browser())
 errors = module("grmm_core.errors")
 steps.bpy = SimpleNamespace(app=SimpleNamespace(background=False), types=steps.bpy.types, props=steps.bpy.props)
 PATIENCE = 20.0  # seconds until a thread counts as stuck

@@ -8,6 +8,7 @@ The map, from the ground up; each part uses only those above it:
 ``geometry``                            cameras, rotations, depth of meshes
 ``controls``                            names of expressions, one frame of animation
 ``head``                                the mesh model (open head, or FLAME from the user's file)
+``hair``                                strands bound to the head's triangles, posed with it
 ``splat``                               the differentiable Gaussian rasteriser and its backends
 ``model``                               the paper's decoders, UV-anchored Gaussians and refinement network
 ``avatar``                              `.grmm` files, and the library of avatars that come with the package

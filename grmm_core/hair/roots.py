@@ -1,0 +1,107 @@
+"""Frames at the roots of strands that turn with the skin around them. Needs numpy only.
+
+The triangle under a root tilts by several degrees with every raised brow, and a strand of 25 cm would swing by centimetres. So
+a frame follows a patch of skin around its triangle, larger for scalp hair than for brows. Both axes of a patch are fixed linear
+combinations of its vertices: a rotation of the head turns them exactly, a translation does nothing, small dents average out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import ShapeError
+
+SCALP, BROWS, BEARD, LASHES = range(4)
+GROUPS = ("scalp", "brows", "beard", "lashes")
+RINGS = {SCALP: 3, BROWS: 1, BEARD: 1, LASHES: 0}  # of neighbouring vertices that a patch takes in around its triangle
+
+
+@dataclass(frozen=True)
+class RootFrames:
+    """Origin and axes at N roots, as functions of the head's vertices.
+
+    Attributes:
+        corners: Vertices of each root's triangle, [N, 3].
+        weights: Barycentric coordinates of each root, [N, 3].
+        patch: Number of each root's patch, [N].
+        members: Vertices of each patch, padded, [U, K].
+        first, second: Coefficients of the patches' vertices in their two axes; they sum to 0, [U, K].
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    patch: np.ndarray
+    members: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+
+    @staticmethod
+    def build(
+        template: np.ndarray, faces: np.ndarray, triangles: np.ndarray, weights: np.ndarray, groups: np.ndarray
+    ) -> RootFrames:
+        """Prepare the frames of some roots.
+
+        Args:
+            template: Vertices of the head model's mean, metres, [V, 3].
+            faces: Its triangles, [F, 3].
+            triangles: Number of each root's triangle, [N].
+            weights: Barycentric coordinates, [N, 3].
+            groups: One of `SCALP`, `BROWS`, `BEARD`, `LASHES` each, [N].
+
+        Raises:
+            ShapeError: A triangle that the head does not have, or a group that there is not.
+        """
+        template, faces = np.asarray(template, float), np.asarray(faces)
+        if len(triangles) and not 0 <= int(np.min(triangles)) <= int(np.max(triangles)) < len(faces):
+            raise ShapeError(
+                f"The hair stands on a triangle that the head ({len(faces)} triangles) does not have; use its own head."
+            )
+        if len(groups) and int(np.max(groups)) >= len(GROUPS):
+            raise ShapeError(f"There is no hair group {int(np.max(groups))}; use 0 to {len(GROUPS) - 1}.")
+        rings = np.array([RINGS[g] for g in range(len(GROUPS))])[np.asarray(groups, int)]
+        kinds, patch = np.unique(np.stack([np.asarray(triangles, int), rings], 1), axis=0, return_inverse=True)
+        grown = _patches(template, faces, kinds)
+        width = max((len(p) for p in grown), default=3)
+        members = np.zeros((len(grown), width), np.int64)
+        first, second = np.zeros((2, len(grown), width))
+        for i, (own, (triangle, _)) in enumerate(zip(grown, kinds, strict=True)):
+            a, b, c = template[faces[triangle]]
+            along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
+            normal = np.cross(b - a, c - a)
+            across = np.cross(normal / max(float(np.linalg.norm(normal)), 1e-15), along)
+            offsets = template[own] - template[own].mean(0)
+            members[i, : len(own)] = own
+            first[i, : len(own)], second[i, : len(own)] = offsets @ along, offsets @ across
+        return RootFrames(
+            faces[np.asarray(triangles, int)], np.asarray(weights, float), patch.reshape(-1), members, first, second
+        )
+
+    def at(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origins [N, 3] and axes as rows [N, 3, 3] (along, across, out of the skin) on posed vertices [V, 3]."""
+        near = np.asarray(vertices, float)[self.members]
+        along = _unit((self.first[..., None] * near).sum(1))
+        across = (self.second[..., None] * near).sum(1)
+        out = _unit(np.cross(along, across))
+        axes = np.stack([along, np.cross(out, along), out], 1)
+        origin = (np.asarray(vertices, float)[self.corners] * self.weights[..., None]).sum(1)
+        return origin, axes[self.patch]
+
+
+def _patches(template: np.ndarray, faces: np.ndarray, kinds: np.ndarray) -> list[np.ndarray]:
+    """Vertices around each (triangle, rings), [U] of [k]."""
+    order = np.argsort(faces.ravel(), kind="stable") // 3
+    start = np.searchsorted(np.sort(faces.ravel()), np.arange(len(template) + 1))
+    grown = []
+    for triangle, rings in kinds:
+        own = np.unique(faces[triangle])
+        for _ in range(int(rings)):
+            touching = np.unique(np.concatenate([order[start[v] : start[v + 1]] for v in own]))
+            own = np.unique(faces[touching])
+        grown.append(own)
+    return grown
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), 1e-15)

@@ -12,8 +12,8 @@ The map, from the ground up; each part uses only those above it:
 ``splat``                               the differentiable Gaussian rasteriser and its backends
 ``model``                               the paper's decoders, UV-anchored Gaussians and refinement network
 ``avatar``                              `.grmm` files, and the library of avatars that come with the package
-``session``                             open, deform, render: in this process or in a worker process
 ``performance`` ``formats``             animation files, splat and mesh files
+``session``                             open, deform, render: in this process or in a worker process
 ``data`` ``training``                   capture data sets; losses and the training loop, for many people or one
 ``photo`` ``fitting``                   what a photo shows; from photos to an avatar
 ``evaluation``                          protocols, regions, figures and sheets

@@ -15,8 +15,8 @@ from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
 from ..avatar.library import LIBRARY_PREFIX, library_file, library_names
 from ..errors import ConfigError, GrmmError
 from ..files.tensorfile import read_metadata
+from ..head import FLAME_SUFFIXES
 from ..head.flame import describe_flame
-from ..head.open_head import FLAME_SUFFIXES
 
 LIBRARIES = ("numpy", "torch", "numba", "pillow", "bpy", "gsplat")
 ASSETS = Path(__file__).resolve().parent.parent / "assets"

@@ -4,8 +4,7 @@
 ``compare_stages``    stage 2 off, on, and on without locality: the input view against other views and other expressions
 ``compare_counts``    one, two and four photos: new views
 
-The error of the tracked shape is in `fitting.measure`. Called by the command line (`grmm evaluate --protocol monocular` on a
-folder of photos) and by whoever measures. Imports torch.
+Called by the command line (`grmm evaluate --protocol monocular` on a folder of photos) and by whoever measures. Imports torch.
 """
 
 from __future__ import annotations

@@ -9,8 +9,6 @@
 ``light``              spherical-harmonic light from the skin's colors
 ``photometric_stage``  the refinement by outline
 ``track``              photos to tracks
-``overlay``            pictures of a track, to look at
-``measure``            shape error on people whose shape is known
 ``invert``             tracks to codes and decoders (eq. 19 and 20)
 ``folder``             the work folder: whose state it holds, what is refused before work begins
 ``api``                all of it, for the command line and Blender

@@ -10,7 +10,6 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,9 +19,6 @@ from ..files.tensorfile import read_tensors
 from ..head.model import JOINT_COUNT, HeadModel
 from .point_rig import LandmarkRig
 from .types import LANDMARK_COUNT
-
-if TYPE_CHECKING:
-    from .solver import View
 
 # MediaPipe's indices. The rest of the skin has no feature to hold on to and is spread from these by the network.
 FACE_OVAL = (
@@ -77,6 +73,29 @@ FULL_FRAME = 36.0  # millimetres, longer side of the film that focal lengths are
 _USUAL_FOCAL = 50.0  # millimetres
 _FOCAL_SIGMA, _STATED_FOCAL_SIGMA = 1.0, 0.12  # of the logarithm; a stated one may belong to an uncropped photo
 _USUAL_DISTANCE, _DISTANCE_SIGMA = 1.3, 0.4  # metres, of the logarithm
+
+
+@dataclass
+class View:
+    """The unknowns of one photo.
+
+    Attributes:
+        rotation: Head to camera, [3, 3].
+        offset: Projection of the face's centre from the picture's centre, pixels, [2].
+        magnification: Logarithm of depth over focal length (metres per pixel).
+        focal: Logarithm of the focal length in pixels.
+        expression: [E].
+        pose: Control angles in radians, [5, 3].
+        noise: Strength of the landmark network's error modes, standard deviations, [K].
+    """
+
+    rotation: np.ndarray
+    offset: np.ndarray
+    magnification: float
+    focal: float
+    expression: np.ndarray
+    pose: np.ndarray
+    noise: np.ndarray
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..head.model import JOINT_COUNT
-from .landmark_priors import Priors
+from .landmark_priors import Priors, View
 from .point_rig import PointRig
 
 CAMERA_SIZE = 7  # rotation 3, offset 2, log magnification, log focal length
@@ -32,29 +32,6 @@ TOLERANCE = 1e-4  # relative decrease of the objective that ends the iterations
 FIRST_DAMPING, DAMPING_FACTOR, MIN_DAMPING, MAX_DAMPING = 1e-4, 8.0, 1e-9, 1e6
 _MAX_FOCAL_STEP = 0.5  # of the logarithm
 _MIN_DEPTH = 1e-3  # metres
-
-
-@dataclass
-class View:
-    """The unknowns of one photo.
-
-    Attributes:
-        rotation: Head to camera, [3, 3].
-        offset: Projection of the face's centre from the picture's centre, pixels, [2].
-        magnification: Logarithm of depth over focal length (metres per pixel).
-        focal: Logarithm of the focal length in pixels.
-        expression: [E].
-        pose: Control angles in radians, [5, 3].
-        noise: Strength of the landmark network's error modes, standard deviations, [K].
-    """
-
-    rotation: np.ndarray
-    offset: np.ndarray
-    magnification: float
-    focal: float
-    expression: np.ndarray
-    pose: np.ndarray
-    noise: np.ndarray
 
 
 @dataclass(frozen=True)

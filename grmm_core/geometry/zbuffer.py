@@ -3,27 +3,24 @@
 The render engine uses it for scene objects that stand in front of avatars: Gaussians are drawn by the splat rasteriser,
 meshes only hide them. Exact per sample, no color. Triangles are turned into pixel spans first, so that the work is
 proportional to the covered samples and not to bounding boxes, and so that no loop of Python runs over triangles.
-Everything per triangle is done here; the samples are filled by `_draw`, or by its compiled twin in `zbuffer_kernel` where
+Everything per triangle is done here; the samples are filled by `zbuffer_numpy`, or by its compiled twin `zbuffer_kernel` where
 numba can be imported (stock Blender has only numpy). Both do the same arithmetic in the same order.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 
 from ..errors import ShapeError
 from .camera import Camera
+from .zbuffer_numpy import EMPTY, SPAN_SLACK
+from .zbuffer_numpy import draw as plain_draw
 
-EMPTY = np.float32(1.0e10)
-"""Depth where nothing is; Blender's value for an empty Z pass."""
-SPAN_SLACK = 1e-6
-"""Samples; a shared edge must not leave a gap between two triangles."""
 Window = tuple[int, int, int, int]
 """Left, top, right and bottom edge of a part of a picture, pixels."""
-_CHUNK = 1 << 18  # rows or samples handled at once: their arrays stay in the processor's cache
 
 
 def triangle_depth(
@@ -56,7 +53,7 @@ def triangle_depth(
     left, top, right, bottom = (edge * samples for edge in window or (0, 0, camera.width, camera.height))
     depth = np.full((bottom - top, right - left), EMPTY, np.float32)
     x, y, linear = _project(corners, camera, samples, near, far)
-    draw = _compiled_draw() or _draw
+    draw = _compiled_draw() or plain_draw
     draw(depth, left, top, *_edges_and_planes(x, y, linear, (left, top, right, bottom)), camera.orthographic, float(far))
     return depth
 
@@ -91,7 +88,7 @@ def mean_of_samples(flags: Callable[[int, int], np.ndarray], samples: int) -> np
 
 @functools.lru_cache(maxsize=1)
 def _compiled_draw() -> Callable[..., None] | None:
-    """Return the compiled twin of `_draw`, or None without numba."""
+    """Return the compiled twin of `plain_draw`, or None without numba."""
     try:
         from .zbuffer_kernel import draw
     except ImportError:  # not installed, or not for this numpy
@@ -147,7 +144,7 @@ def _cut(a: np.ndarray, b: np.ndarray, near: float) -> np.ndarray:
 def _edges_and_planes(
     x: np.ndarray, y: np.ndarray, linear: np.ndarray, edges: Window
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return what `_draw` needs of the triangles that may cover a sample.
+    """Return what `draw` needs of the triangles that may cover a sample.
 
     Args:
         x: Columns of the corners in samples, [3, T].
@@ -182,45 +179,3 @@ def _edges_and_planes(
         dx, dy = (u * y02 - v * y01) / area, (v * x01 - u * x02) / area
     plane = np.stack([linear[0] + dx * (0.5 - x[0]) + dy * (0.5 - y[0]), dx, dy])
     return rows[:, keep].astype(np.int64), x, y, slopes, plane
-
-
-def _draw(
-    depth: np.ndarray, left: int, top: int,
-    rows: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, plane: np.ndarray, orthographic: bool, far: float,
-) -> None:  # fmt: skip
-    """Write the nearer values into `depth` [H, W], whose corner is at (left, top), for the triangles of `_edges_and_planes`."""
-    width = depth.shape[1]
-    right = left + width
-    target = depth.reshape(-1)
-    for which, step in _runs(rows[1] - rows[0] + 1):
-        row = rows[0][which] + step
-        center = row + 0.5
-        # The row meets the triangle in one span: from the long edge to one of the two others.
-        to_middle = center - y[1][which]
-        one = x[0][which] + (center - y[0][which]) * slopes[0][which]
-        two = x[1][which] + to_middle * np.where(to_middle < 0, slopes[1][which], slopes[2][which])
-        low, high = np.minimum(one, two), np.maximum(one, two)
-        first = np.ceil(np.clip(low, left - 1.0, right + 1.0) - 0.5 - SPAN_SLACK).clip(left, right).astype(np.int64)
-        last = np.floor(np.clip(high, left - 1.0, right + 1.0) - 0.5 + SPAN_SLACK).clip(left - 1, right - 1).astype(np.int64)
-        full = last >= first
-        which, row, first, last = which[full], row[full], first[full], last[full]
-        start, slope = plane[0][which] + plane[2][which] * row, plane[1][which]
-        for span, step in _runs(last - first + 1):
-            column = first[span] + step
-            value = start[span] + slope[span] * column
-            z = value if orthographic else 1.0 / np.maximum(value, 1.0 / float(EMPTY))
-            z[~(z <= far)] = EMPTY
-            np.minimum.at(target, (row[span] - top) * width + (column - left), z.astype(np.float32))
-
-
-def _runs(counts: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield, about `_CHUNK` at a time, the index i of every element of every run and its place 0..counts[i]-1 in the run."""
-    ends = np.cumsum(counts)
-    starts = ends - counts
-    begin = 0
-    while begin < len(counts):
-        done = ends[begin - 1] if begin else 0
-        end = max(begin + 1, int(np.searchsorted(ends, done + _CHUNK, side="right")))
-        which = np.repeat(np.arange(begin, end), counts[begin:end])
-        yield which, np.arange(done, done + len(which)) - starts[which]
-        begin = end

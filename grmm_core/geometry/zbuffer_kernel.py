@@ -1,4 +1,4 @@
-"""The compiled twin of `zbuffer._draw`; importing it loads numba. Only `zbuffer` calls it.
+"""The compiled twin of `zbuffer_numpy.draw`; importing it loads numba. Only `zbuffer` calls it.
 
 Same arithmetic in the same order, hence no fast-math: both forms give the same picture.
 """
@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from .zbuffer import EMPTY, SPAN_SLACK
+from .zbuffer_numpy import EMPTY, SPAN_SLACK
 
 _SMALLEST = 1.0 / float(EMPTY)
 
@@ -20,7 +20,7 @@ def draw(
     depth: np.ndarray, left: int, top: int,
     rows: np.ndarray, x: np.ndarray, y: np.ndarray, slopes: np.ndarray, plane: np.ndarray, orthographic: bool, far: float,
 ) -> None:  # fmt: skip
-    """Write the nearer values into `depth` [H, W], whose corner is at (left, top), as `zbuffer._draw` does."""
+    """Write the nearer values into `depth` [H, W], whose corner is at (left, top), as `zbuffer_numpy.draw` does."""
     right = left + depth.shape[1]
     for t in range(rows.shape[1]):
         for row in range(rows[0, t], rows[1, t] + 1):

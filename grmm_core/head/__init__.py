@@ -12,11 +12,14 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 from .model import HeadModel
-from .open_head import PeopleModel, load_open_head, load_people_model, read_head
+from .open_head import PeopleModel, load_open_head, load_people_model, read_head_file
 
-__all__ = ["HeadModel", "PeopleModel", "load_flame", "load_open_head", "load_people_model", "read_head"]
+FLAME_SUFFIXES = (".pkl", ".npz")
+
+__all__ = ["FLAME_SUFFIXES", "HeadModel", "PeopleModel", "load_flame", "load_open_head", "load_people_model", "read_head"]
 
 
 def load_flame(
@@ -28,3 +31,13 @@ def load_flame(
     from .flame import load_flame as load
 
     return load(path, masks, landmarks)
+
+
+def read_head(path: str | os.PathLike[str]) -> HeadModel:
+    """Read a head model: a file of this project's format, or a user's FLAME file (.pkl, .npz).
+
+    Raises:
+        FileAccessError: Missing or unreadable.
+        FileFormatError: Corrupt, another format, or a version that is not known.
+    """
+    return load_flame(path) if Path(path).suffix.lower() in FLAME_SUFFIXES else read_head_file(path)

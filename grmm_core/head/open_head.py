@@ -22,7 +22,6 @@ from .model import HeadModel
 
 FORMAT = "grmm-head"
 VERSION = 1
-FLAME_SUFFIXES = (".pkl", ".npz")
 ASSET = Path(__file__).resolve().parent.parent / "assets" / "open_head.safetensors"
 
 
@@ -65,13 +64,13 @@ class PeopleModel:
 
 @functools.lru_cache(maxsize=1)
 def load_open_head() -> HeadModel:
-    """Return the open head (read once; its arrays are read-only). Raises as `read_head`."""
-    return read_head(ASSET)
+    """Return the open head (read once; its arrays are read-only). Raises as `read_head_file`."""
+    return read_head_file(ASSET)
 
 
 @functools.lru_cache(maxsize=1)
 def load_people_model() -> PeopleModel:
-    """Return the open head's relation of macros and shape (read once). Raises as `read_head`."""
+    """Return the open head's relation of macros and shape (read once). Raises as `read_head_file`."""
     tensors, metadata = _read(ASSET)
     try:
         return PeopleModel(
@@ -82,17 +81,13 @@ def load_people_model() -> PeopleModel:
         raise _corrupt(ASSET, error) from error
 
 
-def read_head(path: str | os.PathLike[str]) -> HeadModel:
-    """Read a head model: a file of this project's format, or a user's FLAME file (.pkl, .npz; see `flame.load_flame`).
+def read_head_file(path: str | os.PathLike[str]) -> HeadModel:
+    """Read a head model of this project's format.
 
     Raises:
         FileAccessError: Missing or unreadable.
         FileFormatError: Corrupt, another format, or a version that is not known.
     """
-    if Path(path).suffix.lower() in FLAME_SUFFIXES:
-        from .flame import load_flame  # it needs the open head itself
-
-        return load_flame(path)
     tensors, metadata = _read(path)
     try:
         regions = {name.partition(".")[2]: tensors[name] for name in tensors if name.startswith("region.")}

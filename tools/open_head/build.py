@@ -10,7 +10,7 @@ import numpy as np
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.files.tensorfile import write_tensors
-from grmm_core.head.open_head import ASSET, FORMAT, VERSION, read_head
+from grmm_core.head.open_head import ASSET, FORMAT, VERSION, read_head_file
 
 from .expressions import PARENTS, ExpressionSpace, build_expression_space, component_groups
 from .landmarks import place_landmarks68
@@ -78,7 +78,7 @@ def build(path: Path) -> None:
         "island_names": json.dumps(layout.names),
     }
     write_tensors(path, tensors, metadata)
-    found = place_landmarks478(read_head(path))
+    found = place_landmarks478(read_head_file(path))
     tensors["landmarks478_faces"], tensors["landmarks478_barycentric"] = found
     write_tensors(path, tensors, metadata)
     write_hashes(path.with_name("open_head_sources.json"), source)

@@ -256,17 +256,6 @@ def test_the_module_runs_and_survives_a_closed_pipe():
     assert "Traceback" not in result.stderr
 
 
-def test_help_loads_nothing_heavy():
-    code = (
-        "import sys; from grmm_core.cli import main; main(['render', '--help']); "
-        "print(sorted({'torch', 'numba', 'bpy'} & set(sys.modules)))"
-    )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=60
-    )
-    assert result.stdout.splitlines()[-1] == "[]"
-
-
 class Terminal(io.StringIO):
     def isatty(self) -> bool:
         return True

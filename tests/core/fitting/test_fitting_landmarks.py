@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shape_errors import aligned, shape_error
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import ShapeError
 from grmm_core.fitting import landmark_priors
 from grmm_core.fitting.landmark_priors import FACE_OVAL, landmark_modes
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
-from grmm_core.fitting.measure import aligned, shape_error
 from grmm_core.fitting.point_rig import LandmarkRig
 from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from PIL import Image
+from shape_errors import measure_shapes
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, NoFaceError, ShapeError
-from grmm_core.fitting.measure import measure_shapes
-from grmm_core.fitting.overlay import overlay_picture, track_vertices
 from grmm_core.fitting.track import AnalysedPhoto, analyse_photo, cut_square, frame_of, track_photos
 from grmm_core.head.open_head import load_open_head
 
@@ -46,6 +45,10 @@ def tracked(analysed, head):
     return get
 
 
+def posed(track, head):
+    return head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
+
+
 @pytest.mark.parametrize("name", PORTRAITS)
 def test_portraits_are_tracked_closely(tracked, name):
     track = tracked(name)
@@ -71,7 +74,7 @@ def test_the_working_picture_is_framed_as_the_training_pictures(tracked):
 
 def test_both_cameras_see_the_same(tracked, head):
     track = tracked("p05")
-    points = track_vertices(track, head)[::50].astype(np.float64)
+    points = posed(track, head)[::50].astype(np.float64)
     rays = []
     for camera in (track.camera, track.photo_camera):
         local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
@@ -82,7 +85,7 @@ def test_both_cameras_see_the_same(tracked, head):
 
 def test_fitted_landmarks_are_those_of_the_track(tracked, head):
     track = tracked("p02")
-    points = head.landmark_positions(track_vertices(track, head), 478).astype(np.float64)
+    points = head.landmark_positions(posed(track, head), 478).astype(np.float64)
     camera = track.camera
     local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     pixels = local[:, :2] / local[:, 2:] * camera.fx + [camera.cx, camera.cy]
@@ -177,19 +180,6 @@ def test_squares_beyond_the_picture_are_filled():
     np.testing.assert_allclose(result[25:55, 25:], 0.75, atol=0.01)
     np.testing.assert_allclose(result[:15], 0.25, atol=0.01)
     assert (cut_square(picture, 100.0, 100.0, 30.0, 16, 0.25) == np.float32(0.25)).all()
-
-
-def test_overlay_shows_found_and_fitted_landmarks(tracked, head):
-    track = tracked("p01")
-    plain = overlay_picture(track, head, wire=False, landmarks=False)
-    assert np.abs(plain / 255.0 - track.image).max() < 0.01
-    drawn = overlay_picture(track, head, scale=2)
-    assert drawn.shape == (2 * SIZE, 2 * SIZE, 3)
-    changed = np.abs(drawn[::2, ::2].astype(int) - plain).max(axis=2) > 30
-    ys, xs = np.nonzero(changed)
-    low, high = track.landmarks.min(0), track.landmarks.max(0)
-    inside = (xs > low[0] - 40) & (xs < high[0] + 40) & (ys > low[1] - 60)
-    assert inside.mean() > 0.6
 
 
 def test_a_rolled_photo_gives_a_rolled_camera(analysed, head, photo_file, tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from grmm_core.errors import ShapeError
-from grmm_core.geometry import zbuffer
+from grmm_core.geometry import zbuffer, zbuffer_numpy
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth, visible_fraction
 
@@ -165,7 +165,7 @@ def test_large_triangles_are_drawn_in_pieces(monkeypatch: pytest.MonkeyPatch):
     camera = Camera.orbit(64, 48, yaw=25.0, pitch=0.0, distance=1.0, fov=40.0)
     triangles = scattered(np.random.default_rng(7), 1.0)
     whole = triangle_depth(triangles, camera)
-    monkeypatch.setattr(zbuffer, "_CHUNK", 50)
+    monkeypatch.setattr(zbuffer_numpy, "_CHUNK", 50)
     np.testing.assert_array_equal(triangle_depth(triangles, camera), whole)
 
 

@@ -1,6 +1,6 @@
 """How far a fitted shape is from the truth, on people whose shape is known.
 
-Called by the evaluation and by whoever changes the tracking. Needs torch (it tracks) and Pillow (it reads pictures).
+For the tests, and for whoever changes the tracking.
 """
 
 from __future__ import annotations
@@ -10,9 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import ConfigError
-from ..head.model import HeadModel
-from .landmark_stage import similarity
+from grmm_core.errors import ConfigError, NoFaceError
+from grmm_core.fitting.landmark_stage import similarity
+from grmm_core.fitting.track import AnalysedPhoto, analyse_picture, track_photos
+from grmm_core.head.model import HeadModel
 
 REGIONS = ("face", "ears")
 _MILLIMETRES = 1000.0
@@ -74,9 +75,6 @@ def measure_shapes(
     Raises:
         ConfigError: Nobody has that many usable pictures.
     """
-    from ..errors import NoFaceError
-    from .track import AnalysedPhoto, analyse_picture, track_photos
-
     found, mean = [], []
     for truth, pictures in people:
         usable: list[AnalysedPhoto] = []

@@ -1,0 +1,188 @@
+"""The laws of the house, read from the sources: who may import whom, what importing loads, what nobody needs, names.
+
+Violations that are known stand in the table below each law; a test fails as well when an entry is no longer needed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from import_graph import PACKAGES, ROOT, Source, circles, graph, module_of, read_product, read_sources
+
+import grmm_core
+
+
+def package_of(module: str) -> str:
+    return module.split(".")[0]
+
+
+def room_of(module: str) -> str:
+    return module.split(".")[1]
+
+
+MODULES = read_product()
+EDGES = graph(MODULES)
+CORE = {name: source for name, source in MODULES.items() if name.startswith("grmm_core.")}
+EXTENSION = {n: source for n, source in MODULES.items() if package_of(n) in ("grmm_core", "grmm_blender", "operators")}
+REGISTERED = Source("", ROOT / "__init__.py").texts  # the extension's entry point names what it registers
+DOCUMENTATION = "".join(path.read_text("utf-8") for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+
+
+# --- the map of the core ---------------------------------------------------------------------------------------------
+
+
+def rooms_of_the_map() -> list[str]:
+    """Rooms from the ground up: the names that begin the lines of the docstring's map."""
+    rows = re.findall(r"^((?:``\w+`` *)+)  ", grmm_core.__doc__, re.MULTILINE)
+    return [name for row in rows for name in re.findall(r"``(\w+)``", row)]
+
+
+def test_the_map_names_every_room():
+    folders = {path.name for path in (ROOT / "grmm_core").iterdir() if (path / "__init__.py").exists()}
+    modules = {path.stem for path in (ROOT / "grmm_core").glob("*.py")} - {"__init__", "__main__"}
+    assert set(rooms_of_the_map()) == folders | modules
+
+
+def test_rooms_import_only_rooms_above_them_in_the_map():
+    order = {room: place for place, room in enumerate(rooms_of_the_map())}
+    order["__main__"] = len(order)
+    wrong = {
+        f"{each.importer}:{each.line} imports {target}"
+        for name, source in CORE.items()
+        for each in source.imports
+        if (target := module_of(each.target, CORE)) and room_of(target) != room_of(name)
+        if order[room_of(target)] > order[room_of(name)]
+    }
+    assert wrong == set()
+
+
+KNOWN_CIRCLES = {
+    frozenset({"grmm_core.training.personal", "grmm_core.training.preview", "grmm_core.training.trainer"}),
+    frozenset({"grmm_blender.viewport.overlay", "grmm_blender.viewport.settings"}),
+}
+
+
+def test_no_file_imports_itself_by_way_of_others():
+    assert circles(EDGES) == KNOWN_CIRCLES
+
+
+# --- between the packages --------------------------------------------------------------------------------------------
+
+# `grmm capture` starts the studio, which is there when the core is installed by pip and not in the extension.
+STUDIO_STARTS = {"grmm_core.cli.capture"}
+
+
+def test_the_core_imports_neither_blender_nor_what_is_built_on_it():
+    others = ("bpy", "bmesh", "mathutils", "gpu", "bl_ui", "grmm_blender", "operators", "tools", "grmm_studio")
+    wrong = {name for name, source in CORE.items() for each in source.imports if each.target.split(".")[0] in others}
+    assert wrong == STUDIO_STARTS
+
+
+def test_the_extension_imports_itself_relatively():
+    """Blender gives it the name `bl_ext.user_default.grmm`, so that an absolute name would find another copy or none."""
+    wrong = {
+        name
+        for name, source in EXTENSION.items()
+        for each in source.imports
+        if not each.relative and module_of(each.target, MODULES) and not each.target.startswith("grmm_studio")
+    }
+    assert wrong == set()
+
+
+CALLS_INTO_OPERATORS = {"grmm_blender.fitting.watch"}
+
+
+def test_nothing_calls_back_into_the_operators():
+    """Operators are how users reach the extension; what two of them share lies below them in `grmm_blender`."""
+    wrong = {
+        name
+        for name, source in MODULES.items()
+        if name.startswith("grmm_blender.")
+        if any(target.startswith("operators") for target in EDGES[name])
+        or re.search(r"bpy\.ops\.grmm\.\w+\(", source.path.read_text("utf-8"))
+    }
+    assert wrong == CALLS_INTO_OPERATORS
+
+
+# --- what importing loads --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "import grmm_core",
+        "import grmm_core.performance, grmm_core.formats, grmm_core.formats.avatars, grmm_core.formats.sog",
+        "from grmm_core.cli import main; main(['render', '--help'])",
+    ],
+)
+def test_importing_loads_nothing_heavy(statement):
+    """Registering the extension likewise: `tests/blender/test_extension.py`."""
+    heavy = {"torch", "numba", "bpy", "scipy", "PIL", "zstandard", "trimesh", "grmm_studio"}
+    code = f"import sys; {statement}; print(sorted({heavy} & set(sys.modules)))"
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+# --- what nobody needs -----------------------------------------------------------------------------------------------
+
+
+def starts_by_itself(name: str) -> bool:
+    """A package or a program, or what registration, the command line or the documentation finds by name."""
+    source = MODULES[name]
+    text = source.path.read_text("utf-8")
+    if source.is_package or name.endswith("__main__") or '__name__ == "__main__"' in text or f".{name}" in REGISTERED:
+        return True
+    parent, _, last = name.rpartition(".")
+    while parent:
+        if {f".{last}", last} & MODULES[parent].texts and "import_module" in MODULES[parent].path.read_text("utf-8"):
+            return True
+        parent, _, above = parent.rpartition(".")
+        last = f"{above}.{last}"
+    return str(source.path.relative_to(ROOT)) in DOCUMENTATION
+
+
+UNUSED_SO_FAR = {"grmm_core.hair.groom"}
+
+
+def test_no_module_is_there_for_tests_only():
+    imported = set().union(*EDGES.values())
+    assert {name for name in MODULES if name not in imported and not starts_by_itself(name)} == UNUSED_SO_FAR
+
+
+# --- names -----------------------------------------------------------------------------------------------------------
+
+# Names that say a module's place in its room, and mean the same in every room that has one.
+PLACES = {
+    "__main__": "a program",
+    "api": "what other rooms call",
+    "build": "makes the room's objects in Blender",
+    "checkpoint": "the state of interrupted work",
+    "config": "what is chosen before a run",
+    "function": "a backend's autograd function",
+    "panel": "a room's panel",
+    "properties": "property groups",
+    "settings": "property groups of the scene",
+    "types": "a room's data classes",
+}
+KNOWN_TWINS = {
+    "grmm_core": {"codes", "color", "curves", "decoders", "fitting", "model", "views"},
+}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_two_modules_of_a_package_share_a_name(package):
+    """Modules of `cli` have the names of their commands."""
+    names = [n.rpartition(".")[2] for n in MODULES if package_of(n) == package and not n.startswith("grmm_core.cli.")]
+    assert {name for name in names if names.count(name) > 1} - PLACES.keys() == KNOWN_TWINS.get(package, set())
+
+
+def test_no_test_imports_a_test():
+    tests = read_sources(ROOT / "tests")
+    stems = {source.path.stem for source in tests.values() if source.path.stem.startswith("test_")}
+    wrong = {name for name, source in tests.items() for each in source.imports if each.target.split(".")[0] in stems}
+    assert wrong == set()

@@ -6,8 +6,10 @@ import argparse
 from pathlib import Path
 
 from ..controls.frame import Controls, parse_assignments
+from ..controls.table import settable
 from ..errors import FileAccessError
 from ..files.access import describe_os_error
+from .console import Console
 
 DEVICES = ("auto", "cpu", "cuda", "mps")
 
@@ -31,7 +33,8 @@ def add_model(parser: argparse.ArgumentParser) -> None:
 
 
 def add_controls(parser: argparse.ArgumentParser) -> None:
-    """Add --set. AVATAR comes before it: --set takes every word up to the next option."""
+    """Add --set and --list-controls. AVATAR comes before --set, which takes every word up to the next option."""
+    others = [name for name, control in settable() if control.unit != "weight" and control.source == "property"]
     parser.add_argument(
         "--set",
         action="extend",
@@ -39,9 +42,19 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         dest="assignments",
-        help="set a control: an ARKit name such as jawOpen, an aligned expression such as laugh, expression.N, shape.N, jaw.x, "
-        "neck.y, eyes.yaw, z_id.N, z_exp.N (angles in radians); any number, and --set may be repeated",
+        help="set a control: an ARKit name such as jawOpen, an aligned expression such as laugh, jaw.x, neck.y, eyes.yaw "
+        f"(angles in radians), {', '.join(others)}; any number, and --set may be repeated",
     )
+    parser.add_argument("--list-controls", action=_ListControls, nargs=0, help="print what --set takes, and leave")
+
+
+class _ListControls(argparse.Action):
+    """Print the table of controls."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        rows = [(name, f"{c.limits.low:.4g} to {c.limits.high:.4g}", c.unit, c.description) for name, c in settable()]
+        Console().table(("name", "range", "unit", "what it is"), rows)
+        parser.exit()
 
 
 def controls_of(args: argparse.Namespace) -> Controls:

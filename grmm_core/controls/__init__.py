@@ -1,5 +1,7 @@
-"""What an animator sets: names of expressions and joints, and one frame of them. Needs numpy only.
+"""What an animator sets: expressions, joints, coefficients, sliders; one frame of them. Needs numpy only.
 
-``names``   the 52 ARKit shapes, the aligned expressions, joints
-``frame``   `Controls`, how they become quantities of the model, and what `--set` takes
+``names``    the 52 ARKit shapes, the aligned expressions, recipes, joints
+``control``  what is known of one control
+``table``    all controls, and `Controls`, one frame of them: the one place to add a slider
+``frame``    how a frame becomes quantities of the model; what `--set` takes
 """

@@ -1,4 +1,4 @@
-"""Names: the 52 ARKit shapes, the aligned expressions, joints.
+"""Names: the 52 ARKit shapes, the aligned expressions, what is made of these, joints.
 
 The aligned expressions are the counterpart of the paper's 60 aligned expressions (section 3.1): everybody in the capture
 performs the same 60, and each owns one learned code z_exp shared by all identities (section 3.3). The first 52 are the ARKit
@@ -59,5 +59,10 @@ MIXTURES: MappingProxyType[str, MappingProxyType[str, float]] = MappingProxyType
 MIXTURE_NAMES: tuple[str, ...] = tuple(MIXTURES)
 ALIGNED_NAMES: tuple[str, ...] = ARKIT_NAMES + MIXTURE_NAMES
 """The 60 aligned expressions, in the order of the weights' table of codes Z [60, z_exp]."""
+
+COMPOUNDS: dict[str, dict[str, float]] = {}
+"""Further expressions, as recipes like `MIXTURES`: sliders that are the sum of their parts and have no learned code."""
+EXPRESSION_NAMES: tuple[str, ...] = (*ALIGNED_NAMES, *COMPOUNDS)
+"""All expressions that have a name and a slider."""
 
 JOINT_NAMES: tuple[str, ...] = ("root", "neck", "jaw", "left_eye", "right_eye")

@@ -28,11 +28,8 @@ def repository() -> Path:
 
 @pytest.fixture(scope="session")
 def photo_file() -> Callable[[str], Path]:
-    """Path of a test photo by the start of its name, such as "p01"; skips where the photos are not beside this checkout."""
-    folder = ROOT.parent / "shared" / "photos"
-    if not folder.is_dir():
-        pytest.skip("the test photos are not beside this checkout")
-    return lambda name: next(folder.glob(f"{name}_*"))
+    """Path of a photo of `tests/data/photos` by its name: "astronaut" or "admiral"."""
+    return lambda name: ROOT / "tests" / "data" / "photos" / f"{name}.jpg"
 
 
 @pytest.fixture(scope="module")

@@ -92,7 +92,7 @@ def test_a_real_photo_is_cancelled_resumed_and_seen_through_its_camera(
     run_blender: RunBlender, photo_file, tmp_path: Path, record_property
 ):
     photo = tmp_path / "photo.png"
-    with Image.open(photo_file("p05")) as whole:
+    with Image.open(photo_file("astronaut")) as whole:
         whole.convert("RGB").resize((PHOTO_SIDE, PHOTO_SIDE), Image.Resampling.LANCZOS).save(photo)
     done = run_blender("fit_photo.py", photo, tmp_path, python="4.5", environment=environment(), timeout=1800.0).result
     assert not done["before"]

@@ -133,7 +133,7 @@ def test_guided_filter_of_a_flat_guide_is_a_mean_and_keeps_edges_of_the_guide():
 def test_the_mask_covers_the_face_and_leaves_the_corners(photo_file):
     from grmm_core.photo.faces import find_faces
 
-    photo = load_photo(photo_file("p05"))
+    photo = load_photo(photo_file("astronaut"))
     (face,) = find_faces(photo.pixels)
     mask = person_mask(photo.pixels, face.box)
     x, y = face.landmarks[:, :2].T.astype(int)

@@ -33,7 +33,7 @@ def empty(shape: tuple[int, ...]) -> np.ndarray:
     if memory is None:
         memory = np.empty(size, np.uint8)
     # Views of an array that stands on a memoryview keep that array alive, not what lies below it.
-    array = np.frombuffer(memoryview(memory), np.float32)
+    array = np.frombuffer(memory.data, np.float32)
     weakref.finalize(array, _give_back, memory).atexit = False
     return array.reshape(shape)
 

@@ -72,8 +72,8 @@ def check_device(device: torch.device) -> float:
         leaves = [part.to(there).requires_grad_() for part in parts]
         draw = rasterize_reference if there.type == "cpu" else rasterize_cuda
         out = draw(Gaussians(*leaves), view)
-        pictures = [out.rgb, out.alpha, out.depth, out.features]
-        gradients = torch.autograd.grad(sum(picture.square().sum() for picture in pictures), leaves)
+        pictures = [picture for picture in (out.rgb, out.alpha, out.depth, out.features) if picture is not None]
+        gradients = torch.autograd.grad([picture.square().sum() for picture in pictures], leaves)
         results.append([tensor.detach().cpu() for tensor in (*pictures, *gradients)])
     return max(float((a - b).abs().max() / b.abs().max()) for b, a in zip(*results, strict=True))
 

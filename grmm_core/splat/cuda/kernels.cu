@@ -188,42 +188,54 @@ __device__ inline float cover_at(const Record &record, float x, float y, float &
     return fminf((float)ALPHA_MAX, record.opacity * expf(-0.5f * (s * s + q * q)));
 }
 
-// Fetches up to THREADS instances into shared memory, one a thread.
-__device__ inline void fetch(
-    int64 batch, int64 end, const int *gaussian, const Record *records, Record *shared_records, int *shared_owners) {
+// A thread's pixel: one block a tile, one thread a pixel.
+struct Pixel {
+    int tile;
+    bool inside;  // of the picture
+    int64 index;  // in the picture
+    float x, y;   // centre
+};
+
+__device__ inline Pixel own_pixel(int tiles_x, int width, int height) {
+    const int column = blockIdx.x * TILE + threadIdx.x % TILE, row = blockIdx.y * TILE + threadIdx.x / TILE;
+    return {(int)(blockIdx.y * tiles_x + blockIdx.x), column < width && row < height, (int64)row * width + column,
+            column + 0.5f, row + 0.5f};
+}
+
+// Fetches up to THREADS instances into shared memory, one a thread; returns how many, 0 when no thread's pixel is open.
+__device__ inline int fetch(
+    bool open, int64 batch, int64 end, const int *gaussian, const Record *records, Record *shared_records, int *shared_owners) {
+    if (__syncthreads_count(open) == 0) return 0;
     const int64 mine = batch + threadIdx.x;
     if (mine < end) {
         shared_owners[threadIdx.x] = gaussian[mine];
         shared_records[threadIdx.x] = records[gaussian[mine]];
     }
+    __syncthreads();
+    return end - batch < THREADS ? (int)(end - batch) : THREADS;
 }
 
-// One block a tile, one thread a pixel. `starts`: first instance of each tile, sorted by depth.
+// Blends a tile. `starts`: first instance of each tile, sorted by depth.
 // `background_step`: 3 for a picture [H, W, 3], 0 for one color.
 extern "C" __global__ void __launch_bounds__(THREADS) blend(
     int tiles_x, int width, int height, const int64 *starts, const int *gaussian, const Record *records, const float *features,
     const float *background, int background_step, float *rgb, float *alpha, float *depth, float *blended) {
     __shared__ Record shared_records[THREADS];
     __shared__ int shared_owners[THREADS];
-    const int tile = blockIdx.y * tiles_x + blockIdx.x;
-    const int column = blockIdx.x * TILE + threadIdx.x % TILE, row = blockIdx.y * TILE + threadIdx.x / TILE;
-    const bool inside = column < width && row < height;
-    const float x = column + 0.5f, y = row + 0.5f;
+    const Pixel own = own_pixel(tiles_x, width, height);
     float sums[CHANNELS];
 #pragma unroll
     for (int c = 0; c < CHANNELS; ++c) sums[c] = 0.0f;
     float through = 1.0f;
-    bool open = inside;
-    const int64 end = starts[tile + 1];
-    for (int64 batch = starts[tile]; batch < end; batch += THREADS) {
-        if (__syncthreads_count(open) == 0) break;
-        fetch(batch, end, gaussian, records, shared_records, shared_owners);
-        __syncthreads();
-        const int here = end - batch < THREADS ? (int)(end - batch) : THREADS;
+    bool open = own.inside;
+    const int64 end = starts[own.tile + 1];
+    for (int64 batch = starts[own.tile]; batch < end; batch += THREADS) {
+        const int here = fetch(open, batch, end, gaussian, records, shared_records, shared_owners);
+        if (here == 0) break;
         for (int k = 0; open && k < here; ++k) {
             float s, q;
             const Record &record = shared_records[k];
-            const float cover = cover_at(record, x, y, s, q);
+            const float cover = cover_at(record, own.x, own.y, s, q);
             if (cover < (float)ALPHA_MIN) continue;
             const float after = through * (1.0f - cover);
             if (after < (float)TRANSMITTANCE_MIN) {
@@ -235,14 +247,14 @@ extern "C" __global__ void __launch_bounds__(THREADS) blend(
             sums[1] += weight * record.green;
             sums[2] += weight * record.blue;
             sums[3] += weight * record.depth;
-            const float *own = features + (int64)FEATURES * shared_owners[k];
+            const float *values = features + (int64)FEATURES * shared_owners[k];
 #pragma unroll
-            for (int c = 0; c < FEATURES; ++c) sums[BASE + c] += weight * own[c];
+            for (int c = 0; c < FEATURES; ++c) sums[BASE + c] += weight * values[c];
             through = after;
         }
     }
-    if (!inside) return;
-    const int64 pixel = (int64)row * width + column;
+    if (!own.inside) return;
+    const int64 pixel = own.index;
     const float covered = 1.0f - through;
     for (int c = 0; c < 3; ++c) rgb[3 * pixel + c] = sums[c] + through * background[background_step * pixel + c];
     alpha[pixel] = covered;
@@ -285,17 +297,14 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
     __shared__ Record shared_records[THREADS];
     __shared__ int shared_owners[THREADS];
     __shared__ float partial[TOGETHER][THREADS / 32][PARTS];
-    const int tile = blockIdx.y * tiles_x + blockIdx.x;
-    const int column = blockIdx.x * TILE + threadIdx.x % TILE, row = blockIdx.y * TILE + threadIdx.x / TILE;
+    const Pixel own = own_pixel(tiles_x, width, height);
     const int lane = threadIdx.x % 32, warp = threadIdx.x / 32;
-    const bool inside = column < width && row < height;
-    const float x = column + 0.5f, y = row + 0.5f;
     float pull[CHANNELS];  // gradient of the sums of the channels
     float behind = 0.0f;   // gradient times the light that arrives from behind
 #pragma unroll
     for (int c = 0; c < CHANNELS; ++c) pull[c] = 0.0f;
-    if (inside) {
-        const int64 pixel = (int64)row * width + column;
+    if (own.inside) {
+        const int64 pixel = own.index;
         const float covered = alpha[pixel];
         behind = -(1.0f - covered) * d_alpha[pixel];
         for (int c = 0; c < 3; ++c) {
@@ -311,19 +320,17 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
         }
     }
     float through = 1.0f;
-    bool open = inside;
-    const int64 end = starts[tile + 1];
-    for (int64 batch = starts[tile]; batch < end; batch += THREADS) {
-        if (__syncthreads_count(open) == 0) break;
-        fetch(batch, end, gaussian, records, shared_records, shared_owners);
-        __syncthreads();
-        const int here = end - batch < THREADS ? (int)(end - batch) : THREADS;
+    bool open = own.inside;
+    const int64 end = starts[own.tile + 1];
+    for (int64 batch = starts[own.tile]; batch < end; batch += THREADS) {
+        const int here = fetch(open, batch, end, gaussian, records, shared_records, shared_owners);
+        if (here == 0) break;
         for (int group = 0; group < here; group += TOGETHER) {
             const int members = here - group < TOGETHER ? here - group : TOGETHER;
             for (int member = 0; member < members; ++member) {
                 const Record &record = shared_records[group + member];
                 float s, q;
-                const float cover = cover_at(record, x, y, s, q);
+                const float cover = cover_at(record, own.x, own.y, s, q);
                 bool blends = open && cover >= (float)ALPHA_MIN;
                 const float after = through * (1.0f - cover);
                 if (blends && after < (float)TRANSMITTANCE_MIN) blends = open = false;
@@ -337,10 +344,10 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
                 for (int k = 0; k < PARTS; ++k) parts[k] = 0.0f;
                 if (blends) {
                     const float weight = cover * through;
-                    const float *own = features + (int64)FEATURES * shared_owners[group + member];
+                    const float *values = features + (int64)FEATURES * shared_owners[group + member];
                     float dot = pull[0] * record.red + pull[1] * record.green + pull[2] * record.blue + pull[3] * record.depth;
 #pragma unroll
-                    for (int c = 0; c < FEATURES; ++c) dot += pull[BASE + c] * own[c];
+                    for (int c = 0; c < FEATURES; ++c) dot += pull[BASE + c] * values[c];
 #pragma unroll
                     for (int c = 0; c < CHANNELS; ++c) parts[MOMENTS + c] = weight * pull[c];
                     behind -= weight * dot;

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene.walk import drawn_objects
-from . import final, passes
+from . import collect, final, passes
 from .view import ViewRenderer
 
 
@@ -24,7 +23,7 @@ class GRMM_RenderEngine(bpy.types.RenderEngine):
 
     def update_render_passes(self, scene: bpy.types.Scene, renderlayer: bpy.types.ViewLayer) -> None:
         """Tell Blender which passes there are."""
-        passes.register_passes(self, scene, renderlayer, [obj.name for obj in drawn_objects(scene)])
+        passes.register_passes(self, scene, renderlayer, collect.avatar_names(scene))
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Render one view layer of one frame."""

@@ -7,14 +7,12 @@ the viewport with one depth for each pixel, so that it hides objects and is hidd
 
 =============  =================================================================================
 ``settings``   `Scene.grmm_viewport`
-``changes``    counts changes of scenes and settings
-``overlay``    Blender's drawing callbacks and events
-``splat_view`` what one region needs between two draws
+``overlay``    Blender's drawing callbacks and events; one `Viewport` for each region
 ``drawing``    textures, batches, draw calls
 ``shaders``    the GLSL
 ``jobs``       the thread
 ``arrays``     Gaussians as arrays in world space, packing, sorting (numpy only)
-``sources``    what a viewport shows: avatars and splat clouds
+``sources``    what a scene shows: avatars and splat clouds
 ``pace``       which level of detail holds the frame rate (plain Python)
 ``panel``      user interface
 =============  =================================================================================

@@ -173,13 +173,13 @@ def arithmetic(best_times: BestTimes, scene: Gaussians, size: int, repeats: int)
     """
     import torch
 
+    from ..splat import GaussianArrays
     from ..splat.cpu.count import count_work
-    from ..splat.cpu.function import draw
+    from ..splat.cpu.drawing import draw
     from ..splat.rules import TILE, View
 
     view = View.of(Camera.orbit(size, size))
-    parts = (scene.means, scene.quats, scene.scales, scene.opacities, scene.colors, scene.features)
-    inputs = [part.contiguous().numpy() for part in parts]
+    inputs = GaussianArrays(*(getattr(scene, name).numpy() for name in GaussianArrays._fields)).prepared()
     ground = np.zeros((1, 1, 3), np.float32)
     _, drawing = draw(inputs, ground, view, False)
     work = count_work(drawing, size, size)
@@ -219,7 +219,7 @@ def _forward(scene: Gaussians, size: int, backend: str = "auto") -> None:
     from ..splat import rasterize
 
     with torch.no_grad():
-        rasterize(scene, Camera.orbit(size, size), backend=backend)  # type: ignore[arg-type]
+        rasterize(scene, Camera.orbit(size, size), backend=backend)
     if scene.means.device.type == "cuda":
         torch.cuda.synchronize()
 
@@ -239,7 +239,7 @@ def _with_gradients(scene: Gaussians, size: int, backend: str = "auto") -> Calla
     def step() -> None:
         for leaf in leaves.values():
             leaf.grad = None
-        out = rasterize(learning, Camera.orbit(size, size), backend=backend)  # type: ignore[arg-type]
+        out = rasterize(learning, Camera.orbit(size, size), backend=backend)
         pictures = [out.rgb, out.alpha, out.depth, out.features]
         torch.autograd.backward(pictures, [torch.ones_like(picture) for picture in pictures])
         if scene.means.device.type == "cuda":

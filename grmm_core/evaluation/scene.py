@@ -16,8 +16,7 @@ from torch import Tensor
 from ..errors import ConfigError
 from ..geometry.camera import Camera
 from ..model.grmm import GRMM, Rendering
-from ..model.weights import load_weights
-from ..model.weights_file import WeightsInfo
+from ..model.weights import WeightsInfo, load_weights
 
 if TYPE_CHECKING:
     from ..avatar import Avatar

@@ -1,16 +1,21 @@
 """Drawing 3D Gaussians with color, cover, depth and feature channels, differentiable, on the CPU or a GPU.
 
-    rasterize(gaussians, camera) -> RasterOutput(rgb, alpha, depth, features)
+    rasterize(gaussians, camera) -> RasterOutput(rgb, alpha, depth, features)      tensors, any backend
+    rasterize_arrays(gaussians, camera) -> PictureArrays(rgb, alpha, depth, features)   arrays, without torch
 
 Map:
-    api.py        checks, choice of the backend, `rasterize`, `rasterize_batch`, `available_backends`
-    types.py      `Gaussians` in, `RasterOutput` out
+    api.py        checks, `rasterize`, `rasterize_batch`, `rasterize_arrays`
+    backends.py   the table of backends, `available_backends`, `register_backend`
+    types.py      `Gaussians` in, `RasterOutput` out; the same as arrays
     rules.py      the constants of 3DGS that all backends share, and a camera's numbers (`View`)
     motion.py     gradients for the camera's pose
     reference.py  backend "torch": plain PyTorch, any device and float type; the others are tested against it
+    autograd.py   the PyTorch operation around a backend that has gradients of its own
     cpu/          backend "cpu": compiled with numba
-        function.py    the PyTorch operation; calls the others in this order
-        projection.py  Gaussians onto the picture plane, and the gradient of that
+        engine.py      the backend for PyTorch
+        drawing.py     arrays in, arrays out, and gradients, without torch; calls the others in this order
+        records.py     what stands where in the arrays that they share
+        projection.py, projection_gradient.py  Gaussians onto the picture plane, and the gradient of that
         binning.py     lists of Gaussians per tile, sorted by depth
         blocks.py      a tile's blocks of pixels: which Gaussian reaches which
         forward.py     blending of a tile
@@ -19,7 +24,7 @@ Map:
         count.py       how much work a drawing was, for `grmm bench`
     cuda/         backend "cuda": gsplat where that is installed, else own kernels without nvcc
         adapter.py     the choice between them; a check of the graphics card
-        function.py    the PyTorch operation around the kernels
+        drawing.py     drawing and gradients by the kernels
         kernels.cu     the kernels; source.py puts the constants in front of them
         compile.py, launch.py   NVRTC and the CUDA driver
 
@@ -29,7 +34,21 @@ renderer, training, fitting, sessions. It knows nothing of heads.
 
 from __future__ import annotations
 
-from .api import BackendInfo, available_backends, choose_backend, rasterize, rasterize_batch
-from .types import Gaussians, RasterOutput
+from .api import rasterize, rasterize_arrays, rasterize_batch
+from .backends import Backend, BackendInfo, available_backends, choose_backend, register_backend
+from .types import GaussianArrays, Gaussians, PictureArrays, RasterOutput
 
-__all__ = ["BackendInfo", "Gaussians", "RasterOutput", "available_backends", "choose_backend", "rasterize", "rasterize_batch"]
+__all__ = [
+    "Backend",
+    "BackendInfo",
+    "GaussianArrays",
+    "Gaussians",
+    "PictureArrays",
+    "RasterOutput",
+    "available_backends",
+    "choose_backend",
+    "rasterize",
+    "rasterize_arrays",
+    "rasterize_batch",
+    "register_backend",
+]

@@ -1,94 +1,29 @@
-"""The rasteriser's front door: checks the input, chooses a backend, and calls it.
+"""The rasteriser's front door: checks the input, finds the backend (`backends.py`), and calls it.
 
 Torch, numba and gsplat are imported on first use, so that this module can be imported where they are missing.
 """
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from ..errors import BackendError, RuntimeMissingError, ShapeError
+from .backends import choose_backend, find_backend, installed
 from .rules import View
-from .types import Gaussians, RasterOutput
+from .types import GaussianArrays, Gaussians, PictureArrays, RasterOutput
 
 if TYPE_CHECKING:
     from torch import Tensor
 
     from ..geometry.camera import Camera
 
-Backend = Literal["auto", "torch", "cpu", "cuda"]
-BACKENDS: tuple[str, ...] = ("torch", "cpu", "cuda")
-CUDA_TOLERANCE = 2e-3  # relative, float32 against float32: what `available_backends` accepts of a graphics card
 
-
-@dataclass(frozen=True)
-class BackendInfo:
-    """One backend, for `grmm info`.
-
-    Attributes:
-        name: "torch", "cpu" or "cuda".
-        available: Whether it can be used here.
-        detail: What it is and how far it was tested, or what is missing.
-    """
-
-    name: str
-    available: bool
-    detail: str
-
-
-def _installed(module: str) -> bool:
-    return importlib.util.find_spec(module) is not None
-
-
-def available_backends() -> list[BackendInfo]:
-    """Return every backend with its state on this machine.
-
-    Imports no heavy module except torch, for its devices; where there is a CUDA device, it draws a small scene there.
-    """
-    if not _installed("torch"):
-        return [BackendInfo(name, False, "torch is not installed") for name in BACKENDS]
-    import torch
-
-    backends = [BackendInfo("torch", True, "readable reference in PyTorch, any device; slow")]
-    if _installed("numba"):
-        backends.append(BackendInfo("cpu", True, "compiled with numba, all cores; tested against the reference"))
-    else:
-        backends.append(BackendInfo("cpu", False, "numba is not installed"))
-    if not torch.cuda.is_available():
-        detail = "no CUDA device; gsplat or own kernels, of which only the arithmetic is tested, never the run on a card"
-        backends.append(BackendInfo("cuda", False, detail))
-    else:
-        backends.append(_describe_cuda())
-    return backends
-
-
-def _describe_cuda() -> BackendInfo:
-    """Describe the backend "cuda" on a machine with a card: what runs, and whether it is right here."""
-    import torch
-
-    from .cuda.adapter import check_device, gsplat_usable
-
-    what = "gsplat" if gsplat_usable() else "own kernels, compiled at run time"
-    try:
-        error = check_device(torch.device("cuda"))
-    except BackendError as problem:
-        return BackendInfo("cuda", False, f"{what}: {problem}")
-    verdict = "as they should be" if error < CUDA_TOLERANCE else "WRONG: use the device cpu"
-    return BackendInfo(
-        "cuda", error < CUDA_TOLERANCE,
-        f"{what}; our own tests never ran on a graphics card; checked just now on this one: pictures and gradients within "
-        f"{error:.0e} of the reference, {verdict}",
-    )  # fmt: skip
-
-
-def choose_backend(device: str) -> str:
-    """Return the fastest backend for tensors on a device ("cpu", "cuda", "mps" ...)."""
-    if device == "cpu" and _installed("numba"):
-        return "cpu"
-    return "cuda" if device == "cuda" else "torch"
+def _check_background(shape: Sequence[int], camera: Camera) -> None:
+    if tuple(shape) not in ((3,), (camera.height, camera.width, 3)):
+        raise ShapeError(f"The background has the shape {list(shape)}; [3] or [{camera.height}, {camera.width}, 3] is needed.")
 
 
 def _background(background: Any, gaussians: Gaussians, camera: Camera) -> Tensor | None:
@@ -98,10 +33,7 @@ def _background(background: Any, gaussians: Gaussians, camera: Camera) -> Tensor
     import torch
 
     ground = torch.as_tensor(background, device=gaussians.means.device, dtype=gaussians.means.dtype)
-    if tuple(ground.shape) not in ((3,), (camera.height, camera.width, 3)):
-        raise ShapeError(
-            f"The background has the shape {list(ground.shape)}; [3] or [{camera.height}, {camera.width}, 3] is needed."
-        )
+    _check_background(ground.shape, camera)
     return ground
 
 
@@ -109,7 +41,7 @@ def rasterize(
     gaussians: Gaussians,
     camera: Camera,
     background: Tensor | Sequence[float] | None = None,
-    backend: Backend = "auto",
+    backend: str = "auto",
     antialiased: bool = False,
     frame: Camera | None = None,
     motion: Tensor | None = None,
@@ -125,7 +57,7 @@ def rasterize(
         gaussians: The scene.
         camera: Perspective or orthographic; crops and lens shift are a moved principal point.
         background: [3] or [H, W, 3] colors behind the scene; black when None.
-        backend: "torch", "cpu", "cuda", or the fastest that is there for the tensors' device.
+        backend: "torch", "cpu", "cuda", another one of the table, or "auto": the fastest for the tensors' device.
         antialiased: Compensate opacities for the dilation (Mip-Splatting), which keeps small Gaussians from swelling.
         frame: The camera of the whole picture where `camera` is a crop of it; see `rules.View.of`.
         motion: [6] rotation vector (radians) and translation (metres) in the camera's axes, applied to the scene in front of
@@ -135,7 +67,7 @@ def rasterize(
         ShapeError: A tensor's shape, type or device does not fit.
         BackendError: The backend is not available here, or the scene is too large for it.
     """
-    if not _installed("torch"):
+    if not installed("torch"):
         raise RuntimeMissingError("Drawing Gaussians needs torch, which is not installed here.")
     gaussians.validate()
     ground = _background(background, gaussians, camera)
@@ -144,31 +76,45 @@ def rasterize(
 
         gaussians, camera = moved(gaussians, camera, motion)
     view = View.of(camera, frame)
-    name = choose_backend(gaussians.means.device.type) if backend == "auto" else backend
-    if name == "torch":
-        from .reference import rasterize_reference
+    draw = find_backend(choose_backend(gaussians.means.device.type) if backend == "auto" else backend).load()
+    return draw(gaussians, view, ground, antialiased)
 
-        return rasterize_reference(gaussians, view, ground, antialiased)
-    if name == "cpu":
-        if not _installed("numba"):
-            raise BackendError("The CPU rasteriser needs numba: install it, or use the backend 'torch'.")
-        if gaussians.means.device.type != "cpu":
-            raise BackendError(f"The CPU rasteriser needs tensors on the CPU; these are on {gaussians.means.device}.")
-        from .cpu.function import rasterize_cpu
 
-        return rasterize_cpu(gaussians, view, ground, antialiased)
-    if name == "cuda":
-        from .cuda.adapter import rasterize_cuda
+def rasterize_arrays(
+    gaussians: GaussianArrays,
+    camera: Camera,
+    background: np.ndarray | Sequence[float] = (0.0, 0.0, 0.0),
+    antialiased: bool = False,
+    frame: Camera | None = None,
+) -> PictureArrays:
+    """Draw Gaussians given as arrays with the compiled kernels, as `rasterize` does with tensors; needs numba, not torch.
 
-        return rasterize_cuda(gaussians, view, ground, antialiased)
-    raise BackendError(f"There is no rasteriser called '{name}'; there are {', '.join(BACKENDS)} and auto.")
+    Args:
+        gaussians: The scene.
+        camera: As in `rasterize`.
+        background: [3] or [H, W, 3] colors behind the scene.
+        antialiased: As in `rasterize`.
+        frame: As in `rasterize`.
+
+    Raises:
+        ShapeError: An array's shape does not fit.
+        BackendError: Numba is not installed, or the scene is too large.
+    """
+    if not installed("numba"):
+        raise BackendError("The CPU rasteriser needs numba, which is not installed here.")
+    from .cpu.drawing import draw
+
+    ground = np.ascontiguousarray(background, np.float32)
+    _check_background(ground.shape, camera)
+    ground = ground.reshape(1, 1, 3) if ground.ndim == 1 else ground
+    return draw(gaussians.prepared(), ground, View.of(camera, frame), antialiased)[0]
 
 
 def rasterize_batch(
     gaussians: Gaussians | Sequence[Gaussians],
     cameras: Sequence[Camera],
     background: Tensor | Sequence[float] | None = None,
-    backend: Backend = "auto",
+    backend: str = "auto",
     antialiased: bool = False,
 ) -> list[RasterOutput]:
     """Draw several pictures, one per camera; each call uses all cores.

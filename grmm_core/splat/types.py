@@ -1,12 +1,15 @@
 """What goes into the rasteriser and what comes out, and the checks at its boundary.
 
+`Gaussians` and `RasterOutput` hold tensors, `GaussianArrays` and `PictureArrays` the same as arrays, for those without torch.
 Imports torch only for annotations, so that the package can be imported where torch is missing.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from ..errors import ShapeError
 
@@ -15,6 +18,19 @@ if TYPE_CHECKING:
 
     import torch
     from torch import Tensor
+
+
+def _check_shapes(gaussians: Any) -> None:
+    """Raise `ShapeError` naming the part of `Gaussians` or `GaussianArrays` whose shape does not fit the means'."""
+    count = gaussians.means.shape[0] if gaussians.means.ndim else 0
+    expected = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,), "colors": (count, 3)}
+    for name, shape in expected.items():
+        part = getattr(gaussians, name)
+        if tuple(part.shape) != shape:
+            raise ShapeError(f"Gaussians.{name} has the shape {list(part.shape)}; {list(shape)} is needed.")
+    features = gaussians.features
+    if features is not None and (features.ndim != 2 or features.shape[0] != count):
+        raise ShapeError(f"Gaussians.features has the shape {list(features.shape)}; [{count}, channels] is needed.")
 
 
 @dataclass
@@ -44,14 +60,7 @@ class Gaussians:
 
     def validate(self) -> None:
         """Raise `ShapeError` naming the tensor whose shape, type or device does not fit."""
-        count = self.means.shape[0] if self.means.ndim else 0
-        expected = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,), "colors": (count, 3)}
-        for name, shape in expected.items():
-            tensor = getattr(self, name)
-            if tuple(tensor.shape) != shape:
-                raise ShapeError(f"Gaussians.{name} has the shape {list(tensor.shape)}; {list(shape)} is needed.")
-        if self.features is not None and (self.features.ndim != 2 or self.features.shape[0] != count):
-            raise ShapeError(f"Gaussians.features has the shape {list(self.features.shape)}; [{count}, channels] is needed.")
+        _check_shapes(self)
         for field in fields(self):
             tensor = getattr(self, field.name)
             if tensor is None:
@@ -81,7 +90,7 @@ class Gaussians:
             raise ShapeError("Gaussians with different numbers of features cannot be drawn together.")
         joined = {f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Gaussians) if f.name != "features"}
         if parts[0].features is not None:
-            joined["features"] = torch.cat([part.features for part in parts])
+            joined["features"] = torch.cat([part.features for part in parts if part.features is not None])
         return Gaussians(**joined)
 
 
@@ -100,3 +109,41 @@ class RasterOutput:
     alpha: Tensor
     depth: Tensor
     features: Tensor | None = None
+
+
+class GaussianArrays(NamedTuple):
+    """`Gaussians` as arrays.
+
+    Attributes:
+        means: [N, 3] centres, metres.
+        quats: [N, 4] rotations, w x y z.
+        scales: [N, 3] standard deviations, metres.
+        opacities: [N], 0..1.
+        colors: [N, 3] display values.
+        features: [N, C]; C is 0 where there are none.
+    """
+
+    means: np.ndarray
+    quats: np.ndarray
+    scales: np.ndarray
+    opacities: np.ndarray
+    colors: np.ndarray
+    features: np.ndarray
+
+    def prepared(self) -> GaussianArrays:
+        """Return the arrays as the kernels read them, float32 and contiguous.
+
+        Raises:
+            ShapeError: An array has another shape.
+        """
+        _check_shapes(self)
+        return GaussianArrays(*(np.require(array, np.float32, ("C", "W")) for array in self))
+
+
+class PictureArrays(NamedTuple):
+    """`RasterOutput` as float32 arrays: rgb [H, W, 3], alpha [H, W], depth [H, W], features [H, W, C]."""
+
+    rgb: np.ndarray
+    alpha: np.ndarray
+    depth: np.ndarray
+    features: np.ndarray

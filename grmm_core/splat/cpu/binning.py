@@ -1,4 +1,4 @@
-"""Which Gaussians each tile draws, nearest first. Compiled; `function.py` calls it between projection and blending.
+"""Which Gaussians each tile draws, nearest first. Compiled; `drawing.py` calls it between projection and blending.
 
 A pair of a Gaussian and a tile it may touch is an instance. A counting sort by tile, parallel over chunks of Gaussians, lists
 every tile's instances in the order of the Gaussians' indices; each tile then sorts its own list by depth, stably, so that ties
@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from .jit import kernel
-from .projection import DEPTH, RECT, SLOT, TOUCHED
+from .records import RECORD
 
 DIGITS, BUCKETS = 4, 256  # a float32 as radix-sort digits
 FEW = 24  # instances below which insertion sort is faster
@@ -50,7 +50,7 @@ def fill(
     Args:
         low: First Gaussian of a chunk.
         high: Its end.
-        whole: [N, RECORD] int32 view of the records.
+        whole: [N, RECORD_LENGTH] int32 view of the records.
         tiles_x: Tiles in a row of the grid.
         cursor: [tiles] int32, the chunk's row of `place`'s positions; advanced.
         first_slot: Of the chunk.
@@ -58,10 +58,10 @@ def fill(
     """
     slot = first_slot
     for i in range(low, high):
-        whole[i, SLOT] = slot
-        if whole[i, TOUCHED]:
-            slot += whole[i, TOUCHED]
-            first, end = whole[i, RECT], whole[i, RECT + 1]
+        whole[i, RECORD.slot] = slot
+        if whole[i, RECORD.touched]:
+            slot += whole[i, RECORD.touched]
+            first, end = whole[i, RECORD.tiles_low], whole[i, RECORD.tiles_high]
             for y in range(first >> 16, end >> 16):
                 for tile in range(y * tiles_x + (first & 0xFFFF), y * tiles_x + (end & 0xFFFF)):
                     gaussian[cursor[tile]] = i
@@ -74,7 +74,7 @@ def sort_by_depth(indices: np.ndarray, whole: np.ndarray, keys: np.ndarray, spar
 
     Args:
         indices: [n] int32, sorted in place.
-        whole: [N, RECORD] int32 view of the records; depths are positive, so their bits sort like the numbers.
+        whole: [N, RECORD_LENGTH] int32 view of the records; depths are positive, so their bits sort like the numbers.
         keys: Scratch [2, >= n] int32.
         spare: Scratch [>= n] int32.
         histogram: Scratch [DIGITS, BUCKETS] int32.
@@ -82,7 +82,7 @@ def sort_by_depth(indices: np.ndarray, whole: np.ndarray, keys: np.ndarray, spar
     count = indices.shape[0]
     now, later = keys[0], keys[1]
     for k in range(count):
-        now[k] = whole[indices[k], DEPTH]
+        now[k] = whole[indices[k], RECORD.depth]
     if count < FEW:
         for k in range(1, count):
             key, index = now[k], indices[k]

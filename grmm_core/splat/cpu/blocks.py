@@ -8,12 +8,14 @@ and `count.py`.
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
 
 from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
-from .jit import kernel
-from .projection import REACH, SQUEEZE, VALUES
-from .simd import WIDTH, any_at_least, append_at_least, choose, larger, load, smaller, spread
+from .jit import kernel, part
+from .records import RECORD, SHAPE, SQUEEZE, VALUES
+from .simd import WIDTH, any_at_least, append_at_least, choose, larger, load, negative, smaller, spread, store
 
 F = np.float32
 ONE, ZERO, HALF = F(1.0), F(0.0), F(0.5)
@@ -23,7 +25,6 @@ BLOCKS = BLOCKS_X * BLOCKS_Y
 BATCH = 32  # Gaussians handled together
 ROOM = BATCH + 1  # places of a block in a batch's lists: the one after the last is written too, and dropped
 SHRINK = F(SQUEEZE)  # makes t in e^(-8 t) the sum of the squares of s and q
-BASE = 4  # channels before the features: r, g, b, depth
 GROUP = 4  # channels are padded to a multiple of this, so that loops can be unrolled
 
 _LANE, _BLOCK = np.arange(WIDTH), np.arange(BLOCKS)
@@ -32,29 +33,141 @@ BLOCK_TOP = (_BLOCK // BLOCKS_X * BLOCK_Y).astype(np.float32)
 PIXEL_X = np.add.outer(BLOCK_LEFT, (_LANE % BLOCK_X).astype(np.float32)).reshape(-1)  # of every lane of every block
 PIXEL_Y = np.add.outer(BLOCK_TOP, (_LANE // BLOCK_X).astype(np.float32)).reshape(-1)
 
-# e^-8t = p(t)^8 with p = 1 - E1 t + E2 t^2 - ... for 0 <= t <= FARTHEST; relative error 2e-6
-E1, E2, E3, E4, E5 = -0.999994755, 0.499899775, -0.166028395, 0.0398483016, -0.00588524854
-FARTHEST = 0.7  # e^(-8 FARTHEST) is below ALPHA_MIN, so what is smaller need not be known
+
+class Constants(NamedTuple):
+    """Numbers of the innermost loops, inside kernels each in all lanes.
+
+    Attributes:
+        zero, one: 0 and 1.
+        tiny: 1e-30, what counts as more than nothing.
+        capped: -1, which marks an alpha without gradient.
+        alpha_min, alpha_max, transmittance_min: Of `rules`.
+        e1, e2, e3, e4, e5, farthest: e^-8t = (1 + e1 t + e2 t^2 + ...)^8 for 0 <= t <= farthest; relative error 2e-6.
+    """
+
+    zero: Any
+    one: Any
+    tiny: Any
+    capped: Any
+    alpha_min: Any
+    alpha_max: Any
+    transmittance_min: Any
+    e1: Any
+    e2: Any
+    e3: Any
+    e4: Any
+    e5: Any
+    farthest: Any
+
 
 # The kernels get these as an argument: the compiler would otherwise load every one of them anew in the innermost loop.
-CONSTANTS = np.array([1.0, E1, E2, E3, E4, E5, FARTHEST, ALPHA_MIN, ALPHA_MAX, TRANSMITTANCE_MIN, 0.0, 1e-30, -1.0], np.float32)
+CONSTANTS = tuple(
+    Constants(
+        zero=ZERO,
+        one=ONE,
+        tiny=F(1e-30),
+        capped=-ONE,
+        alpha_min=F(ALPHA_MIN),
+        alpha_max=F(ALPHA_MAX),
+        transmittance_min=F(TRANSMITTANCE_MIN),
+        e1=F(-0.999994755),
+        e2=F(0.499899775),
+        e3=F(-0.166028395),
+        e4=F(0.0398483016),
+        e5=F(-0.00588524854),
+        farthest=F(0.7),  # e^(-8 farthest) is below ALPHA_MIN, so what is smaller need not be known
+    )
+)
 
 
-@kernel
-def falloff(t, one, e1, e2, e3, e4, e5, farthest):  # noqa: ANN001, ANN201 - Lanes have no Python type
-    """Return e^(-8 t) in each lane, not less than e^(-8 farthest); the others are the constants above."""
-    t = smaller(t, farthest)
+@part
+def in_lanes(constants: tuple[float, ...]) -> Constants:
+    """Return CONSTANTS with each one in all lanes."""
+    zero, one, tiny, capped, alpha_min, alpha_max, transmittance_min, e1, e2, e3, e4, e5, farthest = constants
+    return Constants(
+        spread(zero), spread(one), spread(tiny), spread(capped),
+        spread(alpha_min), spread(alpha_max), spread(transmittance_min),
+        spread(e1), spread(e2), spread(e3), spread(e4), spread(e5), spread(farthest),
+    )  # fmt: skip
+
+
+class Ellipse(NamedTuple):
+    """A Gaussian on a tile, in lanes: its centre from the tile's first pixel centre, and its squeezed Cholesky factor."""
+
+    x: Any
+    y: Any
+    l11: Any
+    l12: Any
+    l22: Any
+
+
+@part
+def ellipse(shapes, k, left, top) -> Ellipse:  # noqa: ANN001
+    """Return Gaussian k of a batch's `shapes` on the tile whose corner is left, top."""
+    return Ellipse(
+        spread(shapes[k, RECORD.x] - left - HALF),
+        spread(shapes[k, RECORD.y] - top - HALF),
+        spread(shapes[k, RECORD.l11] * SHRINK),
+        spread(shapes[k, RECORD.l12] * SHRINK),
+        spread(shapes[k, RECORD.l22] * SHRINK),
+    )
+
+
+@part
+def whitened(shape, block):  # noqa: ANN001, ANN201
+    """Return s and q of an `Ellipse` at a block's pixels."""
+    dx, dy = load(PIXEL_X, block * WIDTH) - shape.x, load(PIXEL_Y, block * WIDTH) - shape.y
+    return shape.l11 * dx + shape.l12 * dy, shape.l22 * dy
+
+
+@part
+def alpha_at(opacity, s, q, lanes):  # noqa: ANN001, ANN201
+    """Return alpha in each lane, zero where it is below its threshold."""
+    t = smaller(s * s + q * q, lanes.farthest)
     tt = t * t
-    p = (one + t * e1) + tt * ((e2 + t * e3) + tt * (e4 + t * e5))
+    p = (lanes.one + t * lanes.e1) + tt * ((lanes.e2 + t * lanes.e3) + tt * (lanes.e4 + t * lanes.e5))
     p = p * p
     p = p * p
-    return p * p
+    alpha = smaller(opacity * (p * p), lanes.alpha_max)
+    return choose(alpha, lanes.alpha_min, alpha, lanes.zero)
+
+
+@part
+def pass_light(through, block, alpha, lanes):  # noqa: ANN001, ANN201
+    """Take a Gaussian's alpha from a block's transmittance; return its weight, zero in pixels that have ended or end here."""
+    before = load(through, block * WIDTH)
+    after = before * (lanes.one - alpha)
+    store(through, block * WIDTH, choose(after, lanes.transmittance_min, after, negative(before)))
+    return choose(after, lanes.transmittance_min, alpha * before, lanes.zero)
+
+
+@part
+def make_scratch(channels):  # noqa: ANN001, ANN201
+    """Return a thread's memory for the batches of a tile, as a tuple.
+
+    values [BATCH, channels]: red, green, blue, depth, features, zeros.
+    shapes [BATCH, SHAPE]: the beginning of the records.
+    pairs int32: pairs of a Gaussian and a block, as Gaussian * BLOCKS + block.
+    first [BATCH + 1] int64: first pair of each Gaussian.
+    weights [BLOCKS * ROOM * WIDTH]: weights of the batch, by block.
+    sources [BLOCKS * ROOM] int64: where in `values` each weight's Gaussian begins.
+    ends [BLOCKS] int64: end of each block's weights.
+    """
+    return (
+        np.zeros((BATCH, channels), np.float32),
+        np.empty((BATCH, SHAPE), np.float32),
+        np.empty((BATCH + 1) * BLOCKS, np.int32),
+        np.empty(BATCH + 1, np.int64),
+        np.empty(BLOCKS * ROOM * WIDTH, np.float32),
+        np.empty(BLOCKS * ROOM, np.int64),
+        np.empty(BLOCKS, np.int64),
+    )
 
 
 @kernel
 def padded(count: int) -> int:
     """Return the number of channels kept per block for `count` features."""
-    return (BASE + count + GROUP - 1) // GROUP * GROUP
+    return (VALUES + count + GROUP - 1) // GROUP * GROUP
 
 
 @kernel
@@ -85,7 +198,7 @@ def gather(
     geometry: np.ndarray,
     features: np.ndarray,
     values: np.ndarray,
-    places: np.ndarray,
+    shapes: np.ndarray,
 ) -> None:
     """Copy the numbers of the instances low..high together; alone in a loop, so that waits for memory overlap.
 
@@ -95,22 +208,22 @@ def gather(
         gaussian: Gaussian of each instance.
         geometry: Of `projection.project`.
         features: [N, C].
-        values: Output [BATCH, channels]: r, g, b, depth, features.
-        places: Output [BATCH, VALUES]: the rest of the record.
+        values: Output, see `make_scratch`.
+        shapes: Output, see `make_scratch`.
     """
     for n in range(low, high):
         i = gaussian[n]
         k = n - low
+        for c in range(SHAPE):
+            shapes[k, c] = geometry[i, c]
         for c in range(VALUES):
-            places[k, c] = geometry[i, c]
-        for c in range(BASE):
-            values[k, c] = geometry[i, VALUES + c]
+            values[k, c] = geometry[i, RECORD.red + c]
         for c in range(features.shape[1]):
-            values[k, BASE + c] = features[i, c]
+            values[k, VALUES + c] = features[i, c]
 
 
 @kernel
-def find_blocks(count: int, places: np.ndarray, left: float, top: float, pairs: np.ndarray, first: np.ndarray) -> int:
+def find_blocks(count: int, shapes: np.ndarray, left: float, top: float, pairs: np.ndarray, first: np.ndarray) -> int:
     """List the blocks of a tile that each Gaussian's ellipse reaches: exactly, all blocks of the tile at a time.
 
     The least value of s^2 + q^2 over a block's pixel centres' box is at the box's point nearest to the centre in x with the
@@ -118,33 +231,32 @@ def find_blocks(count: int, places: np.ndarray, left: float, top: float, pairs: 
 
     Args:
         count: Gaussians in the batch.
-        places: Of `gather`.
+        shapes: Of `gather`.
         left: Of the tile, pixels.
         top: Of the tile, pixels.
-        pairs: Output: Gaussian * BLOCKS + block.
-        first: Output [BATCH + 1]: first pair of each Gaussian.
+        pairs: Output, see `make_scratch`.
+        first: Output, see `make_scratch`.
 
     Returns:
         The number of pairs.
     """
-    pairs_found = 0
+    listed = 0
     zero, wide, high = spread(ZERO), spread(F(BLOCK_X - 1)), spread(F(BLOCK_Y - 1))
     for k in range(count):
-        first[k] = pairs_found
-        mx, my = spread(places[k, 0] - left - HALF), spread(places[k, 1] - top - HALF)
-        l11, l12, l22 = places[k, 2] * SHRINK, places[k, 3] * SHRINK, places[k, 4] * SHRINK
+        first[k] = listed
+        shape = ellipse(shapes, k, left, top)
+        l11, l12, l22 = shapes[k, RECORD.l11], shapes[k, RECORD.l12], shapes[k, RECORD.l22]
         lean_x, lean_y = spread(-l12 / l11), spread(-l11 * l12 / (l12 * l12 + l22 * l22))
-        s1, s2, q2 = spread(l11), spread(l12), spread(l22)
-        reach = spread(places[k, REACH])
+        reach = spread(shapes[k, RECORD.reach])
         for group in range(0, BLOCKS, WIDTH):
-            low_x, low_y = load(BLOCK_LEFT, group) - mx, load(BLOCK_TOP, group) - my
+            low_x, low_y = load(BLOCK_LEFT, group) - shape.x, load(BLOCK_TOP, group) - shape.y
             high_x, high_y = low_x + wide, low_y + high
             near_x, near_y = larger(low_x, smaller(high_x, zero)), larger(low_y, smaller(high_y, zero))
             best_y = larger(low_y, smaller(high_y, lean_y * near_x))
             best_x = larger(low_x, smaller(high_x, lean_x * near_y))
-            s, q = s1 * near_x + s2 * best_y, q2 * best_y
+            s, q = shape.l11 * near_x + shape.l12 * best_y, shape.l22 * best_y
             one = s * s + q * q
-            s, q = s1 * best_x + s2 * near_y, q2 * near_y
-            pairs_found += append_at_least(pairs, pairs_found, k * BLOCKS + group, reach, smaller(one, s * s + q * q))
-    first[count] = pairs_found
-    return pairs_found
+            s, q = shape.l11 * best_x + shape.l12 * near_y, shape.l22 * near_y
+            listed += append_at_least(pairs, listed, k * BLOCKS + group, reach, smaller(one, s * s + q * q))
+    first[count] = listed
+    return listed

@@ -13,11 +13,11 @@ import numpy as np
 from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
 from .blocks import BATCH, BLOCK_X, BLOCK_Y, BLOCKS, BLOCKS_X, find_blocks
 from .jit import kernel
-from .projection import TOUCHED, VALUES
+from .records import RECORD, SHAPE
 from .simd import WIDTH
 
 if TYPE_CHECKING:
-    from .function import Drawing
+    from .drawing import Drawing
 
 F = np.float32
 
@@ -42,7 +42,7 @@ class Work:
 
 
 def count_work(drawing: Drawing, width: int, height: int) -> Work:
-    """Count the work behind a drawing of `function.draw`.
+    """Count the work behind a drawing of `drawing.draw`.
 
     Args:
         drawing: What `draw` returned beside the pictures.
@@ -52,7 +52,7 @@ def count_work(drawing: Drawing, width: int, height: int) -> Work:
     blocks, busy, needed = _count(
         drawing.starts, drawing.ends, drawing.gaussian, drawing.geometry, drawing.tiles_x, width, height
     )
-    seen = int(np.count_nonzero(drawing.whole[:, TOUCHED]))
+    seen = int(np.count_nonzero(drawing.whole[:, RECORD.touched]))
     return Work(seen, len(drawing.gaussian), blocks * WIDTH, busy * WIDTH, needed)
 
 
@@ -63,7 +63,7 @@ def _count(
     """Return blocks visited, blocks with a blended pixel, and pixels blended, over all instances."""
     blocks, busy, needed = 0, 0, 0
     through = np.empty((TILE, TILE), np.float32)
-    place = np.empty((1, VALUES), np.float32)
+    place = np.empty((1, SHAPE), np.float32)
     pairs = np.empty((BATCH + 1) * BLOCKS, np.int32)
     first = np.empty(BATCH + 1, np.int64)
     for tile in range(ends.shape[0]):
@@ -72,17 +72,17 @@ def _count(
             for x in range(TILE):
                 through[y, x] = F(1.0) if x0 + x < width and y0 + y < height else F(-1.0)
         for n in range(starts[tile], ends[tile]):
-            place[0, :] = geometry[gaussian[n], :VALUES]
-            mx, my = place[0, 0] - F(x0) - F(0.5), place[0, 1] - F(y0) - F(0.5)
+            place[0, :] = geometry[gaussian[n], :SHAPE]
+            mx, my = place[0, RECORD.x] - F(x0) - F(0.5), place[0, RECORD.y] - F(y0) - F(0.5)
             found = find_blocks(1, place, F(x0), F(y0), pairs, first)
             for pair in range(found):
                 block, here = pairs[pair], 0
                 left, top = block % BLOCKS_X * BLOCK_X, block // BLOCKS_X * BLOCK_Y
                 for y in range(top, top + BLOCK_Y):
                     for x in range(left, left + BLOCK_X):
-                        s = place[0, 2] * (F(x) - mx) + place[0, 3] * (F(y) - my)
-                        q = place[0, 4] * (F(y) - my)
-                        alpha = min(place[0, 5] * np.exp(F(-0.5) * (s * s + q * q)), F(ALPHA_MAX))
+                        s = place[0, RECORD.l11] * (F(x) - mx) + place[0, RECORD.l12] * (F(y) - my)
+                        q = place[0, RECORD.l22] * (F(y) - my)
+                        alpha = min(place[0, RECORD.opacity] * np.exp(F(-0.5) * (s * s + q * q)), F(ALPHA_MAX))
                         if alpha < ALPHA_MIN or through[y, x] < 0:
                             continue
                         after = through[y, x] * (F(1.0) - alpha)

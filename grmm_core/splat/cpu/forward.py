@@ -13,30 +13,56 @@ import numpy as np
 from ..rules import TILE
 from .binning import BUCKETS, DIGITS, sort_by_depth
 from .blocks import (
-    BASE,
     BATCH,
     BLOCK_X,
     BLOCK_Y,
     BLOCKS,
     BLOCKS_X,
-    HALF,
+    GROUP,
     ONE,
-    PIXEL_X,
-    PIXEL_Y,
     ROOM,
-    SHRINK,
     ZERO,
     F,
     all_ended,
-    falloff,
+    alpha_at,
+    ellipse,
     find_blocks,
     gather,
+    in_lanes,
+    make_scratch,
     padded,
+    pass_light,
     start_tile,
+    whitened,
 )
-from .jit import kernel
-from .projection import VALUES
-from .simd import WIDTH, any_at_least, choose, load, negative, smaller, spread, store
+from .jit import kernel, part
+from .records import RECORD, VALUES
+from .simd import WIDTH, any_at_least, load, spread, store
+
+
+@part
+def _load_four(sums, at):  # noqa: ANN001, ANN202
+    return load(sums, at), load(sums, at + WIDTH), load(sums, at + 2 * WIDTH), load(sums, at + 3 * WIDTH)
+
+
+@part
+def _add_four(four, weight, flat, at):  # noqa: ANN001, ANN202
+    """Return the sums of four channels with a weight times a Gaussian's four values added."""
+    a, b, c, d = four
+    a = a + weight * spread(flat[at])
+    b = b + weight * spread(flat[at + 1])
+    c = c + weight * spread(flat[at + 2])
+    d = d + weight * spread(flat[at + 3])
+    return a, b, c, d
+
+
+@part
+def _store_four(sums, at, four):  # noqa: ANN001, ANN202
+    a, b, c, d = four
+    store(sums, at, a)
+    store(sums, at + WIDTH, b)
+    store(sums, at + 2 * WIDTH, c)
+    store(sums, at + 3 * WIDTH, d)
 
 
 @kernel
@@ -48,99 +74,59 @@ def _blend_tile(
     features: np.ndarray,
     left: float,
     top: float,
-    constants: np.ndarray,
+    constants: tuple[float, ...],
     sums: np.ndarray,
     through: np.ndarray,
-    values: np.ndarray,
-    places: np.ndarray,
-    pairs: np.ndarray,
-    first: np.ndarray,
-    weights: np.ndarray,
-    sources: np.ndarray,
-    counts: np.ndarray,
+    scratch: tuple[np.ndarray, ...],
 ) -> int:
     """Blend the instances low..high over the tile whose corner is left, top; return the end of those looked at.
 
     Arrays, besides those of `draw` and `blocks`:
         sums: [BLOCKS * channels * WIDTH] blended channels.
         through: [BLOCKS * WIDTH] transmittance.
-        weights: Scratch [BLOCKS * ROOM * WIDTH]: weights of a batch, by block.
-        sources: Scratch [BLOCKS * ROOM] int64: where the values of each weight's Gaussian begin.
-        counts: Scratch [BLOCKS] int64: end of each block's weights.
     """
+    values, shapes, pairs, first, weights, sources, ends = scratch
     channels = values.shape[1]
     flat = values.reshape(-1)
-    one, e1, e2, e3 = spread(constants[0]), spread(constants[1]), spread(constants[2]), spread(constants[3])
-    e4, e5, farthest, floor = spread(constants[4]), spread(constants[5]), spread(constants[6]), spread(constants[7])
-    cap, stop, zero, tiny = spread(constants[8]), spread(constants[9]), spread(constants[10]), spread(constants[11])
+    lanes = in_lanes(constants)
     for batch in range(low, high, BATCH):
         if batch > low and all_ended(through):
             return batch
         end = min(batch + BATCH, high)
-        gather(batch, end, gaussian, geometry, features, values, places)
-        found = find_blocks(end - batch, places, left, top, pairs, first)
+        gather(batch, end, gaussian, geometry, features, values, shapes)
+        listed = find_blocks(end - batch, shapes, left, top, pairs, first)
         for block in range(BLOCKS):
-            counts[block] = block * ROOM
-        for pair in range(found):
+            ends[block] = block * ROOM
+        for pair in range(listed):
             k, block = pairs[pair] // BLOCKS, pairs[pair] % BLOCKS
-            mx, my = places[k, 0] - left - HALF, places[k, 1] - top - HALF
-            l11, l12, l22 = spread(places[k, 2] * SHRINK), spread(places[k, 3] * SHRINK), spread(places[k, 4] * SHRINK)
-            dx, dy = load(PIXEL_X, block * WIDTH) - spread(mx), load(PIXEL_Y, block * WIDTH) - spread(my)
-            s, q = l11 * dx + l12 * dy, l22 * dy
-            alpha = smaller(spread(places[k, 5]) * falloff(s * s + q * q, one, e1, e2, e3, e4, e5, farthest), cap)
-            alpha = choose(alpha, floor, alpha, zero)
-            before = load(through, block * WIDTH)
-            after = before * (one - alpha)
-            weight = choose(after, stop, alpha * before, zero)
-            store(through, block * WIDTH, choose(after, stop, after, negative(before)))
-            entry = counts[block]
+            s, q = whitened(ellipse(shapes, k, left, top), block)
+            alpha = alpha_at(spread(shapes[k, RECORD.opacity]), s, q, lanes)
+            weight = pass_light(through, block, alpha, lanes)
+            entry = ends[block]
             store(weights, entry * WIDTH, weight)
             sources[entry] = k * channels
-            counts[block] = entry + (1 if any_at_least(weight, tiny) else 0)
+            ends[block] = entry + (1 if any_at_least(weight, lanes.tiny) else 0)
         for block in range(BLOCKS):
-            entry_low, entry_high = block * ROOM, counts[block]
+            entry_low, entry_high = block * ROOM, ends[block]
             if entry_high == entry_low:
                 continue
             to = block * channels * WIDTH
             c = 0
-            while c + 8 <= channels:
-                a0, a1, a2, a3 = load(sums, to), load(sums, to + WIDTH), load(sums, to + 2 * WIDTH), load(sums, to + 3 * WIDTH)
-                a4, a5 = load(sums, to + 4 * WIDTH), load(sums, to + 5 * WIDTH)
-                a6, a7 = load(sums, to + 6 * WIDTH), load(sums, to + 7 * WIDTH)
+            while c + 2 * GROUP <= channels:
+                left_four, right_four = _load_four(sums, to), _load_four(sums, to + GROUP * WIDTH)
                 for entry in range(entry_low, entry_high):
                     weight = load(weights, entry * WIDTH)
-                    at = sources[entry] + c
-                    a0 = a0 + weight * spread(flat[at])
-                    a1 = a1 + weight * spread(flat[at + 1])
-                    a2 = a2 + weight * spread(flat[at + 2])
-                    a3 = a3 + weight * spread(flat[at + 3])
-                    a4 = a4 + weight * spread(flat[at + 4])
-                    a5 = a5 + weight * spread(flat[at + 5])
-                    a6 = a6 + weight * spread(flat[at + 6])
-                    a7 = a7 + weight * spread(flat[at + 7])
-                store(sums, to, a0)
-                store(sums, to + WIDTH, a1)
-                store(sums, to + 2 * WIDTH, a2)
-                store(sums, to + 3 * WIDTH, a3)
-                store(sums, to + 4 * WIDTH, a4)
-                store(sums, to + 5 * WIDTH, a5)
-                store(sums, to + 6 * WIDTH, a6)
-                store(sums, to + 7 * WIDTH, a7)
-                to += 8 * WIDTH
-                c += 8
+                    left_four = _add_four(left_four, weight, flat, sources[entry] + c)
+                    right_four = _add_four(right_four, weight, flat, sources[entry] + c + GROUP)
+                _store_four(sums, to, left_four)
+                _store_four(sums, to + GROUP * WIDTH, right_four)
+                to += 2 * GROUP * WIDTH
+                c += 2 * GROUP
             if c < channels:
-                a0, a1, a2, a3 = load(sums, to), load(sums, to + WIDTH), load(sums, to + 2 * WIDTH), load(sums, to + 3 * WIDTH)
+                four = _load_four(sums, to)
                 for entry in range(entry_low, entry_high):
-                    weight = load(weights, entry * WIDTH)
-                    at = sources[entry] + c
-                    a0 = a0 + weight * spread(flat[at])
-                    a1 = a1 + weight * spread(flat[at + 1])
-                    a2 = a2 + weight * spread(flat[at + 2])
-                    a3 = a3 + weight * spread(flat[at + 3])
-                store(sums, to, a0)
-                store(sums, to + WIDTH, a1)
-                store(sums, to + 2 * WIDTH, a2)
-                store(sums, to + 3 * WIDTH, a3)
+                    four = _add_four(four, load(weights, entry * WIDTH), flat, sources[entry] + c)
+                _store_four(sums, to, four)
     return high
 
 
@@ -154,12 +140,10 @@ def _write_tile(
     through: np.ndarray,
     channels: int,
     background: np.ndarray,
-    rgb: np.ndarray,
-    alpha: np.ndarray,
-    depth: np.ndarray,
-    blended: np.ndarray,
+    pictures: tuple[np.ndarray, ...],
 ) -> None:
     """Write a blended tile's pixels to the picture."""
+    rgb, alpha, depth, blended = pictures
     count, width = blended.shape[2], blended.shape[1]
     out = blended.reshape(-1)
     for r in range(rows):
@@ -177,7 +161,7 @@ def _write_tile(
             alpha[y, x] = cover
             depth[y, x] = sums[at + 3 * WIDTH] / cover if cover > ZERO else ZERO
             # Unsigned, so that the compiler need not look for negative indices.
-            source, to = np.uint64(at + BASE * WIDTH), np.uint64((y * width + x) * count)
+            source, to = np.uint64(at + VALUES * WIDTH), np.uint64((y * width + x) * count)
             for _ in range(count):
                 out[to] = sums[source]
                 to += np.uint64(1)
@@ -195,11 +179,8 @@ def draw(
     whole: np.ndarray,
     features: np.ndarray,
     background: np.ndarray,
-    constants: np.ndarray,
-    rgb: np.ndarray,
-    alpha: np.ndarray,
-    depth: np.ndarray,
-    blended: np.ndarray,
+    constants: tuple[float, ...],
+    pictures: tuple[np.ndarray, ...],
     ends: np.ndarray,
 ) -> None:
     """Sort and draw some tiles.
@@ -212,20 +193,15 @@ def draw(
         features: [N, C] float32.
         background: [1, 1, 3] or [H, W, 3] float32.
         constants: CONSTANTS.
-        rgb, alpha, depth, blended: Outputs [H, W, 3], [H, W], [H, W], [H, W, C] float32.
+        pictures: Outputs, the parts of `PictureArrays`.
         ends: Output [tiles] int64: end of the instances of each tile that any pixel was still open to.
     """
+    rgb, alpha, depth, blended = pictures
     height, width = alpha.shape
     channels = padded(features.shape[1])
     sums = np.empty(BLOCKS * channels * WIDTH, np.float32)
     through = np.empty(BLOCKS * WIDTH, np.float32)
-    values = np.zeros((BATCH, channels), np.float32)
-    places = np.empty((BATCH, VALUES), np.float32)
-    pairs = np.empty((BATCH + 1) * BLOCKS, np.int32)
-    first = np.empty(BATCH + 1, np.int64)
-    weights = np.empty(ROOM * BLOCKS * WIDTH, np.float32)
-    sources = np.empty(ROOM * BLOCKS, np.int64)
-    counts = np.empty(BLOCKS, np.int64)
+    scratch = make_scratch(channels)
     most = 0
     for tile in range(first_tile, end_tile):
         most = max(most, starts[tile + 1] - starts[tile])
@@ -240,26 +216,8 @@ def draw(
             sort_by_depth(gaussian[low:high], whole, keys, spare, histogram)
             sums[:] = ZERO
             start_tile(through, columns, rows)
-            ends[tile] = _blend_tile(
-                low,
-                high,
-                gaussian,
-                geometry,
-                features,
-                F(x0),
-                F(y0),
-                constants,
-                sums,
-                through,
-                values,
-                places,
-                pairs,
-                first,
-                weights,
-                sources,
-                counts,
-            )
-            _write_tile(x0, y0, columns, rows, sums, through, channels, background, rgb, alpha, depth, blended)
+            ends[tile] = _blend_tile(low, high, gaussian, geometry, features, F(x0), F(y0), constants, sums, through, scratch)
+            _write_tile(x0, y0, columns, rows, sums, through, channels, background, pictures)
         else:
             ends[tile] = low
             for y in range(y0, y0 + rows):

@@ -19,12 +19,16 @@ from llvmlite.binding import get_host_cpu_features
 from numba.core import cgutils, types
 from numba.core.imputils import lower_builtin
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import intrinsic, models, register_model
+from numba.extending import intrinsic as _intrinsic
+from numba.extending import models, register_model
+
+config: Any = numba.config  # the settings are put there at run time
+intrinsic: Any = _intrinsic  # what it makes is called from kernels without the first argument
 
 
 def _lanes() -> int:
     """Return the number of lanes that suits this processor, as numba compiles for it."""
-    if numba.config.CPU_NAME or numba.config.CPU_FEATURES:  # the user has numba compile for another one
+    if config.CPU_NAME or config.CPU_FEATURES:  # the user has numba compile for another one
         return 8
     try:
         return 16 if get_host_cpu_features().get("avx512vl") else 8

@@ -2,7 +2,7 @@
 
 Plain threads instead of numba's own parallel loops: these take seconds to compile, and some of numba's thread layers end the
 process when two threads enter them at a time (Blender renders and draws its viewport from different ones) or after a fork.
-Used by `function.py`.
+Used by `drawing.py`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numba
 
@@ -21,7 +22,8 @@ _pool_size = 0
 
 def thread_count() -> int:
     """Return the number of threads to use: the processors this process may run on, or NUMBA_NUM_THREADS when set."""
-    return max(1, int(numba.config.NUMBA_NUM_THREADS))
+    config: Any = numba.config  # the settings are put there at run time
+    return max(1, int(config.NUMBA_NUM_THREADS))
 
 
 def for_each(tasks: int, call: Callable[[int], object]) -> None:

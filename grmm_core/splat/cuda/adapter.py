@@ -1,6 +1,6 @@
 """The backend "cuda", for tensors on a CUDA device: gsplat where it is installed with its compiled kernels, else our own.
 
-`api.py` calls `rasterize_cuda`. Neither way has run on a graphics card in our tests, which have none; see `function.py` for
+`api.py` calls `rasterize_cuda`. Neither way has run on a graphics card in our tests, which have none; see `drawing.py` for
 what is proven of our own kernels without one, and `check_device` for the check that `grmm info` makes where there is a card.
 Known differences of gsplat from `rules.py`: it cuts a Gaussian at 3.33 standard deviations at most, bounds the expansion of the
 perspective by the drawn region alone (`frame` has no effect), and has a guard of its own against dividing depth by zero.
@@ -16,10 +16,11 @@ from torch import Tensor
 
 from ...errors import BackendError
 from ...geometry.camera import Camera
+from ..autograd import rasterize_with
 from ..reference import drawable, rasterize_reference
 from ..rules import DILATION, NEAR, View
 from ..types import Gaussians, RasterOutput
-from .function import rasterize_kernels
+from .drawing import CudaEngine
 from .launch import device_kernels
 
 CHECK_GAUSSIANS, CHECK_FEATURES, CHECK_SIZE = 300, 32, 64
@@ -51,7 +52,7 @@ def rasterize_cuda(
     if gsplat_usable():
         return _rasterize_gsplat(gaussians, view, background, antialiased)
     kernels = device_kernels(device, 0 if gaussians.features is None else gaussians.features.shape[1])
-    return rasterize_kernels(kernels, gaussians, view, background, antialiased)
+    return rasterize_with(CudaEngine(kernels), gaussians, view, background, antialiased)
 
 
 def check_device(device: torch.device) -> float:
@@ -73,7 +74,7 @@ def check_device(device: torch.device) -> float:
         draw = rasterize_reference if there.type == "cpu" else rasterize_cuda
         out = draw(Gaussians(*leaves), view)
         pictures = [picture for picture in (out.rgb, out.alpha, out.depth, out.features) if picture is not None]
-        gradients = torch.autograd.grad([picture.square().sum() for picture in pictures], leaves)
+        gradients = torch.autograd.grad(torch.stack([picture.square().sum() for picture in pictures]).sum(), leaves)
         results.append([tensor.detach().cpu() for tensor in (*pictures, *gradients)])
     return max(float((a - b).abs().max() / b.abs().max()) for b, a in zip(*results, strict=True))
 

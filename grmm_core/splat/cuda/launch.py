@@ -1,7 +1,7 @@
 """The kernels on a graphics card: compiled once per device and number of features, started through the CUDA driver.
 
 Torch's current device, context and stream are used, so that the kernels take their place among torch's own. Never run so far:
-no graphics card was at hand. What can be proven without one is in the tests (see `function.py`). Used by `adapter.py`.
+no graphics card was at hand. What can be proven without one is in the tests (see `drawing.py`). Used by `adapter.py`.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class DeviceKernels:
                 self._functions[name] = function
 
     def launch(self, name: str, blocks: tuple[int, int], *arguments: Any) -> None:
-        """See `function.Kernels`."""
+        """See `drawing.Kernels`."""
         parameters, alive = pack(arguments)
         with torch.cuda.device(self._device):
             stream = ctypes.c_void_p(torch.cuda.current_stream().cuda_stream)

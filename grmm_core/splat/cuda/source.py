@@ -1,6 +1,6 @@
 """The text of the CUDA kernels with its constants in front, and the sizes that the kernels and their callers share.
 
-Needs numpy only: the tests compile the text without CUDA. Used by `compile.py` and `function.py`.
+Needs numpy only: the tests compile the text without CUDA. Used by `compile.py` and `drawing.py`.
 """
 
 from __future__ import annotations

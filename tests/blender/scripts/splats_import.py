@@ -15,8 +15,7 @@ weights, folder = sys.argv[1], Path(sys.argv[2])
 formats = module("grmm_core.formats")
 avatars = module("grmm_core.formats.avatars")
 session_api = module("grmm_core.session")
-splats, walk = module("grmm_blender.splats"), module("grmm_blender.scene.walk")
-clouds_in = module("grmm_blender.scene.clouds").clouds_in
+splats = module("grmm_blender.splats")
 host = module("grmm_blender.session_host")
 arkit = module("grmm_core.controls.names").ARKIT_NAMES
 
@@ -81,18 +80,19 @@ def kept_in_files() -> dict:
     before = shot(obj)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(folder / "saved.blend"))
-    obj = clouds_in(bpy.context.scene)[0].object
+    obj = splats.clouds_in(bpy.context.scene)[0].object
     after = shot(obj)
     copy = obj.copy()
     copy.data = obj.data.copy()
     bpy.context.collection.objects.link(copy)
     copy.data.vertices[0].co.x += 0.5
-    names = [cloud.name for cloud in clouds_in(bpy.context.scene)]
+    names = [cloud.name for cloud in splats.clouds_in(bpy.context.scene)]
     depsgraph = bpy.context.evaluated_depsgraph_get()
     versions = [splats.Cloud(o).shot(depsgraph).version for o in (obj, copy)]
-    both = len(walk.read_scene(depsgraph).avatars)
+    collect = module("grmm_blender.engine.collect")
+    both = len(collect.avatars(depsgraph))
     copy.hide_viewport = True
-    one = len(walk.read_scene(bpy.context.evaluated_depsgraph_get()).avatars)
+    one = len(collect.avatars(bpy.context.evaluated_depsgraph_get()))
     copy.data.attributes.remove(copy.data.attributes["rotation"])
     copy.hide_viewport = False
     bpy.context.scene.view_layers[0].update()
@@ -119,17 +119,18 @@ def beside_a_head() -> dict:
     cloud = bpy.context.object
     scene.view_layers[0].grmm_passes.use_mask = True
     masks = {}
+    collect = module("grmm_blender.engine.collect")
     for where, y in (("front", -0.5), ("behind", 0.6)):
         cloud.location = (0.0, y, 0.0)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         camera = full_camera(scene)
-        shots = walk.read_scene(depsgraph).avatars
+        shots = [item.shot for item in collect.avatars(depsgraph)]
         instances = module("grmm_blender.engine.pipeline").open_instances(shots)
         buffers = host.get_session().render(instances, camera, session_api.RenderOptions(passes=("rgb", "alpha", "mask")))
         picture = load_png(render(folder / f"{where}.png"))
         index = [shot.name for shot in shots].index(head.name)
         masks[where] = [float(buffers["mask"][..., index].sum()), difference(picture, expected_png(buffers))]
-    return {"masks": masks, "names": walk.drawn_objects(scene) == sorted([head, cloud], key=lambda obj: obj.name)}
+    return {"masks": masks, "names": collect.avatar_names(scene) == sorted([head.name, cloud.name])}
 
 
 def lam() -> dict:
@@ -151,8 +152,11 @@ def lam() -> dict:
         "moved": moved,
         "can": can,
         "performed": gap(shot(obj), wanted),
-        "occludes": len(walk.read_scene(bpy.context.evaluated_depsgraph_get()).occluders.plain),
-    }
+        "occludes": len(module("grmm_blender.engine.occluders").collect(
+            bpy.context.evaluated_depsgraph_get(), None,
+            module("grmm_blender.engine.collect").avatars(bpy.context.evaluated_depsgraph_get()), True,
+        ).plain),
+    }  # fmt: skip
 
 
 def cap4d() -> dict:
@@ -177,7 +181,7 @@ def gaussian_avatar() -> dict:
     bpy.context.scene.render.fps = 25
     bpy.ops.grmm.import_splats(filepath=str(path), flame_file=str(folder / "flame2023.pkl"))
     carrier = bpy.context.object
-    cloud = clouds_in(bpy.context.scene)[0]
+    cloud = splats.clouds_in(bpy.context.scene)[0]
     head = module("grmm_core.head").load_flame(folder / "flame2023.pkl")
     own = avatars.read_avatar(path)
     place = module("grmm_core.formats.binding").place_on_mesh
@@ -199,7 +203,8 @@ def gaussian_avatar() -> dict:
     carrier.update_tag()
     bpy.context.view_layer.update()
     opened = float(np.abs(shot(cloud.object).means - still).max())
-    drawn = [shot.name for shot in walk.read_scene(bpy.context.evaluated_depsgraph_get()).avatars]
+    collect = module("grmm_blender.engine.collect")
+    drawn = [item.shot.name for item in collect.avatars(bpy.context.evaluated_depsgraph_get())]
     return {"message": message, "gaps": gaps, "opened": opened, "drawn": drawn, "cloud": cloud.name}
 
 

@@ -1,4 +1,4 @@
-"""The rasteriser's rules, checked by hand-computed pictures on every backend that runs here, and the reference's gradients."""
+"""The rasteriser's rules by hand-computed pictures on every backend that runs here, and every backend against the reference."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from splat_scenes import orbit, scene
+from splat_scenes import OUTPUTS, SCENES, assert_parity, leaves_of, orbit, pulled, scene
 
 from grmm_core.errors import BackendError, ShapeError
 from grmm_core.geometry.camera import Camera
@@ -16,6 +16,7 @@ from grmm_core.splat import Gaussians, available_backends, rasterize, rasterize_
 
 BACKENDS = [info.name for info in available_backends() if info.available and info.name != "cuda"]
 each_backend = pytest.mark.parametrize("backend", BACKENDS)
+each_fast_backend = pytest.mark.parametrize("backend", [name for name in BACKENDS if name != "torch"])
 CAMERA = Camera(np.eye(4), 100.0, 100.0, 8.5, 6.5, 17, 13)  # looks along +z; the centre of pixel [6, 8] is on the axis
 
 
@@ -223,6 +224,35 @@ def test_wrong_types_backgrounds_and_backends_are_named():
         rasterize(scene(5), CAMERA, backend="vulkan")
     with pytest.raises(ShapeError, match="features"):
         Gaussians.concatenate([scene(2, channels=3), scene(2, channels=0)])
+
+
+def draw(gaussians, camera, backend, dtype, antialiased, background):
+    leaves = leaves_of(gaussians, dtype)
+    return pulled(rasterize(Gaussians(*leaves), camera, background, backend, antialiased), leaves)
+
+
+@each_fast_backend
+@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
+@pytest.mark.parametrize("name", SCENES)
+def test_pictures_and_gradients_equal_the_reference(backend, name, antialiased):
+    make, camera = SCENES[name]
+    expected = draw(make(), camera, "torch", torch.float64, antialiased, (0.2, 0.5, 0.7))
+    assert expected[0][1].max() > 0, "the scene must show something"
+    assert_parity(draw(make(), camera, backend, torch.float32, antialiased, (0.2, 0.5, 0.7)), expected)
+
+
+@each_fast_backend
+def test_gradients_of_one_output_alone_equal_the_reference(backend):
+    camera = orbit(30, 30)
+    for output in OUTPUTS:
+        gradients = []
+        for name, dtype in (("torch", torch.float64), (backend, torch.float32)):
+            many = scene(60, seed=21, dtype=dtype)
+            many.means.requires_grad_()
+            picture = getattr(rasterize(many, camera, backend=name), output)
+            weights = torch.linspace(-1, 1, picture.numel(), dtype=dtype).reshape(picture.shape)
+            gradients.append(torch.autograd.grad((picture * weights).sum(), many.means)[0].double())
+        torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-3, atol=2e-4 * gradients[0].abs().max().item())
 
 
 def test_available_backends_name_all_and_say_why():

@@ -1,46 +1,28 @@
-"""The compiled CPU rasteriser against its readable twin: pictures and gradients, on ordinary and on degenerate scenes."""
+"""What is special about the compiled CPU rasteriser: threads, memory, caches, blocks of pixels, and that it needs no torch."""
 
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
+import textwrap
 import threading
+from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 import torch
-from splat_scenes import NAMES, OUTPUTS, SCENES, assert_parity, leaves_of, orbit, pulled, scene
+from splat_scenes import NAMES, OUTPUTS, leaves_of, orbit, pulled, scene
+from tolerances import SPLAT_PICTURE
 
+from grmm_core.errors import BackendError, ShapeError
 from grmm_core.geometry.camera import Camera
-from grmm_core.splat import Gaussians, rasterize
+from grmm_core.splat import GaussianArrays, Gaussians, rasterize, rasterize_arrays
 from grmm_core.splat.cpu import jit, threads
 
-
-def draw(gaussians, camera, backend, dtype, antialiased, background):
-    leaves = leaves_of(gaussians, dtype)
-    return pulled(rasterize(Gaussians(*leaves), camera, background, backend, antialiased), leaves)
-
-
-@pytest.mark.parametrize("antialiased", [False, True], ids=["plain", "antialiased"])
-@pytest.mark.parametrize("name", SCENES)
-def test_pictures_and_gradients_equal_the_reference(name, antialiased):
-    make, camera = SCENES[name]
-    expected = draw(make(), camera, "torch", torch.float64, antialiased, (0.2, 0.5, 0.7))
-    assert expected[0][1].max() > 0, "the scene must show something"
-    assert_parity(draw(make(), camera, "cpu", torch.float32, antialiased, (0.2, 0.5, 0.7)), expected)
-
-
-def test_gradients_of_one_output_alone_equal_the_reference():
-    camera = orbit(30, 30)
-    for output in OUTPUTS:
-        gradients = []
-        for backend, dtype in (("torch", torch.float64), ("cpu", torch.float32)):
-            many = scene(60, seed=21, dtype=dtype)
-            many.means.requires_grad_()
-            picture = getattr(rasterize(many, camera, backend=backend), output)
-            weights = torch.linspace(-1, 1, picture.numel(), dtype=dtype).reshape(picture.shape)
-            gradients.append(torch.autograd.grad((picture * weights).sum(), many.means)[0].double())
-        torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-3, atol=2e-4 * gradients[0].abs().max().item())
+ROOT = Path(__file__).parents[3]
 
 
 def test_the_picture_does_not_depend_on_gradients_threads_or_layout(monkeypatch):
@@ -62,7 +44,8 @@ def test_the_picture_does_not_depend_on_gradients_threads_or_layout(monkeypatch)
 
 def test_gradients_are_the_same_every_time():
     def gradients():
-        return draw(scene(3000, seed=23), orbit(100, 90), "cpu", torch.float32, False, None)[1]
+        leaves = leaves_of(scene(3000, seed=23), torch.float32)
+        return pulled(rasterize(Gaussians(*leaves), orbit(100, 90), backend="cpu"), leaves)[1]
 
     for first, second in zip(gradients(), gradients(), strict=True):
         assert torch.equal(first, second)
@@ -133,24 +116,21 @@ def test_inputs_may_be_of_another_float_type():
 
 
 def test_a_picture_wider_than_the_tile_grid_is_refused():
-    from grmm_core.errors import BackendError
-
     with pytest.raises(BackendError, match="too large"):
         rasterize(scene(1), Camera(np.eye(4), 1.0, 1.0, 0.0, 0.0, 1 << 19, 1), backend="cpu")
 
 
 def test_gaussians_that_would_fill_the_memory_are_refused(monkeypatch):
     """Each of them covers all tiles; a hostile file can hold millions."""
-    from grmm_core.errors import BackendError
-    from grmm_core.splat.cpu import function
+    from grmm_core.splat.cpu import drawing
 
     many = scene(50, seed=9, size=3.0)
     many.means.requires_grad_()
-    monkeypatch.setattr(function, "MAX_GRADIENT_BYTES", 1000)
+    monkeypatch.setattr(drawing, "MAX_GRADIENT_BYTES", 1000)
     out = rasterize(many, orbit(), backend="cpu")
     with pytest.raises(BackendError, match="too large and too many to differentiate"):
         out.rgb.sum().backward()
-    monkeypatch.setattr(function, "MAX_INSTANCES", 100)
+    monkeypatch.setattr(drawing, "MAX_INSTANCES", 100)
     with pytest.raises(BackendError, match="too large and too many to draw"):
         rasterize(many, orbit(), backend="cpu")
 
@@ -158,22 +138,23 @@ def test_gaussians_that_would_fill_the_memory_are_refused(monkeypatch):
 def test_blocks_are_found_exactly():
     """Against every pixel of the tile: no block that a Gaussian reaches is missed, and few others are listed."""
     from grmm_core.splat.cpu import blocks
-    from grmm_core.splat.cpu.projection import REACH, SQUEEZE, VALUES
+    from grmm_core.splat.cpu.records import RECORD, SHAPE, SQUEEZE
 
     rng = np.random.default_rng(31)
     count, listed, reached = 400, 0, 0
-    places = np.zeros((blocks.BATCH, VALUES), np.float32)
+    shapes = np.zeros((blocks.BATCH, SHAPE), np.float32)
     pairs = np.empty((blocks.BATCH + 1) * blocks.BLOCKS, np.int32)
     first = np.empty(blocks.BATCH + 1, np.int64)
     for _ in range(count):
-        places[0, :2] = rng.uniform(-30, 60, 2)
-        places[0, 2], places[0, 4] = np.exp(rng.uniform(-4, 0.6, 2))  # from round to needles
-        places[0, 3] = rng.normal() * places[0, 2]
-        places[0, REACH] = SQUEEZE**2 * rng.uniform(0.5, 11.0)
-        found = blocks.find_blocks(1, places, np.float32(16), np.float32(0), pairs, first)
-        x, y = np.meshgrid(np.arange(16) + 16.5 - places[0, 0], np.arange(16) + 0.5 - places[0, 1])
-        s, q = places[0, 2] * x + places[0, 3] * y, places[0, 4] * y
-        inside = SQUEEZE**2 * (s * s + q * q) <= places[0, REACH] * (1 - 1e-5)
+        x, y = rng.uniform(-30, 60, 2)
+        l11, l22 = np.exp(rng.uniform(-4, 0.6, 2))  # from round to needles
+        l12 = rng.normal() * l11
+        shapes[0, : RECORD.opacity] = x, y, l11, l12, l22
+        shapes[0, RECORD.reach] = SQUEEZE**2 * rng.uniform(0.5, 11.0)
+        found = blocks.find_blocks(1, shapes, np.float32(16), np.float32(0), pairs, first)
+        dx, dy = np.meshgrid(np.arange(16) + 16.5 - x, np.arange(16) + 0.5 - y)
+        s, q = l11 * dx + l12 * dy, l22 * dy
+        inside = SQUEEZE**2 * (s * s + q * q) <= shapes[0, RECORD.reach] * (1 - 1e-5)
         number = np.arange(16)[:, None] // blocks.BLOCK_Y * blocks.BLOCKS_X + np.arange(16) // blocks.BLOCK_X
         wanted = set(np.unique(number[inside]).tolist())
         assert wanted <= set(pairs[:found].tolist())
@@ -184,13 +165,13 @@ def test_blocks_are_found_exactly():
 
 
 def test_work_is_counted():
-    from grmm_core.splat.cpu import count, function
+    from grmm_core.splat.cpu import count, drawing
     from grmm_core.splat.rules import View
 
     many, camera = scene(200, seed=32), orbit()
-    inputs = [getattr(many, name).numpy() for name in NAMES]
-    _, drawing = function.draw(inputs, np.zeros((1, 1, 3), np.float32), View.of(camera), False)
-    work = count.count_work(drawing, camera.width, camera.height)
+    arrays = GaussianArrays(*(getattr(many, name).numpy() for name in NAMES))
+    _, drawn = drawing.draw(arrays, np.zeros((1, 1, 3), np.float32), View.of(camera), False)
+    work = count.count_work(drawn, camera.width, camera.height)
     # By the reference, with a feature of its own for each Gaussian: blended where that is above zero.
     marked = dataclasses.replace(many, features=torch.eye(200))
     expected = int((rasterize(marked, camera, backend="torch").features > 0).sum())
@@ -228,3 +209,47 @@ def test_kept_memory_is_bounded(monkeypatch):
     held = [buffers.empty((1 << 18,)) for _ in range(6)]
     del held
     assert buffers.kept_bytes() <= 3 << 20
+
+
+def test_arrays_are_drawn_where_torch_is_missing(tmp_path):
+    """In a process where importing torch fails; the same picture as the reference's, plain and antialiased, also on a crop."""
+    many, camera = scene(300, seed=35), orbit(64, 48)
+    np.savez(tmp_path / "scene.npz", **{name: getattr(many, name).numpy() for name in NAMES})
+    script = """
+        import sys
+        sys.modules["torch"] = None
+        import numpy as np
+        from grmm_core.geometry.camera import Camera
+        from grmm_core.splat import GaussianArrays, rasterize_arrays
+        scene = GaussianArrays(**np.load("scene.npz"))
+        camera = Camera.orbit(64, 48, yaw=20.0, pitch=10.0, distance=0.6, fov=25.0)
+        whole = rasterize_arrays(scene, camera, (0.2, 0.5, 0.7))
+        part = rasterize_arrays(scene, camera.crop(19, 7, 30, 35), antialiased=True, frame=camera)
+        np.savez("pictures.npz", **whole._asdict(), **{f"part_{name}": array for name, array in part._asdict().items()})
+    """
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", textwrap.dedent(script)], cwd=tmp_path, env=environment, check=True, timeout=300)
+    expected = rasterize(many, camera, (0.2, 0.5, 0.7), backend="torch")
+    expected_part = rasterize(many, camera.crop(19, 7, 30, 35), backend="torch", antialiased=True, frame=camera)
+    with np.load(tmp_path / "pictures.npz") as pictures:
+        for name in OUTPUTS:
+            for ours, theirs in ((pictures[name], expected), (pictures[f"part_{name}"], expected_part)):
+                wanted = getattr(theirs, name).numpy()
+                assert np.abs(ours - wanted).max() < SPLAT_PICTURE * max(1.0, np.abs(wanted).max())
+
+
+def test_arrays_that_do_not_fit_are_refused():
+    arrays = GaussianArrays(*(getattr(scene(5), name).numpy() for name in NAMES))
+    with pytest.raises(ShapeError, match=r"quats has the shape \[4, 4\]; \[5, 4\] is needed"):
+        rasterize_arrays(arrays._replace(quats=arrays.quats[:4]), orbit())
+    with pytest.raises(ShapeError, match="background"):
+        rasterize_arrays(arrays, orbit(), np.zeros((2, 2, 3)))
+
+
+def test_arrays_may_be_views_of_another_type_that_cannot_be_written():
+    many = scene(50, seed=36)
+    arrays = GaussianArrays(*(getattr(many, name).double().numpy()[::-1] for name in NAMES))
+    for array in arrays:
+        array.setflags(write=False)
+    flipped = Gaussians(*(getattr(many, name).flip(0) for name in NAMES))
+    np.testing.assert_array_equal(rasterize_arrays(arrays, orbit()).rgb, rasterize(flipped, orbit(), backend="cpu").rgb.numpy())

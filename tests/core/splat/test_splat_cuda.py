@@ -16,8 +16,9 @@ from splat_scenes import OUTPUTS, SCENES, assert_parity, leaves_of, orbit, pulle
 
 from grmm_core.errors import BackendError
 from grmm_core.splat import Gaussians, rasterize
+from grmm_core.splat.autograd import rasterize_with
 from grmm_core.splat.cuda import compile as cuda_compile
-from grmm_core.splat.cuda.function import rasterize_kernels
+from grmm_core.splat.cuda.drawing import CudaEngine
 from grmm_core.splat.cuda.launch import pack
 from grmm_core.splat.cuda.source import FEATURES_MAX, KERNELS, THREADS, kernel_source
 from grmm_core.splat.rules import View
@@ -78,7 +79,7 @@ def test_the_kernels_equal_the_reference(name, antialiased, stand_in):
     leaves = leaves_of(gaussians, torch.float64)
     expected = pulled(rasterize(Gaussians(*leaves), camera, background, "torch", antialiased), leaves)
     leaves = leaves_of(gaussians, torch.float32)
-    out = rasterize_kernels(kernels, Gaussians(*leaves), View.of(camera), torch.tensor(background), antialiased)
+    out = rasterize_with(CudaEngine(kernels), Gaussians(*leaves), View.of(camera), torch.tensor(background), antialiased)
     assert_parity(pulled(out, leaves), expected)
 
 
@@ -88,7 +89,7 @@ def test_equal_depths_and_dropped_gaussians(stand_in):
     for k, name in enumerate(("means", "quats", "scales", "opacities", "colors", "features")):
         getattr(many, name).view(50, -1)[10 + k, -1] = float("nan") if k % 2 else float("inf")
     many.quats[20] = 0.0
-    ours = rasterize_kernels(stand_in(4), many, View.of(orbit()))
+    ours = rasterize_with(CudaEngine(stand_in(4)), many, View.of(orbit()))
     expected = rasterize(many, orbit(), backend="torch")
     for name in OUTPUTS:
         torch.testing.assert_close(getattr(ours, name), getattr(expected, name), atol=1e-4, rtol=1e-4)
@@ -96,7 +97,7 @@ def test_equal_depths_and_dropped_gaussians(stand_in):
 
 def test_nothing_to_draw_leaves_the_background(stand_in):
     ground = torch.rand(40, 48, 3, generator=torch.Generator().manual_seed(1)).requires_grad_()
-    out = rasterize_kernels(stand_in(4), scene(0), View.of(orbit()), ground)
+    out = rasterize_with(CudaEngine(stand_in(4)), scene(0), View.of(orbit()), ground)
     torch.testing.assert_close(out.rgb, ground)
     out.rgb.sum().backward()
     torch.testing.assert_close(ground.grad, torch.ones_like(ground))
@@ -105,7 +106,7 @@ def test_nothing_to_draw_leaves_the_background(stand_in):
 
 def test_background_pictures_and_their_gradients(stand_in):
     ground = torch.rand(40, 48, 3, generator=torch.Generator().manual_seed(1)).requires_grad_()
-    out = rasterize_kernels(stand_in(4), scene(100, seed=2), View.of(orbit()), ground)
+    out = rasterize_with(CudaEngine(stand_in(4)), scene(100, seed=2), View.of(orbit()), ground)
     expected = rasterize(scene(100, seed=2), orbit(), ground.detach(), "torch")
     torch.testing.assert_close(out.rgb, expected.rgb, atol=1e-5, rtol=1e-4)
     out.rgb.sum().backward()
@@ -115,7 +116,7 @@ def test_background_pictures_and_their_gradients(stand_in):
 def test_gradients_are_the_same_every_time(stand_in):
     def gradients():
         leaves = leaves_of(scene(200, seed=5), torch.float32)
-        return pulled(rasterize_kernels(stand_in(4), Gaussians(*leaves), View.of(orbit())), leaves)[1]
+        return pulled(rasterize_with(CudaEngine(stand_in(4)), Gaussians(*leaves), View.of(orbit())), leaves)[1]
 
     for first, second in zip(gradients(), gradients(), strict=True):
         assert torch.equal(first, second)
@@ -167,6 +168,6 @@ def test_on_a_graphics_card(name):
     leaves = leaves_of(gaussians, torch.float64)
     expected = pulled(rasterize(Gaussians(*leaves), camera, None, "torch"), leaves)
     leaves = leaves_of(gaussians, torch.float32)
-    out = rasterize_kernels(kernels, Gaussians(*leaves).to("cuda"), View.of(camera))
+    out = rasterize_with(CudaEngine(kernels), Gaussians(*leaves).to("cuda"), View.of(camera))
     out = type(out)(*(None if part is None else part.cpu() for part in (out.rgb, out.alpha, out.depth, out.features)))
     assert_parity(pulled(out, leaves), expected)

@@ -19,8 +19,8 @@ from ..grmm_core.controls.frame import ALIGNED_TO_ARKIT, Controls, resolve
 from ..grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from ..grmm_core.errors import ConfigError, FileAccessError, FileFormatError
 from ..grmm_core.formats import SplatCloud, write_mesh
-from ..grmm_core.formats.avatars import GaussianAvatar, write_gaussian_avatar
-from ..grmm_core.formats.binding import bind_to_mesh
+from ..grmm_core.formats.avatars.binding import bind_to_mesh
+from ..grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
 from ..grmm_core.geometry.rotations import matrix_to_euler, unwrap_euler
 from ..grmm_core.head import HeadModel, load_flame
 from ..grmm_core.head.skinning import euler_matrices
@@ -227,7 +227,7 @@ def gaussian_avatar(
         faces = triangles(avatar.object.data)
         bound = bind_to_mesh(cloud.resting(), head.shaped(shape) + offset, faces, cloud.binding())
         return GaussianAvatar(bound, replace(track, shape=shape, static_offset=offset))
-    from ..grmm_core.formats.flame_transfer import bind_to_flame, fit_flame  # with FLAME's dozen modules
+    from ..grmm_core.formats.avatars.flame_transfer import bind_to_flame, fit_flame  # with FLAME's dozen modules
 
     head = load_flame(bpy.path.abspath(flame))
     session, number = session_host.get_session(), session_host.open_avatar(avatar.source).id

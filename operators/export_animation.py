@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ExportHelper
 from ..grmm_blender import exporting
 from ..grmm_blender.rig.avatar import Avatar, avatar_of
 from ..grmm_core.errors import FileAccessError, FileFormatError
-from ..grmm_core.performance import write_performance
+from ..grmm_core.formats import write_performance
 from .common import FrameRange, Result, active_performer, flame_path, output_path, reports_errors
 from .steps import Step, SteppedOperator, Steps
 

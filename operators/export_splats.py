@@ -14,7 +14,7 @@ from ..grmm_blender.rig.avatar import avatar_of
 from ..grmm_blender.splats.cloud import Cloud
 from ..grmm_core.errors import FileAccessError, FileFormatError
 from ..grmm_core.formats import write_splats
-from ..grmm_core.formats.avatars import PLY_NAME, TRACK_NAME
+from ..grmm_core.formats.avatars.gaussian_avatars import PLY_NAME, TRACK_NAME
 from ..grmm_core.formats.sequence import frame_path
 from .common import FrameRange, Result, flame_path, output_path, reports_errors
 from .steps import Step, SteppedOperator, Steps

@@ -10,8 +10,9 @@ import bpy
 
 from ..grmm_blender.performance import MAX_FRAME, ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
 from ..grmm_core.errors import FileAccessError
+from ..grmm_core.formats import read_performance
 from ..grmm_core.head import load_flame
-from ..grmm_core.performance import REGIONS, Progress, read_performance
+from ..grmm_core.performance import REGIONS, Progress
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
 from .common import Result, active_performer, flame_path, needs_performer, reports_errors
 from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
@@ -219,8 +220,7 @@ class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
         def part(start: float, end: float) -> Progress:
             return lambda done: show(int(_HUNDRED * (start + (end - start) * done)))
 
-        orientation = "landscape" if self.landscape else "portrait"
-        performance = read_performance(path, fps=self.fps or None, orientation=orientation, progress=part(0.0, _READ))
+        performance = read_performance(path, fps=self.fps or None, landscape=self.landscape, progress=part(0.0, _READ))
         on_flame = performer.object.grmm.head_name.startswith("flame")
         flame = None
         if performance.expression is not None and not on_flame:

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.formats import SplatCloud, read_splats, write_mesh, write_splats
-from grmm_core.formats.avatars import GaussianAvatar, read_gaussian_avatar, write_gaussian_avatar
-from grmm_core.formats.cloud import SH_C0
-from grmm_core.formats.mesh import read_gltf_mesh
+from grmm_core.formats import SplatCloud, read_performance, read_splats, write_mesh, write_performance, write_splats
+from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, read_gaussian_avatar, write_gaussian_avatar
+from grmm_core.formats.meshes.gltf_mesh import read_gltf_mesh
+from grmm_core.formats.splats.cloud import SH_C0
 from grmm_core.geometry.rotations import euler_to_matrix
-from grmm_core.performance import Performance, read_performance, write_performance
+from grmm_core.performance import Performance
 
 COUNT, DEGREE, FRAMES = 20_000, 2, 300
 _DEGREES = 180.0 / np.pi

@@ -16,9 +16,11 @@ import numpy as np
 from ...grmm_core.avatar import AssetReference
 from ...grmm_core.controls.names import ALIGNED_NAMES
 from ...grmm_core.errors import FileFormatError
-from ...grmm_core.formats import SplatCloud
-from ...grmm_core.formats.avatars import AnimatedAvatar, GaussianAvatar, LamAvatar, read_avatar
-from ...grmm_core.formats.binding import place_on_mesh
+from ...grmm_core.formats import SplatCloud, read_avatar
+from ...grmm_core.formats.avatars.binding import place_on_mesh
+from ...grmm_core.formats.avatars.cap4d import AnimatedAvatar
+from ...grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar
+from ...grmm_core.formats.avatars.lam import LamAvatar
 from ...grmm_core.performance import Performance
 from ..rig.actions import ensure_bag, find_curve, linear_keys, replace_keys
 from ..rig.avatar import Avatar
@@ -83,7 +85,7 @@ def import_file(context: bpy.types.Context, path: Path, flame: str = "", turned:
 
     Args:
         context: In object mode.
-        path: Any file that `formats.avatars.read_avatar` takes.
+        path: Any file that `formats.read_avatar` takes.
         flame: The user's FLAME file, for GaussianAvatars.
         turned: Turn plain splats by half a turn about the axis through the ears: for files with the other axis up.
 

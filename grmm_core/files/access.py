@@ -7,14 +7,16 @@ crash or a cancel never leaves half a file behind.
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-from ..errors import FileAccessError
+from ..errors import FileAccessError, FileFormatError
 
+_CHUNK = 1 << 20
 _PREFIX, _SUFFIX = ".grmm-", ".tmp"
 TEMPORARY_PATTERN = f"{_PREFIX}*{_SUFFIX}"
 """Names of files that are being written; a killed process leaves one behind."""
@@ -23,6 +25,11 @@ TEMPORARY_PATTERN = f"{_PREFIX}*{_SUFFIX}"
 def describe_os_error(error: OSError) -> str:
     """Return the system's reason in lower case, without path and number ("no space left on device")."""
     return (error.strerror or str(error) or type(error).__name__).lower()
+
+
+def bad_file(path: str | os.PathLike[str], kind: str, reason: str) -> FileFormatError:
+    """One sentence that names the file, what it was taken for, and why it cannot be read."""
+    return FileFormatError(f"{path} is not a readable {kind} ({reason}); export it again or choose another file.")
 
 
 @contextmanager
@@ -67,30 +74,65 @@ def atomic_write_bytes(path: str | os.PathLike[str], data: bytes | memoryview) -
         file.write(data)
 
 
-def read_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
-    """Read a whole file.
+@contextmanager
+def open_file(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """Open a file for reading, and turn the system's errors into sentences.
 
-    Args:
-        path: File to read.
-        limit: Largest size in bytes that is accepted.
+    Devices and named pipes are refused: their size says nothing, they may never end, and opening one may wait for ever.
 
     Raises:
-        FileAccessError: Missing, a folder, not readable, or larger than `limit`.
+        FileAccessError: Missing, a folder, a device, or not readable; also for errors while the block reads.
     """
     path = Path(path)
     try:
         if path.is_dir():
             raise FileAccessError(f"{path} is a folder; choose a file.")
-        size = path.stat().st_size
-        if limit is not None and size > limit:
-            raise FileAccessError(f"{path} has {size} bytes, more than the {limit} that are read; choose a smaller file.")
-        return path.read_bytes()
+        with open(path, "rb", opener=_open_without_waiting) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                raise FileAccessError(f"{path} is a device or a pipe; save what it gives as a file and choose that.")
+            yield file
     except FileNotFoundError as error:
         raise FileAccessError(f"{path} does not exist; check the file name.") from error
     except OSError as error:
         raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
-    except ValueError as error:  # a null character in the name
+    except ValueError as error:
+        if "\0" not in str(path):
+            raise
         raise FileAccessError("The file name contains a null character; choose another name.") from error
+
+
+def _open_without_waiting(path: str, flags: int) -> int:
+    """Opener that does not wait for somebody to write into a pipe. Regular files read as ever."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
+def read_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
+    """Read a whole file.
+
+    Args:
+        path: File to read.
+        limit: Largest size in bytes that is accepted, whatever the file system says about the size.
+
+    Raises:
+        FileAccessError: Missing, a folder, a device, not readable, or larger than `limit`.
+    """
+    with open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if limit is None:
+            return file.read()
+        parts, total = [], size  # a size of zero may be a file that the system makes up while it is read
+        while total <= limit:
+            parts.append(file.read(max(size + 1, _CHUNK)))
+            total = sum(map(len, parts))
+            if not parts[-1] or total == size:
+                return b"".join(parts) if len(parts) > 1 else parts[0]
+        raise FileAccessError(f"{path} has more than the {limit} bytes that are read; choose a smaller file.")
+
+
+def read_start(path: str | os.PathLike[str], count: int = 4096) -> bytes:
+    """Read the first bytes of a file. Raises as `open_file`."""
+    with open_file(path) as file:
+        return file.read(count)
 
 
 def _umask() -> int:

@@ -10,19 +10,19 @@ from __future__ import annotations
 import ast
 import math
 import zipfile
-import zlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import FileAccessError, FileFormatError
-from .access import describe_os_error
+from .access import bad_file
+from .archive import open_archive
 
 MAX_ARRAY_BYTES = 1 << 30
 _MAX_MEMBERS = 10_000
 _MAX_HEADER = 1 << 16
+_KIND = "npz file"
 
 
 def read_npz(
@@ -42,24 +42,16 @@ def read_npz(
         FileFormatError: Not an npz file, truncated, lying about its sizes, or holding Python objects.
         FileAccessError: Missing or unreadable.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            entries = [info for info in archive.infolist() if info.filename.endswith(".npy")]
-            members = {info.filename.removesuffix(".npy"): info for info in entries}
-            if len(entries) > _MAX_MEMBERS:
-                raise _bad(path, f"it has {len(entries)} arrays")
-            wanted = list(members) if names is None else [name for name in names if name in members]
-            total = sum(members[name].file_size for name in wanted)
-            if total > max_bytes:
-                raise _bad(path, f"its arrays would take {total} bytes, more than the {max_bytes} that are read")
-            return {name: _read_array(path, archive, members[name], name) for name in wanted}, tuple(members)
-    except FileNotFoundError as error:
-        raise FileAccessError(f"{path} does not exist; check the file name.") from error
-    except OSError as error:
-        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError, ValueError) as error:
-        # RuntimeError: encrypted members; NotImplementedError: unknown compression; ValueError: null characters and bad offsets
-        raise _bad(path, "the archive is damaged") from error
+    with open_archive(path, _KIND) as archive:
+        entries = [info for info in archive.infolist() if info.filename.endswith(".npy")]
+        members = {info.filename.removesuffix(".npy"): info for info in entries}
+        if len(entries) > _MAX_MEMBERS:
+            raise bad_file(path, _KIND, f"it has {len(entries)} arrays")
+        wanted = list(members) if names is None else [name for name in names if name in members]
+        total = sum(members[name].file_size for name in wanted)
+        if total > max_bytes:
+            raise bad_file(path, _KIND, f"its arrays would take {total} bytes, more than the {max_bytes} that are read")
+        return {name: _read_array(path, archive, members[name], name) for name in wanted}, tuple(members)
 
 
 def _read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo, name: str) -> np.ndarray:
@@ -67,15 +59,15 @@ def _read_array(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo, nam
         try:
             shape, fortran, dtype = _read_header(file)
         except (ValueError, TypeError, KeyError, SyntaxError, RecursionError, MemoryError) as error:
-            raise _bad(path, f"the header of array {name[:60]!r} is damaged") from error
+            raise bad_file(path, _KIND, f"the header of array {name[:60]!r} is damaged") from error
         if dtype.hasobject:
-            raise _bad(path, f"array {name[:60]!r} holds Python objects, which are never loaded")
+            raise bad_file(path, _KIND, f"array {name[:60]!r} holds Python objects, which are never loaded")
         size = math.prod(shape) * dtype.itemsize
         if size > info.file_size:
-            raise _bad(path, f"array {name[:60]!r} claims {size} bytes and has {info.file_size}")
+            raise bad_file(path, _KIND, f"array {name[:60]!r} claims {size} bytes and has {info.file_size}")
         data = bytearray(file.read(size))
     if len(data) != size:
-        raise _bad(path, f"array {name[:60]!r} is truncated")
+        raise bad_file(path, _KIND, f"array {name[:60]!r} is truncated")
     array = np.frombuffer(data, dtype) if size else np.zeros(0, dtype)
     return array.reshape(shape[::-1]).transpose() if fortran else array.reshape(shape)
 
@@ -96,7 +88,3 @@ def _read_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     if any(type(n) is not int or n < 0 for n in shape):
         raise ValueError("shape")
     return shape, bool(header["fortran_order"]), np.dtype(descr)
-
-
-def _bad(path: Path, reason: str) -> FileFormatError:
-    return FileFormatError(f"{path} is not a readable npz file ({reason}); get the file again from where it came from.")

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FileAccessError, FileFormatError, ShapeError
-from .access import atomic_write, describe_os_error
+from ..errors import FileFormatError, ShapeError
+from .access import atomic_write, open_file
 
 MAX_HEADER_BYTES = 64 << 20  # far above any file of ours; refuses lengths that lie
 _LENGTH = struct.Struct("<Q")
@@ -100,25 +100,20 @@ def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], d
 
 def _read(path: str | os.PathLike[str], with_data: bool) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     path = Path(path)
-    try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            header = _read_header(path, file.read(8), file, size)
-            metadata = _read_string_map(path, header.pop("__metadata__", {}))
-            start = file.tell()
-            tensors: dict[str, np.ndarray] = {}
-            for name, dtype, shape, begin, end in _entries(path, header, size - start):
-                if with_data:
-                    file.seek(start + begin)
-                    raw = bytearray(file.read(end - begin))
-                    if len(raw) != end - begin:  # the file shrank while it was read
-                        raise _corrupt(path, f"tensor {name!r} is truncated")
-                    tensors[name] = np.frombuffer(raw, dtype).reshape(shape)
-            return tensors, metadata
-    except FileNotFoundError as error:
-        raise FileAccessError(f"{path} does not exist; check the file name.") from error
-    except OSError as error:
-        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
+    with open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        header = _read_header(path, file.read(8), file, size)
+        metadata = _read_string_map(path, header.pop("__metadata__", {}))
+        start = file.tell()
+        tensors: dict[str, np.ndarray] = {}
+        for name, dtype, shape, begin, end in _entries(path, header, size - start):
+            if with_data:
+                file.seek(start + begin)
+                raw = bytearray(file.read(end - begin))
+                if len(raw) != end - begin:  # the file shrank while it was read
+                    raise _corrupt(path, f"tensor {name!r} is truncated")
+                tensors[name] = np.frombuffer(raw, dtype).reshape(shape)
+        return tensors, metadata
 
 
 def _read_header(path: Path, prefix: bytes, file: Any, size: int) -> dict[str, Any]:

@@ -1,18 +1,18 @@
-"""Splat and mesh files of other programs, in and out.
+"""Files of other programs, in and out: splats, meshes, avatars, performances.
 
-============================  ==========================================================================================
-`cloud`                       `SplatCloud`, what all splat readers return and writers take
-`ply` `splat_file` `spz`      3DGS and GaussianAvatars PLY, .splat, SPZ
-`sog` `glb` `gltf_splats`     SOG, the glTF container, KHR_gaussian_splatting
-`mesh`                        .obj and .glb with morph targets
-`avatars` `binding`           GaussianAvatars, CAP4D and LAM avatars; splats on triangles
-`sequence`                    a file for every frame
-`archive`                     zip archives that nobody vouches for
-============================  ==========================================================================================
+==================  ==================================================================================================
+`registry`          the one list of formats; `grmm_core.files.format` is the record that each module has
+`splats`            `SplatCloud`; 3DGS PLY, .splat, SPZ, SOG, glTF with KHR_gaussian_splatting
+`meshes`            `Mesh`; .obj, and .glb with morph targets
+`avatars`           GaussianAvatars, CAP4D and LAM; splats on triangles; our avatars on the user's FLAME
+`performances`      ARKit JSON, Live Link Face CSV, FLAME npz
+`arrays`            everything as plain arrays
+`sequence`          a file for every frame
+`glb`               the glTF container
+==================  ==================================================================================================
 
-`read_splats`, `write_splats` and `write_mesh` choose by the file's extension and import only what they need. Called by the
-command line and the Blender importers and exporters; knows nothing of Blender, torch or the model. Needs numpy only (SOG:
-Pillow; SPZ 4: zstandard).
+The functions here choose by the file's name and content and import only what they need. Called by the command line and the
+Blender importers and exporters; knows nothing of Blender, torch or the model. Needs numpy only (SOG: Pillow; SPZ 4: zstandard).
 
 **Axes.** In memory y is up and faces look along +z, as in head space. Formats whose viewers take y as down (.ply, .splat, .sog)
 are turned by half a turn about x on the way out and back on the way in, so that a head stands upright in other programs;
@@ -22,26 +22,44 @@ are turned by half a turn about x on the way out and back on the way in, so that
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..errors import FileFormatError
-from .cloud import SplatCloud
+from ..errors import ShapeError
+from ..files.format import Format
+from ..performance.types import Performance, Progress
+from .registry import format_to_read, format_to_write, formats, suffixes
+from .splats.cloud import SplatCloud
 
-SPLAT_EXTENSIONS = (".ply", ".splat", ".spz", ".sog", ".glb")
-MESH_EXTENSIONS = (".obj", ".glb")
+if TYPE_CHECKING:
+    from .avatars.cap4d import AnimatedAvatar
+    from .avatars.gaussian_avatars import GaussianAvatar
+    from .avatars.lam import LamAvatar
 
-__all__ = ["MESH_EXTENSIONS", "SPLAT_EXTENSIONS", "SplatCloud", "read_splats", "write_mesh", "write_splats"]
+__all__ = [
+    "Format",
+    "SplatCloud",
+    "format_to_read",
+    "format_to_write",
+    "formats",
+    "read_avatar",
+    "read_performance",
+    "read_splats",
+    "suffixes",
+    "write_mesh",
+    "write_performance",
+    "write_splats",
+]
 
 
 def read_splats(path: str | os.PathLike[str], **options: Any) -> SplatCloud:
-    """Read a splat file of any known format, chosen by its extension.
+    """Read a splat file of any known format.
 
     Args:
-        path: A .ply, .splat, .spz, .sog (or its meta.json), .glb or .gltf file.
+        path: The file; a .sog may also be its meta.json.
         options: Passed to the reader: `axes` for .ply, .splat and .sog; `decode` for .sog.
 
     Returns:
@@ -52,28 +70,14 @@ def read_splats(path: str | os.PathLike[str], **options: Any) -> SplatCloud:
         FileAccessError: Missing, a folder or unreadable.
         BackendError: The format needs a package that is not installed.
     """
-    path = Path(path)
-    extension = path.suffix.lower()
-    if extension == ".ply":
-        from .ply import read_ply as read
-    elif extension == ".splat":
-        from .splat_file import read_splat as read
-    elif extension == ".spz":
-        from .spz import read_spz as read
-    elif extension == ".sog" or path.name.lower() == "meta.json":
-        from .sog import read_sog as read
-    elif extension in (".glb", ".gltf"):
-        from .gltf_splats import read_gltf_splats as read
-    else:
-        raise FileFormatError(f"{path} has the extension {extension!r}; choose one of {', '.join(SPLAT_EXTENSIONS)}.")
-    return read(path, **options)
+    return format_to_read(Path(path), "splats").read(Path(path), **options)
 
 
 def write_splats(path: str | os.PathLike[str], cloud: SplatCloud, **options: Any) -> None:
     """Write splats in the format that the extension names.
 
     Args:
-        path: A .ply, .splat, .spz, .sog or .glb file.
+        path: The file.
         cloud: Splats, y up. Its color must be the one that looks right alone (the unrefined RGB).
         options: Passed to the writer: `axes` for .ply, .splat and .sog; `version`, `fractional_bits`, `full_sh` for .spz.
 
@@ -83,20 +87,23 @@ def write_splats(path: str | os.PathLike[str], cloud: SplatCloud, **options: Any
         FileAccessError: The file cannot be written.
         BackendError: The format needs a package that is not installed.
     """
-    extension = Path(path).suffix.lower()
-    if extension == ".ply":
-        from .ply import write_ply as write
-    elif extension == ".splat":
-        from .splat_file import write_splat as write
-    elif extension == ".spz":
-        from .spz import write_spz as write
-    elif extension == ".sog":
-        from .sog import write_sog as write
-    elif extension == ".glb":
-        from .gltf_splats import write_gltf_splats as write
-    else:
-        raise FileFormatError(f"Splats cannot be written as {extension!r}; choose one of {', '.join(SPLAT_EXTENSIONS)}.")
-    write(path, cloud, **options)
+    format_to_write(Path(path), "splats").write(Path(path), cloud, **options)
+
+
+def read_avatar(
+    path: str | os.PathLike[str], decode: Callable[[bytes], np.ndarray] | None = None
+) -> GaussianAvatar | AnimatedAvatar | LamAvatar | SplatCloud:
+    """Read an avatar of another project, or plain splats, by what is in the file.
+
+    Args:
+        path: A file of any format that holds splats, an avatar or a sequence; a folder for GaussianAvatars.
+        decode: Decodes the pictures of a SOG file where Pillow is not installed (see `sog.read_sog`).
+
+    Raises:
+        FileFormatError, FileAccessError, BackendError: As the readers of the formats.
+    """
+    found = format_to_read(Path(path), ("splats", "avatar", "sequence"))
+    return found.read(Path(path), **({"decode": decode} if found.name == "sog" else {}))
 
 
 def write_mesh(
@@ -110,25 +117,61 @@ def write_mesh(
     """Write a triangle mesh in the format that the extension names.
 
     Args:
-        path: A .obj or .glb file.
+        path: The file.
         vertices: [V, 3] metres, y up.
         faces: [F, 3] vertex indices.
         uv: [V, 2], or [U, 2] with `uv_faces`; v up.
         uv_faces: [F, 3] indices into `uv`.
-        morphs: Name to movement [V, 3]; .glb only.
+        morphs: Name to movement [V, 3]; formats without morph targets leave them out.
 
     Raises:
         FileFormatError: Unknown extension.
         ShapeError: The mesh is malformed.
         FileAccessError: The file cannot be written.
     """
-    from .mesh import make_mesh, write_gltf_mesh, write_obj
+    from .meshes.mesh import Mesh
 
-    extension = Path(path).suffix.lower()
-    if extension not in MESH_EXTENSIONS:
-        raise FileFormatError(f"Meshes cannot be written as {extension!r}; choose one of {', '.join(MESH_EXTENSIONS)}.")
-    mesh = make_mesh(vertices, faces, uv, uv_faces, morphs)
-    if extension == ".obj":
-        write_obj(path, mesh)
-    else:
-        write_gltf_mesh(path, mesh)
+    mesh = Mesh(vertices, faces, uv, uv_faces, dict(morphs or {})).validated()
+    format_to_write(Path(path), "mesh").write(Path(path), mesh)
+
+
+def read_performance(
+    path: str | os.PathLike[str], *, fps: float | None = None, progress: Progress | None = None, **options: Any
+) -> Performance:
+    """Read a recorded performance of any known format, chosen by what is in the file and not by its name alone.
+
+    Args:
+        path: The file.
+        fps: Frame rate, over what the file states or implies.
+        progress: Called with the fraction done; raise `CancelledError` from it to stop.
+        options: Passed to the reader: what its `Format.reading` lists.
+
+    Returns:
+        The performance; `warnings` says what was missing, repaired or assumed.
+
+    Raises:
+        FileFormatError: The file is of no known format, or damaged.
+        FileAccessError: Missing, a folder, unreadable or too large.
+    """
+    return format_to_read(Path(path), "performance").read(Path(path), fps=fps, progress=progress, **options)
+
+
+def write_performance(path: str | os.PathLike[str], performance: Performance, progress: Progress | None = None) -> None:
+    """Write a performance in the format that the extension names.
+
+    Args:
+        path: The file.
+        performance: ARKit weights, or expression coefficients for FLAME's .npz.
+        progress: Called with the fraction done; raise `CancelledError` from it to stop before anything is written.
+
+    Raises:
+        FileFormatError: Unknown extension.
+        ShapeError: The performance lacks what the format holds, or has values that are not finite.
+        FileAccessError: The file cannot be written.
+    """
+    for name in ("times", *performance.channel_names()):
+        if not np.isfinite(getattr(performance, name)).all():
+            raise ShapeError(f"Performance.{name} has values that are not finite; remove these frames first.")
+    format_to_write(Path(path), "performance").write(Path(path), performance, progress=progress)
+    if progress:
+        progress(1.0)

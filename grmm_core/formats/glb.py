@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FileFormatError
-from ..files.access import atomic_write, read_bytes
-from .cloud import bad_file
+from ..files.access import atomic_write, bad_file, read_bytes
 
 KIND = "glTF file"
 FLOAT, UINT32, UINT16, UINT8 = 5126, 5125, 5123, 5121

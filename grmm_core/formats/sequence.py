@@ -12,7 +12,7 @@ from pathlib import Path
 from ..errors import FileAccessError
 from ..performance.types import Progress
 from . import write_splats
-from .cloud import SplatCloud
+from .splats.cloud import SplatCloud
 
 _DIGITS = 4
 

@@ -1,21 +1,19 @@
-"""Recorded performances: reading, cleaning, reducing to keys, retargeting, writing.
+"""Recorded performances: cleaning, reducing to keys, retargeting. `formats` reads and writes them.
 
 =================  =====================================================================================
 `types`            `Performance`, what everything here takes and returns
-`reading`          `read_performance`: ARKit JSON, Live Link Face CSV, FLAME npz
 `timing`           `resample`, `shift`, `trim`
 `editing`          `apply_gain`, `find_neutral_frames`, `calibrate_neutral`, `clamp`, `REGIONS`
 `smoothing`        `smooth`
 `closures`         `lip_model`, `keep_lips_closed`
 `curves`           `reduce_performance`: keys to a stated error
 `retarget`         `to_expression`, `to_arkit`
-`writing`          `write_performance`
 `pipeline`         `clean`: all of the cleaning in one call
 =================  =====================================================================================
 
 Called by the Blender importer and exporter and by the command line. Needs numpy only.
 
-A usual import: `read_performance`, `clean`, `reduce_performance`.
+A usual import: `formats.read_performance`, `clean`, `reduce_performance`.
 """
 
 from __future__ import annotations
@@ -23,12 +21,10 @@ from __future__ import annotations
 from .curves import ReducedCurve, reduce_performance
 from .editing import REGIONS, apply_gain, calibrate_neutral, clamp, find_neutral_frames
 from .pipeline import CleanOptions, clean
-from .reading import read_performance
 from .retarget import to_arkit, to_expression
 from .smoothing import smooth
 from .timing import resample, shift, trim
 from .types import Performance, Progress
-from .writing import write_performance
 
 __all__ = [
     "REGIONS",
@@ -41,7 +37,6 @@ __all__ = [
     "clamp",
     "clean",
     "find_neutral_frames",
-    "read_performance",
     "reduce_performance",
     "resample",
     "shift",
@@ -49,5 +44,4 @@ __all__ = [
     "to_arkit",
     "to_expression",
     "trim",
-    "write_performance",
 ]

@@ -36,6 +36,8 @@ REGIONS: MappingProxyType[str, tuple[int, ...]] = MappingProxyType(
 
 HEAD_REGION = "head"
 _MAX_OFFSET = 0.9  # a resting weight beyond this is no neutral face
+_RANGE = (-0.05, 1.05)  # tracker noise outside 0..1 that is not worth a warning
+_MAX_LISTED = 6
 _CALM_SHARE = 0.05
 
 
@@ -128,3 +130,14 @@ def calibrate_neutral(performance: Performance, frames: Sequence[int] | np.ndarr
 def clamp(performance: Performance) -> Performance:
     """Limit ARKit weights to 0..1."""
     return replace(performance, weights=np.clip(performance.weights, 0.0, 1.0))
+
+
+def range_warnings(weights: np.ndarray) -> list[str]:
+    """One sentence about ARKit weights [T, 52] outside 0..1, none where all are inside."""
+    low, high = weights.min(0), weights.max(0)
+    outside = np.flatnonzero((low < _RANGE[0]) | (high > _RANGE[1]))
+    if outside.size == 0:
+        return []
+    listed = ", ".join(f"{ARKIT_NAMES[i]} ({low[i]:.2f} to {high[i]:.2f})" for i in outside[:_MAX_LISTED])
+    more = f" and {outside.size - _MAX_LISTED} more" if outside.size > _MAX_LISTED else ""
+    return [f"Weights outside 0..1: {listed}{more}."]

@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from .editing import apply_gain, calibrate_neutral, clamp, find_neutral_frames
-from .repair import range_warnings
+from .editing import apply_gain, calibrate_neutral, clamp, find_neutral_frames, range_warnings
 from .smoothing import smooth
 from .timing import resample, shift, trim
 from .types import Performance, Progress

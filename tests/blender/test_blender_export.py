@@ -18,13 +18,12 @@ from performance_files import write_performances
 from splat_files import make_cloud
 
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.formats import read_splats, write_splats
-from grmm_core.formats.avatars import GaussianAvatar, read_gaussian_avatar, write_gaussian_avatar
-from grmm_core.formats.binding import place_on_mesh
-from grmm_core.formats.flame_transfer import fit_flame
-from grmm_core.formats.mesh import read_gltf_mesh
+from grmm_core.formats import read_performance, read_splats, write_splats
+from grmm_core.formats.avatars.binding import place_on_mesh
+from grmm_core.formats.avatars.flame_transfer import fit_flame
+from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, read_gaussian_avatar, write_gaussian_avatar
+from grmm_core.formats.meshes.gltf_mesh import read_gltf_mesh
 from grmm_core.head import load_flame, load_open_head
-from grmm_core.performance import read_performance
 
 pytestmark = pytest.mark.blender
 

@@ -19,7 +19,7 @@ from PIL import Image
 from splat_files import make_cloud
 
 from grmm_core.formats import write_splats
-from grmm_core.formats.avatars import GaussianAvatar, write_gaussian_avatar
+from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
 
 pytestmark = pytest.mark.blender
 

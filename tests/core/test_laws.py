@@ -115,7 +115,7 @@ def test_nothing_calls_back_into_the_operators():
     "statement",
     [
         "import grmm_core",
-        "import grmm_core.performance, grmm_core.formats, grmm_core.formats.avatars, grmm_core.formats.sog",
+        "import grmm_core.performance, grmm_core.formats; grmm_core.formats.formats()",
         "from grmm_core.cli import main; main(['render', '--help'])",
     ],
 )
@@ -139,7 +139,8 @@ def starts_by_itself(name: str) -> bool:
         return True
     parent, _, last = name.rpartition(".")
     while parent:
-        if {f".{last}", last} & MODULES[parent].texts and "import_module" in MODULES[parent].path.read_text("utf-8"):
+        beside = [each for other, each in MODULES.items() if parent in (other, other.rpartition(".")[0])]
+        if any({f".{last}", last} & each.texts and "import_module" in each.path.read_text("utf-8") for each in beside):
             return True
         parent, _, above = parent.rpartition(".")
         last = f"{above}.{last}"

@@ -9,7 +9,8 @@ from mesh_files import grid
 from splat_files import ply_bytes
 
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.formats.mesh import Mesh, write_gltf_mesh
+from grmm_core.formats.meshes.gltf_mesh import write_gltf_mesh
+from grmm_core.formats.meshes.mesh import Mesh
 from grmm_core.performance import Performance
 
 

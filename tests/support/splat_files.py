@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grmm_core.formats import SplatCloud
-from grmm_core.formats.cloud import SH_C0
+from grmm_core.formats.splats.cloud import SH_C0
 
 
 def make_cloud(count=400, degree=0, seed=0):

@@ -11,7 +11,7 @@ from support import module, report
 
 folder = Path(sys.argv[1])
 actions = module("grmm_blender.rig.actions")
-read_performance = module("grmm_core.performance").read_performance
+read_performance = module("grmm_core.formats").read_performance
 ARKIT = module("grmm_core.controls.names").ARKIT_NAMES
 scene = bpy.context.scene
 
@@ -108,7 +108,7 @@ def cleaned() -> dict:
     """Neutral frames, gain per region, offset, a part of the recording: what the core makes of the same options."""
     avatar = new_head()
     core = module("grmm_core.performance")
-    recorded = core.read_performance(folder / "speech.json")
+    recorded = read_performance(folder / "speech.json")
     bpy.ops.grmm.import_performance(
         filepath=str(folder / "speech.json"), start=1, neutral="FRAMES", neutral_frames="3, 10-12", gain=0.9, gain_jaw=0.5,
         gain_mouth=0.8, smoothing=0.3, offset=0.5, first=1.0, last=4.0, close_lips=False,
@@ -133,7 +133,7 @@ def flame_on_ours() -> dict:
     bpy.ops.grmm.import_performance(
         filepath=str(folder / "talk.npz"), flame_file=str(folder / "flame2023.pkl"), fps=30, eyes="ROTATIONS"
     )
-    wanted = core.to_arkit(core.read_performance(folder / "talk.npz", fps=30), head)
+    wanted = core.to_arkit(read_performance(folder / "talk.npz", fps=30), head)
     scene.frame_set(1 + 5)
     return {
         "error": largest(avatar.controls().aligned[:52] - wanted.weights[5]),

@@ -13,7 +13,6 @@ from support import empty_scene, module, report
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
 formats = module("grmm_core.formats")
-avatars = module("grmm_core.formats.avatars")
 session_api = module("grmm_core.session")
 splats = module("grmm_blender.splats")
 host = module("grmm_blender.session_host")
@@ -135,7 +134,7 @@ def beside_a_head() -> dict:
 
 def lam() -> dict:
     (obj,) = scene_with("lam.zip")
-    own = avatars.read_avatar(folder / "lam.zip")
+    own = formats.read_avatar(folder / "lam.zip")
     obj["jawOpen"], obj["mouthSmileLeft"] = 0.6, 0.3
     obj.update_tag()
     bpy.context.view_layer.update()
@@ -144,7 +143,7 @@ def lam() -> dict:
     bpy.context.scene.render.fps = 30
     can = bpy.ops.grmm.import_performance.poll()
     bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), start=1, limit=False)
-    recorded = module("grmm_core.performance").read_performance(folder / "speech.json")
+    recorded = formats.read_performance(folder / "speech.json")
     bpy.context.scene.frame_set(21)
     wanted = own.splats({name: float(w) for name, w in zip(arkit, recorded.weights[20], strict=True)})
     return {
@@ -161,7 +160,7 @@ def lam() -> dict:
 
 def cap4d() -> dict:
     (obj,) = scene_with("cap4d.ply")
-    own = avatars.read_avatar(folder / "cap4d.ply")
+    own = formats.read_avatar(folder / "cap4d.ply")
     result = {"frames": own.frame_count, "gaps": []}
     for frame in range(own.frame_count):
         bpy.context.scene.frame_set(bpy.context.scene.frame_start + frame)
@@ -183,8 +182,8 @@ def gaussian_avatar() -> dict:
     carrier = bpy.context.object
     cloud = splats.clouds_in(bpy.context.scene)[0]
     head = module("grmm_core.head").load_flame(folder / "flame2023.pkl")
-    own = avatars.read_avatar(path)
-    place = module("grmm_core.formats.binding").place_on_mesh
+    own = formats.read_avatar(path)
+    place = module("grmm_core.formats.avatars.binding").place_on_mesh
     track, gaps = own.track, []
     for k in (0, 3):
         bpy.context.scene.frame_set(bpy.context.scene.frame_start + k)

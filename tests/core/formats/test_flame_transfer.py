@@ -9,8 +9,8 @@ from flame_head_files import flame_head_fields
 from splat_files import make_cloud
 
 from grmm_core.errors import FileFormatError, ShapeError
-from grmm_core.formats.binding import place_on_mesh
-from grmm_core.formats.flame_transfer import bind_to_flame, fit_flame, nearest_triangles
+from grmm_core.formats.avatars.binding import place_on_mesh
+from grmm_core.formats.avatars.flame_transfer import bind_to_flame, fit_flame, nearest_triangles
 from grmm_core.head import load_flame, load_open_head
 from grmm_core.head.flame_align import closest_on_surface
 

@@ -13,20 +13,14 @@ from mesh_files import grid, seamed_mesh
 from splat_files import make_cloud
 
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
-from grmm_core.formats import SplatCloud, write_mesh, write_splats
-from grmm_core.formats.avatars import (
-    AnimatedAvatar,
-    GaussianAvatar,
-    LamAvatar,
-    read_avatar,
-    read_cap4d,
-    read_gaussian_avatar,
-    read_lam,
-    write_gaussian_avatar,
-)
-from grmm_core.formats.binding import bind_to_mesh, place_on_mesh, triangle_frames
-from grmm_core.formats.cloud import SH_C0
-from grmm_core.formats.mesh import Mesh, read_gltf_mesh, split_seams, vertex_normals
+from grmm_core.formats import SplatCloud, read_avatar, write_mesh, write_splats
+from grmm_core.formats.avatars.binding import bind_to_mesh, place_on_mesh, triangle_frames
+from grmm_core.formats.avatars.cap4d import AnimatedAvatar, read_cap4d
+from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, read_gaussian_avatar, write_gaussian_avatar
+from grmm_core.formats.avatars.lam import LamAvatar, read_lam
+from grmm_core.formats.meshes.gltf_mesh import read_gltf_mesh
+from grmm_core.formats.meshes.mesh import Mesh, split_seams, vertex_normals
+from grmm_core.formats.splats.cloud import SH_C0
 from grmm_core.geometry.rotations import axis_angle_to_matrix, quaternion_to_matrix
 
 

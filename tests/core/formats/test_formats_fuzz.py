@@ -18,10 +18,12 @@ from splat_files import make_cloud, ply_bytes, splat_rows
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileFormatError
-from grmm_core.formats import read_splats, write_mesh, write_splats
-from grmm_core.formats.avatars import read_cap4d, read_gaussian_avatar, read_lam
-from grmm_core.formats.mesh import read_gltf_mesh
-from grmm_core.performance import Performance, read_performance, write_performance
+from grmm_core.formats import read_performance, read_splats, write_mesh, write_performance, write_splats
+from grmm_core.formats.avatars.cap4d import read_cap4d
+from grmm_core.formats.avatars.gaussian_avatars import read_gaussian_avatar
+from grmm_core.formats.avatars.lam import read_lam
+from grmm_core.formats.meshes.gltf_mesh import read_gltf_mesh
+from grmm_core.performance import Performance
 
 pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="limits memory through /proc and setrlimit"),

@@ -19,7 +19,7 @@ from mesh_files import seamed_mesh
 from splat_files import make_cloud
 
 from grmm_core.formats import read_splats, write_mesh, write_splats
-from grmm_core.formats.cloud import SH_C0
+from grmm_core.formats.splats.cloud import SH_C0
 
 NODE_MODULES = Path(os.environ.get("GRMM_NODE_MODULES", "none"))
 

@@ -11,6 +11,7 @@ from scipy import optimize
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import FileFormatError, ShapeError
+from grmm_core.formats import read_performance, write_performance
 from grmm_core.geometry.rotations import euler_to_matrix
 from grmm_core.performance import (
     REGIONS,
@@ -21,7 +22,6 @@ from grmm_core.performance import (
     clamp,
     clean,
     find_neutral_frames,
-    read_performance,
     reduce_performance,
     resample,
     shift,
@@ -29,7 +29,6 @@ from grmm_core.performance import (
     to_arkit,
     to_expression,
     trim,
-    write_performance,
 )
 from grmm_core.performance.curves import key_count, largest_errors, reduce_curves
 from grmm_core.performance.retarget import arkit_to_expression_map, bounded_least_squares, nearest_vertices

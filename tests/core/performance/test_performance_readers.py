@@ -13,8 +13,8 @@ import pytest
 
 from grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError
+from grmm_core.formats import read_performance
 from grmm_core.geometry.rotations import axis_angle_to_matrix, euler_to_matrix
-from grmm_core.performance import read_performance
 
 ANGLES = [f"{part}{axis}" for part in ("Head", "LeftEye", "RightEye") for axis in ("Yaw", "Pitch", "Roll")]
 PASCAL = [name[0].upper() + name[1:] for name in ARKIT_NAMES]
@@ -127,7 +127,7 @@ def test_live_link_landscape_swaps_the_sign_of_pitch_and_yaw(tmp_path):
     angles = np.tile(np.linspace(0.1, 0.9, 9), (70, 1))
     path = write_csv(tmp_path / "a.csv", smooth_weights(70), angles)
     portrait = read_performance(path).head_rotation[0]
-    landscape = read_performance(path, orientation="landscape").head_rotation[0]
+    landscape = read_performance(path, landscape=True).head_rotation[0]
     yaw, pitch, roll = angles[0, :3]
     assert portrait == pytest.approx([-pitch, yaw, roll])
     assert landscape == pytest.approx([pitch, -yaw, roll])

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import ShapeError
-from ..geometry.rotations import matrix_to_quaternion
-from .cloud import SplatCloud
-from .gltf_splats import multiply_quaternions
+from ...errors import ShapeError
+from ...geometry.rotations import matrix_to_quaternion
+from ..splats.cloud import SplatCloud
+from ..splats.gltf_splats import multiply_quaternions
 
 _TINY = 1e-20
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileFormatError, ShapeError
+from ...errors import ShapeError
+from ...files.access import bad_file
 
 SH_C0 = 0.28209479177387814
 """Value of the constant spherical harmonic: color = 0.5 + SH_C0 * coefficient."""
@@ -179,8 +180,3 @@ def exp_scale(values: np.ndarray) -> np.ndarray:
 def log_scale(values: np.ndarray) -> np.ndarray:
     """Natural logarithm of a linear scale, [...] float32, finite."""
     return np.log(np.clip(values, _MIN_SCALE, _MAX_SCALE)).astype(np.float32)
-
-
-def bad_file(path: Path, kind: str, reason: str) -> FileFormatError:
-    """One sentence that names the file, what it was taken for, and why it cannot be read."""
-    return FileFormatError(f"{path} is not a readable {kind} ({reason}); export it again or choose another file.")

@@ -20,10 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BackendError
-from ..files.access import atomic_write, read_bytes
-from .archive import member, read_members, read_neighbour
-from .cloud import MAX_SPLATS, SplatCloud, bad_file, exp_scale, finish_reading, log_scale
+from ...errors import BackendError
+from ...files.access import atomic_write, bad_file, read_bytes
+from ...files.archive import member, read_members, read_neighbour
+from ...files.format import Format
+from .cloud import MAX_SPLATS, SplatCloud, exp_scale, finish_reading, log_scale
 from .splat_file import to_byte
 
 Decoder = Callable[[bytes], np.ndarray]
@@ -286,3 +287,9 @@ def _quantise(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         table = np.sort(table)
     index = np.searchsorted((table[:-1] + table[1:]) / 2, values.reshape(-1)).astype(np.uint8)
     return table, index.reshape(values.shape)
+
+
+FORMAT = Format(
+    "sog", "SOG (.sog)", "Compressed pictures, as PlayCanvas uses", "splats", (".sog",), read_sog, write_sog,
+    file_names=("meta.json",), needs={"PIL": "the pictures inside"},
+)  # fmt: skip

@@ -17,13 +17,17 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..controls.names import ARKIT_NAMES
-from ..files.access import read_bytes
+from ...controls.names import ARKIT_NAMES
+from ...files.access import atomic_write_bytes, bad_file, read_bytes
+from ...files.format import Format
+from ...performance.editing import range_warnings
+from ...performance.types import Performance, Progress
 from .repair import (
     MAX_FILE_BYTES,
     MAX_FRAMES,
@@ -32,10 +36,9 @@ from .repair import (
     fill_missing,
     median_rate,
     missing_warning,
-    not_readable,
-    range_warnings,
+    report_frame,
+    without_mark,
 )
-from .types import Performance, Progress
 
 KIND = "ARKit JSON performance"
 DEFAULT_FPS = 30.0
@@ -71,21 +74,21 @@ def read_arkit_json(path: Path, fps: float | None = None, progress: Progress | N
     try:
         document = json.loads(read_bytes(path, MAX_FILE_BYTES).decode("utf-8-sig"))
     except (ValueError, RecursionError) as error:
-        raise not_readable(path, KIND, "it is not JSON text") from error
+        raise bad_file(path, KIND, "it is not JSON text") from error
     if progress:
         progress(0.4)
     frames = _first(document, _FRAME_KEYS) if isinstance(document, dict) else document
     if not isinstance(frames, list) or not frames:
-        raise not_readable(path, KIND, "it has no list of frames")
+        raise bad_file(path, KIND, "it has no list of frames")
     if len(frames) > MAX_FRAMES:
-        raise not_readable(path, KIND, f"it has more than {MAX_FRAMES} frames")
+        raise bad_file(path, KIND, f"it has more than {MAX_FRAMES} frames")
     names = _names(path, document, frames)
     values, times = _values(path, frames, names, progress)
 
     warnings: list[str] = []
     columns = {i: k for k, name in enumerate(names) if (i := arkit_index(name)) is not None}
     if not columns:
-        raise not_readable(path, KIND, "none of its names is an ARKit shape")
+        raise bad_file(path, KIND, "none of its names is an ARKit shape")
     weights = np.zeros((len(frames), len(ARKIT_NAMES)), np.float32)
     weights[:, list(columns)] = values[:, list(columns.values())]
     fill_missing(path, KIND, weights, "weights", warnings)
@@ -125,9 +128,9 @@ def _names(path: Path, document: Any, frames: list[Any]) -> list[str]:
         elif isinstance(row, list) and len(row) == len(ARKIT_NAMES):
             names = list(ARKIT_NAMES)
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
-        raise not_readable(path, KIND, "it has no list of names")
+        raise bad_file(path, KIND, "it has no list of names")
     if len(names) > 10_000:
-        raise not_readable(path, KIND, f"it has {len(names)} names")
+        raise bad_file(path, KIND, f"it has {len(names)} names")
     return names
 
 
@@ -151,7 +154,7 @@ def _values(path: Path, frames: list[Any], names: list[str], progress: Progress 
         if not isinstance(row, list):
             row = blank
         elif len(row) != count:
-            raise not_readable(path, KIND, f"frame {i} has {len(row)} weights for {count} names")
+            raise bad_file(path, KIND, f"frame {i} has {len(row)} weights for {count} names")
         rows.append(row)
         if len(rows) == _REPORT_EVERY or i == len(frames) - 1:
             start = i + 1 - len(rows)
@@ -176,9 +179,9 @@ def _to_floats(path: Path, rows: list[list[Any]], start: int) -> np.ndarray:
     try:
         block = np.array(rows, np.float64)  # raises for text that is no number, lists and huge integers
     except (ValueError, TypeError, OverflowError) as error:
-        raise not_readable(path, KIND, f"a weight in frames {start} to {start + len(rows) - 1} is not a number") from error
+        raise bad_file(path, KIND, f"a weight in frames {start} to {start + len(rows) - 1} is not a number") from error
     if block.ndim != 2:
-        raise not_readable(path, KIND, f"a weight in frames {start} to {start + len(rows) - 1} is not a number")
+        raise bad_file(path, KIND, f"a weight in frames {start} to {start + len(rows) - 1} is not a number")
     block[np.abs(block) > 1e6] = np.nan
     return block.astype(np.float32)
 
@@ -192,3 +195,28 @@ def _stated_fps(document: Any) -> float | None:
         if isinstance(value, (int, float)) and not isinstance(value, bool) and 1.0 <= value <= 1000.0:
             return float(value)
     return None
+
+
+def write_arkit_json(path: str | os.PathLike[str], performance: Performance, progress: Progress | None = None) -> None:
+    """Write weights with a time and the rotations of every frame. Raises `FileAccessError`."""
+    rows = []
+    tracks = {key: getattr(performance, name) for key, name in JSON_TRACKS.items() if getattr(performance, name) is not None}
+    for i, (time, weights) in enumerate(zip(performance.times.tolist(), performance.weights.tolist(), strict=True)):
+        extra = "".join(f',"{key}":[{_numbers(track[i].tolist())}]' for key, track in tracks.items())
+        rows.append(f'{{"weights":[{_numbers(weights)}],"time":{time:.9g}{extra}}}')
+        report_frame(progress, i, performance.frame_count)
+    # Written row by row: `json` would print every weight with the seventeen digits of double precision.
+    metadata = {"fps": performance.fps, "frame_count": performance.frame_count}
+    head = json.dumps({"names": list(ARKIT_NAMES), "metadata": metadata})
+    text = head[:-1] + ',"frames":[\n' + ",\n".join(rows) + "\n]}\n"
+    atomic_write_bytes(path, text.encode("ascii"))
+
+
+def _numbers(values: list[float]) -> str:
+    return ",".join(f"{value:.7g}" for value in values)
+
+
+FORMAT = Format(
+    "arkit-json", "ARKit JSON (.json)", "Weights of the 52 ARKit shapes, with head, jaw and eye rotations", "performance",
+    (".json",), read_arkit_json, write_arkit_json, lambda path, start: without_mark(start)[:1] in (b"{", b"["),
+)  # fmt: skip

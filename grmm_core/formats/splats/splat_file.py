@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..files.access import atomic_write_bytes, read_bytes
-from .cloud import SH_C0, SplatCloud, bad_file, finish_reading
+from ...files.access import atomic_write_bytes, bad_file, read_bytes
+from ...files.format import Format
+from .cloud import SH_C0, SplatCloud, finish_reading
 
 KIND = ".splat file"
 RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
@@ -55,3 +56,14 @@ def write_splat(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "fi
 def to_byte(values: np.ndarray) -> np.ndarray:
     """Round and clip to 0..255, uint8."""
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+FORMAT = Format(
+    "splat",
+    ".splat",
+    "32 bytes a splat, no view dependence; read by web viewers",
+    "splats",
+    (".splat",),
+    read_splat,
+    write_splat,
+)

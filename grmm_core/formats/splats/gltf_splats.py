@@ -7,15 +7,17 @@ is written beside it, as the fallback that viewers without the extension draw as
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
-from .cloud import MAX_DEGREE, MAX_SPLATS, SH_C0, SplatCloud, exp_scale, finish_reading
-from .glb import GltfReader, GltfWriter
+from ...files.format import Format
+from ...geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
+from ..glb import GltfReader, GltfWriter
+from .cloud import MAX_DEGREE, MAX_SPLATS, SplatCloud, exp_scale, finish_reading
 
 KIND = "glTF splat file"
 EXTENSION = "KHR_gaussian_splatting"
@@ -216,4 +218,11 @@ def _to_linear(rgba: np.ndarray) -> np.ndarray:
     return np.concatenate([linear, rgba[:, 3:]], 1).astype(np.float32)
 
 
-__all__ = ["EXTENSION", "SH_C0", "multiply_quaternions", "read_gltf_splats", "write_gltf_splats"]
+def _recognises(path: Path, start: bytes) -> bool:
+    return EXTENSION in json.dumps(GltfReader(path).document.get("extensionsUsed"))
+
+
+FORMAT = Format(
+    "gltf-splats", "glTF (.glb)", "glTF with KHR_gaussian_splatting", "splats",
+    (".glb",), read_gltf_splats, write_gltf_splats, _recognises, (".gltf",),
+)  # fmt: skip

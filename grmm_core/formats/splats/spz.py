@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import BackendError
-from ..files.access import atomic_write_bytes, read_bytes
-from .cloud import MAX_DEGREE, MAX_SPLATS, SplatCloud, bad_file, exp_scale, finish_reading, log_scale
+from ...errors import BackendError
+from ...files.access import atomic_write_bytes, bad_file, read_bytes
+from ...files.format import Format
+from .cloud import MAX_DEGREE, MAX_SPLATS, SplatCloud, exp_scale, finish_reading, log_scale
 from .splat_file import to_byte
 
 KIND = "SPZ file"
@@ -282,3 +283,9 @@ def _pack_v4(path: Path, parts: list[bytes], cloud: SplatCloud, bits: int, flags
     header = _HEADER_V4.pack(MAGIC, 4, cloud.count, cloud.degree, bits, flags, len(parts), _HEADER_V4.size)
     toc = b"".join(_TOC_ENTRY.pack(len(small), len(plain)) for small, plain in zip(packed, parts, strict=True))
     return header + toc + b"".join(packed)
+
+
+FORMAT = Format(
+    "spz", "SPZ (.spz)", "Compressed to about a tenth", "splats", (".spz",), read_spz, write_spz,
+    needs={"zstandard": "version 4"},
+)  # fmt: skip

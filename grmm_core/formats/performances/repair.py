@@ -1,6 +1,6 @@
 """Shared checks of the readers: names, limits, missing values and the time line.
 
-Called by the three readers only. Needs numpy only.
+Called by the readers and writers of this package only. Needs numpy only.
 """
 
 from __future__ import annotations
@@ -9,23 +9,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ..controls.names import ARKIT_NAMES
-from ..errors import FileFormatError
+from ...controls.names import ARKIT_NAMES
+from ...files.access import bad_file
+from ...performance.types import Progress
 
 MAX_FRAMES = 2_000_000  # nine hours at 60 frames per second
 MAX_FILE_BYTES = 128 << 20  # ten minutes at 60 frames per second with full-precision text are about 50 MB
 _GAP_FRAMES = 1.75  # a step longer than this many frames is called a gap
 _MAX_REPAIRED = 0.5  # with more than this part of the frames unreadable nothing can be trusted
-_RANGE = (-0.05, 1.05)  # tracker noise outside 0..1 that is not worth a warning
 _MAX_LISTED = 6
+_REPORT_EVERY = 2048  # frames between reports of a writer
+_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _SECONDS_PER_DAY = 86400.0
 
 _LOOKUP = {name.lower(): i for i, name in enumerate(ARKIT_NAMES)}
-
-
-def not_readable(path: Path, kind: str, reason: str) -> FileFormatError:
-    """One sentence that names the file, what it was taken for, and why it cannot be read."""
-    return FileFormatError(f"{path} is not a readable {kind} ({reason}); export it again or choose another file.")
 
 
 def arkit_index(name: str) -> int | None:
@@ -49,7 +46,7 @@ def fill_missing(path: Path, kind: str, values: np.ndarray, what: str, warnings:
     if count == 0:
         return values
     if count > _MAX_REPAIRED * values.shape[0]:
-        raise not_readable(path, kind, f"{count} of its {values.shape[0]} frames have no finite {what}")
+        raise bad_file(path, kind, f"{count} of its {values.shape[0]} frames have no finite {what}")
     good, rows = np.flatnonzero(~bad), np.flatnonzero(bad)
     for column in range(values.shape[1]):
         values[rows, column] = np.interp(rows, good, values[good, column])
@@ -100,17 +97,6 @@ def median_rate(times: np.ndarray, default: float) -> float:
     return float(nearest) if nearest and abs(rate - nearest) < 0.01 * nearest else rate
 
 
-def range_warnings(weights: np.ndarray) -> list[str]:
-    """One sentence about ARKit weights [T, 52] outside 0..1, none where all are inside."""
-    low, high = weights.min(0), weights.max(0)
-    outside = np.flatnonzero((low < _RANGE[0]) | (high > _RANGE[1]))
-    if outside.size == 0:
-        return []
-    listed = ", ".join(f"{ARKIT_NAMES[i]} ({low[i]:.2f} to {high[i]:.2f})" for i in outside[:_MAX_LISTED])
-    more = f" and {outside.size - _MAX_LISTED} more" if outside.size > _MAX_LISTED else ""
-    return [f"Weights outside 0..1: {listed}{more}."]
-
-
 def missing_warning(found: set[int]) -> list[str]:
     """One sentence about ARKit names that a file does not have."""
     missing = [name for i, name in enumerate(ARKIT_NAMES) if i not in found]
@@ -118,3 +104,14 @@ def missing_warning(found: set[int]) -> list[str]:
         return []
     more = f" and {len(missing) - _MAX_LISTED} more" if len(missing) > _MAX_LISTED else ""
     return [f"The file has no {', '.join(missing[:_MAX_LISTED])}{more}; they stay at zero."]
+
+
+def without_mark(start: bytes) -> bytes:
+    """The first bytes of a text without a byte order mark and leading space."""
+    return start.removeprefix(_BYTE_ORDER_MARK).lstrip()
+
+
+def report_frame(progress: Progress | None, i: int, count: int) -> None:
+    """Tell now and then how far a writer is, which is also where it is cancelled."""
+    if progress and i % _REPORT_EVERY == 0:
+        progress(0.95 * i / count)

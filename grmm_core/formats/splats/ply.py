@@ -19,9 +19,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from ..errors import FileAccessError
-from ..files.access import atomic_write, describe_os_error
-from .cloud import MAX_DEGREE, SplatCloud, bad_file, exp_scale, finish_reading, log_scale, logit, sigmoid
+from ...files.access import atomic_write, bad_file, open_file
+from ...files.format import Format
+from .cloud import MAX_DEGREE, SplatCloud, exp_scale, finish_reading, log_scale, logit, sigmoid
 
 KIND = "PLY file"
 _MAX_HEADER = 4 << 20  # CAP4D files have three elements for every frame
@@ -69,37 +69,32 @@ def read_elements(path: Path, kind: str = KIND, data: bytes | None = None) -> Pl
         FileFormatError: Damaged, truncated, or a header that does not fit the file.
         FileAccessError: Missing or unreadable.
     """
-    try:
-        with path.open("rb") if data is None else io.BytesIO(data) as file:
-            size = os.fstat(file.fileno()).st_size if data is None else len(data)
-            order, elements, comments = _read_header(path, kind, file)
-            if order == "=":
-                return PlyFile(_read_text(path, kind, file, elements), comments)
-            arrays = {}
-            for element in elements:
-                dtype = _element_dtype(path, kind, file, element, order)
-                if element.count * dtype.itemsize > size - file.tell():
-                    raise bad_file(path, kind, f"its header claims {element.count} rows of {element.name!r}, more than it has")
-                rows = np.empty(element.count, dtype)
-                if file.readinto(rows.view(np.uint8).data) != rows.nbytes:
-                    raise bad_file(path, kind, "it is truncated")
-                arrays[element.name] = _check_lists(path, kind, element, rows)
-            return PlyFile(arrays, comments)
-    except FileNotFoundError as error:
-        raise FileAccessError(f"{path} does not exist; check the file name.") from error
-    except OSError as error:
-        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
+    if data is not None:
+        return _read_file(path, kind, io.BytesIO(data), len(data))
+    with open_file(path) as file:
+        return _read_file(path, kind, file, os.fstat(file.fileno()).st_size)
 
 
-def has_element(path: Path, name: str) -> bool:
-    """Whether the header of a PLY file names an element. Raises as `read_elements`."""
-    try:
-        with path.open("rb") as file:
-            return any(element.name == name for element in _read_header(path, KIND, file)[1])
-    except FileNotFoundError as error:
-        raise FileAccessError(f"{path} does not exist; check the file name.") from error
-    except OSError as error:
-        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
+def _read_file(path: Path, kind: str, file: BinaryIO, size: int) -> PlyFile:
+    order, elements, comments = _read_header(path, kind, file)
+    if order == "=":
+        return PlyFile(_read_text(path, kind, file, elements), comments)
+    arrays = {}
+    for element in elements:
+        dtype = _element_dtype(path, kind, file, element, order)
+        if element.count * dtype.itemsize > size - file.tell():
+            raise bad_file(path, kind, f"its header claims {element.count} rows of {element.name!r}, more than it has")
+        rows = np.empty(element.count, dtype)
+        if file.readinto(rows.view(np.uint8).data) != rows.nbytes:
+            raise bad_file(path, kind, "it is truncated")
+        arrays[element.name] = _check_lists(path, kind, element, rows)
+    return PlyFile(arrays, comments)
+
+
+def read_layout(path: Path) -> dict[str, tuple[str, ...]]:
+    """Names of the elements and their properties in the header of a PLY file. Raises as `read_elements`."""
+    with open_file(path) as file:
+        return {element.name: tuple(row[0] for row in element.properties) for element in _read_header(path, KIND, file)[1]}
 
 
 def _read_header(path: Path, kind: str, file: BinaryIO) -> tuple[str, list[_Element], list[str]]:
@@ -317,3 +312,9 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file
             if part.binding is not None:
                 rows[:, at + 8] = part.binding
             file.write(rows.tobytes())
+
+
+FORMAT = Format(
+    "ply", "3DGS (.ply)", "Uncompressed, as written by 3D Gaussian Splatting; read by nearly every splat program", "splats",
+    (".ply",), read_ply, write_ply,
+)  # fmt: skip

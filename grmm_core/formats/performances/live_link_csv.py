@@ -12,14 +12,18 @@ from __future__ import annotations
 
 import csv
 import io
+import math
+import os
 import re
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
-from ..controls.names import ARKIT_NAMES
-from ..files.access import read_bytes
+from ...controls.names import ARKIT_NAMES
+from ...files.access import atomic_write_bytes, bad_file, read_bytes
+from ...files.format import Format, Option
+from ...performance.editing import range_warnings
+from ...performance.types import Performance, Progress
 from .repair import (
     MAX_FILE_BYTES,
     MAX_FRAMES,
@@ -28,17 +32,27 @@ from .repair import (
     fill_missing,
     median_rate,
     missing_warning,
-    not_readable,
-    range_warnings,
+    report_frame,
+    without_mark,
 )
-from .types import Performance, Progress
-
-Orientation = Literal["portrait", "landscape"]
 
 KIND = "Live Link Face CSV"
 DEFAULT_FPS = 60.0
 HEAD_SIGNS = {"Pitch": -1.0, "Yaw": 1.0, "Roll": 1.0}
 """Sign that turns the app's angle into the Euler angle about x, y, z of the head's axes."""
+_LIVE_LINK_ORDER = (
+    "eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft", "eyeWideLeft",
+    "eyeBlinkRight", "eyeLookDownRight", "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight", "eyeSquintRight",
+    "eyeWideRight", "jawForward", "jawRight", "jawLeft", "jawOpen", "mouthClose", "mouthFunnel", "mouthPucker", "mouthRight",
+    "mouthLeft", "mouthSmileLeft", "mouthSmileRight", "mouthFrownLeft", "mouthFrownRight", "mouthDimpleLeft",
+    "mouthDimpleRight", "mouthStretchLeft", "mouthStretchRight", "mouthRollLower", "mouthRollUpper", "mouthShrugLower",
+    "mouthShrugUpper", "mouthPressLeft", "mouthPressRight", "mouthLowerDownLeft", "mouthLowerDownRight", "mouthUpperUpLeft",
+    "mouthUpperUpRight", "browDownLeft", "browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff",
+    "cheekSquintLeft", "cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut",
+)  # fmt: skip
+_ROTATION_COUNT = 9
+_PARTS = (("Head", "head_rotation"), ("LeftEye", "left_eye_rotation"), ("RightEye", "right_eye_rotation"))
+_SECONDS_PER_DAY = 86400
 _STANDARD_RATES = (24, 25, 30, 48, 50, 60, 100, 120, 240)
 _TIMECODE = re.compile(r"^(\d{1,3}):(\d{1,2}):(\d{1,2})[:;](\d{1,3}(?:\.\d+)?)$")
 _REPORT_EVERY = 4096
@@ -47,14 +61,14 @@ _MIN_CORRELATION = 0.2
 
 
 def read_live_link_csv(
-    path: Path, fps: float | None = None, orientation: Orientation = "portrait", progress: Progress | None = None
+    path: Path, fps: float | None = None, landscape: bool = False, progress: Progress | None = None
 ) -> Performance:
     """Read a Live Link Face recording.
 
     Args:
         path: The file.
         fps: Frame rate of the time code, over what is guessed from it.
-        orientation: How the phone was held; "landscape" swaps the sign of the head's pitch and yaw.
+        landscape: The phone was held sideways, which swaps the sign of the head's pitch and yaw.
         progress: Called with the fraction done.
 
     Raises:
@@ -64,13 +78,13 @@ def read_live_link_csv(
     header, codes, values = _table(path, progress)
     shapes = {i: k for k, name in enumerate(header) if (i := arkit_index(name)) is not None}
     if not shapes:
-        raise not_readable(path, KIND, "its first line names no ARKit shape")
+        raise bad_file(path, KIND, "its first line names no ARKit shape")
     warnings: list[str] = []
     weights = np.zeros((values.shape[0], len(ARKIT_NAMES)), np.float32)
     weights[:, list(shapes)] = values[:, list(shapes.values())]
     fill_missing(path, KIND, weights, "weights", warnings)
     rotations = {
-        part: _angles(path, header, values, part, orientation, weights, warnings) for part in ("Head", "LeftEye", "RightEye")
+        part: _angles(path, header, values, part, landscape, weights, warnings) for part in ("Head", "LeftEye", "RightEye")
     }
     if values.shape[0] > 0 and codes is not None:
         times, rate = _times(path, codes, fps, warnings)
@@ -109,7 +123,7 @@ def _table(path: Path, progress: Progress | None) -> tuple[list[str], list[str] 
     try:
         header = [name.strip() for name in next(rows, [])]
         if len(header) < 2 or len(header) > 1000:
-            raise not_readable(path, KIND, "its first line does not name columns")
+            raise bad_file(path, KIND, "its first line does not name columns")
         code_column = next((k for k, name in enumerate(header) if name.lower() == "timecode"), None)
         estimate = max(text.count("\n"), 1)
         codes: list[str] = []
@@ -120,7 +134,7 @@ def _table(path: Path, progress: Progress | None) -> tuple[list[str], list[str] 
             if not any(row):
                 continue
             if len(row) > len(header):
-                raise not_readable(path, KIND, f"row {count + 2} has {len(row)} cells for {len(header)} columns")
+                raise bad_file(path, KIND, f"row {count + 2} has {len(row)} cells for {len(header)} columns")
             row += [""] * (len(header) - len(row))
             if code_column is not None:
                 codes.append(row[code_column].strip())
@@ -128,29 +142,29 @@ def _table(path: Path, progress: Progress | None) -> tuple[list[str], list[str] 
             block.append(row)
             count += 1
             if count > MAX_FRAMES:
-                raise not_readable(path, KIND, f"it has more than {MAX_FRAMES} frames")
+                raise bad_file(path, KIND, f"it has more than {MAX_FRAMES} frames")
             if len(block) == _REPORT_EVERY:
                 blocks.append(_to_floats(block))
                 block = []
                 if progress:
                     progress(min(0.1 + 0.8 * count / estimate, 0.9))
     except csv.Error as error:
-        raise not_readable(path, KIND, "it is not comma-separated text") from error
+        raise bad_file(path, KIND, "it is not comma-separated text") from error
     if block:
         blocks.append(_to_floats(block))
     if not blocks:
-        raise not_readable(path, KIND, "it has no frames")
+        raise bad_file(path, KIND, "it has no frames")
     return header, codes if code_column is not None else None, np.concatenate(blocks)
 
 
 def _decode(path: Path) -> str:
     data = read_bytes(path, MAX_FILE_BYTES)
     if b"\0" in data:
-        raise not_readable(path, KIND, "it is not text")
+        raise bad_file(path, KIND, "it is not text")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise not_readable(path, KIND, "it is not text") from error
+        raise bad_file(path, KIND, "it is not text") from error
 
 
 def _to_floats(rows: list[list[str]]) -> np.ndarray:
@@ -176,7 +190,7 @@ def _angles(
     header: list[str],
     values: np.ndarray,
     part: str,
-    orientation: Orientation,
+    landscape: bool,
     weights: np.ndarray,
     warnings: list[str],
 ) -> np.ndarray | None:
@@ -195,7 +209,7 @@ def _angles(
         warnings.append(f"The {part} rotation is too large for radians and was read as degrees.")
     angles *= list(HEAD_SIGNS.values())
     if part == "Head":
-        if orientation == "landscape":
+        if landscape:
             angles[:, :2] *= -1.0
     else:
         _match_eye_signs(angles, part.removesuffix("Eye"), weights)
@@ -221,7 +235,7 @@ def _times(path: Path, codes: list[str], fps: float | None, warnings: list[str])
     matches = [_TIMECODE.match(code) for code in codes]
     bad = [i for i, match in enumerate(matches) if match is None]
     if len(bad) > len(codes) / 2:
-        raise not_readable(path, KIND, f"its time code {codes[bad[0]][:40]!r} is not of the form HH:MM:SS:FF.fff")
+        raise bad_file(path, KIND, f"its time code {codes[bad[0]][:40]!r} is not of the form HH:MM:SS:FF.fff")
     parts = np.array([match.groups() if match else ("nan",) * 4 for match in matches], np.float64)  # [T, 4]
     good = np.isfinite(parts[:, 0])
     rate = fps or _timecode_rate(parts[good])
@@ -243,3 +257,53 @@ def _timecode_rate(parts: np.ndarray) -> float:
         return float(np.ceil(highest + 1.0))
     whole_second_seen = parts[:, 2].min() != parts[:, 2].max()
     return float(rate if whole_second_seen else max(rate, DEFAULT_FPS))
+
+
+def write_live_link_csv(path: str | os.PathLike[str], performance: Performance, progress: Progress | None = None) -> None:
+    """Write 63 columns in the app's order. Raises `FileAccessError`.
+
+    The time code counts frames of the nearest whole rate, with a decimal part.
+    """
+    order = [ARKIT_NAMES.index(name) for name in _LIVE_LINK_ORDER]
+    angles = np.zeros((performance.frame_count, _ROTATION_COUNT))
+    columns = []
+    for part, (prefix, name) in enumerate(_PARTS):
+        euler = getattr(performance, name)
+        for k, axis in enumerate(("Yaw", "Pitch", "Roll")):
+            columns.append(f"{prefix}{axis}")
+            if euler is not None:
+                angles[:, 3 * part + k] = euler[:, list(HEAD_SIGNS).index(axis)] * HEAD_SIGNS[axis]
+    text = io.StringIO()
+    names = [name[0].upper() + name[1:] for name in _LIVE_LINK_ORDER]
+    text.write(",".join(["Timecode", "BlendShapeCount", *names, *columns]) + "\n")
+    rate = max(1, math.ceil(performance.fps - 0.01))
+    count = len(order) + _ROTATION_COUNT
+    table = np.concatenate([performance.weights[:, order].astype(np.float64), angles], 1).tolist()
+    for i, (time, row) in enumerate(zip(performance.times.tolist(), table, strict=True)):
+        text.write(f"{_timecode(time, rate)},{count},{','.join(f'{value:.7g}' for value in row)}\n")
+        report_frame(progress, i, performance.frame_count)
+    atomic_write_bytes(path, text.getvalue().encode("ascii"))
+
+
+def _timecode(seconds: float, rate: int) -> str:
+    """HH:MM:SS:FF.fff with FF below `rate`; times before zero count from midnight."""
+    thousandths = round((seconds % _SECONDS_PER_DAY) * rate * 1000)
+    frames, part = divmod(thousandths, 1000)
+    whole, frame = divmod(frames, rate)
+    return f"{whole // 3600:02d}:{whole // 60 % 60:02d}:{whole % 60:02d}:{frame:02d}.{part:03d}"
+
+
+def _recognises(path: Path, start: bytes) -> bool:
+    text = without_mark(start).lower()
+    if text[:1] in (b"{", b"[") or text.startswith(b"pk"):
+        return False
+    return path.suffix.lower() in (".csv", ".txt") or b"timecode" in text or b"jawopen" in text
+
+
+FORMAT = Format(
+    "live-link", "Live Link Face (.csv)", "As the Live Link Face app writes it", "performance",
+    (".csv",), read_live_link_csv, write_live_link_csv, _recognises, (".txt",),
+    reading=(
+        Option("landscape", "Held in Landscape", "The phone was held sideways while Live Link Face recorded", False),
+    ),
+)  # fmt: skip

@@ -7,15 +7,20 @@ the head's axes here. Needs numpy only.
 
 from __future__ import annotations
 
+import io
+import os
 from pathlib import Path
 
 import numpy as np
 
-from ..controls.names import ARKIT_NAMES
-from ..files.npz import read_npz
-from ..geometry.rotations import axis_angle_to_euler
-from .repair import MAX_FRAMES, fill_missing, not_readable
-from .types import Performance, Progress
+from ...controls.names import ARKIT_NAMES
+from ...errors import ShapeError
+from ...files.access import atomic_write_bytes, bad_file
+from ...files.format import Format
+from ...files.npz import read_npz
+from ...geometry.rotations import axis_angle_to_euler, euler_to_axis_angle
+from ...performance.types import Performance, Progress
+from .repair import MAX_FRAMES, fill_missing
 
 KIND = "FLAME parameter file"
 FLAME_EXPRESSIONS = 100
@@ -53,9 +58,9 @@ def read_flame_npz(path: Path, fps: float | None = None, progress: Progress | No
     fields = {key: arrays[name] for key, names in _ALIASES.items() for name in names[::-1] if name in arrays}
     if "expr" not in fields:
         listed = ", ".join(available[:8]) or "nothing"
-        raise not_readable(path, KIND, f"it has no expression coefficients but {listed}")
+        raise bad_file(path, KIND, f"it has no expression coefficients but {listed}")
     if any(array.dtype.kind not in "fiu" for array in fields.values()):
-        raise not_readable(path, KIND, "an array does not hold numbers")
+        raise bad_file(path, KIND, "an array does not hold numbers")
     warnings: list[str] = []
     expression = _expression(path, fields["expr"], warnings)
     count = expression.shape[0]
@@ -101,7 +106,7 @@ def _expression(path: Path, array: np.ndarray, warnings: list[str]) -> np.ndarra
     if array.ndim == 3 and array.shape[1] == 1:
         array = array[:, 0]
     if array.ndim != 2 or not 1 <= array.shape[1] <= FLAME_EXPRESSIONS or not 1 <= array.shape[0] <= MAX_FRAMES:
-        raise not_readable(path, KIND, f"its expression has shape {array.shape} and not (frames, {FLAME_EXPRESSIONS})")
+        raise bad_file(path, KIND, f"its expression has shape {array.shape} and not (frames, {FLAME_EXPRESSIONS})")
     values = np.zeros((array.shape[0], FLAME_EXPRESSIONS), np.float32)
     with np.errstate(over="ignore", invalid="ignore"):
         values[:, : array.shape[1]] = array
@@ -122,7 +127,7 @@ def _track(
     array = fields[name]
     array = array[None] if array.ndim == 1 else array
     if array.ndim != 2 or array.shape[1] != width or array.shape[0] not in (1, count):
-        raise not_readable(path, KIND, f"its {name} has shape {array.shape} and not ({count}, {width})")
+        raise bad_file(path, KIND, f"its {name} has shape {array.shape} and not ({count}, {width})")
     with np.errstate(invalid="ignore"):  # a signalling NaN
         values = np.array(np.broadcast_to(array, (count, width)), np.float64)
     values[~(np.abs(values) < 1e6)] = np.nan
@@ -137,7 +142,7 @@ def _shape(path: Path, array: np.ndarray | None, warnings: list[str]) -> np.ndar
         warnings.append("The file has a shape for every frame; their mean is used.")
     array = array.reshape(-1)
     if not 1 <= array.size <= FLAME_SHAPES or not np.isfinite(array).all():
-        raise not_readable(path, KIND, f"its shape has {array.size} coefficients or values that are not finite")
+        raise bad_file(path, KIND, f"its shape has {array.size} coefficients or values that are not finite")
     return array.astype(np.float32)
 
 
@@ -146,7 +151,7 @@ def _static_offset(path: Path, array: np.ndarray | None) -> np.ndarray | None:
         return None
     array = array[0] if array.ndim == 3 and array.shape[0] == 1 else array
     if array.ndim != 2 or array.shape[0] not in _VERTEX_COUNTS or array.shape[1] != 3 or not np.isfinite(array).all():
-        raise not_readable(path, KIND, f"its static_offset has shape {array.shape} or values that are not finite")
+        raise bad_file(path, KIND, f"its static_offset has shape {array.shape} or values that are not finite")
     return array.astype(np.float32)
 
 
@@ -155,3 +160,49 @@ def _rate(array: np.ndarray | None, warnings: list[str]) -> float:
         return float(array.reshape(-1)[0])
     warnings.append(f"The file states no frame rate; {DEFAULT_FPS:g} frames per second were assumed.")
     return DEFAULT_FPS
+
+
+def write_flame_npz(path: str | os.PathLike[str], performance: Performance, progress: Progress | None = None) -> None:
+    """Write GaussianAvatars' `flame_param.npz`: axis-angle rotations, 300 shape and 100 expression coefficients.
+
+    Raises:
+        ShapeError: The performance has ARKit weights, or more coefficients than FLAME.
+        FileAccessError: The file cannot be written.
+    """
+    if performance.expression is None:
+        raise ShapeError(
+            "A FLAME file holds expression coefficients and this performance has ARKit weights; retarget it to FLAME first."
+        )
+    count, width = performance.expression.shape
+    if width > FLAME_EXPRESSIONS:
+        raise ShapeError(
+            f"FLAME has {FLAME_EXPRESSIONS} expression coefficients and this performance {width}; retarget it first."
+        )
+    expression = np.zeros((count, FLAME_EXPRESSIONS), np.float32)
+    expression[:, :width] = performance.expression
+    shape = np.zeros(FLAME_SHAPES, np.float32)
+    if performance.shape is not None:
+        shape[: performance.shape.size] = performance.shape
+    arrays = {"shape": shape, "expr": expression, "fps": np.float32(performance.fps)}
+    for key, name in (("rotation", "head_rotation"), ("neck_pose", "neck_rotation"), ("jaw_pose", "jaw_rotation")):
+        arrays[key] = _axis_angle(getattr(performance, name), count)
+    eyes = (performance.left_eye_rotation, performance.right_eye_rotation)
+    arrays["eyes_pose"] = np.concatenate([_axis_angle(eye, count) for eye in eyes], 1)
+    translation = performance.translation
+    arrays["translation"] = np.zeros((count, 3), np.float32) if translation is None else np.asarray(translation, np.float32)
+    if performance.static_offset is not None:
+        arrays["static_offset"] = np.asarray(performance.static_offset, np.float32)[None]
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    atomic_write_bytes(path, buffer.getvalue())
+
+
+def _axis_angle(euler: np.ndarray | None, count: int) -> np.ndarray:
+    return np.zeros((count, 3), np.float32) if euler is None else euler_to_axis_angle(euler).astype(np.float32)
+
+
+FORMAT = Format(
+    "flame-npz", "FLAME (.npz)",
+    "FLAME's expression coefficients and joint rotations, as GaussianAvatars and VHAP store them", "performance",
+    (".npz",), read_flame_npz, write_flame_npz, lambda path, start: start.startswith(b"PK"),
+)  # fmt: skip

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import FileFormatError, ShapeError
-from ..head.flame_align import correspond
-from ..head.flame_file import FLAME_FACES
-from ..head.flame_regions import find_surface
-from ..head.model import HeadModel
-from ..head.open_head import load_open_head
+from ...errors import FileFormatError, ShapeError
+from ...head.flame_align import correspond
+from ...head.flame_file import FLAME_FACES
+from ...head.flame_regions import find_surface
+from ...head.model import HeadModel
+from ...head.open_head import load_open_head
+from ..splats.cloud import SplatCloud
 from .binding import bind_to_mesh
-from .cloud import SplatCloud
 
 _CHUNK = 512  # Gaussians compared with all triangles at once: bounds memory
 _MOUTH_VERTICES = 80  # of the skin nearest to the teeth, whose movement the teeth follow

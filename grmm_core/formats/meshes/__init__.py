@@ -1,0 +1,1 @@
+"""Triangle meshes: `mesh` in memory, `.obj` files (``obj``), `.glb` files with morph targets (``gltf_mesh``)."""

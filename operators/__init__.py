@@ -2,6 +2,7 @@
 
 ``common``              what they share
 ``importing``           what operators that import files share
+``file_formats``        what the file browsers take from the list of formats
 ``add_head``            add an avatar to the scene
 ``add_flame``           add the user's own FLAME head
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV

@@ -11,15 +11,12 @@ from bpy_extras.io_utils import ExportHelper
 from ..grmm_blender import exporting
 from ..grmm_blender.rig.avatar import Avatar, avatar_of
 from ..grmm_core.errors import FileAccessError, FileFormatError
-from ..grmm_core.formats import write_performance
+from ..grmm_core.formats import formats, write_performance
 from .common import FrameRange, Result, active_performer, flame_path, output_path, reports_errors
+from .file_formats import menu_items, write_filter, written_suffixes
 from .steps import Step, SteppedOperator, Steps
 
-PERFORMANCES = (
-    (".json", "ARKit JSON (.json)", "Weights of the 52 ARKit shapes, with head, jaw and eye rotations"),
-    (".csv", "Live Link Face (.csv)", "As the Live Link Face app writes it"),
-    (".npz", "FLAME (.npz)", "FLAME's expression coefficients and joint rotations, as GaussianAvatars and VHAP store them"),
-)
+PERFORMANCES = formats("performance", written=True)
 CACHES = (
     (".abc", "Alembic (.abc)", "Moving mesh, through Blender's Alembic exporter"),
     (".usdc", "USD (.usdc)", "Moving mesh, through Blender's USD exporter"),
@@ -34,11 +31,14 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator
     bl_description = "Write the animation of the active avatar, as the scene plays it, as a performance file"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    filename_ext = ".json"
+    filename_ext = PERFORMANCES[0].suffix
     check_extension = None
-    filter_glob: bpy.props.StringProperty(default="*.json;*.csv;*.npz", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=write_filter(PERFORMANCES), options={"HIDDEN"})
     format: bpy.props.EnumProperty(
-        name="Format", description="File format, where the name does not say", items=PERFORMANCES, default=".json"
+        name="Format",
+        description="File format, where the name does not say",
+        items=menu_items(PERFORMANCES),
+        default=PERFORMANCES[0].suffix,
     )
     flame_file: bpy.props.StringProperty(
         name="FLAME File",
@@ -70,7 +70,7 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator
 
     def steps(self, context: bpy.types.Context) -> Steps:
         """Walk through the frames, then write."""
-        path = output_path(self.filepath, tuple(item[0] for item in PERFORMANCES), self.format)
+        path = output_path(self.filepath, written_suffixes(PERFORMANCES), self.format)
         scene, performer = context.scene, active_performer(context)
         is_flame = path.suffix.lower() == ".npz"
         if is_flame and not isinstance(performer, Avatar):
@@ -166,7 +166,9 @@ class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):
 
 def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     layout = self.layout
-    layout.operator(GRMM_OT_export_performance.bl_idname, text="GRMM Performance (.json, .csv, .npz)")
+    layout.operator(
+        GRMM_OT_export_performance.bl_idname, text=f"GRMM Performance ({', '.join(written_suffixes(PERFORMANCES))})"
+    )
     layout.operator(GRMM_OT_export_cache.bl_idname, text="GRMM Mesh Cache (.abc, .usdc)")
 
 

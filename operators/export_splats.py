@@ -13,27 +13,25 @@ from ..grmm_blender.exporting import SplatOptions, splat_target
 from ..grmm_blender.rig.avatar import avatar_of
 from ..grmm_blender.splats.cloud import Cloud
 from ..grmm_core.errors import FileAccessError, FileFormatError
-from ..grmm_core.formats import write_splats
+from ..grmm_core.files.format import Format
+from ..grmm_core.formats import SplatCloud, format_to_write, formats
 from ..grmm_core.formats.avatars.gaussian_avatars import PLY_NAME, TRACK_NAME
 from ..grmm_core.formats.sequence import frame_path
+from ..grmm_core.session.harmonics import DEFAULT_DEGREE, MAX_DEGREE
 from .common import FrameRange, Result, flame_path, output_path, reports_errors
+from .file_formats import draw_options, listed, menu_items, option_mixin, option_values, write_filter, written_suffixes
 from .steps import Step, SteppedOperator, Steps
 
-FORMATS = (
-    (".ply", "3DGS (.ply)", "Uncompressed, as written by 3D Gaussian Splatting; read by nearly every splat program"),
-    (".spz", "SPZ (.spz)", "Compressed to about a tenth"),
-    (".splat", ".splat", "32 bytes a splat, no view dependence; read by web viewers"),
-    (".sog", "SOG (.sog)", "Compressed pictures, as PlayCanvas uses; needs Pillow in Blender's Python"),
-    (".glb", "glTF (.glb)", "glTF with KHR_gaussian_splatting"),
-)
+SPLATS = formats("splats", written=True)
+MESHES = formats("mesh", written=True)
 _DEGREE = {
     "name": "View Dependence",
     "description": "Degree of the spherical harmonics that follow how the avatar's colors change with the view; 0 for none",
-    "default": 1, "min": 0, "max": 3,
+    "default": DEFAULT_DEGREE, "min": 0, "max": MAX_DEGREE,
 }  # fmt: skip
 
 
-class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, ExportHelper):
+class GRMM_OT_export_splats(option_mixin(SPLATS, "writing"), SteppedOperator, FrameRange, bpy.types.Operator, ExportHelper):
     """Write the active avatar, or splat cloud, as splats for other programs."""
 
     bl_idname = "grmm.export_splats"
@@ -43,8 +41,8 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, Exp
 
     filename_ext = ".ply"
     check_extension = None  # the format decides; see `check`
-    filter_glob: bpy.props.StringProperty(default=";".join(f"*{item[0]}" for item in FORMATS), options={"HIDDEN"})
-    format: bpy.props.EnumProperty(name="Format", description="File format", items=FORMATS, default=".ply")
+    filter_glob: bpy.props.StringProperty(default=write_filter(SPLATS), options={"HIDDEN"})
+    format: bpy.props.EnumProperty(name="Format", description="File format", items=menu_items(SPLATS), default=SPLATS[0].suffix)
     pose: bpy.props.EnumProperty(
         name="Pose",
         description="What is written",
@@ -71,8 +69,9 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, Exp
     def check(self, context: bpy.types.Context) -> bool:
         """Keep the file's extension that of the format."""
         path = Path(self.filepath)
-        known = [item[0] for item in FORMATS]
-        wanted = str(path.with_suffix(self.format) if path.suffix.lower() in known else f"{path}{self.format}")
+        wanted = str(
+            path.with_suffix(self.format) if path.suffix.lower() in written_suffixes(SPLATS) else f"{path}{self.format}"
+        )
         changed = bool(path.name) and wanted != self.filepath
         if changed:
             self.filepath = wanted
@@ -94,6 +93,7 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, Exp
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "format")
+        draw_options(layout, self, self._format(Path(self.format)), "writing")
         layout.prop(self, "pose")
         if self.pose == "SEQUENCE":
             column = layout.column(align=True)
@@ -105,21 +105,34 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, Exp
 
     def steps(self, context: bpy.types.Context) -> Steps:
         """Write one file after the other."""
-        path = output_path(self.filepath, tuple(item[0] for item in FORMATS), self.format)
+        path = output_path(self.filepath, written_suffixes(SPLATS), self.format)
         target = splat_target(context.object, context.scene)
         options = SplatOptions(self.degree, self.lod, self.pose == "CANONICAL")
         scene = context.scene
         if self.pose != "SEQUENCE":
-            write_splats(path, exporting.splats_of(target, context.evaluated_depsgraph_get(), options))
+            self._say(self._write(path, exporting.splats_of(target, context.evaluated_depsgraph_get(), options)))
             return f"Wrote {path.name}"
-        frames = self.frames(context)
+        frames, lost = self.frames(context), ()
         with exporting.kept_frame(scene):
             for number, frame in enumerate(frames):
                 scene.frame_set(frame)
                 cloud = exporting.splats_of(target, context.evaluated_depsgraph_get(), options)
-                write_splats(frame_path(path, frame), cloud)
+                lost = self._write(frame_path(path, frame), cloud) or lost
                 yield Step((number + 1) / len(frames))
+        self._say(lost)
         return f"Wrote {len(frames)} files to {path.parent}"
+
+    @staticmethod
+    def _format(path: Path) -> Format:
+        return format_to_write(path if path.suffix else Path(f"a{path}"), "splats")
+
+    def _write(self, path: Path, cloud: SplatCloud) -> tuple[str, ...]:
+        found = self._format(path)
+        return found.write(path, cloud, **option_values(self, found, "writing"))
+
+    def _say(self, sentences: tuple[str, ...]) -> None:
+        for sentence in sentences:
+            self.report({"WARNING"}, sentence)
 
 
 class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
@@ -130,9 +143,9 @@ class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
     bl_description = "Write the active avatar's mesh with its learned displacement and, in glTF, ARKit morph targets"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    filename_ext = ".glb"
+    filename_ext = MESHES[0].suffix
     check_extension = None
-    filter_glob: bpy.props.StringProperty(default="*.glb;*.obj", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=write_filter(MESHES), options={"HIDDEN"})
     canonical: bpy.props.BoolProperty(
         name="At Rest", description="The neutral face, not turned, instead of the scene's frame", default=True
     )
@@ -149,7 +162,7 @@ class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Write."""
-        path = output_path(self.filepath, (".glb", ".obj"), self.filename_ext)
+        path = output_path(self.filepath, written_suffixes(MESHES), self.filename_ext)
         depsgraph = context.evaluated_depsgraph_get()
         count = exporting.write_avatar_mesh(path, avatar_of(context.object), depsgraph, self.canonical, self.morphs)
         self.report({"INFO"}, f"Wrote {path.name}" + (f" with {count} morph targets" if count else ""))
@@ -208,8 +221,8 @@ class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, bpy.types.Oper
 
 def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
     layout = self.layout
-    layout.operator(GRMM_OT_export_splats.bl_idname, text="GRMM Splats (.ply, .spz, .splat, .sog, .glb)")
-    layout.operator(GRMM_OT_export_mesh.bl_idname, text="GRMM Head Mesh (.glb, .obj)")
+    layout.operator(GRMM_OT_export_splats.bl_idname, text=f"GRMM Splats ({listed(SPLATS, False)})")
+    layout.operator(GRMM_OT_export_mesh.bl_idname, text=f"GRMM Head Mesh ({listed(MESHES, False)})")
     layout.operator(GRMM_OT_export_gaussian_avatar.bl_idname, text="GRMM GaussianAvatars Folder")
 
 

@@ -10,13 +10,15 @@ import bpy
 
 from ..grmm_blender.performance import MAX_FRAME, ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
 from ..grmm_core.errors import FileAccessError
-from ..grmm_core.formats import read_performance
+from ..grmm_core.formats import format_to_read, formats
 from ..grmm_core.head import load_flame
 from ..grmm_core.performance import REGIONS, Progress
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
 from .common import Result, active_performer, flame_path, needs_performer, reports_errors
+from .file_formats import draw_options, dropped_suffixes, listed, option_mixin, option_values, read_filter
 from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 
+READ = formats("performance", read=True)
 _HUNDRED = 100
 _READ, _RETARGETED = 0.3, 0.4  # of the progress
 
@@ -25,7 +27,7 @@ def _gain(name: str, description: str) -> Any:
     return bpy.props.FloatProperty(name=name, description=description, default=1.0, min=0.0, max=4.0, soft_max=2.0)
 
 
-class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
+class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bpy.types.Operator):
     """Read a performance and key the active avatar with it."""
 
     bl_idname = "grmm.import_performance"
@@ -34,7 +36,7 @@ class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: bpy.props.StringProperty(name="File", description="Performance file", subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_glob: bpy.props.StringProperty(default="*.json;*.csv;*.txt;*.npz", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=read_filter(READ), options={"HIDDEN"})
     start: bpy.props.FloatProperty(
         name="Start Frame",
         description="Scene frame on which the recording starts",
@@ -152,11 +154,6 @@ class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
         ),
         default="AUTO",
     )
-    landscape: bpy.props.BoolProperty(
-        name="Held in Landscape",
-        description="The phone was held sideways while Live Link Face recorded",
-        default=False,
-    )
     flame_file: bpy.props.StringProperty(
         name="FLAME File",
         description="Your own FLAME model, which says what the coefficients of a FLAME performance mean on another head",
@@ -193,8 +190,10 @@ class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
         column.prop(self, "rotation_gain")
         layout.prop(self, "limit")
         layout.prop(self, "close_lips")
-        for name in ("head", "eyes", "landscape", "flame_file"):
+        for name in ("head", "eyes", "flame_file"):
             layout.prop(self, name)
+        for found in READ:
+            draw_options(layout, self, found, "reading")
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
@@ -220,7 +219,9 @@ class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
         def part(start: float, end: float) -> Progress:
             return lambda done: show(int(_HUNDRED * (start + (end - start) * done)))
 
-        performance = read_performance(path, fps=self.fps or None, landscape=self.landscape, progress=part(0.0, _READ))
+        found = format_to_read(path, "performance")
+        chosen = option_values(self, found, "reading")
+        performance = found.read(path, fps=self.fps or None, progress=part(0.0, _READ), **chosen)
         on_flame = performer.object.grmm.head_name.startswith("flame")
         flame = None
         if performance.expression is not None and not on_flame:
@@ -259,7 +260,7 @@ class GRMM_FH_performance(bpy.types.FileHandler):
     bl_idname = "GRMM_FH_performance"
     bl_label = "GRMM Performance"
     bl_import_operator = GRMM_OT_import_performance.bl_idname
-    bl_file_extensions = ".json;.csv;.npz"
+    bl_file_extensions = dropped_suffixes(READ)
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -268,4 +269,4 @@ class GRMM_FH_performance(bpy.types.FileHandler):
 
 
 CLASSES = (GRMM_OT_import_performance, GRMM_FH_performance)
-register, unregister = menu_entry(GRMM_OT_import_performance, "GRMM Performance (.json, .csv, .npz)")
+register, unregister = menu_entry(GRMM_OT_import_performance, f"GRMM Performance ({listed(READ)})")

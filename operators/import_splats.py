@@ -1,4 +1,4 @@
-"""Import splat files and other projects' avatars: .ply, .splat, .spz, .sog, glTF with KHR_gaussian_splatting, LAM's .zip."""
+"""Import splat files and other projects' avatars."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import bpy
 from ..grmm_blender.performance import ImportOptions, apply_performance
 from ..grmm_blender.splats.rigged import Imported, import_file
 from ..grmm_core.errors import FileAccessError
+from ..grmm_core.formats import formats
 from .common import Result, flame_path, reports_errors
+from .file_formats import dropped_suffixes, listed, read_filter
 from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 
-EXTENSIONS = (".ply", ".splat", ".spz", ".sog", ".glb", ".gltf", ".zip")
+READ = formats(("splats", "avatar", "sequence"), read=True)
 
 
 class GRMM_OT_import_splats(ImportsFiles, bpy.types.Operator):
@@ -30,9 +32,7 @@ class GRMM_OT_import_splats(ImportsFiles, bpy.types.Operator):
     filepath: bpy.props.StringProperty(name="File", description="Splat file", subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"})
-    filter_glob: bpy.props.StringProperty(
-        default=";".join(f"*{extension}" for extension in EXTENSIONS) + ";meta.json", options={"HIDDEN"}
-    )
+    filter_glob: bpy.props.StringProperty(default=read_filter(READ), options={"HIDDEN"})
     turned: bpy.props.BoolProperty(
         name="Turn Upside Down",
         description="Turn plain splats by half a turn: for files that were written with the other axis up",
@@ -103,7 +103,7 @@ class GRMM_FH_splats(bpy.types.FileHandler):
     bl_idname = "GRMM_FH_splats"
     bl_label = "GRMM Splats"
     bl_import_operator = GRMM_OT_import_splats.bl_idname
-    bl_file_extensions = ".ply;.splat;.spz;.sog;.glb"
+    bl_file_extensions = dropped_suffixes(READ)
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -112,4 +112,4 @@ class GRMM_FH_splats(bpy.types.FileHandler):
 
 
 CLASSES = (GRMM_OT_import_splats, GRMM_FH_splats)
-register, unregister = menu_entry(GRMM_OT_import_splats, "GRMM Splats and Avatars (.ply, .splat, .spz, .sog, .glb, .zip)")
+register, unregister = menu_entry(GRMM_OT_import_splats, f"GRMM Splats and Avatars ({listed(READ)})")

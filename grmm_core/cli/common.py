@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from ..controls.frame import Controls, parse_assignments
 from ..controls.table import settable
 from ..errors import FileAccessError
 from ..files.access import describe_os_error
+from ..files.format import Format, OptionsOf, options_of_formats
 from .console import Console
 
 DEVICES = ("auto", "cpu", "cuda", "mps")
@@ -55,6 +58,23 @@ class _ListControls(argparse.Action):
         rows = [(name, f"{c.limits.low:.4g} to {c.limits.high:.4g}", c.unit, c.description) for name, c in settable()]
         Console().table(("name", "range", "unit", "what it is"), rows)
         parser.exit()
+
+
+def add_format_options(parser: argparse.ArgumentParser, known: Iterable[Format], which: OptionsOf) -> None:
+    """Add the options of formats, each once, as flags: --spz-version for an option `spz_version`."""
+    for option in options_of_formats(known, which):
+        flag = f"--{option.identifier.replace('_', '-')}"
+        text = f"{option.description} (default: {option.default})"
+        if isinstance(option.default, bool):
+            parser.add_argument(flag, action=argparse.BooleanOptionalAction, default=option.default, help=option.description)
+        else:
+            choices = [value for value, _ in option.choices] or None
+            parser.add_argument(flag, type=type(option.default), choices=choices, default=option.default, help=text)
+
+
+def options_of(args: argparse.Namespace, found: Format, which: OptionsOf) -> dict[str, Any]:
+    """Return a format's options as the flags set them, by the names that its reader or writer has for them."""
+    return {option.name: getattr(args, option.identifier) for option in getattr(found, which)}
 
 
 def controls_of(args: argparse.Namespace) -> Controls:

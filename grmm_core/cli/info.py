@@ -15,6 +15,8 @@ from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
 from ..avatar.library import LIBRARY_PREFIX, library_file, library_names
 from ..errors import ConfigError, GrmmError
 from ..files.tensorfile import read_metadata
+from ..formats import Format, format_to_read, formats, suffixes
+from ..formats.performances.flame_npz import is_track
 from ..head import FLAME_SUFFIXES
 from ..head.flame import describe_flame
 
@@ -28,9 +30,7 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "info", help="what is installed, or what is in a file", description="Show what is installed, or what is in a file."
     )
-    parser.add_argument(
-        "avatar", metavar="AVATAR", nargs="?", type=Path, help=f"a {EXTENSION}, .safetensors or FLAME file, or library:NAME"
-    )
+    parser.add_argument("avatar", metavar="AVATAR", nargs="?", type=Path, help="any file that is read here, or library:NAME")
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -60,6 +60,7 @@ def installation() -> dict[str, Any]:
     facts["rasterisers"] = {b.name: ("" if b.available else "not available: ") + b.detail for b in available_backends()}
     facts["head models"] = [describe_asset(path) for path in sorted(ASSETS.glob("*head*.safetensors"))]
     facts["avatars"] = [f"{LIBRARY_PREFIX}{name}" for name in library_names()]
+    facts["formats"] = {one.label: _ways(one) for one in formats()}
     facts["weights"] = [describe_asset(path) for path in sorted((ASSETS / "weights").glob("*.safetensors"))]
     return facts
 
@@ -73,13 +74,10 @@ def describe_file(path: Path) -> dict[str, Any]:
     """
     if path.suffix == ".safetensors":
         return describe_asset(path, strict=True)
-    if path.suffix.lower() in FLAME_SUFFIXES:
+    if path.suffix.lower() in FLAME_SUFFIXES and not is_track(path):
         return describe_flame(path)
     if path.suffix != EXTENSION:
-        raise ConfigError(
-            f"{path} is neither an avatar ({EXTENSION}), weights (.safetensors) nor a FLAME model (.pkl, .npz); "
-            "give one of these."
-        )
+        return _describe_foreign(path)
     header = read_avatar_header(path)
     avatar = load_avatar(path)
     return _header_facts(path, header) | {
@@ -89,6 +87,20 @@ def describe_file(path: Path) -> dict[str, Any]:
         "tracking": sorted(avatar.tracking),
         "photos": [{"name": photo.name, "sha256": photo.sha256} for photo in header.provenance.photos],
     }
+
+
+def _describe_foreign(path: Path) -> dict[str, Any]:
+    """Read a file of another program and say what it holds."""
+    known = formats(read=True)
+    if not path.is_dir() and not any(one.fits(path) for one in known):
+        raise ConfigError(
+            f"{path} is neither an avatar ({EXTENSION}), weights (.safetensors), a FLAME model ({', '.join(FLAME_SUFFIXES)}) "
+            f"nor of another format that is read ({', '.join(suffixes(known))}); give one of these."
+        )
+    found = format_to_read(path)
+    content = found.read(path)
+    warnings = getattr(content, "warnings", None) or getattr(getattr(content, "cloud", None), "warnings", [])
+    return {"file": str(path), "kind": found.label, **content.summary(), "warnings": warnings}
 
 
 def describe_asset(path: Path, strict: bool = False) -> dict[str, Any]:
@@ -132,6 +144,13 @@ def _header_facts(path: Path, header: AvatarHeader) -> dict[str, Any]:
         "licence": header.provenance.licence,
         "thumbnail bytes": len(header.thumbnail),
     }
+
+
+def _ways(found: Format) -> str:
+    """Whether a format is read and written here, and which packages something about it lacks."""
+    ways = [way for way, able in (("read", found.reader), ("written", found.writer)) if able is not None]
+    lacking = [f"{what} needs {name}" for name, what in found.needs.items() if importlib.util.find_spec(name) is None]
+    return "; ".join([" and ".join(ways), *lacking])
 
 
 def _version(name: str) -> str | None:

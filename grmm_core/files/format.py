@@ -6,7 +6,7 @@ stand here once. Needs the standard library only.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -16,6 +16,9 @@ from ..errors import FileFormatError
 Holds = Literal["splats", "mesh", "avatar", "sequence", "performance", "arrays"]
 """Gaussians; triangles; a rigged avatar; moving Gaussians; recorded motion; plain numbers for programs of one's own."""
 Value = bool | int | float | str
+
+
+OptionsOf = Literal["reading", "writing"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,7 @@ class Option:
         description: What it does, one sentence without a full stop.
         default: Its value and by that its type.
         choices: The only values that it takes, with a label each; empty for any of the type.
+        key: What it is called among the options of all formats, where `name` alone would not be clear.
     """
 
     name: str
@@ -35,6 +39,12 @@ class Option:
     description: str
     default: Value
     choices: tuple[tuple[Value, str], ...] = ()
+    key: str = ""
+
+    @property
+    def identifier(self) -> str:
+        """Name among the options of all formats: of the command line's flag and of the operator's property."""
+        return self.key or self.name
 
 
 @dataclass(frozen=True)
@@ -48,11 +58,13 @@ class Format:
         holds: What is in such a file.
         suffixes: Endings of its files, lower case with the point; the first is the one that is written.
         reader: Called with a path and the options of `reading`; returns what `holds` says. None where it is not read.
-        writer: Called with a path, what is to be written and the options of `writing`. None where it is not written.
+        writer: Called with a path, what is to be written and the options of `writing`; returns sentences about what the
+            format could not hold, or nothing. None where it is not written.
         recognises: Whether a file is of this format, from its path and its first bytes; None where the suffix decides.
         shared_suffixes: Further endings that belong to other programs as well: read when chosen, not taken when dropped.
         file_names: Whole names of files that are read whatever their suffix says.
         folder: It is read from and written to a folder.
+        morphs: A mesh keeps named morph targets.
         reading, writing: Options.
         needs: Packages beyond numpy, each with what it is needed for.
     """
@@ -63,11 +75,12 @@ class Format:
     holds: Holds
     suffixes: tuple[str, ...]
     reader: Callable[..., Any] | None = None
-    writer: Callable[..., None] | None = None
+    writer: Callable[..., Iterable[str] | None] | None = None
     recognises: Callable[[Path, bytes], bool] | None = None
     shared_suffixes: tuple[str, ...] = ()
     file_names: tuple[str, ...] = ()
     folder: bool = False
+    morphs: bool = False
     reading: tuple[Option, ...] = ()
     writing: tuple[Option, ...] = ()
     needs: dict[str, str] = field(default_factory=dict)
@@ -83,13 +96,21 @@ class Format:
             raise FileFormatError(f"{path} cannot be read: {self.label} is only written; choose another file.")
         return self.reader(path, **options)
 
-    def write(self, path: Path, content: Any, **options: Any) -> None:
-        """Call the writer. Raises `FileFormatError` where there is none, and as the writer."""
+    def write(self, path: Path, content: Any, **options: Any) -> tuple[str, ...]:
+        """Call the writer; returns sentences about what the format could not hold.
+
+        Raises `FileFormatError` where there is none, and as the writer.
+        """
         if self.writer is None:
             raise FileFormatError(f"{path} cannot be written: {self.label} is only read; choose another format.")
-        self.writer(path, content, **options)
+        return tuple(self.writer(path, content, **options) or ())
 
     def fits(self, path: Path) -> bool:
         """Whether the name of a file says that it may be of this format."""
         name = path.name.lower()
         return name in self.file_names or name.endswith((*self.suffixes, *self.shared_suffixes))
+
+
+def options_of_formats(found: Iterable[Format], which: OptionsOf) -> list[Option]:
+    """Options of formats, each once."""
+    return list({option.identifier: option for one in found for option in getattr(one, which)}.values())

@@ -73,7 +73,7 @@ def read_splats(path: str | os.PathLike[str], **options: Any) -> SplatCloud:
     return format_to_read(Path(path), "splats").read(Path(path), **options)
 
 
-def write_splats(path: str | os.PathLike[str], cloud: SplatCloud, **options: Any) -> None:
+def write_splats(path: str | os.PathLike[str], cloud: SplatCloud, **options: Any) -> tuple[str, ...]:
     """Write splats in the format that the extension names.
 
     Args:
@@ -81,13 +81,16 @@ def write_splats(path: str | os.PathLike[str], cloud: SplatCloud, **options: Any
         cloud: Splats, y up. Its color must be the one that looks right alone (the unrefined RGB).
         options: Passed to the writer: `axes` for .ply, .splat and .sog; `version`, `fractional_bits`, `full_sh` for .spz.
 
+    Returns:
+        Sentences about what the format could not hold.
+
     Raises:
         FileFormatError: Unknown extension.
         ShapeError: The cloud is malformed.
         FileAccessError: The file cannot be written.
         BackendError: The format needs a package that is not installed.
     """
-    format_to_write(Path(path), "splats").write(Path(path), cloud, **options)
+    return format_to_write(Path(path), "splats").write(Path(path), cloud, **options)
 
 
 def read_avatar(

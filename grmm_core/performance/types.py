@@ -84,6 +84,18 @@ class Performance:
         """Seconds from the first frame to the last."""
         return float(self.times[-1] - self.times[0])
 
+    def summary(self) -> dict[str, object]:
+        """Facts for people: what `grmm info` shows."""
+        width = 0 if self.expression is None else self.expression.shape[1]
+        return {
+            "frames": self.frame_count,
+            "seconds": round(self.duration, 3),
+            "frames a second": round(self.fps, 3),
+            "ARKit shapes": len(self.found),
+            "expression coefficients": width,
+            "rotations": [name.removesuffix("_rotation") for name in self.rotation_names()],
+        }
+
     def channel_names(self) -> tuple[str, ...]:
         """Names of the per-frame arrays that are present: `weights`, `head_rotation`, `expression` ..."""
         names = ("weights", *_ROTATIONS, "expression", "translation")

@@ -1,4 +1,4 @@
-"""What exporters take from a session: an avatar's splats with view dependence, and its aligned expressions as morph targets.
+"""What exporters take from a session: an avatar's splats with view dependence, and the ARKit shapes as morph targets.
 
 Called by `grmm export` and by Blender's exporters. Exported colors are those that look right alone, without the refinement
 network. Needs numpy only.
@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..controls.frame import Controls
-from ..controls.names import ALIGNED_NAMES
+from ..controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from ..formats import SplatCloud
 from .api import Session
 from .harmonics import fit_harmonics
@@ -36,7 +36,7 @@ def morph_targets(
     session: Session,
     avatar_id: int,
     controls: Controls,
-    names: Sequence[str] = ALIGNED_NAMES,
+    names: Sequence[str] = ARKIT_NAMES,
     report: Callable[[str], None] | None = None,
 ) -> dict[str, np.ndarray]:
     """Return how aligned expressions at 1 move the posed vertices, [V, 3] metres each, by name.
@@ -45,7 +45,7 @@ def morph_targets(
         session: Where the avatar is open.
         avatar_id: The avatar.
         controls: Expression and pose that they are added to.
-        names: Which of the 60.
+        names: Which of the 60; the 52 ARKit shapes, of which the others are mixtures, unless told.
         report: Told the name of each that is done.
     """
     resting = session.deform(avatar_id, controls).vertices

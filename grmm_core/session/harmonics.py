@@ -16,6 +16,7 @@ from ..errors import ShapeError
 from .api import Session
 
 MAX_DEGREE = 3
+DEFAULT_DEGREE = 2  # degree 1 is 5 dB further from the render, degree 3 gains nothing more
 DIRECTIONS_PER_TERM = 3
 LATITUDE_LIMIT = 0.7  # sine of the steepest view; models see few cameras above or below
 HIDDEN_WEIGHT = 0.03  # of views from behind, which keeps the fit tame where a Gaussian is hardly ever seen

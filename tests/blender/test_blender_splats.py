@@ -118,7 +118,7 @@ def test_what_cannot_be_read_is_one_sentence(imported):
     assert "does not exist" in said["gone.ply"]
     assert "not a readable SPZ file" in said["truncated.spz"]
     assert "not a readable" in said["text.ply"]
-    assert "extension '.xyz'" in said["unknown.xyz"]
+    assert "not a splat file" in said["unknown.xyz"]
     assert "choose a file" in said[""]
     assert all(sentence.count(". ") == 0 for sentence in said.values())
     assert imported["errors"]["left"] == 0

@@ -36,6 +36,10 @@ class AnimatedAvatar:
     base: np.ndarray
     deltas: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=list)
 
+    def summary(self) -> dict[str, object]:
+        """Facts for people: what `grmm info` shows."""
+        return self.cloud.summary() | {"vertices": len(self.base), "frames": self.frame_count}
+
     @property
     def frame_count(self) -> int:
         """Number of frames; 1 where the file has no animation."""

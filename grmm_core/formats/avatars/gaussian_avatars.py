@@ -33,6 +33,10 @@ class GaussianAvatar:
     cloud: SplatCloud
     track: Performance | None
 
+    def summary(self) -> dict[str, object]:
+        """Facts for people: what `grmm info` shows."""
+        return self.cloud.summary() | ({"track": self.track.summary()} if self.track is not None else {})
+
 
 def read_gaussian_avatar(path: str | os.PathLike[str]) -> GaussianAvatar:
     """Read `point_cloud.ply` and, if it lies beside it, `flame_param.npz`.

@@ -35,6 +35,10 @@ class LamAvatar:
     mesh: Mesh
     cloud: SplatCloud
 
+    def summary(self) -> dict[str, object]:
+        """Facts for people: what `grmm info` shows."""
+        return self.mesh.summary() | self.cloud.summary()
+
     def splats(self, weights: dict[str, float]) -> SplatCloud:
         """Splats with morph targets applied; unknown names do nothing."""
         moved = self.cloud.means.copy()

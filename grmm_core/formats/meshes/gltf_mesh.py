@@ -151,5 +151,5 @@ def _target_names(entry: dict[str, Any], primitive: dict[str, Any], count: int) 
 
 FORMAT = Format(
     "gltf-mesh", "glTF mesh (.glb)", "The mesh with the expressions as named morph targets", "mesh",
-    (".glb",), read_gltf_mesh, write_gltf_mesh, shared_suffixes=(".gltf",),
+    (".glb",), read_gltf_mesh, write_gltf_mesh, shared_suffixes=(".gltf",), morphs=True,
 )  # fmt: skip

@@ -31,6 +31,11 @@ class Mesh:
     uv_faces: np.ndarray | None = None
     morphs: dict[str, np.ndarray] = field(default_factory=dict)
 
+    def summary(self) -> dict[str, object]:
+        """Facts for people: what `grmm info` shows."""
+        faces = 0 if self.faces is None else len(self.faces)
+        return {"vertices": len(self.vertices), "faces": faces, "morph targets": list(self.morphs)}
+
     def validated(self) -> Mesh:
         """Return a copy in float32 and int64. Raises `ShapeError` for wrong shapes, indices and values."""
         vertices = np.asarray(self.vertices, np.float32)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ...controls.names import ARKIT_NAMES
-from ...errors import ShapeError
+from ...errors import GrmmError, ShapeError
 from ...files.access import atomic_write_bytes, bad_file
 from ...files.format import Format
 from ...files.npz import read_npz
@@ -98,6 +98,14 @@ def read_flame_npz(path: Path, fps: float | None = None, progress: Progress | No
 
 
 _TRACKS = {"rotation": 3, "neck_pose": 3, "jaw_pose": 3, "eyes_pose": 6, "translation": 3, "pose": 6}
+
+
+def is_track(path: Path) -> bool:
+    """Whether a file is an npz with expression coefficients and no FLAME model. Raises nothing for other files."""
+    try:
+        return bool(set(read_npz(path, ())[1]) & set(_ALIASES["expr"]))
+    except GrmmError:
+        return False
 
 
 def _expression(path: Path, array: np.ndarray, warnings: list[str]) -> np.ndarray:

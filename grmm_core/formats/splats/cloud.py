@@ -21,6 +21,7 @@ MAX_SPLATS = 10_000_000  # limit of packed files, whose size says little about t
 _MIN_SCALE, _MAX_SCALE = 1e-12, 1e12
 _MIN_OPACITY = 1e-6  # so that its logit is finite
 _MIN_QUATERNION = 1e-12
+_HALF_STEP = 0.5 / 255.0  # of 8-bit colors
 _SH_COUNTS = {(degree + 1) ** 2 for degree in range(MAX_DEGREE + 1)}
 
 # Signs of the 16 harmonics and of a quaternion when space turns by half a turn about x (y and z change sign).
@@ -68,6 +69,17 @@ class SplatCloud:
     def colors(self) -> np.ndarray:
         """Display sRGB of the constant term, [N, 3], not clipped."""
         return 0.5 + SH_C0 * self.sh[:, 0]
+
+    def summary(self) -> dict[str, object]:
+        """Facts for people: what `grmm info` shows."""
+        size = np.ptp(self.means, axis=0)
+        where = {"size in metres": [round(float(side), 4) for side in size]} if self.binding is None else {}
+        return {
+            "splats": self.count,
+            "degree of harmonics": self.degree,
+            "bound to triangles": self.binding is not None,
+            **where,
+        }
 
     @classmethod
     def from_rgb(
@@ -157,6 +169,18 @@ def finish_reading(path: Path, kind: str, cloud: SplatCloud) -> SplatCloud:
     cloud.quats = (cloud.quats / lengths[:, None]).astype(np.float32)
     cloud.opacities = np.clip(cloud.opacities, 0.0, 1.0)
     return cloud
+
+
+def clipped_colors(cloud: SplatCloud, low: float, high: float) -> list[str]:
+    """One sentence where a format that keeps constant colors from `low` to `high` cuts some of them off, else none."""
+    colors = cloud.colors()
+    count = int(((colors < low - _HALF_STEP) | (colors > high + _HALF_STEP)).any(1).sum())
+    return [f"{count} of {cloud.count} splats have colors beyond what the format holds; these were clipped."] if count else []
+
+
+def lost_harmonics(cloud: SplatCloud) -> list[str]:
+    """One sentence where a format without view dependence drops some, else none."""
+    return ["The format holds no view dependence; it was left out."] if (cloud.sh[:, 1:] != 0).any() else []
 
 
 def logit(opacities: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from ...errors import BackendError
 from ...files.access import atomic_write, bad_file, read_bytes
 from ...files.archive import member, read_members, read_neighbour
 from ...files.format import Format
-from .cloud import MAX_SPLATS, SplatCloud, exp_scale, finish_reading, log_scale
+from .cloud import MAX_SPLATS, SplatCloud, exp_scale, finish_reading, log_scale, lost_harmonics
 from .splat_file import to_byte
 
 Decoder = Callable[[bytes], np.ndarray]
@@ -208,7 +208,7 @@ def _read_harmonics(meta: _Meta, count: int) -> np.ndarray:
     return np.concatenate([base, meta.table("shN")[rows][index]], 1)
 
 
-def write_sog(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file") -> None:
+def write_sog(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file") -> list[str]:
     """Write a `.sog` archive of degree 0.
 
     Args:
@@ -260,6 +260,7 @@ def write_sog(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file
         archive.writestr("meta.json", json.dumps(meta))
         for name, pixels in pictures.items():
             archive.writestr(name, _encode(Path(path), pixels, width))
+    return lost_harmonics(cloud)
 
 
 def _encode(path: Path, pixels: np.ndarray, width: int) -> bytes:

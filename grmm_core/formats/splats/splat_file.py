@@ -14,7 +14,7 @@ import numpy as np
 
 from ...files.access import atomic_write_bytes, bad_file, read_bytes
 from ...files.format import Format
-from .cloud import SH_C0, SplatCloud, finish_reading
+from .cloud import SH_C0, SplatCloud, clipped_colors, finish_reading, lost_harmonics
 
 KIND = ".splat file"
 RECORD = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
@@ -39,8 +39,21 @@ def read_splat(path: Path, axes: str = "file") -> SplatCloud:
     return cloud if axes == "y_up" else cloud.flipped()
 
 
-def write_splat(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file") -> None:
-    """Write a `.splat` file, the most visible splats first as viewers expect. Raises `ShapeError` and `FileAccessError`."""
+def write_splat(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file") -> list[str]:
+    """Write a `.splat` file, the most visible splats first as viewers expect.
+
+    Args:
+        path: Target file.
+        cloud: Splats, y up.
+        axes: "file" turns y down, "y_up" keeps the numbers.
+
+    Returns:
+        What the file does not hold.
+
+    Raises:
+        ShapeError: The cloud is malformed.
+        FileAccessError: The file cannot be written.
+    """
     cloud = cloud.validated()
     cloud = cloud if axes == "y_up" else cloud.flipped()
     order = np.argsort(-cloud.scales.astype(np.float64).prod(1) * cloud.opacities, kind="stable")
@@ -51,6 +64,7 @@ def write_splat(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "fi
     rows["rgba"][:, 3] = to_byte(cloud.opacities * 255.0)
     rows["rotation"] = to_byte(cloud.quats * 128.0 + 128.0)
     atomic_write_bytes(path, rows.tobytes())
+    return [*clipped_colors(cloud, 0.0, 1.0), *lost_harmonics(cloud)]
 
 
 def to_byte(values: np.ndarray) -> np.ndarray:

@@ -22,8 +22,8 @@ import numpy as np
 
 from ...errors import BackendError
 from ...files.access import atomic_write_bytes, bad_file, read_bytes
-from ...files.format import Format
-from .cloud import MAX_DEGREE, MAX_SPLATS, SplatCloud, exp_scale, finish_reading, log_scale
+from ...files.format import Format, Option
+from .cloud import MAX_DEGREE, MAX_SPLATS, SH_C0, SplatCloud, clipped_colors, exp_scale, finish_reading, log_scale
 from .splat_file import to_byte
 
 KIND = "SPZ file"
@@ -203,7 +203,7 @@ def _others(largest: np.ndarray) -> np.ndarray:
 
 def write_spz(
     path: str | os.PathLike[str], cloud: SplatCloud, version: int = 3, fractional_bits: int | None = None, full_sh: bool = False
-) -> None:
+) -> list[str]:
     """Write an SPZ file.
 
     Args:
@@ -212,6 +212,9 @@ def write_spz(
         version: 2, 3 or 4 (needs the `zstandard` package).
         fractional_bits: Bits behind the point of positions; by default as many from 12 to 18 as the cloud's size allows.
         full_sh: Keep 8 bits of the harmonics instead of 5 and 4; larger files.
+
+    Returns:
+        What the file does not hold.
 
     Raises:
         ShapeError: The cloud is malformed.
@@ -239,6 +242,11 @@ def write_spz(
         data = packer.compress(_HEADER.pack(MAGIC, version, cloud.count, cloud.degree, bits, flags, 0) + b"".join(parts))
         data += packer.flush()
     atomic_write_bytes(path, data)
+    steps = np.rint(cloud.sh[:, 1:] * 128.0)
+    clipped = int(((steps < -128) | (steps > 127)).any((1, 2)).sum())
+    said = [f"{clipped} of {cloud.count} splats have view dependence beyond what SPZ holds; it was clipped."] if clipped else []
+    reach = SH_C0 * 0.5 / _COLOR_SCALE
+    return [*clipped_colors(cloud, 0.5 - reach, 0.5 + reach), *said]
 
 
 def _choose_bits(extent: float) -> int:
@@ -285,7 +293,12 @@ def _pack_v4(path: Path, parts: list[bytes], cloud: SplatCloud, bits: int, flags
     return header + toc + b"".join(packed)
 
 
+_VERSION = Option(
+    "version", "SPZ Version", "Version of .spz files: older viewers read 2 alone, 4 needs the Python package zstandard", 3,
+    ((2, "2, for older viewers"), (3, "3"), (4, "4")), "spz_version",
+)  # fmt: skip
+
 FORMAT = Format(
     "spz", "SPZ (.spz)", "Compressed to about a tenth", "splats", (".spz",), read_spz, write_spz,
-    needs={"zstandard": "version 4"},
+    writing=(_VERSION,), needs={"zstandard": "version 4"},
 )  # fmt: skip

@@ -1,0 +1,72 @@
+"""What operators take from the list of file formats: menu items, filters of the file browser, options as properties."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import bpy
+
+from ..grmm_core.files.format import Format, Option, OptionsOf, options_of_formats
+from ..grmm_core.formats import suffixes
+
+
+def menu_items(found: Iterable[Format]) -> tuple[tuple[str, str, str], ...]:
+    """Items of an enumeration: the suffix identifies a format."""
+    return tuple((one.suffix, one.label, one.description) for one in found)
+
+
+def listed(found: Iterable[Format], read: bool = True) -> str:
+    """Suffixes of files that are read, or written, for people: ".ply, .splat"."""
+    return ", ".join(suffixes(found) if read else written_suffixes(found))
+
+
+def read_filter(found: Iterable[Format]) -> str:
+    """Pattern of a file browser that shows the files that formats read."""
+    known = tuple(found)
+    return ";".join([*(f"*{suffix}" for suffix in suffixes(known)), *(name for one in known for name in one.file_names)])
+
+
+def written_suffixes(found: Iterable[Format]) -> tuple[str, ...]:
+    """Suffixes that formats write."""
+    return tuple(one.suffix for one in found)
+
+
+def write_filter(found: Iterable[Format]) -> str:
+    """Pattern of a file browser that shows the files that formats write."""
+    return ";".join(f"*{suffix}" for suffix in written_suffixes(found))
+
+
+def dropped_suffixes(found: Iterable[Format]) -> str:
+    """Suffixes that a file handler takes: those that no other program's files have."""
+    return ";".join(suffixes(found, shared=False))
+
+
+def option_mixin(found: Iterable[Format], which: OptionsOf) -> type:
+    """Return a base class of operators that has the formats' options as properties."""
+    properties = {option.identifier: _property(option) for option in options_of_formats(found, which)}
+    return type("FormatOptions", (), {"__annotations__": properties})
+
+
+def draw_options(layout: bpy.types.UILayout, operator: bpy.types.Operator, found: Format, which: OptionsOf) -> None:
+    """Draw a format's options."""
+    for option in getattr(found, which):
+        layout.prop(operator, option.identifier)
+
+
+def option_values(operator: bpy.types.Operator, found: Format, which: OptionsOf) -> dict[str, Any]:
+    """Return a format's options as somebody set them, by the names that its reader or writer has for them."""
+    values = {}
+    for option in getattr(found, which):
+        value = getattr(operator, option.identifier)
+        values[option.name] = type(option.default)(value) if option.choices else value
+    return values
+
+
+def _property(option: Option) -> Any:
+    common = {"name": option.label, "description": option.description}
+    if option.choices:
+        items = tuple((str(value), label, "") for value, label in option.choices)
+        return bpy.props.EnumProperty(items=items, default=str(option.default), **common)
+    kinds = {bool: bpy.props.BoolProperty, int: bpy.props.IntProperty, float: bpy.props.FloatProperty}
+    return kinds.get(type(option.default), bpy.props.StringProperty)(default=option.default, **common)

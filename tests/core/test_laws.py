@@ -9,6 +9,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 
 import pytest
 from import_graph import PACKAGES, ROOT, Source, circles, graph, module_of, read_product, read_sources
@@ -106,6 +107,27 @@ def test_nothing_calls_back_into_the_operators():
         or re.search(r"bpy\.ops\.grmm\.\w+\(", source.path.read_text("utf-8"))
     }
     assert wrong == CALLS_INTO_OPERATORS
+
+
+# What the packages import from PyPI by another name than it is installed under, or without an extra of theirs.
+DISTRIBUTIONS = {"PIL": "pillow", "llvmlite": "numba", "mathutils": "bpy"}
+LEFT_TO_THE_USER = {"gsplat", "zstandard"}  # a faster way on a graphics card; version 4 of SPZ. Both say so when missing.
+
+
+@pytest.mark.parametrize(("package", "extras"), [("grmm_core", ("train", "data")), ("grmm_studio", ("studio",))])
+def test_what_a_package_imports_is_declared(package, extras):
+    """Each extra is tried in an environment of its own by `tests/test_install.py`."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    declared = [*project["dependencies"], *(line for extra in extras for line in project["optional-dependencies"][extra])]
+    known = {re.split(r"[<>=]", line)[0] for line in declared} | LEFT_TO_THE_USER
+    imported = {
+        each.target.split(".")[0]
+        for name, source in MODULES.items()
+        for each in source.imports
+        if package_of(name) == package and not each.relative
+    }
+    foreign = imported - set(sys.stdlib_module_names) - set(PACKAGES)
+    assert {name for name in foreign if DISTRIBUTIONS.get(name, name) not in known} == set()
 
 
 # --- what importing loads --------------------------------------------------------------------------------------------

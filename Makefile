@@ -27,9 +27,11 @@ test: $(VENV)/.ready .venv52/.ready lint
 test-all: $(VENV)/.ready .venv52/.ready lint
 	$(PYTEST) $(PYTEST_ARGS)
 
-#: make lint                      check the style
+#: make lint                      check the style and the types
 lint: $(VENV)/.ready
 	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	$(PY) -m tools.check_types
 
 #: make extension                 validate and build the Blender extension into dist/
 extension: $(VENV)/.ready
@@ -42,7 +44,7 @@ open-head: $(VENV)/.ready
 
 #: make clean                     remove what the targets made
 clean:
-	rm -rf out dist build .pytest_cache .ruff_cache .venv .venv52 *.egg-info
+	rm -rf out dist build .pytest_cache .ruff_cache .mypy_cache .venv .venv52 *.egg-info
 
 # Torch comes first and by its exact version, so that nothing else pulls in another build of it.
 $(VENV)/.ready: pyproject.toml constraints.txt

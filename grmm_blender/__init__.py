@@ -3,12 +3,13 @@
 From the ground up; each room uses only those above it. `grmm_core` is reached by relative import only, and nothing here
 imports torch or numba, or knows the operators. What is registered stands in the table of the extension's entry point.
 
-``compat`` ``latest_request``           differences between Blender versions, found by feature; work on a thread
+``compat`` ``windows``                  differences between Blender versions, found by feature; redrawing
+``latest_request``                      work on a thread for the latest of many requests
 ``session_host``                        the one model session of this process (in-process, or a worker interpreter)
 ``rig``                                 the avatar as a Python object; head mesh, armature, shape keys, drivers, controls
 ``splats``                              splat clouds: imported splat files and other projects' avatars
 ``properties``                          settings of avatars on Blender's objects
-``scene``                               who and what is in a scene
+``scene``                               a scene as plain values: avatars, clouds, meshes, world, cameras; walked once
 ``engine``                              the GRMM render engine: stills, animations, the rendered viewport
 ``viewport``                            drawing splats in solid and material preview viewports
 ``composite``                           scenes of another engine with avatars in them

@@ -29,7 +29,8 @@ from ..grmm_core.session.exporting import morph_targets, splat_cloud
 from . import session_host
 from .rig.avatar import Avatar, avatar_of
 from .rig.identity import FLAME_PREFIX, load_head
-from .splats.cloud import Cloud, clouds_in, is_cloud, resting_positions, triangles
+from .scene.clouds import clouds_in
+from .splats.cloud import Cloud, is_cloud, resting_positions, triangles
 from .splats.rigged import PERSON_SHAPE, Puppet, is_puppet
 
 _TINY = 1e-5  # radians or weight: what counts as never moved

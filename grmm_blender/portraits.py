@@ -13,27 +13,10 @@ import numpy as np
 from ..grmm_core.controls.frame import Controls
 from ..grmm_core.controls.names import ALIGNED_NAMES
 from ..grmm_core.geometry.camera import Camera
-from ..grmm_core.session import PORTRAIT_DISTANCE, PORTRAIT_FOV, Instance, RenderOptions
+from ..grmm_core.session import Instance, RenderOptions
 from . import session_host
 
-FACE = (0.0, -0.01, 0.08)  # a point between nose and mouth, head space, metres
-FACE_FOV = 15.0  # degrees; shows the face from chin to forehead
 OVERSAMPLING = 2  # small pictures of the model are rough; larger ones made smaller are not
-
-
-def face_camera(size: int, yaw: float = 12.0) -> Camera:
-    """Return a camera that shows the face.
-
-    Args:
-        size: Pixels of the square picture.
-        yaw: Degrees to the subject's left.
-    """
-    return Camera.orbit(size, size, yaw=yaw, distance=1.0, fov=FACE_FOV, target=FACE)
-
-
-def head_camera(size: int, yaw: float, pitch: float = 0.0) -> Camera:
-    """Return a camera that shows the whole head; arguments in pixels and degrees."""
-    return Camera.orbit(size, size, yaw=yaw, pitch=pitch, distance=PORTRAIT_DISTANCE, fov=PORTRAIT_FOV)
 
 
 def with_expression(controls: Controls, values: dict[str, float]) -> Controls:

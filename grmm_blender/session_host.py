@@ -15,20 +15,18 @@ import os
 import sys
 import threading
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from ..grmm_core.session import (
     WORKER_PYTHON_VARIABLE,
     AvatarInfo,
+    CloudArrays,
     Session,
     SessionStatus,
     create_session,
     has_torch,
 )
-
-if TYPE_CHECKING:
-    from .splats import CloudShot
 
 _log = logging.getLogger(__name__)
 
@@ -158,9 +156,9 @@ def open_avatar(source: str) -> AvatarInfo:
     return session.open(source)
 
 
-def open_cloud(shot: CloudShot) -> int:
-    """Hand a splat cloud to the session, where it is not there already; returns its id for `Instance`."""
-    number = get_session().put_cloud(shot.key, shot.version, shot.arrays)
+def open_cloud(key: str, version: str, arrays: CloudArrays) -> int:
+    """Hand a splat cloud to the session, where this version of it is not there already; returns its id for `Instance`."""
+    number = get_session().put_cloud(key, version, arrays)
     with _lock:
         _clouds.add(number)
     return number

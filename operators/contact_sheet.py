@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import bpy
 import numpy as np
 
-from ..grmm_blender.engine import final, passes, pipeline, snapshot
-from ..grmm_blender.portraits import face_camera, head_camera, portrait, with_expression
+from ..grmm_blender.engine import passes, pipeline
+from ..grmm_blender.portraits import portrait, with_expression
 from ..grmm_blender.rig.definitions import ALIGNED_NAMES, REGIONS, label
+from ..grmm_blender.scene.cameras import face_camera, head_camera
+from ..grmm_blender.scene.shot import Region
+from ..grmm_blender.scene.walk import take_frame
 from ..grmm_blender.sheet import grid
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.pictures.color import linear_to_srgb
@@ -127,32 +131,19 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
             scene.frame_set(int(before), subframe=before - int(before))
 
 
-class _Picture:
-    """Stands in for a render engine where `take_frame` asks for the picture's size and the camera."""
-
-    camera_override = None
-
-    def __init__(self, width: int, height: int) -> None:
-        self.resolution_x, self.resolution_y = width, height
-
-    def camera_model_matrix(self, camera: bpy.types.Object) -> object:
-        """Where the camera stands."""
-        return camera.matrix_world
-
-
 def _scene_picture(context: bpy.types.Context, width: int, background: np.ndarray):  # noqa: ANN202 - a step's work
     render = context.scene.render
     aspect = render.resolution_y * render.pixel_aspect_y / (render.resolution_x * render.pixel_aspect_x)
     height = max(1, round(width * aspect))
-    depsgraph = context.evaluated_depsgraph_get()
-    frame = final.take_frame(_Picture(width, height), depsgraph)
     settings = context.scene.grmm_render
+    frame = take_frame(context.evaluated_depsgraph_get(), (width, height), use_meshes=settings.use_occlusion)
+    frame = replace(frame, scene=replace(frame.scene, world=None))
     how = pipeline.DrawSettings(settings.use_refine, int(settings.detail), settings.occlusion_samples)
     items = [passes.RenderPass("combined", "Combined", "RGBA", "COLOR")]
-    region = snapshot.Region(0, 0, width, height)
+    region = Region(0, 0, width, height)
 
     def draw(should_cancel: CancelCheck) -> np.ndarray:
-        values = pipeline.frame_values(frame, how, items, None, region, should_cancel)["Combined"]
+        values = pipeline.frame_values(frame, how, items, region, should_cancel)["Combined"]
         alpha = values[..., 3:]
         straight = linear_to_srgb(values[..., :3] / np.maximum(alpha, 1e-6))
         return straight * alpha + background * (1.0 - alpha)

@@ -8,8 +8,9 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import poses, session_host
-from ..grmm_blender.portraits import face_camera, portrait, with_expression
+from ..grmm_blender.portraits import portrait, with_expression
 from ..grmm_blender.rig.definitions import ALIGNED_NAMES, label
+from ..grmm_blender.scene.cameras import face_camera
 from ..grmm_core.errors import FileAccessError, GrmmError
 from .common import Result, active_avatar, needs_avatar, redraw_values, reports_errors
 from .steps import Step, SteppedOperator, Steps

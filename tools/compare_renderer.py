@@ -19,7 +19,7 @@ import sys
 import tempfile
 import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -114,10 +114,10 @@ def main() -> int:
 class _Pictures(http.server.BaseHTTPRequestHandler):
     """Serves the page, the engine and the avatar, and takes the pictures."""
 
-    files: dict[str, tuple[str, bytes]]
-    received: dict[str, bytes]
-    done: threading.Event
-    expected: int
+    files: ClassVar[dict[str, tuple[str, bytes]]]
+    received: ClassVar[dict[str, bytes]]
+    done: ClassVar[threading.Event]
+    expected: ClassVar[int]
 
     def do_GET(self) -> None:
         kind, data = self.files.get(self.path, ("text/plain", b""))
@@ -149,14 +149,17 @@ def _theirs(arguments: argparse.Namespace, file: Path, positions: list[np.ndarra
     page = page.replace("VIEWS", json.dumps([position.tolist() for position in positions]))
     page = page.replace("FRAMES", str(_SETTLE_FRAMES))
     engine = arguments.node_modules / "playcanvas" / "build" / "playcanvas.mjs"
-    handler = type("Handler", (_Pictures,), {
-        "files": {
+
+    class Handler(_Pictures):
+        files: ClassVar[dict[str, tuple[str, bytes]]] = {
             "/": ("text/html", page.encode()), "/playcanvas.mjs": ("text/javascript", engine.read_bytes()),
             f"/{file.name}": ("application/octet-stream", file.read_bytes()),
-        },
-        "received": {}, "done": threading.Event(), "expected": len(positions),
-    })  # fmt: skip
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
+        }  # fmt: skip
+        received: ClassVar[dict[str, bytes]] = {}
+        done = threading.Event()
+        expected = len(positions)
+
+    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     profile = tempfile.mkdtemp(prefix="grmm-chromium-")
     command = [
@@ -166,19 +169,19 @@ def _theirs(arguments: argparse.Namespace, file: Path, positions: list[np.ndarra
     ]  # fmt: skip
     browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        handler.done.wait(TIMEOUT)
+        Handler.done.wait(TIMEOUT)
     finally:
         browser.terminate()
         browser.wait()
         server.shutdown()
         shutil.rmtree(profile, ignore_errors=True)
-    missing = [f"/view{k}" for k in range(len(positions)) if f"/view{k}" not in handler.received]
+    missing = [f"/view{k}" for k in range(len(positions)) if f"/view{k}" not in Handler.received]
     if missing:
-        reason = handler.received.get("/failed", b"no picture came in time").decode(errors="replace")
+        reason = Handler.received.get("/failed", b"no picture came in time").decode(errors="replace")
         raise SystemExit(f"compare_renderer: {reason}")
     result = []
     for k in range(len(positions)):
-        data = base64.b64decode(handler.received[f"/view{k}"].split(b",", 1)[1])
+        data = base64.b64decode(Handler.received[f"/view{k}"].split(b",", 1)[1])
         with Image.open(io.BytesIO(data)) as picture:
             result.append(np.asarray(picture.convert("RGB")))
     return result

@@ -100,13 +100,14 @@ def _performances(folder: Path) -> None:
     recorded = Performance(
         np.arange(FRAMES) / 60, rng.uniform(0, 1, (FRAMES, 52)).astype(np.float32), 60.0, found=ARKIT_NAMES, **angles
     )
-    flame = replace(recorded, expression=rng.normal(size=(FRAMES, 100)).astype(np.float32), head_model="flame")
+    coefficients = rng.normal(size=(FRAMES, 100)).astype(np.float32)
+    flame = replace(recorded, expression=coefficients, head_model="flame")
     print("| performance | weights or coefficients | rotations | times |")
     print("|---|---|---|---|")
     for name, performance in (("a.json", recorded), ("a.csv", recorded), ("a.npz", flame)):
         write_performance(folder / name, performance)
         found = read_performance(folder / name)
-        values = (found.expression, flame.expression) if name == "a.npz" else (found.weights, recorded.weights)
+        values = (found.weights, recorded.weights) if found.expression is None else (found.expression, coefficients)
         turn = max(np.abs(euler_to_matrix(getattr(found, part)) - euler_to_matrix(angles[part])).max() for part in angles)
         times = np.abs(found.times - recorded.times).max()
         print(f"| {name[1:]} | {np.abs(values[0] - values[1]).max():.2g} | {turn:.2g} | {times:.2g} s |")

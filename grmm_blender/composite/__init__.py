@@ -10,7 +10,7 @@ objects through the same camera with the engine GRMM; meshes in front of an avat
 =============  =====================================================================================
 
 The head's mesh is hidden from the camera (ray visibility) but stays in the main scene, where it casts shadows and is seen
-in mirrors. The engine draws a head that was handed over all the same (see `engine.collect`). What this cannot do: light of
+in mirrors. The engine draws a head that was handed over all the same (see `scene.visibility`). What this cannot do: light of
 the main scene does not fall on the avatar, and glass in front of it hides it.
 """
 

@@ -10,8 +10,8 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...grmm_core.errors import GrmmError
-from ..scene.avatars import avatars_in
-from ..splats import clouds_in
+from ..scene import walk
+from ..scene.clouds import clouds_in
 from . import nodes
 
 ENGINE = "GRMM"
@@ -34,8 +34,9 @@ def partner_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 
 
 def drawn_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Return the objects of a scene that the GRMM engine draws by Gaussians: heads and splat clouds."""
-    return [avatar.object for avatar in avatars_in(scene)] + [cloud.object for cloud in clouds_in(scene)]
+    """Return the objects of a scene that other engines must not draw: in their place stand Gaussians."""
+    carriers = [cloud.carrier for cloud in clouds_in(scene) if cloud.carrier is not None]
+    return [*walk.drawn_objects(scene), *dict.fromkeys(carriers)]
 
 
 def set_up(scene: bpy.types.Scene) -> bpy.types.Scene:

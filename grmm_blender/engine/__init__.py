@@ -6,10 +6,7 @@
 ``render_engine``  the RenderEngine class; every method delegates
 ``final``          final renders
 ``passes``         which passes there are
-``collect``        the avatars of a depsgraph
-``occluders``      the meshes of a depsgraph
-``occlusion``      what they leave of the avatars, kept between pictures (numpy only)
-``snapshot``       camera, region and world as plain values; the types that carry a frame
+``occlusion``      what meshes leave of the avatars, kept between pictures (numpy only)
 ``picture``        from the session's buffers to pass values (numpy only)
 ``output``         whether there is room for the picture
 ``pipeline``       a frame from plain values to pass values, on any thread

@@ -1,6 +1,6 @@
 """Final renders: stills, animations, background. `RenderEngine.render` ends here.
 
-One call renders one view layer of one frame: the scene is copied into plain values (`snapshot`, `occluders`), the session
+One call renders one view layer of one frame: the scene is copied into plain values (`scene.walk`), the session
 draws, `picture` turns its buffers into Blender's passes. A border renders the full picture and keeps its part, because the
 refinement network and its depth range look at the whole avatar: a region then equals the same region of a full render.
 """
@@ -15,14 +15,17 @@ from bpy.app.handlers import persistent
 
 from ...grmm_core.errors import CancelledError, GrmmError
 from .. import session_host
-from . import collect, occluders, output, passes, picture, pipeline, snapshot
+from ..scene.cameras import Eye, render_region, scene_camera
+from ..scene.meshes import MeshCache
+from ..scene.shot import Frame, Region
+from ..scene.walk import drawn_objects, take_frame
+from . import output, passes, picture, pipeline
 from .occlusion import OccluderDepths
-from .pipeline import DrawSettings, Frame
-from .snapshot import Region
+from .pipeline import DrawSettings
 
 _log = logging.getLogger(__name__)
 
-_meshes = occluders.MeshCache()
+_meshes = MeshCache()
 _depths = OccluderDepths()
 
 NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > GRMM Head."
@@ -62,11 +65,10 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
     view_layer = depsgraph.view_layer
     settings = DrawSettings(scene.grmm_render.use_refine, int(scene.grmm_render.detail), scene.grmm_render.occlusion_samples)
     width, height = engine.resolution_x, engine.resolution_y
-    region = snapshot.render_region(scene.render, width, height)
+    region = render_region(scene.render, width, height)
     if bpy.app.background:  # in a window, F12 saves nothing, and a full disk is reported where it is noticed
         output.check_space(scene, region.width, region.height)
-    items = passes.layer_passes(view_layer, collect.avatar_names(scene))
-    world = None if scene.render.film_transparent else snapshot.world_color(scene)
+    items = passes.layer_passes(view_layer, [obj.name for obj in drawn_objects(scene)])
 
     engine.update_stats("", "GRMM: reading the scene")
     views = [view.name for view in scene.render.views if view.use] if scene.render.use_multiview else [""]
@@ -75,7 +77,7 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
         if view:
             engine.active_view_set(view)
         report = _Progress(engine, index / len(views), 1.0 / len(views))
-        values[view] = _view_values(engine, depsgraph, settings, items, world, region, report)
+        values[view] = _view_values(engine, depsgraph, settings, items, region, report)
     _write(engine, region, view_layer.name, values)
 
 
@@ -84,17 +86,16 @@ def _view_values(
     depsgraph: bpy.types.Depsgraph,
     settings: DrawSettings,
     items: list[passes.RenderPass],
-    world: np.ndarray | None,
     region: Region,
     progress: _Progress,
 ) -> dict[str, np.ndarray]:
     """Return the passes of one eye, each [H, W, C] of the region."""
     scene = depsgraph.scene_eval
     if not scene.render.use_motion_blur:
-        frame = take_frame(engine, depsgraph, _meshes)
-        if not frame.avatars:
+        frame = _take_frame(engine, depsgraph)
+        if not frame.scene.avatars:
             engine.report({"WARNING"}, NO_AVATARS)
-        return pipeline.frame_values(frame, settings, items, world, region, engine.test_break, progress, _depths)
+        return pipeline.frame_values(frame, settings, items, region, engine.test_break, progress, _depths)
     # Blur: the mean of pictures spread evenly over the shutter time. Positions and codes cannot be averaged, so depth and
     # normals are those of the middle of the shutter.
     steps = scene.grmm_render.motion_steps
@@ -105,8 +106,8 @@ def _view_values(
         for step, offset in enumerate(offsets):
             _set_time(engine, start + offset)
             part = progress.part(step / steps, 1.0 / steps)
-            frame = take_frame(engine, depsgraph, _meshes)
-            found = pipeline.frame_values(frame, settings, items, world, region, engine.test_break, part, _depths)
+            frame = _take_frame(engine, depsgraph)
+            found = pipeline.frame_values(frame, settings, items, region, engine.test_break, part, _depths)
             for item in items:
                 if item.kind in ("depth", "normal"):
                     if step == steps // 2:
@@ -120,17 +121,17 @@ def _view_values(
     return total
 
 
-def take_frame(
-    engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph, kept: occluders.MeshCache | None = None
-) -> Frame:
-    """Copy what a picture of the depsgraph's moment needs; `kept` has meshes of the pictures before."""
+def _take_frame(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> Frame:
+    """Copy what a picture of the depsgraph's moment needs, as the eye that is being rendered sees it."""
     scene = depsgraph.scene_eval
-    camera = snapshot.full_camera(engine, depsgraph, engine.resolution_x, engine.resolution_y)
-    avatars = collect.avatars(depsgraph)
-    if kept is not None:
-        kept.doubt()  # the depsgraph may be another one: nothing says what has changed
-    meshes = occluders.collect(depsgraph, camera, avatars, scene.grmm_render.use_occlusion, kept)
-    return Frame([a.shot for a in avatars if not a.shot.holdout], camera, meshes, snapshot.clip_range(engine, depsgraph))
+    camera = scene_camera(depsgraph, engine.camera_override)
+    # Off-axis stereo shifts the lens of each eye; a camera by itself knows of its own shift only.
+    stereo = camera.type == "CAMERA" and scene.render.use_multiview
+    shift = engine.camera_shift_x(camera) - camera.data.shift_x if stereo else 0.0
+    eye = Eye(np.array(engine.camera_model_matrix(camera), np.float64), shift)
+    _meshes.doubt()  # the depsgraph may be another one: nothing says what has changed
+    size = engine.resolution_x, engine.resolution_y
+    return take_frame(depsgraph, size, camera, eye, scene.grmm_render.use_occlusion, _meshes)
 
 
 def _write(engine: bpy.types.RenderEngine, region: Region, layer: str, values: dict[str, dict[str, np.ndarray]]) -> None:

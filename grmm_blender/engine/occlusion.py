@@ -20,7 +20,7 @@ import numpy as np
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.geometry.zbuffer import EMPTY, Window, mean_of_samples, triangle_depth
 from ...grmm_core.session import EMPTY_DEPTH
-from .snapshot import Occluder, Occluders
+from ..scene.shot import Occluder, Occluders
 
 BUDGET = 128 << 20  # bytes of depths that are kept after a picture
 _MARGIN = 1 / 8  # of the side of a part, drawn beyond what the avatars of the picture before needed

@@ -5,19 +5,18 @@ Shared by final renders and the viewport. Touches none of Blender's data, so tha
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...grmm_core.errors import CancelledError, FileAccessError, GrmmError
-from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.session import CancelCheck, Instance, RenderOptions
 from .. import session_host
 from ..rig.avatar import missing_file
+from ..scene.shot import AvatarShot, Frame, Region
 from . import passes, picture
 from .occlusion import OccluderDepths, Visibility
-from .snapshot import AvatarShot, Occluders, Region
 
 Progress = Callable[[float, str], None]
 
@@ -39,28 +38,10 @@ class DrawSettings:
     samples: int = 3
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Everything of one moment that a picture is made from.
-
-    Attributes:
-        avatars: Avatars to draw.
-        camera: Camera of the full picture.
-        occluders: Meshes that hide.
-        clip: Nearest and farthest distance that the camera sees, metres.
-    """
-
-    avatars: list[AvatarShot]
-    camera: Camera
-    occluders: Occluders
-    clip: tuple[float, float]
-
-
 def frame_values(
     frame: Frame,
     settings: DrawSettings,
     items: list[passes.RenderPass],
-    world: np.ndarray | None,
     region: Region,
     should_cancel: CancelCheck,
     progress: Progress = lambda fraction, text: None,
@@ -72,7 +53,6 @@ def frame_values(
         frame: What to draw.
         settings: How to draw it.
         items: Passes.
-        world: Scene-linear color of the background, [3], or None for a transparent film.
         region: Part of the picture that is returned; all of it is drawn.
         should_cancel: Asked now and then.
         progress: Told where this stands.
@@ -85,27 +65,28 @@ def frame_values(
     if should_cancel():
         raise CancelledError("The render was cancelled.")
     progress(0.0, "opening avatars")
-    instances = open_instances(frame.avatars)
+    instances = open_instances(frame.scene.avatars)
     progress(OPENED, f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}")
-    scene = None  # what may hide the avatars
-    if frame.occluders:
-        scene = (OccluderDepths() if depths is None else depths).of(frame.occluders, frame.camera, settings.samples, frame.clip)
-    wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if scene is not None else []))))
+    occluders, world = frame.scene.occluders, frame.scene.world
+    hiding = None
+    if occluders:
+        hiding = (OccluderDepths() if depths is None else depths).of(occluders, frame.camera, settings.samples, frame.clip)
+    wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if hiding is not None else []))))
     options = RenderOptions(refine=settings.refine, passes=wanted, lod=settings.lod)
     buffers = session_host.get_session().render(instances, frame.camera, options, should_cancel)
     progress(DRAWN, "putting the scene in front")
     x, y = region.x, frame.camera.height - region.y - region.height  # Blender counts rows from below
     buffers = {name: buffer[y : y + region.height, x : x + region.width] for name, buffer in buffers.items()}
     visible = Visibility()
-    if scene is not None:
-        visible = scene.visibility(buffers["depth"][..., 0], (x, y), film=world is not None)
-    names = [shot.name for shot in frame.avatars]
+    if hiding is not None:
+        visible = hiding.visibility(buffers["depth"][..., 0], (x, y), film=world is not None)
+    names = [shot.name for shot in frame.scene.avatars]
     values = {item.name: picture.pass_values(item, buffers, visible, world, names) for item in items}
     progress(1.0, "done")
     return values
 
 
-def open_instances(shots: list[AvatarShot]) -> list[Instance]:
+def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:
     """Open avatars and splat clouds in the session and place them. Errors name the object."""
     instances = []
     for shot in shots:
@@ -116,7 +97,7 @@ def open_instances(shots: list[AvatarShot]) -> list[Instance]:
             if shot.cloud is None:
                 number = session_host.open_avatar(shot.source).id
             else:
-                number = session_host.open_cloud(shot.cloud)
+                number = session_host.open_cloud(shot.cloud.key, shot.cloud.version, shot.cloud.arrays)
             instances.append(Instance(number, shot.controls.validate(), shot.model_to_world))
         except GrmmError as error:
             raise type(error)(f"{shot.name}: {error}") from error

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import bpy
 
-from . import collect, final, passes
+from ..scene.walk import drawn_objects
+from . import final, passes
 from .view import ViewRenderer
 
 
@@ -23,7 +24,7 @@ class GRMM_RenderEngine(bpy.types.RenderEngine):
 
     def update_render_passes(self, scene: bpy.types.Scene, renderlayer: bpy.types.ViewLayer) -> None:
         """Tell Blender which passes there are."""
-        passes.register_passes(self, scene, renderlayer, collect.avatar_names(scene))
+        passes.register_passes(self, scene, renderlayer, [obj.name for obj in drawn_objects(scene)])
 
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Render one view layer of one frame."""

@@ -18,9 +18,13 @@ from gpu_extras.presets import draw_texture_2d
 
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
-from . import collect, occluders, snapshot, view_jobs
-from .pipeline import DrawSettings, Frame
-from .snapshot import AvatarShot, Occluders
+from ..scene.cameras import same_camera, view_camera
+from ..scene.meshes import MeshCache
+from ..scene.shot import Frame, SceneShot
+from ..scene.walk import read_scene
+from ..windows import redraw_viewports
+from . import view_jobs
+from .pipeline import DrawSettings
 from .view_jobs import ViewJobs, ViewRequest
 
 _POLL_SECONDS = 0.03
@@ -31,9 +35,7 @@ _EDGE_SAMPLES = 2
 class _Scene:
     """The scene as of the last change."""
 
-    avatars: list[AvatarShot]
-    occluders: Occluders
-    world: np.ndarray | None
+    shot: SceneShot
     preview: DrawSettings
     final: DrawSettings
 
@@ -44,7 +46,7 @@ class ViewRenderer:
     def __init__(self, jobs: ViewJobs | None = None) -> None:
         """Prepare; `jobs` draws the pictures (its own when None)."""
         self._jobs = jobs or ViewJobs()
-        self._meshes = occluders.MeshCache()
+        self._meshes = MeshCache()
         self._scene: _Scene | None = None
         self._shown: tuple[_Scene, Camera] | None = None
         self._texture: gpu.types.GPUTexture | None = None
@@ -85,7 +87,7 @@ class ViewRenderer:
         error = self._error or self._jobs.error
         if error:
             return error
-        if self._scene is not None and not self._scene.avatars:
+        if self._scene is not None and not self._scene.shot.avatars:
             return "No visible avatar"
         if self._texture is None:
             return "Loading the model"
@@ -109,13 +111,9 @@ class ViewRenderer:
         self._jobs.close()
 
     def _copy(self, depsgraph: bpy.types.Depsgraph) -> _Scene:
-        scene = depsgraph.scene_eval
-        settings = scene.grmm_render
-        avatars = collect.avatars(depsgraph)
+        settings = depsgraph.scene_eval.grmm_render
         return _Scene(
-            [avatar.shot for avatar in avatars if not avatar.shot.holdout],
-            occluders.collect(depsgraph, None, avatars, settings.use_occlusion, self._meshes),
-            None if scene.render.film_transparent else snapshot.world_color(scene),
+            read_scene(depsgraph, use_meshes=settings.use_occlusion, kept=self._meshes),
             DrawSettings(refine=False, lod=int(settings.viewport_detail), samples=1),
             DrawSettings(refine=settings.use_viewport_refine, samples=_EDGE_SAMPLES),
         )
@@ -133,8 +131,7 @@ class ViewRenderer:
             matrix = camera.world_to_camera.copy()
             matrix[2, 3] += space.clip_end
             camera, clip = replace(camera, world_to_camera=matrix), (clip[0], 2.0 * clip[1])
-        frame = Frame(self._scene.avatars, camera, self._scene.occluders, clip)
-        self._jobs.request(ViewRequest(frame, self._scene.preview, self._scene.final, self._scene.world))
+        self._jobs.request(ViewRequest(Frame(self._scene.shot, camera, clip), self._scene.preview, self._scene.final))
 
     def _is_shown(self, camera: Camera) -> bool:
         if self._shown is None or self._shown[0] is not self._scene:
@@ -143,20 +140,6 @@ class ViewRenderer:
 
 
 _viewports: weakref.WeakSet[ViewRenderer] = weakref.WeakSet()
-
-
-def view_camera(region: bpy.types.Region, region_data: bpy.types.RegionView3D) -> Camera:
-    """Return the camera of a 3D viewport, in whatever way it looks."""
-    view = np.array(region_data.view_matrix, np.float64)
-    return Camera.from_opengl(view, np.array(region_data.window_matrix, np.float64), region.width, region.height)
-
-
-def same_camera(one: Camera, other: Camera) -> bool:
-    """Whether two cameras show the same picture."""
-    names = ("fx", "fy", "cx", "cy", "width", "height", "orthographic")
-    return all(getattr(one, name) == getattr(other, name) for name in names) and np.array_equal(
-        one.world_to_camera, other.world_to_camera
-    )
 
 
 def redraw_when_ready() -> None:
@@ -169,11 +152,7 @@ def _poll() -> float | None:
     viewports = list(_viewports)
     more = any(viewport.busy for viewport in viewports)  # asked first, so that nothing that ends meanwhile goes unseen
     if any(viewport.has_news for viewport in viewports):
-        manager = bpy.context.window_manager
-        for window in manager.windows if manager is not None else ():
-            for area in window.screen.areas:
-                if area.type == "VIEW_3D" and area.spaces.active.shading.type == "RENDERED":
-                    area.tag_redraw()
+        redraw_viewports("RENDERED")
     return _POLL_SECONDS if more else None
 
 

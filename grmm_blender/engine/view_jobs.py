@@ -17,11 +17,11 @@ import numpy as np
 
 from ...grmm_core.errors import CancelledError, GrmmError
 from ..latest_request import LatestRequestThread, WaitForRest
+from ..scene.shot import Frame, Region
 from . import picture, pipeline
 from .occlusion import OccluderDepths
 from .passes import RenderPass
-from .pipeline import DrawSettings, Frame
-from .snapshot import Region
+from .pipeline import DrawSettings
 
 REST_SECONDS = 0.15  # without a newer request before the good picture is begun
 PREVIEW_PIXELS = 320 * 240  # what a preview is scaled down to
@@ -40,13 +40,11 @@ class ViewRequest:
         frame: Scene and camera; the camera has the size of the viewport.
         preview: How the cheap picture is drawn.
         final: How the good picture is drawn.
-        world: Scene-linear color of the background, [3], or None for a transparent film.
     """
 
     frame: Frame
     preview: DrawSettings
     final: DrawSettings
-    world: np.ndarray | None
 
 
 @dataclass(frozen=True)
@@ -155,7 +153,7 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
             return self._closed or (level == "final" and (self._in_the_way or self._wanted is not request))
 
         region = Region(0, 0, frame.camera.width, frame.camera.height)
-        values = pipeline.frame_values(frame, settings, _COMBINED, request.world, region, given_up, depths=self._depths)
+        values = pipeline.frame_values(frame, settings, _COMBINED, region, given_up, depths=self._depths)
         rows = picture.blender_rows(values["Combined"]).reshape(region.height, region.width, 4)
         self._put(ViewPicture(rows, level, request))
 

@@ -1,29 +1,64 @@
-"""The avatars of a scene, and where an evaluated scene shows them."""
+"""The avatars of a scene, and as an evaluated scene shows them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
 
 from ..rig.avatar import Avatar, is_avatar
+from ..splats.cloud import carries_splats
+from .shot import AvatarShot
+from .visibility import is_holdout
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnAvatar:
+    """An avatar in one place of an evaluated scene.
+
+    Attributes:
+        avatar: The avatar.
+        model_to_world: Head space to Blender's world, [4, 4].
+    """
+
+    avatar: Avatar
+    model_to_world: np.ndarray
+
+    @property
+    def object(self) -> bpy.types.Object:
+        """The head object."""
+        return self.avatar.object
+
+    @property
+    def meshes(self) -> tuple[bpy.types.Object, ...]:
+        """Mesh objects in whose place Gaussians are drawn."""
+        return (self.object,)
+
+    def shot(self, depsgraph: bpy.types.Depsgraph) -> AvatarShot:
+        """Copy the avatar as it is in the depsgraph's moment."""
+        controls, cuts = self.avatar.controls(depsgraph), is_holdout(self.object, depsgraph.view_layer)
+        return AvatarShot(self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts)
 
 
 def avatars_in(where: bpy.types.Scene | bpy.types.Depsgraph) -> list[Avatar]:
     """Return the avatars of a scene, or those that an evaluated scene shows; each once, in the order of their names."""
-    objects = where.objects
-    found = {Avatar(obj) for obj in objects if is_avatar(obj)}
+    found = {Avatar(obj) for obj in where.objects if is_avatar(obj)}
     return sorted(found, key=lambda avatar: avatar.name)
 
 
-def instances_in(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[Avatar, np.ndarray]]:
-    """Yield every visible avatar with its placement, [4, 4]; several times where collections are instanced."""
-    for instance in depsgraph.object_instances:
-        if not is_avatar(instance.object):
-            continue
-        avatar = Avatar(instance.object)
-        if instance.is_instance:
-            yield avatar, avatar.instance_to_world(instance.matrix_world, depsgraph)
-        else:
-            yield avatar, avatar.model_to_world(depsgraph)
+def is_drawn(avatar: Avatar) -> bool:
+    """Whether Gaussians draw a head: not where it only carries imported splats, or no network belongs to it."""
+    return avatar.has_network and not carries_splats(avatar.object)
+
+
+def drawn_avatar(instance: bpy.types.DepsgraphObjectInstance, depsgraph: bpy.types.Depsgraph) -> DrawnAvatar | None:
+    """Return the avatar that an instance is, None where it is something else or a mesh alone."""
+    if not is_avatar(instance.object):
+        return None
+    avatar = Avatar(instance.object)
+    if not is_drawn(avatar):
+        return None
+    if instance.is_instance:
+        return DrawnAvatar(avatar, avatar.instance_to_world(instance.matrix_world, depsgraph))
+    return DrawnAvatar(avatar, avatar.model_to_world(depsgraph))

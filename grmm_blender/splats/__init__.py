@@ -18,7 +18,7 @@ it, a carrier mesh (`Object.grmm_cloud.carrier`) moves them: positions and rotat
 
 =================  ======================================================================================
 ``properties``     `Object.grmm_cloud`: what makes an object a cloud
-``cloud``          `Cloud`, `clouds_in`: reading clouds of a scene; what the engine and the viewport use
+``cloud``          `Cloud`: an object as splats; `CloudShot`: plain values of one frame
 ``build``          objects from files
 ``pictures``       decodes the pictures inside SOG files by Blender
 ``rigged``         objects from other projects' avatars
@@ -27,6 +27,6 @@ it, a carrier mesh (`Object.grmm_cloud.carrier`) moves them: positions and rotat
 
 from __future__ import annotations
 
-from .cloud import Cloud, CloudShot, clouds_in, is_cloud
+from .cloud import Cloud, CloudShot, is_cloud
 
-__all__ = ["Cloud", "CloudShot", "clouds_in", "is_cloud"]
+__all__ = ["Cloud", "CloudShot", "is_cloud"]

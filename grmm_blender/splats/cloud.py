@@ -1,4 +1,4 @@
-"""Splat clouds of a scene as plain arrays: what the engine and the viewport draw.
+"""A splat cloud as plain arrays: what the engine and the viewport draw.
 
 `Cloud` wraps a cloud object; `Cloud.shot` copies what a picture needs out of the evaluated scene, in head axes (y up), so that
 a cloud is placed like an avatar: world = matrix_world @ HEAD_TO_BLENDER. Imports neither torch nor the session's model.
@@ -7,7 +7,6 @@ a cloud is placed like an avatar: world = matrix_world @ HEAD_TO_BLENDER. Import
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import bpy
@@ -168,20 +167,6 @@ def is_cloud(obj: bpy.types.Object | None) -> bool:
 def carries_splats(obj: bpy.types.Object) -> bool:
     """Whether an object moves splats and is not drawn itself."""
     return obj.grmm_cloud.carries
-
-
-def clouds_in(where: bpy.types.Scene | bpy.types.Depsgraph) -> list[Cloud]:
-    """Return the clouds of a scene, or those of an evaluated scene; each once, in the order of their names."""
-    found = {Cloud(obj) for obj in where.objects if is_cloud(obj)}
-    return sorted(found, key=lambda cloud: cloud.name)
-
-
-def cloud_instances(depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[Cloud, np.ndarray]]:
-    """Yield every visible cloud with its placement (head axes to world), [4, 4]; several times where it is instanced."""
-    for instance in depsgraph.object_instances:
-        if is_cloud(instance.object):
-            cloud = Cloud(instance.object)
-            yield cloud, cloud.placement(np.array(instance.matrix_world, np.float64))
 
 
 def forget() -> None:

@@ -7,12 +7,14 @@ the viewport with one depth for each pixel, so that it hides objects and is hidd
 
 =============  =================================================================================
 ``settings``   `Scene.grmm_viewport`
-``overlay``    Blender's drawing callbacks and events; one `Viewport` for each region
+``changes``    counts changes of scenes and settings
+``overlay``    Blender's drawing callbacks and events
+``splat_view`` what one region needs between two draws
 ``drawing``    textures, batches, draw calls
 ``shaders``    the GLSL
 ``jobs``       the thread
 ``arrays``     Gaussians as arrays in world space, packing, sorting (numpy only)
-``sources``    what a scene shows: avatars and splat clouds
+``sources``    what a viewport shows: avatars and splat clouds
 ``pace``       which level of detail holds the frame rate (plain Python)
 ``panel``      user interface
 =============  =================================================================================

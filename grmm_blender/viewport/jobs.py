@@ -17,12 +17,12 @@ import numpy as np
 
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
-from ..engine.snapshot import AvatarShot
 from ..latest_request import LatestRequestThread, WaitForRest
+from ..scene.shot import AvatarShot
 from . import arrays, sources
 from .arrays import Packed
 from .pace import Pace
-from .sources import SceneShots
+from .sources import ViewportShot
 
 REST_SECONDS = 0.2  # without a newer request before full detail is made
 MOVING_DEGREES = 8.0  # that an avatar may have turned before its colors are made anew while the view moves
@@ -42,7 +42,7 @@ class SplatRequest:
         finest: Level of detail when nothing does.
     """
 
-    scene: SceneShots
+    scene: ViewportShot
     camera: Camera
     level: int
     finest: int
@@ -71,7 +71,7 @@ class Drawable:
 class _Made:
     """Packed Gaussians and what they were made for."""
 
-    scene: SceneShots
+    scene: ViewportShot
     level: int
     directions: tuple[np.ndarray, ...]
     packed: Packed

@@ -6,6 +6,10 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, PointerProperty
 
 from ..engine.settings import DETAIL_ITEMS
+from ..windows import redraw_viewports
+from .changes import CHANGES
+
+SHADINGS = ("SOLID", "MATERIAL")  # kinds of shading in which splats are drawn
 
 HOLD_RATE, FULL, MESH = "HOLD_RATE", "FULL", "MESH"
 PLAYBACK_ITEMS = (
@@ -16,10 +20,8 @@ PLAYBACK_ITEMS = (
 
 
 def _redraw(_settings: GRMM_ViewportSettings, context: bpy.types.Context) -> None:
-    from . import overlay  # which imports this module
-
-    overlay.forget_failures()
-    overlay.redraw_viewports()
+    CHANGES.settings += 1
+    redraw_viewports(*SHADINGS)
 
 
 class GRMM_ViewportSettings(bpy.types.PropertyGroup):

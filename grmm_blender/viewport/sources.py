@@ -1,6 +1,6 @@
-"""What a scene shows as Gaussians: avatars and splat clouds, copied into plain values, and their Gaussians in the world.
+"""What a viewport shows as Gaussians: avatars and splat clouds as plain values, and their Gaussians in the world.
 
-`shots_in` runs on the main thread, `world_gaussians` on any.
+`DrawnScene` is used on the main thread, `world_gaussians` on any.
 """
 
 from __future__ import annotations
@@ -10,28 +10,23 @@ from dataclasses import dataclass
 import bpy
 import numpy as np
 
-from ...grmm_core.controls.frame import Controls
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.session import CloudArrays
 from ...grmm_core.session.harmonics import harmonic_basis
 from .. import session_host
-from ..engine.snapshot import AvatarShot
-from ..scene.avatars import instances_in
-from ..splats import clouds_in
-from ..splats.cloud import carries_splats, cloud_instances
+from ..scene.meshes import drawn_triangles
+from ..scene.shot import AvatarShot
+from ..scene.walk import Drawn, walk
 from .arrays import WorldGaussians
-
-__all__ = ["SceneShots", "clouds_in", "shots_in", "view_direction", "world_gaussians"]
 
 HEAD_CENTRE = np.zeros(3)  # what a view direction points from, head space
 _EDIT_MODES = {"EDIT", "SCULPT", "VERTEX_PAINT", "WEIGHT_PAINT", "TEXTURE_PAINT"}
-_SOLID_DISPLAYS = {"SOLID", "TEXTURED"}
 _CHUNK = 1 << 17  # Gaussians whose harmonics are evaluated at once: bounds memory
 
 
 @dataclass(frozen=True)
-class SceneShots:
+class ViewportShot:
     """What one viewport shows.
 
     Attributes:
@@ -45,36 +40,46 @@ class SceneShots:
     message: str = ""
 
 
-def shots_in(depsgraph: bpy.types.Depsgraph, space: bpy.types.SpaceView3D) -> SceneShots:
-    """Copy what a viewport shows. Objects that are being edited are left as meshes."""
-    found: list[AvatarShot] = []
-    meshes: list[np.ndarray] = []
-    message = ""
+class DrawnScene:
+    """What a depsgraph shows until its next change, walked once and read once for all viewports."""
 
-    def visible(obj: bpy.types.Object) -> bool:
-        return obj.mode not in _EDIT_MODES and obj.visible_in_viewport_get(space)
+    def __init__(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Walk over the scene; nothing is copied before a viewport shows it."""
+        self._depsgraph = depsgraph
+        self._drawn = walk(depsgraph)
+        self._shots: dict[Drawn, AvatarShot | GrmmError] = {}
+        self._triangles: dict[bpy.types.Object, tuple[np.ndarray, ...]] = {}
 
-    for avatar, placement in instances_in(depsgraph):
-        head = avatar.object
-        if carries_splats(head) or not visible(head):
-            continue
-        found.append(AvatarShot(head.name, avatar.source, avatar.controls(depsgraph), placement))
-        meshes += _drawn_triangles(head, depsgraph)
-    shots = {}
-    for cloud, placement in cloud_instances(depsgraph):
-        if not visible(cloud.object):
-            continue
-        try:
-            if cloud not in shots:
-                shots[cloud] = cloud.shot(depsgraph)
-        except GrmmError as error:
-            message = str(error)
-            continue
-        found.append(AvatarShot(cloud.name, "", Controls(), placement, cloud=shots[cloud]))
-        if cloud.carrier is not None and visible(cloud.carrier):
-            meshes += _drawn_triangles(cloud.carrier, depsgraph)
-    found.sort(key=lambda shot: shot.name)
-    return SceneShots(tuple(found), tuple(meshes), message)
+    def in_viewport(self, space: bpy.types.SpaceView3D) -> ViewportShot:
+        """Return what a viewport shows. Objects that are being edited are left as meshes."""
+        shots: list[AvatarShot] = []
+        meshes: dict[bpy.types.Object, tuple[np.ndarray, ...]] = {}
+        message = ""
+        for drawn in self._drawn:
+            if not _is_visible(drawn.object, space):
+                continue
+            shot = self._shot(drawn)
+            if isinstance(shot, GrmmError):
+                message = str(shot)
+                continue
+            shots.append(shot)
+            meshes |= {mesh: self._surface(mesh) for mesh in drawn.meshes if _is_visible(mesh, space)}
+        return ViewportShot(tuple(shots), tuple(part for parts in meshes.values() for part in parts), message)
+
+    def _shot(self, drawn: Drawn) -> AvatarShot | GrmmError:
+        if drawn not in self._shots:
+            try:
+                self._shots[drawn] = drawn.shot(self._depsgraph)
+            except GrmmError as error:
+                self._shots[drawn] = error
+        return self._shots[drawn]
+
+    def _surface(self, mesh: bpy.types.Object) -> tuple[np.ndarray, ...]:
+        """World triangles of a mesh that the viewport draws as a surface, or nothing."""
+        if mesh not in self._triangles:
+            found = drawn_triangles(mesh, self._depsgraph)
+            self._triangles[mesh] = () if found is None else (found.placed(np.float64),)
+        return self._triangles[mesh]
 
 
 def view_direction(shot: AvatarShot, camera: Camera) -> np.ndarray:
@@ -126,19 +131,5 @@ def _cloud_colors(arrays: CloudArrays, camera: Camera) -> np.ndarray:
     return colors.clip(0.0)
 
 
-def _drawn_triangles(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[np.ndarray]:
-    """World triangles of a mesh that the viewport draws as a surface, or nothing."""
-    if obj.display_type not in _SOLID_DISPLAYS:
-        return []
-    evaluated = obj.evaluated_get(depsgraph)
-    mesh = evaluated.data
-    mesh.calc_loop_triangles()
-    indices = np.empty(len(mesh.loop_triangles) * 3, np.int32)
-    mesh.loop_triangles.foreach_get("vertices", indices)
-    positions = np.empty(len(mesh.vertices) * 3, np.float32)
-    if not len(indices):
-        return []
-    mesh.attributes["position"].data.foreach_get("vector", positions)
-    matrix = np.array(evaluated.matrix_world, np.float64)
-    world = positions.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
-    return [world[indices.reshape(-1, 3)]]
+def _is_visible(obj: bpy.types.Object, space: bpy.types.SpaceView3D) -> bool:
+    return obj.mode not in _EDIT_MODES and obj.visible_in_viewport_get(space)

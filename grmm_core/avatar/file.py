@@ -184,13 +184,9 @@ def _camera_from_json(value: Any) -> Camera | None:
         return None
     if type(value["width"]) is not int or type(value["height"]) is not int:
         raise TypeError
-    return Camera(
-        np.array(value["world_to_camera"], np.float64),
-        *(float(value[name]) for name in ("fx", "fy", "cx", "cy")),
-        value["width"],
-        value["height"],
-        bool(value["orthographic"]),
-    )
+    fx, fy, cx, cy = (float(value[name]) for name in ("fx", "fy", "cx", "cy"))
+    matrix = np.array(value["world_to_camera"], np.float64)
+    return Camera(matrix, fx, fy, cx, cy, value["width"], value["height"], bool(value["orthographic"]))
 
 
 def _compact(array: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from ..errors import ConfigError
 from .types import SHAPE_SIZE, AssetReference, Avatar, Provenance
 
 if TYPE_CHECKING:
-    from ..model.weights import WeightsInfo
+    from ..model.weights_file import WeightsInfo
 
 MADE_BY = f"grmm {__version__}"
 NEIGHBOURS = 4  # people whom a drawn person's code is mixed with

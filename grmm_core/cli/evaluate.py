@@ -81,7 +81,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     from ..evaluation.protocols import Evaluation, Settings
     from ..evaluation.scene import Scene
     from ..head import load_flame
-    from ..model.weights import resolve_weights
+    from ..model.weights_file import resolve_weights
     from .train import _device
 
     if args.threads:

@@ -112,7 +112,7 @@ def describe_asset(path: Path, strict: bool = False) -> dict[str, Any]:
             return facts | {"kind": metadata.get("format", "unknown"), "name": metadata.get("name", path.stem)}
         if importlib.util.find_spec("torch") is None:
             return facts | {"kind": "grmm-weights", "name": path.stem}
-        from ..model.weights import read_info
+        from ..model.weights_file import read_info
 
         info = read_info(path)
         return facts | {

@@ -41,8 +41,15 @@ ALIGNED_TO_ARKIT: np.ndarray = EXPRESSIONS_TO_ARKIT[: len(ALIGNED_NAMES)]
 class ExpressionBasis(Protocol):
     """The part of `head.HeadModel` that `resolve` needs; `arkit_pose` [52, 5, 3] is read where there is one."""
 
-    arkit_to_expression: np.ndarray  # [52, E]
-    expression_pose: np.ndarray  # [E, 5, 3] radians
+    @property
+    def arkit_to_expression(self) -> np.ndarray:
+        """[52, E]."""
+        ...
+
+    @property
+    def expression_pose(self) -> np.ndarray:
+        """[E, 5, 3] radians."""
+        ...
 
 
 @dataclass(frozen=True)

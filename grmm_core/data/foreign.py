@@ -173,7 +173,8 @@ def intrinsic_camera(
     try:
         if k.shape != (3, 3):
             raise ShapeError("its intrinsics are not 3x3")
-        return Camera(world_to_camera, *(float(v) for v in (k[0, 0], k[1, 1], k[0, 2], k[1, 2])), int(width), int(height))
+        fx, fy, cx, cy = (float(v) for v in (k[0, 0], k[1, 1], k[0, 2], k[1, 2]))
+        return Camera(world_to_camera, fx, fy, cx, cy, int(width), int(height))
     except (ShapeError, ValueError, TypeError) as error:
         raise FileFormatError(f"{where}: camera {what} cannot be used ({str(error).rstrip('.')}); export it again.") from error
 

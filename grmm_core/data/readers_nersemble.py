@@ -71,7 +71,7 @@ class NersembleDataset(ForeignDataset):
             raise FileFormatError(f"{path} has no {lost[0]}; download it again.")
         count = len(np.atleast_1d(tracks["expression"]))
         rows = [n for n in ("rotation_matrices", "translation", "jaw", "neck", "eyes", "frames") if n in tracks]
-        wrong = [n for n in rows if tracks[n].shape[:1] != (count,)]
+        wrong: list[str] = [n for n in rows if tracks[n].shape[:1] != (count,)]
         if "scale" in tracks and not tracks["scale"].size:
             wrong.append("scale")
         if wrong or tracks["rotation_matrices"].shape != (count, 3, 3) or tracks["eyes"].shape != (count, 6):

@@ -77,13 +77,13 @@ class RenderMeDataset(ForeignDataset):
             root = root_transform(
                 self.head, self.shapes[actor], _turn(values["global_pose"]), vector3(values["trans"], path, "trans")
             )
-            turns = [_turn(values[f"{name}_pose"]) for name in ("neck", "jaw", "left_eye", "right_eye")]
+            neck, jaw, left, right = (_turn(values[f"{name}_pose"]) for name in ("neck", "jaw", "left_eye", "right_eye"))
             views = [
                 View(name, camera, f"{name}/{frame}", "", split or _camera_split(number))
                 for number, (name, camera) in enumerate(cameras.items())
                 if f"{name}/color/{frame}" in pictures["Camera"] and f"{name}/mask/{frame}" in annotation["Camera"]
             ]
-            flame = FlameFrame(values["exp"], *turns, root)
+            flame = FlameFrame(values["exp"], neck, jaw, left, right, root)
             number = part * _FRAMES_PER_PART + int(frame)
             self.shots.append(self.make_shot(actor, number, f"e{part}", flame, views, path))
 

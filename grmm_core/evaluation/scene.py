@@ -16,7 +16,8 @@ from torch import Tensor
 from ..errors import ConfigError
 from ..geometry.camera import Camera
 from ..model.grmm import GRMM, Rendering
-from ..model.weights import WeightsInfo, load_weights
+from ..model.weights import load_weights
+from ..model.weights_file import WeightsInfo
 
 if TYPE_CHECKING:
     from ..avatar import Avatar

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from ..errors import FileAccessError, FileFormatError
 from ..files.tensorfile import read_tensors, write_tensors
-from ..model.weights import WeightsInfo
+from ..model.weights_file import WeightsInfo
 from .codes import Codes
 from .color import PhotoLight
 from .decoders import Tuner

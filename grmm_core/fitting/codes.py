@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from ..model.grmm import GRMM
-from ..model.weights import WeightsInfo
+from ..model.weights_file import WeightsInfo
 from ..training.losses import Perceptual
 from .color import PhotoLight, recolor, solve_light, solve_maps, unchanged
 from .objective import FIT_WEIGHTS, Drawn, Look, decode, draw, fit_loss, mesh

@@ -19,7 +19,7 @@ from ..controls.names import ALIGNED_NAMES
 from ..errors import CancelledError, ConfigError, SessionError
 from ..head import HeadModel
 from ..model.grmm import GRMM
-from ..model.weights import WeightsInfo
+from ..model.weights_file import WeightsInfo
 from ..pictures.images import quantize
 from ..training.losses import Perceptual
 from .checkpoint import codes_key, decoders_key, load_codes, resume_tuner, save_codes, save_tuner

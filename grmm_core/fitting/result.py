@@ -21,7 +21,7 @@ from ..head import HeadModel
 from .types import PhotoTrack
 
 if TYPE_CHECKING:
-    from ..model.weights import WeightsInfo
+    from ..model.weights_file import WeightsInfo
 
 LICENCE = "Shows a real person. To be used only with that person's agreement."
 

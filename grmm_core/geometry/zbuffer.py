@@ -10,6 +10,7 @@ numba can be imported (stock Blender has only numpy). Both do the same arithmeti
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable
 
 import numpy as np
@@ -82,8 +83,8 @@ def mean_of_samples(flags: Callable[[int, int], np.ndarray], samples: int) -> np
             planes much faster than it takes the mean over two short axes.
         samples: Samples per pixel and direction.
     """
-    total = sum(flags(row, column).astype(np.float32) for row in range(samples) for column in range(samples))
-    return total / np.float32(samples * samples)
+    planes = (flags(row, column).astype(np.float32) for row, column in itertools.product(range(samples), repeat=2))
+    return functools.reduce(np.add, planes) / np.float32(samples * samples)
 
 
 @functools.lru_cache(maxsize=1)
@@ -107,7 +108,7 @@ def _project(
     seen = np.isfinite(local).all(axis=(0, 1)) & (local[2].max(axis=0) >= near) & (local[2].min(axis=0) <= far)
     local = _clip_near(local if seen.all() else local[:, :, seen], near)
     z = local[2]
-    scale = 1.0 if camera.orthographic else 1.0 / z
+    scale = np.ones_like(z) if camera.orthographic else 1.0 / z
     x = (camera.fx * local[0] * scale + camera.cx) * samples
     y = (camera.fy * local[1] * scale + camera.cy) * samples
     # What is linear on the screen: z itself, or its reciprocal under perspective.

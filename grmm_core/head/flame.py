@@ -18,6 +18,7 @@ import logging
 import os
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -120,7 +121,7 @@ def complete_flame(
     faces = np.concatenate([flame.faces, teeth.faces + len(flame.v_template)]).astype(np.int32)
     layout = lay_out(surface, vertices, faces, face_density(found.to_open(vertices)))
     # the map is solved on the model itself, so it is made twice: without and with it
-    parts = _arrays(flame, teeth) | {
+    parts: dict[str, Any] = _arrays(flame, teeth) | {
         "name": name, "v_template": vertices.astype(np.float32), "faces": faces,
         "uv": layout.uv, "uv_faces": layout.faces, "uv_islands": layout.islands,
         "regions": _regions(surface, found, open_head, masks),

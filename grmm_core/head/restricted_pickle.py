@@ -27,6 +27,7 @@ _BUILTINS = ("__builtin__", "builtins")
 _SPARSE_CLASSES = {"csc_matrix", "csr_matrix", "coo_matrix", "csc_array", "csr_array", "coo_array"}
 _DTYPE_CODE = re.compile(r"[<>=|]?(?:b1|[iu][1248]|f[248]|[SU]\d{1,4}|O8?)\Z")
 _MAX_DIMENSIONS = 8
+_OPCODES = {opcode.code: opcode for opcode in pickletools.opcodes}
 _Done = dict[int, tuple[Any, Any]]  # id of an object to the object and what it became
 
 
@@ -34,6 +35,7 @@ class _Accepted:
     """A global that a stream may name, and call. It has no attributes that the stream could set."""
 
     __slots__ = ("_function",)
+    _function: Callable[..., Any]
 
     def __init__(self, function: Callable[..., Any]) -> None:
         object.__setattr__(self, "_function", function)
@@ -217,7 +219,7 @@ def _opcodes(data: bytes) -> Iterator[tuple[str, Any, int]]:
     name = ""
     while name != "STOP":
         position = stream.tell()
-        opcode = pickletools.code2op[stream.read(1).decode("latin-1")]
+        opcode = _OPCODES[stream.read(1).decode("latin-1")]
         name = opcode.name
         if name == "STRING":
             if not stream.readline().endswith(b"\n"):

@@ -12,14 +12,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 if TYPE_CHECKING:
     import torch
 
-    Array: TypeAlias = np.ndarray | torch.Tensor
+    Array = TypeVar("Array", np.ndarray, torch.Tensor)
 
 
 def _library(array: Array) -> ModuleType:
@@ -87,9 +87,8 @@ def skin(vertices: Array, transforms: Array, weights: Array) -> Array:
     Returns:
         Posed positions, [..., V, 3].
     """
-    shape = transforms.shape
-    flat = transforms.reshape((*shape[:-2], 12))  # [..., J, 12]
-    blended = (weights @ flat).reshape((*shape[:-3], weights.shape[0], 3, 4))  # [..., V, 3, 4]
+    flat = transforms.reshape((*transforms.shape[:-2], 12))  # [..., J, 12]
+    blended = (weights @ flat).reshape((*transforms.shape[:-3], weights.shape[0], 3, 4))  # [..., V, 3, 4]
     # three products of columns: much faster than many small matrix products
     columns = [blended[..., k] * vertices[..., k : k + 1] for k in range(3)]
     return columns[0] + columns[1] + columns[2] + blended[..., 3]
@@ -113,7 +112,9 @@ def posed_vertices(
     """
     if posedirs is not None:
         lib = _library(rotations)
-        identity = lib.eye(3) if lib is np else lib.eye(3, dtype=rotations.dtype, device=rotations.device)
+        identity = (
+            np.eye(3) if isinstance(rotations, np.ndarray) else lib.eye(3, dtype=rotations.dtype, device=rotations.device)
+        )
         feature = (rotations[..., 1:, :, :] - identity).reshape((*rotations.shape[:-3], -1))  # [..., 9 (J - 1)]
         vertices = vertices + lib.einsum("vip,...p->...vi", posedirs, feature)
     return skin(vertices, joint_transforms(rotations, joints, parents), weights)

@@ -8,11 +8,14 @@ The map:
 ``decoders``      maps of Gaussian attributes, eq. 12 and its decoders
 ``refine``        screen-space refinement network, eq. 14
 ``grmm``          `GRMM`, which composes all of these
-``weights``       weights files
-``packing``       eight-bit storage of basis maps in them
+``parameters``    names and shapes of a configuration's parameters
+``weights_file``  weights files as arrays; ``packing`` stores their basis maps in eight bits
+``weights``       a model out of such a file, and back
+``layout``        which texels carry Gaussians, and constant tables of them
 
-Used by `session`, `training`, `fitting` and `evaluation`. Everything but `config` imports torch; nothing here imports bpy.
-`docs/equations.md` lists which function holds which equation of the paper.
+Used by `session`, `training`, `fitting` and `evaluation`. `config`, `parameters`, `weights_file`, `packing` and `layout` need
+numpy only, the rest torch; nothing here imports bpy. `docs/equations.md` lists which function holds which equation of the
+paper.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ TRANSFORM_CHANNELS = POSITION_CHANNELS + ROTATION_CHANNELS + SCALE_CHANNELS  # t
 COLOR_CHANNELS = 3
 BASIS_COLOR = "colour"  # spelled as weights files have it
 JOINTS_OF_MESH_DECODER = 6  # theta_neck and theta_jaw, axis-angle
+VIEW_CHANNELS = 3
 
 BASIS_GROUPS: dict[str, int] = {
     "position": POSITION_CHANNELS, "rotation": ROTATION_CHANNELS, "scale": SCALE_CHANNELS,

@@ -14,12 +14,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from .config import BASIS_COLOR, BASIS_GROUPS, COLOR_CHANNELS, TRANSFORM_CHANNELS, GRMMConfig
+from .config import BASIS_COLOR, BASIS_GROUPS, COLOR_CHANNELS, TRANSFORM_CHANNELS, VIEW_CHANNELS, GRMMConfig
 from .layout import map_reader
 from .sparse import FixedSparse
 
 SLOPE = 0.2
-VIEW_CHANNELS = 3
 LAST_GAIN = 0.1  # decoders start near their mean maps
 BASIS_INIT = 0.01
 

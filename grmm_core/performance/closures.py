@@ -30,8 +30,15 @@ _RAMP = 3  # frames over which the correction fades
 class LipHead(Protocol):
     """What is needed of `head.HeadModel`."""
 
-    arkit_to_expression: np.ndarray  # [52, E]
-    expression_pose: np.ndarray  # [E, 5, 3]
+    @property
+    def arkit_to_expression(self) -> np.ndarray:
+        """[52, E]."""
+        ...
+
+    @property
+    def expression_pose(self) -> np.ndarray:
+        """[E, 5, 3]."""
+        ...
 
     def vertices(self, shape: np.ndarray, expression: np.ndarray, pose_euler: np.ndarray) -> np.ndarray:
         """Posed vertices, [V, 3]."""

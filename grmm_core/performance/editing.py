@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -68,7 +69,7 @@ def apply_gain(performance: Performance, gains: Mapping[str, float], clip: bool 
         else:
             raise ShapeError(f"There is no region {name!r}; use {', '.join(REGIONS)}, head, all or an ARKit name.")
     weights = performance.weights * factors.astype(np.float32)
-    changes: dict[str, np.ndarray] = {"weights": np.clip(weights, 0.0, 1.0) if clip else weights}
+    changes: dict[str, Any] = {"weights": np.clip(weights, 0.0, 1.0) if clip else weights}
     if head != 1.0:
         names = [name for name in ("head_rotation", "neck_rotation") if getattr(performance, name) is not None]
         changes |= {name: getattr(performance, name) * head for name in names}
@@ -115,7 +116,7 @@ def calibrate_neutral(performance: Performance, frames: Sequence[int] | np.ndarr
     if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= performance.frame_count:
         raise ShapeError(f"Neutral frames must be some of 0 to {performance.frame_count - 1}; choose at least one.")
     neutral = np.clip(np.median(performance.weights[chosen], axis=0), 0.0, _MAX_OFFSET)
-    changes: dict[str, np.ndarray] = {"weights": np.maximum((performance.weights - neutral) / (1.0 - neutral), 0.0)}
+    changes: dict[str, Any] = {"weights": np.maximum((performance.weights - neutral) / (1.0 - neutral), 0.0)}
     if performance.expression is not None:
         changes["expression"] = performance.expression - np.median(performance.expression[chosen], axis=0)
     if head:

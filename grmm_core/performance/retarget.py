@@ -7,7 +7,7 @@ Both directions compare what the face does, not the numbers: vertex movements in
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -26,9 +26,20 @@ _NEAREST_CHUNK = 512
 class ExpressionModel(Protocol):
     """The part of `head.HeadModel` that retargeting needs."""
 
-    expression_dirs: np.ndarray  # [V, 3, E] metres
-    expression_pose: np.ndarray  # [E, 5, 3] radians
-    arkit_to_expression: np.ndarray  # [52, E]
+    @property
+    def expression_dirs(self) -> np.ndarray:
+        """[V, 3, E] metres."""
+        ...
+
+    @property
+    def expression_pose(self) -> np.ndarray:
+        """[E, 5, 3] radians."""
+        ...
+
+    @property
+    def arkit_to_expression(self) -> np.ndarray:
+        """[52, E]."""
+        ...
 
 
 def expression_features(head: ExpressionModel) -> np.ndarray:
@@ -86,7 +97,7 @@ def to_expression(performance: Performance, head: ExpressionModel, keep_weights:
     expression = performance.weights.astype(np.float64) @ mapping  # [T, E]
     turns = np.einsum("te,ejk->tjk", expression, np.asarray(head.expression_pose, np.float64))
     turns += np.einsum("ta,ajk->tjk", performance.weights.astype(np.float64), _arkit_pose(head))
-    changes: dict[str, np.ndarray] = {}
+    changes: dict[str, Any] = {}
     for joint, name in (("jaw", "jaw_rotation"), ("left_eye", "left_eye_rotation"), ("right_eye", "right_eye_rotation")):
         old = getattr(performance, name) if joint == "jaw" else None  # the eyes' own rotations repeat the eyeLook shapes
         turn = turns[:, JOINT_NAMES.index(joint)]

@@ -10,6 +10,7 @@ that it leaves no corner. Needs numpy only.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -43,7 +44,7 @@ def smooth(performance: Performance, strength: float = 0.5, progress: Progress |
     if strength == 0.0:
         return performance
     window = (_MIN_WINDOW + (_MAX_WINDOW - _MIN_WINDOW) * strength) * performance.fps
-    changes: dict[str, np.ndarray] = {}
+    changes: dict[str, Any] = {}
     names = performance.channel_names()
     for i, name in enumerate(names):
         values = getattr(performance, name)

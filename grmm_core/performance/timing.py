@@ -8,6 +8,7 @@ numpy only.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +40,7 @@ def resample(performance: Performance, fps: float, keep_peaks: bool = True) -> P
     old = performance.times - performance.times[0]
     count = int(np.floor(old[-1] * fps + 1e-6)) + 1
     times = np.arange(count) / fps
-    changes: dict[str, np.ndarray] = {}
+    changes: dict[str, Any] = {}
     for name in performance.channel_names():
         values = np.asarray(getattr(performance, name), np.float64)
         values = unwrap_euler(values) if name in performance.rotation_names() else values

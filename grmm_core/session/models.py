@@ -23,7 +23,8 @@ from ..errors import BackendError, FileAccessError, FileFormatError
 from ..head import HeadModel, load_open_head, read_head
 from ..model.config import COLOR_CHANNELS, TRANSFORM_CHANNELS
 from ..model.grmm import GRMM
-from ..model.weights import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, load_weights, read_info, resolve_weights, weights_path
+from ..model.weights import load_weights
+from ..model.weights_file import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, read_info, resolve_weights, weights_path
 from .graphs import Replayed
 
 _log = logging.getLogger(__name__)

@@ -28,7 +28,7 @@ _RNG = "rng/torch"
 
 def save_checkpoint(
     path: str | os.PathLike[str],
-    parameters: dict[str, Tensor],
+    parameters: Mapping[str, Tensor],
     optimiser: torch.optim.Optimizer,
     averages: dict[str, Tensor],
     state: dict[str, Any],
@@ -67,7 +67,7 @@ def read_state(metadata: Mapping[str, str]) -> dict[str, Any] | None:
 
 def load_checkpoint(
     path: str | os.PathLike[str],
-    parameters: dict[str, Tensor],
+    parameters: Mapping[str, Tensor],
     optimiser: torch.optim.Optimizer,
     averages: dict[str, Tensor],
     check: Callable[[dict[str, Any]], None] | None = None,

@@ -183,10 +183,10 @@ def changed_settings(earlier: object, config: TrainConfig, tables: Sequence[str]
         tables: Which to compare of model, training and losses.
     """
     try:
-        then = json.loads(earlier) if isinstance(earlier, str) else {}
+        values = json.loads(earlier) if isinstance(earlier, str) else {}
     except ValueError:
-        then = {}
-    then, now = _tables(then), _tables(json.loads(config.to_json()))
+        values = {}
+    then, now = _tables(values), _tables(json.loads(config.to_json()))
     return [
         f"{name} {now[table][name]!r} instead of {value!r}"
         for table in tables
@@ -198,6 +198,6 @@ def changed_settings(earlier: object, config: TrainConfig, tables: Sequence[str]
 def _tables(values: object) -> dict[str, dict[str, Any]]:
     """The tables of a configuration as JSON; loss weights that are not given are their defaults."""
     values = values if isinstance(values, dict) else {}
-    model, losses = (values.get(name) if isinstance(values.get(name), dict) else {} for name in ("model", "losses"))
+    model, losses = (value if isinstance(value := values.get(name), dict) else {} for name in ("model", "losses"))
     training = {name: value for name, value in values.items() if name not in ("model", "losses")}
     return {"model": model, "training": training, "losses": dataclasses.asdict(LossWeights()) | losses if values else {}}

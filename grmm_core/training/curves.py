@@ -86,7 +86,8 @@ def write_curves(runs: Sequence[Sequence[dict[str, float]]], path: Path) -> None
     for name, title in HELD_OUT.items():
         known = [(row["step"], row[name]) for row in rows if math.isfinite(row.get(name, math.nan))]
         if known:
-            held_out.append(Curve(title, *np.array(known).T, dots=True))
+            at, decibels = np.array(known).T
+            held_out.append(Curve(title, at, decibels, dots=True))
     picture = Image.new("RGB", (WIDTH, 2 * PANEL if held_out else PANEL), "white")
     _panel(picture, 0, "loss (eq. 15 and 17)", [loss], borders[:-1])
     if held_out:

@@ -46,12 +46,12 @@ def initialise_colors(model: GRMM, source: ViewSource, views: int, seed: int) ->
         covered = view.image[view.mask > 250]
         flat += covered.mean(0) / 255.0 / len(chosen) if len(covered) else 0.0
     mean = (total + _GREY_WEIGHT * flat) / (weight + _GREY_WEIGHT)
-    colors = torch.as_tensor(mean, dtype=model.dtype, device=model.device)
+    means = torch.as_tensor(mean, dtype=model.dtype, device=model.device)
     appearance = model.decoders.appearance_mean
     if appearance is not None:
-        appearance[:, :3] = colors
+        appearance[:, :3] = means
     else:
-        model.decoders.appearance.stages[-1].bias[:3] = colors.mean(0)
+        model.decoders.appearance.stages[-1].bias[:3] = means.mean(0)
 
 
 def _project(model: GRMM, view: View, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -40,6 +40,9 @@ class PerceptualDistance(nn.Module):
         name: For reports: "vgg19" or "mobilenet_v2".
     """
 
+    mean: Tensor
+    std: Tensor
+
     def __init__(self, features: nn.Module, name: str) -> None:
         super().__init__()
         self.name = name

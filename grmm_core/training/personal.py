@@ -24,7 +24,8 @@ from ..avatar.make import MADE_BY
 from ..avatar.types import SHAPE_SIZE, half_rounded
 from ..errors import ConfigError
 from ..model.config import COLOR_CHANNELS
-from ..model.weights import load_weights, read_info, resolve_weights
+from ..model.weights import load_weights
+from ..model.weights_file import read_info, resolve_weights
 from .warm_start import warm_start
 
 if TYPE_CHECKING:

@@ -29,7 +29,7 @@ def use_precision(model: GRMM, precision: str) -> None:
     if model.refinement is not None:
         modules.append(model.refinement)
     for module in modules:
-        module.forward = _lowered(module)  # type: ignore[method-assign]
+        module.forward = _lowered(module)
 
 
 def _lowered(module: nn.Module) -> Any:

@@ -32,7 +32,8 @@ from torch import Tensor, nn
 from ..errors import CancelledError, ConfigError, FileAccessError, RuntimeMissingError, TrainingError
 from ..files.access import describe_os_error
 from ..model.grmm import GRMM, Rendering
-from ..model.weights import WeightsInfo, head_fingerprint, save_weights
+from ..model.weights import save_weights
+from ..model.weights_file import WeightsInfo, head_fingerprint
 from .checkpoint import load_checkpoint, save_checkpoint, tidy
 from .config import TrainConfig, changed_settings
 from .initialise import initialise_colors

@@ -18,7 +18,8 @@ from torch import Tensor
 
 from ..errors import ConfigError
 from ..files.tensorfile import read_tensors
-from ..model.weights import load_weights, weights_path
+from ..model.weights import load_weights
+from ..model.weights_file import weights_path
 from .checkpoint import read_state
 
 if TYPE_CHECKING:

@@ -5,6 +5,7 @@ Violations that are known stand in the table below each law; a test fails as wel
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import subprocess
@@ -13,8 +14,6 @@ import tomllib
 
 import pytest
 from import_graph import PACKAGES, ROOT, Source, circles, graph, module_of, read_product, read_sources
-
-import grmm_core
 
 
 def package_of(module: str) -> str:
@@ -33,29 +32,33 @@ REGISTERED = Source("", ROOT / "__init__.py").texts  # the extension's entry poi
 DOCUMENTATION = "".join(path.read_text("utf-8") for path in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
 
 
-# --- the map of the core ---------------------------------------------------------------------------------------------
+# --- the maps of the core and of the Blender half ----------------------------------------------------------------------
 
 
-def rooms_of_the_map() -> list[str]:
+def rooms_of_the_map(package: str) -> list[str]:
     """Rooms from the ground up: the names that begin the lines of the docstring's map."""
-    rows = re.findall(r"^((?:``\w+`` *)+)  ", grmm_core.__doc__, re.MULTILINE)
+    text = ast.get_docstring(ast.parse((ROOT / package / "__init__.py").read_text("utf-8"))) or ""
+    rows = re.findall(r"^((?:``\w+`` *)+)  ", text, re.MULTILINE)
     return [name for row in rows for name in re.findall(r"``(\w+)``", row)]
 
 
-def test_the_map_names_every_room():
-    folders = {path.name for path in (ROOT / "grmm_core").iterdir() if (path / "__init__.py").exists()}
-    modules = {path.stem for path in (ROOT / "grmm_core").glob("*.py")} - {"__init__", "__main__"}
-    assert set(rooms_of_the_map()) == folders | modules
+@pytest.mark.parametrize("package", ["grmm_core", "grmm_blender"])
+def test_the_map_names_every_room(package):
+    folders = {path.name for path in (ROOT / package).iterdir() if (path / "__init__.py").exists()}
+    modules = {path.stem for path in (ROOT / package).glob("*.py")} - {"__init__", "__main__"}
+    assert set(rooms_of_the_map(package)) == folders | modules
 
 
-def test_rooms_import_only_rooms_above_them_in_the_map():
-    order = {room: place for place, room in enumerate(rooms_of_the_map())}
+@pytest.mark.parametrize("package", ["grmm_core", "grmm_blender"])
+def test_rooms_import_only_rooms_above_them_in_the_map(package):
+    order = {room: place for place, room in enumerate(rooms_of_the_map(package))}
     order["__main__"] = len(order)
+    modules = {name: source for name, source in MODULES.items() if name.startswith(f"{package}.")}
     wrong = {
         f"{each.importer}:{each.line} imports {target}"
-        for name, source in CORE.items()
+        for name, source in modules.items()
         for each in source.imports
-        if (target := module_of(each.target, CORE)) and room_of(target) != room_of(name)
+        if (target := module_of(each.target, modules)) and "." in target and room_of(target) != room_of(name)
         if order[room_of(target)] > order[room_of(name)]
     }
     assert wrong == set()
@@ -63,7 +66,6 @@ def test_rooms_import_only_rooms_above_them_in_the_map():
 
 KNOWN_CIRCLES = {
     frozenset({"grmm_core.training.personal", "grmm_core.training.preview", "grmm_core.training.trainer"}),
-    frozenset({"grmm_blender.viewport.overlay", "grmm_blender.viewport.settings"}),
 }
 
 

@@ -14,7 +14,8 @@ def write_tiny_weights(path: Path, seed: int = 5, name: str = "tiny", preset: st
     from grmm_core.head import load_open_head
     from grmm_core.model.config import PRESETS
     from grmm_core.model.grmm import GRMM
-    from grmm_core.model.weights import WeightsInfo, head_fingerprint, save_weights
+    from grmm_core.model.weights import save_weights
+    from grmm_core.model.weights_file import WeightsInfo, head_fingerprint
 
     torch.manual_seed(seed)
     head = head or load_open_head()

@@ -11,6 +11,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 SIZE = 512  # pixels
 MAX_FRAMES = 96  # of a long performance; the demonstration has a time limit
@@ -53,7 +54,7 @@ def render_sequence(extension: Path, performance: Path, folder: Path, progress: 
     return frames
 
 
-def _set_frames(scene: object) -> None:
+def _set_frames(scene: Any) -> None:
     """Render the imported action's range."""
     import bpy
 
@@ -62,7 +63,7 @@ def _set_frames(scene: object) -> None:
     scene.frame_end = min(math.ceil(max(r[1] for r in ranges)), scene.frame_start + MAX_FRAMES - 1)
 
 
-def _set_camera(scene: object) -> None:
+def _set_camera(scene: Any) -> None:
     """A portrait lens that walks from one side of the face to the other."""
     import bpy
 
@@ -82,7 +83,7 @@ def _set_camera(scene: object) -> None:
         camera.keyframe_insert("location", frame=frame)
 
 
-def _set_output(scene: object, pattern: Path) -> None:
+def _set_output(scene: Any, pattern: Path) -> None:
     """Engine, size, a plain backdrop and the Standard view, under which the saved picture is the network's."""
     import bpy
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -51,23 +52,20 @@ def write_sheet(path: Path, session: Session, frames: Sequence[Path]) -> None:
         options = RenderOptions(refine=refine, passes=("rgb",), background=BACKGROUND)
         return Image.fromarray(quantize(session.render([instance], camera, options)["rgb"]))
 
-    whole = {"distance": 1.3, "fov": 20.0}
-    close = {"distance": 1.0, "fov": 14.0, "target": _FACE}
-    rows.append([(n, tile({}, Camera.orbit(TILE, TILE, yaw=y, pitch=p, **whole))) for n, y, p in _VIEWS])
+    whole = functools.partial(Camera.orbit, TILE, TILE, distance=1.3, fov=20.0)
+    close = functools.partial(Camera.orbit, TILE, TILE, distance=1.0, fov=14.0, target=_FACE)
+    rows.append([(n, tile({}, whole(yaw=y, pitch=p))) for n, y, p in _VIEWS])
     for start in range(0, len(_EXPRESSIONS), COLUMNS):
-        camera = Camera.orbit(TILE, TILE, yaw=10.0, **close)
+        camera = close(yaw=10.0)
         rows.append([(name, tile(values, camera)) for name, values in _EXPRESSIONS[start : start + COLUMNS]])
-    camera = Camera.orbit(TILE, TILE, **close)
+    camera = close()
     pair = {"mouthSmileLeft": 0.6, "mouthSmileRight": 0.6, "jawOpen": 0.2}
     samples = [session.sample(seed).id for seed in range(COLUMNS - 2)]
     rows.append(
         [
             ("unrefined", tile(pair, camera, refine=False)),
             ("refined", tile(pair, camera)),
-            *(
-                (f"sample {i}", tile({}, Camera.orbit(TILE, TILE, yaw=15.0, **whole), avatar_id=s))
-                for i, s in enumerate(samples)
-            ),
+            *((f"sample {i}", tile({}, whole(yaw=15.0), avatar_id=s)) for i, s in enumerate(samples)),
         ]
     )
     chosen = [frames[i] for i in np.linspace(0, len(frames) - 1, 2 * COLUMNS).round().astype(int)]

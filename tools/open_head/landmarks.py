@@ -124,7 +124,7 @@ def brow_height(x: np.ndarray | float) -> np.ndarray | float:
 
 def _brows(view: FrontView) -> list[tuple[int, np.ndarray]]:
     right = [-0.051, -0.0425, -0.033, -0.0225, -0.0115]
-    return [view.at(*view.pixel(x, brow_height(x))) for x in (*right, *(-x for x in reversed(right)))]
+    return [view.at(*view.pixel(x, float(brow_height(x)))) for x in (*right, *(-x for x in reversed(right)))]
 
 
 def _nose(view: FrontView) -> list[tuple[int, np.ndarray]]:

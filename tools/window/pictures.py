@@ -9,6 +9,7 @@ import tempfile
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import bpy
 import gpu
@@ -19,7 +20,7 @@ from tools.window import shims
 faulthandler.enable()
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 VIEW_SHARE = 0.52  # of the window's width, beside the panels
-HIDDEN: dict[str, type] = {}  # panels put away by `show_panels`
+HIDDEN: dict[str, Any] = {}  # panels put away by `show_panels`
 PAUSE = 1.0  # seconds between steps, in which Blender draws
 
 

@@ -8,10 +8,11 @@ mesh is made face by face, because polygons there need their length as well as t
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import sys
 import types
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -62,7 +63,7 @@ def install(user_folder: Path) -> types.ModuleType:
         if not hasattr(bpy.utils, name):
             setattr(bpy.utils, name, lambda path: True)
     if not hasattr(bpy.app.handlers, "animation_playback_post"):
-        later = {"animation_playback_pre": [], "animation_playback_post": []}  # lists that nobody calls
+        later: dict[str, list[Any]] = {"animation_playback_pre": [], "animation_playback_post": []}  # lists that nobody calls
         bpy.app = _More(bpy.app, handlers=_More(bpy.app.handlers, **later), online_access=False)
     if PACKAGE not in bpy.context.preferences.addons:
         bpy.context.preferences.addons.new().module = PACKAGE
@@ -70,7 +71,7 @@ def install(user_folder: Path) -> types.ModuleType:
     for parent in ("bl_ext", "bl_ext.user_default"):
         sys.modules[parent] = types.ModuleType(parent)
         sys.modules[parent].__path__ = []
-    spec = importlib.util.spec_from_file_location(PACKAGE, ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
+    spec: Any = importlib.util.spec_from_file_location(PACKAGE, ROOT / "__init__.py", submodule_search_locations=[str(ROOT)])
     package = importlib.util.module_from_spec(spec)
     sys.modules[PACKAGE] = package
     spec.loader.exec_module(package)
@@ -79,10 +80,10 @@ def install(user_folder: Path) -> types.ModuleType:
     return package
 
 
-def _replace_make_mesh(module: types.ModuleType) -> None:
+def _replace_make_mesh(module: Any) -> None:
     """Build the head's mesh as older Blenders want it."""
 
-    def make_mesh(name: str, identity: object) -> bpy.types.Mesh:
+    def make_mesh(name: str, identity: Any) -> bpy.types.Mesh:
         head = identity.head
         mesh = bpy.data.meshes.new(name)
         mesh.from_pydata(module.to_blender(identity.vertices).tolist(), [], head.faces.tolist())

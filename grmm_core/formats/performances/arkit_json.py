@@ -93,7 +93,7 @@ def read_arkit_json(path: Path, fps: float | None = None, progress: Progress | N
     weights[:, list(columns)] = values[:, list(columns.values())]
     fill_missing(path, KIND, weights, "weights", warnings)
 
-    tracks = {name: _track(path, frames, key, warnings) for key, name in JSON_TRACKS.items()}
+    tracks: dict[str, Any] = {name: _track(path, frames, key, warnings) for key, name in JSON_TRACKS.items()}
     stated = fps if fps is not None else _stated_fps(document)
     if fps is None and np.isfinite(times).all() and times.size > 1 and np.ptp(times) > 0:
         times, order = clean_times(times, warnings)
@@ -169,8 +169,8 @@ def _track(path: Path, frames: list[Any], key: str, warnings: list[str]) -> np.n
     """Three numbers of every frame, [T, 3], or None where the first frame has none; gaps are interpolated."""
     if not isinstance(frames[0], dict) or key not in frames[0]:
         return None
-    rows = [frame.get(key) if isinstance(frame, dict) else None for frame in frames]
-    rows = [row if isinstance(row, list) and len(row) == 3 else [math.nan] * 3 for row in rows]
+    found = [frame.get(key) if isinstance(frame, dict) else None for frame in frames]
+    rows = [row if isinstance(row, list) and len(row) == 3 else [math.nan] * 3 for row in found]
     return fill_missing(path, KIND, _to_floats(path, rows, 0).astype(np.float64), key, warnings)
 
 

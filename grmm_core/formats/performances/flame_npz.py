@@ -191,7 +191,7 @@ def write_flame_npz(path: str | os.PathLike[str], performance: Performance, prog
     shape = np.zeros(FLAME_SHAPES, np.float32)
     if performance.shape is not None:
         shape[: performance.shape.size] = performance.shape
-    arrays = {"shape": shape, "expr": expression, "fps": np.float32(performance.fps)}
+    arrays: dict[str, np.ndarray] = {"shape": shape, "expr": expression, "fps": np.array(performance.fps, np.float32)}
     for key, name in (("rotation", "head_rotation"), ("neck_pose", "neck_rotation"), ("jaw_pose", "jaw_rotation")):
         arrays[key] = _axis_angle(getattr(performance, name), count)
     eyes = (performance.left_eye_rotation, performance.right_eye_rotation)

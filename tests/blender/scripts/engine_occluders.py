@@ -20,7 +20,7 @@ camera = scene.camera
 camera.location.x, camera.rotation_euler.z = 0.0, 0.0
 final = module("grmm_blender.engine.final")
 occlusion = module("grmm_blender.engine.occlusion")
-snapshot = module("grmm_blender.engine.snapshot")
+values = module("grmm_blender.scene.shot")
 zbuffer = module("grmm_core.geometry.zbuffer")
 cameras = module("grmm_core.geometry.camera")
 count = 0
@@ -164,14 +164,14 @@ errors = []
 
 def pieces() -> object:
     corners = rng.uniform(-0.3, 0.3, (30, 1, 3)) + rng.uniform(-0.1, 0.1, (30, 3, 3))
-    return snapshot.Occluder(np.float32(corners), np.eye(4))
+    return values.Occluder(np.float32(corners), np.eye(4))
 
 
 for trial in range(24):
     if trial % 3 == 0:
         part = [pieces(), pieces()]
     film = bool(trial % 2)
-    scene_depths = depths.of(snapshot.Occluders((part[0],), (part[1],)), view, 3, (0.1, 100.0))
+    scene_depths = depths.of(values.Occluders((part[0],), (part[1],)), view, 3, (0.1, 100.0))
     x, y = int(rng.integers(0, 20)), int(rng.integers(0, 15))
     height, width = int(rng.integers(5, 25)), int(rng.integers(5, 30))
     depth = np.where(rng.uniform(size=(height, width)) < 0.6, rng.uniform(0.6, 1.4, (height, width)), 1e10).astype(np.float32)
@@ -189,5 +189,5 @@ report(errors=max(errors), draws=depths.drawn)
 
 # What is kept stays within the budget.
 small = occlusion.OccluderDepths(budget=1)
-small.of(snapshot.Occluders((part[0],)), view, 3, (0.1, 100.0)).visibility(np.full((40, 50), 1.0, np.float32), (0, 0), False)
+small.of(values.Occluders((part[0],)), view, 3, (0.1, 100.0)).visibility(np.full((40, 50), 1.0, np.float32), (0, 0), False)
 report(left=len(small._kept))

@@ -15,7 +15,7 @@ from support import module, report
 camera_module = module("grmm_core.geometry.camera")
 errors = module("grmm_core.errors")
 pipeline = module("grmm_blender.engine.pipeline")
-snapshot = module("grmm_blender.engine.snapshot")
+shot = module("grmm_blender.scene.shot")
 view_jobs = module("grmm_blender.engine.view_jobs")
 PATIENCE = 20.0  # seconds until a thread counts as stuck
 
@@ -32,10 +32,10 @@ def wait_for_rest(is_outdated: Callable[[], bool]) -> None:
         waiting.wait(0.002)
 
 
-def frame_values(frame, settings, items, world, region, should_cancel, depths):
+def frame_values(frame, settings, items, region, should_cancel, depths):
     """Stands in for the pipeline: begins, waits to be let go on, and looks whether it was cancelled."""
     kind = "final" if settings.refine else "preview"
-    name = f"{kind} {frame.avatars[0]} {region.width}x{region.height}"
+    name = f"{kind} {frame.scene.avatars[0]} {region.width}x{region.height}"
     log.append(f"begin {name}")
     started.release()
     if not proceed.acquire(timeout=PATIENCE):
@@ -54,8 +54,8 @@ pipeline.frame_values = frame_values
 
 
 def request(name: str, width: int = 640, height: int = 480):
-    frame = pipeline.Frame([name], camera_module.Camera.orbit(width, height), snapshot.Occluders(), (0.1, 100.0))
-    return view_jobs.ViewRequest(frame, pipeline.DrawSettings(refine=False, lod=1), pipeline.DrawSettings(), None)
+    frame = shot.Frame(shot.SceneShot((name,)), camera_module.Camera.orbit(width, height), (0.1, 100.0))
+    return view_jobs.ViewRequest(frame, pipeline.DrawSettings(refine=False, lod=1), pipeline.DrawSettings())
 
 
 def begun() -> None:
@@ -83,7 +83,7 @@ def take() -> str:
     if picture is None:
         return f"error {jobs.error}"
     turned = "turned" if picture.values[-1].min() == 1 and picture.values[0].max() == 0 else "upright"
-    return f"{picture.level} {picture.request.frame.avatars[0]} {turned}"
+    return f"{picture.level} {picture.request.frame.scene.avatars[0]} {turned}"
 
 
 def section() -> list[str]:

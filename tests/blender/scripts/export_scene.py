@@ -15,7 +15,7 @@ weights, folder = sys.argv[1], Path(sys.argv[2])
 session_api = module("grmm_core.session")
 host = module("grmm_blender.session_host")
 avatar_of = module("grmm_blender.rig.avatar").avatar_of
-splats = module("grmm_blender.splats")
+clouds_in = module("grmm_blender.scene.clouds").clouds_in
 
 
 def posed_head():
@@ -126,12 +126,12 @@ def gaussian_avatars() -> dict:
     bpy.ops.grmm.export_splats(filepath=str(folder / "posed_person.ply"))
     bpy.ops.grmm.export_mesh(filepath=str(folder / "person.glb"))
     bpy.ops.grmm.export_gaussian_avatar(directory=str(folder / "theirs"), first=1, last=6)
-    before = splats.clouds_in(bpy.context.scene)[0].shot(bpy.context.evaluated_depsgraph_get()).arrays
+    before = clouds_in(bpy.context.scene)[0].shot(bpy.context.evaluated_depsgraph_get()).arrays
     new_scene(weights, heads=0)
     bpy.context.scene.render.fps = 25
     bpy.ops.grmm.import_splats(filepath=str(folder / "theirs" / "point_cloud.ply"), flame_file=flame)
     bpy.context.scene.frame_set(3)
-    after = splats.clouds_in(bpy.context.scene)[0].shot(bpy.context.evaluated_depsgraph_get()).arrays
+    after = clouds_in(bpy.context.scene)[0].shot(bpy.context.evaluated_depsgraph_get()).arrays
     return {"needs": needs, "again": float(np.abs(before.means - after.means).max())}
 
 

@@ -64,5 +64,8 @@ bpy.ops.grmm.mirror()
 bpy.ops.grmm.reset()
 update(avatar)
 report(reset=largest(mesh_of(avatar) - neutral), detail_poll=bpy.ops.grmm.random_detail.poll())
-collect = module("grmm_blender.engine.collect")
-report(drawn=len(collect.avatars(bpy.context.evaluated_depsgraph_get())), masks=collect.avatar_names(bpy.context.scene))
+walk = module("grmm_blender.scene.walk")
+report(
+    drawn=len(walk.walk(bpy.context.evaluated_depsgraph_get())),
+    masks=[obj.name for obj in walk.drawn_objects(bpy.context.scene)],
+)

@@ -69,21 +69,12 @@ def render(path: Path | str) -> Path:
     return Path(path)
 
 
-class MatrixOnly:
-    """Stands in for a RenderEngine where only the camera is asked for."""
-
-    camera_override = None
-
-    def camera_model_matrix(self, camera: bpy.types.Object) -> Any:
-        return camera.matrix_world
-
-
 def full_camera(scene: bpy.types.Scene) -> Any:
     """Return the core camera of the scene's full picture."""
     scale = scene.render.resolution_percentage / 100
     size = int(scene.render.resolution_x * scale), int(scene.render.resolution_y * scale)
-    snapshot = module("grmm_blender.engine.snapshot")
-    return snapshot.full_camera(MatrixOnly(), bpy.context.evaluated_depsgraph_get(), *size)
+    cameras, depsgraph = module("grmm_blender.scene.cameras"), bpy.context.evaluated_depsgraph_get()
+    return cameras.render_camera(depsgraph, cameras.scene_camera(depsgraph), *size)
 
 
 def expected(scene: bpy.types.Scene, camera: Any, **options: Any) -> dict[str, np.ndarray]:

@@ -14,7 +14,8 @@ from support import empty_scene, module, report
 weights, folder = sys.argv[1], Path(sys.argv[2])
 formats = module("grmm_core.formats")
 session_api = module("grmm_core.session")
-splats = module("grmm_blender.splats")
+splats, walk = module("grmm_blender.splats"), module("grmm_blender.scene.walk")
+clouds_in = module("grmm_blender.scene.clouds").clouds_in
 host = module("grmm_blender.session_host")
 arkit = module("grmm_core.controls.names").ARKIT_NAMES
 
@@ -79,19 +80,18 @@ def kept_in_files() -> dict:
     before = shot(obj)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "saved.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(folder / "saved.blend"))
-    obj = splats.clouds_in(bpy.context.scene)[0].object
+    obj = clouds_in(bpy.context.scene)[0].object
     after = shot(obj)
     copy = obj.copy()
     copy.data = obj.data.copy()
     bpy.context.collection.objects.link(copy)
     copy.data.vertices[0].co.x += 0.5
-    names = [cloud.name for cloud in splats.clouds_in(bpy.context.scene)]
+    names = [cloud.name for cloud in clouds_in(bpy.context.scene)]
     depsgraph = bpy.context.evaluated_depsgraph_get()
     versions = [splats.Cloud(o).shot(depsgraph).version for o in (obj, copy)]
-    collect = module("grmm_blender.engine.collect")
-    both = len(collect.avatars(depsgraph))
+    both = len(walk.read_scene(depsgraph).avatars)
     copy.hide_viewport = True
-    one = len(collect.avatars(bpy.context.evaluated_depsgraph_get()))
+    one = len(walk.read_scene(bpy.context.evaluated_depsgraph_get()).avatars)
     copy.data.attributes.remove(copy.data.attributes["rotation"])
     copy.hide_viewport = False
     bpy.context.scene.view_layers[0].update()
@@ -118,18 +118,17 @@ def beside_a_head() -> dict:
     cloud = bpy.context.object
     scene.view_layers[0].grmm_passes.use_mask = True
     masks = {}
-    collect = module("grmm_blender.engine.collect")
     for where, y in (("front", -0.5), ("behind", 0.6)):
         cloud.location = (0.0, y, 0.0)
         depsgraph = bpy.context.evaluated_depsgraph_get()
         camera = full_camera(scene)
-        shots = [item.shot for item in collect.avatars(depsgraph)]
+        shots = walk.read_scene(depsgraph).avatars
         instances = module("grmm_blender.engine.pipeline").open_instances(shots)
         buffers = host.get_session().render(instances, camera, session_api.RenderOptions(passes=("rgb", "alpha", "mask")))
         picture = load_png(render(folder / f"{where}.png"))
         index = [shot.name for shot in shots].index(head.name)
         masks[where] = [float(buffers["mask"][..., index].sum()), difference(picture, expected_png(buffers))]
-    return {"masks": masks, "names": collect.avatar_names(scene) == sorted([head.name, cloud.name])}
+    return {"masks": masks, "names": walk.drawn_objects(scene) == sorted([head, cloud], key=lambda obj: obj.name)}
 
 
 def lam() -> dict:
@@ -151,11 +150,8 @@ def lam() -> dict:
         "moved": moved,
         "can": can,
         "performed": gap(shot(obj), wanted),
-        "occludes": len(module("grmm_blender.engine.occluders").collect(
-            bpy.context.evaluated_depsgraph_get(), None,
-            module("grmm_blender.engine.collect").avatars(bpy.context.evaluated_depsgraph_get()), True,
-        ).plain),
-    }  # fmt: skip
+        "occludes": len(walk.read_scene(bpy.context.evaluated_depsgraph_get()).occluders.plain),
+    }
 
 
 def cap4d() -> dict:
@@ -180,7 +176,7 @@ def gaussian_avatar() -> dict:
     bpy.context.scene.render.fps = 25
     bpy.ops.grmm.import_splats(filepath=str(path), flame_file=str(folder / "flame2023.pkl"))
     carrier = bpy.context.object
-    cloud = splats.clouds_in(bpy.context.scene)[0]
+    cloud = clouds_in(bpy.context.scene)[0]
     head = module("grmm_core.head").load_flame(folder / "flame2023.pkl")
     own = formats.read_avatar(path)
     place = module("grmm_core.formats.avatars.binding").place_on_mesh
@@ -202,8 +198,7 @@ def gaussian_avatar() -> dict:
     carrier.update_tag()
     bpy.context.view_layer.update()
     opened = float(np.abs(shot(cloud.object).means - still).max())
-    collect = module("grmm_blender.engine.collect")
-    drawn = [item.shot.name for item in collect.avatars(bpy.context.evaluated_depsgraph_get())]
+    drawn = [shot.name for shot in walk.read_scene(bpy.context.evaluated_depsgraph_get()).avatars]
     return {"message": message, "gaps": gaps, "opened": opened, "drawn": drawn, "cloud": cloud.name}
 
 

@@ -18,7 +18,7 @@ errors = module("grmm_core.errors")
 jobs_module = module("grmm_blender.viewport.jobs")
 overlay = module("grmm_blender.viewport.overlay")
 pace_class = module("grmm_blender.viewport.pace").Pace
-shot_class = module("grmm_blender.engine.snapshot").AvatarShot
+shot_class = module("grmm_blender.scene.shot").AvatarShot
 sources = module("grmm_blender.viewport.sources")
 
 # A scene with a head works on without a graphics card, whatever Blender reports of changes.
@@ -68,17 +68,17 @@ def served(scene_shots, yaw: float) -> list[list[object]]:
     return [list(entry) for entry in log]
 
 
-shots = sources.SceneShots((shot_class("a", "default", controls_class(), np.eye(4)),))
+shots = sources.ViewportShot((shot_class("a", "default", controls_class(), np.eye(4)),))
 report(made=served(shots, 0.0))
 report(camera_moved=served(shots, 0.2))
 # Turned so far that colors are stale: they come in the moving level first, then in full.
 report(turned=served(shots, 40.0))
 plan.error = errors.SessionError("The model worker ended.")
-served(sources.SceneShots(tuple([*shots.shots])), 0.0)
-served(sources.SceneShots((shot_class("a", "default", controls_class(), np.eye(4) * 1.0),)), 80.0)
+served(sources.ViewportShot(tuple([*shots.shots])), 0.0)
+served(sources.ViewportShot((shot_class("a", "default", controls_class(), np.eye(4) * 1.0),)), 80.0)
 report(error=list(jobs.take().messages))
 plan.error = ZeroDivisionError("oops")
-served(sources.SceneShots((shot_class("a", "default", controls_class(), np.eye(4) * 1.0),)), 120.0)
+served(sources.ViewportShot((shot_class("a", "default", controls_class(), np.eye(4) * 1.0),)), 120.0)
 report(defect=list(jobs.take().messages))
 
 # More than fits is thinned out; what is not finite is left out.

@@ -40,7 +40,8 @@ def make_weights(folder):
 
     from grmm_core.model.config import PRESETS
     from grmm_core.model.grmm import GRMM
-    from grmm_core.model.weights import WeightsInfo, load_weights, save_weights
+    from grmm_core.model.weights import load_weights, save_weights
+    from grmm_core.model.weights_file import WeightsInfo
 
     torch.manual_seed(0)
     head = small_head()

@@ -27,7 +27,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.model.config import BASIS_COLOR
 from grmm_core.model.config import PRESETS as MODEL_PRESETS
 from grmm_core.model.grmm import GRMM
-from grmm_core.model.weights import WeightsInfo
+from grmm_core.model.weights_file import WeightsInfo
 from grmm_core.session.models import with_deltas
 
 SIZE = 96

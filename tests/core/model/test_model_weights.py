@@ -12,7 +12,9 @@ from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM
 from grmm_core.model.packing import BLOCK, pack, unpack
-from grmm_core.model.weights import WeightsInfo, head_fingerprint, load_weights, read_info, save_weights
+from grmm_core.model.parameters import parameter_shapes
+from grmm_core.model.weights import load_weights, save_weights
+from grmm_core.model.weights_file import WeightsInfo, head_fingerprint, read_info
 
 
 @pytest.fixture(scope="module")
@@ -171,3 +173,13 @@ def test_parameters_that_are_not_finite_are_not_written(tmp_path, model, info):
     with pytest.raises(ShapeError, match="aligned_codes"):
         save_weights(path, model, info)
     assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize("preset", sorted(PRESETS))
+@pytest.mark.parametrize("change", [{}, {"residuals": False}, {"refine": False}])
+def test_the_shapes_of_parameters_are_those_of_the_model(preset, change):
+    head, config = small_head(), PRESETS[preset].replace(**change)
+    with torch.device("meta"):
+        model = GRMM(head, config)
+    shapes = {name: tuple(value.shape) for name, value in model.state_dict().items()}
+    assert parameter_shapes(config, head, model.gaussian_count) == shapes

@@ -106,7 +106,7 @@ def test_unusable_captures_are_explained(folder, tmp_path):
 
 def test_people_without_pictures_are_not_in_the_weights(folder, tmp_path):
     from grmm_core.head import load_open_head
-    from grmm_core.model.weights import read_info
+    from grmm_core.model.weights_file import read_info
 
     source = open_views(folder, follow=True)
     config = train_config({"preset": "tiny"}, {"steps": 1}, {"perceptual": 0.0})

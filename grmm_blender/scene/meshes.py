@@ -13,11 +13,12 @@ import bpy
 import numpy as np
 
 from ...grmm_core.geometry.camera import Camera
-from .collect import Collected
-from .snapshot import Occluder, Occluders
+from ..splats.cloud import carries_splats
+from .shot import Occluder, Occluders
+from .visibility import is_holdout, is_rendered
 
-_MESH_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
-
+MESH_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
+_SOLID_DISPLAYS = {"SOLID", "TEXTURED"}
 
 _Key = tuple[int, int]
 
@@ -84,63 +85,98 @@ class _Mesh:
     faces: np.ndarray
 
 
-def collect(
-    depsgraph: bpy.types.Depsgraph,
-    camera: Camera | None,
-    avatars: list[Collected],
-    use_scene: bool = True,
-    kept: MeshCache | None = None,
-) -> Occluders:
-    """Return the triangles of all visible meshes that touch the picture.
+class OccluderReader:
+    """Copies the meshes that touch a picture while `walk` goes over the scene."""
 
-    Args:
-        depsgraph: Evaluated scene.
-        camera: Camera of the picture: what lies wholly beside or behind it is left out; None keeps everything.
-        avatars: Avatars of the depsgraph. Their meshes hide nothing, but those of holdout avatars cut.
-        use_scene: Other meshes hide avatars as well.
-        kept: Triangles of earlier calls.
-    """
-    avatar_objects = {name for avatar in avatars for name in avatar.object_names}
-    holdout_objects = {name for avatar in avatars if avatar.shot.holdout for name in avatar.object_names}
-    if not use_scene and not holdout_objects:
-        return Occluders()
-    kept = MeshCache() if kept is None else kept
-    view_layer = depsgraph.view_layer
-    generated: dict[_Key, np.ndarray] = {}  # of instances, by object and mesh
-    meshes_of: Counter[int] = Counter()
-    plain: list[Occluder] = []
-    holdouts: list[Occluder] = []
-    for instance in depsgraph.object_instances:
+    def __init__(
+        self,
+        view_layer: bpy.types.ViewLayer,
+        camera: Camera | None = None,
+        use_scene: bool = True,
+        kept: MeshCache | None = None,
+    ) -> None:
+        """Prepare for one pass.
+
+        Args:
+            view_layer: Says what is a holdout.
+            camera: Camera of the picture: what lies wholly beside or behind it is left out; None keeps everything.
+            use_scene: Meshes hide avatars. The meshes in whose place Gaussians are drawn never do, but holdouts among them cut.
+            kept: Triangles of earlier pictures.
+        """
+        self._view_layer, self._camera, self._use_scene = view_layer, camera, use_scene
+        self._kept = MeshCache() if kept is None else kept
+        self._generated: dict[_Key, np.ndarray] = {}  # of instances, by object and mesh
+        self._meshes_of: Counter[int] = Counter()
+        self._plain: list[Occluder] = []
+        self._holdouts: list[Occluder] = []
+        self._carriers: list[tuple[bpy.types.Object, Occluder, bool]] = []  # whose clouds may come later in the pass
+
+    def visit(self, instance: bpy.types.DepsgraphObjectInstance, is_drawn: bool) -> None:
+        """Copy a mesh.
+
+        Args:
+            instance: Anything of the evaluated scene.
+            is_drawn: Gaussians are drawn in its place.
+        """
         candidate = instance.object
-        if candidate.type not in _MESH_TYPES or not instance.show_self or not candidate.visible_camera:
-            continue
-        original = candidate.original
-        is_avatar = original.name in avatar_objects
-        if original.name not in holdout_objects if is_avatar else not use_scene:
-            continue
+        if candidate.type not in MESH_TYPES or not instance.show_self or not candidate.visible_camera:
+            return
+        view_layer, original = self._view_layer, candidate.original
+        replaced = is_drawn and is_rendered(original, view_layer)
+        carries = not replaced and candidate.type == "MESH" and carries_splats(original)
+        if not is_holdout(original, view_layer) if replaced else not (self._use_scene or carries):
+            return
         # What an instance may hide follows from the object that stands in the scene.
         owner = (instance.parent or candidate).original if instance.is_instance else original
         if owner.indirect_only_get(view_layer=view_layer):
-            continue
+            return
         matrix = np.array(instance.matrix_world, np.float64)
         box = np.array(candidate.bound_box, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
-        if camera is not None and not _touches(camera, box):
-            continue
-        if instance.is_instance:
-            # All instances are lent one object of Blender's in turn: what tells meshes apart is their data.
-            key = (original.session_uid, candidate.data.as_pointer())
-            if key not in generated:
-                meshes_of[key[0]] += 1
-                generated[key] = kept.get(candidate, meshes_of[key[0]])
-            triangles = generated[key]
-        else:
-            triangles = kept.get(candidate)
+        if self._camera is not None and not _touches(self._camera, box):
+            return
+        triangles = self._triangles(instance)
         if not len(triangles):
-            continue
-        holdout = is_avatar or original.is_holdout or owner.is_holdout or owner.holdout_get(view_layer=view_layer)
-        (holdouts if holdout else plain).append(Occluder(triangles, matrix))
-    kept.drop_unused()
-    return Occluders(tuple(plain), tuple(holdouts))
+            return
+        cuts = replaced or original.is_holdout or is_holdout(owner, view_layer)
+        occluder = Occluder(triangles, matrix)
+        if carries:
+            self._carriers.append((original, occluder, cuts))
+        else:
+            (self._holdouts if cuts else self._plain).append(occluder)
+
+    def occluders(self, replaced: dict[bpy.types.Object, bool]) -> Occluders:
+        """Return what was copied, after the pass.
+
+        Args:
+            replaced: Mesh objects in whose place Gaussians are drawn, and whether these are a holdout.
+        """
+        for carrier, occluder, cuts in self._carriers:
+            if carrier in replaced:
+                self._holdouts += [occluder] if replaced[carrier] else []
+            elif self._use_scene:
+                (self._holdouts if cuts else self._plain).append(occluder)
+        self._kept.drop_unused()
+        return Occluders(tuple(self._plain), tuple(self._holdouts))
+
+    def _triangles(self, instance: bpy.types.DepsgraphObjectInstance) -> np.ndarray:
+        candidate = instance.object
+        if not instance.is_instance:
+            return self._kept.get(candidate)
+        # All instances are lent one object of Blender's in turn: what tells meshes apart is their data.
+        key = (candidate.original.session_uid, candidate.data.as_pointer())
+        if key not in self._generated:
+            self._meshes_of[key[0]] += 1
+            self._generated[key] = self._kept.get(candidate, self._meshes_of[key[0]])
+        return self._generated[key]
+
+
+def drawn_triangles(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Occluder | None:
+    """Return the surface of a mesh object that solid viewports draw, None where they draw none."""
+    if obj.display_type not in _SOLID_DISPLAYS:
+        return None
+    evaluated = obj.evaluated_get(depsgraph)
+    triangles = _read(evaluated, None).triangles
+    return Occluder(triangles, np.array(evaluated.matrix_world, np.float64)) if len(triangles) else None
 
 
 def _touches(camera: Camera, corners: np.ndarray) -> bool:

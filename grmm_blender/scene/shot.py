@@ -1,0 +1,109 @@
+"""What a picture needs to know of a scene, as plain values: nothing here refers to Blender's data.
+
+Made by `walk`; read by the engine and the viewport, on any thread.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...grmm_core.controls.frame import Controls
+from ...grmm_core.geometry.camera import Camera
+from ..splats import CloudShot
+
+
+@dataclass(frozen=True)
+class AvatarShot:
+    """An avatar, or a splat cloud, as it is in one frame.
+
+    Attributes:
+        name: Name of its head object, or of the cloud object.
+        source: What `session_host.open_avatar` takes; "" for a cloud.
+        controls: Expression and pose.
+        model_to_world: Head space to Blender's world, [4, 4].
+        holdout: It cuts a hole instead of being drawn.
+        cloud: Its Gaussians, for a cloud.
+    """
+
+    name: str
+    source: str
+    controls: Controls
+    model_to_world: np.ndarray
+    holdout: bool = False
+    cloud: CloudShot | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Occluder:
+    """A mesh in front of which or behind which avatars may stand.
+
+    Attributes:
+        triangles: Corners in the mesh's own space, [T, 3, 3]. Never written to: the same array is the same mesh.
+        matrix: Places it in the world, [4, 4] float64.
+    """
+
+    triangles: np.ndarray
+    matrix: np.ndarray
+
+    def placed(self, dtype: type[np.floating] = np.float32) -> np.ndarray:
+        """Return the corners in the world, [T, 3, 3]."""
+        world = self.triangles.reshape(-1, 3) @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        return world.astype(dtype).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True)
+class Occluders:
+    """The meshes of a scene.
+
+    Attributes:
+        plain: Objects that only hide.
+        holdouts: Objects that cut holes into the alpha channel too.
+    """
+
+    plain: tuple[Occluder, ...] = ()
+    holdouts: tuple[Occluder, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.plain or self.holdouts)
+
+
+@dataclass(frozen=True)
+class SceneShot:
+    """A scene at one moment.
+
+    Attributes:
+        avatars: Avatars and clouds to draw, sorted by name: pictures do not depend on the order of creation.
+        occluders: Meshes that hide them.
+        world: Scene-linear color of the background, [3], or None for a transparent film.
+    """
+
+    avatars: tuple[AvatarShot, ...] = ()
+    occluders: Occluders = Occluders()
+    world: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Everything that a picture is made from.
+
+    Attributes:
+        scene: What there is to see.
+        camera: Camera of the full picture.
+        clip: Nearest and farthest distance that the camera sees, metres.
+    """
+
+    scene: SceneShot
+    camera: Camera
+    clip: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Part of the full picture that is rendered, in pixels from the lower left corner."""
+
+    x: int
+    y: int
+    width: int
+    height: int

@@ -1,0 +1,106 @@
+"""The one pass over an evaluated scene, and the shots made from it.
+
+Every avatar, cloud and mesh that a picture may need is met once, whoever asks. What is met is read by the module of its kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import bpy
+
+from ...grmm_core.geometry.camera import Camera
+from ..splats.cloud import Cloud, CloudShot
+from .avatars import DrawnAvatar, avatars_in, drawn_avatar, is_drawn
+from .cameras import Eye, clip_range, render_camera, scene_camera
+from .clouds import DrawnCloud, clouds_in, drawn_cloud
+from .meshes import MeshCache, OccluderReader
+from .shot import Frame, SceneShot
+from .visibility import is_rendered
+from .world import world_color
+
+Drawn = DrawnAvatar | DrawnCloud
+"""What Gaussians draw."""
+
+
+def walk(
+    depsgraph: bpy.types.Depsgraph, visit: Callable[[bpy.types.DepsgraphObjectInstance, bool], None] | None = None
+) -> list[Drawn]:
+    """Go once over everything that an evaluated scene shows.
+
+    Args:
+        depsgraph: Evaluated scene.
+        visit: Called with everything that is met, and whether Gaussians draw it. Instances are lent by Blender until the next
+            one: they must not be kept.
+
+    Returns:
+        Avatars and clouds in the order of their names; what is instanced is there once for each instance.
+    """
+    found: list[Drawn] = []
+    copies: dict[Cloud, CloudShot] = {}
+    for instance in depsgraph.object_instances:
+        drawn = drawn_avatar(instance, depsgraph) or drawn_cloud(instance, copies)
+        if drawn is not None:
+            found.append(drawn)
+        if visit is not None:
+            visit(instance, drawn is not None)
+    return sorted(found, key=lambda drawn: drawn.object.name)
+
+
+def read_scene(
+    depsgraph: bpy.types.Depsgraph,
+    camera: Camera | None = None,
+    use_meshes: bool = True,
+    kept: MeshCache | None = None,
+) -> SceneShot:
+    """Copy what a render of the depsgraph's moment shows.
+
+    Args:
+        depsgraph: Evaluated scene.
+        camera: Camera of the picture, beside and behind which meshes do not matter; None for any.
+        use_meshes: Meshes hide avatars.
+        kept: Triangles of earlier pictures.
+
+    Raises:
+        FileFormatError: A cloud was damaged by edits.
+    """
+    view_layer, scene = depsgraph.view_layer, depsgraph.scene_eval
+    reader = OccluderReader(view_layer, camera, use_meshes, kept)
+    shown = [drawn for drawn in walk(depsgraph, reader.visit) if is_rendered(drawn.object, view_layer)]
+    shots = [drawn.shot(depsgraph) for drawn in shown]
+    replaced = {mesh: shot.holdout for drawn, shot in zip(shown, shots, strict=True) for mesh in drawn.meshes}
+    world = None if scene.render.film_transparent else world_color(scene)
+    return SceneShot(tuple(shot for shot in shots if not shot.holdout), reader.occluders(replaced), world)
+
+
+def take_frame(
+    depsgraph: bpy.types.Depsgraph,
+    size: tuple[int, int],
+    camera: bpy.types.Object | None = None,
+    eye: Eye | None = None,
+    use_meshes: bool = True,
+    kept: MeshCache | None = None,
+) -> Frame:
+    """Copy everything that a picture of the depsgraph's moment is made from.
+
+    Args:
+        depsgraph: Evaluated scene.
+        size: Width and height of the full picture in pixels.
+        camera: As `scene_camera` returns it; the scene's when None.
+        eye: Which one, in stereo.
+        use_meshes: Meshes hide avatars.
+        kept: Triangles of earlier pictures.
+
+    Raises:
+        ConfigError: There is no camera, or none that can be used.
+        FileFormatError: A cloud was damaged by edits.
+    """
+    camera = scene_camera(depsgraph) if camera is None else camera
+    view = render_camera(depsgraph, camera, *size, eye)
+    return Frame(read_scene(depsgraph, view, use_meshes, kept), view, clip_range(camera))
+
+
+def drawn_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Return the heads and clouds of a scene that Gaussians draw, visible or not, in the order of their names."""
+    heads = [avatar.object for avatar in avatars_in(scene) if is_drawn(avatar)]
+    return sorted(heads + [cloud.object for cloud in clouds_in(scene)], key=lambda obj: obj.name)

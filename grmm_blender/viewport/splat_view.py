@@ -1,0 +1,135 @@
+"""What one 3D region needs between two draws: its scene, its Gaussians, its picture. Main thread only."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ...grmm_core.geometry.camera import Camera
+from ..engine.settings import DETAIL_ITEMS
+from ..scene.cameras import same_camera, view_camera
+from .changes import CHANGES
+from .drawing import SplatPicture
+from .jobs import Drawable, SplatJobs, SplatRequest, same_shot
+from .settings import HOLD_RATE, MESH
+from .sources import DrawnScene, ViewportShot
+
+EDIT_SECONDS = 0.1  # that an edit may take before a lower level of detail is used
+
+
+class Viewport:
+    """What one 3D region needs between two draws."""
+
+    def __init__(self, jobs: SplatJobs | None = None) -> None:
+        """Prepare; `jobs` makes the Gaussians (its own when None)."""
+        self.jobs = jobs or SplatJobs()
+        self._picture = SplatPicture()
+        self._scene = ViewportShot()
+        self._version = -1
+        self._asked: SplatRequest | None = None
+        self._drawable: Drawable | None = None
+        self._failure = ""
+        self._failed_with = CHANGES.settings
+        self._mesh_only = False
+        self._playing = False
+
+    def draw(
+        self,
+        context: bpy.types.Context,
+        depsgraph: bpy.types.Depsgraph,
+        playing: bool,
+    ) -> None:
+        """Draw the newest splats, and ask for newer ones where something changed."""
+        self._failure = ""
+        region, view = context.region, context.region_data
+        projection = np.array(view.window_matrix, np.float64)
+        camera = view_camera(region, view)
+        settings = context.scene.grmm_viewport
+        if playing != self._playing:
+            self._playing = playing
+            self.jobs.pace.forget()
+        level = self._level(settings, context.scene, playing)
+        self._mesh_only = level is None
+        if level is None:
+            self.jobs.request(None)
+            return
+        if self._version != CHANGES.scene:
+            self._version = CHANGES.scene
+            self._scene = _kept_shots(_drawn_scene(depsgraph).in_viewport(context.space_data), self._scene)
+        self._ask(camera, level, int(settings.detail))
+        self._drawable = self.jobs.take() or self._drawable
+        found = self._drawable
+        if found is None or not self._scene.shots:
+            return
+        # Own meshes are those of now: Blender has drawn them in the present pose.
+        self._picture.draw(found.packed, found.order, camera, projection, self._scene.meshes)
+
+    def status(self) -> list[str]:
+        """Return what the viewport's corner says: nothing while the full detail is shown."""
+        lines = [self._failure] if self._failure else []
+        if self._mesh_only:
+            return [*lines, "Mesh only during playback"]
+        if not self._scene.shots and not self._scene.message:
+            return lines
+        if self._drawable is None:
+            return [*lines, "Loading splats"]
+        lines += dict.fromkeys(self._drawable.messages)
+        if self._drawable.level > self._drawable.request.finest:
+            lines.append(f"{DETAIL_ITEMS[self._drawable.level][1]} detail")
+        return lines
+
+    def fail(self, message: str) -> None:
+        """Draw nothing any more and say why: the graphics card refused."""
+        self._failure, self._failed_with = message, CHANGES.settings
+        self.jobs.request(None)
+
+    @property
+    def failed(self) -> bool:
+        """Whether drawing was given up; it is tried again with other settings."""
+        return bool(self._failure) and self._failed_with == CHANGES.settings
+
+    def _level(self, settings: bpy.types.PropertyGroup, scene: bpy.types.Scene, playing: bool) -> int | None:
+        finest = int(settings.detail)
+        if not playing:
+            level = self.jobs.pace.level(finest, EDIT_SECONDS)
+            return int(DETAIL_ITEMS[-1][0]) if level is None else level
+        if settings.playback == MESH:
+            return None
+        if settings.playback == HOLD_RATE:
+            return self.jobs.pace.level(finest, scene.render.fps_base / scene.render.fps)
+        return finest
+
+    def _ask(self, camera: Camera, level: int, finest: int) -> None:
+        asked = self._asked
+        if asked is not None and asked.scene is self._scene and asked.finest == finest and same_camera(asked.camera, camera):
+            return
+        # During a final render the model is busy; the viewport keeps its splats.
+        if bpy.app.is_job_running("RENDER"):
+            return
+        self._asked = SplatRequest(self._scene, camera, level, finest)
+        self.jobs.request(self._asked)
+
+
+_walked: tuple[int, int, DrawnScene] | None = None  # number of the change, address of the depsgraph, what it shows
+
+
+def _drawn_scene(depsgraph: bpy.types.Depsgraph) -> DrawnScene:
+    """Walk over a scene after a change; all viewports share what is found."""
+    global _walked
+    if _walked is None or _walked[:2] != (CHANGES.scene, depsgraph.as_pointer()):
+        _walked = CHANGES.scene, depsgraph.as_pointer(), DrawnScene(depsgraph)
+    return _walked[2]
+
+
+def forget() -> None:
+    """Drop what is kept of the scene; another file is opened."""
+    global _walked
+    _walked = None
+
+
+def _kept_shots(found: ViewportShot, before: ViewportShot) -> ViewportShot:
+    """Return what was found, with the shots of before where these say the same: then there is nothing to make."""
+    same = len(found.shots) == len(before.shots) and all(map(same_shot, found.shots, before.shots))
+    return replace(found, shots=before.shots) if same else found

@@ -1,0 +1,27 @@
+"""The areas of Blender's windows, and drawing them again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+
+
+def areas(*kinds: str) -> Iterator[bpy.types.Area]:
+    """Yield the areas of all windows that show an editor of one of these kinds, such as "VIEW_3D"; none in background."""
+    manager = bpy.context.window_manager
+    for window in manager.windows if manager is not None else ():
+        yield from (area for area in window.screen.areas if area.type in kinds)
+
+
+def redraw(*kinds: str) -> None:
+    """Have all editors of these kinds drawn again."""
+    for area in areas(*kinds):
+        area.tag_redraw()
+
+
+def redraw_viewports(*shadings: str) -> None:
+    """Have all 3D viewports with one of these kinds of shading drawn again."""
+    for area in areas("VIEW_3D"):
+        if area.spaces.active.shading.type in shadings:
+            area.tag_redraw()

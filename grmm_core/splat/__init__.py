@@ -17,7 +17,7 @@ Map:
         records.py     what stands where in the arrays that they share
         projection.py, projection_gradient.py  Gaussians onto the picture plane, and the gradient of that
         binning.py     lists of Gaussians per tile, sorted by depth
-        blocks.py      a tile's blocks of pixels: which Gaussian reaches which
+        tiling.py, blocks.py   a tile's blocks of pixels, and which Gaussian reaches which
         forward.py     blending of a tile
         backward.py    gradients of a tile, and their sums per Gaussian
         simd.py, threads.py, buffers.py, jit.py   vectors in kernels, threads, memory of pictures, how kernels compile

@@ -14,32 +14,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..rules import TILE
-from .blocks import (
-    BATCH,
-    BLOCK_X,
-    BLOCK_Y,
-    BLOCKS,
-    BLOCKS_X,
-    GROUP,
-    ONE,
-    ROOM,
-    ZERO,
-    F,
-    alpha_at,
-    ellipse,
-    find_blocks,
-    gather,
-    in_lanes,
-    make_scratch,
-    padded,
-    pass_light,
-    start_tile,
-    whitened,
-)
+from .blocks import alpha_at, ellipse, in_lanes, make_scratch, pass_light, start_batch, whitened
 from .jit import kernel, part
 from .projection_gradient import unproject
 from .records import RECORD, ROW, VALUES
 from .simd import WIDTH, any_at_least, choose, load, spread, store, store_totals
+from .tiling import BATCH, BLOCKS, GROUP, ONE, ROOM, ZERO, F, lane_of, padded, start_tile
 
 
 @part
@@ -97,10 +77,7 @@ def _replay_tile(
     left, top = F(tile_x * TILE), F(tile_y * TILE)
     for batch in range(low, high, BATCH):
         end = min(batch + BATCH, high)
-        gather(batch, end, gaussian, geometry, features, values, shapes)
-        find_blocks(end - batch, shapes, left, top, pairs, first)
-        for block in range(BLOCKS):
-            ends[block] = block * ROOM
+        start_batch(batch, end, gaussian, geometry, features, left, top, scratch)
         listed = 0
         pair = 0
         for k in range(end - batch):
@@ -220,23 +197,22 @@ def replay(
                 y = y0 + r
                 for c in range(width):
                     x = x0 + c
-                    block, lane = r // BLOCK_Y * BLOCKS_X + c // BLOCK_X, r % BLOCK_Y * BLOCK_X + c % BLOCK_X
-                    pixel = block * channels * WIDTH + lane
+                    pixel, at = lane_of(r, c, channels)
                     cover = alpha[y, x]
                     arriving = -(ONE - cover) * d_alpha[y, x]
                     for k in range(3):
                         g = d_rgb[y, x, k]
-                        pull[pixel + k * WIDTH] = g
+                        pull[at + k * WIDTH] = g
                         arriving += g * rgb[y, x, k]
                     # depth = D / cover: D's gradient times D is g depth cover, and cover's adds g depth (1 - cover).
                     g = d_depth[y, x] / cover if cover > ZERO else ZERO
-                    pull[pixel + 3 * WIDTH] = g
+                    pull[at + 3 * WIDTH] = g
                     arriving += g * depth[y, x]
                     for k in range(features.shape[1]):
                         g = d_blended[y, x, k]
-                        pull[pixel + (VALUES + k) * WIDTH] = g
+                        pull[at + (VALUES + k) * WIDTH] = g
                         arriving += g * blended[y, x, k]
-                    behind[block * WIDTH + lane] = arriving
+                    behind[pixel] = arriving
             _replay_tile(
                 low, end, gaussian, geometry, whole, features, tile % tiles_x, tile // tiles_x, constants,
                 pull, behind, through, scratch, ratios, entries, rows,

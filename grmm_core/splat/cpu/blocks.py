@@ -1,9 +1,8 @@
-"""A tile's blocks of pixels, and the steps that blending and its gradient share. Compiled.
+"""The steps on a tile that blending and its gradient share. Compiled.
 
-A tile is divided into blocks of 4 x 2 or 4 x 4 pixels, which fill the lanes of `simd`. Gaussians come in batches: `gather`
-copies a batch together, `find_blocks` lists the pairs of a Gaussian and a block that its ellipse reaches. The kernels then go
-over pairs, without branches on what they compute, which the processor could not predict. Used by `forward.py`, `backward.py`
-and `count.py`.
+Gaussians come in batches: `gather` copies a batch together, `find_blocks` lists the pairs of a Gaussian and a block of pixels
+that its ellipse reaches. The kernels then go over pairs, without branches on what they compute, which the processor could not
+predict. Used by `forward.py`, `backward.py` and `count.py`.
 """
 
 from __future__ import annotations
@@ -12,26 +11,27 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
+from ..rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from .jit import kernel, part
 from .records import RECORD, SHAPE, SQUEEZE, VALUES
 from .simd import WIDTH, any_at_least, append_at_least, choose, larger, load, negative, smaller, spread, store
+from .tiling import (
+    BATCH,
+    BLOCK_LEFT,
+    BLOCK_TOP,
+    BLOCK_X,
+    BLOCK_Y,
+    BLOCKS,
+    HALF,
+    ONE,
+    PIXEL_X,
+    PIXEL_Y,
+    ROOM,
+    ZERO,
+    F,
+)
 
-F = np.float32
-ONE, ZERO, HALF = F(1.0), F(0.0), F(0.5)
-BLOCK_X, BLOCK_Y = 4, WIDTH // 4  # pixels
-BLOCKS_X, BLOCKS_Y = TILE // BLOCK_X, TILE // BLOCK_Y
-BLOCKS = BLOCKS_X * BLOCKS_Y
-BATCH = 32  # Gaussians handled together
-ROOM = BATCH + 1  # places of a block in a batch's lists: the one after the last is written too, and dropped
 SHRINK = F(SQUEEZE)  # makes t in e^(-8 t) the sum of the squares of s and q
-GROUP = 4  # channels are padded to a multiple of this, so that loops can be unrolled
-
-_LANE, _BLOCK = np.arange(WIDTH), np.arange(BLOCKS)
-BLOCK_LEFT = (_BLOCK % BLOCKS_X * BLOCK_X).astype(np.float32)
-BLOCK_TOP = (_BLOCK // BLOCKS_X * BLOCK_Y).astype(np.float32)
-PIXEL_X = np.add.outer(BLOCK_LEFT, (_LANE % BLOCK_X).astype(np.float32)).reshape(-1)  # of every lane of every block
-PIXEL_Y = np.add.outer(BLOCK_TOP, (_LANE // BLOCK_X).astype(np.float32)).reshape(-1)
 
 
 class Constants(NamedTuple):
@@ -165,12 +165,6 @@ def make_scratch(channels):  # noqa: ANN001, ANN201
 
 
 @kernel
-def padded(count: int) -> int:
-    """Return the number of channels kept per block for `count` features."""
-    return (VALUES + count + GROUP - 1) // GROUP * GROUP
-
-
-@kernel
 def all_ended(through: np.ndarray) -> bool:
     """Return whether every pixel of a tile has ended; `through` [BLOCKS * WIDTH]."""
     brightest = load(through, 0)
@@ -178,16 +172,6 @@ def all_ended(through: np.ndarray) -> bool:
         other = load(through, b * WIDTH)
         brightest = choose(brightest, other, brightest, other)
     return not any_at_least(brightest, spread(ZERO))
-
-
-@kernel
-def start_tile(through: np.ndarray, columns: int, rows: int) -> None:
-    """Set the transmittance [BLOCKS * WIDTH] of a tile to one, and to ended outside its columns x rows pixels."""
-    for k in range(BLOCKS * WIDTH):
-        block, lane = k // WIDTH, k % WIDTH
-        x = block % BLOCKS_X * BLOCK_X + lane % BLOCK_X
-        y = block // BLOCKS_X * BLOCK_Y + lane // BLOCK_X
-        through[k] = ONE if x < columns and y < rows else -ONE
 
 
 @kernel
@@ -260,3 +244,22 @@ def find_blocks(count: int, shapes: np.ndarray, left: float, top: float, pairs: 
             listed += append_at_least(pairs, listed, k * BLOCKS + group, reach, smaller(one, s * s + q * q))
     first[count] = listed
     return listed
+
+
+@kernel
+def start_batch(
+    low: int,
+    high: int,
+    gaussian: np.ndarray,
+    geometry: np.ndarray,
+    features: np.ndarray,
+    left: float,
+    top: float,
+    scratch: tuple[np.ndarray, ...],
+) -> int:
+    """Make the scratch ready for the instances low..high over the tile at left, top; return the number of pairs."""
+    values, shapes, pairs, first, _, _, ends = scratch
+    gather(low, high, gaussian, geometry, features, values, shapes)
+    for block in range(BLOCKS):
+        ends[block] = block * ROOM
+    return find_blocks(high - low, shapes, left, top, pairs, first)

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
-from .blocks import BATCH, BLOCK_X, BLOCK_Y, BLOCKS, BLOCKS_X, find_blocks
+from .blocks import find_blocks
 from .jit import kernel
 from .records import RECORD, SHAPE
 from .simd import WIDTH
+from .tiling import BATCH, BLOCK_X, BLOCK_Y, BLOCKS, BLOCKS_X
 
 if TYPE_CHECKING:
     from .drawing import Drawing

@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import BackendError
 from ..rules import TILE, View
 from ..types import GaussianArrays, PictureArrays
-from . import backward, binning, blocks, buffers, forward, projection, records
+from . import backward, binning, blocks, buffers, forward, projection, records, tiling
 from .threads import for_each, thread_count
 
 TASKS = 16  # parallel tasks per thread, so that threads end together
@@ -116,7 +116,7 @@ def differentiate(
     Raises:
         BackendError: The gradients of all pairs of a Gaussian and a tile would not fit the memory.
     """
-    shape = (len(drawing.gaussian), records.ROW.red + blocks.padded(gaussians.features.shape[1]))
+    shape = (len(drawing.gaussian), records.ROW.red + tiling.padded(gaussians.features.shape[1]))
     if 4 * shape[0] * shape[1] > MAX_GRADIENT_BYTES:
         raise BackendError("The Gaussians are too large and too many to differentiate: scale them down.")
     rows = buffers.empty(shape)

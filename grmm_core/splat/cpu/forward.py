@@ -12,32 +12,11 @@ import numpy as np
 
 from ..rules import TILE
 from .binning import BUCKETS, DIGITS, sort_by_depth
-from .blocks import (
-    BATCH,
-    BLOCK_X,
-    BLOCK_Y,
-    BLOCKS,
-    BLOCKS_X,
-    GROUP,
-    ONE,
-    ROOM,
-    ZERO,
-    F,
-    all_ended,
-    alpha_at,
-    ellipse,
-    find_blocks,
-    gather,
-    in_lanes,
-    make_scratch,
-    padded,
-    pass_light,
-    start_tile,
-    whitened,
-)
+from .blocks import all_ended, alpha_at, ellipse, in_lanes, make_scratch, pass_light, start_batch, whitened
 from .jit import kernel, part
 from .records import RECORD, VALUES
 from .simd import WIDTH, any_at_least, load, spread, store
+from .tiling import BATCH, BLOCKS, GROUP, ONE, ROOM, ZERO, F, lane_of, padded, start_tile
 
 
 @part
@@ -85,7 +64,7 @@ def _blend_tile(
         sums: [BLOCKS * channels * WIDTH] blended channels.
         through: [BLOCKS * WIDTH] transmittance.
     """
-    values, shapes, pairs, first, weights, sources, ends = scratch
+    values, shapes, pairs, _, weights, sources, ends = scratch
     channels = values.shape[1]
     flat = values.reshape(-1)
     lanes = in_lanes(constants)
@@ -93,10 +72,7 @@ def _blend_tile(
         if batch > low and all_ended(through):
             return batch
         end = min(batch + BATCH, high)
-        gather(batch, end, gaussian, geometry, features, values, shapes)
-        listed = find_blocks(end - batch, shapes, left, top, pairs, first)
-        for block in range(BLOCKS):
-            ends[block] = block * ROOM
+        listed = start_batch(batch, end, gaussian, geometry, features, left, top, scratch)
         for pair in range(listed):
             k, block = pairs[pair] // BLOCKS, pairs[pair] % BLOCKS
             s, q = whitened(ellipse(shapes, k, left, top), block)
@@ -152,9 +128,8 @@ def _write_tile(
         for c in range(columns):
             x = x0 + c
             bx = min(x, background.shape[1] - 1)
-            block, lane = r // BLOCK_Y * BLOCKS_X + c // BLOCK_X, r % BLOCK_Y * BLOCK_X + c % BLOCK_X
-            left = abs(through[block * WIDTH + lane])
-            at = block * channels * WIDTH + lane
+            pixel, at = lane_of(r, c, channels)
+            left = abs(through[pixel])
             for k in range(3):
                 rgb[y, x, k] = sums[at + k * WIDTH] + left * background[by, bx, k]
             cover = ONE - left

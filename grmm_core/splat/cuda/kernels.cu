@@ -202,10 +202,10 @@ __device__ inline Pixel own_pixel(int tiles_x, int width, int height) {
             column + 0.5f, row + 0.5f};
 }
 
-// Fetches up to THREADS instances into shared memory, one a thread; returns how many, 0 when no thread's pixel is open.
+// Fetches up to THREADS instances into shared memory, one a thread; returns how many: 0 at the end, and when no thread's pixel is open.
 __device__ inline int fetch(
     bool open, int64 batch, int64 end, const int *gaussian, const Record *records, Record *shared_records, int *shared_owners) {
-    if (__syncthreads_count(open) == 0) return 0;
+    if (batch >= end || __syncthreads_count(open) == 0) return 0;
     const int64 mine = batch + threadIdx.x;
     if (mine < end) {
         shared_owners[threadIdx.x] = gaussian[mine];
@@ -228,10 +228,9 @@ extern "C" __global__ void __launch_bounds__(THREADS) blend(
     for (int c = 0; c < CHANNELS; ++c) sums[c] = 0.0f;
     float through = 1.0f;
     bool open = own.inside;
-    const int64 end = starts[own.tile + 1];
-    for (int64 batch = starts[own.tile]; batch < end; batch += THREADS) {
-        const int here = fetch(open, batch, end, gaussian, records, shared_records, shared_owners);
-        if (here == 0) break;
+    const int64 first = starts[own.tile], end = starts[own.tile + 1];
+    int here;
+    for (int64 batch = first; (here = fetch(open, batch, end, gaussian, records, shared_records, shared_owners)) > 0; batch += here) {
         for (int k = 0; open && k < here; ++k) {
             float s, q;
             const Record &record = shared_records[k];
@@ -321,10 +320,9 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
     }
     float through = 1.0f;
     bool open = own.inside;
-    const int64 end = starts[own.tile + 1];
-    for (int64 batch = starts[own.tile]; batch < end; batch += THREADS) {
-        const int here = fetch(open, batch, end, gaussian, records, shared_records, shared_owners);
-        if (here == 0) break;
+    const int64 first = starts[own.tile], end = starts[own.tile + 1];
+    int here;
+    for (int64 batch = first; (here = fetch(open, batch, end, gaussian, records, shared_records, shared_owners)) > 0; batch += here) {
         for (int group = 0; group < here; group += TOGETHER) {
             const int members = here - group < TOGETHER ? here - group : TOGETHER;
             for (int member = 0; member < members; ++member) {

@@ -137,14 +137,14 @@ def test_gaussians_that_would_fill_the_memory_are_refused(monkeypatch):
 
 def test_blocks_are_found_exactly():
     """Against every pixel of the tile: no block that a Gaussian reaches is missed, and few others are listed."""
-    from grmm_core.splat.cpu import blocks
+    from grmm_core.splat.cpu import blocks, tiling
     from grmm_core.splat.cpu.records import RECORD, SHAPE, SQUEEZE
 
     rng = np.random.default_rng(31)
     count, listed, reached = 400, 0, 0
-    shapes = np.zeros((blocks.BATCH, SHAPE), np.float32)
-    pairs = np.empty((blocks.BATCH + 1) * blocks.BLOCKS, np.int32)
-    first = np.empty(blocks.BATCH + 1, np.int64)
+    shapes = np.zeros((tiling.BATCH, SHAPE), np.float32)
+    pairs = np.empty((tiling.BATCH + 1) * tiling.BLOCKS, np.int32)
+    first = np.empty(tiling.BATCH + 1, np.int64)
     for _ in range(count):
         x, y = rng.uniform(-30, 60, 2)
         l11, l22 = np.exp(rng.uniform(-4, 0.6, 2))  # from round to needles
@@ -155,7 +155,7 @@ def test_blocks_are_found_exactly():
         dx, dy = np.meshgrid(np.arange(16) + 16.5 - x, np.arange(16) + 0.5 - y)
         s, q = l11 * dx + l12 * dy, l22 * dy
         inside = SQUEEZE**2 * (s * s + q * q) <= shapes[0, RECORD.reach] * (1 - 1e-5)
-        number = np.arange(16)[:, None] // blocks.BLOCK_Y * blocks.BLOCKS_X + np.arange(16) // blocks.BLOCK_X
+        number = np.arange(16)[:, None] // tiling.BLOCK_Y * tiling.BLOCKS_X + np.arange(16) // tiling.BLOCK_X
         wanted = set(np.unique(number[inside]).tolist())
         assert wanted <= set(pairs[:found].tolist())
         assert len(set(pairs[:found].tolist())) == found

@@ -10,7 +10,6 @@ from typing import Any
 from ..controls.frame import Controls, parse_assignments
 from ..controls.table import settable
 from ..errors import FileAccessError
-from ..files.access import describe_os_error
 from ..files.format import Format, OptionsOf, options_of_formats
 from .console import Console
 
@@ -88,14 +87,6 @@ def check_folder(path: Path) -> None:
         raise FileAccessError(f"The folder {path.parent} does not exist; make it or choose another one.")
     if path.is_dir():
         raise FileAccessError(f"{path} is a folder; give a file name.")
-
-
-def make_folder(path: Path) -> None:
-    """Make a folder for results. Raises `FileAccessError`."""
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileAccessError(f"Cannot make the folder {path}: {describe_os_error(error)}; choose another one.") from error
 
 
 def picture_size(text: str) -> tuple[int, int]:

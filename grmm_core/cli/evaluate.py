@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from ..avatar import EXTENSION, load_avatar
 from ..avatar.library import library_file
-from ..errors import ConfigError, FileAccessError
-from ..files.access import atomic_write_bytes, describe_os_error
+from ..errors import ConfigError
+from ..files.access import atomic_write_bytes, make_folder
 from .common import DEVICES, positive_int
 from .console import _plain
 
@@ -87,7 +87,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.threads:
         torch.set_num_threads(args.threads)
     if args.output is not None:
-        _make_folder(args.output)
+        make_folder(args.output)
     device = _device(args.device)
     names = _protocols(args.protocol)
     if MONOCULAR in args.protocol and not any(is_dataset(folder) for folder in args.data):
@@ -250,13 +250,6 @@ def _distances(args: argparse.Namespace, device: str) -> dict[str, Any]:
 def _write(folder: Path, values: dict[str, Any], text: str) -> None:
     atomic_write_bytes(folder / RESULT, (json.dumps(_plain(values), indent=1, ensure_ascii=False) + "\n").encode())
     atomic_write_bytes(folder / TABLE, text.encode())
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileAccessError(f"Cannot make the folder {folder}: {describe_os_error(error)}; choose another.") from error
 
 
 def _count(text: str) -> int:

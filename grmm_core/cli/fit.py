@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import CancelledError, ConfigError, GrmmError
 from ..fitting.presets import PRESETS
-from .common import add_model, add_output, check_folder, make_folder, positive_int
+from .common import add_model, add_output, check_folder, positive_int
 
 CONSENT = "Make avatars only of people who have agreed; the file says that it was made from photos."
 
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int:
 
 def _look(args: argparse.Namespace, events: _Events, stop: _StopOnSignal) -> dict[str, Any] | int:
     """Draw faces, landmarks and outline of each photo, so that the user can check the choice."""
-    from ..files.access import atomic_write_bytes
+    from ..files.access import atomic_write_bytes, make_folder
     from ..fitting.api import check_face, check_faces, check_masks, read_mask
     from ..fitting.look import found_picture
     from ..fitting.track import analyse_photo

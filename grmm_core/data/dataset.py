@@ -28,7 +28,7 @@ import numpy as np
 
 from ..controls.names import ALIGNED_NAMES
 from ..errors import FileAccessError, FileFormatError, ShapeError
-from ..files.access import atomic_write_bytes, describe_os_error, read_bytes
+from ..files.access import atomic_write_bytes, make_folder, read_bytes
 from ..files.npz import read_npz
 from ..geometry.camera import Camera
 
@@ -123,7 +123,7 @@ class Manifest:
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
     """Write `dataset.json`. Raises `FileAccessError`."""
-    _make_folder(folder)
+    make_folder(folder)
     values = {"format": FORMAT, "version": VERSION, **manifest.__dict__}
     atomic_write_bytes(folder / "dataset.json", json.dumps(values, indent=1).encode())
 
@@ -155,7 +155,7 @@ def read_manifest(folder: str | Path) -> Manifest:
 def write_subject(folder: Path, name: str, shape: np.ndarray, facts: dict[str, Any]) -> None:
     """Write a person's shape coefficients [S] and facts. Raises `FileAccessError`."""
     target = folder / "subjects"
-    _make_folder(target)
+    make_folder(target)
     buffer = io.BytesIO()
     np.save(buffer, np.asarray(shape, np.float32))
     atomic_write_bytes(target / f"{name}.npy", buffer.getvalue())
@@ -176,7 +176,7 @@ def write_shot(folder: Path, shot: Shot, pictures: list[Picture]) -> None:
     if len(pictures) != len(shot.views):
         raise ShapeError(f"{len(pictures)} pictures were given for {len(shot.views)} views; give one each.")
     record = shot_record(folder, shot.subject, shot.number)
-    _make_folder(record.parent)
+    make_folder(record.parent)
     for view, picture in zip(shot.views, pictures, strict=True):
         atomic_write_bytes(record.parent / view.image, encode_rgba(picture.rgb, picture.mask))
         if view.depth and picture.depth is not None:
@@ -316,13 +316,6 @@ def encode_depth(depth: np.ndarray) -> bytes:
     values = np.round(np.clip(depth / DEPTH_UNIT, 0, 65535)).astype(np.uint16)
     Image.fromarray(values).save(buffer, "PNG", compress_level=4)
     return buffer.getvalue()
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileAccessError(f"Cannot make {folder}: {describe_os_error(error)}; choose another folder.") from error
 
 
 def _decode(path: Path) -> np.ndarray:

@@ -135,6 +135,14 @@ def read_start(path: str | os.PathLike[str], count: int = 4096) -> bytes:
         return file.read(count)
 
 
+def make_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder, and those above it, where there is none. Raises `FileAccessError`."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileAccessError(f"Cannot make the folder {path}: {describe_os_error(error)}; choose another folder.") from error
+
+
 def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)

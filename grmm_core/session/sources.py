@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..avatar.library import LIBRARY_PREFIX, library_path
-from ..errors import FileAccessError
-from ..files.access import describe_os_error
+from ..files.access import open_file
 
 DEFAULT_SOURCE = "default"
 _SAMPLE = re.compile(r"sample:(-?[0-9]{1,18})")
@@ -47,12 +46,6 @@ def source_key(source: str | os.PathLike[str]) -> SourceKey:
         library_path(name)
         return SourceKey("library", name)
     path = Path(source).absolute()
-    try:
-        stat = path.stat()
-    except FileNotFoundError as error:
-        raise FileAccessError(f"{path} does not exist; check the file name.") from error
-    except OSError as error:
-        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file and its permissions.") from error
-    except ValueError as error:  # a null character in the name
-        raise FileAccessError("The file name contains a null character; choose another name.") from error
-    return SourceKey("file", str(path), (stat.st_mtime_ns, stat.st_size))
+    with open_file(path) as file:
+        status = os.fstat(file.fileno())
+    return SourceKey("file", str(path), (status.st_mtime_ns, status.st_size))

@@ -17,8 +17,8 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from ..errors import ConfigError, FileAccessError, FileFormatError, RuntimeMissingError
-from ..files.access import describe_os_error
+from ..errors import ConfigError, FileFormatError, RuntimeMissingError
+from ..files.access import open_file
 from ..files.tensorfile import read_tensors
 
 VGG19_LAYOUT: tuple[int | str, ...] = (64, 64, "pool", 128, 128, "pool", 256, 256, 256, 256, "pool", 512, 512, 512, 512)
@@ -171,11 +171,8 @@ def _read(path: Path) -> Mapping[str, Tensor]:
     if path.suffix == ".safetensors":
         return {name: torch.from_numpy(array) for name, array in read_tensors(path)[0].items()}
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise FileAccessError(f"{path} does not exist; check the file name.") from error
-    except OSError as error:
-        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; check the file.") from error
+        with open_file(path) as file:
+            state = torch.load(file, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
         raise FileFormatError(f"{path} is not a readable state dictionary; choose another file.") from error
     if not isinstance(state, Mapping) or not all(isinstance(value, Tensor) for value in state.values()):

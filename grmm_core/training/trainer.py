@@ -30,7 +30,7 @@ import torch
 from torch import Tensor, nn
 
 from ..errors import CancelledError, ConfigError, FileAccessError, RuntimeMissingError, TrainingError
-from ..files.access import describe_os_error
+from ..files.access import describe_os_error, make_folder
 from ..model.grmm import GRMM, Rendering
 from ..model.weights import save_weights
 from ..model.weights_file import WeightsInfo, head_fingerprint
@@ -83,10 +83,7 @@ class Trainer:
         if config.person:
             config = of_the_weights(config)
         self.config, self.source, self.folder, self.backend = config, source, Path(folder), backend
-        try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FileAccessError(f"Cannot use the folder {folder}: {describe_os_error(error)}; choose another.") from error
+        make_folder(self.folder)
         if config.threads:
             torch.set_num_threads(config.threads)
         self.rank, self.world = join(device)

@@ -15,7 +15,7 @@ import numpy as np
 from ...grmm_core.errors import FileFormatError
 from ...grmm_core.formats.avatars.binding import bind_to_mesh, place_on_mesh
 from ...grmm_core.formats.splats.cloud import SplatCloud
-from ...grmm_core.formats.splats.gltf_splats import multiply_quaternions
+from ...grmm_core.geometry.rotations import multiply_quaternions
 from ...grmm_core.session import HEAD_TO_BLENDER, CloudArrays
 from ...grmm_core.session.api import CLOUD_TERMS
 from ..wrapper import ObjectWrapper

@@ -7,7 +7,7 @@ still has everybody. Imports bpy through `scene`, with the first shot.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from grmm_core.controls.frame import Controls, resolve
@@ -27,15 +27,17 @@ from grmm_core.data.dataset import (
     write_subject,
 )
 from grmm_core.data.jobs import TimeLeft, claim
+from grmm_core.data.layers import ALBEDO, LIGHT_PREFIX, NORMAL, PART_LAYER
 from grmm_core.errors import ConfigError
 from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head, load_people_model
 
+from .lights import RIG, chosen, draw_light
 from .shots import HELD_OUT_CAMERAS, MAX_CAMERAS, expression_pool, make_shot
 from .subjects import Subject, draw_subject
 
-STUDIO = 2  # raise whenever the pictures of a seed change: a capture is not continued with others
-UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
+STUDIO = 3  # raise whenever the pictures of a seed change: a capture is not continued with others
+UNNUMBERED_STUDIO = 3  # of captures from before the number was recorded
 MAX_SHOTS = 10_000  # their numbers have four digits in file names
 ROUND = 4  # shots of everybody before anybody's next ones
 # Blender's images of a person cannot be removed one by one (see `materials.Nodes.image`), so the studio is built anew after so
@@ -58,6 +60,9 @@ class CaptureSettings:
         varied_light: Another light for every shot.
         subsurface: Light scattering in the skin (slower).
         depth: Write depth maps.
+        bare: Render every view without hair as well.
+        layers: Write part masks, albedo and normals.
+        lights: More lights in which every view is shown: "all" or names of `lights.SETUPS`; empty: none.
     """
 
     subjects: int = 24
@@ -70,6 +75,9 @@ class CaptureSettings:
     varied_light: bool = False
     subsurface: bool = False
     depth: bool = True
+    bare: bool = False
+    layers: bool = False
+    lights: str = ""
 
 
 @dataclass(frozen=True)
@@ -139,6 +147,7 @@ def check_settings(settings: CaptureSettings, only: Sequence[int] = ()) -> tuple
     absent = [index for index in only if not 0 <= index < s.subjects]
     if absent:
         raise ConfigError(f"There is no person {absent[0]} for --only; choose from 0 to {s.subjects - 1}.")
+    chosen(s.lights)
     return expression_pool(s.expressions)
 
 
@@ -259,27 +268,34 @@ class _Worker:
         if index not in self._met and len(self._met) >= PEOPLE_IN_STUDIO:
             self.close()
         if self._studio is None:
-            self._studio = Studio(self.head, s.size, s.samples, s.varied_light, s.subsurface, self.threads)
+            self._studio = Studio(self.head, s.size, s.samples, s.subsurface, s.layers, self.threads)
         if self._subject is None or self._subject.index != index:
             self._met.add(index)
             self._subject = draw_subject(s.seed, index, self.people)
             self._studio.set_subject(self._subject)
-            write_subject(self.folder, self._subject.name, self._subject.shape, self._subject.to_json())
+            name = self._subject.name
+            write_subject(self.folder, name, self._subject.shape, self._subject.to_json(), self._studio.groom)
         plan = make_shot(s.seed, index, number, s.views, s.size, self.pool)
         controls = resolve(Controls(aligned=plan.aligned, pose=plan.pose), self.head)
-        self._studio.set_shot(controls.expression, controls.pose, light_seed=s.seed * 1000003 + index * 1009 + number)
-        pictures = []
-        for camera in plan.cameras:
-            rgb, mask, depth = self._studio.render(camera)
-            pictures.append(Picture(rgb, mask, depth if s.depth else None))
-        views = tuple(
-            self._view(index, number, i, name, camera)
-            for i, (name, camera) in enumerate(zip(plan.camera_names, plan.cameras, strict=True))
-        )
+        light = draw_light(s.seed * 1000003 + index * 1009 + number) if s.varied_light else RIG
+        self._studio.set_shot(controls.expression, controls.pose, light)
+        pictures, views = [], []
+        for i, (name, camera) in enumerate(zip(plan.camera_names, plan.cameras, strict=True)):
+            pictures.append(self._picture(camera))
+            views.append(self._view(index, number, i, name, camera))
         shot = Shot(
-            self._subject.name, number, plan.kind, controls.aligned, controls.expression, controls.pose, views, self.folder
-        )
+            self._subject.name, number, plan.kind, controls.aligned, controls.expression, controls.pose, tuple(views),
+            self.folder, light=light.to_json(),
+        )  # fmt: skip
         write_shot(self.folder, shot, pictures)
+
+    def _picture(self, camera: Camera) -> Picture:
+        s, studio = self.settings, self._studio
+        pictures = [studio.render(camera, hair) for hair in ((True, False) if s.bare else (True,))]
+        for hair, picture in zip((True, False), pictures, strict=False):
+            for name, light in chosen(s.lights).items():
+                picture.layers[LIGHT_PREFIX + name] = studio.render(camera, hair, light).rgb
+        return replace(pictures[0], depth=pictures[0].depth if s.depth else None, bare=pictures[1] if s.bare else None)
 
     def close(self) -> None:
         """Remove the studio and its temporary files; the next shot makes another."""
@@ -289,7 +305,14 @@ class _Worker:
         self._met.clear()
 
     def _view(self, index: int, number: int, i: int, name: str, camera: Camera) -> View:
+        s, split = self.settings, view_split(index, number, name)
+        names = [LIGHT_PREFIX + light for light in chosen(s.lights)]
+        if s.layers:
+            names += [PART_LAYER, ALBEDO, NORMAL]
+
+        def files(stem: str, bare: View | None) -> View:
+            layers = {layer: f"{stem}_{layer}.png" for layer in names}
+            return View(name, camera, f"{stem}.png", f"{stem}_z.png" if s.depth else "", split, layers, bare)
+
         stem = f"{number:04d}_{i:02d}"
-        return View(
-            name, camera, f"{stem}.png", f"{stem}_z.png" if self.settings.depth else "", view_split(index, number, name)
-        )
+        return files(stem, files(f"{stem}_bare", None) if s.bare else None)

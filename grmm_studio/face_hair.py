@@ -1,92 +1,50 @@
-"""Brows, lashes, beard and scalp hair of one person as strand sets. Needs numpy and scipy."""
+"""Brows, beard and lashes of one person, grown in head space. Needs numpy and scipy."""
 
 from __future__ import annotations
 
-from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 
-from .fields import beard_density, scalp_density, smoothstep, wave_noise
-from .grooms import growth_of, tail_points
-from .hair import STEPS, Strands, bind, grow, scatter
-from .mesh import Head, RenderMesh, region_vertices
+from .fields import beard_density, smoothstep, wave_noise
+from .hair import Roots, skin_triangles
+from .lashes import lash_edges
+from .mesh import Head, RenderMesh
 from .subjects import Subject
 
-SHORT_STEPS = 5
-COUNT_SHARE, WIDENING = 0.75, 1.7  # fewer, wider strips: pictures of a few samples a pixel are not speckled
-LASH_CARD_ROWS = 4  # quads across a lash card
+STEPS = 6  # points of a strand
 BROW_X = (0.008, 0.014, 0.024, 0.035, 0.044, 0.053)
 BROW_Y = (0.0530, 0.0550, 0.0580, 0.0600, 0.0580, 0.0515)
 BROW_HALF = (0.0032, 0.0042, 0.0042, 0.0032, 0.0022, 0.0008)
+CANDIDATES = 16000  # roots drawn for brows, of which those in the brow are kept
+BEARD_ROOTS = 30000  # likewise
 
 
-def scalp_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Subject, share: float = 1.0) -> Strands | None:
-    """Scalp hair on the neutral head [V, 3]; `share` of the style's strand count."""
-    growth = growth_of(subject)
-    if growth is None:
-        return None
-    g = np.random.default_rng([subject.seed, subject.index, 21])
-    template = np.asarray(head.v_template, float)
-    skin = mesh.coarse_faces[mesh.materials[::4] == 0]
-    skin = skin[~np.isin(skin, region_vertices(head, "mouth_interior")).any(1)]
-    corner = scalp_density(template, growth.receding, subject.hairline, subject.asymmetry)
-    bound = corner[skin].max(1)
-    triangles, weights, rest = scatter(
-        neutral, skin, template, np.maximum(bound, 0.02) * (bound > 0), int(growth.style.count * share * 1.15 * COUNT_SHARE), g
-    )
-    keep = g.random(len(rest)) < scalp_density(rest, growth.receding, subject.hairline, subject.asymmetry) / np.maximum(
-        bound_of(corner, triangles), 0.02
-    )
-    triangles, weights, rest = triangles[keep], weights[keep], rest[keep]
-    normals = mesh.normals(neutral)
-    roots = (neutral[triangles] * weights[..., None]).sum(1)
-    root_normals = (normals[triangles] * weights[..., None]).sum(1)
-    root_normals /= np.linalg.norm(root_normals, axis=1, keepdims=True)
-    inner = np.concatenate(
-        [
-            region_vertices(head, n)
-            for n in ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
-        ]
-    )
-    outside = np.ones(len(neutral), bool)
-    outside[inner] = False
-    fine = mesh.refine(neutral)
-    fine_normals = mesh.spread(normals)
-    fine_outside = mesh.spread(outside.astype(float)) > 0.99
-    points = grow(roots, root_normals, rest, growth, fine[fine_outside], fine_normals[fine_outside], g)
-    # baby hair: shorter strands at the border
-    border = scalp_density(rest, growth.receding, subject.hairline, subject.asymmetry)
-    short = np.clip(0.35 + 0.65 * smoothstep(0.1, 0.9, border) + g.normal(0, 0.1, len(rest)), 0.2, 1.0)
-    if growth.curl_radius < 0.003 and subject.hair_style not in ("ponytail", "bun"):
-        points = _shorten(points, short)
-    # nothing hangs in front of the throat or comes out of the chest
-    stray = ((points[..., 2] > 0.025) & (points[..., 1] < -0.065) & (np.abs(points[..., 0]) < 0.055)).any(1)
-    points, triangles, weights = points[~stray], triangles[~stray], weights[~stray]
-    tail = tail_points(subject, g, STEPS)
-    radius = np.full(len(points), growth.style.radius * WIDENING)
-    if len(tail):
-        moved = tail + _local_shift(neutral, template, tail[:, 0])[:, None]
-        nearest = _nearest_face(skin, template, np.array([0.0, 0.09, -0.09]))
-        faces = np.repeat(nearest[None], len(tail), 0)
-        middle = np.full((len(tail), 3), 1 / 3)
-        points = np.concatenate([points, moved])
-        triangles, weights = np.concatenate([triangles, faces]), np.concatenate([weights, middle])
-        radius = np.concatenate([radius, np.full(len(tail), growth.style.radius * WIDENING * 1.2)])
-    return bind(neutral, triangles, weights, points, radius, g.normal(0, 1, len(points)))
+@dataclass
+class Hairs:
+    """Strands in head space before they are bound.
 
+    Attributes:
+        triangles: Numbers of the head's triangles, [N].
+        weights: Barycentric coordinates of the roots, [N, 3].
+        points: Head space, root first, metres, [N, K, 3].
+        widths: Diameters at root and tip, metres, [N, 2].
+    """
 
-def bound_of(corner: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Largest corner density of each triangle, [N]."""
-    return corner[triangles].max(1)
+    triangles: np.ndarray
+    weights: np.ndarray
+    points: np.ndarray
+    widths: np.ndarray
 
-
-def face_strands(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Subject) -> Strands:
-    """Brows, lashes and beard on the neutral head [V, 3]; tint >= 100 marks lashes."""
-    g = np.random.default_rng([subject.seed, subject.index, 22])
-    sets = [_brows(head, mesh, neutral, subject, g), _lashes(head, neutral, subject, g)]
-    if subject.beard > 0:
-        sets.append(_beard(head, mesh, neutral, subject, g))
-    return Strands.join([s for s in sets if len(s.faces)])
+    def with_more(self, triangle: int, points: np.ndarray, width: float) -> Hairs:
+        """The same and more strands [M, K, 3] from the middle of one triangle."""
+        count = len(points)
+        return Hairs(
+            np.concatenate([self.triangles, np.full(count, triangle)]),
+            np.concatenate([self.weights, np.full((count, 3), 1 / 3)]),
+            np.concatenate([self.points, points]),
+            np.concatenate([self.widths, np.tile([width, 0.5 * width], (count, 1))]),
+        )
 
 
 def brow_density(points: np.ndarray, subject: Subject) -> np.ndarray:
@@ -103,165 +61,88 @@ def brow_density(points: np.ndarray, subject: Subject) -> np.ndarray:
     return smoothstep(1.15, 0.55, off) * ends * (points[..., 2] > 0.05)
 
 
-def _brows(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Strands:
-    template = np.asarray(head.v_template, float)
-    skin = mesh.coarse_faces[mesh.materials[::4] == 0]
-    p = template[skin].mean(1)
-    near = skin[(np.abs(p[:, 1] - 0.0565) < 0.018) & (p[:, 2] > 0.05) & (np.abs(p[:, 0]) < 0.066)]
-    triangles, weights, rest = scatter(neutral, near, template, np.ones(len(near)), 9000, g)
-    keep = g.random(len(rest)) < brow_density(rest, s) * 0.65 * s.brow_density
-    triangles, weights, rest = triangles[keep], weights[keep], rest[keep]
-    roots, normal = _roots(mesh, neutral, triangles, weights)
-    along = np.clip((np.abs(rest[:, 0]) - 0.009) / 0.043, 0, 1)
-    off = (rest[:, 1] - np.interp(np.abs(rest[:, 0]), BROW_X, BROW_Y) - s.brow_height) / np.maximum(
-        np.interp(np.abs(rest[:, 0]), BROW_X, BROW_HALF), 1e-4
-    )
+def brows(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs:
+    """Eyebrows on the neutral head [V, 3]."""
+    numbers = skin_triangles(head, mesh)
+    p = np.asarray(head.v_template, float)[np.asarray(head.faces)[numbers]].mean(1)
+    near = numbers[(np.abs(p[:, 1] - 0.0565) < 0.018) & (p[:, 2] > 0.05) & (np.abs(p[:, 0]) < 0.066)]
+    roots = Roots.scatter(head, mesh, neutral, near, np.ones(len(near)), CANDIDATES, g)
+    roots = roots.select(g.random(CANDIDATES) < brow_density(roots.rest, s) * 0.65 * s.brow_density)
+    rest, x = roots.rest, np.abs(roots.rest[:, 0])
+    along = np.clip((x - 0.009) / 0.043, 0, 1)
+    off = (rest[:, 1] - np.interp(x, BROW_X, BROW_Y) - s.brow_height) / np.maximum(np.interp(x, BROW_X, BROW_HALF), 1e-4)
     rise = np.interp(along, (0, 0.15, 0.45, 0.7, 1.0), (1.9, 0.9, 0.28, -0.15, -0.5)) - 0.30 * off
-    direction = np.stack(
-        [np.sign(rest[:, 0]) * np.interp(along, (0, 0.2, 1), (0.45, 1, 1)), rise, -0.25 * along], 1
-    ) + g.normal(0, 0.16, (len(rest), 3))
-    direction = _tangent(direction, normal) + 0.22 * normal
+    aside = np.sign(rest[:, 0]) * np.interp(along, (0, 0.2, 1), (0.45, 1, 1))
+    direction = np.stack([aside, rise, -0.25 * along], 1) + g.normal(0, 0.16, (len(rest), 3))
+    direction = _tangent(direction, roots.normals) + 0.22 * roots.normals
     length = np.interp(along, (0, 0.3, 1), (0.0062, 0.0082, 0.0058)) * np.clip(g.normal(1, 0.18, len(rest)), 0.5, 1.4)
-    points = _bent(roots, direction, normal, length, -0.16)
-    return bind(neutral, triangles, weights, points, np.full(len(rest), 0.000085), g.normal(0, 1, len(rest)))
+    return _hairs(roots, _bent(roots, direction, length, -0.16), 0.00011)
 
 
-def _beard(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Strands:
-    template = np.asarray(head.v_template, float)
-    skin = mesh.coarse_faces[mesh.materials[::4] == 0]
-    skin = skin[
-        ~np.isin(skin, region_vertices(head, "mouth_interior")).any(1) & ~np.isin(skin, region_vertices(head, "lips")).any(1)
-    ]
-    density = beard_density(template, s.asymmetry)
-    near = skin[density[skin].max(1) > 0.02]
-    count = 12000 if s.beard < 0.006 else 9000
-    triangles, weights, rest = scatter(neutral, near, template, np.ones(len(near)), count, g)
-    keep = g.random(len(rest)) < beard_density(rest, s.asymmetry)
-    triangles, weights, rest = triangles[keep], weights[keep], rest[keep]
-    roots, normal = _roots(mesh, neutral, triangles, weights)
-    direction = np.stack([0.25 * np.sign(rest[:, 0]), np.full(len(rest), -1.0), np.full(len(rest), 0.1)], 1) + g.normal(
-        0, 0.35, (len(rest), 3)
-    )
-    direction = _tangent(direction, normal) + 0.55 * normal
-    length = (
-        s.beard
-        * np.clip(g.normal(1, 0.25, len(rest)), 0.4, 1.5)
-        * np.where(rest[:, 1] > -0.028, np.minimum(1.0, 0.006 / s.beard), 1.0)
-    )
-    points = _bent(roots, direction, normal, length, -0.12 if s.beard > 0.008 else 0.0)
-    points[:, :, 0] += 0.0008 * (s.beard > 0.008) * np.sin(np.linspace(0, 7, SHORT_STEPS) + g.uniform(0, 6, (len(rest), 1)))
-    return bind(neutral, triangles, weights, points, np.full(len(rest), 0.00009), g.normal(0, 1, len(rest)))
+def beard_field(points: np.ndarray, s: Subject) -> np.ndarray:
+    """Density of the beard of a person, by its cut, 0..1 at template points [..., 3]."""
+    x, y = np.abs(points[..., 0]), points[..., 1]
+    chin = smoothstep(0.034, 0.027, x) * smoothstep(0.010, 0.0, y)
+    lip = smoothstep(0.034, 0.028, x) * smoothstep(-0.0335, -0.0315, y)
+    ragged = 0.002 * wave_noise(points, 0.02, s.asymmetry)
+    line = smoothstep(0.030, 0.036, x) * smoothstep(-0.030, -0.037, y + ragged + 0.35 * np.maximum(x - 0.045, 0) * -1.0)
+    cut = {"full": 1.0, "goatee": chin, "moustache": lip, "chinstrap": np.maximum(line, chin * smoothstep(-0.038, -0.043, y))}
+    return beard_density(points, s.asymmetry) * cut[s.beard_cut]
 
 
-def _lashes(head: Head, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Strands:
+def beard(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs | None:
+    """The beard on the neutral head [V, 3]; None for the shaven."""
+    if s.beard <= 0:
+        return None
+    faces, template = np.asarray(head.faces), np.asarray(head.v_template, float)
+    numbers = skin_triangles(head, mesh, ("mouth_interior", "lips"))
+    near = numbers[beard_field(template, s)[faces[numbers]].max(1) > 0.0]
+    roots = Roots.scatter(head, mesh, neutral, near, np.ones(len(near)), BEARD_ROOTS, g)
+    roots = roots.select(g.random(BEARD_ROOTS) < beard_field(roots.rest, s))
+    rest, count = roots.rest, len(roots.rest)
+    aside = 0.25 * np.sign(rest[:, 0])
+    direction = np.stack([aside, np.full(count, -1.0), np.full(count, 0.1)], 1) + g.normal(0, 0.35, (count, 3))
+    direction = _tangent(direction, roots.normals) + 0.55 * roots.normals
+    short = np.where(rest[:, 1] > -0.028, np.minimum(1.0, 0.009 / s.beard), 1.0)
+    short *= 0.45 + 0.55 * smoothstep(0.10, 0.85, beard_field(rest, s))  # edges are shorter
+    length = s.beard * np.clip(g.normal(1, 0.25, count), 0.4, 1.5) * short
+    long = s.beard > 0.008
+    points = _bent(roots, direction, length, -0.12 if long else 0.0)
+    if long:
+        wave = np.sin(np.linspace(0, 7, STEPS) + g.uniform(0, 6, (count, 1))) - np.sin(g.uniform(0, 6, (count, 1)))
+        points[..., 0] += 0.0008 * np.linspace(0, 1, STEPS) * wave
+    return _hairs(roots, points, 0.00012)
+
+
+def lashes(head: Head, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs:
     """Curved lashes from the root edge of each lash card to its outer edge."""
-    cards = lash_edges(head)
-    faces, weights, points = [], [], []
-    for root, tip, side, upper in cards:
-        count = int((95 if upper else 60) * s.lash_density)
+    triangles, weights, points = [], [], []
+    t = np.linspace(0, 1, STEPS)[None, :, None]
+    for card in lash_edges(head):
+        root, tip = card.root, card.tip
+        count = int((95 if card.upper else 60) * s.lash_density)
         u = np.sort(g.random(count)) * (len(root) - 1)
         i = np.minimum(u.astype(int), len(root) - 2)
         f = (u - i)[:, None]
         a = neutral[root[i]] * (1 - f) + neutral[root[i + 1]] * f
-        shift = g.normal(0, 0.22, (count, 1)) + 0.0
-        j = np.clip(u + shift[:, 0], 0, len(tip) - 1.001)
+        j = np.clip(u + g.normal(0, 0.22, count), 0, len(tip) - 1.001)
         k = j.astype(int)
         h = (j - k)[:, None]
         b = neutral[tip[k]] * (1 - h) + neutral[tip[k + 1]] * h
-        b = a + (b - a) * np.clip(g.normal(0.85 if upper else 0.62, 0.14, (count, 1)), 0.35, 1.1)
-        t = np.linspace(0, 1, SHORT_STEPS)[None, :, None]
-        lift = (1 if upper else -1) * 0.22 * np.linalg.norm(b - a, axis=1)[:, None, None] * np.array([0, 1.0, 0])
-        points.append(a[:, None] * (1 - t) + b[:, None] * t + lift * (t**2 - t) * 1.0)
-        triangle = np.stack([root[i], root[i + 1], side[i]], 1)
-        faces.append(triangle)
-        weights.append(np.concatenate([1 - f, f, np.zeros_like(f)], 1))
-    if not faces:
-        empty = np.zeros((0, 3))
-        return Strands(empty.astype(int), empty, np.zeros((0, SHORT_STEPS, 3)), np.zeros(0), np.zeros(0))
-    count = sum(len(f) for f in faces)
-    return bind(
-        neutral,
-        np.concatenate(faces),
-        np.concatenate(weights),
-        np.concatenate(points),
-        np.full(count, 0.00009),
-        np.full(count, 100.0),
+        b = a + (b - a) * np.clip(g.normal(0.85 if card.upper else 0.62, 0.14, (count, 1)), 0.35, 1.1)
+        sag = (1 if card.upper else -1) * 0.22 * np.linalg.norm(b - a, axis=1)[:, None, None] * np.array([0, 1.0, 0])
+        points.append(a[:, None] * (1 - t) + b[:, None] * t + sag * (t**2 - t))
+        triangles.append(card.triangles[i])
+        corners = np.asarray(head.faces)[card.triangles[i]]
+        weights.append((corners == root[i][:, None]) * (1 - f) + (corners == root[i + 1][:, None]) * f)
+    count = sum(map(len, triangles))
+    return Hairs(
+        np.concatenate(triangles), np.concatenate(weights), np.concatenate(points), np.tile([0.00011, 0.00004], (count, 1))
     )
 
 
-def lash_edges(head: Head) -> list[tuple[np.ndarray, np.ndarray, np.ndarray, bool]]:
-    """Root edge, outer edge and the row beside the root of each lash card, as vertex indices, and whether it is an upper lid's.
-
-    Cards are grids of `LASH_CARD_ROWS` quads across; the root edge is the long border that lies at the skin.
-    """
-    template = np.asarray(head.v_template, float)
-    mask = np.zeros(len(template), bool)
-    mask[region_vertices(head, "lashes")] = True
-    triangles = np.asarray(head.faces)
-    triangles = triangles[mask[triangles].all(1)]
-    other = np.ones(len(template), bool)
-    for name in ("lashes", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue"):
-        other[region_vertices(head, name)] = False
-    skin = template[other]
-    parent = {int(v): int(v) for v in np.flatnonzero(mask)}
-
-    def find(v: int) -> int:
-        while parent[v] != v:
-            parent[v] = parent[parent[v]]
-            v = parent[v]
-        return v
-
-    for a, b, c in triangles.tolist():
-        parent[find(a)] = find(b)
-        parent[find(b)] = find(c)
-    cards: dict[int, list[list[int]]] = {}
-    for triangle in triangles.tolist():
-        cards.setdefault(find(triangle[0]), []).append(triangle)
-    result = []
-    for faces in cards.values():
-        uses = Counter(tuple(sorted((t[i], t[(i + 1) % 3]))) for t in faces for i in range(3))
-        border = [edge for edge, count in uses.items() if count == 1]
-        links: dict[int, list[int]] = {}
-        for a, b in border:
-            links.setdefault(a, []).append(b)
-            links.setdefault(b, []).append(a)
-        loop = [border[0][0]]
-        previous = -1
-        while True:
-            following = [v for v in links[loop[-1]] if v != previous]
-            previous = loop[-1]
-            if following[0] == loop[0]:
-                break
-            loop.append(following[0])
-        columns = (len(loop) - 2 * LASH_CARD_ROWS) // 2 + 1
-        distance = np.array([np.linalg.norm(skin - template[v], axis=1).min() for v in loop])
-        near = np.array(
-            [
-                np.roll(distance, -r)[:columns].sum()
-                - np.roll(distance, -r)[columns + LASH_CARD_ROWS - 1 : 2 * columns + LASH_CARD_ROWS - 1].sum()
-                for r in range(len(loop))
-            ]
-        )
-        turned = np.roll(loop, -int(near.argmin()))
-        root = turned[:columns]
-        tip = turned[columns + LASH_CARD_ROWS - 1 : 2 * columns + LASH_CARD_ROWS - 1][::-1]
-        upper = template[tip, 1].mean() > template[root, 1].mean()
-        neighbour = np.array([_third(faces, root[i], root[i + 1]) for i in range(columns - 1)])
-        result.append((root, tip, neighbour, bool(upper)))
-    return result
-
-
-def _third(faces: list[list[int]], a: int, b: int) -> int:
-    for face in faces:
-        if a in face and b in face:
-            return next(v for v in face if v not in (a, b))
-    return int(a)
-
-
-def _roots(mesh: RenderMesh, neutral: np.ndarray, triangles: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    normals = mesh.normals(neutral)
-    normal = (normals[triangles] * weights[..., None]).sum(1)
-    return (neutral[triangles] * weights[..., None]).sum(1), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+def _hairs(roots: Roots, points: np.ndarray, width: float) -> Hairs:
+    return Hairs(roots.triangles, roots.weights, points, np.tile([width, 0.4 * width], (len(points), 1)))
 
 
 def _tangent(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -269,27 +150,7 @@ def _tangent(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
 
 
-def _bent(roots: np.ndarray, direction: np.ndarray, normal: np.ndarray, length: np.ndarray, bend: float) -> np.ndarray:
-    t = np.linspace(0, 1, SHORT_STEPS)[None, :, None]
-    lifted = roots + 0.0004 * normal
-    return lifted[:, None] + length[:, None, None] * (t * direction[:, None] + bend * t**2 * normal[:, None])
-
-
-def _shorten(points: np.ndarray, share: np.ndarray) -> np.ndarray:
-    steps = points.shape[1]
-    where = np.linspace(0, 1, steps)[None] * share[:, None] * (steps - 1)
-    low = np.minimum(where.astype(int), steps - 2)
-    f = (where - low)[..., None]
-    rows = np.arange(len(points))[:, None]
-    return points[rows, low] * (1 - f) + points[rows, low + 1] * f
-
-
-def _local_shift(neutral: np.ndarray, template: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """How the person's skin near template points differs from the template, [N, 3]."""
-    distance = np.linalg.norm(template - points.mean(0), axis=1)
-    near = np.argsort(distance)[:12]
-    return np.repeat((neutral[near] - template[near]).mean(0)[None], len(points), 0)
-
-
-def _nearest_face(faces: np.ndarray, template: np.ndarray, point: np.ndarray) -> np.ndarray:
-    return faces[int(np.argmin(np.linalg.norm(template[faces].mean(1) - point, axis=1)))]
+def _bent(roots: Roots, direction: np.ndarray, length: np.ndarray, bend: float) -> np.ndarray:
+    t = np.linspace(0, 1, STEPS)[None, :, None]
+    lifted = roots.points - 0.0004 * roots.normals
+    return lifted[:, None] + length[:, None, None] * (t * direction[:, None] + bend * t**2 * roots.normals[:, None])

@@ -107,7 +107,14 @@ def _even(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
 def _graded(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
     low = smoothstep(-0.04, 0.06, rest[:, 1])
     sides = 0.004 + (style.sides - 0.004) * low
+    if style.fade:  # shorn on the sides, from the temples down
+        sides = np.maximum(sides * smoothstep(style.fade - 0.05, style.fade + 0.01, rest[:, 1]), 0.0012)
     return s.hair_length * (sides + (_length(style, s) - sides) * _top(rest))
+
+
+def _crest(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    middle = smoothstep(0.030, 0.020, np.abs(rest[:, 0])) * smoothstep(0.02, 0.05, rest[:, 1])
+    return s.hair_length * (style.sides + (_length(style, s) - style.sides) * middle)
 
 
 def _fringe(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
@@ -122,6 +129,12 @@ def _line(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
     return s.hair_length**0.5 * np.maximum(_length(style, s) - 0.55 * (0.14 - rest[:, 1]), 0.06)
 
 
+def _layers(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
+    # in steps: the hair of the crown ends higher than that of the nape
+    step = 0.55 + 0.45 * smoothstep(0.14, 0.02, rest[:, 1]) + 0.08 * np.sin(rest @ np.array([311.0, 207.0, 173.0]))
+    return _line(style, s, rest) * np.clip(step, 0.4, 1.0)
+
+
 def _round(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
     height = 0.35 + 0.65 * smoothstep(-0.05, 0.08, rest[:, 1])
     return s.hair_length * _length(style, s) * height * np.where(azimuth(rest) < 75, 0.8, 1.0)
@@ -131,7 +144,10 @@ def _to_knot(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
     return np.linalg.norm(rest - KNOTS[style.comb], axis=1) * 1.22 + 0.004
 
 
-CUTS = {"even": _even, "graded": _graded, "fringe": _fringe, "line": _line, "round": _round, "tied": _to_knot}
+CUTS = {
+    "even": _even, "graded": _graded, "crest": _crest, "fringe": _fringe, "line": _line, "layers": _layers, "round": _round,
+    "tied": _to_knot,
+}  # fmt: skip
 
 
 def _no_comb(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -151,8 +167,14 @@ def _comb_back(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
     return _unit(_rows(rest, 0.15 * np.sign(rest[:, 0]), np.where(rest[:, 2] > 0.03, 0.35, -0.25), -1.0))
 
 
+def _comb_quiff(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    front = smoothstep(0.02, 0.08, rest[:, 2])
+    return _unit(_rows(rest, 0.25 * np.sign(s.part) * front, 0.9 * front - 0.15, -0.8))
+
+
 def _comb_fringe(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
-    return _unit(_rows(rest, 0.30 * np.sign(s.part), -0.1, np.where(rest[:, 2] > -0.02, 1.0, -0.7)))
+    ahead = smoothstep(-0.075, -0.005, rest[:, 2])  # around a whorl behind the crown
+    return _unit(_rows(rest, np.sign(s.part) * (0.30 + 1.2 * ahead * (1 - ahead)), -0.1, 1.7 * ahead - 0.7))
 
 
 def _comb_parted(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -167,8 +189,8 @@ def _comb_knot(name: str, s: Subject, rest: np.ndarray, at: np.ndarray) -> np.nd
 
 
 COMBS = {
-    "none": _no_comb, "forward": _comb_forward, "aside": _comb_aside, "back": _comb_back, "fringe": _comb_fringe,
-    "parted": _comb_parted, **{name: partial(_comb_knot, name) for name in KNOTS},
+    "none": _no_comb, "forward": _comb_forward, "aside": _comb_aside, "back": _comb_back, "quiff": _comb_quiff,
+    "fringe": _comb_fringe, "parted": _comb_parted, **{name: partial(_comb_knot, name) for name in KNOTS},
 }  # fmt: skip
 Comb = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -184,6 +206,7 @@ def _way_short(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> 
 
 def _way_fringe(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
     over, top = smoothstep(0.06, 0.095, position[:, 2])[:, None], _top(rest)[:, None]
+    top = top * np.maximum(smoothstep(0.060, 0.045, np.abs(rest[:, 0])), smoothstep(0.03, 0.0, rest[:, 2]))[:, None]
     led = comb(rest, position)
     return _unit(top * (led * (1 - over) + (DOWN + 0.15 * led) * over) + (1 - top) * _sides(rest, -0.15, 0.0))
 
@@ -222,12 +245,12 @@ WAYS = {
 def tail_points(s: Subject, g: np.random.Generator, steps: int) -> np.ndarray:
     """Strands of a ponytail or a bun in template coordinates, [N, steps, 3]; empty for other styles."""
     t = np.linspace(0, 1, steps)
-    count = 2600
+    count = 9000
     if s.hair_style == "ponytail":
-        length = 0.24 * s.hair_length
+        length = 0.20 * s.hair_length
         disk = g.normal(0, 1, (count, 2))
         disk /= np.maximum(np.linalg.norm(disk, axis=1, keepdims=True), 1.0)
-        swell = (0.004 + 0.016 * np.sin(np.clip(t * 1.15, 0, 1) * np.pi) * (1 - 0.4 * t))[None]
+        swell = (0.005 + 0.023 * np.sin(np.clip(t * 1.15, 0, 1) * np.pi) * (1 - 0.4 * t))[None]
         own = length * np.clip(g.normal(1, 0.12, (count, 1)), 0.6, 1.3)
         out = 0.035 * (1 - np.exp(-5 * t))[None] * np.ones((count, 1))
         wave = 0.006 * s.hair_curl * np.sin(t * 9 + g.normal(0, 0.4, (count, 1)))

@@ -1,7 +1,6 @@
-"""Growing strands: roots on the head, styles as fields that bend them, clumps, curls; and strands that follow the mesh.
+"""Growing strands: roots on the skin, paths that styles bend, locks, ropes, curls, frizz. Needs numpy and scipy.
 
-A strand set is made once per person on the neutral head; each root is bound to a triangle and each point is stored in the
-frame of that triangle, so that a posed head carries its hair, brows and lashes. Needs numpy and scipy.
+Strands are grown in head space on a person's neutral head; `grooming` binds them to the head's triangles.
 """
 
 from __future__ import annotations
@@ -13,203 +12,229 @@ from scipy.spatial import cKDTree
 
 from .fields import smoothstep
 from .grooms import Growth
+from .mesh import Head, RenderMesh, region_vertices
 from .styles import Style
 
-STEPS = 13  # points of a scalp strand
-RIBBON_WIDTH = 1.45  # of the radius: strips are seen at an angle
+STEPS = 14  # of a path, before curls
+WIDE_CURL = 0.003  # metres; wider curls would reach into the head
+LIKE = 500  # groups of neighbouring hairs that grow alike
+INSIDE = ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
 
 
 @dataclass
-class Strands:
-    """Strands bound to triangles.
+class Roots:
+    """Where strands begin.
 
     Attributes:
-        faces: Bound triangle of each strand as vertex indices of the model, [N, 3].
-        weights: Barycentric coordinates of the root, [N, 3].
-        local: Points in the triangle's frame, metres, root first, [N, K, 3].
-        radius: Radius at the root in metres, [N]; strands taper towards the tip.
-        tint: Random factor of the color, [N].
-    """
-
-    faces: np.ndarray
-    weights: np.ndarray
-    local: np.ndarray
-    radius: np.ndarray
-    tint: np.ndarray
-
-    def points(self, vertices: np.ndarray) -> np.ndarray:
-        """World positions on a posed head [V, 3] -> [N, K, 3]."""
-        origin, frame = triangle_frames(vertices, self.faces, self.weights)
-        return origin[:, None] + self.local @ frame
-
-    @staticmethod
-    def join(sets: list[Strands]) -> Strands:
-        """Concatenate sets of equal point count."""
-        fields = ("faces", "weights", "local", "radius", "tint")
-        return Strands(*(np.concatenate([getattr(s, name) for s in sets]) for name in fields))
-
-
-@dataclass
-class Ribbons:
-    """Strands as flat strips of triangles, which render several times faster than curves at a few samples.
-
-    Attributes:
-        faces: Triangles, [N * (K - 1) * 2, 3].
-        twist: Random direction that turns each strip out of the surface, [N, 1, 3].
-    """
-
-    faces: np.ndarray
-    twist: np.ndarray
-
-    @staticmethod
-    def build(count: int, steps: int, seed: int) -> Ribbons:
-        """Topology of `count` strands of `steps` points."""
-        first = 2 * (np.arange(count)[:, None] * steps + np.arange(steps - 1)[None]).reshape(-1, 1)
-        quads = first + np.array([[0, 1, 3, 0, 3, 2]])
-        twist = np.random.default_rng(seed).normal(0, 0.55, (count, 1, 3))
-        return Ribbons(quads.reshape(-1, 3), twist)
-
-    def vertices(self, points: np.ndarray, radius: np.ndarray, centre: np.ndarray) -> np.ndarray:
-        """Strip corners of strands [N, K, 3] with root radii [N], facing away from `centre` [3]; [N * K * 2, 3]."""
-        tangent = np.gradient(points, axis=1)
-        outward = _unit(points - centre) + self.twist
-        side = _unit(np.cross(tangent, outward))
-        taper = np.linspace(1.0, 0.4, points.shape[1])[None, :, None]
-        half = side * taper * radius[:, None, None] * RIBBON_WIDTH
-        return np.stack([points - half, points + half], 2).reshape(-1, 3)
-
-
-def triangle_frames(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Origins [N, 3] and frames [N, 3, 3] (rows: along the first edge, in the plane, normal)."""
-    p = vertices[faces]
-    edge = p[:, 1] - p[:, 0]
-    normal = np.cross(edge, p[:, 2] - p[:, 0])
-    edge = edge / np.maximum(np.linalg.norm(edge, axis=1, keepdims=True), 1e-12)
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-15)
-    frame = np.stack([edge, np.cross(normal, edge), normal], 1)
-    return (p * weights[..., None]).sum(1), frame
-
-
-def bind(
-    vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, points: np.ndarray, radius: np.ndarray, tint: np.ndarray
-) -> Strands:
-    """Store world points [N, K, 3] in the frames of their triangles."""
-    origin, frame = triangle_frames(vertices, faces, weights)
-    local = (points - origin[:, None]) @ frame.transpose(0, 2, 1)
-    return Strands(
-        faces.astype(np.int32),
-        weights.astype(np.float32),
-        local.astype(np.float32),
-        radius.astype(np.float32),
-        tint.astype(np.float32),
-    )
-
-
-def scatter(
-    vertices: np.ndarray, faces: np.ndarray, template: np.ndarray, density: np.ndarray, count: int, g: np.random.Generator
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draw roots on the skin.
-
-    Args:
-        vertices: The person's neutral head, [V, 3].
-        faces: Candidate triangles, [F, 3].
-        template: Template positions, [V, 3].
-        density: Upper bound of the density of each triangle, [F]; exact densities are applied by the caller.
-        count: Number of roots.
-        g: Generator.
-
-    Returns:
-        Triangles [count, 3], barycentric weights [count, 3], template positions of the roots [count, 3].
-    """
-    p = vertices[faces]
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) * density
-    chosen = g.choice(len(faces), count, p=area / area.sum())
-    r = g.random((count, 2))
-    s = np.sqrt(r[:, 0])
-    weights = np.stack([1 - s, s * (1 - r[:, 1]), s * r[:, 1]], 1)
-    triangles = faces[chosen]
-    return triangles, weights, (template[triangles] * weights[..., None]).sum(1)
-
-
-def grow(
-    roots: np.ndarray,
-    normals: np.ndarray,
-    rest: np.ndarray,
-    growth: Growth,
-    surface: np.ndarray,
-    surface_normals: np.ndarray,
-    g: np.random.Generator,
-) -> np.ndarray:
-    """Grow scalp strands, [N, STEPS, 3].
-
-    Args:
-        roots: Root positions on the person, [N, 3].
+        triangles: Numbers of the head's triangles, [N].
+        weights: Barycentric coordinates, [N, 3].
+        rest: Template positions, [N, 3].
+        points: Positions on the person's neutral head, [N, 3].
         normals: Skin normals there, [N, 3].
-        rest: Template positions of the roots, [N, 3].
-        growth: How they grow.
-        surface: Points of the head that hair must not enter, [M, 3].
-        surface_normals: Their normals, [M, 3].
-        g: Generator.
     """
-    count, style = len(roots), growth.style
-    tree = cKDTree(surface)
-    length = growth.length(rest) * np.clip(g.normal(1.0, 0.10, count), 0.6, 1.4)
+
+    triangles: np.ndarray
+    weights: np.ndarray
+    rest: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+
+    @staticmethod
+    def place(head: Head, mesh: RenderMesh, neutral: np.ndarray, triangles: np.ndarray, weights: np.ndarray) -> Roots:
+        """Roots at barycentric `weights` [N, 3] of numbered `triangles` [N]."""
+        corners, w = np.asarray(head.faces)[triangles], weights[..., None]
+        normals = _unit((mesh.normals(neutral)[corners] * w).sum(1))
+        rest = (np.asarray(head.v_template, float)[corners] * w).sum(1)
+        return Roots(triangles, weights, rest, (neutral[corners] * w).sum(1), normals)
+
+    @staticmethod
+    def scatter(
+        head: Head, mesh: RenderMesh, neutral: np.ndarray, among: np.ndarray, density: np.ndarray, count: int,
+        g: np.random.Generator,
+    ) -> Roots:  # fmt: skip
+        """Draw `count` roots evenly by area times `density` [F'] on the triangles numbered `among` [F']."""
+        p = neutral[np.asarray(head.faces)[among]]
+        area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1) * density
+        chosen = among[g.choice(len(among), count, p=area / area.sum())]
+        r = g.random((count, 2))
+        s = np.sqrt(r[:, 0])
+        return Roots.place(head, mesh, neutral, chosen, np.stack([1 - s, s * (1 - r[:, 1]), s * r[:, 1]], 1))
+
+    def select(self, which: np.ndarray) -> Roots:
+        """Some of them."""
+        return Roots(*(value[which] for value in (self.triangles, self.weights, self.rest, self.points, self.normals)))
+
+
+def skin_triangles(head: Head, mesh: RenderMesh, without: tuple[str, ...] = ("mouth_interior",)) -> np.ndarray:
+    """Numbers of the triangles of the skin that touch none of the named regions."""
+    numbers = mesh.kept[mesh.materials[::4] == 0]
+    for name in without:
+        numbers = numbers[~np.isin(np.asarray(head.faces)[numbers], region_vertices(head, name)).any(1)]
+    return numbers
+
+
+class Skull:
+    """The outer surface of a person, which hair must not enter."""
+
+    def __init__(self, head: Head, mesh: RenderMesh, neutral: np.ndarray) -> None:
+        normals = mesh.normals(neutral)
+        outside = np.ones(len(neutral))
+        for name in INSIDE:
+            outside[region_vertices(head, name)] = 0.0
+        own = mesh.spread(outside) > 0.99
+        ears = np.zeros(len(neutral))
+        ears[region_vertices(head, "ears")] = 1.0
+        self.points, self.normals = mesh.refine(neutral)[own], mesh.spread(normals)[own]
+        ear = mesh.spread(ears)[own] > 0.5  # hair lies over ears, not between their folds
+        self.normals[ear] = np.sign(self.points[ear, :1]) * np.array([1.0, 0.0, 0.0])
+        self._tree = cKDTree(self.points)
+
+    def heights(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Height above the nearest skin [N], its normal [N, 3], distance to it [N]."""
+        distance, near = self._tree.query(points)
+        normal = self.normals[near]
+        return ((points - self.points[near]) * normal).sum(1), normal, distance
+
+
+def grow(roots: Roots, growth: Growth, skull: Skull, g: np.random.Generator) -> np.ndarray:
+    """Grow scalp strands, [N, points of the style, 3]."""
+    style, count = growth.style, len(roots.rest)
+    # neighbours grow alike: what differs differs more by lock than by hair
+    centres = g.choice(count, min(LIKE, count), replace=False)
+    _, alike = cKDTree(roots.points[centres]).query(roots.points + g.normal(0, 0.003, (count, 3)))
+    common = g.normal(0, 1, (len(centres), 5))[alike]
+    length = growth.length(roots.rest) * np.clip(1 + 0.08 * common[:, 3] + g.normal(0, 0.05, count), 0.6, 1.4)
     pace = 0.25 + 1.75 * np.arange(STEPS) / (STEPS - 1)  # short first segments stay above the curved skull
     pace[0] = 0.0
     pace /= pace.sum()
     travelled = np.cumsum(pace)
-    points = np.empty((count, STEPS, 3))
-    points[:, 0] = roots - 0.001 * normals
-    position = roots.copy()
-    jitter = g.normal(0, style.messiness, (count, 3))
-    direction = _unit(normals * growth.lift + growth.flow(rest) + jitter)
+    path = np.empty((count, STEPS, 3))
+    path[:, 0] = roots.points - 0.001 * roots.normals
+    position = roots.points.copy()
+    jitter = style.messiness * (common[:, :3] + 0.35 * g.normal(0, 1, (count, 3)))
+    direction = _unit(roots.normals * growth.lift + growth.flow(roots.rest) + jitter)
+    clearance = growth.clearance(roots.rest) * np.clip(
+        1 + 0.3 * common[:, 4] - g.random(count), 0.1, 1.6
+    )  # hair lies in layers
     for k in range(1, STEPS):
         t = float(travelled[k])
-        want = growth.way(rest, position, t)
+        want = growth.way(roots.rest, position, t)
         direction = _unit((1 - style.follow) * direction + style.follow * want + 0.35 * jitter * style.follow)
         position = position + direction * (length * pace[k])[:, None]
-        distance, near = tree.query(position)
-        n = surface_normals[near]
-        height = ((position - surface[near]) * n).sum(1)
-        wanted = growth.clearance(rest) * min(1.0, 0.2 + 8.0 * t) + 0.0008
+        height, normal, distance = skull.heights(position)
+        wanted = clearance * min(1.0, 0.2 + 8.0 * t) + 0.0008
         push = np.where(distance < 0.04, np.maximum(wanted - height, 0.0), 0.0)
         if style.hug > 0:  # combed hair lies on the skull instead of flying off at its tangent
             over = np.maximum(height - wanted - 0.003, 0.0) * smoothstep(0.0, 0.05, position[:, 1]) * (distance < 0.06)
             push = push - style.hug * over
-        position = position + push[:, None] * n
-        points[:, k] = position
-    points = _clump(points, roots, growth.style, g)
-    return _curl(points, length, growth, g)
+        position = position + push[:, None] * normal
+        path[:, k] = position
+    points = resample(path, travelled, style.points)
+    points = style_strands(points, growth, g)
+    if growth.curl_radius > WIDE_CURL:
+        height, normal, distance = skull.heights(points[:, 1:].reshape(-1, 3))
+        push = np.where(distance < 0.03, np.maximum(0.0008 - height, 0.0), 0.0)
+        points[:, 1:] += (push[:, None] * normal).reshape(count, -1, 3)
+    return points
 
 
-def _clump(points: np.ndarray, roots: np.ndarray, style: Style, g: np.random.Generator) -> np.ndarray:
-    if style.clumps == 0 or style.clumping == 0:
-        return points
-    leaders = g.choice(len(points), min(style.clumps, len(points)), replace=False)
-    # ragged clump borders: distances are perturbed per strand
-    _, which = cKDTree(roots[leaders]).query(roots + g.normal(0, 0.0025, roots.shape))
-    t = (np.linspace(0, 1, points.shape[1]) ** 1.5)[None, :, None]
-    strength = style.clumping * np.clip(g.normal(1.0, 0.35, (len(points), 1, 1)), 0.0, 1.25)
-    pull = np.clip(strength * smoothstep(0.05, 1.0, t), 0.0, 0.97)
-    leader = points[leaders][which]
-    return points + pull * (leader - points)
+def style_strands(points: np.ndarray, growth: Growth, g: np.random.Generator) -> np.ndarray:
+    """Gather paths [N, K, 3] into locks, and curl and ruffle them."""
+    style, count = growth.style, len(points)
+    length = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1)
+    stray = g.random(count) < style.flyaway
+    which = np.arange(count)
+    if style.clumps:
+        leaders = g.choice(count, min(style.clumps, count), replace=False)
+        # by root and by the way that hair goes, so that no lock spans a parting; borders are ragged
+        place = np.concatenate([points[:, 0], 0.6 * points[:, points.shape[1] // 3]], 1)
+        _, which = cKDTree(place[leaders]).query(place + g.normal(0, 0.0 if style.rope else 0.0025, place.shape))
+        if style.rope:
+            points = _rope(points, points[leaders][which], which, style, g)
+        else:
+            loose = np.where(stray, 0.15, 1.0)
+            points = _clump(points, points[leaders][which], style.clumping * loose, style.gather, g)
+            large = leaders[:: max(len(leaders) // (len(leaders) // 9 + 1), 1)]
+            _, near = cKDTree(place[large]).query(place + g.normal(0, 0.005, place.shape))
+            points = _clump(points, points[large][near], 0.45 * style.clumping * loose, 1.0, g)
+    if growth.curl_radius:
+        points = points + _curls(points, length, which, growth, g)
+    if style.frizz:
+        amount = style.frizz * np.where(stray, 5.0, 1.0) * np.clip(length / 0.08, 0.15, 1.3)
+        points = points + _ruffle(points.shape, length, g) * amount[:, None, None]
+    return points
 
 
-def _curl(points: np.ndarray, length: np.ndarray, growth: Growth, g: np.random.Generator) -> np.ndarray:
-    if growth.curl_radius == 0:
-        return points
-    count, steps, style = *points.shape[:2], growth.style
+def resample(path: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
+    """`count` points at even places on smooth curves through points [N, S, 3] that lie at `places` [S] in 0..1."""
+    at = np.interp(np.linspace(0, 1, count), places, np.arange(len(places)))
+    i = np.minimum(at.astype(int), len(places) - 2)
+    f = (at - i)[None, :, None]
+    last = len(places) - 1
+    a, b, c, d = (path[:, np.clip(i + k, 0, last)] for k in (-1, 0, 1, 2))
+    # Catmull-Rom
+    return b + 0.5 * f * (c - a + f * (2 * a - 5 * b + 4 * c - d + f * (3 * (b - c) + d - a)))
+
+
+def _clump(
+    points: np.ndarray, leader: np.ndarray, clumping: np.ndarray, gather: float, g: np.random.Generator
+) -> np.ndarray:  # fmt: skip
+    """Pull strands to their leaders, fully from the share `gather` of the length on."""
+    t = (np.minimum(np.linspace(0, 1, points.shape[1]) / gather, 1.0) ** 1.5)[None, :, None]
+    strength = (clumping * np.clip(g.normal(1.0, 0.22, len(points)), 0.0, 1.2))[:, None, None]
+    return points + np.clip(strength * smoothstep(0.05, 1.0, t), 0.0, 0.97) * (leader - points)
+
+
+def _rope(points: np.ndarray, leader: np.ndarray, which: np.ndarray, style: Style, g: np.random.Generator) -> np.ndarray:
+    """Wind strands around their leaders, loosely or in three parts."""
+    count, steps = points.shape[:2]
+    side, other = _across(leader)
+    t = np.linspace(0, 1, steps)[None]
+    gather = smoothstep(0.0, 0.07, t)[..., None] * np.clip(g.normal(0.97, 0.05, (count, 1, 1)), 0.5, 1.0)
+    radius = style.rope * (1 - 0.45 * t**3) * np.sqrt(g.random((count, 1)))
+    turns = np.linalg.norm(np.diff(leader, axis=1), axis=2).sum(1)[:, None] / style.wavelength
+    phase = (which * 0.618034 % 1.0)[:, None]
+    if style.braided:
+        angle = 2 * np.pi * (turns * 3.4 * t + phase + (np.arange(count) % 3)[:, None] / 3)
+        u, v = 1.1 * style.rope * np.sin(angle), 0.55 * style.rope * np.sin(2 * angle)
+        swing = g.uniform(0, 2 * np.pi, (count, 1))
+        u, v = u + 0.45 * radius * np.cos(swing), v + 0.45 * radius * np.sin(swing)
+    else:
+        angle = 2 * np.pi * (turns * 2.0 * t + g.random((count, 1)))
+        lumps = 1 + 0.16 * np.sin(2 * np.pi * (t * 9 + phase)) + 0.12 * np.sin(2 * np.pi * (t * 23 + 3 * phase))
+        u, v = radius * lumps * np.cos(angle), radius * lumps * np.sin(angle)
+    return points + gather * (leader + u[..., None] * side + v[..., None] * other - points)
+
+
+def _curls(points: np.ndarray, length: np.ndarray, which: np.ndarray, growth: Growth, g: np.random.Generator) -> np.ndarray:
+    """Displacement of helices around the paths; a lock turns together."""
+    style = growth.style
+    count, steps = points.shape[:2]
+    side, other = _across(points)
+    lock = g.uniform(0, 2 * np.pi, (int(which.max()) + 1, 2))[which]
+    t = np.linspace(0, 1, steps)[None]
+    turns = length / (style.wavelength * np.clip(1 + 0.25 * np.sin(lock[:, 1]) + g.normal(0, 0.06, count), 0.5, 1.6))
+    angle = lock[:, :1] + g.normal(0, style.curl_spread, (count, 1)) + 2 * np.pi * turns[:, None] * t
+    radius = growth.curl_radius * smoothstep(0.0, 0.35, t) * np.clip(g.normal(1, 0.25, (count, 1)), 0.4, 1.6)
+    return radius[..., None] * (np.cos(angle)[..., None] * side + np.sin(angle)[..., None] * other)
+
+
+def _ruffle(shape: tuple[int, ...], length: np.ndarray, g: np.random.Generator) -> np.ndarray:
+    """Smooth random waves of unit size along strands, 0 at their roots, [N, K, 3]."""
+    t = np.linspace(0, 1, shape[1])[None, :, None]
+    total = np.zeros(shape)
+    for wave, size in ((0.09, 1.0), (0.03, 0.45)):
+        turns = np.minimum(length / wave, 0.35 * shape[1])[:, None, None]
+        phase = g.uniform(0, 2 * np.pi, (shape[0], 1, 3))
+        total += size * g.normal(0, 1, (shape[0], 1, 3)) * (np.sin(2 * np.pi * turns * t + phase) - np.sin(phase))
+    return total * t**0.7
+
+
+def _across(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two directions across each strand that turn smoothly along it, [N, K, 3] each."""
     tangent = _unit(np.gradient(points, axis=1))
     side = _unit(np.cross(tangent, np.array([0.31, 0.42, 0.85])))
-    other = np.cross(tangent, side)
-    cell = np.floor(points[:, 0] / style.curl_cell).astype(np.int64)
-    key = (cell @ np.array([73856093, 19349663, 83492791])) % 9973
-    phase = (key * 0.618034 % 1.0) * 2 * np.pi + g.normal(0, style.curl_spread, count)
-    turns = length / style.wavelength
-    t = np.linspace(0, 1, steps) ** 1.6
-    angle = phase[:, None] + 2 * np.pi * turns[:, None] * t
-    radius = growth.curl_radius * smoothstep(0.0, 0.35, t) * np.clip(g.normal(1, 0.25, (count, 1)), 0.4, 1.6)
-    return points + radius[..., None] * (np.cos(angle)[..., None] * side + np.sin(angle)[..., None] * other)
+    return side, np.cross(tangent, side)
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

@@ -1,33 +1,116 @@
 """Lashes that follow their lids: they turn with the lash cards and, on shut eyes, stand on the seam. Needs numpy only.
 
-Strands bound to triangles (see `hair`) twist with the small triangles at a lid's edge, and a shut upper lid of the head model
-reaches below the edge of the lower one, which would hide its lashes inside the skin. `scene` uses this class instead of
-`hair.Strands` for lashes; on the neutral head both give the same points.
+Strands bound to triangles twist with the small triangles at a lid's edge, and a shut upper lid of the head model reaches below
+the edge of the lower one, which would hide its lashes inside the skin. `scene` poses lashes by this class; on the neutral head
+it gives the points of the groom.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from .face_hair import lash_edges
-from .hair import Strands
-from .mesh import Head
+from grmm_core.hair.groom import Groom
 
+from .mesh import Head, region_vertices
+
+LASH_CARD_ROWS = 4  # quads across a lash card
 SEAM_LIFT = np.array([0.0, 0.0003, 0.0007])  # metres from the lower lid's lash roots to those of a shut upper lid
 SHUT = 0.0015  # metres of overlap at which a lid counts as shut
 DROOP = 0.35  # of a lash's length that its tip sinks on a shut lid
 
 
-@dataclass
-class Lashes:
-    """Lashes in the interface of `Strands`.
+@dataclass(frozen=True)
+class LashCard:
+    """One strip of the head model on which lashes stand.
 
     Attributes:
-        strands: The strands bound to the neutral head.
+        root, tip: Vertices of the edge at the skin and of the outer edge, [C].
+        triangles: Number of the triangle at each piece of the root edge, [C - 1].
+        upper: Whether it is an upper lid's.
+    """
+
+    root: np.ndarray
+    tip: np.ndarray
+    triangles: np.ndarray
+    upper: bool
+
+
+def lash_edges(head: Head) -> list[LashCard]:
+    """The lash cards of a head.
+
+    Cards are grids of `LASH_CARD_ROWS` quads across; the root edge is the long border that lies at the skin.
+    """
+    template = np.asarray(head.v_template, float)
+    mask = np.zeros(len(template), bool)
+    mask[region_vertices(head, "lashes")] = True
+    triangles = np.asarray(head.faces)
+    numbers = np.flatnonzero(mask[triangles].all(1))
+    triangles = triangles[numbers]
+    other = np.ones(len(template), bool)
+    for name in ("lashes", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue"):
+        other[region_vertices(head, name)] = False
+    skin = template[other]
+    parent = {int(v): int(v) for v in np.flatnonzero(mask)}
+
+    def find(v: int) -> int:
+        while parent[v] != v:
+            parent[v] = parent[parent[v]]
+            v = parent[v]
+        return v
+
+    for a, b, c in triangles.tolist():
+        parent[find(a)] = find(b)
+        parent[find(b)] = find(c)
+    cards: dict[int, list[list[int]]] = {}
+    for triangle in triangles.tolist():
+        cards.setdefault(find(triangle[0]), []).append(triangle)
+    result = []
+    for faces in cards.values():
+        uses = Counter(tuple(sorted((t[i], t[(i + 1) % 3]))) for t in faces for i in range(3))
+        border = [edge for edge, count in uses.items() if count == 1]
+        links: dict[int, list[int]] = {}
+        for a, b in border:
+            links.setdefault(a, []).append(b)
+            links.setdefault(b, []).append(a)
+        loop = [border[0][0]]
+        previous = -1
+        while True:
+            following = [v for v in links[loop[-1]] if v != previous]
+            previous = loop[-1]
+            if following[0] == loop[0]:
+                break
+            loop.append(following[0])
+        columns = (len(loop) - 2 * LASH_CARD_ROWS) // 2 + 1
+        distance = np.array([np.linalg.norm(skin - template[v], axis=1).min() for v in loop])
+        near = np.array(
+            [
+                np.roll(distance, -r)[:columns].sum()
+                - np.roll(distance, -r)[columns + LASH_CARD_ROWS - 1 : 2 * columns + LASH_CARD_ROWS - 1].sum()
+                for r in range(len(loop))
+            ]
+        )
+        turned = np.roll(loop, -int(near.argmin()))
+        root = np.asarray(turned[:columns])
+        tip = np.asarray(turned[columns + LASH_CARD_ROWS - 1 : 2 * columns + LASH_CARD_ROWS - 1][::-1])
+        upper = template[tip, 1].mean() > template[root, 1].mean()
+        beside = [numbers[np.flatnonzero(np.isin(triangles, pair).sum(1) == 2)[0]] for pair in pairwise(root)]
+        result.append(LashCard(root, tip, np.array(beside), bool(upper)))
+    return result
+
+
+@dataclass
+class Lashes:
+    """The lashes of one person.
+
+    Attributes:
+        edge: The piece of a card's root edge under each strand, as two vertices, [N, 2].
+        share: How far along it the root is, 0..1, [N].
         offsets: Points relative to the roots on the neutral head, metres, [N, K, 3].
-        tips: Outer card vertices behind the bound edge of each strand, [N, 2].
+        tips: Outer card vertices behind the piece of edge, [N, 2].
         direction: Unit direction of the card at each strand on the neutral head, [N, 3].
         upper: Whether a strand is on an upper lid, [N].
         seams: Lower lid's root vertices of the strand's eye from the middle outwards, by sign of x.
@@ -35,7 +118,8 @@ class Lashes:
         rest: Neutral vertices of the seams, [M, 3].
     """
 
-    strands: Strands
+    edge: np.ndarray
+    share: np.ndarray
     offsets: np.ndarray
     tips: np.ndarray
     direction: np.ndarray
@@ -45,46 +129,32 @@ class Lashes:
     rest: np.ndarray
 
     @staticmethod
-    def build(head: Head, neutral: np.ndarray, strands: Strands) -> Lashes:
-        """Prepare the lash strands of a person with neutral vertices [V, 3]."""
-        behind: dict[tuple[int, int], tuple[int, int, bool]] = {}
+    def build(head: Head, neutral: np.ndarray, groom: Groom) -> Lashes:
+        """Prepare a groom of lashes alone, strands of one number of points, on a person's neutral vertices [V, 3]."""
+        pieces: dict[int, list[tuple[int, int, int, int, bool]]] = {}
         seams: dict[int, np.ndarray] = {}
-        for root, tip, _, upper in lash_edges(head):
-            for i in range(len(root) - 1):
-                behind[int(root[i]), int(root[i + 1])] = (int(tip[i]), int(tip[i + 1]), upper)
-            if not upper:
+        for card in lash_edges(head):
+            root, tip = card.root, card.tip
+            for i, triangle in enumerate(card.triangles):
+                piece = (int(root[i]), int(root[i + 1]), int(tip[i]), int(tip[i + 1]), card.upper)
+                pieces.setdefault(int(triangle), []).append(piece)
+            if not card.upper:
                 x = neutral[root, 0]
-                seams[1 if x.mean() > 0 else -1] = np.asarray(root)[np.argsort(np.abs(x))]
-        found = [behind[int(a), int(b)] for a, b in strands.faces[:, :2]]
-        tips = np.array([f[:2] for f in found])
-        points = strands.points(neutral)
-        result = Lashes(
-            strands,
-            points - points[:, :1],
-            tips,
-            np.zeros(0),
-            np.array([f[2] for f in found]),
-            seams,
-            np.where(points[:, 0, 0] > 0, 1, -1),
-            neutral[np.concatenate(list(seams.values()))],
-        )
+                seams[1 if x.mean() > 0 else -1] = root[np.argsort(np.abs(x))]
+        corners = np.asarray(head.faces)[groom.triangles]
+        found = np.zeros((len(groom), 5), np.int64)
+        for i, triangle in enumerate(groom.triangles):
+            # a triangle in a corner has two pieces of the edge; the root lies on one of them
+            found[i] = max(pieces[int(triangle)], key=lambda piece: groom.weights[i][np.isin(corners[i], piece[:2])].sum())
+        edge = found[:, :2]
+        share = (groom.weights * (corners == edge[:, 1:])).sum(1)
+        points = groom.posed(groom.frames(head.v_template, head.faces), neutral).reshape(len(groom), -1, 3).astype(float)
+        rest = neutral[np.concatenate(list(seams.values()))]
+        sides = np.where(points[:, 0, 0] > 0, 1, -1)
+        offsets = points - points[:, :1]
+        result = Lashes(edge, share, offsets, found[:, 2:4], np.zeros(0), found[:, 4] > 0, seams, sides, rest)
         result.direction = result._directions(neutral)
         return result
-
-    @property
-    def faces(self) -> np.ndarray:
-        """Bound triangles, [N, 3]."""
-        return self.strands.faces
-
-    @property
-    def local(self) -> np.ndarray:
-        """Points in the triangles' frames, [N, K, 3]."""
-        return self.strands.local
-
-    @property
-    def radius(self) -> np.ndarray:
-        """Radius at the root in metres, [N]."""
-        return self.strands.radius
 
     def points(self, vertices: np.ndarray) -> np.ndarray:
         """World positions on a posed head [V, 3] -> [N, K, 3]."""
@@ -100,10 +170,11 @@ class Lashes:
         return (roots + shift)[:, None] + offsets
 
     def _roots(self, vertices: np.ndarray) -> np.ndarray:
-        return (vertices[self.strands.faces] * self.strands.weights[..., None]).sum(1)
+        share = self.share[:, None]
+        return vertices[self.edge[:, 0]] * (1 - share) + vertices[self.edge[:, 1]] * share
 
     def _directions(self, vertices: np.ndarray) -> np.ndarray:
-        share = self.strands.weights[:, 1:2]
+        share = self.share[:, None]
         outer = vertices[self.tips[:, 0]] * (1 - share) + vertices[self.tips[:, 1]] * share
         direction = outer - self._roots(vertices)
         return direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)

@@ -11,6 +11,9 @@ from typing import Any
 import bpy
 import numpy as np
 
+from grmm_core.data.layers import ALBEDO, PARTS
+
+from .passes import PART_OUTPUTS
 from .subjects import Subject
 from .textures import SkinTextures
 from .wrinkles import LINE_DEPTH
@@ -109,10 +112,16 @@ class Nodes:
         )
         return node.outputs[0]
 
-    def finish(self, shader: Socket) -> bpy.types.Material:
-        """Connect the surface."""
+    def finish(self, shader: Socket, albedo: Socket, parts: dict[str, Socket]) -> bpy.types.Material:
+        """Connect the surface, and what `passes` reads: its albedo and how much of which of `PARTS` it is."""
         output = self.node("ShaderNodeOutputMaterial")
         self.tree.links.new(shader, output.inputs["Surface"])
+        self.node("ShaderNodeOutputAOV", {"Color": albedo}, aov_name=ALBEDO)
+        for i, name in enumerate(PART_OUTPUTS):
+            own = {k: parts[part] for k, part in enumerate(PARTS[3 * i : 3 * i + 3]) if part in parts}
+            if own:
+                color = self.node("ShaderNodeCombineColor", {k: own.get(k, 0.0) for k in range(3)}).outputs[0]
+                self.node("ShaderNodeOutputAOV", {"Color": color}, aov_name=name)
         return self.material
 
 
@@ -150,7 +159,9 @@ def skin_material(s: Subject, textures: SkinTextures, subsurface: bool) -> bpy.t
             "Subsurface Radius": (1.0, 0.32, 0.17),
             "Subsurface Scale": 0.0028 if s.melanin < 1 else 0.0018,
         }
-    return n.finish(n.node("ShaderNodeBsdfPrincipled", inputs).outputs[0])
+    mouth = n.attribute("mouth")
+    skin = n.math("SUBTRACT", 1.0, mouth)
+    return n.finish(n.node("ShaderNodeBsdfPrincipled", inputs).outputs[0], color, {"skin": skin, "mouth": mouth})
 
 
 def eye_material(s: Subject) -> bpy.types.Material:
@@ -201,7 +212,9 @@ def eye_material(s: Subject) -> bpy.types.Material:
                 "Coat Roughness": 0.025,
                 "Coat IOR": 1.38,
             },
-        ).outputs[0]
+        ).outputs[0],
+        color,
+        {"eyes": 1.0},
     )
 
 
@@ -247,7 +260,9 @@ def teeth_material(s: Subject) -> bpy.types.Material:
                 "Coat Weight": 0.3,
                 "Coat Roughness": 0.05,
             },
-        ).outputs[0]
+        ).outputs[0],
+        color,
+        {"teeth": n.math("SUBTRACT", 1.0, gum), "mouth": gum},
     )
 
 
@@ -273,20 +288,27 @@ def tongue_material(s: Subject) -> bpy.types.Material:
                 "Emission Color": color,
                 "Emission Strength": MOUTH_GLOW,
             },
-        ).outputs[0]
+        ).outputs[0],
+        color,
+        {"mouth": 1.0},
     )
 
 
-def hair_material(name: str, color: tuple[float, float, float], variation: float, roots_dark: float) -> bpy.types.Material:
-    """Hair strands: colored diffuse body, soft highlight along the strand, color varies by strand and towards the tip."""
+def hair_material(name: str, color: tuple[float, float, float], variation: float) -> bpy.types.Material:
+    """Strands: a colored body, two glints along the strand (one of its color), darker roots; color varies by strand."""
     n = Nodes(name)
     bright = n.math("ADD", n.math("MULTIPLY", n.attribute("tint"), 2.0 * variation), 1.0 - variation)
-    along = n.math("ADD", n.math("MULTIPLY", n.ramp(n.attribute("along"), 0.0, 0.35), roots_dark), 1.0 - roots_dark)
-    factor = n.math("MULTIPLY", bright, along)
+    along = n.node("ShaderNodeHairInfo").outputs["Intercept"]
+    factor = n.math("MULTIPLY", bright, n.math("ADD", n.math("MULTIPLY", n.ramp(along, 0.0, 0.5), 0.25), 0.75))
     grey = n.node("ShaderNodeCombineColor", {0: factor, 1: factor, 2: factor}).outputs[0]
     tinted = n.mix(1.0, tuple(min(1.0, c) for c in color), grey, "MULTIPLY")
-    shader = n.node(
-        "ShaderNodeBsdfPrincipled",
-        {"Base Color": tinted, "Roughness": 0.42, "Specular IOR Level": 0.45, "Specular Tint": (1.0, 0.93, 0.85)},
-    )
-    return n.finish(shader.outputs[0])
+    body = n.node("ShaderNodeBsdfDiffuse", {"Color": tinted, "Roughness": 0.3}).outputs[0]
+    # the cuticle reflects white towards the root, what has gone through the fibre comes back colored towards the tip
+    white = n.node(
+        "ShaderNodeBsdfHair", {"Color": (0.085, 0.083, 0.08), "Offset": -0.07, "RoughnessU": 0.16, "RoughnessV": 0.9}
+    ).outputs[0]
+    strong = n.mix(1.0, n.mix(0.5, tinted, (0.5, 0.5, 0.5)), (0.85, 0.85, 0.85), "MULTIPLY")
+    second = n.mix(1.0, strong, n.mix(1.0, tinted, (1.6, 1.6, 1.6), "MULTIPLY"), "MULTIPLY")
+    glint = n.node("ShaderNodeBsdfHair", {"Color": second, "Offset": 0.12, "RoughnessU": 0.30, "RoughnessV": 0.9}).outputs[0]
+    both = n.node("ShaderNodeAddShader", {0: white, 1: glint}).outputs[0]
+    return n.finish(n.node("ShaderNodeAddShader", {0: body, 1: both}).outputs[0], tinted, {name: 1.0})

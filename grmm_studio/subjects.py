@@ -13,6 +13,16 @@ import numpy as np
 SHAPE_COUNT = 300
 CALM_SHARE = 0.75  # of the residual spread: the far tails of independent coefficients look like nobody
 SHAPE_LIMIT = 2.2  # standard deviations
+# how often styles are worn, and what tightly coiled hair adds
+WOMEN = {
+    "long": 3.0, "layered": 1.6, "wavy_long": 1.6, "bob": 1.6, "ringlets": 1.2, "ponytail": 1.4, "bun": 1.0, "fringe": 1.0,
+    "curly": 0.9, "pixie": 0.9, "side_part": 0.4, "curtains": 0.5,
+}  # fmt: skip
+MEN = {
+    "crop": 1.6, "fade": 1.4, "side_part": 1.6, "buzz": 1.0, "stubble": 0.6, "slick_back": 0.9, "undercut": 0.7, "quiff": 1.0,
+    "curly": 0.9, "fringe": 0.7, "curtains": 0.5, "wavy_long": 0.4, "mohawk": 0.2, "bun": 0.2, "receding": 0.3, "bald": 0.8,
+}  # fmt: skip
+TIGHT = {"afro": 1.8, "coily": 1.8, "buzz": 1.0, "curly": 0.9, "locs": 1.0, "braids": 1.0, "ringlets": 0.4}
 
 
 class ShapePrior(Protocol):
@@ -40,6 +50,7 @@ class Subject:
         pores, freckles, wrinkles, spots, shine: 0..1.
         stubble: Beard shadow density, 0..1.
         beard: Length of the beard's hair in metres; 0 is none.
+        beard_cut: "full", "goatee", "moustache", "chinstrap".
         iris: Linear RGB of the iris, [3].
         iris_inner: Linear RGB of the ring around the pupil, [3].
         sclera: Linear RGB of the white, [3].
@@ -68,6 +79,7 @@ class Subject:
     shine: float
     stubble: float
     beard: float
+    beard_cut: str
     iris: tuple[float, float, float]
     iris_inner: tuple[float, float, float]
     sclera: tuple[float, float, float]
@@ -167,7 +179,7 @@ def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
     wrinkles = float(np.clip((age - 24) / 50 + g.normal(0, 0.08), 0.02, 1.0))
     lips_tone = g.uniform(0.0, 1.0) if female else g.uniform(0.0, 0.35)  # lipstick or simply redder
     lips = np.array([0.95, 0.70, 0.72]) * (1 - 0.25 * lips_tone * np.array([0.3, 1.0, 0.7]))
-    hair_style = _draw_style(g, female, age, african, index)
+    hair_style = _draw_style(g, female, age, african)
     hair_color = _draw_hair_color(g, age, african, asian)
     eye_dark = min(1.0, african * 0.95 + asian * 0.9 + caucasian * float(g.random()) * 1.05)
     kinds = np.array([[0.13, 0.22, 0.34], [0.16, 0.22, 0.13], [0.22, 0.22, 0.21], [0.20, 0.10, 0.035], [0.055, 0.025, 0.012]])
@@ -180,10 +192,10 @@ def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
     inner = iris * (1.25, 1.05, 0.8) + np.array([0.035, 0.015, 0.0]) * g.random()
     beard_kind = 0.0 if female else float(g.random())
     stubble = 0.0 if female else float(np.clip(g.beta(1.4, 1.6), 0, 1))
-    beard = 0.0
-    if beard_kind > 0.62:
-        beard = float(g.choice([0.004, 0.010, 0.022]))
-        stubble = max(stubble, 0.8)
+    beard, beard_cut = 0.0, str(g.choice(["full", "goatee", "moustache", "chinstrap"], p=[0.6, 0.2, 0.12, 0.08]))
+    if beard_kind > 0.52:
+        beard = float(g.choice([0.0035, 0.007, 0.012, 0.024, 0.040], p=[0.25, 0.25, 0.25, 0.15, 0.10]))
+        stubble = max(stubble, 0.6)
     sclera = (
         np.array([0.70, 0.675, 0.645])
         * g.uniform(0.92, 1.04)
@@ -205,6 +217,7 @@ def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
         shine=float(g.uniform(0.2, 0.9)),
         stubble=stubble,
         beard=beard,
+        beard_cut=beard_cut,
         iris=_triple(iris),
         iris_inner=_triple(inner),
         sclera=_triple(sclera),
@@ -236,17 +249,17 @@ def _draw_shape(g: np.random.Generator, macros: dict[str, float], prior: ShapePr
     return (expected + residual).astype(np.float32)
 
 
-def _draw_style(g: np.random.Generator, female: bool, age: float, african: float, index: int) -> str:
-    if female:
-        styles = ["long", "bob", "ponytail", "wavy_long", "bun", "fringe", "curly", "crop", "long", "side_part"]
-        weights = np.array([2.2, 1.6, 1.4, 1.6, 1.0, 1.0, 0.9, 0.6, 1.0, 0.5])
-    else:
-        styles = ["crop", "side_part", "buzz", "slick_back", "curly", "bald", "receding", "fringe", "wavy_long"]
-        weights = np.array([2.0, 2.0, 1.4, 1.2, 0.9, 0.8 + 0.9 * (age > 45), 0.3 + 2.0 * (age > 42), 0.8, 0.4])
+def _draw_style(g: np.random.Generator, female: bool, age: float, african: float) -> str:
+    wear = {name: float(share) for name, share in (WOMEN if female else MEN).items()}
+    if age > 42 and not female:
+        wear["receding"] += 2.0
+        wear["bald"] += 0.9
     if african > 0.5:
-        styles += ["afro", "buzz", "curly"]
-        weights = np.concatenate([weights * 0.45, [2.0, 0.2 if female else 1.6, 1.4]])
-    return str(g.choice(styles, p=weights / weights.sum()))
+        wear = {name: 0.4 * share for name, share in wear.items()}
+        for name, share in TIGHT.items():
+            wear[name] = wear.get(name, 0.0) + share * (0.2 if female and name == "buzz" else 1.0)
+    share = np.array(list(wear.values()))
+    return str(g.choice(list(wear), p=share / share.sum()))
 
 
 def _draw_hair_color(g: np.random.Generator, age: float, african: float, asian: float) -> np.ndarray:

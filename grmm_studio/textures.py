@@ -13,7 +13,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from . import fields
-from .face_hair import brow_density
+from .face_hair import beard_field, brow_density
 from .fields import smoothstep
 from .grooms import growth_of
 from .mesh import Head, region_vertices
@@ -157,15 +157,15 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     growth = growth_of(s)
     if growth is not None:
         scalp = fields.scalp_density(rest, growth.receding, s.hairline, seed)
-        color = _mix(scalp * 0.85, color, 0.9 * hair_dark + 0.1 * color)
+        color = _mix(scalp * (0.35 + 0.35 * smoothstep(0.4, 0.65, pores)), color, hair_dark)
     else:
         shade = fields.scalp_density(rest, 0.9, s.hairline, seed) * smoothstep(0.35, 0.65, pores) * 0.35 * s.stubble
         color = _mix(shade, color, hair_dark)
-    color = _mix(brow_density(rest, s) * 0.30, color, hair_dark)
+    color = _mix(brow_density(rest, s) * 0.22, color, hair_dark)
     if s.stubble > 0.03:
         grown = np.minimum(1.0, 0.5 * np.array(s.hair_color) + 0.035)
         speckle = 0.25 + 0.55 * smoothstep(0.40, 0.70, noise(rest, 1100.0, seed + 6, 1))
-        color = _mix(speckle * fields.beard_density(rest, seed) * s.stubble * (1 - lips), color, grown)
+        color = _mix(speckle * beard_field(rest, s) * s.stubble * (1 - lips), color, grown)
     lip = skin_albedo(s.melanin * 0.85, s.blood + 0.35) * np.array(s.lips)
     lip = _mix(
         smoothstep(0.45, 0.75, lip_lines) * 0.4,

@@ -39,6 +39,11 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--varied-light", action="store_true", help="another light for every shot instead of the even rig")
     parser.add_argument("--subsurface", action="store_true", help="light scattering in the skin; slower")
     parser.add_argument("--no-depth", action="store_true", help="leave out the depth maps")
+    parser.add_argument("--bare", action="store_true", help="render every view without hair as well")
+    parser.add_argument("--layers", action="store_true", help="write part masks, albedo and normals")
+    parser.add_argument(
+        "--lights", default="", metavar="all|NAMES", help="show every view in these lights too, such as key,sunset"
+    )
     parser.add_argument(
         "--threads", type=int, default=2, metavar="N", help="render threads of this process (default: %(default)s)"
     )
@@ -63,7 +68,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     settings = CaptureSettings(
         args.subjects, args.shots, args.cameras, args.size, args.samples, args.seed, args.expressions, args.varied_light,
-        args.subsurface, not args.no_depth,
+        args.subsurface, not args.no_depth, args.bare, args.layers, args.lights,
     )  # fmt: skip
 
     def report(progress: Progress) -> None:

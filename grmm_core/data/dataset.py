@@ -7,10 +7,15 @@ Folder::
 
     dataset.json                 format, version, settings, people, splits
     subjects/NAME.json           what is known of a person; NAME.npy: shape coefficients
+    subjects/NAME_groom.npz      the person's hair as strands (since version 2, where the source has it)
     shots/NAME/0003.json         one shot's record; written last, so what has a record is complete
-    shots/NAME/0003.npz          aligned [60], expression [E], pose [5, 3]
+    shots/NAME/0003.npz          aligned [60], expression [E], pose [5, 3]; since version 2 displacement [V, 3] in millimetres,
+                                 what the posed mesh model lacks
     shots/NAME/0003_00.png       RGBA, straight color in display sRGB, alpha is the mask
     shots/NAME/0003_00_z.png     16-bit depth along the optical axis in 0.1 mm; 0 is background
+
+Since version 2 a view may have layers (`layers`: part masks, albedo, normals, other lights) and a twin without hair, which is a
+view of its own.
 """
 
 from __future__ import annotations
@@ -31,10 +36,12 @@ from ..errors import FileAccessError, FileFormatError, ShapeError
 from ..files.access import atomic_write_bytes, make_folder, read_bytes
 from ..files.npz import read_npz
 from ..geometry.camera import Camera
+from ..hair.groom import Groom
+from .layers import DEPTH_UNIT, decode_layer, encode_depth, encode_layer, encode_rgba
 
 FORMAT = "grmm-capture"
-VERSION = 1
-DEPTH_UNIT = 1e-4  # metres
+VERSION = 2
+READABLE = (1, 2)
 POSE_SHAPE = (5, 3)
 MAX_SHAPE_BYTES = 1 << 20
 TRAIN, HELD_OUT_PERSON, HELD_OUT_EXPRESSION, HELD_OUT_CAMERA = "train", "person", "expression", "camera"
@@ -50,6 +57,8 @@ class View:
         camera: Camera in head space.
         image, depth: File names in the shot's folder; depth may be empty.
         split: One of `SPLITS`.
+        layers: File names of further layers, by the names of `layers`.
+        bare: The same view of the same person without any hair, where the source has one.
     """
 
     name: str
@@ -57,6 +66,8 @@ class View:
     image: str
     depth: str
     split: str
+    layers: dict[str, str] = field(default_factory=dict)
+    bare: View | None = None
 
 
 @dataclass(frozen=True)
@@ -72,6 +83,8 @@ class Shot:
         pose: XYZ Euler angles of the five joints including those of the expression, radians, [5, 3].
         views: Pictures.
         folder: Where the pictures are.
+        displacement: What was added to the posed vertices of the mesh model, in head space, metres, [V, 3]; None: nothing.
+        light: What the source says about its light.
     """
 
     subject: str
@@ -82,6 +95,8 @@ class Shot:
     pose: np.ndarray
     views: tuple[View, ...]
     folder: Path
+    displacement: np.ndarray | None = None
+    light: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -92,11 +107,15 @@ class Picture:
         rgb: Straight display sRGB 0..1, float32, [H, W, 3].
         mask: Coverage 0..1, float32, [H, W].
         depth: Metres along the optical axis, 0 where nothing is, float32, [H, W]; None where the source has none.
+        layers: Further layers to be written; those of a stored view are read by `CaptureDataset.layer`.
+        bare: The same without hair, to be written.
     """
 
     rgb: np.ndarray
     mask: np.ndarray
     depth: np.ndarray | None
+    layers: dict[str, np.ndarray] = field(default_factory=dict)
+    bare: Picture | None = None
 
     def over(self, background: float | np.ndarray) -> np.ndarray:
         """Color over a constant background 0..1, [H, W, 3]."""
@@ -139,9 +158,9 @@ def read_manifest(folder: str | Path) -> Manifest:
     values = _json(path)
     if values.get("format") != FORMAT:
         raise FileFormatError(f"{folder} is not a capture data set; choose a folder that grmm capture made.")
-    if values.get("version") != VERSION:
+    if values.get("version") not in READABLE:
         raise FileFormatError(
-            f"{folder} is a capture of version {values.get('version')}, this program reads {VERSION}; update it."
+            f"{folder} is a capture of version {values.get('version')}, this program reads up to {VERSION}; update it."
         )
     try:
         people = [list(map(str, values[key])) for key in ("subjects", "held_out_people")]
@@ -152,13 +171,15 @@ def read_manifest(folder: str | Path) -> Manifest:
         raise FileFormatError(f"{path} is damaged ({error}); capture again into an empty folder.") from error
 
 
-def write_subject(folder: Path, name: str, shape: np.ndarray, facts: dict[str, Any]) -> None:
-    """Write a person's shape coefficients [S] and facts. Raises `FileAccessError`."""
+def write_subject(folder: Path, name: str, shape: np.ndarray, facts: dict[str, Any], groom: Groom | None = None) -> None:
+    """Write a person's shape coefficients [S], facts and hair. Raises `FileAccessError`."""
     target = folder / "subjects"
     make_folder(target)
     buffer = io.BytesIO()
     np.save(buffer, np.asarray(shape, np.float32))
     atomic_write_bytes(target / f"{name}.npy", buffer.getvalue())
+    if groom is not None:
+        atomic_write_bytes(target / f"{name}_groom.npz", _npz(**groom.pack()))
     atomic_write_bytes(target / f"{name}.json", json.dumps(facts, indent=1).encode())
 
 
@@ -178,27 +199,54 @@ def write_shot(folder: Path, shot: Shot, pictures: list[Picture]) -> None:
     record = shot_record(folder, shot.subject, shot.number)
     make_folder(record.parent)
     for view, picture in zip(shot.views, pictures, strict=True):
-        atomic_write_bytes(record.parent / view.image, encode_rgba(picture.rgb, picture.mask))
-        if view.depth and picture.depth is not None:
-            atomic_write_bytes(record.parent / view.depth, encode_depth(picture.depth))
-    buffer = io.BytesIO()
-    np.savez(
-        buffer,
-        aligned=shot.aligned.astype(np.float32),
-        expression=shot.expression.astype(np.float32),
-        pose=shot.pose.astype(np.float32),
-    )
-    atomic_write_bytes(record.with_suffix(".npz"), buffer.getvalue())
-    values = {
+        _write_view(record.parent, view, picture)
+    arrays = {"aligned": shot.aligned, "expression": shot.expression, "pose": shot.pose}
+    values = {name: array.astype(np.float32) for name, array in arrays.items()}
+    if shot.displacement is not None:
+        values["displacement"] = (shot.displacement * 1e3).astype(np.float16)
+    atomic_write_bytes(record.with_suffix(".npz"), _npz(**values))
+    record_of = {
         "subject": shot.subject,
         "number": shot.number,
         "kind": shot.kind,
-        "views": [
-            {"name": v.name, "image": v.image, "depth": v.depth, "split": v.split, "camera": camera_to_json(v.camera)}
-            for v in shot.views
-        ],
+        "light": shot.light,
+        "views": [_view_to_json(view) for view in shot.views],
     }
-    atomic_write_bytes(record, json.dumps(values).encode())
+    atomic_write_bytes(record, json.dumps(record_of).encode())
+
+
+def _write_view(folder: Path, view: View, picture: Picture) -> None:
+    atomic_write_bytes(folder / view.image, encode_rgba(picture.rgb, picture.mask))
+    if view.depth and picture.depth is not None:
+        atomic_write_bytes(folder / view.depth, encode_depth(picture.depth))
+    for name, file in view.layers.items():
+        atomic_write_bytes(folder / file, encode_layer(name, picture.layers[name], picture.mask))
+    if view.bare is not None and picture.bare is not None:
+        _write_view(folder, view.bare, picture.bare)
+
+
+def _view_to_json(view: View) -> dict[str, Any]:
+    values: dict[str, Any] = {"name": view.name, "image": view.image, "depth": view.depth, "split": view.split}
+    if view.layers:
+        values["layers"] = view.layers
+    if view.bare is not None:
+        values["bare"] = {"image": view.bare.image, "depth": view.bare.depth, "layers": view.bare.layers}
+    return {**values, "camera": camera_to_json(view.camera)}
+
+
+def _view_from_json(values: dict[str, Any]) -> View:
+    camera, bare = camera_from_json(values["camera"]), None
+    if "bare" in values:
+        own = values["bare"]
+        bare = View(values["name"], camera, own["image"], own["depth"], values["split"], dict(own["layers"]))
+    layers = {str(name): str(file) for name, file in values.get("layers", {}).items()}
+    return View(values["name"], camera, values["image"], values["depth"], values["split"], layers, bare)
+
+
+def _npz(**arrays: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    return buffer.getvalue()
 
 
 def camera_to_json(camera: Camera) -> dict[str, Any]:
@@ -294,28 +342,26 @@ class CaptureDataset:
             depth = (z.astype(np.float32) * np.float32(DEPTH_UNIT)).astype(np.float32)
         return Picture(rgba[..., :3].astype(np.float32) / 255, rgba[..., 3].astype(np.float32) / 255, depth)
 
+    def layer(self, shot: Shot, view: View, name: str) -> np.ndarray:
+        """Decode a layer of a view, float32, as `layers.encode_layer` describes it.
 
-def encode_rgba(rgb: np.ndarray, mask: np.ndarray) -> bytes:
-    """PNG bytes of straight color [H, W, 3] and mask [H, W], 0..1."""
-    from PIL import Image
+        Raises:
+            FileAccessError: The file is missing.
+            FileFormatError: The view has no such layer, or it is damaged.
+        """
+        if name not in view.layers:
+            raise FileFormatError(f"The views of {shot.folder} have no {name}; capture with --layers.")
+        return decode_layer(name, _decode(shot.folder / view.layers[name]), view.camera.height, view.camera.width)
 
-    data = np.concatenate([rgb, mask[..., None]], -1)
-    if not np.isfinite(data).all():
-        raise ShapeError("A rendered picture has values that are not finite; it was not written.")
-    data[mask <= 0, :3] = 0.0
-    buffer = io.BytesIO()
-    Image.fromarray(np.round(np.clip(data, 0, 1) * 255).astype(np.uint8), "RGBA").save(buffer, "PNG", compress_level=4)
-    return buffer.getvalue()
-
-
-def encode_depth(depth: np.ndarray) -> bytes:
-    """16-bit PNG bytes of depth in metres, [H, W]."""
-    from PIL import Image
-
-    buffer = io.BytesIO()
-    values = np.round(np.clip(depth / DEPTH_UNIT, 0, 65535)).astype(np.uint16)
-    Image.fromarray(values).save(buffer, "PNG", compress_level=4)
-    return buffer.getvalue()
+    def groom(self, subject: str) -> Groom | None:
+        """The strands of a person; None where the source has none. Raises `FileAccessError`, `FileFormatError`."""
+        path = self.folder / "subjects" / f"{subject}_groom.npz"
+        if not path.exists():
+            return None
+        try:
+            return Groom.unpack(read_npz(path)[0])
+        except ShapeError as error:
+            raise FileFormatError(f"{path} is damaged ({error}); delete it and capture the person again.") from error
 
 
 def _decode(path: Path) -> np.ndarray:
@@ -332,20 +378,26 @@ def _decode(path: Path) -> np.ndarray:
 def _read_shot(path: Path) -> Shot:
     values = _json(path)
     try:
-        arrays, _ = read_npz(path.with_suffix(".npz"), ("aligned", "expression", "pose"))
+        arrays, _ = read_npz(path.with_suffix(".npz"), ("aligned", "expression", "pose", "displacement"))
         aligned, expression, pose = (_finite(arrays[name], name) for name in ("aligned", "expression", "pose"))
         for name, array, shape in (("aligned", aligned, (len(ALIGNED_NAMES),)), ("pose", pose, POSE_SHAPE)):
             if array.shape != shape:
                 raise ShapeError(f"{name} has the size {_size(array)} instead of {_size(np.zeros(shape))}")
         if expression.ndim != 1 or not len(expression):
             raise ShapeError(f"expression has the size {_size(expression)}")
-        views = tuple(
-            View(v["name"], camera_from_json(v["camera"]), v["image"], v["depth"], v["split"]) for v in values["views"]
-        )
-        return Shot(values["subject"], int(values["number"]), values["kind"], aligned, expression, pose, views, path.parent)
+        moved = None
+        if "displacement" in arrays:
+            moved = _finite(arrays["displacement"], "displacement").astype(np.float32) * np.float32(1e-3)
+            if moved.ndim != 2 or moved.shape[1] != 3:
+                raise ShapeError(f"displacement has the size {_size(moved)}")
+        views = tuple(_view_from_json(v) for v in values["views"])
+        return Shot(
+            values["subject"], int(values["number"]), values["kind"], aligned, expression, pose, views, path.parent, moved,
+            dict(values.get("light", {})),
+        )  # fmt: skip
     except FileAccessError:
         raise
-    except (KeyError, TypeError, ValueError, OverflowError, ShapeError, FileFormatError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError, ShapeError, FileFormatError) as error:
         raise FileFormatError(f"{path} is damaged ({_reason(error)}); delete it and run the capture again.") from error
 
 

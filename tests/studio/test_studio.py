@@ -17,12 +17,15 @@ from scipy.spatial import cKDTree
 
 from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.data.dataset import CaptureDataset
+from grmm_core.data.layers import NORMAL, PART_LAYER, PARTS
 from grmm_core.errors import ConfigError
+from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
 from grmm_core.head.open_head import load_open_head, load_people_model
-from grmm_studio import face_hair
+from grmm_studio import grooming
 from grmm_studio.capture import CaptureSettings, held_out, job_order, open_job, view_split
-from grmm_studio.face_hair import face_strands, lash_edges, scalp_strands
+from grmm_studio.grooming import make_groom, scalp_hairs
 from grmm_studio.grooms import growth_of
+from grmm_studio.lashes import lash_edges
 from grmm_studio.mesh import RenderMesh
 from grmm_studio.shots import expression_pool, make_shot
 from grmm_studio.styles import HAIR_STYLES
@@ -145,26 +148,25 @@ def test_fine_mesh_passes_through_the_model(head, render_mesh):
 def test_lash_cards_have_root_and_tip(head):
     cards = lash_edges(head)
     assert len(cards) == 4
-    assert sum(upper for *_, upper in cards) == 2
-    for root, tip, _, _ in cards:
-        assert len(root) == len(tip)
-        assert not set(root) & set(tip)
+    assert sum(card.upper for card in cards) == 2
+    for card in cards:
+        assert len(card.root) == len(card.tip) == len(card.triangles) + 1
+        assert not set(card.root) & set(card.tip)
+        corners = np.asarray(head.faces)[card.triangles]
+        assert all({a, b} < set(triangle) for a, b, triangle in zip(card.root, card.root[1:], corners, strict=False))
 
 
-def test_strands_follow_the_head(head, render_mesh):
-    """A rigid motion of the head moves every strand with it; a subject's hair lies outside the skull."""
-    subject = draw_subject(1, 1, load_people_model())
+def test_a_groom_has_all_hair_and_is_the_same_again(head, render_mesh):
+    subject = replace(draw_subject(1, 2, load_people_model()), beard=0.01, hair_style="crop")
     neutral = np.asarray(head.vertices(subject.shape, np.zeros(1), np.zeros((5, 3))), float)
-    strands = face_strands(head, render_mesh, neutral, subject)
-    points = strands.points(neutral)
-    angle = 0.4
-    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    np.testing.assert_allclose(strands.points(neutral @ turn.T + 0.1), points @ turn.T + 0.1, atol=1e-6)
-    scalp = scalp_strands(head, render_mesh, neutral, subject, share=0.05)
-    assert scalp is not None
-    tips = scalp.points(neutral)[:, -1]
-    assert np.isfinite(tips).all()
-    assert (np.linalg.norm(tips - [0, 0.045, 0], axis=1) > 0.06).mean() > 0.98
+    groom, again = (make_groom(head, render_mesh, neutral, subject, share=0.02) for _ in range(2))
+    assert set(groom.groups) == {SCALP, BROWS, BEARD, LASHES}
+    for name, values in groom.pack().items():
+        np.testing.assert_array_equal(values, again.pack()[name])
+    points = groom.posed(groom.frames(head.v_template, head.faces), neutral)
+    skin = cKDTree(render_mesh.refine(neutral))
+    assert skin.query(points[groom.offsets[:-1]])[0].max() < 0.012
+    assert np.median(groom.widths[:, 0]) < 0.0002
 
 
 @pytest.fixture(scope="module")
@@ -175,8 +177,8 @@ def grown(head, render_mesh):
 
     @functools.cache
     def grow(style, **changes):
-        strands = scalp_strands(head, render_mesh, neutral, replace(subject, hair_style=style, **changes), share=0.05)
-        return None if strands is None else strands.points(neutral)
+        hairs = scalp_hairs(head, render_mesh, neutral, replace(subject, hair_style=style, **changes), share=0.02)
+        return None if hairs is None else hairs.points
 
     grow.skin = cKDTree(render_mesh.refine(neutral))
     return grow
@@ -206,23 +208,40 @@ def test_every_style_grows_from_the_scalp(grown, style):
         assert grown.skin.query(roots)[0].max() < 0.012
     assert roots[:, 1].min() > -0.06  # above the jaw
     assert (np.linalg.norm(points[:, -1] - [0, 0.045, 0], axis=1) > 0.06).mean() > 0.98  # outside the skull
-    assert 0.003 < np.median(lengths(points)) < 0.4
+    assert 0.0015 < np.median(lengths(points)) < 0.5
 
 
 def test_styles_differ_in_length(grown):
-    order = ("buzz", "crop", "side_part", "slick_back", "bob", "long")
+    order = ("stubble", "buzz", "crop", "side_part", "slick_back", "bob", "long")
     median = [np.median(lengths(grown(style))) for style in order]
     assert all(longer > 1.2 * shorter for shorter, longer in itertools.pairwise(median)), dict(zip(order, median, strict=True))
     assert np.median(lengths(grown("long", hair_length=1.25))) > 1.2 * np.median(lengths(grown("long", hair_length=0.75)))
 
 
-@pytest.mark.parametrize("style", ["crop", "side_part", "bob", "long", "wavy_long", "afro", "curly", "receding"])
+@pytest.mark.parametrize("style", ["crop", "bob", "long", "wavy_long", "ringlets", "afro", "curly", "coily", "receding"])
 def test_the_radius_of_curls_acts(grown, monkeypatch, style):
     curled = bends(grown(style, hair_curl=1.0))
-    monkeypatch.setattr(face_hair, "growth_of", lambda subject: replace(growth_of(subject), curl_radius=0.0))
+    monkeypatch.setattr(grooming, "growth_of", lambda subject: replace(growth_of(subject), curl_radius=0.0))
     straight = bends(grown.__wrapped__(style, hair_curl=1.0))  # past the cache
     assert straight < 12
     assert curled > straight + 3
+
+
+def test_braids_and_locs_are_ropes(grown):
+    """Halfway down, a strand of a rope has many more close neighbours than a strand of loose hair."""
+    crowd = {}
+    for style in ("long", "locs", "braids"):
+        middle = grown(style)[:, grown(style).shape[1] // 2]
+        crowd[style] = np.median(cKDTree(middle).query(middle, k=4)[0][:, 3])
+    assert max(crowd["locs"], crowd["braids"]) < 0.6 * crowd["long"], crowd
+
+
+def test_shorn_sides_are_shorter_below(grown, head):
+    points = grown("fade")
+    side = np.abs(points[:, 0, 0]) > 0.055
+    low = lengths(points)[side & (points[:, 0, 1] < 0.03)]
+    high = lengths(points)[side & (points[:, 0, 1] > 0.075)]
+    assert np.median(low) < 0.4 * np.median(high)
 
 
 @pytest.mark.slow
@@ -230,7 +249,7 @@ def test_the_radius_of_curls_acts(grown, monkeypatch, style):
 def test_capture_with_cycles(tmp_path):
     """Two tiny people: the picture agrees with mask, depth and parameters; a second run has nothing to do."""
     command = [sys.executable, "-m", "grmm_core", "capture", str(tmp_path), "--subjects", "2", "--shots", "1", "--cameras", "1",
-               "--size", "64", "--samples", "1", "--seed", "2", "--json"]  # fmt: skip
+               "--size", "64", "--samples", "1", "--seed", "2", "--bare", "--layers", "--lights", "key", "--json"]  # fmt: skip
     for made in (2, 0):
         result = subprocess.run(command, capture_output=True, text=True, timeout=500, cwd=ROOT, check=True)
         assert json.loads(result.stdout.splitlines()[-1])["shots"] == made
@@ -245,3 +264,12 @@ def test_capture_with_cycles(tmp_path):
         column, row = int(view.camera.fx * x / z + view.camera.cx), int(view.camera.fy * y / z + view.camera.cy)
         if 0 <= row < 64 and 0 <= column < 64 and picture.depth[row, column] > 0:
             assert picture.depth[row, column] <= z + 0.02
+        parts, bare = data.layer(shot, view, PART_LAYER), data.layer(shot, view.bare, PART_LAYER)
+        np.testing.assert_allclose(parts.sum(0), picture.mask, atol=0.12)
+        hair = PARTS.index("hair")
+        assert parts[hair].mean() > 0.02
+        assert bare[hair].max() == 0
+        front = (np.linalg.norm(data.layer(shot, view, NORMAL), axis=-1) - 1)[picture.mask > 0.99]
+        assert np.abs(front).max() < 0.03
+        assert data.groom(shot.subject) is not None
+        assert np.abs(data.layer(shot, view, "light_key") - picture.rgb)[picture.mask > 0.99].mean() > 0.05

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.hair.roots import LASHES
 from grmm_core.head.open_head import load_open_head, load_people_model
-from grmm_studio.face_hair import face_strands
 from grmm_studio.fields import bump
-from grmm_studio.hair import Strands
+from grmm_studio.grooming import make_groom
 from grmm_studio.lashes import Lashes
 from grmm_studio.mesh import RenderMesh, region_vertices
 from grmm_studio.subjects import draw_subject
@@ -102,18 +102,19 @@ def test_painted_lines_are_personal_and_where_they_belong(people):
 
 
 @pytest.fixture(scope="module")
-def lashes(head, people) -> tuple[Lashes, Strands, np.ndarray]:
+def lashes(head, people) -> tuple[Lashes, np.ndarray, np.ndarray]:
+    """Lashes, their points as grown [N, K, 3], and the neutral head."""
     subject = people[YOUNG]
     neutral = np.asarray(head.vertices(subject.shape, np.zeros(1), np.zeros((5, 3))), float)
-    strands = face_strands(head, RenderMesh.build(head), neutral, subject)
-    mask = strands.tint > 50
-    chosen = Strands(*(getattr(strands, name)[mask] for name in ("faces", "weights", "local", "radius", "tint")))
-    return Lashes.build(head, neutral, chosen), chosen, neutral
+    groom = make_groom(head, RenderMesh.build(head), neutral, subject, share=0.002)
+    own = groom.select(groom.groups == LASHES)
+    points = own.posed(own.frames(head.v_template, head.faces), neutral)
+    return Lashes.build(head, neutral, own), points.reshape(len(own), -1, 3), neutral
 
 
 def test_lashes_of_open_eyes_are_those_of_the_strands(lashes):
-    built, strands, neutral = lashes
-    np.testing.assert_allclose(built.points(neutral), strands.points(neutral), atol=1e-7)
+    built, points, neutral = lashes
+    np.testing.assert_allclose(built.points(neutral), points, atol=1e-6)
 
 
 def test_lashes_of_shut_eyes_stand_on_the_seam(head, people, lashes):

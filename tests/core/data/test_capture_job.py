@@ -9,6 +9,8 @@ import subprocess
 import sys
 import time
 import types
+import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +18,9 @@ import pytest
 from PIL import Image
 
 from grmm_core.cli import main
-from grmm_core.data.dataset import CaptureDataset, read_manifest
+from grmm_core.data.dataset import CaptureDataset, Picture, read_manifest
 from grmm_core.data.jobs import claim
+from grmm_core.data.layers import ALBEDO, NORMAL, PART_LAYER, PARTS
 from grmm_core.errors import ConfigError, FileAccessError
 from grmm_studio import capture
 from grmm_studio.capture import STUDIO, CaptureSettings, Outcome, check_settings, open_job, run_job
@@ -38,19 +41,26 @@ class FakeStudio:
         FakeStudio.built += 1
 
     def set_subject(self, subject):
-        self.person = subject
+        self.person, self.groom = subject, None
 
-    def set_shot(self, expression, pose, light_seed):
-        self.seed = light_seed
+    def set_shot(self, expression, pose, light):
+        self.seed = zlib.crc32(self.person.name.encode() + expression.tobytes() + pose.tobytes())
         if self.log is not None:
             with self.log.open("a") as file:
-                file.write(f"{light_seed}\n")
+                file.write(f"{self.seed}\n")
         time.sleep(self.pause)
 
-    def render(self, camera):
-        g = np.random.default_rng([self.seed, int(1e6 * (camera.world_to_camera[0, 0] + 1))])
+    def render(self, camera, hair=True, light=None):
+        tag = [
+            self.seed,
+            int(1e6 * (camera.world_to_camera[0, 0] + 1)),
+            hair,
+            0 if light is None else int(1e4 * light.strength),
+        ]
+        g = np.random.default_rng(tag)
         shape = (camera.height, camera.width)
-        return g.random((*shape, 3), np.float32), g.random(shape, np.float32), g.random(shape, np.float32)
+        layers = {PART_LAYER: g.random((len(PARTS), *shape)), ALBEDO: g.random((*shape, 3)), NORMAL: g.random((*shape, 3))}
+        return Picture(g.random((*shape, 3), np.float32), g.random(shape, np.float32), g.random(shape, np.float32), layers)
 
     def close(self):
         pass
@@ -275,3 +285,19 @@ def test_contact_sheet(tmp_path):
     with Image.open(target) as sheet:
         assert sheet.size == (64, 48)
     assert write_sheet(tmp_path / "c", target, tile=16) == 30
+
+
+def test_layers_twins_and_lights_are_written_for_every_view(tmp_path):
+    settings = replace(SETTINGS, subjects=1, shots=1, bare=True, layers=True, lights="key,sunset")
+    run_job(tmp_path, settings)
+    data = CaptureDataset(tmp_path)
+    views = list(data.views())
+    assert len(views) == 2
+    for shot, view in views:
+        assert set(view.layers) == set(view.bare.layers) == {PART_LAYER, ALBEDO, NORMAL, "light_key", "light_sunset"}
+        assert data.layer(shot, view, PART_LAYER).shape == (len(PARTS), 40, 40)
+        assert np.abs(data.picture(shot, view).rgb - data.picture(shot, view.bare).rgb).max() > 0.1
+        assert np.abs(data.layer(shot, view, "light_key") - data.layer(shot, view, "light_sunset")).max() > 0.1
+    with pytest.raises(ConfigError, match="'lava'"):
+        run_job(tmp_path / "other", replace(settings, lights="lava"))
+    assert not (tmp_path / "other").exists()

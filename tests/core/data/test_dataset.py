@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 from grmm_core.data.dataset import (
-    DEPTH_UNIT,
     CaptureDataset,
     Manifest,
     Picture,
@@ -25,8 +24,10 @@ from grmm_core.data.dataset import (
     write_subject,
 )
 from grmm_core.data.jobs import TimeLeft, claim
+from grmm_core.data.layers import DEPTH_UNIT, NORMAL, PART_LAYER, PARTS
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError, ShapeError
 from grmm_core.geometry.camera import Camera
+from grmm_core.hair.groom import Groom
 
 SIZE = 24
 
@@ -61,6 +62,59 @@ def test_round_trip(tmp_path):
     decoded = data.picture(read, view)
     np.testing.assert_allclose(decoded.over(0.5), picture.over(0.5), atol=0.51 / 255)
     np.testing.assert_allclose(decoded.depth, picture.depth, atol=0.51 * DEPTH_UNIT)
+
+
+def test_a_capture_of_version_1_is_read(tmp_path):
+    """As the first studio wrote it: no layers, no light, no displacement, arrays not compressed."""
+    shot, picture = _capture(tmp_path)
+    manifest = json.loads((tmp_path / "dataset.json").read_text())
+    (tmp_path / "dataset.json").write_text(json.dumps({**manifest, "version": 1}))
+    path = shot_record(tmp_path, "anna", 2)
+    record = json.loads(path.read_text())
+    del record["light"]
+    path.write_text(json.dumps(record))
+    np.savez(path.with_suffix(".npz"), aligned=shot.aligned, expression=shot.expression, pose=shot.pose)
+    data = CaptureDataset(tmp_path)
+    read, view = next(data.views())
+    assert read.displacement is None
+    assert view.bare is None
+    assert data.groom("anna") is None
+    np.testing.assert_allclose(data.picture(read, view).over(0.5), picture.over(0.5), atol=0.51 / 255)
+    with pytest.raises(FileFormatError, match="no parts"):
+        data.layer(read, view, PART_LAYER)
+
+
+def test_layers_twin_displacement_and_groom(tmp_path):
+    shot, picture = _capture(tmp_path)
+    g = np.random.default_rng(1)
+    parts = g.random((len(PARTS), SIZE, SIZE)).astype(np.float32)
+    normal = g.normal(size=(SIZE, SIZE, 3))
+    normal = (normal / np.linalg.norm(normal, axis=-1, keepdims=True) * picture.mask[..., None]).astype(np.float32)
+    plain = replace(picture, rgb=1 - picture.rgb)
+    view = replace(
+        shot.views[0], layers={PART_LAYER: "p.png", NORMAL: "n.png"}, bare=replace(shot.views[0], image="b.png", depth="")
+    )
+    moved = (0.01 * g.normal(size=(50, 3))).astype(np.float32)
+    full = replace(shot, views=(view,), displacement=moved, light={"strength": 0.4})
+    write_shot(tmp_path, full, [replace(picture, layers={PART_LAYER: parts, NORMAL: normal}, bare=plain)])
+    groom = Groom(
+        np.zeros(2, np.int32), np.full((2, 3), 1 / 3, np.float32), np.array([0, 2, 5]), np.full((5, 3), 0.01, np.float32),
+        np.full((2, 2), 1e-4, np.float32), np.zeros(2, np.uint8),
+    )  # fmt: skip
+    write_subject(tmp_path, "anna", np.ones(300), {}, groom)
+    data = CaptureDataset(tmp_path)
+    read, view = next(data.views())
+    assert read.light == {"strength": 0.4}
+    np.testing.assert_allclose(read.displacement, moved, atol=2e-5)
+    np.testing.assert_allclose(data.layer(read, view, PART_LAYER), parts, atol=0.51 / 255)
+    np.testing.assert_allclose(data.layer(read, view, NORMAL), normal, atol=1.1 / 255)
+    bare = data.picture(read, view.bare)
+    np.testing.assert_allclose(bare.over(0.5), plain.over(0.5), atol=0.51 / 255)
+    assert bare.depth is None
+    np.testing.assert_array_equal(data.groom("anna").offsets, groom.offsets)
+    (tmp_path / "shots" / "anna" / "n.png").write_bytes((tmp_path / "shots" / "anna" / "p.png").read_bytes())
+    with pytest.raises(FileFormatError, match="another size"):
+        data.layer(read, view, NORMAL)
 
 
 def test_a_shot_without_record_does_not_exist(tmp_path):

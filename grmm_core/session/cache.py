@@ -1,33 +1,35 @@
-"""A cache bounded in bytes, for what a model computes from one avatar. Used by `evaluator`."""
+"""A cache bounded in bytes, for what a model computes from one avatar. Used by `evaluate`."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-Value = TypeVar("Value", bound=tuple[Any, ...])
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Value = TypeVar("Value", bound="tuple[Tensor, ...]")
 
 
-class ArrayCache:
-    """Least-recently-used cache of tuples of arrays or tensors.
+class TensorCache:
+    """Least-recently-used cache of tuples of tensors.
 
     Attributes:
-        limit: Bytes of data to keep; the newest entry stays even if it alone is larger.
+        limit: Bytes of tensor data to keep; the newest entry stays even if it alone is larger.
         size: Bytes held now.
     """
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
         self.size = 0
-        self._entries: OrderedDict[tuple[Hashable, ...], Any] = OrderedDict()
+        self._entries: OrderedDict[Hashable, tuple[Tensor, ...]] = OrderedDict()
 
     def get(self, key: tuple[Hashable, ...], make: Callable[[], Value]) -> Value:
         """Return the value of `key`, made by `make` if it is not there. The first part of a key is its owner."""
         if key in self._entries:
             self._entries.move_to_end(key)
-            known: Value = self._entries[key]
-            return known
+            return self._entries[key]  # type: ignore[return-value]
         value = make()
         self._entries[key] = value
         self.size += _bytes(value)
@@ -38,7 +40,7 @@ class ArrayCache:
 
     def drop(self, owner: Hashable) -> None:
         """Forget every entry of an owner."""
-        for key in [key for key in self._entries if key[0] == owner]:
+        for key in [key for key in self._entries if key[0] == owner]:  # type: ignore[index]
             self.size -= _bytes(self._entries.pop(key))
 
     def clear(self) -> None:
@@ -47,5 +49,5 @@ class ArrayCache:
         self.size = 0
 
 
-def _bytes(value: tuple[Any, ...]) -> int:
-    return sum(int(array.nbytes) for array in value)
+def _bytes(value: tuple[Tensor, ...]) -> int:
+    return sum(tensor.numel() * tensor.element_size() for tensor in value)

@@ -3,7 +3,8 @@
 From the ground up; each room uses only those above it. `grmm_core` is reached by relative import only, and nothing here
 imports torch or numba, or knows the operators. What is registered stands in the table of the extension's entry point.
 
-``compat`` ``windows``                  differences between Blender versions, found by feature; redrawing
+``compat`` ``windows`` ``events``        differences between Blender versions, found by feature; redrawing; Blender's events
+``wrapper``                             Python objects that stand for one object of Blender's
 ``latest_request``                      work on a thread for the latest of many requests
 ``session_host``                        the one model session of this process (in-process, or a worker interpreter)
 ``rig``                                 the avatar as a Python object; head mesh, armature, shape keys, drivers, controls

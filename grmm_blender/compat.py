@@ -21,6 +21,12 @@ def set_multilayer_exr(settings: bpy.types.ImageFormatSettings) -> None:
     settings.color_depth = "32"
 
 
+def bone_state(bone: bpy.types.PoseBone) -> tuple[bool, bool]:
+    """Return whether a posed bone is hidden, and whether it is selected; 5.x keeps both with the pose."""
+    hidden, selected = (getattr(bone if hasattr(bone, name) else bone.bone, name) for name in ("hide", "select"))
+    return hidden, selected
+
+
 def user_folder(name: str, create: bool = False) -> str:
     """Return a folder of the extension's own under Blender's user files.
 

@@ -289,7 +289,7 @@ def _head_mesh(
     vertices = posed(controls)
     targets = {}
     for name in names:
-        raised = controls.validate()
+        raised = controls.copy()
         raised.aligned[ARKIT_NAMES.index(name)] += 1.0
         targets[name] = posed(raised) - vertices
     return vertices, targets

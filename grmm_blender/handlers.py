@@ -13,7 +13,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..grmm_core.errors import GrmmError
-from . import session_host
+from . import events, session_host
 from .rig import live
 from .rig.avatar import Avatar, avatar_of
 from .scene.avatars import avatars_in
@@ -42,8 +42,8 @@ def _on_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         wrote = _update(avatar, depsgraph, not playing or avatar.object.grmm.detail_in_playback, brief=True)
         if wrote and depsgraph.mode == "RENDER":
             _animate_again(avatar)
-        if not (playing or bpy.app.background or bpy.app.timers.is_registered(_settle)):
-            bpy.app.timers.register(_settle, first_interval=_SETTLE_SECONDS)
+        if not (playing or bpy.app.background):
+            events.later(_settle, _SETTLE_SECONDS)
 
 
 @persistent
@@ -59,7 +59,7 @@ def _on_other_state(*_: object) -> None:
     """Another file or another point of the undo history: what was written last says nothing about it."""
     live.forget()
     if not bpy.app.background:
-        _catch_up_later()
+        events.later(_catch_up, _CATCH_UP_SECONDS)
 
 
 @persistent
@@ -116,7 +116,7 @@ def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail:
     finally:
         _busy = False
     if allow_detail and not detail and live.state_of(avatar).stale:
-        _catch_up_later()
+        events.later(_catch_up, _CATCH_UP_SECONDS)
     return wrote
 
 
@@ -157,11 +157,6 @@ def _is_ready() -> bool:
     return False
 
 
-def _catch_up_later() -> None:
-    if not bpy.app.timers.is_registered(_catch_up):
-        bpy.app.timers.register(_catch_up, first_interval=_CATCH_UP_SECONDS)
-
-
 def _catch_up() -> float | None:
     """Timer: update everything once the model is ready."""
     avatars = avatars_in(bpy.context.scene)
@@ -172,7 +167,7 @@ def _catch_up() -> float | None:
     return None
 
 
-_HANDLERS = (
+_EVENTS = (
     (bpy.app.handlers.frame_change_pre, _before_frame),
     (bpy.app.handlers.frame_change_post, _on_frame),
     (bpy.app.handlers.depsgraph_update_post, _on_edit),
@@ -189,16 +184,10 @@ _HANDLERS = (
 
 def register() -> None:
     """Follow Blender's events."""
-    for handlers, function in _HANDLERS:
-        handlers.append(function)
+    events.follow(_EVENTS)
 
 
 def unregister() -> None:
     """Stop following them."""
-    for handlers, function in _HANDLERS:
-        if function in handlers:
-            handlers.remove(function)
-    for timer in (_catch_up, _settle):
-        if bpy.app.timers.is_registered(timer):
-            bpy.app.timers.unregister(timer)
+    events.stop(_EVENTS, [_catch_up, _settle])
     live.forget()

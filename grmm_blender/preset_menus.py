@@ -12,7 +12,7 @@ import bpy
 from bl_operators.presets import AddPresetBase
 from bpy.types import Menu
 
-from .rig.avatar import avatar_of
+from .rig.avatar import active_object, avatar_of
 from .rig.definitions import ALIGNED_NAMES, property_path
 
 EXPRESSIONS, RENDER = "grmm/expression", "grmm/render"
@@ -45,7 +45,7 @@ class GRMM_MT_expression_presets(Menu):
         avatar = avatar_of(context.object)
         if avatar is None:
             return
-        avatar.object.update_tag()
+        avatar.tag_edited()
         if context.scene.tool_settings.use_keyframe_insert_auto:
             for name in ALIGNED_NAMES:
                 if name in avatar.object:
@@ -86,7 +86,7 @@ class GRMM_OT_expression_preset_add(AddPresetBase, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only with an avatar."""
-        return avatar_of(context.object) is not None
+        return avatar_of(active_object(context)) is not None
 
 
 class GRMM_OT_render_preset_add(AddPresetBase, bpy.types.Operator):

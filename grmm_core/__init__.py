@@ -10,8 +10,8 @@ The map, from the ground up; each part uses only those above it:
 ``head``                                the mesh model (open head, or FLAME from the user's file)
 ``hair``                                strands bound to the head's triangles, posed with it
 ``splat``                               the differentiable Gaussian rasteriser and its backends
-``model``                               the paper's decoders, UV-anchored Gaussians and refinement network
 ``avatar``                              `.grmm` files, and the library of avatars that come with the package
+``model``                               the paper's networks, weights, and the one way from inputs to a picture
 ``performance`` ``formats``             animation files, splat and mesh files
 ``session``                             open, deform, render: in this process or in a worker process
 ``data`` ``training``                   capture data sets; losses and the training loop, for many people or one

@@ -11,7 +11,7 @@ import bpy
 
 from ..grmm_blender import preferences
 from ..grmm_blender.exporting import frames_between, performer_of
-from ..grmm_blender.rig.avatar import Avatar, avatar_of
+from ..grmm_blender.rig.avatar import Avatar, active_object, avatar_of
 from ..grmm_blender.splats.rigged import Puppet
 from ..grmm_core.errors import FileAccessError, GrmmError
 
@@ -32,12 +32,12 @@ class FrameRange:
 
 def active_avatar(context: bpy.types.Context) -> Avatar | None:
     """Return the avatar of the active object (its head or its armature)."""
-    return avatar_of(context.object)
+    return avatar_of(active_object(context))
 
 
 def active_performer(context: bpy.types.Context) -> Avatar | Puppet | None:
     """Return what can play a performance: the active avatar, or an imported one with ARKit controls."""
-    return performer_of(context.object)
+    return performer_of(active_object(context))
 
 
 def needs_performer(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
@@ -98,10 +98,3 @@ def flame_path(chosen: str) -> str:
     """Return the FLAME file that an operator's option names, else that of the preferences, absolute, or ""."""
     named = chosen or preferences.get().flame
     return bpy.path.abspath(named) if named else ""
-
-
-def redraw_values(avatar: Avatar) -> None:
-    """Have Blender evaluate an avatar again after its custom properties were set from Python."""
-    avatar.object.update_tag()
-    if avatar.armature is not None:
-        avatar.armature.update_tag()

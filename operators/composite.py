@@ -7,6 +7,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender.composite import scenes
+from ..grmm_blender.engine.settings import ENGINE
 from .common import Result, reports_errors
 
 
@@ -24,7 +25,7 @@ class GRMM_OT_composite_set_up(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only with avatars, and another engine than GRMM."""
-        if context.scene.render.engine == scenes.ENGINE:
+        if context.scene.render.engine == ENGINE:
             cls.poll_message_set("The GRMM engine renders this scene already; choose Cycles or EEVEE")
             return False
         if not scenes.drawn_objects(context.scene):

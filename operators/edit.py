@@ -35,7 +35,7 @@ from ..grmm_blender.rig.identity import load_head, read_identity
 from ..grmm_core.avatar import AssetReference
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from ..grmm_core.session import AvatarInfo
-from .common import Result, active_avatar, needs_avatar, redraw_values, reports_errors
+from .common import Result, active_avatar, needs_avatar, reports_errors
 
 ALL = "ALL"
 _DIRECTIONS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
@@ -58,7 +58,7 @@ class Edit:
 
     def finish(self, context: bpy.types.Context, avatar: Avatar, names: Iterable[str], bones: Iterable[str] = ()) -> Result:
         """Evaluate again, and key what changed where automatic keying is on."""
-        redraw_values(avatar)
+        avatar.tag_edited()
         if context.scene.tool_settings.use_keyframe_insert_auto:
             for name in names:
                 avatar.object.keyframe_insert(property_path(name))

@@ -9,7 +9,7 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
-from ..grmm_blender.rig.avatar import Avatar, avatar_of
+from ..grmm_blender.rig.avatar import Avatar, active_object, avatar_of
 from ..grmm_core.errors import FileAccessError, FileFormatError
 from ..grmm_core.formats import formats, write_performance
 from .common import FrameRange, Result, active_performer, flame_path, output_path, reports_errors
@@ -114,7 +114,7 @@ class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """With an avatar, in object mode."""
-        if avatar_of(context.object) is None or context.mode != "OBJECT":
+        if avatar_of(active_object(context)) is None or context.mode != "OBJECT":
             cls.poll_message_set("Select the head or the armature of a GRMM avatar, in object mode")
             return False
         return True

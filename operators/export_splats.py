@@ -10,7 +10,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
 from ..grmm_blender.exporting import SplatOptions, splat_target
-from ..grmm_blender.rig.avatar import avatar_of
+from ..grmm_blender.rig.avatar import active_object, avatar_of
 from ..grmm_blender.splats.cloud import Cloud
 from ..grmm_core.errors import FileAccessError, FileFormatError
 from ..grmm_core.files.format import Format
@@ -61,7 +61,7 @@ class GRMM_OT_export_splats(option_mixin(SPLATS, "writing"), SteppedOperator, Fr
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """With something to export."""
-        if splat_target(context.object, context.scene) is None:
+        if splat_target(active_object(context), context.scene) is None:
             cls.poll_message_set("Select an avatar or a splat cloud")
             return False
         return True
@@ -154,7 +154,7 @@ class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """With an avatar."""
-        if avatar_of(context.object) is None:
+        if avatar_of(active_object(context)) is None:
             cls.poll_message_set("Select the head or the armature of a GRMM avatar")
             return False
         return True

@@ -14,7 +14,7 @@ from ..grmm_blender.fitting.origin import origin_of
 from ..grmm_blender.fitting.photo_camera import set_photo_expression
 from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings
 from ..grmm_core.errors import ConfigError, FileAccessError
-from .common import Result, active_avatar, needs_avatar, redraw_values, reports_errors
+from .common import Result, active_avatar, needs_avatar, reports_errors
 
 _EXTENSIONS = "*.jpg;*.jpeg;*.png;*.webp;*.tif;*.tiff;*.bmp"
 
@@ -199,7 +199,7 @@ class GRMM_OT_fit_photo_expression(bpy.types.Operator):
         """Set sliders, learned detail and bones."""
         avatar = active_avatar(context)
         set_photo_expression(avatar)
-        redraw_values(avatar)
+        avatar.tag_edited()
         return {"FINISHED"}
 
 

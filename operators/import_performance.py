@@ -10,17 +10,31 @@ import bpy
 
 from ..grmm_blender.performance import MAX_FRAME, ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
 from ..grmm_core.errors import FileAccessError
+from ..grmm_core.files.format import options_of_formats
 from ..grmm_core.formats import format_to_read, formats
 from ..grmm_core.head import load_flame
 from ..grmm_core.performance import REGIONS, Progress
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
 from .common import Result, active_performer, flame_path, needs_performer, reports_errors
-from .file_formats import draw_options, dropped_suffixes, listed, option_mixin, option_values, read_filter
+from .file_formats import dropped_suffixes, listed, option_mixin, option_values, read_filter
 from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 
 READ = formats("performance", read=True)
 _HUNDRED = 100
 _READ, _RETARGETED = 0.3, 0.4  # of the progress
+_PANELS = {
+    "Time": ("start", "offset", "first", "last", "fps", "set_range"),
+    "Keys": ("keys", "max_error", "angle_error"),
+    "Cleaning": ("neutral", "neutral_frames", "smoothing", "limit", "close_lips"),
+    "Strength": ("gain", *(f"gain_{region}" for region in REGIONS), "rotation_gain"),
+    "Head and Eyes": ("head", "eyes"),
+    "Recording": tuple(option.identifier for option in options_of_formats(READ, "reading")),
+    "FLAME": ("flame_file",),
+}
+_OPEN = ("Time", "Keys", "Cleaning")
+_ONLY_FOR = {  # shown where another option has a value
+    "max_error": ("keys", "REDUCED"), "angle_error": ("keys", "REDUCED"), "neutral_frames": ("neutral", "FRAMES"),
+}  # fmt: skip
 
 
 def _gain(name: str, description: str) -> Any:
@@ -167,33 +181,21 @@ class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bp
     poll = classmethod(needs_performer)
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the options in the file browser's side panel."""
-        layout = self.layout
-        layout.use_property_split = True
-        for names in (("start", "offset", "set_range"), ("first", "last", "fps")):
-            column = layout.column(align=True)
-            for name in names:
+        """Draw the options in the file browser's side panel, in the groups that Blender's own importers have."""
+        self.layout.use_property_split = True
+        for title, names in _PANELS.items():
+            self._panel(title, names)
+
+    def _panel(self, title: str, names: tuple[str, ...]) -> None:
+        header, body = self.layout.panel(f"GRMM_PT_performance_{title}", default_closed=title not in _OPEN)
+        header.label(text=title)
+        if body is None:
+            return
+        column = body.column()
+        for name in names:
+            needed = _ONLY_FOR.get(name)
+            if needed is None or getattr(self, needed[0]) == needed[1]:
                 column.prop(self, name)
-        layout.prop(self, "keys")
-        if self.keys == "REDUCED":
-            column = layout.column(align=True)
-            column.prop(self, "max_error")
-            column.prop(self, "angle_error")
-        layout.prop(self, "neutral")
-        if self.neutral == "FRAMES":
-            layout.prop(self, "neutral_frames")
-        layout.prop(self, "smoothing")
-        column = layout.column(align=True)
-        column.prop(self, "gain")
-        for region in REGIONS:
-            column.prop(self, f"gain_{region}")
-        column.prop(self, "rotation_gain")
-        layout.prop(self, "limit")
-        layout.prop(self, "close_lips")
-        for name in ("head", "eyes", "flame_file"):
-            layout.prop(self, name)
-        for found in READ:
-            draw_options(layout, self, found, "reading")
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:

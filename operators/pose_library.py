@@ -12,7 +12,7 @@ from ..grmm_blender.portraits import portrait, with_expression
 from ..grmm_blender.rig.definitions import ALIGNED_NAMES, label
 from ..grmm_blender.scene.cameras import face_camera
 from ..grmm_core.errors import FileAccessError, GrmmError
-from .common import Result, active_avatar, needs_avatar, redraw_values, reports_errors
+from .common import Result, active_avatar, needs_avatar, reports_errors
 from .steps import Step, SteppedOperator, Steps
 
 
@@ -147,7 +147,7 @@ class GRMM_OT_apply_pose(bpy.types.Operator):
         names = poses.apply_values(avatar, values, self.amount, self.add)
         if not names:
             raise GrmmError("The pose sets nothing on this avatar; choose an expression pose.")
-        redraw_values(avatar)
+        avatar.tag_edited()
         if context.scene.tool_settings.use_keyframe_insert_auto:
             for name in names:
                 avatar.object.keyframe_insert(f'["{name}"]')

@@ -10,11 +10,12 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ...grmm_core.errors import GrmmError
+from .. import events
+from ..engine.settings import ENGINE
 from ..scene import walk
 from ..scene.clouds import clouds_in
 from . import nodes
 
-ENGINE = "GRMM"
 # Settings of the picture that both scenes must share, in an order in which Blender accepts them.
 _RENDER = (
     "resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y",
@@ -166,8 +167,8 @@ def _sync_layers(source: bpy.types.LayerCollection, target: bpy.types.LayerColle
 @persistent
 def _on_edit(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph) -> None:
     # Not at once: Blender 5.2 crashes when another scene's members change while this one's update is being reported.
-    if scene.grmm_composite.partner is not None and not bpy.app.timers.is_registered(_sync_later):
-        bpy.app.timers.register(_sync_later, first_interval=_DELAY)
+    if scene.grmm_composite.partner is not None:
+        events.later(_sync_later, _DELAY)
 
 
 def _sync_later() -> None:
@@ -186,19 +187,14 @@ def _before_render(scene: bpy.types.Scene, *_: object) -> None:
         sync_settings(scene)
 
 
-_HANDLERS = ((bpy.app.handlers.depsgraph_update_post, _on_edit), (bpy.app.handlers.render_init, _before_render))
+_EVENTS = ((bpy.app.handlers.depsgraph_update_post, _on_edit), (bpy.app.handlers.render_init, _before_render))
 
 
 def register() -> None:
     """Follow edits and renders."""
-    for handlers, function in _HANDLERS:
-        handlers.append(function)
+    events.follow(_EVENTS)
 
 
 def unregister() -> None:
     """Stop following them."""
-    for handlers, function in _HANDLERS:
-        if function in handlers:
-            handlers.remove(function)
-    if bpy.app.timers.is_registered(_sync_later):
-        bpy.app.timers.unregister(_sync_later)
+    events.stop(_EVENTS, [_sync_later])

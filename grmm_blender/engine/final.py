@@ -14,7 +14,7 @@ import numpy as np
 from bpy.app.handlers import persistent
 
 from ...grmm_core.errors import CancelledError, GrmmError
-from .. import session_host
+from .. import events, session_host
 from ..scene.cameras import Eye, render_region, scene_camera
 from ..scene.meshes import MeshCache
 from ..scene.shot import Frame, Region
@@ -184,13 +184,15 @@ def _forget(*_: object) -> None:
     _depths.clear()
 
 
+_EVENTS = ((bpy.app.handlers.load_pre, _forget),)
+
+
 def register() -> None:
     """Follow Blender's events."""
-    bpy.app.handlers.load_pre.append(_forget)
+    events.follow(_EVENTS)
 
 
 def unregister() -> None:
     """Take back `register`, and free what is kept."""
-    if _forget in bpy.app.handlers.load_pre:
-        bpy.app.handlers.load_pre.remove(_forget)
+    events.stop(_EVENTS)
     _forget()

@@ -6,13 +6,14 @@ import bpy
 
 from ..scene.walk import drawn_objects
 from . import final, passes
+from .settings import ENGINE
 from .view import ViewRenderer
 
 
 class GRMM_RenderEngine(bpy.types.RenderEngine):
     """Renders GRMM avatars with their Gaussians."""
 
-    bl_idname = "GRMM"
+    bl_idname = ENGINE
     bl_label = "GRMM"
     bl_use_preview = False
     bl_use_exclude_layers = True

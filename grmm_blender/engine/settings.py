@@ -5,6 +5,10 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty
 
+from ..scene.walk import drawn_objects
+
+ENGINE = "GRMM"
+MESH_ALONE = "This engine renders the bare mesh; choose the engine GRMM, or Composite Avatars in the sidebar's GRMM tab"
 DETAIL_ITEMS = (
     ("0", "Full", "Every Gaussian"),
     ("1", "Quarter", "A quarter of the Gaussians, larger ones"),
@@ -86,6 +90,12 @@ class GRMM_PassSettings(bpy.types.PropertyGroup):
 
 
 CLASSES = (GRMM_RenderSettings, GRMM_PassSettings)
+
+
+def shows_mesh_alone(scene: bpy.types.Scene) -> bool:
+    """Whether renders of a scene show its avatars as meshes."""
+    composited = scene.grmm_composite.partner is not None
+    return scene.render.engine != ENGINE and not composited and bool(drawn_objects(scene))
 
 
 def register() -> None:

@@ -6,7 +6,8 @@ from typing import ClassVar
 
 import bpy
 
-ENGINE = "GRMM"
+from .settings import ENGINE
+
 # Blender's panels for engines without lights, materials and sampling of their own.
 _EXCLUDED = {
     "DATA_PT_falloff_curve", "DATA_PT_light", "DATA_PT_preview", "DATA_PT_spot", "DATA_PT_camera_dof",

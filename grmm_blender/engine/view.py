@@ -18,6 +18,7 @@ from gpu_extras.presets import draw_texture_2d
 
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
+from .. import events
 from ..scene.cameras import same_camera, view_camera
 from ..scene.meshes import MeshCache
 from ..scene.shot import Frame, SceneShot
@@ -80,7 +81,7 @@ class ViewRenderer:
             gpu.state.blend_set("NONE")
         engine.update_stats("GRMM", self.status())
         if self._jobs.busy:
-            redraw_when_ready()
+            events.later(_poll, _POLL_SECONDS)
 
     def status(self) -> str:
         """Return what the viewport shows, for its corner: an error, or how far the picture is."""
@@ -142,13 +143,8 @@ class ViewRenderer:
 _viewports: weakref.WeakSet[ViewRenderer] = weakref.WeakSet()
 
 
-def redraw_when_ready() -> None:
-    """Draw the rendered viewports again as soon as one of them has something new."""
-    if not bpy.app.timers.is_registered(_poll):
-        bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS)
-
-
 def _poll() -> float | None:
+    """Timer: draw the rendered viewports again as soon as one of them has something new."""
     viewports = list(_viewports)
     more = any(viewport.busy for viewport in viewports)  # asked first, so that nothing that ends meanwhile goes unseen
     if any(viewport.has_news for viewport in viewports):
@@ -169,20 +165,18 @@ def _give_way(*_: object) -> None:
     view_jobs.give_way()
 
 
-_HANDLERS = (bpy.app.handlers.frame_change_pre, bpy.app.handlers.depsgraph_update_pre, bpy.app.handlers.render_pre)
+_EVENTS = tuple(
+    (handlers, _give_way)
+    for handlers in (bpy.app.handlers.frame_change_pre, bpy.app.handlers.depsgraph_update_pre, bpy.app.handlers.render_pre)
+)
 
 
 def register() -> None:
     """Follow Blender's events."""
-    for handlers in _HANDLERS:
-        handlers.append(_give_way)
+    events.follow(_EVENTS)
 
 
 def unregister() -> None:
     """Take back `register`, and end what is being drawn."""
-    for handlers in _HANDLERS:
-        if _give_way in handlers:
-            handlers.remove(_give_way)
+    events.stop(_EVENTS, [_poll])
     view_jobs.close_all()
-    if bpy.app.timers.is_registered(_poll):
-        bpy.app.timers.unregister(_poll)

@@ -7,6 +7,7 @@ from typing import ClassVar
 import bpy
 
 from ..composite import nodes, scenes
+from ..engine.settings import MESH_ALONE, shows_mesh_alone
 from ..poses import local_poses
 from ..preset_menus import (
     GRMM_MT_expression_presets,
@@ -18,6 +19,7 @@ from ..preset_menus import (
 from ..rig.avatar import avatar_of
 from ..scene.avatars import avatars_in
 from .avatar_panels import CATEGORY
+from .width import draw_text
 
 
 class _SidebarPanel:
@@ -67,6 +69,8 @@ class GRMM_PT_pictures(_SidebarPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout = self.layout
+        if shows_mesh_alone(context.scene):
+            draw_text(layout, MESH_ALONE, context, icon="INFO")
         self._draw_composite(layout, context.scene)
         column = layout.column(align=True)
         column.operator("grmm.turntable", icon="CON_FOLLOWPATH")

@@ -63,7 +63,7 @@ def make_armature(context: bpy.types.Context, name: str, head: HeadModel, joints
         _add_expression(obj.pose.bones[JOINT_NAMES[joint]], obj)
     data.use_mirror_x = False
     data.display_type = "STICK"
-    obj.show_in_front = True
+    obj.show_in_front = False  # in a face that is only looked at; `viewport.bones` shows bones that are being posed
     return obj
 
 

@@ -17,6 +17,8 @@ from ...grmm_core.avatar.library import LIBRARY_PREFIX
 from ...grmm_core.controls.frame import Controls
 from ...grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
 from ...grmm_core.session import HEAD_TO_BLENDER
+from ..windows import redraw
+from ..wrapper import ObjectWrapper
 from .armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset
 from .codes import blend_of
 from .definitions import ARRAY_NAMES, CODES, FLAME_PREFIX, STRENGTH
@@ -25,27 +27,8 @@ DEFAULT_SOURCE = "default"
 _SAMPLE_PREFIX = "sample:"
 
 
-class Avatar:
-    """The avatar of a head object.
-
-    Attributes:
-        object: The head object, original data (not evaluated).
-    """
-
-    def __init__(self, obj: bpy.types.Object) -> None:
-        """Wrap a head object; an evaluated one is replaced by its original."""
-        self.object: bpy.types.Object = obj.original
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Avatar) and other.object == self.object
-
-    def __hash__(self) -> int:
-        return hash(self.object)
-
-    @property
-    def name(self) -> str:
-        """Name of the head object."""
-        return self.object.name
+class Avatar(ObjectWrapper):
+    """The avatar of a head object."""
 
     @property
     def key(self) -> int:
@@ -117,6 +100,13 @@ class Avatar:
         result.pose = self._pose(depsgraph)
         return result
 
+    def tag_edited(self) -> None:
+        """Have Blender evaluate the avatar and draw it again after its properties or bones were set from Python."""
+        for obj in (self.object, self.armature):
+            if obj is not None:
+                obj.update_tag()
+        redraw("VIEW_3D", "PROPERTIES")
+
     def array(self, name: str, depsgraph: bpy.types.Depsgraph | None = None) -> np.ndarray:
         """Return one of the arrays of controls, empty where the head has none; not validated."""
         return _array(self.object.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()), name)
@@ -171,6 +161,11 @@ class Avatar:
 def _array(obj: bpy.types.Object, name: str) -> np.ndarray:
     values = obj.get(name)
     return np.array([] if values is None else values.to_list(), np.float32)
+
+
+def active_object(context: bpy.types.Context) -> bpy.types.Object | None:
+    """Return the active object; None also where the context has none, as while a file is being opened."""
+    return getattr(context, "object", None)
 
 
 def is_avatar(obj: bpy.types.Object | None) -> bool:

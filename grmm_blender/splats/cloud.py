@@ -15,9 +15,10 @@ import numpy as np
 from ...grmm_core.errors import FileFormatError
 from ...grmm_core.formats.avatars.binding import bind_to_mesh, place_on_mesh
 from ...grmm_core.formats.splats.cloud import SplatCloud
-from ...grmm_core.formats.splats.gltf_splats import multiply_quaternions
+from ...grmm_core.geometry.rotations import multiply_quaternions
 from ...grmm_core.session import HEAD_TO_BLENDER, CloudArrays
 from ...grmm_core.session.api import CLOUD_TERMS
+from ..wrapper import ObjectWrapper
 
 POSITION, ROTATION, SCALE, OPACITY, TRIANGLE = "position", "rotation", "scale", "opacity", "triangle"
 HARMONIC = "sh_"
@@ -46,27 +47,8 @@ class CloudShot:
     arrays: CloudArrays
 
 
-class Cloud:
-    """The splat cloud of a mesh object.
-
-    Attributes:
-        object: Original data (not evaluated).
-    """
-
-    def __init__(self, obj: bpy.types.Object) -> None:
-        """Wrap a cloud object; an evaluated one is replaced by its original."""
-        self.object: bpy.types.Object = obj.original
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Cloud) and other.object == self.object
-
-    def __hash__(self) -> int:
-        return hash(self.object)
-
-    @property
-    def name(self) -> str:
-        """Name of the object."""
-        return self.object.name
+class Cloud(ObjectWrapper):
+    """The splat cloud of a mesh object."""
 
     @property
     def key(self) -> str:

@@ -10,6 +10,7 @@ the viewport with one depth for each pixel, so that it hides objects and is hidd
 ``changes``    counts changes of scenes and settings
 ``overlay``    Blender's drawing callbacks and events
 ``splat_view`` what one region needs between two draws
+``bones``      bones that are being posed
 ``drawing``    textures, batches, draw calls
 ``shaders``    the GLSL
 ``jobs``       the thread

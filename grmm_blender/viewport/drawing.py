@@ -19,6 +19,7 @@ from .arrays import TEXTURE_WIDTH, Packed
 DEPTH_COVER = 0.5  # from this cover on, splats hide what Blender draws later
 SHOWN_COVER = 1.0 / 510.0
 MESH_SLACK = 0.004  # of the distance: splats stay this much before the avatar's own mesh, whose pixels Blender jitters
+ORTHO_SLACK = 0.006  # of the width that is seen: about as many pixels in a view without distances
 _NOTHING = 1.0e10  # metres; depth where there is no mesh
 _ORTHO_NEAR = -1.0e9  # an orthographic viewport sees what is behind its plane too
 
@@ -69,7 +70,7 @@ class SplatPicture:
         try:
             self._draw_meshes(camera, projection)
             self._draw_splats(packed, camera, reference)
-            self._draw_screen(projection, reference)
+            self._draw_screen(camera, projection, reference)
         finally:
             gpu.state.blend_set(blend)
             gpu.state.depth_test_set(test)
@@ -116,7 +117,7 @@ class SplatPicture:
             shader.uniform_float("projection", Matrix(projection.tolist()))
             self._mesh_batch.draw(shader)
 
-    def _draw_screen(self, projection: np.ndarray, reference: float) -> None:
+    def _draw_screen(self, camera: Camera, projection: np.ndarray, reference: float) -> None:
         shader = shaders.screen_shader()
         shader.bind()
         terms = projection[2, 2], projection[2, 3], projection[3, 2], projection[3, 3]
@@ -126,7 +127,9 @@ class SplatPicture:
         shader.uniform_sampler("meshes", self._mesh)
         gpu.state.blend_set("ALPHA_PREMULT")
         gpu.state.depth_test_set("LESS_EQUAL")
-        slack = MESH_SLACK if self._mesh_batch is not None else 0.0
+        slack = 0.0
+        if self._mesh_batch is not None:
+            slack = ORTHO_SLACK * camera.width / camera.fx if camera.orthographic else MESH_SLACK
         # Thin cover must not hide what other tools draw behind it, so it writes no depth.
         for low, high, writes in ((SHOWN_COVER, DEPTH_COVER, False), (DEPTH_COVER, 2.0, True)):
             gpu.state.depth_mask_set(writes)

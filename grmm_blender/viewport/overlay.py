@@ -8,15 +8,19 @@ import blf
 import bpy
 from bpy.app.handlers import persistent
 
+from .. import events
+from ..engine.settings import MESH_ALONE, shows_mesh_alone
 from ..windows import redraw_viewports
 from . import shaders, splat_view
+from .bones import draw_bones
 from .changes import CHANGES
 from .settings import SHADINGS
 from .splat_view import Viewport
 
 _POLL_SECONDS = 0.03
 _KEPT = 16  # viewports; those of closed windows are dropped beyond
-_TEXT_SIZE = 12
+_TEXT_SIZE, _TEXT_PLACE, _LINE_HEIGHT = 12, 20, 18  # pixels at interface scale 1
+_LOWER_REGIONS = ("HUD", "ASSET_SHELF", "ASSET_SHELF_HEADER")
 _TEXT_COLOR = (1.0, 1.0, 1.0, 0.85)
 
 _log = logging.getLogger(__name__)
@@ -65,20 +69,40 @@ def _draw_splats() -> None:
     except Exception as error:  # noqa: BLE001 - a card's shader compiler can refuse in many ways; say so once, not every draw
         _log.exception("The splat viewport failed.")
         viewport.fail(f"Splats cannot be drawn here ({type(error).__name__}: {error}).")
-    if viewport.jobs.busy and not bpy.app.timers.is_registered(_poll):
-        bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS)
+    if viewport.jobs.busy:
+        events.later(_poll, _POLL_SECONDS)
+
+
+def _draw_bones() -> None:
+    if bpy.context.space_data.shading.type != "WIREFRAME":
+        draw_bones(bpy.context, bpy.context.evaluated_depsgraph_get())
 
 
 def _draw_status() -> None:
-    viewport = _shown_viewport()
-    if viewport is None or not bpy.context.scene.grmm_viewport.use_status:
+    context = bpy.context
+    if not context.scene.grmm_viewport.use_status:
         return
-    scale = bpy.context.preferences.system.ui_scale
+    scale = context.preferences.system.ui_scale
+    floor = _covered_height(context.area, context.region)
     blf.size(0, _TEXT_SIZE * scale)
     blf.color(0, *_TEXT_COLOR)
-    for index, line in enumerate(viewport.status()):
-        blf.position(0, 20 * scale, (20 + 18 * index) * scale, 0)
+    for index, line in enumerate(_status(context)):
+        blf.position(0, _TEXT_PLACE * scale, floor + (_TEXT_PLACE + _LINE_HEIGHT * index) * scale, 0)
         blf.draw(0, f"GRMM: {line}")
+
+
+def _status(context: bpy.types.Context) -> list[str]:
+    """What the corner of the present viewport says."""
+    if context.space_data.shading.type == "RENDERED":
+        return [MESH_ALONE] if shows_mesh_alone(context.scene) else []
+    viewport = _shown_viewport()
+    return [] if viewport is None else viewport.status()
+
+
+def _covered_height(area: bpy.types.Area, shown: bpy.types.Region) -> int:
+    """Pixels at the lower edge of a viewport that other regions cover: the operator's options, the shelf of assets."""
+    tops = [other.y + other.height - shown.y for other in area.regions if other.type in _LOWER_REGIONS and other.height > 1]
+    return max([0, *tops])
 
 
 def _poll() -> float | None:
@@ -103,7 +127,7 @@ def _on_load(*_: object) -> None:
     splat_view.forget()
 
 
-_HANDLERS = (
+_EVENTS = (
     (bpy.app.handlers.depsgraph_update_post, _on_change),
     (bpy.app.handlers.frame_change_post, _on_change),
     (bpy.app.handlers.undo_post, _on_change),
@@ -114,11 +138,11 @@ _HANDLERS = (
 
 def register() -> None:
     """Start drawing; without windows there is nothing to draw."""
-    for handlers, function in _HANDLERS:
-        handlers.append(function)
+    events.follow(_EVENTS)
     if not bpy.app.background:
         add = bpy.types.SpaceView3D.draw_handler_add
         _callbacks.append(add(_draw_splats, (), "WINDOW", "POST_VIEW"))
+        _callbacks.append(add(_draw_bones, (), "WINDOW", "POST_VIEW"))
         _callbacks.append(add(_draw_status, (), "WINDOW", "POST_PIXEL"))
 
 
@@ -126,10 +150,6 @@ def unregister() -> None:
     """Take back `register`."""
     while _callbacks:
         bpy.types.SpaceView3D.draw_handler_remove(_callbacks.pop(), "WINDOW")
-    for handlers, function in _HANDLERS:
-        if function in handlers:
-            handlers.remove(function)
-    if bpy.app.timers.is_registered(_poll):
-        bpy.app.timers.unregister(_poll)
+    events.stop(_EVENTS, [_poll])
     _on_load()
     shaders.forget()

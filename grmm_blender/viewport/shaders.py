@@ -146,10 +146,13 @@ void main()
   }
   float z = range.z + texelFetch(moments, place, 0).r / found.a;
   if (range.w > 0.0) {
+    // Under perspective a share of the distance, else metres.
+    bool is_ortho = depth_terms.z == 0.0;
     for (int x = -1; x <= 1; x++) {
       for (int y = -1; y <= 1; y++) {
         ivec2 near = clamp(place + ivec2(x, y), ivec2(0), size - 1);
-        z = min(z, texelFetch(meshes, near, 0).r * (1.0 - range.w));
+        float mesh = texelFetch(meshes, near, 0).r;
+        z = min(z, mesh - range.w * (is_ortho ? 1.0 : mesh));
       }
     }
   }
@@ -203,7 +206,7 @@ def screen_shader() -> gpu.types.GPUShader:
     """Puts the finished picture into the viewport, with depth."""
     info = _info(
         ("VEC4", "depth_terms"),  # of the projection matrix: [2][2], [2][3], [3][2], [3][3]
-        ("VEC4", "range"),  # lowest and highest cover that is drawn, reference depth, slack before own meshes (0: none)
+        ("VEC4", "range"),  # lowest and highest cover that is drawn, reference depth, slack (0: none)
         ("BOOL", "srgbTarget"),  # set by Blender: whether the viewport's buffer turns linear values into sRGB
     )
     info.sampler(0, "FLOAT_2D", "colors")

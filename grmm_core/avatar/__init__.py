@@ -6,7 +6,6 @@ Used by sessions, fitting, the command line and Blender. Needs numpy only.
 from __future__ import annotations
 
 from .file import EXTENSION, FORMAT_VERSION, AvatarHeader, load_avatar, read_avatar_header, save_avatar
-from .make import default_avatar, sampled_avatar
 from .types import AssetReference, Avatar, PhotoRecord, Provenance
 
 __all__ = [
@@ -17,9 +16,7 @@ __all__ = [
     "AvatarHeader",
     "PhotoRecord",
     "Provenance",
-    "default_avatar",
     "load_avatar",
     "read_avatar_header",
-    "sampled_avatar",
     "save_avatar",
 ]

@@ -11,9 +11,11 @@ from types import MappingProxyType
 
 import numpy as np
 
+from .. import __version__
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 
+MADE_BY = f"grmm {__version__}"
 SHAPE_SIZE = 300
 JOINT_COUNT = 5
 MAX_CODE_SIZE = 4096  # far above any configuration; refuses absurd files

@@ -101,12 +101,8 @@ def best_times(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[
 
 def stages(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any]:
     """Time the stages of a frame of an avatar in which everything is new."""
-    import torch
-
     target = session.target(avatar_id)
-    found = session.evaluator.inputs(target, Controls().set_named({"jawOpen": 0.3}))
-    names = ("z_id", "z_exp", "expression", "pose", "shape")
-    inputs = {name: torch.from_numpy(getattr(found, name)).to(target.model.device) for name in names}
+    inputs = session.evaluator.inputs(target, Controls().set_named({"jawOpen": 0.3}))
     return bench_model.stages(best_times, target.model, inputs, FRAME_SIZE, repeats)
 
 

@@ -136,7 +136,7 @@ def grids(best_times: BestTimes, scenes: Mapping[int, Gaussians], size: int, rep
 
 def threads(best_times: BestTimes, scene: Gaussians, size: int, repeats: int) -> dict[str, Any]:
     """Compare numbers of threads, forward and with gradients."""
-    from ..session.local import limit_rasteriser_threads
+    from ..compute.devices import limit_rasteriser_threads
     from ..splat.cpu.threads import thread_count
 
     before = thread_count()

@@ -48,6 +48,7 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     """Train, and write the weights at the end; of several processes the first one alone says so. Raises `GrmmError`s."""
+    from ..avatar import save_avatar
     from ..head import load_flame
     from ..training.capture import capture_views
     from ..training.config import load_config
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
         return None
     path = Path(args.out) / (f"{config.person}{EXTENSION}" if config.person else f"{config.name}.safetensors")
     if config.person:
-        _write_person(trainer, path, args.name or config.person, args.licence)
+        save_avatar(trainer.person_avatar(args.name or config.person, args.licence), path)
     else:
         provenance = {"seed": config.seed, "steps": trainer.step_count, "hours": round(trainer.seconds / 3600, 3)}
         provenance |= {"data": [Path(d).name for d in args.data], "views": len(source.training)}
@@ -97,17 +98,6 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
 def _continued(trainer: Trainer) -> str:
     changes = "; ".join(trainer.differences)
     return f"Continuing after step {trainer.step_count}" + (f", not as it began: {changes}." if changes else ".")
-
-
-def _write_person(trainer: Trainer, path: Path, name: str, licence: str) -> None:
-    from ..avatar import save_avatar
-    from ..fitting.api import thumbnail
-    from ..training.personal import person_avatar
-
-    with trainer.averaged():  # the model as the avatar has it, but for the rounding to half precision
-        avatar = person_avatar(trainer, name, licence)
-        picture = thumbnail(trainer.model, avatar)
-    save_avatar(avatar.with_thumbnail(picture), path)
 
 
 class _StopOnInterrupt:

@@ -1,5 +1,7 @@
 """What this machine computes with.
 
+``devices``   torch's devices and threads
+``graphs``    small networks on a graphics card as CUDA graphs (imports torch)
 ``kernels``   how compiled kernels are cached (loads numba)
 ``memory``    memory that this process holds
 """

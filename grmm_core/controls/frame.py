@@ -93,6 +93,7 @@ def resolve(controls: Controls, head: ExpressionBasis) -> ResolvedControls:
     if arkit_pose is not None:
         pose = pose + np.einsum("a,ajk->jk", arkit, np.asarray(arkit_pose, np.float32))
     aligned, compounds = np.split(clean.aligned, [len(ALIGNED_NAMES)])
+    aligned = aligned.copy()
     aligned[: len(ARKIT_NAMES)] += compounds @ EXPRESSIONS_TO_ARKIT[len(ALIGNED_NAMES) :]
     return ResolvedControls(expression, pose.astype(np.float32), aligned)
 

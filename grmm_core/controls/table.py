@@ -110,13 +110,13 @@ class Controls:
     ))  # fmt: skip
 
     def validate(self) -> Controls:
-        """Return a float32 copy of known shapes.
+        """Return the controls as float32 arrays of known shapes; arrays that are so already are shared, not copied.
 
         Raises:
             ControlError: A value is NaN or infinite; the control is named.
             ShapeError: An array is of another shape than documented.
         """
-        clean = {f.name: np.array(getattr(self, f.name), np.float32) for f in fields(self)}
+        clean = {f.name: np.asarray(getattr(self, f.name), np.float32) for f in fields(self)}
         for name, array in clean.items():
             if not np.isfinite(array).all():
                 raise ControlError(
@@ -125,7 +125,8 @@ class Controls:
         aligned, count = clean["aligned"], len(EXPRESSION_NAMES)
         if aligned.shape not in ((len(ALIGNED_NAMES),), (count,)):
             raise ShapeError(f"Controls.aligned has shape {aligned.shape}; it must be ({count},).")
-        clean["aligned"] = np.pad(aligned, (0, count - aligned.size))
+        if aligned.size < count:
+            clean["aligned"] = np.pad(aligned, (0, count - aligned.size))
         if clean["pose"].shape != (len(JOINT_NAMES), 3):
             raise ShapeError(f"Controls.pose has shape {clean['pose'].shape}; it must be ({len(JOINT_NAMES)}, 3).")
         for control in ARRAYS:
@@ -137,13 +138,19 @@ class Controls:
         sliders = {slider.field: float(clean.pop(slider.field)) for slider in SLIDERS}
         return Controls(**clean, **sliders)  # type: ignore[arg-type]  # mypy cannot know which fields these are
 
+    def copy(self) -> Controls:
+        """Return a copy whose arrays can be changed in place. Raises as `validate`."""
+        clean = self.validate()
+        arrays = {f.name: value.copy() for f in fields(clean) if isinstance(value := getattr(clean, f.name), np.ndarray)}
+        return replace(clean, **arrays)
+
     def set_named(self, values: Mapping[str, float]) -> Controls:
         """Return a copy with the named controls set (see the module's table).
 
         Raises:
             ControlError: Unknown name, or a value that is no finite number or beyond the control's range.
         """
-        result = self.validate()
+        result = self.copy()
         for name, value in values.items():
             value = float(value)
             control, places = locate(name)

@@ -16,10 +16,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..controls.frame import Controls, resolve
+from ..controls.frame import Controls
 from ..controls.names import MIXTURE_NAMES
 from ..errors import ConfigError
-from ..model.grmm import JAW, NECK, euler_to_rotvec
+from ..model.inputs import Person
 from .scene import Scene
 
 PEOPLE = 10
@@ -102,15 +102,11 @@ def spread(moved: Sequence[np.ndarray]) -> dict[str, float]:
 def posed(scene: Scene, z_id: np.ndarray, shape: np.ndarray, name: str) -> Posed:
     """Pose a person of code z_id [Z] and shape [S] with an aligned expression at full strength; "" is neutral."""
     model = scene.model
-    controls = resolve(Controls().set_named({name: 1.0} if name else {}), scene.head)
-    person = scene.made("", z_id, shape)
-    expression, pose = scene.tensor(controls.expression), scene.tensor(controls.pose)
-    z_exp = model.z_expression(scene.tensor(controls.aligned), expression=expression)
-    turns = euler_to_rotvec(pose[[NECK, JAW]])
-    displacement = model.displacement(person.z_id[None], z_exp[None], turns[:1], turns[1:], expression[None])
-    vertices = model.vertices(person.shape[None], expression[None], pose[None], displacement)[0]
-    geometry = model.geometry(vertices, model.offsets(person.z_id, z_exp))
-    mesh, learned = vertices.cpu().numpy(), displacement[0].cpu().numpy()
+    controls = Controls().set_named({name: 1.0} if name else {})
+    inputs = model.tensors(model.input_space().inputs(Person(z_id, shape), controls))
+    posed_mesh = model.mesh(inputs)
+    geometry = model.geometry(posed_mesh.vertices, model.offsets(inputs.z_id, inputs.z_exp))
+    mesh, learned = (part.cpu().numpy() for part in posed_mesh)
     return Posed(scene.head.landmark_positions(mesh), geometry.means.cpu().numpy(), scene.head.landmark_positions(learned))
 
 

@@ -23,9 +23,9 @@ from ..fitting.types import LANDMARK_COUNT, PhotoTrack
 from ..geometry.camera import Camera
 from ..head import HeadModel
 from ..pictures.images import quantize, write_png
-from ..training.losses import l1_loss, ssim
+from ..training.losses import LossWeights, reconstruction_loss
 from ..training.views import View, crop_to_person, shrink
-from .scene import Person, Scene
+from .scene import DrawnPerson, Scene
 from .views import LoadedView, Sample
 
 logger = logging.getLogger(__name__)
@@ -38,14 +38,16 @@ RATE = 0.04  # of Adam, for codes of about unit size
 PRIOR = 2e-4
 MARGIN = 8  # pixels around the person
 FIT_SIZE = 384  # pixels
-_L1, _SSIM = 0.8, 0.2
+_WEIGHTS = LossWeights()
 _GREY = 0.5
 _TRACKED_SHARE, _FIRST_SHARE = 0.1, 0.3  # of the time, for the progress
 
 Progress = Callable[[float], None]
 
 
-def fit_person(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, method: str, progress: Progress) -> Person:
+def fit_person(
+    scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, method: str, progress: Progress
+) -> DrawnPerson:
     """Fit a person.
 
     Args:
@@ -64,7 +66,9 @@ def fit_person(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray
     return _inverted(scene, exact_track(scene.head, sample, view, shape), sample.shot.subject, method, progress)
 
 
-def fit_photo(scene: Scene, sample: Sample, view: LoadedView, method: str, progress: Progress) -> tuple[Person, PhotoTrack]:
+def fit_photo(
+    scene: Scene, sample: Sample, view: LoadedView, method: str, progress: Progress
+) -> tuple[DrawnPerson, PhotoTrack]:
     """Fit a person as users do: from the picture alone, tracked by `fitting.track`.
 
     Args:
@@ -97,7 +101,7 @@ def track_shot(sample: Sample, track: PhotoTrack, head: HeadModel) -> Shot:
     return dataclasses.replace(sample.shot, expression=track.expression, pose=pose)
 
 
-def _inverted(scene: Scene, track: PhotoTrack, name: str, method: str, progress: Progress) -> Person:
+def _inverted(scene: Scene, track: PhotoTrack, name: str, method: str, progress: Progress) -> DrawnPerson:
     from ..fitting.invert import CODES as FIRST
     from ..fitting.invert import invert
 
@@ -128,7 +132,7 @@ def projected(points: np.ndarray, camera: Camera) -> np.ndarray:
     return np.stack([camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy], -1)
 
 
-def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, progress: Progress) -> Person:
+def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, progress: Progress) -> DrawnPerson:
     """Search z_id and the offset of z_exp that draw a view best (eq. 19), from the training people's mean.
 
     Args:
@@ -138,15 +142,14 @@ def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarr
         shape: Shape coefficients, [S].
         progress: Called with 0..1.
     """
-    start = scene.made(sample.shot.subject, scene.mean_code.cpu().numpy(), shape)
+    start = scene.made(sample.shot.subject, scene.mean_code, shape)
     if not scene.residuals:
         return start
     target = _fit_view(sample, view)
     image, mask = scene.tensor(target.image) / 255.0, scene.tensor(target.mask) / 255.0
-    expression, pose = scene.tensor(sample.shot.expression), scene.tensor(sample.shot.pose)
-    base = scene.expression_code(start, sample.shot)
+    base = scene.model.tensors(scene.inputs(start, sample.shot))
     spread = _spread(scene)
-    step_id, offset = torch.zeros_like(start.z_id), torch.zeros_like(start.z_exp)
+    step_id, offset = torch.zeros_like(base.z_id), torch.zeros_like(base.z_exp)
     parameters = [step_id.requires_grad_(), offset.requires_grad_()]
     optimiser = torch.optim.Adam(parameters, lr=RATE, betas=(0.9, 0.99))
     background = np.random.default_rng(0)
@@ -154,20 +157,19 @@ def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarr
         for group in optimiser.param_groups:
             group["lr"] = RATE * 0.5 * (1.0 + float(np.cos(np.pi * step / STEPS)))
         color = scene.tensor(background.random(3))
-        rendering = scene.model.render(
-            target.camera, shape=start.shape, expression=expression, pose=pose, z_id=start.z_id + step_id * spread,
-            z_exp=base + offset, background=color, backend=scene.backend,
-        )  # fmt: skip
+        inputs = dataclasses.replace(base, z_id=base.z_id + step_id * spread, z_exp=base.z_exp + offset)
+        rendering = scene.model.render(target.camera, inputs, color, backend=scene.backend)
         truth = image + (1.0 - mask)[..., None] * color
-        loss = sum(_L1 * l1_loss(p, truth) + _SSIM * (1.0 - ssim(p, truth)) for p in (rendering.image, rendering.raw))
+        pictures = (rendering.image, rendering.raw)
+        loss = torch.stack([reconstruction_loss(picture, truth, _WEIGHTS) for picture in pictures]).sum()
         loss = loss + PRIOR * (step_id.square().mean() + offset.square().mean())
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
         progress((step + 1) / STEPS)
     logger.info("%s: loss %.4f after %d steps", sample.name, float(loss.detach()), STEPS)
-    z_id = (start.z_id + step_id * spread).detach()
-    return dataclasses.replace(start, z_id=z_id, z_exp=offset.detach())
+    z_id, z_exp = ((base.z_id + step_id * spread), offset)
+    return dataclasses.replace(start, z_id=z_id.detach().cpu().numpy(), z_exp=z_exp.detach().cpu().numpy())
 
 
 def _fit_view(sample: Sample, view: LoadedView) -> View:
@@ -182,5 +184,5 @@ def _spread(scene: Scene) -> Tensor:
     """Standard deviation of the training people's codes, [Z]: how far a step of 1 goes."""
     codes = scene.info.z_id
     if len(codes) < 2:
-        return torch.ones_like(scene.mean_code)
+        return scene.tensor(np.ones_like(scene.mean_code))
     return scene.tensor(codes.std(0)).clamp(min=1e-3)

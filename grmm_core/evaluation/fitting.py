@@ -19,7 +19,6 @@ import numpy as np
 import torch
 
 from ..avatar import Avatar
-from ..controls.frame import Controls, resolve
 from ..errors import GrmmError
 from ..fitting.api import fit
 from ..fitting.invert import invert, photo_pictures
@@ -27,13 +26,15 @@ from ..fitting.presets import Preset
 from ..fitting.types import PhotoTrack
 from ..geometry.camera import Camera
 from ..model.grmm import GRMM
+from ..model.portrait import portrait
+from ..model.store import with_deltas
+from ..model.weights_file import resolve_weights
 from ..pictures.images import write_png
-from ..session.models import with_deltas
 from .fit import exact_track
 from .identity import Identity
 from .metrics import Distance, errors_of
 from .report import sheet
-from .scene import Person, Scene
+from .scene import DrawnPerson, Scene
 from .views import Sample, load
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
@@ -87,7 +88,7 @@ def evaluate_photos(
     out.mkdir(parents=True, exist_ok=True)
     photos = photos_in(folder)
     rows: dict[str, dict[str, Any]] = {}
-    scene = Scene(_weights(weights), "cpu" if device == "auto" else device)
+    scene = Scene(resolve_weights(weights), "cpu" if device == "auto" else device)
     for number, photo in enumerate(photos):
 
         def show(_stage: str, share: float, _left: float, _preview: str, number: int = number, photo: Path = photo) -> None:
@@ -133,7 +134,7 @@ def photo_figures(
     for (view, drawn), track in zip(photo_pictures(model, avatar, tracks, MEASURED_PIXELS), tracks, strict=True):
         grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
         counts = view.weight[..., None]
-        shown = (drawn.image + (1.0 - drawn.alpha)[..., None] * grey) * counts
+        shown = drawn.over(grey).image * counts
         target = view.target(grey) * counts
         errors = errors_of(shown, target, view.measured, distances=distances)
         found = {"rmse": errors.rmse_mask, "psnr": errors.psnr_mask, "ssim": errors.ssim_mask, **errors.perceptual}
@@ -148,30 +149,14 @@ def photo_figures(
 def photo_sheet(model: GRMM, avatar: Avatar, track: PhotoTrack, pixels: int = SHEET_PIXELS) -> np.ndarray:
     """Photo, fit, three new views; below the neutral face and four expressions. Returns uint8."""
     view, drawn = photo_pictures(model, avatar, [track], pixels)[0]
-    fitted = drawn.image + (1.0 - drawn.alpha)[..., None] * _GREY
-    upper = [view.image.cpu().numpy(), fitted.cpu().numpy()]
-    upper += [portrait(model, avatar, {}, pixels, yaw) for yaw in NEW_VIEWS]
-    lower = [portrait(model, avatar, values, pixels) for values in ({}, *EXPRESSIONS.values())]
-    return sheet([upper, lower])
+    upper = [view.image.cpu().numpy(), drawn.over((_GREY,) * 3).image.cpu().numpy()]
 
+    def seen(controls: Mapping[str, float], yaw: float = 0.0) -> np.ndarray:
+        camera = Camera.orbit(pixels, pixels, yaw=yaw, distance=_DISTANCE, fov=_FOV)
+        return portrait(model, avatar, controls, camera, (_GREY,) * 3).image.clamp(0, 1).cpu().numpy()
 
-def portrait(model: GRMM, avatar: Avatar, controls: Mapping[str, float], pixels: int, yaw: float = 0.0) -> np.ndarray:
-    """An avatar over grey, [pixels, pixels, 3]."""
-    head = model.head_model
-    resolved = resolve(Controls().set_named(controls), head)
-
-    def tensor(array: np.ndarray) -> torch.Tensor:
-        return torch.as_tensor(np.array(array, np.float32), device=model.device)
-
-    expression, shape = tensor(resolved.expression), tensor(avatar.shape[: head.shape_count])
-    offset = tensor(avatar.z_exp) if model.config.residuals else None
-    with torch.no_grad():
-        picture = model.render(
-            Camera.orbit(pixels, pixels, yaw=yaw, distance=_DISTANCE, fov=_FOV), shape=shape, expression=expression,
-            pose=tensor(resolved.pose), z_id=model.z_identity(tensor(avatar.z_id), shape),
-            z_exp=model.z_expression(tensor(resolved.aligned), offset, expression), background=(_GREY,) * 3,
-        ).image  # fmt: skip
-    return picture.clamp(0, 1).cpu().numpy()
+    upper += [seen({}, yaw) for yaw in NEW_VIEWS]
+    return sheet([upper, [seen(values) for values in ({}, *EXPRESSIONS.values())]])
 
 
 def compare_stages(
@@ -227,20 +212,13 @@ def compare_counts(
     return results
 
 
-def psnr_of_views(scene: Scene, person: Person, samples: Sequence[Sample], size: int) -> float:
+def psnr_of_views(scene: Scene, person: DrawnPerson, samples: Sequence[Sample], size: int) -> float:
     """Mean PSNR inside the mask of a person in captured views, dB."""
     values = []
     for sample in samples:
         view = load(sample, size)
-        with torch.no_grad():
-            image = scene.draw(person, sample.shot, view.camera).image
+        image = scene.draw(person, sample.shot, view.camera).image
         errors = errors_of(image, scene.tensor(view.image), scene.tensor(view.mask))
         if math.isfinite(errors.psnr_mask):
             values.append(errors.psnr_mask)
     return float(np.mean(values)) if values else math.nan
-
-
-def _weights(weights: str | Path | None) -> Path:
-    from ..session.models import resolve_weights
-
-    return resolve_weights(weights)

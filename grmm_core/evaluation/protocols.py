@@ -25,7 +25,7 @@ from ..pictures.images import quantize
 from .fit import CODES, fit_person, fit_photo, track_shot
 from .metrics import Distance, Errors, errors_of
 from .regions import region_pixels, triangle_groups
-from .scene import FULL, Person, Scene
+from .scene import FULL, DrawnPerson, Scene
 from .views import LoadedView, Sample, limited, load, samples, source_view
 
 logger = logging.getLogger(__name__)
@@ -78,7 +78,7 @@ class Row:
     """
 
     sample: Sample
-    person: Person
+    person: DrawnPerson
     errors: Errors
     raw: Errors
     variants: dict[str, Errors] = field(default_factory=dict)
@@ -131,7 +131,7 @@ class Evaluation:
         self.scene, self.datasets, self.settings, self.ablation = scene, tuple(datasets), settings, ablation
         self._report = report or (lambda _text, _share: None)
         self._groups = triangle_groups(scene.head)
-        self._fitted: dict[tuple[int, str], Person] = {}
+        self._fitted: dict[tuple[int, str], DrawnPerson] = {}
 
     def run(self, protocol: str) -> Result:
         """Run one protocol.
@@ -153,7 +153,7 @@ class Evaluation:
             self._report(f"{protocol} {sample.name}", (number + 1) / len(chosen))
         return Result(protocol, rows, source)
 
-    def measure(self, sample: Sample, person: Person, view: LoadedView | None = None, photo: bool = False) -> Row:
+    def measure(self, sample: Sample, person: DrawnPerson, view: LoadedView | None = None, photo: bool = False) -> Row:
         """Draw one view and compare it with the truth.
 
         Args:
@@ -165,7 +165,7 @@ class Evaluation:
         view = load(sample, self.settings.size) if view is None else view
         truth, mask = self.scene.tensor(view.image), self.scene.tensor(view.mask)
         rendering = self.scene.draw(person, sample.shot, view.camera, photo=photo)
-        own = person.shape.cpu().numpy() if photo else None  # what the tracking found
+        own = person.shape if photo else None  # what the tracking found
         regions = self._regions(sample, view, own) if self.settings.regions else {}
         distances = self.settings.distances
         errors = errors_of(rendering.image, truth, mask, regions, distances)
@@ -211,7 +211,7 @@ class Evaluation:
             raise ConfigError("No face was found in any held-out person's picture; choose a larger --size.")
         return result
 
-    def fitted(self, place: int, name: str) -> tuple[Person, Sample]:
+    def fitted(self, place: int, name: str) -> tuple[DrawnPerson, Sample]:
         """The held-out person `name` of the capture number `place`, fitted once, and the view used."""
         dataset = self.datasets[place]
         source = source_view(list(self._views_of(place, name)))
@@ -239,8 +239,8 @@ class Evaluation:
             people = [people[i] for i in np.linspace(0, len(people) - 1, limit).round().astype(int)]
         return people
 
-    def _trained_views(self, protocol: str) -> list[tuple[Sample, Person]]:
-        known: list[tuple[Sample, Person]] = []
+    def _trained_views(self, protocol: str) -> list[tuple[Sample, DrawnPerson]]:
+        known: list[tuple[Sample, DrawnPerson]] = []
         for dataset in self.datasets:
             people = {name: self.scene.person(dataset, name) for name in dataset.subjects}
             for sample in samples((dataset,), SPLIT_OF[protocol]):
@@ -256,9 +256,9 @@ class Evaluation:
         persons = {id(sample): person for sample, person in known}
         return [(sample, persons[id(sample)]) for sample in picked]
 
-    def _fitted_views(self, protocol: str) -> tuple[list[tuple[Sample, Person]], dict[str, Sample]]:
+    def _fitted_views(self, protocol: str) -> tuple[list[tuple[Sample, DrawnPerson]], dict[str, Sample]]:
         people = self._people_to_fit(protocol)
-        persons: dict[tuple[int, str], Person] = {}
+        persons: dict[tuple[int, str], DrawnPerson] = {}
         source: dict[str, Sample] = {}
         candidates: list[Sample] = []
         places: dict[int, tuple[int, str]] = {}
@@ -294,7 +294,7 @@ class Evaluation:
         vertices = self.scene.head.vertices(shape, sample.shot.expression, sample.shot.pose)
         return region_pixels(self.scene.head, self._groups, vertices, view.camera, view.mask, view.depth)
 
-    def _other(self, sample: Sample) -> Person | None:
+    def _other(self, sample: Sample) -> DrawnPerson | None:
         """The person of a view in the second model: trained, or for one without residuals any, by the shape."""
         if self.ablation is None:
             return None

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +12,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..controls.frame import ResolvedControls
 from ..errors import ConfigError
 from ..geometry.camera import Camera
 from ..model.grmm import GRMM, Rendering
+from ..model.inputs import ModelInputs, Person, expression_code
+from ..model.store import with_deltas
 from ..model.weights import load_weights
 from ..model.weights_file import WeightsInfo
 
@@ -23,31 +25,26 @@ if TYPE_CHECKING:
     from ..avatar import Avatar
     from ..data.dataset import CaptureDataset, Shot
     from ..head import HeadModel
+    from ..splat.backends import Backend
 
 FULL, NO_EXPRESSION_CODE, MEAN_CODES = "full", "z_exp off", "z_id mean, z_exp off"
 VARIANTS = (FULL, NO_EXPRESSION_CODE, MEAN_CODES)
 """What of the residual codes is used. These switch codes of one model off; the paper's ablation trains another model."""
 
 
-@dataclass(frozen=True)
-class Person:
-    """Whom a model can draw.
+@dataclass(frozen=True, kw_only=True)
+class DrawnPerson(Person):
+    """Whom a model can draw: a person with what draws them.
 
     Attributes:
         name: For tables.
-        z_id: Identity code, [Z].
-        z_exp: Added to the code of every expression, [Y].
-        shape: Shape coefficients, [S].
         model: The scene's model, or a copy with changed decoders.
         photo_code: z_exp as a whole in the photo that the person was fitted to, [Y], or None.
     """
 
     name: str
-    z_id: Tensor
-    z_exp: Tensor
-    shape: Tensor
     model: GRMM
-    photo_code: Tensor | None = None
+    photo_code: np.ndarray | None = None
 
 
 class Scene:
@@ -66,7 +63,7 @@ class Scene:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], device: str = "cpu", backend: str = "auto", head: HeadModel | None = None,
+        self, path: str | os.PathLike[str], device: str = "cpu", backend: Backend = "auto", head: HeadModel | None = None,
         avatar: Avatar | None = None,
     ) -> None:  # fmt: skip
         self.path = Path(path)
@@ -75,8 +72,8 @@ class Scene:
         self.info: WeightsInfo = info
         self.backend = backend
         self.head: HeadModel = model.head_model
-        self.mean_code = self.tensor(info.z_id.mean(0) if len(info.z_id) else info.default_z_id)
-        self.avatar = None if avatar is None else dataclasses.replace(self.from_avatar(avatar), name=self._trained_name(avatar))
+        self.mean_code: np.ndarray = info.z_id.mean(0) if len(info.z_id) else info.default_z_id
+        self.avatar = None if avatar is None else replace(self.from_avatar(avatar), name=self._trained_name(avatar))
 
     @property
     def residuals(self) -> bool:
@@ -92,7 +89,7 @@ class Scene:
         """Return an array as a float32 tensor on the model's device."""
         return torch.as_tensor(np.array(array, np.float32), device=self.model.device)
 
-    def person(self, dataset: CaptureDataset, name: str) -> Person | None:
+    def person(self, dataset: CaptureDataset, name: str) -> DrawnPerson | None:
         """The trained person of a capture's name; None where the model was not trained on them, or another one is judged."""
         if self.avatar is not None:
             return self.avatar if self.avatar.name in (name, f"{dataset.folder.name}/{name}") else None
@@ -106,24 +103,21 @@ class Scene:
         """Whether anybody of this name was trained on, in whatever folder the data was then: such a person is not held out."""
         return any(known == name or known.endswith(f"/{name}") for known in self.info.people)
 
-    def made(self, name: str, z_id: np.ndarray, shape: np.ndarray) -> Person:
-        """A person of given code and shape. Without residuals the shape is the code."""
-        code = self.tensor(z_id if self.residuals else shape)
-        return Person(name, code, torch.zeros(self.model.z_exp_size, device=self.model.device), self.tensor(shape), self.model)
+    def made(self, name: str, z_id: np.ndarray, shape: np.ndarray) -> DrawnPerson:
+        """A person of given code and shape."""
+        return DrawnPerson(z_id, shape, name=name, model=self.model)
 
-    def from_avatar(self, avatar: Avatar) -> Person:
+    def from_avatar(self, avatar: Avatar) -> DrawnPerson:
         """The person in an avatar, with its changes of the decoders; of the first photo also the code of its expression."""
-        from ..session.models import with_deltas
-
-        model = with_deltas(self.model, avatar.deltas, Path(avatar.name)) if avatar.deltas else self.model
-        shape = avatar.shape[: self.head.shape_count]
-        z_exp = avatar.z_exp if self.residuals else np.zeros(self.model.z_exp_size)
+        model = with_deltas(self.model, avatar.deltas, avatar.name)
         photo = None
-        if self.model.aligned_codes is not None and "z_exp" in avatar.tracking and "aligned" in avatar.tracking:
-            own, aligned = (self.tensor(avatar.tracking[name][0]) for name in ("z_exp", "aligned"))
-            photo = (aligned @ self.model.aligned_codes).detach() + self.tensor(z_exp) + own
-        code = self.tensor(avatar.z_id if self.residuals else shape)
-        return Person(avatar.name, code, self.tensor(z_exp), self.tensor(shape), model, photo)
+        if self.residuals and "z_exp" in avatar.tracking and "aligned" in avatar.tracking:
+            own, aligned = (avatar.tracking[name][0] for name in ("z_exp", "aligned"))
+            photo = expression_code(model.input_space().codes, aligned, avatar.z_exp + own, None)
+        return DrawnPerson(
+            avatar.z_id, avatar.shape[: self.head.shape_count], avatar.z_exp, avatar.expression,
+            name=avatar.name, model=model, photo_code=photo,
+        )  # fmt: skip
 
     def _trained_name(self, avatar: Avatar) -> str:
         """Name of the training person whose code an avatar has."""
@@ -137,14 +131,13 @@ class Scene:
             )
         return same[0]
 
-    def expression_code(self, person: Person, shot: Shot) -> Tensor:
-        """z_exp of a shot's expression for a person, [Y]."""
-        aligned, expression = self.tensor(shot.aligned), self.tensor(shot.expression)
-        code = self.model.z_expression(aligned, expression=expression)
-        return code + person.z_exp if self.residuals else code
+    def inputs(self, person: DrawnPerson, shot: Shot) -> ModelInputs[np.ndarray]:
+        """What draws a person with a shot's expression and pose."""
+        performed = ResolvedControls(shot.expression, shot.pose, shot.aligned)
+        return person.model.input_space().frame(person, performed)
 
     def draw(
-        self, person: Person, shot: Shot, camera: Camera, variant: str = FULL, background: float = 0.0, photo: bool = False
+        self, person: DrawnPerson, shot: Shot, camera: Camera, variant: str = FULL, background: float = 0.0, photo: bool = False
     ) -> Rendering:
         """Draw a person with a shot's expression and pose.
 
@@ -161,17 +154,15 @@ class Scene:
         """
         if variant not in self.variants:
             raise ConfigError(f"The weights {self.info.name!r} cannot be drawn with {variant}; they have no residual codes.")
-        z_exp = person.photo_code if photo and person.photo_code is not None else self.expression_code(person, shot)
-        z_id = person.z_id
+        inputs = self.inputs(person, shot)
+        if photo and person.photo_code is not None:
+            inputs = replace(inputs, z_exp=person.photo_code)
         if variant != FULL:
-            z_exp = torch.zeros_like(z_exp)
+            inputs = replace(inputs, z_exp=np.zeros_like(inputs.z_exp))
         if variant == MEAN_CODES:
-            z_id = self.mean_code
+            inputs = replace(inputs, z_id=self.mean_code)
         with torch.no_grad():
-            return person.model.render(
-                camera, shape=person.shape, expression=self.tensor(shot.expression), pose=self.tensor(shot.pose),
-                z_id=z_id, z_exp=z_exp, background=(background,) * 3, backend=self.backend,
-            )  # fmt: skip
+            return person.model.render(camera, person.model.tensors(inputs), (background,) * 3, backend=self.backend)
 
 
 def check_heads(scene: Scene, heads: Mapping[str, str]) -> None:

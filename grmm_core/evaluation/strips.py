@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
-from ..avatar.make import sampled_avatar
-from ..controls.frame import Controls, resolve
 from ..geometry.camera import Camera
+from ..model.people import sampled_avatar
+from ..model.portrait import portrait
 from ..pictures.images import write_png
 from .codes import smoothness
 from .report import sheet
-from .scene import Person, Scene
+from .scene import DrawnPerson, Scene
 
 RANDOM_PEOPLE = 16
 STEPS = 9
@@ -68,7 +67,7 @@ def random_people(scene: Scene, size: int, count: int = RANDOM_PEOPLE) -> list[l
     pictures = []
     for seed in range(count):
         person = scene.from_avatar(sampled_avatar(scene.info, scene.model.z_exp_size, seed))
-        pictures.append(_array(portrait(scene, person, {}, size, YAWS[seed % len(YAWS)])))
+        pictures.append(_array(posed(scene, person, {}, size, YAWS[seed % len(YAWS)])))
     return [pictures[i : i + 4] for i in range(0, count, 4)]
 
 
@@ -78,7 +77,7 @@ def identity_strip(scene: Scene, size: int, steps: int = STEPS) -> list[Tensor]:
     result = []
     for t in np.linspace(0.0, 1.0, steps):
         z_id, shape = ((1 - t) * table[first] + t * table[last] for table in (scene.info.z_id, scene.info.shapes))
-        result.append(portrait(scene, scene.made("", z_id, shape), {}, size))
+        result.append(posed(scene, scene.made("", z_id, shape), {}, size))
     return result
 
 
@@ -89,7 +88,7 @@ def expression_strip(scene: Scene, size: int, steps: int = STEPS) -> list[Tensor
     result = []
     for t in np.linspace(0.0, 1.0, steps):
         weights = {name: (1 - t) * value for name, value in start.items()} | {name: t * value for name, value in end.items()}
-        result.append(portrait(scene, person, weights, size))
+        result.append(posed(scene, person, weights, size))
     return result
 
 
@@ -99,27 +98,19 @@ def same_expressions(scene: Scene, size: int) -> list[list[np.ndarray]]:
     rows = []
     for index in np.unique(np.linspace(0, count - 1, min(count, SHOWN_PEOPLE)).astype(int)):
         person = scene.made("", scene.info.z_id[index], scene.info.shapes[index])
-        rows.append([_array(portrait(scene, person, controls, size)) for controls in SHOWN_EXPRESSIONS])
+        rows.append([_array(posed(scene, person, controls, size)) for controls in SHOWN_EXPRESSIONS])
     return rows
 
 
-@torch.no_grad()
-def portrait(scene: Scene, person: Person, controls: Mapping[str, float], size: int, yaw: float = 15.0) -> Tensor:
+def posed(scene: Scene, person: DrawnPerson, controls: Mapping[str, float], size: int, yaw: float = 15.0) -> Tensor:
     """A person with named controls, from the front, [H, W, 3]."""
-    resolved = resolve(Controls().set_named(controls), scene.head)
-    expression = scene.tensor(resolved.expression)
-    z_exp = person.model.z_expression(scene.tensor(resolved.aligned), expression=expression)
-    picture = person.model.render(
-        Camera.orbit(size, size, yaw=yaw, pitch=5.0, distance=1.2, fov=19.0), shape=person.shape, expression=expression,
-        pose=scene.tensor(resolved.pose), z_id=person.z_id, z_exp=z_exp + person.z_exp if scene.residuals else z_exp,
-        background=(BACKGROUND,) * 3, backend=scene.backend,
-    )  # fmt: skip
-    return picture.image.clamp(0.0, 1.0)
+    camera = Camera.orbit(size, size, yaw=yaw, pitch=5.0, distance=1.2, fov=19.0)
+    return portrait(person.model, person, controls, camera, (BACKGROUND,) * 3, scene.backend).image.clamp(0.0, 1.0)
 
 
-def transfer_sheet(scene: Scene, people: Sequence[Person], size: int = SIZE) -> list[list[np.ndarray]]:
+def transfer_sheet(scene: Scene, people: Sequence[DrawnPerson], size: int = SIZE) -> list[list[np.ndarray]]:
     """Fitted people in rows, driven with expressions that their photo does not show."""
-    return [[_array(portrait(scene, p, controls, size)) for controls in SHOWN_EXPRESSIONS] for p in people]
+    return [[_array(posed(scene, p, controls, size)) for controls in SHOWN_EXPRESSIONS] for p in people]
 
 
 def _array(picture: Tensor) -> np.ndarray:

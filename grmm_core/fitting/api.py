@@ -25,19 +25,17 @@ import numpy as np
 from ..avatar import EXTENSION, Avatar, PhotoRecord, save_avatar
 from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
 from ..files.access import atomic_write_bytes, read_bytes
-from ..pictures.images import encode_png, quantize
+from ..pictures.images import encode_png
 from .folder import PREVIEW_FILE, TRACKS_FILE, WORK_SUFFIX, Job, can_resume, check_photos_differ, check_writable, prepare
 from .presets import Preset, preset_named
 from .types import PhotoTrack, load_tracks, save_tracks
 
 if TYPE_CHECKING:
     from ..head import HeadModel
-    from ..model.grmm import GRMM
 
 STAGES = ("analyse", "track", "codes", "decoders")
 MAX_PHOTOS = 16
 MAX_PHOTO_BYTES = 1 << 30
-THUMBNAIL_PIXELS = 192
 
 Progress = Callable[[str, float, float, str], None]
 """Called with the stage, its share done 0..1, the seconds left (NaN while unknown) and the path of a preview or ""."""
@@ -153,8 +151,9 @@ def _make(
     """The avatar, complete but not written, and what tracking found."""
     relay.check()
 
-    from ..session.local import choose_device, limit_rasteriser_threads
-    from ..session.models import ModelStore, with_deltas
+    from ..compute.devices import choose_device, limit_rasteriser_threads
+    from ..model.portrait import thumbnail
+    from ..model.store import ModelStore, with_deltas
     from .invert import invert, photo_errors
 
     if threads is not None:
@@ -169,7 +168,7 @@ def _make(
         tracks, loaded.model, head, settings, info=loaded.info, name=name, work=folder, progress=relay.with_picture,
         cancelled=relay.wants_to_stop,
     )  # fmt: skip
-    person = with_deltas(loaded.model, avatar.deltas, folder) if avatar.deltas else loaded.model
+    person = with_deltas(loaded.model, avatar.deltas, folder)
     figures = {"rmse": photo_errors(person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(
@@ -180,36 +179,6 @@ def _make(
     )
     relay.check()
     return avatar, tracks
-
-
-def thumbnail(model: GRMM, avatar: Avatar, pixels: int = THUMBNAIL_PIXELS) -> bytes:
-    """PNG of an avatar's neutral face, straight color with alpha.
-
-    Args:
-        model: With the avatar's own changes.
-        avatar: Person.
-        pixels: Side.
-    """
-    import torch
-
-    from ..geometry.camera import Camera
-    from ..pictures.color import straight_rgba
-    from ..session.api import PORTRAIT_DISTANCE, PORTRAIT_FOV
-
-    def tensor(array: np.ndarray) -> torch.Tensor:
-        return torch.as_tensor(np.array(array, np.float32), device=model.device)
-
-    head = model.head_model
-    camera = Camera.orbit(pixels, pixels, distance=PORTRAIT_DISTANCE, fov=PORTRAIT_FOV)
-    shape, expression = tensor(avatar.shape[: head.shape_count]), tensor(np.zeros(head.expression_count))
-    with torch.no_grad():
-        rendering = model.render(
-            camera, shape=shape, expression=expression, pose=tensor(np.zeros((5, 3))),
-            z_id=model.z_identity(tensor(avatar.z_id), shape),
-            z_exp=tensor(avatar.z_exp) if model.config.residuals else expression,
-        )  # fmt: skip
-    rgb, alpha = (part.cpu().numpy() for part in (rendering.image, rendering.alpha[..., None]))
-    return encode_png(quantize(straight_rgba(rgb, alpha)))
 
 
 class _Relay:

@@ -16,11 +16,12 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from ..model.grmm import GRMM
+from ..model.grmm import GRMM, Attributes, Picture
+from ..model.inputs import ModelInputs
 from ..model.weights_file import WeightsInfo
 from ..training.losses import Perceptual
 from .color import PhotoLight, recolor, solve_light, solve_maps, unchanged
-from .objective import FIT_WEIGHTS, Drawn, Look, decode, draw, fit_loss, mesh
+from .objective import FIT_WEIGHTS, decode, draw, fit_loss, photo_inputs, relit
 from .presets import CodeSettings
 from .surface import Surface
 from .views import FitView
@@ -34,7 +35,7 @@ RATE, EXPRESSION_RATE = 0.12, 0.02
 RECOLOR_EVERY = 6
 WARM = 0.25  # the rates grow over this share of the steps
 
-Tick = Callable[[float, "Drawn | None"], None]
+Tick = Callable[[float, "Picture | None"], None]
 """Called with the share done and sometimes a picture; raises `CancelledError` to stop."""
 
 
@@ -89,16 +90,9 @@ class Codes:
     maps: Tensor
     light: PhotoLight
 
-    def expression_code(self, model: GRMM, view: FitView) -> Tensor:
-        """z_exp of a photo, [Y]."""
-        return expression_code(model, view, self.z_exp + self.photo_z_exp[view.index])
-
-
-def expression_code(model: GRMM, view: FitView, offset: Tensor) -> Tensor:
-    """Code of the tracked expression plus an offset, [Y]; without residuals the coefficients (eq. 21)."""
-    if not model.config.residuals:
-        return view.expression
-    return model.z_expression(view.aligned, offset)
+    def inputs(self, model: GRMM, view: FitView) -> ModelInputs[Tensor]:
+        """Inputs that draw a photo."""
+        return photo_inputs(model, view, self.z_id, self.z_exp + self.photo_z_exp[view.index])
 
 
 def fit_codes(
@@ -157,9 +151,9 @@ def _starts(
     start_weights = replace(FIT_WEIGHTS, alpha=START_OUTLINE_WEIGHT)
     with torch.no_grad():
         for number, w in enumerate(people):
-            vertices, look = _Search(model, prior, [view], surface, light, None, w).look(view)
-            maps = solve_maps(model, [view], [vertices], [look], surface, light)
-            drawn = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, maps, surface)))
+            vertices, decoded = _Search(model, prior, [view], surface, light, None, w).decoded(view)
+            maps = solve_maps(model, [view], [vertices], [decoded], surface, light)
+            drawn = draw(model, view.camera, vertices, decoded.recolored(recolor(decoded.colors, maps, surface)))
             scored.append((float(fit_loss(drawn, view, background(0, view), start_weights, None)), number))
             report((number + 1) / len(people))
     nearest = [people[number] for _, number in sorted(scored)]
@@ -187,44 +181,40 @@ class _Search:
         groups = [{"params": [self.w], "peak": RATE}, {"params": [self.z_exp, self.photo], "peak": EXPRESSION_RATE}]
         self.optimiser = torch.optim.Adam([{**group, "lr": group["peak"]} for group in groups], betas=(0.9, 0.95))
 
-    def codes_of(self, view: FitView) -> tuple[Tensor, Tensor]:
-        """z_id and z_exp for a photo."""
+    def decoded(self, view: FitView) -> tuple[Tensor, Attributes]:
+        """Posed vertices [V, 3] and attributes for a photo, not recolored."""
         z_id = self.prior.code(self.w) if self.fixed is None else self.fixed
-        return z_id, expression_code(self.model, view, self.z_exp + self.photo[view.index])
-
-    def look(self, view: FitView) -> tuple[Tensor, Look]:
-        """Mesh and attributes for a photo, not recolored."""
-        z_id, z_exp = self.codes_of(view)
-        return mesh(self.model, view, z_id, z_exp), decode(self.model, z_id, z_exp, view.camera)
+        inputs = photo_inputs(self.model, view, z_id, self.z_exp + self.photo[view.index])
+        return self.model.mesh(inputs).vertices, decode(self.model, inputs, view.camera)
 
     @torch.no_grad()
     def color(self) -> None:
         """Solve the color maps for the present codes, and the exposures of several photos."""
-        pairs = [self.look(view) for view in self.views]
-        meshes, looks = [vertices for vertices, _ in pairs], [look for _, look in pairs]
-        self.maps = solve_maps(self.model, self.views, meshes, looks, self.surface, self.light)
+        pairs = [self.decoded(view) for view in self.views]
+        meshes, decoded = [vertices for vertices, _ in pairs], [attributes for _, attributes in pairs]
+        self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.light)
         if len(self.views) > 1:
             pictures = []
-            for view, vertices, look in zip(self.views, meshes, looks, strict=True):
-                drawn = draw(self.model, view.camera, vertices, look.recolored(self.colored(look)))
+            for view, vertices, attributes in zip(self.views, meshes, decoded, strict=True):
+                drawn = draw(self.model, view.camera, vertices, self.recolored(attributes))
                 pictures.append((view, drawn.image, drawn.alpha))
             self.light = solve_light(pictures)
-            self.maps = solve_maps(self.model, self.views, meshes, looks, self.surface, self.light)
+            self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.light)
 
-    def colored(self, look: Look) -> Tensor:
-        """The look's colors under the maps, [N, 3]."""
-        return recolor(look.colors, self.maps, self.surface)
+    def recolored(self, attributes: Attributes) -> Attributes:
+        """Attributes with the colors that the maps give."""
+        return attributes.recolored(recolor(attributes.colors, self.maps, self.surface))
 
-    def loss(self, view: FitView, step: int = 0) -> tuple[Tensor, Drawn]:
+    def loss(self, view: FitView, step: int = 0) -> tuple[Tensor, Picture]:
         """Eq. 19 of one photo."""
-        vertices, look = self.look(view)
-        drawn = draw(self.model, view.camera, vertices, look.recolored(self.colored(look)))
-        drawn = drawn.relit(self.light.gain[view.index], self.light.offset[view.index])
+        vertices, attributes = self.decoded(view)
+        drawn = draw(self.model, view.camera, vertices, self.recolored(attributes))
+        drawn = relit(drawn, self.light.gain[view.index], self.light.offset[view.index])
         value = fit_loss(drawn, view, background(step, view), CODE_WEIGHTS, self.perceptual)
         value = value + CODE_WEIGHT * self.w.square().sum() + EXPRESSION_WEIGHT * self.z_exp.square().sum()
         return value + PHOTO_WEIGHT * self.photo.square().sum(), drawn
 
-    def step(self, step: int, steps: int) -> Drawn:
+    def step(self, step: int, steps: int) -> Picture:
         """One step on one photo, in turn. Returns the picture."""
         if step % RECOLOR_EVERY == 0:
             self.color()

@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..model.grmm import GRMM
+from ..model.grmm import GRMM, Attributes
 from ..splat import rasterize
-from .objective import Look, gaussians
 from .surface import GROUPS, INNER, SCALP, SKIN, Surface
 from .views import FitView
 
@@ -61,23 +60,24 @@ def recolor(colors: Tensor, maps: Tensor, surface: Surface) -> Tensor:
     return torch.einsum("nc,ncd->nd", colors, own[:, :3]) + own[:, 3]
 
 
-def solve_maps(model: GRMM, views: list[FitView], meshes: list[Tensor], looks: list[Look], surface: Surface,
-               light: PhotoLight) -> Tensor:  # fmt: skip
-    """The groups' color maps that bring the looks nearest to the photos, robust least squares, [3, 4, 3].
+def solve_maps(
+    model: GRMM, views: list[FitView], meshes: list[Tensor], decoded: list[Attributes], surface: Surface, light: PhotoLight
+) -> Tensor:
+    """The groups' color maps that bring the attributes nearest to the photos, robust least squares, [3, 4, 3].
 
     Args:
         model: Model.
         views: Photos.
         meshes: Posed vertices for each.
-        looks: Decoded attributes for each.
+        decoded: Attributes for each.
         surface: Groups.
         light: Exposure that each photo adds.
     """
     rows, targets, counts = [], [], []
-    for view, vertices, look in zip(views, meshes, looks, strict=True):
-        columns = torch.cat([look.colors, torch.ones_like(look.colors[:, :1])], 1)  # [N, 4]
+    for view, vertices, attributes in zip(views, meshes, decoded, strict=True):
+        columns = torch.cat([attributes.colors, torch.ones_like(attributes.colors[:, :1])], 1)  # [N, 4]
         spread = (surface.membership[:, :, None] * columns[:, None]).flatten(1)  # [N, 12]
-        scene = gaussians(model, vertices, look)
+        scene = model.gaussians(vertices, attributes)
         scene.features = spread
         parts = rasterize(scene, view.camera).features  # [H, W, 12]
         inside = view.inside > 0.5

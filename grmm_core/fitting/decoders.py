@@ -23,12 +23,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ..model.grmm import GRMM
+from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .codes import CodePrior, Codes, Tick, background
 from .color import recolor
 from .locality import LOCALITY_WEIGHT, Locality
-from .objective import FIT_WEIGHTS, Drawn, Look, contributions, decode, draw, fit_loss, mesh, spread_to_colors
+from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .presets import DecoderSettings
 from .surface import INNER, SCALP, SKIN, Surface
 from .unseen import facing, fill_colors, lid_exposure
@@ -91,10 +91,10 @@ class Tuner:
         self.last_drawn = (0, 0)  # level and photo
         first = self.levels[0]
         with torch.no_grad():
-            self.z_exp = [codes.expression_code(model, view) for view in first]
-            self.meshes = [mesh(model, view, codes.z_id, z) for view, z in zip(first, self.z_exp, strict=True)]
-            self.looks = [decode(model, codes.z_id, z, view.camera) for view, z in zip(first, self.z_exp, strict=True)]
-            self.tint = start_colors(self.looks[0].colors, codes, surface) - self.looks[0].colors  # [N, 3]
+            self.inputs = [codes.inputs(model, view) for view in first]
+            self.meshes = [model.mesh(inputs).vertices for inputs in self.inputs]
+            self.decoded = [decode(model, inputs, view.camera) for inputs, view in zip(self.inputs, first, strict=True)]
+            self.tint = start_colors(self.decoded[0].colors, codes, surface) - self.decoded[0].colors  # [N, 3]
         count = model.gaussian_count
         self.maps = {
             name: torch.zeros(count, width, dtype=model.dtype, device=model.device, requires_grad=True)
@@ -132,24 +132,25 @@ class Tuner:
         """
         generator = torch.Generator().manual_seed(1)
         variants = []
-        for own in self.z_exp:
+        for inputs in self.inputs:
+            own = inputs.z_exp
             others = [self.codes.z_exp] if self.model.config.residuals else [torch.zeros_like(own)]
             for _ in range(VARIANTS - 1):
                 if self.model.aligned_codes is None:
                     break
                 pick = int(torch.randint(len(self.model.aligned_codes), (1,), generator=generator))
                 others.append(own + VARIANT_SHARE * self.model.aligned_codes[pick].detach().to(like))
-            variants.append([(code, self.model.offsets(self.codes.z_id, code).detach()) for code in others])
+            variants.append([(code, self.model.offsets(inputs.z_id, code).detach()) for code in others])
         return variants
 
-    def look(self, index: int, variant: int | None = None) -> Look:
+    def attributes(self, index: int, variant: int | None = None) -> Attributes:
         """Attributes of a photo's expression, or of one of its variants, with the maps."""
-        base, code = self.looks[index], self.z_exp[index]
+        base, inputs = self.decoded[index], self.inputs[index]
         if variant is not None:
             code, offsets = self.variants[index][variant % len(self.variants[index])]
-            base = replace(base, offsets=offsets)
+            base, inputs = replace(base, offsets=offsets), replace(inputs, z_exp=code)
         if self.settings.networks:
-            base = decode(self.tuned, self.codes.z_id, code, self.levels[0][index].camera)
+            base = decode(self.tuned, inputs, self.levels[0][index].camera)
         return self.changed(base)
 
     def blended(self) -> dict[str, Tensor]:
@@ -163,11 +164,11 @@ class Tuner:
         result["color"] = result["color"].lerp(self.maps["color"], SHARPNESS)
         return result
 
-    def changed(self, base: Look) -> Look:
+    def changed(self, base: Attributes) -> Attributes:
         """Add the maps to decoded attributes."""
         maps = self.blended()
         zero = torch.zeros_like(base.offsets[:, 3:7])
-        return Look(
+        return Attributes(
             base.offsets + torch.cat([maps["position"], zero, maps["scale"]], 1), base.logits + maps["opacity"][:, 0],
             base.colors + self.tint + maps["color"], base.features,
         )  # fmt: skip
@@ -192,21 +193,21 @@ class Tuner:
             start += steps
         return len(self.settings.levels) - 1, start
 
-    def step(self, level: int) -> Drawn:
+    def step(self, level: int) -> Picture:
         """One step on one photo, in turn. Returns the picture."""
         progress = self.step_count / self.total
         factor = min(1.0, (self.step_count + 1) / 4) * (END_RATE + (1 - END_RATE) * (1 - progress))
         for group in self.optimiser.param_groups:
             group["lr"] = group["peak"] * factor
-        index = self.step_count % len(self.looks)
+        index = self.step_count % len(self.inputs)
         self.last_drawn = (level, index)
-        turn = self.step_count // len(self.looks)
+        turn = self.step_count // len(self.inputs)
         refined = turn % REFINED_EVERY == REFINED_EVERY - 1
         variant = turn // 2 if turn % 2 else None
         view, light = self.levels[level][index], self.codes.light
         self.optimiser.zero_grad(set_to_none=True)
-        drawn = draw(self.model, view.camera, self.meshes[index], self.look(index, variant), refined)
-        drawn = drawn.relit(light.gain[index], light.offset[index])
+        drawn = draw(self.model, view.camera, self.meshes[index], self.attributes(index, variant), refined)
+        drawn = relit(drawn, light.gain[index], light.offset[index])
         pictures = ("image",) if refined else ("raw",)
         loss = fit_loss(drawn, view, background(self.step_count, view), FIT_WEIGHTS, self.perceptual, pictures)
         if self.locality is not None and self.step_count % LOCALITY_EVERY == 0:
@@ -219,7 +220,7 @@ class Tuner:
                 value.grad.addcmul_(self.pulls[name], value, value=2.0 / len(value))  # of the mean of pull * value^2
         self.optimiser.step()
         self.step_count += 1
-        return Drawn(drawn.image.detach(), drawn.raw.detach(), drawn.alpha.detach())
+        return drawn.detached()
 
     @torch.no_grad()
     def match_colors(self, level: int, rounds: int) -> None:
@@ -229,11 +230,12 @@ class Tuner:
             variant = turn if turn < rounds - 1 else None
             change, weight = torch.zeros_like(self.tint), 0.0
             for index, view in enumerate(self.levels[level]):
-                look = self.look(index, variant)
-                drawn = draw(self.model, view.camera, self.meshes[index], look).relit(light.gain[index], light.offset[index])
+                attributes = self.attributes(index, variant)
+                drawn = draw(self.model, view.camera, self.meshes[index], attributes)
+                drawn = relit(drawn, light.gain[index], light.offset[index])
                 target = view.image * drawn.alpha[..., None]
                 both = 0.5 * ((target - drawn.image) + (target - drawn.raw)) / light.gain[index]
-                step = spread_to_colors(self.model, view, self.meshes[index], look, both * view.inside[..., None])
+                step = spread_to_colors(self.model, view, self.meshes[index], attributes, both * view.inside[..., None])
                 shown = self.seen_by[index][:, None]
                 change, weight = change + shown * step, weight + shown
             self.maps["color"] += change / torch.as_tensor(weight).clamp(min=1.0)
@@ -242,11 +244,11 @@ class Tuner:
     def look_around(self, level: int) -> None:
         """Find out what each photo shows now; what was shown once stays known."""
         for index, view in enumerate(self.levels[level]):
-            look = self.look(index)
-            shown = contributions(self.model, view, self.meshes[index], look, view.inside)
-            hair = contributions(self.model, view, self.meshes[index], look, view.inner)
+            attributes = self.attributes(index)
+            shown = contributions(self.model, view, self.meshes[index], attributes, view.inside)
+            hair = contributions(self.model, view, self.meshes[index], attributes, view.inner)
             shown = torch.where(self.surface.group == SCALP, hair, shown)
-            tested = contributions(self.model, view, self.meshes[index], look, view.weight)
+            tested = contributions(self.model, view, self.meshes[index], attributes, view.weight)
             frontal = facing(self.model, view, self.meshes[index], self.surface)
             self.frontal_by[index] = frontal
             self.seen_by[index] = frontal * shown / (shown + HALF_SEEN_PIXELS)
@@ -258,7 +260,7 @@ class Tuner:
         """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
         maps = self.blended()
         if fill:
-            start = self.looks[0].colors + self.tint
+            start = self.decoded[0].colors + self.tint
             folded = torch.stack([lid_exposure(self.model, view) for view in self.levels[0]]).amin(0)
             maps["color"] = fill_colors(self.surface, start, maps["color"], self.seen, folded, self._hairy())
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
@@ -283,9 +285,9 @@ class Tuner:
         hair, every = torch.zeros_like(self.seen), torch.full_like(self.seen, HALF_SEEN_PIXELS)
         for index, view in enumerate(self.levels[-1]):
             if bool(view.hair.any()):
-                look = self.look(index)
-                hair += contributions(self.model, view, self.meshes[index], look, view.inside * view.hair)
-                every += contributions(self.model, view, self.meshes[index], look, view.inside)
+                attributes = self.attributes(index)
+                hair += contributions(self.model, view, self.meshes[index], attributes, view.inside * view.hair)
+                every += contributions(self.model, view, self.meshes[index], attributes, view.inside)
         return torch.where(self.surface.group == SKIN, hair / every, torch.zeros_like(hair))
 
     # --- state -----------------------------------------------------------------------------------------------------

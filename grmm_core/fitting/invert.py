@@ -18,16 +18,16 @@ from ..avatar import Avatar
 from ..controls.names import ALIGNED_NAMES
 from ..errors import CancelledError, ConfigError, SessionError
 from ..head import HeadModel
-from ..model.grmm import GRMM
+from ..model.grmm import GRMM, Picture
 from ..model.weights_file import WeightsInfo
 from ..pictures.images import quantize
 from ..training.losses import Perceptual
 from .checkpoint import codes_key, decoders_key, load_codes, resume_tuner, save_codes, save_tuner
-from .codes import Codes, code_prior, expression_code, fit_codes
+from .codes import Codes, code_prior, fit_codes
 from .color import recolor
 from .decoders import Tuner
 from .locality import LOCALITY_WEIGHT
-from .objective import Drawn, decode, draw, mesh
+from .objective import decode, photo_inputs, relit
 from .presets import Preset, preset_named
 from .result import make_avatar
 from .surface import Surface, texel_surface
@@ -154,7 +154,7 @@ class _Inversion:
         settings = self.preset.codes
         views = self.views(settings.side)
 
-        def tick(share: float, drawn: Drawn | None) -> None:
+        def tick(share: float, drawn: Picture | None) -> None:
             self.clock.report(CODES, share, lambda: None if drawn is None else preview(views[0], drawn))
             self.clock.check()
 
@@ -174,7 +174,7 @@ class _Inversion:
         if self.work is not None and resume_tuner(self.work, self.decoders_key, tuner):
             logger.info("going on after step %d of %d", tuner.step_count, tuner.total)
 
-        def tick(share: float, drawn: Drawn | None) -> None:
+        def tick(share: float, drawn: Picture | None) -> None:
             level, index = tuner.last_drawn
             self.clock.report(DECODERS, share, lambda: preview(levels[level][index], drawn) if drawn is not None else None)
             if self.clock.wants_to_stop or time.monotonic() - self.saved > SAVE_SECONDS:
@@ -209,18 +209,18 @@ class _Inversion:
 def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]) -> dict[str, Tensor]:
     """Stage 1 as an avatar: the color maps alone."""
     with torch.no_grad():
-        colors = decode(model, codes.z_id, codes.expression_code(model, views[0]), views[0].camera).colors
+        colors = decode(model, codes.inputs(model, views[0]), views[0].camera).colors
         tint = recolor(colors, codes.maps, surface) - colors
         return {"decoders.appearance_mean": torch.cat([tint, tint.new_zeros(len(tint), model.config.features)], 1)}
 
 
 def photo_pictures(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE
-) -> list[tuple[FitView, Drawn]]:
+) -> list[tuple[FitView, Picture]]:
     """An avatar drawn as each of its photos shows it, under that photo's exposure.
 
     Args:
-        model: With the avatar's own changes (`session.models.with_deltas`).
+        model: With the avatar's own changes (`model.store.with_deltas`).
         avatar: Fitted to these photos.
         tracks: Photos.
         side: Longer side of the picture.
@@ -232,10 +232,8 @@ def photo_pictures(
         own = torch.as_tensor(np.array(avatar.tracking["z_exp"][index]), device=model.device)
         gain, offset = torch.as_tensor(np.array(avatar.tracking["light"][index]), device=model.device)
         with torch.no_grad():
-            z_exp = expression_code(model, view, shared + own)
-            code = z_id if model.config.residuals else view.shape
-            drawn = draw(model, view.camera, mesh(model, view, code, z_exp), decode(model, code, z_exp, view.camera))
-        pictures.append((view, drawn.relit(gain, offset)))
+            drawn = model.render(view.camera, photo_inputs(model, view, z_id, shared + own))
+        pictures.append((view, relit(drawn, gain, offset)))
     return pictures
 
 
@@ -244,13 +242,12 @@ def photo_errors(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side
     errors = []
     for view, drawn in photo_pictures(model, avatar, tracks, side):
         grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
-        shown = drawn.image + (1.0 - drawn.alpha)[..., None] * grey
-        error = (shown.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.measured
+        error = (drawn.over(grey).image.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.measured
         errors.append(float((error.sum() / view.measured.sum().clamp(min=1.0)).sqrt()))
     return errors
 
 
-def preview(view: FitView, drawn: Drawn) -> np.ndarray:
+def preview(view: FitView, drawn: Picture) -> np.ndarray:
     """The photo and, beside it, the avatar in its place, [H, 2 W, 3] uint8."""
     behind = (1.0 - drawn.alpha)[..., None] * view.image
     both = torch.cat([view.image, drawn.image + behind], 1)

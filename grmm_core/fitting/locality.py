@@ -5,12 +5,15 @@ Called by `decoders`. Imports torch.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
-from ..model.grmm import GRMM
+from ..model.grmm import GRMM, Attributes
+from ..model.inputs import ModelInputs
 from .codes import CodePrior, Codes
-from .objective import Look, decode
+from .objective import decode
 from .views import FitView
 
 LOCALITY_WEIGHT = 0.1  # lambda_loc of eq. 20
@@ -26,10 +29,11 @@ class Locality:
 
     def __init__(self, model: GRMM, prior: CodePrior, codes: Codes, view: FitView, seed: int = 0) -> None:
         generator = torch.Generator().manual_seed(seed)
-        z_exp = codes.expression_code(model, view)
+        fitted = codes.inputs(model, view)
+        z_exp = fitted.z_exp
         id_distance, exp_distance = code_distances(model, prior)
         self.view = view
-        self.bank: list[tuple[Tensor, Tensor, Look]] = []
+        self.bank: list[tuple[ModelInputs[Tensor], Attributes]] = []
         for number in range(LOCALITY_CODES):
             draw_id = torch.randn(len(prior.directions), generator=generator).to(z_exp)
             z_id = codes.z_id if number % 2 else _towards(codes.z_id, prior.code(draw_id), id_distance)
@@ -38,17 +42,17 @@ class Locality:
             else:
                 pick = torch.randint(len(model.aligned_codes), (1,), generator=generator)
                 towards = model.aligned_codes[int(pick)].detach()
-            near = _towards(z_exp, towards, exp_distance)
+            near = replace(fitted, z_id=z_id, z_exp=_towards(z_exp, towards, exp_distance))
             with torch.no_grad():
-                self.bank.append((z_id, near, decode(model, z_id, near, view.camera)))
+                self.bank.append((near, decode(model, near, view.camera)))
 
     def __call__(self, tuned: GRMM, step: int) -> Tensor:
         """The loss at one of the codes, in turn."""
-        z_id, z_exp, frozen = self.bank[step % len(self.bank)]
-        look = decode(tuned, z_id, z_exp, self.view.camera)
+        near, frozen = self.bank[step % len(self.bank)]
+        found = decode(tuned, near, self.view.camera)
         pairs = [
-            (look.offsets, frozen.offsets), (torch.sigmoid(look.logits), torch.sigmoid(frozen.logits)),
-            (look.colors, frozen.colors), (look.features, frozen.features),
+            (found.offsets, frozen.offsets), (torch.sigmoid(found.logits), torch.sigmoid(frozen.logits)),
+            (found.colors, frozen.colors), (found.features, frozen.features),
         ]  # fmt: skip
         return torch.stack([(a - b).abs().mean() for a, b in pairs if a.numel()]).sum()
 

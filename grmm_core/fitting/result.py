@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..avatar import AssetReference, Avatar, PhotoRecord, Provenance
-from ..avatar.make import MADE_BY
-from ..avatar.types import SHAPE_SIZE, half_rounded
+from ..avatar.types import MADE_BY, SHAPE_SIZE, half_rounded
 from ..controls.frame import ALIGNED_TO_ARKIT, Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera

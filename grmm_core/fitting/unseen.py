@@ -16,7 +16,6 @@ from torch import Tensor
 from ..controls.names import ARKIT_NAMES
 from ..head import HeadModel
 from ..model.grmm import GRMM
-from ..model.texels import rotate
 from .surface import SCALP, SKIN, Surface
 from .views import FitView
 
@@ -37,9 +36,8 @@ _FEW_TEXELS = 100
 def facing(model: GRMM, view: FitView, vertices: Tensor, surface: Surface) -> Tensor:
     """How much each texel faces a photo's camera, 0..1, [N]; hair stands off and counts fully."""
     frames = model.anchor(vertices)
-    normals = rotate(frames.quats, frames.quats.new_tensor([0.0, 0.0, 1.0]).expand(len(frames.quats), 3))
-    centre = torch.as_tensor(view.camera.position, dtype=normals.dtype, device=normals.device)
-    cosine = (normals * torch.nn.functional.normalize(centre - frames.positions, dim=1)).sum(1)
+    centre = torch.as_tensor(view.camera.position, dtype=model.dtype, device=model.device)
+    cosine = (frames.normals * torch.nn.functional.normalize(centre - frames.positions, dim=1)).sum(1)
     frontal = ((cosine - GRAZING[0]) / (GRAZING[1] - GRAZING[0])).clamp(0, 1)
     return torch.where(surface.group == SCALP, torch.ones_like(frontal), frontal)
 

@@ -30,6 +30,8 @@ MODULES = [
     "arrays",
     "performances.arkit_json",
     "performances.live_link_csv",
+    "performances.audio2face_csv",
+    "performances.face_cap",
     "performances.flame_npz",
 ]
 """In the order in which menus show them. Of formats with one suffix that recognise their files the last is asked first."""

@@ -1,7 +1,7 @@
-"""Where things are: cameras, rotations, and the depth of triangle meshes. Needs numpy only.
+"""Where things are: cameras, rotations, and the depth of triangle meshes. Needs numpy only, but for `tensor_rotations`.
 
 ``camera``      pinhole and orthographic cameras, as every part agrees on them
-``rotations``   Euler angles, axis-angle vectors, quaternions, matrices
-``triangles``   normals and areas of meshes
+``libraries``   functions that are one text for numpy and torch
+``rotations``   Euler angles, axis-angle vectors, quaternions, matrices; ``tensor_rotations``: those that are differentiated
 ``zbuffer``     depth of triangles as a camera sees them; ``zbuffer_kernel`` is its compiled twin
 """

@@ -1,11 +1,13 @@
-"""Rotations as animators and as trackers write them: XYZ Euler angles and axis-angle vectors, whole tracks at once.
+"""Rotations as animators and trackers write them: XYZ Euler angles, axis-angle vectors, quaternions wxyz; whole tracks.
 
-Called by the FLAME reader and writer and by resampling. Pure numpy.
+Needs numpy only. `multiply_quaternions` takes tensors as well; what else is differentiated is in `tensor_rotations`.
 """
 
 from __future__ import annotations
 
 import numpy as np
+
+from .libraries import Array, library_of
 
 _SMALL_ANGLE = 1e-8
 _GIMBAL = 1e-7
@@ -52,6 +54,18 @@ def matrix_to_quaternion(matrices: np.ndarray) -> np.ndarray:
     best = np.argmax(squares, -1)[..., None, None]
     quaternion = np.take_along_axis(rows, best, -2)[..., 0, :]
     return quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+
+
+def multiply_quaternions(first: Array, second: Array) -> Array:
+    """Hamilton product of quaternions wxyz, both [..., 4]: the rotation `second`, and then `first`."""
+    (a, b, c, d), (w, x, y, z) = ([q[..., i] for i in range(4)] for q in (first, second))
+    product = (
+        a * w - b * x - c * y - d * z,
+        a * x + b * w + c * z - d * y,
+        a * y - b * z + c * w + d * x,
+        a * z + b * y - c * x + d * w,
+    )
+    return library_of(first).stack(product, -1)
 
 
 def quaternion_to_matrix(quaternions: np.ndarray) -> np.ndarray:

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import FileFormatError
-from ..geometry.triangles import vertex_normals
-from .mesh_topology import boundary_loops, components
+from .mesh_topology import boundary_loops, components, vertex_normals
 
 _SIZE = (0.1, 1.0)  # metres: the head's height
 _MIDLINE = 0.015  # metres: the mouth's middle lies this near to the eyes' middle

@@ -9,23 +9,11 @@ Conventions: rotations are XYZ Euler angles in radians, R = Rz Ry Rx (Blender's 
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
-from types import ModuleType
-from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-if TYPE_CHECKING:
-    import torch
-
-    Array = TypeVar("Array", np.ndarray, torch.Tensor)
-
-
-def _library(array: Array) -> ModuleType:
-    """Return torch for a tensor and numpy for anything else, without importing torch."""
-    torch = sys.modules.get("torch")
-    return torch if torch is not None and isinstance(array, torch.Tensor) else np
+from ..geometry.libraries import Array, library_of
 
 
 def euler_matrices(euler: Array) -> Array:
@@ -37,7 +25,7 @@ def euler_matrices(euler: Array) -> Array:
     Returns:
         R = Rz Ry Rx, [..., 3, 3].
     """
-    lib = _library(euler)
+    lib = library_of(euler)
     cx, cy, cz = (lib.cos(euler[..., i]) for i in range(3))
     sx, sy, sz = (lib.sin(euler[..., i]) for i in range(3))
     entries = (
@@ -59,7 +47,7 @@ def joint_transforms(rotations: Array, joints: Array, parents: Sequence[int]) ->
     Returns:
         Affine transforms, [..., J, 3, 4].
     """
-    lib = _library(rotations)
+    lib = library_of(rotations)
     turned: list[Array] = []  # [..., 3, 3] each
     shifted: list[Array] = []  # [..., 3] each: x -> turned x + shifted
     for j, parent in enumerate(parents):
@@ -111,7 +99,7 @@ def posed_vertices(
         [..., V, 3].
     """
     if posedirs is not None:
-        lib = _library(rotations)
+        lib = library_of(rotations)
         identity = (
             np.eye(3) if isinstance(rotations, np.ndarray) else lib.eye(3, dtype=rotations.dtype, device=rotations.device)
         )

@@ -59,8 +59,12 @@ class TorchHead(nn.Module):
         """
         result = self.v_template + _offsets(self.shape_dirs, shape, "shape")
         if expression is not None:
-            result = result + _offsets(self.expression_dirs, expression, "expression")
+            result = result + self.expression_offsets(expression)
         return result
+
+    def expression_offsets(self, expression: Tensor) -> Tensor:
+        """What expression coefficients [..., <=E] add to the unposed vertices, metres, [..., V, 3]."""
+        return _offsets(self.expression_dirs, expression, "expression")
 
     def joints(self, shape: Tensor) -> Tensor:
         """Rest joints in metres for coefficients [..., <=S]: [..., 5, 3]."""
@@ -88,7 +92,15 @@ class TorchHead(nn.Module):
         Raises:
             ShapeError: An argument has the wrong shape.
         """
-        if pose.shape[-2:] == (JOINT_COUNT, 3) and pose.ndim == shape.ndim + 1:
+        unposed = self.shaped(shape, expression)
+        if displacement is not None:
+            unposed = unposed + displacement
+        joints = self.joints(shape)
+        return self.posed(unposed, pose, joints), joints
+
+    def posed(self, unposed: Tensor, pose: Tensor, joints: Tensor) -> Tensor:
+        """Pose vertices [..., V, 3] of a head with rest joints [..., 5, 3]; `pose` and errors as in `forward`."""
+        if pose.shape[-2:] == (JOINT_COUNT, 3) and pose.ndim == joints.ndim:
             rotations = euler_matrices(pose)
         elif pose.shape[-3:] == (JOINT_COUNT, 3, 3):
             rotations = pose
@@ -96,11 +108,7 @@ class TorchHead(nn.Module):
             raise ShapeError(
                 f"The pose has shape {tuple(pose.shape)}; it must be [..., 5, 3] angles or [..., 5, 3, 3] rotations."
             )
-        unposed = self.shaped(shape, expression)
-        if displacement is not None:
-            unposed = unposed + displacement
-        joints = self.joints(shape)
-        return posed_vertices(unposed, rotations, joints, self.weights, self.parents, self.posedirs), joints
+        return posed_vertices(unposed, rotations, joints, self.weights, self.parents, self.posedirs)
 
 
 def _offsets(directions: Tensor, coefficients: Tensor, what: str) -> Tensor:
@@ -108,5 +116,5 @@ def _offsets(directions: Tensor, coefficients: Tensor, what: str) -> Tensor:
     count = coefficients.shape[-1]
     if count > directions.shape[2]:
         raise ShapeError(f"{count} {what} coefficients were given; the head model has {directions.shape[2]}.")
-    flat = coefficients @ directions[:, :, :count].reshape(-1, count).T
+    flat = coefficients @ directions[:, :, :count].flatten(0, 1).T
     return flat.reshape((*coefficients.shape[:-1], directions.shape[0], 3))

@@ -1,21 +1,26 @@
-"""The morphable model: decoders, UV-anchored Gaussians, refinement network, weights files.
+"""The morphable model: decoders, UV-anchored Gaussians, refinement network, weights, and the one forward chain.
 
 The map:
 
 ``config``        sizes and switches, presets (standard library only)
-``texels``        Gaussians anchored to the UV map of a mesh
+``parameters``    names and shapes of a configuration's parameters
+``inputs``        `ModelInputs`: what draws one frame, from a person and controls; cache keys
+``layout``        which texels carry Gaussians, and constant tables of them
+``texels``        Gaussians anchored to the UV map of a mesh; ``placing`` is its compiled twin, ``sparse`` its matrices
 ``mesh_decoder``  learned vertex displacements, eq. 5-11
 ``decoders``      maps of Gaussian attributes, eq. 12 and its decoders
 ``refine``        screen-space refinement network, eq. 14
-``grmm``          `GRMM`, which composes all of these
-``parameters``    names and shapes of a configuration's parameters
+``grmm``          `GRMM`: inputs -> mesh -> Gaussians -> picture, which everything draws with
+``detail``        levels of detail
 ``weights_file``  weights files as arrays; ``packing`` stores their basis maps in eight bits
 ``weights``       a model out of such a file, and back
-``layout``        which texels carry Gaussians, and constant tables of them
+``store``         weights in memory, with the changes of single avatars
+``people``        avatars that weights know, or that are drawn from them
+``portrait``      the portrait camera, portraits and thumbnails
 
-Used by `session`, `training`, `fitting` and `evaluation`. `config`, `parameters`, `weights_file`, `packing` and `layout` need
-numpy only, the rest torch; nothing here imports bpy. `docs/equations.md` lists which function holds which equation of the
-paper.
+`config`, `parameters`, `inputs`, `layout`, `detail`, `weights_file`, `packing`, `people` and `portrait` are imported without
+torch. Used by `session`, `training`, `fitting` and `evaluation`. `docs/equations.md` lists which function holds which
+equation of the paper.
 """
 
 from __future__ import annotations

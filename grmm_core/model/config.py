@@ -29,6 +29,8 @@ BASIS_GROUPS: dict[str, int] = {
 }  # fmt: skip
 """Attributes that basis maps can carry, with their channels."""
 
+METRES_PER_MM = 1e-3  # decoders work in millimetres
+
 _MAX_SIZE = 1 << 14  # refuses absurd sizes of damaged or hostile files before anything is allocated
 
 

@@ -5,7 +5,7 @@ end below the grid and be enlarged bilinearly; free mean maps and basis maps wei
 change with expression by `ExpressionMaps`, which the paper's Phi_app, a function of z_id and d, leaves out.
 Values are needed at active texels only, so mean and basis maps exist only there and decoder maps are read only there.
 
-Used by `grmm` only.
+Codes are [..., K] with any leading dimensions, which the attributes have as well (`inputs`). Used by `grmm` only.
 """
 
 from __future__ import annotations
@@ -97,9 +97,9 @@ class ExpressionMaps(nn.Module):
         self.maps = nn.Parameter(torch.zeros(maps, count * COLOR_CHANNELS))
 
     def forward(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
-        """Return what codes z_id [Z] and z_exp [Y] add to the colors, display sRGB [N, 3]."""
-        weights = self.weights(z_exp) * (1.0 + self.gains(z_id))  # [K]
-        added: Tensor = (weights @ self.maps).view(-1, COLOR_CHANNELS)
+        """Return what codes z_id [..., Z] and z_exp [..., Y] add to the colors, display sRGB [..., N, 3]."""
+        weights = self.weights(z_exp) * (1.0 + self.gains(z_id))  # [..., K]
+        added: Tensor = (weights @ self.maps).unflatten(-1, (-1, COLOR_CHANNELS))
         return added
 
 
@@ -141,46 +141,46 @@ class AttributeDecoders(nn.Module):
         self.expression = ExpressionMaps(z_id, z_exp, config.expression_maps, count) if config.expression_maps else None
 
     def transform_offsets(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
-        """Phi_T: position, rotation and log scale offsets of each Gaussian from z_id [Z] and z_exp [Y]: [N, 10]."""
-        offsets = self._decode(self.transform, self.transform_mean, torch.cat([z_id, z_exp])[None])
+        """Phi_T: position, rotation and log scale offsets of each Gaussian from z_id [..., Z], z_exp [..., Y]: [..., N, 10]."""
+        offsets = self._decode(self.transform, self.transform_mean, torch.cat([z_id, z_exp], -1))
         parts = {"position": slice(0, 3), "rotation": slice(3, 7), "scale": slice(7, 10)}
         added = [self._basis(name, z_id, part.stop - part.start) for name, part in parts.items()]
         if any(a is not None for a in added):
             columns = [
-                offsets[:, part] if a is None else offsets[:, part] + a for a, part in zip(added, parts.values(), strict=True)
+                offsets[..., part] if a is None else offsets[..., part] + a
+                for a, part in zip(added, parts.values(), strict=True)
             ]
             offsets = torch.cat(columns, -1)
         return offsets
 
-    def opacities(self, z_id: Tensor) -> Tensor:
-        """Phi_alpha: opacity 0..1 of each Gaussian from z_id [Z]: [N]."""
-        return torch.sigmoid(self.opacity_logits(z_id))
-
     def opacity_logits(self, z_id: Tensor) -> Tensor:
-        """Logits of `opacities`, [N]; fitting adds to them."""
-        logits = self._decode(self.opacity, self.opacity_mean, z_id[None])
+        """Phi_alpha: logit of the opacity of each Gaussian from z_id [..., Z]: [..., N]."""
+        logits = self._decode(self.opacity, self.opacity_mean, z_id)
         added = self._basis("opacity", z_id, 1)
         logits = logits if added is None else logits + added
-        return logits[:, 0] + self.opacity_bias
+        return logits[..., 0] + self.opacity_bias
 
     def colors(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
-        """Phi_app: display sRGB [N, 3] and features [N, F] from z_id [Z] and the unit view direction [3]."""
-        values = self._decode(self.appearance, self.appearance_mean, z_id[None], view[None])
-        colors, features = values[:, :COLOR_CHANNELS], values[:, COLOR_CHANNELS:]
+        """Phi_app: display sRGB [..., N, 3] and features [..., N, F] from z_id [..., Z] and unit view directions [..., 3]."""
+        values = self._decode(self.appearance, self.appearance_mean, z_id, view)
+        colors, features = values[..., :COLOR_CHANNELS], values[..., COLOR_CHANNELS:]
         added = self._basis(BASIS_COLOR, z_id, COLOR_CHANNELS)
         return (colors if added is None else colors + added), features
 
     def expression_colors(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
-        """What z_exp [Y] adds to the `colors` of z_id [Z], display sRGB [N, 3]; one row of zeros without expression maps."""
+        """What z_exp [..., Y] adds to the `colors` of z_id [..., Z], sRGB [..., N, 3]; without expression maps zeros [1, 3]."""
         added: Tensor = z_id.new_zeros(1, COLOR_CHANNELS) if self.expression is None else self.expression(z_id, z_exp)
         return added
 
     def _decode(self, decoder: MapDecoder, mean: Tensor | None, code: Tensor, view: Tensor | None = None) -> Tensor:
-        decoded = decoder(code, view)[0]  # [C, side, side]
-        values: Tensor = self.read(decoded.flatten(1).T)  # [N, C]
+        lead = code.shape[:-1]
+        views = None if view is None else view.expand(*lead, VIEW_CHANNELS).reshape(-1, VIEW_CHANNELS)
+        decoded = decoder(code.reshape(-1, code.shape[-1]), views)  # [B, C, side, side]
+        values: Tensor = self.read(decoded.flatten(2).mT)  # [B, N, C]
+        values = values.reshape(*lead, *values.shape[1:])
         return values if mean is None else values + mean
 
     def _basis(self, name: str, z_id: Tensor, width: int) -> Tensor | None:
         if self.basis_weights is None or name not in self.basis:
             return None
-        return (self.basis_weights(z_id) @ self.basis[name]).view(-1, width)
+        return (self.basis_weights(z_id) @ self.basis[name]).unflatten(-1, (-1, width))

@@ -1,15 +1,18 @@
-"""`GRMM`: the paper's model, from codes and coefficients to a picture (eq. 4-14).
+"""`GRMM`: the paper's model, from `ModelInputs` to a picture (eq. 4-14).
+
+    inputs -> mesh -> Gaussians (attributes, placed on the mesh) -> picture
 
 The steps are separate methods, so that callers compute only what changed: opacity is constant per avatar, appearance per
-avatar and view, offsets per expression, geometry per pose. `render` composes all of them for training and fitting.
+avatar and view, offsets per expression, geometry per pose. `render` composes all of them. Training, fitting, evaluation,
+benchmark, portraits and sessions draw with these steps and no others.
 
-Used by `session`, `training`, `fitting`, `evaluation`. Must not import any of them.
+Batches as in `inputs`: [..., K] with any leading dimensions, up to the rasteriser.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
@@ -18,53 +21,116 @@ from torch import Tensor, nn
 from ..controls.names import ALIGNED_NAMES, JOINT_NAMES
 from ..errors import ConfigError, ShapeError
 from ..geometry.camera import Camera
+from ..geometry.tensor_rotations import euler_to_rotvec
 from ..head.torch_head import TorchHead
 from ..splat import Gaussians, RasterOutput, rasterize
-from .config import GRMMConfig
+from .config import METRES_PER_MM, GRMMConfig
 from .decoders import AttributeDecoders
+from .inputs import InputSpace, ModelInputs, expression_code, identity_code
 from .layout import TexelLayout, texel_layout
 from .mesh_decoder import MeshDecoder
-from .refine import RefinementNetwork, depth_range, doubled, halved, normalise_depth
+from .refine import RefinementNetwork
 from .texels import Geometry, TexelAnchor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..head import HeadModel
+    from ..splat.backends import Backend
 
 HEAD_CENTRE: tuple[float, float, float] = (0.0, 0.0, 0.0)
 """Point from which view directions are taken: between the ears, head space, metres."""
 NECK, JAW = JOINT_NAMES.index("neck"), JOINT_NAMES.index("jaw")
 TEETH_REGIONS = ("upper_teeth", "lower_teeth")
 CODE_INIT = 0.1  # standard deviation of the table of expression codes before training
-METRES_PER_MM = 1e-3
-_SMALL_ANGLE = 1e-6
-_THIN_COVER = 1e-6  # keeps the division by an enlarged alpha defined; where that is 0, so is alpha itself
 
 
-@dataclass
-class Rendering:
-    """A picture with what led to it.
+class Rest(NamedTuple):
+    """A shaped head before expression and pose: vertices [..., V, 3] and joints [..., 5, 3], metres."""
+
+    vertices: Tensor
+    joints: Tensor
+
+
+class Mesh(NamedTuple):
+    """A posed mesh.
 
     Attributes:
-        image: I of eq. 14, refined, over the background, [H, W, 3].
-        raw: I_rgb of eq. 13, over the background, [H, W, 3].
-        alpha: [H, W].
+        vertices: v_d of eq. 11 after skinning, [..., V, 3] metres.
+        displacement: Learned displacement of the unposed vertices, strength included, [..., V, 3] metres.
+    """
+
+    vertices: Tensor
+    displacement: Tensor
+
+
+@dataclass(frozen=True)
+class Attributes:
+    """What the decoders say about the Gaussians, before they are placed on a mesh.
+
+    Attributes:
+        offsets: Position, rotation, log scale before limits, [..., N, 10].
+        logits: Of the opacities, [..., N].
+        colors: Display sRGB, [..., N, 3].
+        features: [..., N, F].
+    """
+
+    offsets: Tensor
+    logits: Tensor
+    colors: Tensor
+    features: Tensor
+
+    def detached(self) -> Attributes:
+        """The same without gradients."""
+        return Attributes(self.offsets.detach(), self.logits.detach(), self.colors.detach(), self.features.detach())
+
+    def recolored(self, colors: Tensor) -> Attributes:
+        """The same with other colors [..., N, 3]."""
+        return replace(self, colors=colors)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of one head.
+
+    Attributes:
+        image: I of eq. 14, refined, premultiplied, [H, W, 3].
+        raw: I_rgb of eq. 13, premultiplied, [H, W, 3].
+        alpha: Coverage, [H, W].
         depth: Expected depth in metres, 0 where nothing is, [H, W].
-        gaussians: What was splatted.
-        offsets: Decoded offsets before limits, [N, 10].
-        vertices: v_d after skinning, [V, 3].
-        displacement: Learned displacement, [V, 3] metres.
     """
 
     image: Tensor
     raw: Tensor
     alpha: Tensor
     depth: Tensor
-    gaussians: Gaussians
+
+    def over(self, background: Sequence[float] | Tensor) -> Picture:
+        """The same over a color, display sRGB [3]."""
+        color = torch.as_tensor(background, dtype=self.image.dtype, device=self.image.device)
+        behind = (1.0 - self.alpha)[..., None] * color
+        return replace(self, image=self.image + behind, raw=self.raw + behind)
+
+    def detached(self) -> Picture:
+        """The same without gradients."""
+        return Picture(self.image.detach(), self.raw.detach(), self.alpha.detach(), self.depth.detach())
+
+
+@dataclass(frozen=True)
+class Rendering(Picture):
+    """A picture with what led to it.
+
+    Attributes:
+        inputs: What was drawn.
+        mesh: The posed mesh.
+        offsets: Decoded offsets before limits, [N, 10].
+        gaussians: What was splatted.
+    """
+
+    inputs: ModelInputs[Tensor]
+    mesh: Mesh
     offsets: Tensor
-    vertices: Tensor
-    displacement: Tensor
+    gaussians: Gaussians
 
 
 class GRMM(nn.Module):
@@ -115,102 +181,136 @@ class GRMM(nn.Module):
         """Floating type of the parameters."""
         return self.anchor.barycentric.dtype
 
-    # --- codes -----------------------------------------------------------------------------------------------------
+    # --- inputs ----------------------------------------------------------------------------------------------------
 
-    def z_identity(self, z_id: Tensor, shape: Tensor) -> Tensor:
-        """The identity code that the decoders read: z_id [..., Z], or without residuals the shape coefficients (eq. 21)."""
-        return z_id if self.config.residuals else shape
+    def input_space(self) -> InputSpace:
+        """What persons and controls are added up in; holds a copy of the table of codes as it is now."""
+        codes = None if self.aligned_codes is None else self.aligned_codes.detach().float().cpu().numpy().copy()
+        return InputSpace(self.head_model, self.z_id_size, self.z_exp_size, codes)
 
-    def z_expression(self, aligned: Tensor, offset: Tensor | None = None, expression: Tensor | None = None) -> Tensor:
-        """The expression code of weighted aligned expressions.
+    def tensors(self, inputs: ModelInputs[np.ndarray]) -> ModelInputs[Tensor]:
+        """The same inputs as tensors like the model's."""
+        arrays = (inputs.z_id, inputs.z_exp, inputs.shape, inputs.expression, inputs.pose)
+        return ModelInputs(*(torch.as_tensor(array, dtype=self.dtype, device=self.device) for array in arrays), inputs.strength)
+
+    def performed(
+        self, z_id: Tensor, shape: Tensor, expression: Tensor, pose: Tensor, aligned: Tensor, offset: Tensor | None = None
+    ) -> ModelInputs[Tensor]:
+        """Inputs of a captured or tracked frame, differentiable in all of them and in the table of codes.
 
         Args:
+            z_id: Identity code, [..., Z]; not read without residuals.
+            shape: [..., S].
+            expression: [..., E].
+            pose: All parts included, [..., 5, 3] radians.
             aligned: Weights of the 60 aligned expressions, [..., 60].
-            offset: Added to the code, [..., Y], or None.
-            expression: Head-model coefficients, [..., E]; only read, and then needed, without residuals (eq. 21).
-
-        Returns:
-            z_exp = offset + sum_k aligned_k Z_k, [..., Y].
+            offset: Added to the expression code, [..., Y], or None; not read without residuals.
         """
-        if self.aligned_codes is None:
-            if expression is None:
-                raise ConfigError("This model has no residual codes; give the expression coefficients.")
-            return expression if offset is None else expression + offset
-        code = aligned @ self.aligned_codes
-        return code if offset is None else code + offset
+        z_exp = self.z_expression(aligned, offset, expression)
+        return ModelInputs(self.z_identity(z_id, shape), z_exp, shape, expression, pose)
+
+    def z_identity(self, z_id: Tensor, shape: Tensor) -> Tensor:
+        """See `inputs.identity_code`."""
+        return identity_code(self.aligned_codes, z_id, shape)
+
+    def z_expression(self, aligned: Tensor, offset: Tensor | None = None, expression: Tensor | None = None) -> Tensor:
+        """See `inputs.expression_code`."""
+        return expression_code(self.aligned_codes, aligned, offset, expression)
 
     # --- mesh ------------------------------------------------------------------------------------------------------
 
-    def displacement(self, z_id: Tensor, z_exp: Tensor, neck: Tensor, jaw: Tensor, alpha_exp: Tensor) -> Tensor:
-        """Learned displacement of the unposed vertices, eq. 5-11.
+    def rest(self, shape: Tensor) -> Rest:
+        """The shaped head before expression and pose from coefficients [..., S]: most of the arithmetic of a mesh."""
+        return Rest(self.head.shaped(shape), self.head.joints(shape))
+
+    def mesh(self, inputs: ModelInputs[Tensor], rest: Rest | None = None) -> Mesh:
+        """Posed mesh with the learned displacement, eq. 5-11.
 
         Args:
-            z_id: [B, Z].
-            z_exp: [B, Y].
-            neck: Axis-angle vectors, radians, [B, 3] (see `euler_to_rotvec`).
-            jaw: As `neck`.
-            alpha_exp: Expression coefficients, [B, E].
-
-        Returns:
-            [B, V, 3] metres.
+            inputs: Codes, coefficients, pose.
+            rest: `rest` of the shape, where the caller has it already.
         """
-        displacement: Tensor = self.mesh_decoder(z_id, z_exp, neck, jaw, alpha_exp)
-        return displacement
+        rest = self.rest(inputs.shape) if rest is None else rest
+        displacement = self.displacement(inputs)
+        unposed = rest.vertices + self.head.expression_offsets(inputs.expression) + displacement
+        return Mesh(self.head.posed(unposed, inputs.pose, rest.joints), displacement)
 
-    def vertices(self, shape: Tensor, expression: Tensor, pose: Tensor, displacement: Tensor | None = None) -> Tensor:
-        """Posed vertices v_d.
+    def displacement(self, inputs: ModelInputs[Tensor]) -> Tensor:
+        """Learned displacement of the unposed vertices times the strength, [..., V, 3] metres."""
+        turns = euler_to_rotvec(inputs.pose[..., [NECK, JAW], :])  # [..., 2, 3]
+        learned: Tensor = self.mesh_decoder(inputs.z_id, inputs.z_exp, turns[..., 0, :], turns[..., 1, :], inputs.expression)
+        return learned * inputs.strength
+
+    def vertices(self, shape: Tensor, expression: Tensor, pose: Tensor) -> Tensor:
+        """Posed vertices of the head model alone, without anything learned.
 
         Args:
-            shape: [B, S].
-            expression: [B, E].
-            pose: XYZ Euler angles of the five joints, radians, [B, 5, 3].
-            displacement: Added before skinning, [B, V, 3] metres, or None.
+            shape: [..., S].
+            expression: [..., E].
+            pose: XYZ Euler angles of the five joints, radians, [..., 5, 3].
 
         Returns:
-            [B, V, 3] metres.
+            [..., V, 3] metres.
         """
-        posed: Tensor = self.head(shape, expression, pose, displacement)[0]
+        posed: Tensor = self.head(shape, expression, pose)[0]
         return posed
 
     # --- Gaussians -------------------------------------------------------------------------------------------------
 
     def offsets(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
-        """Phi_T: offsets of position, rotation, log scale from z_id [Z] and z_exp [Y], [N, 10]. Changes with expression."""
+        """Phi_T: offsets of position, rotation, log scale from z_id [..., Z] and z_exp [..., Y], [..., N, 10]."""
         return self.decoders.transform_offsets(z_id, z_exp)
 
+    def opacity(self, z_id: Tensor) -> Tensor:
+        """Phi_alpha: opacities 0..1 from z_id [..., Z], [..., N]. Constant per avatar."""
+        return torch.sigmoid(self.decoders.opacity_logits(z_id))
+
+    def appearance(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
+        """Phi_app: display sRGB [..., N, 3] and features [..., N, F] from z_id [..., Z] and unit view directions [..., 3]."""
+        return self.decoders.colors(z_id, view)
+
+    def expression_colors(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
+        """What z_exp adds to the colors of z_id: wrinkles and blood, display sRGB, [..., N, 3] or a row of zeros."""
+        return self.decoders.expression_colors(z_id, z_exp)
+
+    def attributes(self, inputs: ModelInputs[Tensor], view: Tensor) -> Attributes:
+        """All that is decoded, for unit view directions [..., 3]."""
+        z_id, z_exp = inputs.z_id, inputs.z_exp
+        colors, features = self.appearance(z_id, view)
+        colors = colors + self.expression_colors(z_id, z_exp)
+        return Attributes(self.offsets(z_id, z_exp), self.decoders.opacity_logits(z_id), colors, features)
+
     def geometry(self, vertices: Tensor, offsets: Tensor) -> Geometry:
-        """Place the Gaussians on posed vertices [V, 3] with offsets [N, 10] (eq. 12)."""
+        """Place the Gaussians on posed vertices [..., V, 3] with offsets [..., N, 10] (eq. 12)."""
         c = self.config
         return self.anchor.place(
             vertices, offsets, c.position_unit_mm * METRES_PER_MM, c.position_limit_mm * METRES_PER_MM,
             c.scale_log_limit, c.texel_scale, c.normal_scale,
         )  # fmt: skip
 
-    def opacity(self, z_id: Tensor) -> Tensor:
-        """Phi_alpha: opacities 0..1 from z_id [Z], [N]. Constant per avatar."""
-        return self.decoders.opacities(z_id)
-
-    def appearance(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
-        """Phi_app: display sRGB [N, 3] and features [N, F] from z_id [Z] and the unit view direction [3]."""
-        return self.decoders.colors(z_id, view)
-
-    def gaussians(self, vertices: Tensor, z_id: Tensor, z_exp: Tensor, view: Tensor) -> Gaussians:
-        """All attributes at once for posed vertices [V, 3], z_id [Z], z_exp [Y] and the unit view direction [3]."""
-        return self._assemble(self.geometry(vertices, self.offsets(z_id, z_exp)), z_id, z_exp, view)
-
-    def expression_colors(self, z_id: Tensor, z_exp: Tensor) -> Tensor:
-        """What z_exp [Y] adds to the colors of z_id [Z]: wrinkles and blood, display sRGB, [N, 3] or a row of zeros."""
-        return self.decoders.expression_colors(z_id, z_exp)
-
-    def _assemble(self, geometry: Geometry, z_id: Tensor, z_exp: Tensor, view: Tensor) -> Gaussians:
-        colors, features = self.appearance(z_id, view)
-        colors = colors + self.expression_colors(z_id, z_exp)
-        return Gaussians(
-            means=geometry.means, quats=geometry.quats, scales=geometry.scales, opacities=self.opacity(z_id),
-            colors=colors, features=features if self.config.features else None,
-        )  # fmt: skip
+    def gaussians(self, vertices: Tensor, attributes: Attributes) -> Gaussians:
+        """Place decoded attributes on the posed vertices [V, 3] of one head."""
+        placed = self.geometry(vertices, attributes.offsets)
+        features = attributes.features if self.config.features else None
+        return Gaussians(*placed, torch.sigmoid(attributes.logits), attributes.colors, features)
 
     # --- pictures --------------------------------------------------------------------------------------------------
+
+    def view_direction(self, camera: Camera) -> Tensor:
+        """The paper's d: unit vector from the head's centre to a camera given in head space, [3]."""
+        return torch.as_tensor(camera.view_direction(np.array(HEAD_CENTRE)), dtype=self.dtype, device=self.device)
+
+    def draw(self, gaussians: Gaussians, camera: Camera, refine: bool = True, backend: Backend = "auto") -> Picture:
+        """Rasterise and refine one head (eq. 13, 14), over black.
+
+        Args:
+            gaussians: With the model's features; further Gaussians may be appended whose features are zero.
+            camera: In head space.
+            refine: Run the refinement network; without it `image` is `raw`, and the features are not even drawn.
+            backend: Of the rasteriser.
+        """
+        raster = rasterize(gaussians if refine else replace(gaussians, features=None), camera, backend=backend)
+        return Picture(self.refine(raster) if refine else raster.rgb, raster.rgb, raster.alpha, raster.depth)
 
     def refine(self, raster: RasterOutput, limits: Tensor | None = None, coarse: bool = False) -> Tensor:
         """Psi_ref (eq. 14) on a picture that was rasterised over black.
@@ -226,80 +326,41 @@ class GRMM(nn.Module):
         """
         if self.refinement is None:
             return raster.rgb
-        if limits is None:
-            limits = depth_range(raster.depth, raster.alpha)
-        depth = normalise_depth(raster.depth, raster.alpha, limits)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half_refinement):
-            if coarse:
-                return self._refine_coarsely(raster, depth)
-            refined: Tensor = self.refinement(raster.rgb, raster.features, depth, raster.alpha)
-        return refined
-
-    def _refine_coarsely(self, raster: RasterOutput, depth: Tensor) -> Tensor:
-        parts = [raster.rgb, depth[..., None], raster.alpha[..., None]]
-        if raster.features is not None:
-            parts.append(raster.features)
-        small = halved(torch.cat(parts, -1))
-        rgb, small_depth, alpha, features = small[..., :3], small[..., 3], small[..., 4], small[..., 5:]
-        refined = self.refinement(rgb, features if raster.features is not None else None, small_depth, alpha)
-        # The network's change is a residual times alpha. Enlarging both keeps the residual whole across the silhouette.
-        enlarged = doubled(torch.cat([refined - rgb, alpha[..., None]], -1), *raster.alpha.shape)
-        residual = enlarged[..., :3] / enlarged[..., 3:].clamp(min=_THIN_COVER)
-        return raster.rgb + raster.alpha[..., None] * residual
-
-    def view_direction(self, camera: Camera) -> Tensor:
-        """The paper's d: unit vector from the head's centre to a camera given in head space, [3]."""
-        return torch.as_tensor(camera.view_direction(np.array(HEAD_CENTRE)), dtype=self.dtype, device=self.device)
+            return self.refinement.refined(raster, limits, coarse)
 
     def render(
         self,
         camera: Camera,
-        *,
-        shape: Tensor,
-        expression: Tensor,
-        pose: Tensor,
-        z_id: Tensor,
-        z_exp: Tensor,
+        inputs: ModelInputs[Tensor],
         background: Sequence[float] | Tensor | None = None,
         refine: bool = True,
-        backend: str = "auto",
-        strength: float = 1.0,
+        backend: Backend = "auto",
     ) -> Rendering:
         """Draw one head, differentiably.
 
         Args:
             camera: In head space.
-            shape: [S].
-            expression: Head-model coefficients alpha_exp, [E].
-            pose: XYZ Euler angles of the five joints, radians, [5, 3].
-            z_id: [Z].
-            z_exp: [Y]; see `z_expression`.
+            inputs: Of one frame.
             background: Display sRGB behind the head, [3]; black when None.
             refine: Run the refinement network.
-            backend: Rasteriser backend.
-            strength: Factor of the learned displacement.
+            backend: Of the rasteriser.
 
         Raises:
             ShapeError: A code has the wrong length.
             BackendError: The rasteriser backend is not available.
         """
-        for name, code, size in (("z_id", z_id, self.z_id_size), ("z_exp", z_exp, self.z_exp_size)):
+        for name, code, size in (("z_id", inputs.z_id, self.z_id_size), ("z_exp", inputs.z_exp, self.z_exp_size)):
             if code.shape != (size,):
                 raise ShapeError(f"{name} has shape {tuple(code.shape)}; this model takes ({size},).")
-        turns = euler_to_rotvec(pose[[NECK, JAW]])  # [2, 3]
-        displacement = self.displacement(z_id[None], z_exp[None], turns[:1], turns[1:], expression[None]) * strength
-        vertices = self.vertices(shape[None], expression[None], pose[None], displacement)[0]
-        offsets = self.offsets(z_id, z_exp)
-        gaussians = self._assemble(self.geometry(vertices, offsets), z_id, z_exp, self.view_direction(camera))
-        raster = rasterize(gaussians, camera, backend=backend)
-        refined = self.refine(raster) if refine else raster.rgb
-        behind = 0.0
+        mesh = self.mesh(inputs)
+        attributes = self.attributes(inputs, self.view_direction(camera))
+        gaussians = self.gaussians(mesh.vertices, attributes)
+        picture = self.draw(gaussians, camera, refine, backend)
         if background is not None:
-            color = torch.as_tensor(background, dtype=refined.dtype, device=refined.device)
-            behind = (1.0 - raster.alpha)[..., None] * color
-        return Rendering(
-            refined + behind, raster.rgb + behind, raster.alpha, raster.depth, gaussians, offsets, vertices, displacement[0]
-        )
+            picture = picture.over(background)
+        seen = (picture.image, picture.raw, picture.alpha, picture.depth)
+        return Rendering(*seen, inputs, mesh, attributes.offsets, gaussians)
 
 
 def face_mask(head: HeadModel) -> Tensor:
@@ -309,18 +370,3 @@ def face_mask(head: HeadModel) -> Tensor:
         if name in head.regions:
             mask[head.regions[name]] = 0.0
     return torch.from_numpy(mask)
-
-
-def euler_to_rotvec(euler: Tensor) -> Tensor:
-    """Axis-angle vectors of XYZ Euler angles (R = Rz Ry Rx), radians, [..., 3] to [..., 3]; smooth at zero."""
-    cx, cy, cz = torch.cos(euler / 2).unbind(-1)
-    sx, sy, sz = torch.sin(euler / 2).unbind(-1)
-    w = cz * cy * cx + sz * sy * sx
-    axis = torch.stack([cz * cy * sx - sz * sy * cx, cz * sy * cx + sz * cy * sx, sz * cy * cx - cz * sy * sx], -1)
-    axis = torch.where(w[..., None] < 0, -axis, axis)  # the shorter way round
-    w = w.abs()
-    square = axis.square().sum(-1)
-    small = square < _SMALL_ANGLE**2
-    length = torch.where(small, torch.ones_like(square), square).sqrt()  # no square root of zero in the gradient
-    factor = torch.where(small, 2.0 / w.clamp(min=0.5), 2.0 * torch.atan2(length, w) / length)
-    return axis * factor[..., None]

@@ -8,10 +8,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from .config import JOINTS_OF_MESH_DECODER, GRMMConfig
+from .config import JOINTS_OF_MESH_DECODER, METRES_PER_MM, GRMMConfig
 
 SLOPE = 0.2  # of the leaky rectifiers, as in the map decoders
-METRES_PER_MM = 1e-3
 
 
 class MeshDecoder(nn.Module):
@@ -41,7 +40,7 @@ class MeshDecoder(nn.Module):
         self.expression = _head(hidden + z_exp, rank, outputs)
 
     def base(self, z_id: Tensor, neck: Tensor, jaw: Tensor) -> Tensor:
-        """f_base of eq. 5 from z_id [B, Z] and axis-angle rotations [B, 3] in radians: [B, hidden]."""
+        """f_base of eq. 5 from z_id [..., Z] and axis-angle rotations [..., 3] in radians: [..., hidden]."""
         features: Tensor = self.shared(torch.cat([z_id, neck, jaw], -1))
         return features
 
@@ -49,12 +48,12 @@ class MeshDecoder(nn.Module):
         """Feature-wise linear modulation, eq. 7-9.
 
         Args:
-            base: f_base, [B, hidden].
-            z_exp: [B, Y].
-            alpha_exp: Expression coefficients, [B, E]; the first `config.alpha_exp` are read, missing ones are zero.
+            base: f_base, [..., hidden].
+            z_exp: [..., Y].
+            alpha_exp: Expression coefficients, [..., E]; the first `config.alpha_exp` are read, missing ones are zero.
 
         Returns:
-            f_exp + gamma * f_exp + beta, [B, hidden + Y].
+            f_exp + gamma * f_exp + beta, [..., hidden + Y].
         """
         features = torch.cat([base, z_exp], -1)  # eq. 7
         missing = self.alpha_exp - alpha_exp.shape[-1]
@@ -66,18 +65,18 @@ class MeshDecoder(nn.Module):
         """Displacements v_delta_id + M_face v_delta_exp of eq. 6, 10, 11.
 
         Args:
-            z_id: [B, Z].
-            z_exp: [B, Y].
-            neck: Axis-angle vectors, radians, [B, 3].
+            z_id: [..., Z].
+            z_exp: [..., Y].
+            neck: Axis-angle vectors, radians, [..., 3].
             jaw: As `neck`.
-            alpha_exp: [B, E].
+            alpha_exp: [..., E].
 
         Returns:
-            [B, V, 3] metres.
+            [..., V, 3] metres.
         """
         base = self.base(z_id, neck, jaw)
-        identity = self.identity(base).view(len(base), -1, 3)  # eq. 6
-        expression = self.expression(self.modulate(base, z_exp, alpha_exp)).view(len(base), -1, 3)  # eq. 10
+        identity = self.identity(base).unflatten(-1, (-1, 3))  # eq. 6
+        expression = self.expression(self.modulate(base, z_exp, alpha_exp)).unflatten(-1, (-1, 3))  # eq. 10
         return (identity + self.face_mask * expression) * METRES_PER_MM  # decoders work in millimetres
 
 

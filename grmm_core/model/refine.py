@@ -4,7 +4,7 @@ A small U-Net reads the splatted colors and features, premultiplied over black, 
 residual that is added where the avatar covers the pixel: I = I_rgb + alpha * residual. So alpha stays right over any
 background, and an untrained network (zero last layer) changes nothing. Any picture size works.
 
-Used by `grmm` only.
+Used by `grmm` and by sessions, which refine several heads in one picture.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from ..splat.types import RasterOutput
 from .config import COLOR_CHANNELS, GRMMConfig
 
 SLOPE = 0.2
 COVERED = 0.5  # alpha above which a pixel's depth counts for the normalisation
 _DEPTH_SPAN_MIN = 1e-6  # metres
+_THIN_COVER = 1e-6  # keeps the division by an enlarged alpha defined; where that is 0, so is alpha itself
 
 
 def depth_range(depth: Tensor, alpha: Tensor) -> Tensor:
@@ -75,7 +77,12 @@ class RefinementNetwork(nn.Module):
         widths = config.refine_channels
         steps = range(len(widths) - 1)
         self.fold = fold
-        self.multiple = fold << (len(widths) - 1)
+        self.multiple = fold << (len(widths) - 1)  # pixels: the network's grid
+        # In cells of the finest level: one each for the first and the last convolution; at each level one of its cells on the
+        # way down, one on the way up and two where nearest enlargement smears the next level; one at the bottom.
+        reach = 2 + sum(4 << level for level in range(len(widths) - 1)) + (1 << (len(widths) - 1))
+        self.margin = -(-reach * fold // self.multiple) * self.multiple
+        """Pixels beyond a pixel that its refined value can depend on, rounded up to the network's grid."""
         self.activation = nn.LeakyReLU(SLOPE)
         # Most of the time goes at the finest level: there the many channels of the folded pixels are first mixed without
         # looking at neighbours, as one matrix product, and skips are added rather than concatenated.
@@ -120,3 +127,22 @@ class RefinementNetwork(nn.Module):
             x = self.activation(stage(x))
         residual = nn.functional.pixel_shuffle(self.exit(x), self.fold)[0, :, :height, :width]
         return rgb + alpha[..., None] * residual.permute(1, 2, 0)
+
+    def refined(self, raster: RasterOutput, limits: Tensor | None = None, coarse: bool = False) -> Tensor:
+        """Refine a picture that was rasterised over black; see `GRMM.refine`."""
+        if limits is None:
+            limits = depth_range(raster.depth, raster.alpha)
+        depth = normalise_depth(raster.depth, raster.alpha, limits)
+        if not coarse:
+            result: Tensor = self(raster.rgb, raster.features, depth, raster.alpha)
+            return result
+        parts = [raster.rgb, depth[..., None], raster.alpha[..., None]]
+        if raster.features is not None:
+            parts.append(raster.features)
+        small = halved(torch.cat(parts, -1))
+        rgb, small_depth, alpha, features = small[..., :3], small[..., 3], small[..., 4], small[..., 5:]
+        refined = self(rgb, features if raster.features is not None else None, small_depth, alpha)
+        # The network's change is a residual times alpha. Enlarging both keeps the residual whole across the silhouette.
+        enlarged = doubled(torch.cat([refined - rgb, alpha[..., None]], -1), *raster.alpha.shape)
+        residual = enlarged[..., :3] / enlarged[..., 3:].clamp(min=_THIN_COVER)
+        return raster.rgb + raster.alpha[..., None] * residual

@@ -40,11 +40,14 @@ class FixedSparse(nn.Module):
             self.register_buffer(f"{prefix}values", torch.from_numpy(matrix.values), persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return A x for x [columns, C]: [rows, C]."""
+        """Return A x for x [..., columns, C]: [..., rows, C]."""
         forward = (self.starts, self.columns, self.values)
         backward = (self.t_starts, self.t_columns, self.t_values)
-        result: Tensor = _Apply.apply(x, forward, backward, self.shape)
-        return result
+        several = x.ndim > 2
+        lead, channels = x.shape[:-2], x.shape[-1]
+        flat = x.flatten(0, -3).transpose(0, 1).flatten(1) if several else x  # one product for all: [columns, B C]
+        result: Tensor = _Apply.apply(flat, forward, backward, self.shape)
+        return result.unflatten(1, (-1, channels)).transpose(0, 1).unflatten(0, lead) if several else result
 
 
 class _Apply(torch.autograd.Function):

@@ -9,33 +9,37 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from ..geometry.rotations import multiply_quaternions
+from ..geometry.tensor_rotations import matrix_to_quaternion, rotate, unit
 from .layout import TexelLayout, anchor_tables
 from .sparse import FixedSparse
 
 _TINY = 1e-9  # metres per unit of UV; keeps frames of degenerate triangles defined
-_TINY_NORM = 1e-20
 
 
-@dataclass
-class TexelFrames:
+class TexelFrames(NamedTuple):
     """Where each active texel is on the current mesh.
 
     Attributes:
-        positions: [N, 3] metres.
-        quats: [N, 4] unit quaternions wxyz; axes: along dP/du, across it in the surface, outward normal.
-        sizes: [N, 2] metres: a texel's sides along and across dP/du.
+        positions: [..., N, 3] metres.
+        quats: [..., N, 4] unit quaternions wxyz; axes: along dP/du, across it in the surface, outward normal.
+        sizes: [..., N, 2] metres: a texel's sides along and across dP/du.
     """
 
     positions: Tensor
     quats: Tensor
     sizes: Tensor
+
+    @property
+    def normals(self) -> Tensor:
+        """Outward unit normals, [..., N, 3]."""
+        return rotate(self.quats, self.quats.new_tensor([0.0, 0.0, 1.0]).expand_as(self.positions))
 
 
 class TexelAnchor(nn.Module):
@@ -70,28 +74,28 @@ class TexelAnchor(nn.Module):
         self.interpolate = FixedSparse(entries, (self.count, 3 * len(used)))
 
     def corners(self, vertices: Tensor) -> Tensor:
-        """Position, texel-free width and height |dP/du| and |dP/dv across|, and quaternion at the UV corners: [T, 9]."""
-        slopes = self.jacobian(vertices)  # [2T, 3]
-        along, across = slopes.chunk(2)  # dP/du, dP/dv at the UV corners, [T, 3]
+        """Position, texel-free width and height |dP/du| and |dP/dv across|, and quaternion at the UV corners: [..., T, 9]."""
+        slopes = self.jacobian(vertices)  # [..., 2T, 3]
+        along, across = slopes.chunk(2, -2)  # dP/du, dP/dv at the UV corners, [..., T, 3]
         x_axis, y_axis = vertices.new_tensor([_TINY, 0.0, 0.0]), vertices.new_tensor([0.0, _TINY, 0.0])
         along, across = along + x_axis, across + y_axis
-        normal = _unit(torch.linalg.cross(along, across)) * self.outward
-        tangent = _unit(along)
+        normal = unit(torch.linalg.cross(along, across)) * self.outward
+        tangent = unit(along)
         bitangent = torch.linalg.cross(normal, tangent)
-        quats = matrix_to_quaternion(torch.stack([tangent, bitangent, normal], -1))  # [T, 4]
+        quats = matrix_to_quaternion(torch.stack([tangent, bitangent, normal], -1))  # [..., T, 4]
         width = along.square().sum(-1, keepdim=True).sqrt()
         height = (across * bitangent).sum(-1, keepdim=True).abs()
-        return torch.cat([vertices[self.corner_vertex], width, height, quats], -1)
+        return torch.cat([vertices[..., self.corner_vertex, :], width, height, quats], -1)
 
     def forward(self, vertices: Tensor) -> TexelFrames:
-        """Return the frames of the texels on a mesh with `vertices` [V, 3], metres."""
-        corners = self.corners(vertices)[self.used_corners]  # [3U, 9]
+        """Return the frames of the texels on a mesh with `vertices` [..., V, 3], metres."""
+        corners = self.corners(vertices)[..., self.used_corners, :]  # [..., 3U, 9]
         # Quaternions q and -q are one rotation: bring each face's three into one half of the sphere before blending.
-        by_face = corners[:, 5:].view(-1, 3, 4)
-        sign = torch.where((by_face * by_face[:, :1]).sum(-1, keepdim=True) < 0, -1.0, 1.0)  # [U, 3, 1]
-        corners = torch.cat([corners[:, :5], (by_face * sign).reshape(-1, 4)], -1)
-        texels = self.interpolate(corners)  # [N, 9]
-        return TexelFrames(texels[:, :3], _unit(texels[:, 5:]), texels[:, 3:5] / self.grid)
+        by_face = corners[..., 5:].unflatten(-2, (-1, 3))  # [..., U, 3, 4]
+        sign = torch.where((by_face * by_face[..., :1, :]).sum(-1, keepdim=True) < 0, -1.0, 1.0)  # [..., U, 3, 1]
+        corners = torch.cat([corners[..., :5], (by_face * sign).flatten(-3, -2)], -1)
+        texels = self.interpolate(corners)  # [..., N, 9]
+        return TexelFrames(texels[..., :3], unit(texels[..., 5:]), texels[..., 3:5] / self.grid)
 
     def place(
         self, vertices: Tensor, offsets: Tensor, position_unit: float, position_limit: float, scale_log_limit: float | None,
@@ -100,8 +104,8 @@ class TexelAnchor(nn.Module):
         """Place the Gaussians on a mesh: `forward` and `place_gaussians`, compiled where that is possible.
 
         Args:
-            vertices: [V, 3] metres.
-            offsets: [N, 10]; this and the other arguments as for `place_gaussians`.
+            vertices: [..., V, 3] metres.
+            offsets: [..., N, 10]; this and the other arguments as for `place_gaussians`.
             position_unit: Metres.
             position_limit: Metres.
             scale_log_limit: Soft limit of the log scale, or None.
@@ -115,7 +119,12 @@ class TexelAnchor(nn.Module):
         limits = (position_unit, position_limit, scale_log_limit or 0.0, texel_scale / self.grid, normal_scale / self.grid)
         packed = np.array(limits, np.float32)
         layout = (self.texel_corners.numpy(), self.barycentric.numpy())
-        return Geometry(*_Place.apply(self.corners(vertices), offsets, layout, packed))
+        corners = self.corners(vertices)
+        if corners.ndim == 2 == offsets.ndim:
+            return Geometry(*_Place.apply(corners, offsets, layout, packed))
+        lead, pairs = offsets.shape[:-2], zip(corners.flatten(0, -3), offsets.flatten(0, -3), strict=True)
+        heads = [_Place.apply(*pair, layout, packed) for pair in pairs]
+        return Geometry(*(torch.stack(parts).unflatten(0, lead) for parts in zip(*heads, strict=True)))
 
 
 class _Place(torch.autograd.Function):
@@ -149,14 +158,13 @@ class _Place(torch.autograd.Function):
         return g_corners, g_offsets, None, None
 
 
-@dataclass
-class Geometry:
+class Geometry(NamedTuple):
     """Placed Gaussians without opacity and color.
 
     Attributes:
-        means: [N, 3] metres.
-        quats: [N, 4] unit wxyz.
-        scales: [N, 3] metres.
+        means: [..., N, 3] metres.
+        quats: [..., N, 4] unit wxyz.
+        scales: [..., N, 3] metres.
     """
 
     means: Tensor
@@ -177,7 +185,7 @@ def place_gaussians(
 
     Args:
         frames: Texels on the current mesh.
-        offsets: Position 3, rotation 4, log scale 3, [N, 10]. Zero leaves the Gaussian on its texel.
+        offsets: Position 3, rotation 4, log scale 3, [..., N, 10]. Zero leaves the Gaussian on its texel.
         position_unit: Metres moved by a position offset of 1.
         position_limit: Metres; soft limit of the movement.
         scale_log_limit: Soft limit of the log scale, or None.
@@ -188,8 +196,8 @@ def place_gaussians(
     moved = soft_limit(position * position_unit, position_limit)
     means = frames.positions + rotate(frames.quats, moved)
     # eq. 12 has r = delta_r; here it turns the texel's frame, and no offset is no rotation
-    turn = torch.cat([rotation[:, :1] + 1.0, rotation[:, 1:]], -1)
-    quats = _unit(multiply_quaternions(frames.quats, turn))
+    turn = torch.cat([rotation[..., :1] + 1.0, rotation[..., 1:]], -1)
+    quats = unit(multiply_quaternions(frames.quats, turn))
     if scale_log_limit is not None:
         log_scale = soft_limit(log_scale, scale_log_limit)
     base = torch.cat([frames.sizes * texel_scale, frames.sizes.amin(-1, keepdim=True) * normal_scale], -1)
@@ -205,44 +213,3 @@ def soft_limit(x: Tensor, limit: float) -> Tensor:
 def has_numba() -> bool:
     """Whether the compiled form of `TexelAnchor.place` can be used."""
     return importlib.util.find_spec("numba") is not None
-
-
-def rotate(quats: Tensor, vectors: Tensor) -> Tensor:
-    """Rotate vectors [..., 3] by unit quaternions wxyz [..., 4]."""
-    w, axis = quats[..., :1], quats[..., 1:]
-    twice = 2.0 * torch.linalg.cross(axis, vectors)
-    return vectors + w * twice + torch.linalg.cross(axis, twice)
-
-
-def multiply_quaternions(a: Tensor, b: Tensor) -> Tensor:
-    """Hamilton product a b of quaternions wxyz, [..., 4]: first b's rotation, then a's."""
-    wa, va, wb, vb = a[..., :1], a[..., 1:], b[..., :1], b[..., 1:]
-    real = wa * wb - (va * vb).sum(-1, keepdim=True)
-    return torch.cat([real, wa * vb + wb * va + torch.linalg.cross(va, vb)], -1)
-
-
-def matrix_to_quaternion(matrix: Tensor) -> Tensor:
-    """Unit quaternions wxyz [..., 4] of rotation matrices [..., 3, 3].
-
-    The four rows of 4 q q^T are linear in the matrix; the row with the largest diagonal, normalised, is q without any
-    division by small numbers.
-    """
-    m00, m01, m02, m10, m11, m12, m20, m21, m22 = matrix.flatten(-2).unbind(-1)
-    wx, wy, wz = m21 - m12, m02 - m20, m10 - m01
-    xy, xz, yz = m10 + m01, m20 + m02, m21 + m12
-    rows = torch.stack(
-        [
-            torch.stack([1 + m00 + m11 + m22, wx, wy, wz], -1),
-            torch.stack([wx, 1 + m00 - m11 - m22, xy, xz], -1),
-            torch.stack([wy, xy, 1 - m00 + m11 - m22, yz], -1),
-            torch.stack([wz, xz, yz, 1 - m00 - m11 + m22], -1),
-        ],
-        -2,
-    )
-    best = rows.diagonal(dim1=-2, dim2=-1).argmax(-1)  # [...]
-    row = rows.gather(-2, best[..., None, None].expand(*best.shape, 1, 4)).squeeze(-2)
-    return _unit(row)
-
-
-def _unit(vectors: Tensor) -> Tensor:
-    return vectors / vectors.square().sum(-1, keepdim=True).clamp(min=_TINY_NORM).sqrt()

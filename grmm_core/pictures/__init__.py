@@ -2,5 +2,4 @@
 
 ``color``    display sRGB, scene-linear light, straight and premultiplied alpha
 ``images``   PNG and OpenEXR out
-``sampling`` values between pixels
 """

@@ -40,9 +40,6 @@ EMPTY_DEPTH = 1.0e10
 MAX_LOD = 3
 CLOUD_TERMS = (1, 4, 9, 16)
 """Numbers of spherical harmonics that a cloud may have: those of the degrees 0 to 3."""
-PORTRAIT_DISTANCE = 1.1
-PORTRAIT_FOV = 23.0
-"""Metres and degrees of a camera that shows the whole head with hair, as in the training pictures."""
 MAX_PIXELS = 1 << 26  # 8192 x 8192; refuses sizes that only a typing error asks for
 
 CancelCheck = Callable[[], bool]

@@ -1,35 +1,33 @@
-"""A cache bounded in bytes, for what a model computes from one avatar. Used by `evaluate`."""
+"""A cache bounded in bytes, for what a model computes from one avatar. Used by `evaluator`."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
-if TYPE_CHECKING:
-    from torch import Tensor
-
-Value = TypeVar("Value", bound="tuple[Tensor, ...]")
+Value = TypeVar("Value", bound=tuple[Any, ...])
 
 
-class TensorCache:
-    """Least-recently-used cache of tuples of tensors.
+class ArrayCache:
+    """Least-recently-used cache of tuples of arrays or tensors.
 
     Attributes:
-        limit: Bytes of tensor data to keep; the newest entry stays even if it alone is larger.
+        limit: Bytes of data to keep; the newest entry stays even if it alone is larger.
         size: Bytes held now.
     """
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
         self.size = 0
-        self._entries: OrderedDict[Hashable, tuple[Tensor, ...]] = OrderedDict()
+        self._entries: OrderedDict[tuple[Hashable, ...], Any] = OrderedDict()
 
     def get(self, key: tuple[Hashable, ...], make: Callable[[], Value]) -> Value:
         """Return the value of `key`, made by `make` if it is not there. The first part of a key is its owner."""
         if key in self._entries:
             self._entries.move_to_end(key)
-            return self._entries[key]  # type: ignore[return-value]
+            known: Value = self._entries[key]
+            return known
         value = make()
         self._entries[key] = value
         self.size += _bytes(value)
@@ -40,7 +38,7 @@ class TensorCache:
 
     def drop(self, owner: Hashable) -> None:
         """Forget every entry of an owner."""
-        for key in [key for key in self._entries if key[0] == owner]:  # type: ignore[index]
+        for key in [key for key in self._entries if key[0] == owner]:
             self.size -= _bytes(self._entries.pop(key))
 
     def clear(self) -> None:
@@ -49,5 +47,5 @@ class TensorCache:
         self.size = 0
 
 
-def _bytes(value: tuple[Tensor, ...]) -> int:
-    return sum(tensor.numel() * tensor.element_size() for tensor in value)
+def _bytes(value: tuple[Any, ...]) -> int:
+    return sum(int(array.nbytes) for array in value)

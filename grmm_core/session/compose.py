@@ -25,14 +25,14 @@ from torch import Tensor
 
 from ..errors import CancelledError
 from ..geometry.camera import Camera
+from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..model.grmm import GRMM, HEAD_CENTRE
-from ..model.refine import depth_range
-from ..model.texels import matrix_to_quaternion, multiply_quaternions
+from ..model.refine import RefinementNetwork, depth_range
 from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
 from ..splat import Gaussians, RasterOutput, rasterize
 from .api import EMPTY_DEPTH, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud
-from .evaluate import Evaluator, Inputs, OpenAvatar
+from .evaluator import Evaluator, Inputs, OpenAvatar
 
 NORMAL_CHANNELS = 3
 _MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined
@@ -158,7 +158,7 @@ def _gaussians(
         size = float(np.cbrt(np.linalg.det(to_camera[:3, :3])))
         linear = means.new_tensor(to_camera[:3, :3])
         means = means @ linear.T + means.new_tensor(to_camera[:3, 3])
-        quats = multiply_quaternions(matrix_to_quaternion(linear / size).expand_as(quats), quats)
+        quats = multiply_quaternions(quats.new_tensor(matrix_to_quaternion(to_camera[:3, :3] / size)), quats)
         scales = scales * size
     return Gaussians(means, quats, scales, own.opacities, own.colors, stacked)
 
@@ -192,7 +192,7 @@ def _refine(
         if mixed:
             own = [k for k, item in enumerate(placed) if item.model is model]
             share = coverage[..., own].sum(-1)  # [H, W]
-        region = _covered_region(raster.alpha if share is None else share, model, coarse)
+        region = _covered_region(raster.alpha if share is None else share, model.refinement, coarse)
         if region is None:
             continue
         rows, columns = region
@@ -223,11 +223,10 @@ def _ranges(raster: RasterOutput, coverage: Tensor) -> Tensor:
     return limits
 
 
-def _covered_region(cover: Tensor, model: GRMM, coarse: bool = False) -> tuple[slice, slice] | None:
+def _covered_region(cover: Tensor, network: RefinementNetwork, coarse: bool = False) -> tuple[slice, slice] | None:
     """Return rows and columns around everything covered, on the network's grid, with a margin; None when nothing is."""
     scale = 2 if coarse else 1
-    multiple = scale * model.refinement.multiple
-    margin = scale * receptive_margin(model)
+    multiple, margin = scale * network.multiple, scale * network.margin
     bounds = []
     for axis in (1, 0):
         hit = torch.nonzero(cover.amax(axis) > 0)
@@ -238,15 +237,6 @@ def _covered_region(cover: Tensor, model: GRMM, coarse: bool = False) -> tuple[s
         high = min(-(-(high + margin) // multiple) * multiple, cover.shape[1 - axis])
         bounds.append(slice(low, high))
     return bounds[0], bounds[1]
-
-
-def receptive_margin(model: GRMM) -> int:
-    """Pixels beyond a pixel that its refined value can depend on, rounded up to the network's grid."""
-    fold, levels = model.config.refine_unshuffle, len(model.config.refine_channels)
-    # In cells of the finest level: one each for the first and the last convolution; at each level one of its cells on the way
-    # down, one on the way up and two where nearest enlargement smears the next level; one at the bottom.
-    reach = 2 + sum(4 << level for level in range(levels - 1)) + (1 << (levels - 1))
-    return -(-reach * fold // (fold << (levels - 1))) * (fold << (levels - 1))
 
 
 def _buffers(

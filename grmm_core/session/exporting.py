@@ -51,7 +51,7 @@ def morph_targets(
     resting = session.deform(avatar_id, controls).vertices
     morphs: dict[str, np.ndarray] = {}
     for name in names:
-        raised = controls.validate()
+        raised = controls.copy()
         raised.aligned[ALIGNED_NAMES.index(name)] += 1.0
         morphs[name] = session.deform(avatar_id, raised).vertices - resting
         if report:

@@ -5,15 +5,12 @@ Used directly by the command line and scripts, and inside the worker process by 
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import functools
-import logging
 import os
 import platform
-import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Concatenate, ParamSpec, Self, TypeVar
@@ -21,19 +18,19 @@ from typing import Concatenate, ParamSpec, Self, TypeVar
 import numpy as np
 import torch
 
-from ..avatar import Avatar, default_avatar, load_avatar, sampled_avatar, save_avatar
+from ..avatar import Avatar, load_avatar, save_avatar
 from ..avatar.library import DEFAULT_NAME, library_path
+from ..compute.devices import choose_device, describe_device, limit_rasteriser_threads, one_thread
 from ..compute.memory import resident_memory
 from ..controls.frame import Controls
-from ..errors import BackendError, SessionError, ShapeError
+from ..errors import SessionError, ShapeError
 from ..geometry.camera import Camera
 from ..head.skinning import euler_matrices, joint_transforms
-from ..pictures.color import straight_rgba
-from ..pictures.images import encode_png, quantize
+from ..model.people import default_avatar, sampled_avatar
+from ..model.portrait import thumbnail
+from ..model.store import LoadedModel, ModelStore
 from .api import (
     MAX_LOD,
-    PORTRAIT_DISTANCE,
-    PORTRAIT_FOV,
     AvatarInfo,
     CancelCheck,
     CloudArrays,
@@ -46,16 +43,13 @@ from .api import (
 )
 from .clouds import OpenCloud
 from .compose import Placed, compose
-from .evaluate import Evaluator, Inputs, OpenAvatar
-from .models import LoadedModel, ModelStore
+from .evaluator import Evaluator, Inputs, OpenAvatar
 from .sources import SourceKey, source_key
 
 CACHE_BYTES = 512 << 20
-THUMBNAIL_PIXELS = 192
 FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
 _UNIT_TOLERANCE = 1e-3
 
-_log = logging.getLogger(__name__)
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -108,7 +102,7 @@ class LocalSession:
             weights: Name of installed weights, or a file, for "default" and `sample`; None for the embedded ones.
             device: "auto", "cpu", "cuda" or "mps".
             threads: CPU threads; None leaves it to the libraries.
-            cache_bytes: Limit of what is kept between calls (see `evaluate`).
+            cache_bytes: Limit of what is kept between calls (see `evaluator`).
             head: Head file (the user's FLAME model) for weights that were trained on another head than the open one.
 
         Raises:
@@ -141,10 +135,7 @@ class LocalSession:
     def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
         """See `Session.save`."""
         target = self.target(avatar_id)
-        camera = Camera.orbit(THUMBNAIL_PIXELS, THUMBNAIL_PIXELS, distance=PORTRAIT_DISTANCE, fov=PORTRAIT_FOV)
-        buffers = self.render([Instance(avatar_id)], camera)
-        png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))
-        save_avatar(target.avatar.with_thumbnail(png), path)
+        save_avatar(target.avatar.with_thumbnail(thumbnail(target.model, target.avatar)), path)
 
     @_guarded
     def release(self, avatar_id: int) -> None:
@@ -171,8 +162,8 @@ class LocalSession:
         target = self.target(avatar_id)
         inputs = self.evaluator.inputs(target, controls)
         with one_thread():
-            vertices, displacement = self.evaluator.mesh(target, inputs)
-        return Deformation(_array(vertices), _array(displacement), _joints(target, inputs))
+            mesh = self.evaluator.mesh(target, inputs)
+        return Deformation(_array(mesh.vertices), _array(mesh.displacement), _joints(target, inputs))
 
     @_guarded
     def gaussians(
@@ -289,7 +280,7 @@ class LocalSession:
             shape=avatar.shape,
             z_id=avatar.z_id,
             neutral_pose=avatar.pose,
-            aligned_code_norms=np.linalg.norm(loaded.codes, axis=1).astype(np.float32),
+            aligned_code_norms=loaded.space.code_norms,
             provenance=MappingProxyType(dataclasses.asdict(avatar.provenance)),
             thumbnail=avatar.thumbnail,
         )
@@ -302,41 +293,6 @@ class LocalSession:
         if avatar_id not in self._avatars:
             raise SessionError(f"There is no avatar {avatar_id} in this session; open it first.")
         return self._avatars[avatar_id]
-
-
-def choose_device(name: str) -> torch.device:
-    """Return a torch device by name; "auto" takes CUDA where it works, else the CPU. Raises `BackendError`."""
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    available = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
-    if not available.get(name, False):
-        usable = ", ".join(device for device, there in available.items() if there)
-        raise BackendError(f"The device {name!r} is not available here; use auto or one of: {usable}.")
-    return torch.device(name)
-
-
-def limit_rasteriser_threads(count: int) -> None:
-    """Let the compiled rasteriser use `count` threads, in the whole process; it reads numba's setting."""
-    if "numba" in sys.modules:
-        sys.modules["numba"].config.NUMBA_NUM_THREADS = count
-    else:
-        os.environ["NUMBA_NUM_THREADS"] = str(count)
-
-
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Run torch on the calling thread alone: a mesh takes less than a millisecond, waking other threads can take many."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
-
-
-def describe_device(device: torch.device) -> str:
-    """Return a device's kind and, for CUDA, its product name."""
-    return f"cuda ({torch.cuda.get_device_name(device)})" if device.type == "cuda" else device.type
 
 
 def _joints(target: OpenAvatar, inputs: Inputs) -> np.ndarray:

@@ -9,14 +9,13 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from ..errors import ShapeError
 from ..geometry.camera import Camera
+from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
+from ..geometry.tensor_rotations import rotate, rotvec_to_quaternion
 from .types import Gaussians
-
-_SMALL = 1e-8  # squared radians below which sin(x / 2) / x is 1/2 to the last digit
 
 
 def moved(gaussians: Gaussians, camera: Camera, motion: Tensor) -> tuple[Gaussians, Camera]:
@@ -37,50 +36,10 @@ def moved(gaussians: Gaussians, camera: Camera, motion: Tensor) -> tuple[Gaussia
     like = gaussians.means
     linear = camera.world_to_camera[:3, :3]
     size = float(np.cbrt(np.abs(np.linalg.det(linear))))
-    fixed = like.new_tensor(_quaternion(linear / size))
-    turn = _quaternion_of(motion[:3].to(like))
+    fixed = like.new_tensor(matrix_to_quaternion(linear / size))
+    turn = rotvec_to_quaternion(motion[:3].to(like))
     means = like @ like.new_tensor(linear).T + like.new_tensor(camera.world_to_camera[:3, 3])
-    means = _rotate(turn, means) + motion[3:].to(like)
-    scene = dataclasses.replace(
-        gaussians, means=means, quats=_multiply(_multiply(turn, fixed), gaussians.quats), scales=gaussians.scales * size
-    )
+    means = rotate(turn.expand(len(means), 4), means) + motion[3:].to(like)
+    quats = multiply_quaternions(multiply_quaternions(turn, fixed), gaussians.quats)
+    scene = dataclasses.replace(gaussians, means=means, quats=quats, scales=gaussians.scales * size)
     return scene, dataclasses.replace(camera, world_to_camera=np.eye(4))
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """Unit quaternion [4] of a rotation matrix [3, 3]: the largest eigenvector of Bar-Itzhack's symmetric matrix."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    matrix = np.array(
-        [
-            [a + e + i, h - f, c - g, d - b],
-            [h - f, a - e - i, b + d, c + g],
-            [c - g, b + d, e - a - i, f + h],
-            [d - b, c + g, f + h, i - a - e],
-        ]
-    )
-    return np.linalg.eigh(matrix)[1][:, -1]
-
-
-def _quaternion_of(rotation_vector: Tensor) -> Tensor:
-    """Unit quaternion [4] of a rotation vector [3]; smooth at zero."""
-    square = rotation_vector.square().sum()
-    small = square < _SMALL
-    angle = torch.where(small, torch.ones_like(square), square).sqrt()  # no square root of zero in the gradient
-    factor = torch.where(small, 0.5 - square / 48, torch.sin(angle / 2) / angle)
-    real = torch.where(small, 1 - square / 8, torch.cos(angle / 2))
-    return torch.cat([real[None], rotation_vector * factor])
-
-
-def _multiply(left: Tensor, right: Tensor) -> Tensor:
-    """Product of quaternions, [4] times [..., 4]."""
-    a, b, c, d = left.unbind(-1)
-    w, x, y, z = right.unbind(-1)
-    real = a * w - b * x - c * y - d * z
-    return torch.stack([real, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w], -1)
-
-
-def _rotate(quaternion: Tensor, points: Tensor) -> Tensor:
-    """Points [N, 3] turned by a unit quaternion [4]."""
-    axis = quaternion[1:].expand_as(points)
-    once = 2 * torch.linalg.cross(axis, points)
-    return points + quaternion[0] * once + torch.linalg.cross(axis, once)

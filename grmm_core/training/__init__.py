@@ -7,6 +7,7 @@ The map:
 ``perceptual``  features of a classification network, for eq. 16
 ``views``       what a training view is, and the reproducible choice of views, crops and backgrounds
 ``capture``     capture data sets as training views
+``cast``        the people of a run and the model that draws them
 ``initialise``  mean colors from the pictures
 ``warm_start``  networks of an earlier run, for other people
 ``optimise``    parameter groups, schedule, moving average

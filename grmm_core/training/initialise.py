@@ -13,7 +13,6 @@ import numpy as np
 import torch
 
 from ..model.grmm import GRMM
-from ..model.texels import rotate
 from .views import View, ViewSource
 
 _FACING = 0.25  # smallest cosine between normal and view
@@ -57,11 +56,8 @@ def initialise_colors(model: GRMM, source: ViewSource, views: int, seed: int) ->
 def _project(model: GRMM, view: View, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Colors [N, 3] of the texels in a picture and their weights [N, 1]."""
     arrays = (shape, view.expression, view.pose)
-    shape_t, expression, pose = (torch.as_tensor(a, dtype=model.dtype, device=model.device)[None] for a in arrays)
-    frames = model.anchor(model.vertices(shape_t, expression, pose)[0])
-    axis = torch.zeros_like(frames.positions)
-    axis[:, 2] = 1.0
-    normals = rotate(frames.quats, axis).cpu().numpy().astype(np.float64)
+    frames = model.anchor(model.vertices(*(torch.as_tensor(a, dtype=model.dtype, device=model.device) for a in arrays)))
+    normals = frames.normals.cpu().numpy().astype(np.float64)
     positions = frames.positions.cpu().numpy().astype(np.float64)
     camera = view.camera
     towards = camera.position - positions

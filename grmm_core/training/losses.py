@@ -83,7 +83,6 @@ class Target:
 def total_loss(
     rendering: Rendering,
     target: Target,
-    codes: tuple[Tensor, ...],
     laplacian: Callable[[Tensor], Tensor],
     weights: LossWeights,
     refined: bool = True,
@@ -94,7 +93,6 @@ def total_loss(
     Args:
         rendering: Of `GRMM.render`.
         target: Ground truth.
-        codes: z_id and z_exp, any shape.
         laplacian: Operator of `vertex_laplacian`.
         weights: Factors.
         refined: Whether the refinement network ran; without it the splatted picture counts once.
@@ -108,29 +106,50 @@ def total_loss(
     if refined:
         pictures.append(("image", rendering.image, 1.0))
     for name, picture, factor in pictures:
-        if factor == 0.0:
-            continue
-        terms[f"{name}_l1"] = (factor * weights.l1, l1_loss(picture, target.image))
-        if weights.ssim:
-            terms[f"{name}_ssim"] = (factor * weights.ssim, 1.0 - ssim(picture, target.image))
-        if weights.perceptual and perceptual is not None:
-            terms[f"{name}_perceptual"] = (factor * weights.perceptual, perceptual(picture, target.image))
+        if factor:
+            parts = reconstruction_terms(picture, target.image, weights, perceptual)
+            terms |= {f"{name}_{part}": (factor * weight, value) for part, (weight, value) in parts.items()}
     if weights.depth and target.depth is not None:
         terms["depth"] = (weights.depth, depth_loss(rendering.depth, rendering.alpha, target.depth))
     if weights.alpha and target.mask is not None:
         terms["alpha"] = (weights.alpha, l1_loss(rendering.alpha, target.mask))
     if weights.scale:
         terms["scale"] = (weights.scale, scale_loss(rendering.gaussians.scales * _MM_PER_METRE))
-    if weights.code and codes:
-        terms["code"] = (weights.code, code_loss(*codes))
+    if weights.code:
+        terms["code"] = (weights.code, code_loss(rendering.inputs.z_id, rendering.inputs.z_exp))
     if weights.laplacian:
-        terms["laplacian"] = (weights.laplacian, laplacian(rendering.displacement * _MM_PER_METRE).square().sum(-1).mean())
+        terms["laplacian"] = (weights.laplacian, laplacian(rendering.mesh.displacement * _MM_PER_METRE).square().sum(-1).mean())
     for name, columns in (("position", slice(0, 3)), ("rotation", slice(3, 7)), ("log_scale", slice(7, 10))):
         factor = getattr(weights, name)
         if factor:
             terms[name] = (factor, rendering.offsets[:, columns].square().mean())
     loss = torch.stack([factor * value for factor, value in terms.values()]).sum()
     return loss, {name: value.detach() for name, (_, value) in terms.items()}
+
+
+def reconstruction_terms(
+    picture: Tensor, truth: Tensor, weights: LossWeights, perceptual: Perceptual | None = None
+) -> dict[str, tuple[float, Tensor]]:
+    """The terms of L_rec, eq. 16, each with its factor: l1, and ssim and perceptual where they count.
+
+    Args:
+        picture: [H, W, 3].
+        truth: [H, W, 3].
+        weights: Of which l1, ssim and perceptual are read.
+        perceptual: Distance of two pictures, or None.
+    """
+    terms = {"l1": (weights.l1, l1_loss(picture, truth))}
+    if weights.ssim:
+        terms["ssim"] = (weights.ssim, 1.0 - ssim(picture, truth))
+    if weights.perceptual and perceptual is not None:
+        terms["perceptual"] = (weights.perceptual, perceptual(picture, truth))
+    return terms
+
+
+def reconstruction_loss(picture: Tensor, truth: Tensor, weights: LossWeights, perceptual: Perceptual | None = None) -> Tensor:
+    """L_rec, eq. 16: the weighted sum of `reconstruction_terms`."""
+    terms = reconstruction_terms(picture, truth, weights, perceptual)
+    return torch.stack([weight * value for weight, value in terms.values()]).sum()
 
 
 def l1_loss(a: Tensor, b: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import datetime
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,18 +20,18 @@ import torch
 from torch import Tensor, nn
 
 from ..avatar import AssetReference, Avatar, Provenance
-from ..avatar.make import MADE_BY
-from ..avatar.types import SHAPE_SIZE, half_rounded
+from ..avatar.types import MADE_BY, SHAPE_SIZE, half_rounded
 from ..errors import ConfigError
 from ..model.config import COLOR_CHANNELS
+from ..model.portrait import thumbnail
 from ..model.weights import load_weights
 from ..model.weights_file import read_info, resolve_weights
 from .warm_start import warm_start
 
 if TYPE_CHECKING:
     from ..model.grmm import GRMM
+    from ..model.inputs import Person
     from .config import TrainConfig
-    from .trainer import Trainer
 
 APPEARANCE = "decoders.appearance_mean"
 OWN_MAPS = (
@@ -87,43 +87,45 @@ def begin(config: TrainConfig, model: GRMM, people: tuple[str, ...], codes: Tens
     return own
 
 
-def person_avatar(trainer: Trainer, name: str, licence: str = "") -> Avatar:
-    """Return what a run for one person has trained as an avatar without a thumbnail; call it within `trainer.averaged()`.
+def person_avatar(
+    weights: str, model: GRMM, person: Person, changes: Mapping[str, Tensor], name: str, licence: str = ""
+) -> Avatar:
+    """Put together what a run for one person has trained.
 
     Args:
-        trainer: Of a run whose configuration names a person.
+        weights: What the run began with.
+        model: As trained.
+        person: Whom the weights know.
+        changes: Of the own maps, by name.
         name: Display name.
         licence: What may be done with the avatar.
 
     Raises:
-        ConfigError: The run is for many people.
-        FileAccessError, FileFormatError: The weights that the run began with are gone.
+        FileAccessError, FileFormatError: The weights are gone.
     """
-    if not trainer.base:
-        raise ConfigError("This run is for many people; set person=NAME to make an avatar of one.")
-    info = load_weights(resolve_weights(trainer.config.init_from), trainer.model.head_model)[1]
+    info = load_weights(resolve_weights(weights), model.head_model)[1]
     shape = np.zeros(SHAPE_SIZE, np.float32)
-    known = trainer.source.shapes[0][:SHAPE_SIZE]
+    known = person.shape[:SHAPE_SIZE]
     shape[: known.size] = known
-    z_id = trainer.codes[0].detach()
+    changed = {key: value.clone() for key, value in changes.items()}
     with torch.no_grad():
-        changes = {key: value - trainer.base[key] for key, value in trainer.parameters.items()}
-        changes[APPEARANCE][:, :COLOR_CHANNELS] += flesh_tones(trainer.model, z_id)
-    deltas = {key: half_rounded(value.cpu().numpy()) for key, value in changes.items()}
-    return Avatar(
+        z_id = torch.as_tensor(person.z_id, dtype=model.dtype, device=model.device)
+        changed[APPEARANCE][:, :COLOR_CHANNELS] += flesh_tones(model, z_id)
+    avatar = Avatar(
         name=name,
         head=AssetReference(info.head_name, info.head_sha256),
         weights=AssetReference(info.name, info.sha256),
-        z_id=z_id.cpu().numpy(),
+        z_id=person.z_id,
         z_exp=np.zeros(info.config.z_exp, np.float32),
         shape=shape,
-        deltas=deltas,
+        deltas={key: half_rounded(value.cpu().numpy()) for key, value in changed.items()},
         provenance=Provenance(
             made_by=MADE_BY,
             date=datetime.datetime.now(datetime.UTC).date().isoformat(),
             licence=licence,
         ),
     )
+    return avatar.with_thumbnail(thumbnail(model, avatar))
 
 
 def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:

@@ -31,23 +31,26 @@ from torch import Tensor, nn
 
 from ..errors import CancelledError, ConfigError, FileAccessError, RuntimeMissingError, TrainingError
 from ..files.access import describe_os_error, make_folder
-from ..model.grmm import GRMM, Rendering
+from ..model.grmm import GRMM
 from ..model.weights import save_weights
 from ..model.weights_file import WeightsInfo, head_fingerprint
+from .cast import Cast
 from .checkpoint import load_checkpoint, save_checkpoint, tidy
 from .config import TrainConfig, changed_settings
 from .initialise import initialise_colors
-from .losses import TERMS, Target, psnr, ssim, total_loss, vertex_laplacian, weights_from
+from .losses import TERMS, psnr, ssim, total_loss, vertex_laplacian, weights_from
 from .optimise import MovingAverage, parameter_groups, rate_factor
 from .perceptual import load_perceptual
-from .personal import begin, of_the_weights
+from .personal import begin, of_the_weights, person_avatar
 from .precision import use_precision
 from .processes import add_gradients, anybody, join, mean_terms
 from .views import View, ViewSource, choose, shrink
 from .warm_start import warm_start
 
 if TYPE_CHECKING:
+    from ..avatar import Avatar
     from ..head import HeadModel
+    from ..splat.backends import Backend
 
 logger = logging.getLogger(__name__)
 
@@ -76,13 +79,13 @@ class Trainer:
 
     def __init__(
         self, config: TrainConfig, head: HeadModel, source: ViewSource, folder: str | os.PathLike[str],
-        device: str = "cpu", backend: str = "auto",
+        device: str = "cpu", backend: Backend = "auto",
     ) -> None:  # fmt: skip
         if not len(source.training):
             raise TrainingError("The data set has no training views; capture more or change its splits.")
         if config.person:
             config = of_the_weights(config)
-        self.config, self.source, self.folder, self.backend = config, source, Path(folder), backend
+        self.config, self.source, self.folder = config, source, Path(folder)
         make_folder(self.folder)
         if config.threads:
             torch.set_num_threads(config.threads)
@@ -102,7 +105,7 @@ class Trainer:
         generator = torch.Generator().manual_seed(config.seed + _RANDOM_CODE_INIT)
         codes = torch.randn(len(source.people), config.model.z_id, generator=generator) * config.code_init
         self.codes = nn.Parameter(codes.to(device))  # z_id of each person, [P, Z]
-        self.shapes = torch.as_tensor(source.shapes, dtype=torch.float32, device=device)
+        self.cast = Cast(self.model, self.codes, self._shapes(), backend)
         self.laplacian = vertex_laplacian(torch.from_numpy(head.faces.astype(np.int64)), head.vertex_count).to(device)
         self.loss_weights = weights_from(dict(config.losses))
         self.perceptual = None
@@ -183,7 +186,10 @@ class Trainer:
         refresh = getattr(self.source, "refresh", None)
         if refresh is not None:
             refresh()
-            self.shapes = torch.as_tensor(self.source.shapes, dtype=torch.float32, device=self.model.device)
+            self.cast.shapes = self._shapes()
+
+    def _shapes(self) -> Tensor:
+        return torch.as_tensor(self.source.shapes, dtype=torch.float32, device=self.model.device)
 
     def start(self) -> None:
         """Prepare what depends on the data, once, before the first step of a new run."""
@@ -206,10 +212,8 @@ class Trainer:
         rows: list[dict[str, Tensor]] = []
         for place in range(self.rank * share, (self.rank + 1) * share):
             view, background = choose(c, self.source, n, place, progress)
-            rendering, codes = self.draw(view, background, refined)
-            loss, terms = total_loss(
-                rendering, self._target(view, background), codes, self.laplacian, self.loss_weights, refined, self.perceptual
-            )
+            rendering, target = self.cast.draw(view, background, refined), self.cast.target(view, background)
+            loss, terms = total_loss(rendering, target, self.laplacian, self.loss_weights, refined, self.perceptual)
             value = float(loss.detach())
             if not np.isfinite(value):
                 raise TrainingError(f"The loss is {value} at step {n} ({view.name}); {self._way_out()}.")
@@ -233,26 +237,6 @@ class Trainer:
         numbers |= {"seconds": self.seconds, "progress": self.progress}
         return numbers | means
 
-    def draw(self, view: View, background: np.ndarray | None, refined: bool) -> tuple[Rendering, tuple[Tensor, Tensor]]:
-        """Render a view's person, expression and camera. Returns the rendering and the codes z_id and z_exp."""
-        aligned, expression, pose = (self._tensor(a) for a in (view.aligned, view.expression, view.pose))
-        shape = self.shapes[view.subject]
-        z_id = self.model.z_identity(self.codes[view.subject], shape)
-        z_exp = self.model.z_expression(aligned, expression=expression)
-        rendering = self.model.render(
-            view.camera, shape=shape, expression=expression, pose=pose, z_id=z_id, z_exp=z_exp,
-            background=None if background is None else self._tensor(background), refine=refined, backend=self.backend,
-        )  # fmt: skip
-        return rendering, (z_id, z_exp)
-
-    def _target(self, view: View, background: np.ndarray) -> Target:
-        mask = self._tensor(view.mask) / 255.0
-        image = self._tensor(view.image) / 255.0 + (1.0 - mask)[..., None] * self._tensor(background)
-        return Target(image, mask, None if view.depth is None else self._tensor(view.depth))
-
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.as_tensor(np.ascontiguousarray(array), dtype=torch.float32, device=self.model.device)
-
     def _way_out(self) -> str:
         """What to do about numbers that are not finite."""
         kept = (self.folder / CHECKPOINT).exists()
@@ -274,8 +258,8 @@ class Trainer:
         with self.averaged():
             for index in chosen:
                 view = self._sized(self.source.load(int(index)))
-                rendering, _ = self.draw(view, None, refine)
-                target = self._target(view, np.zeros(3, np.float32))
+                rendering = self.cast.draw(view, None, refine)
+                target = self.cast.target(view, np.zeros(3))
                 image, raw = rendering.image.clamp(0, 1), rendering.raw.clamp(0, 1)
                 row = {"psnr": psnr(image, target.image), "psnr_mask": psnr(image, target.image, target.mask)}
                 row |= {"psnr_raw": psnr(raw, target.image), "ssim": float(ssim(image, target.image))}
@@ -294,9 +278,13 @@ class Trainer:
 
     def _preview(self) -> None:
         from .curves import read_metrics, write_curves
-        from .preview import write_preview
+        from .preview import VALIDATION_ROWS, write_preview
 
-        write_preview(self, self.folder / f"preview_{self.step_count:06d}.png")
+        numbers = self.source.validation if len(self.source.validation) else self.source.training
+        picks = numbers[np.linspace(0, len(numbers) - 1, VALIDATION_ROWS + 2).astype(int)[1:-1]]
+        views = [self._sized(self.source.load(int(index))) for index in picks]
+        with self.averaged():
+            write_preview(self.cast, views, self.folder / f"preview_{self.step_count:06d}.png")
         write_curves([read_metrics(self.folder / METRICS)], self.folder / CURVES)
 
     # --- files -----------------------------------------------------------------------------------------------------
@@ -358,6 +346,24 @@ class Trainer:
                 default_z_id=identity[pick].mean(0), default_shape=shapes[pick].mean(0), provenance=provenance,
             )  # fmt: skip
             save_weights(path, self.model, info)
+
+    def person_avatar(self, name: str, licence: str = "") -> Avatar:
+        """What a run for one person has trained, as an avatar with a thumbnail.
+
+        Args:
+            name: Display name.
+            licence: What may be done with the avatar.
+
+        Raises:
+            ConfigError: The run is for many people.
+            FileAccessError, FileFormatError: The weights that the run began with are gone.
+        """
+        if not self.base:
+            raise ConfigError("This run is for many people; set person=NAME to make an avatar of one.")
+        with self.averaged():
+            with torch.no_grad():
+                changes = {key: value - self.base[key] for key, value in self.parameters.items()}
+            return person_avatar(self.config.init_from, self.model, self.cast.person(0), changes, name, licence)
 
     def _log(self, metrics: dict[str, float]) -> None:
         if self.rank:

@@ -105,3 +105,7 @@ def test_mirror_reset_and_random(imported):
     assert edits["largest"] <= 0.7
     assert edits["shape"] > 0.5
     assert edits["parity"] < PARITY
+
+
+def test_the_file_browser_shows_every_option_once(imported):
+    assert imported["drawn_options"] == {"missing": [], "twice": 0}

@@ -56,6 +56,10 @@ def test_presets_menus_and_operators(run_blender: RunBlender, blender_version: s
     assert expressions["kiss"] == {"cheekSquintLeft": 0.1, "cheekSquintRight": 0.1, "mouthFunnel": 0.15, "mouthPucker": 0.95}
     assert all("jawRight" not in values for values in expressions.values())  # what was there before is gone
     assert result["from_armature"] == expressions["afraid"]
+    assert result["drawn_again"].pop("save_pose") == []  # sets nothing
+    assert set(result["drawn_again"]) > {"random_expression", "mirror", "reset", "apply_pose", "preset"}
+    for name, editors in result["drawn_again"].items():
+        assert {"VIEW_3D", "PROPERTIES"} <= set(editors), name
     assert result["render"] == {"balanced": [True, "0", 8], "draft": [False, "1", 3], "final": [True, "0", 16]}
     assert result["own"] == {"mouthPucker": 0.4}
     assert result["user_file"]

@@ -161,6 +161,7 @@ def test_everything_registered_is_described(run_blender: RunBlender, blender_ver
     result = run_blender("ui_audit.py", python=blender_version).result
     assert result["problems"] == []
     assert len(result["operators"]) > 15
+    assert {"GRMM_AST_poses", "GRMM_OT_reset"} <= set(result["asked"])
     assert {"GRMM_OT_reset", "GRMM_OT_mirror", "GRMM_OT_save_code", "GRMM_OT_calibrate_neutral"} <= set(result["undoing"])
     panels = result["panels"]
     assert panels["head"] == panels["armature"]

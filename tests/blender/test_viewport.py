@@ -84,8 +84,19 @@ def test_splats_stand_before_their_own_mesh(drawn):
     found, _ = drawn
     assert found["own_triangles"] > 1000
     assert found["own_mesh"] < 0.001
+    assert found["ortho_covered"] > 0.1
+    assert found["own_mesh_ortho"] < 0.001
     assert found["bounds_meshes"] == 0
     assert found["sculpt"] == 0.0
+
+
+def test_bones_are_seen_over_the_splats_while_the_rig_is_posed(drawn):
+    found, _ = drawn
+    looked_at, posed, overlays_off = found["bones"]
+    assert (looked_at, overlays_off) == (0.0, 0.0)
+    assert 0.005 < posed < 0.2
+    assert found["bone_names"] == ["root", "neck", "jaw", "left_eye", "right_eye"]
+    assert found["bone_colors"] == [4, 0]  # the eyes share one; selected bones have others
 
 
 def test_only_what_changed_is_made_anew(drawn):
@@ -127,3 +138,4 @@ def test_without_graphics_nothing_fails(run_blender: RunBlender, weights: Path, 
     assert found["thinned"] <= 100
     assert found["finite"] == 2
     assert found["rendered"]
+    assert found["bones"] == [0, 5]

@@ -9,6 +9,7 @@ from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import HeadModel
 from grmm_core.model.grmm import GRMM
+from grmm_core.model.inputs import ModelInputs
 from grmm_core.training.views import View
 
 ROWS, COLUMNS = 10, 16
@@ -90,14 +91,12 @@ def randomise(model: GRMM, scale: float = 0.3) -> None:
             parameter.add_(noise * scale / max(1.0, parameter[0].numel() ** 0.5))
 
 
-def inputs(model: GRMM, seed: int = 2) -> dict[str, torch.Tensor]:
+def inputs(model: GRMM, seed: int = 2) -> ModelInputs[torch.Tensor]:
     """Random coefficients, pose and codes of a model."""
     generator = torch.Generator().manual_seed(seed)
 
     def normal(*shape: int) -> torch.Tensor:
         return torch.randn(*shape, generator=generator, dtype=torch.float64).to(model.dtype)
 
-    return {
-        "shape": normal(SHAPES), "expression": 0.3 * normal(52), "pose": 0.1 * normal(5, 3),
-        "z_id": normal(model.z_id_size), "z_exp": normal(model.z_exp_size),
-    }  # fmt: skip
+    shape, expression, pose = normal(SHAPES), 0.3 * normal(52), 0.1 * normal(5, 3)
+    return ModelInputs(normal(model.z_id_size), normal(model.z_exp_size), shape, expression, pose)

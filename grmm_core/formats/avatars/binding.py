@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from ...errors import ShapeError
-from ...geometry.rotations import matrix_to_quaternion
+from ...geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..splats.cloud import SplatCloud
-from ..splats.gltf_splats import multiply_quaternions
 
 _TINY = 1e-20
 
@@ -59,7 +58,7 @@ def place_on_mesh(cloud: SplatCloud, vertices: np.ndarray, faces: np.ndarray) ->
     binding = _binding(cloud, faces)
     centre, rotation, size = triangle_frames(vertices, faces)
     turned = np.einsum("nij,nj->ni", rotation[binding], cloud.means.astype(np.float64))
-    quats = multiply_quaternions(_triangle_quaternions(rotation)[binding], cloud.quats)
+    quats = multiply_quaternions(_triangle_quaternions(rotation)[binding], cloud.quats).astype(np.float32)
     return replace(
         cloud,
         means=(turned * size[binding, None] + centre[binding]).astype(np.float32),
@@ -91,7 +90,7 @@ def bind_to_mesh(cloud: SplatCloud, vertices: np.ndarray, faces: np.ndarray, bin
     return replace(
         bound,
         means=local.astype(np.float32),
-        quats=multiply_quaternions(inverse, cloud.quats),
+        quats=multiply_quaternions(inverse, cloud.quats).astype(np.float32),
         scales=(cloud.scales / size[index, None]).astype(np.float32),
     )
 

@@ -1,14 +1,17 @@
 """ARKit weights as JSON.
 
-Read by `reading.read_performance`. Four layouts that programs write are understood:
+Layouts that programs write, all understood:
 
 * ``{"names": [...], "metadata": {"fps": 30}, "frames": [{"weights": [...], "time": 0.0}]}`` (audio-driven avatars)
 * frames whose ``weights`` or ``blendShapes`` is a map from name to value
-* ``{"exportFps": 30, "facsNames": [...], "weightMat": [[...]]}``
+* ``{"exportFps": 30, "facsNames": [...], "weightMat": [[...]]}`` (Audio2Face, also with its 46 shapes of its own)
 * a plain list of frames ``{"time": 0.0, "jawOpen": 0.3, ...}``
+* MediaPipe's results: a list of ``{"categoryName": "jawOpen", "score": 0.3}`` for each frame, bare or under ``faceBlendshapes``
+  and ``categories``, as its Python and its JavaScript name them; a frame without a face is interpolated
 
-Frames may also carry ``headRotation``, ``leftEyeRotation`` and the like, `JSON_TRACKS`: XYZ Euler angles in radians in the
-head's axes. Our own writer adds them; other programs ignore what they do not know.
+Time stamps may be seconds, milliseconds, microseconds or nanoseconds. Frames may also carry ``headRotation``,
+``leftEyeRotation`` and the like, `JSON_TRACKS`: XYZ Euler angles in radians in the head's axes. Our own writer adds them; other
+programs ignore what they do not know.
 
 Needs numpy only; Python's own `json` reads the text (ten minutes at 60 frames per second parse in about a second).
 """
@@ -31,23 +34,27 @@ from ...performance.types import Performance, Progress
 from .repair import (
     MAX_FILE_BYTES,
     MAX_FRAMES,
-    arkit_index,
+    arkit_weights,
     clean_times,
     fill_missing,
     median_rate,
     missing_warning,
     report_frame,
-    without_mark,
+    scale_times,
 )
+from .shapes import arkit_index
+from .text_table import decode_text, start_text
 
 KIND = "ARKit JSON performance"
 DEFAULT_FPS = 30.0
 _NAME_KEYS = ("names", "facsNames", "blendShapeNames", "blendshapeNames", "blendshape_names")
 _FRAME_KEYS = ("frames", "weightMat", "data")
-_WEIGHT_KEYS = ("weights", "blendShapes", "blendshapes", "blendShapeWeights", "values")
-_TIME_KEYS = ("time", "timestamp", "timeStamp", "timeCode")
+_WEIGHT_KEYS = ("weights", "blendShapes", "blendshapes", "blendShapeWeights", "values", "faceBlendshapes", "face_blendshapes")
+_TIME_KEYS = ("time", "timestamp", "timeStamp", "timeCode", "timestampMs", "timestamp_ms", "timeMs", "time_ms")
+_CATEGORY_KEYS = ("categoryName", "category_name")
 _FPS_KEYS = ("fps", "exportFps", "frameRate", "frame_rate")
 _REPORT_EVERY = 4096
+_MAX_TIME = 1e20  # nanoseconds since 1970 are below 1e19
 JSON_TRACKS = {
     "headRotation": "head_rotation",
     "neckRotation": "neck_rotation",
@@ -72,7 +79,7 @@ def read_arkit_json(path: Path, fps: float | None = None, progress: Progress | N
         FileAccessError: Missing, unreadable or too large.
     """
     try:
-        document = json.loads(read_bytes(path, MAX_FILE_BYTES).decode("utf-8-sig"))
+        document = json.loads(decode_text(path, KIND, read_bytes(path, MAX_FILE_BYTES)))
     except (ValueError, RecursionError) as error:
         raise bad_file(path, KIND, "it is not JSON text") from error
     if progress:
@@ -86,17 +93,12 @@ def read_arkit_json(path: Path, fps: float | None = None, progress: Progress | N
     values, times = _values(path, frames, names, progress)
 
     warnings: list[str] = []
-    columns = {i: k for k, name in enumerate(names) if (i := arkit_index(name)) is not None}
-    if not columns:
-        raise bad_file(path, KIND, "none of its names is an ARKit shape")
-    weights = np.zeros((len(frames), len(ARKIT_NAMES)), np.float32)
-    weights[:, list(columns)] = values[:, list(columns.values())]
-    fill_missing(path, KIND, weights, "weights", warnings)
+    weights, found = arkit_weights(path, KIND, names, values, warnings)
 
     tracks: dict[str, Any] = {name: _track(path, frames, key, warnings) for key, name in JSON_TRACKS.items()}
     stated = fps if fps is not None else _stated_fps(document)
     if fps is None and np.isfinite(times).all() and times.size > 1 and np.ptp(times) > 0:
-        times, order = clean_times(times, warnings)
+        times, order = clean_times(scale_times(times, stated or DEFAULT_FPS, warnings), warnings)
         weights = weights[order]
         tracks = {name: None if track is None else track[order] for name, track in tracks.items()}
         rate = stated if stated is not None else median_rate(times, DEFAULT_FPS)
@@ -105,11 +107,11 @@ def read_arkit_json(path: Path, fps: float | None = None, progress: Progress | N
         times = np.arange(len(frames)) / rate
         if stated is None:
             warnings.append(f"The file states no frame rate; {DEFAULT_FPS:g} frames per second were assumed.")
-    warnings += missing_warning(set(columns)) + range_warnings(weights)
-    found = tuple(ARKIT_NAMES[i] for i in sorted(columns))
+    warnings += missing_warning(set(found)) + range_warnings(weights)
     if progress:
         progress(1.0)
-    return Performance(times, weights, rate, "arkit-json", found, warnings=warnings, **tracks)
+    shapes = tuple(ARKIT_NAMES[i] for i in sorted(found))
+    return Performance(times, weights, rate, "arkit-json", shapes, warnings=warnings, **tracks)
 
 
 def _first(mapping: dict[str, Any], keys: tuple[str, ...]) -> Any:
@@ -117,14 +119,14 @@ def _first(mapping: dict[str, Any], keys: tuple[str, ...]) -> Any:
 
 
 def _names(path: Path, document: Any, frames: list[Any]) -> list[str]:
-    """Names of the weights' columns: the file's list, or the keys of the first frame."""
+    """Names of the weights' columns: the file's list, or the keys of the first frame that has any."""
     names = _first(document, _NAME_KEYS) if isinstance(document, dict) else None
     if names is None:
-        first = frames[0]
-        row = _first(first, _WEIGHT_KEYS) if isinstance(first, dict) else None
-        row = row if row is not None else first
+        row = next((row for row in map(_row, frames) if row), None)
         if isinstance(row, dict):
-            names = [key for key in row if isinstance(key, str) and arkit_index(key) is not None]
+            keys = [key for key in row if isinstance(key, str)]
+            numbers = [key for key in keys if isinstance(row[key], (int, float)) and key not in _TIME_KEYS]
+            names = [key for key in keys if arkit_index(key) is not None] or numbers
         elif isinstance(row, list) and len(row) == len(ARKIT_NAMES):
             names = list(ARKIT_NAMES)
     if not isinstance(names, list) or not names or not all(isinstance(name, str) for name in names):
@@ -132,6 +134,24 @@ def _names(path: Path, document: Any, frames: list[Any]) -> list[str]:
     if len(names) > 10_000:
         raise bad_file(path, KIND, f"it has {len(names)} names")
     return names
+
+
+def _row(frame: Any) -> Any:
+    """Weights of a frame as a list or a map from name to value; MediaPipe's lists of categories become maps."""
+    row = _first(frame, _WEIGHT_KEYS) if isinstance(frame, dict) else frame
+    row = frame if row is None else row
+    face = row
+    if isinstance(face, list) and len(face) == 1 and not _is_category(face[0]):
+        face = face[0]  # the only face of a list of faces
+    if isinstance(face, dict) and "categories" in face:
+        face = face["categories"]
+    if isinstance(face, list) and face and all(map(_is_category, face)):
+        return {_first(category, _CATEGORY_KEYS): category["score"] for category in face}
+    return None if face == [] else row
+
+
+def _is_category(value: Any) -> bool:
+    return isinstance(value, dict) and "score" in value and isinstance(_first(value, _CATEGORY_KEYS), str)
 
 
 def _values(path: Path, frames: list[Any], names: list[str], progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
@@ -142,12 +162,10 @@ def _values(path: Path, frames: list[Any], names: list[str], progress: Progress 
     blank = [math.nan] * count
     values = np.empty((len(frames), count), np.float32)
     for i, frame in enumerate(frames):
-        row = frame
+        row = _row(frame)
         if isinstance(frame, dict):
-            row = _first(frame, _WEIGHT_KEYS)
-            row = frame if row is None else row
             time = _first(frame, _TIME_KEYS)
-            if isinstance(time, (int, float)) and abs(time) < 1e12:
+            if isinstance(time, (int, float)) and abs(time) < _MAX_TIME:
                 times[i] = time
         if isinstance(row, dict):
             row = [row.get(name, 0.0) for name in names]
@@ -218,5 +236,5 @@ def _numbers(values: list[float]) -> str:
 
 FORMAT = Format(
     "arkit-json", "ARKit JSON (.json)", "Weights of the 52 ARKit shapes, with head, jaw and eye rotations", "performance",
-    (".json",), read_arkit_json, write_arkit_json, lambda path, start: without_mark(start)[:1] in (b"{", b"["),
+    (".json",), read_arkit_json, write_arkit_json, lambda path, start: start_text(start)[:1] in ("{", "["),
 )  # fmt: skip

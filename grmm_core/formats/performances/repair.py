@@ -5,6 +5,7 @@ Called by the readers and writers of this package only. Needs numpy only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from ...controls.names import ARKIT_NAMES
 from ...files.access import bad_file
 from ...performance.types import Progress
+from .shapes import map_shapes
 
 MAX_FRAMES = 2_000_000  # nine hours at 60 frames per second
 MAX_FILE_BYTES = 128 << 20  # ten minutes at 60 frames per second with full-precision text are about 50 MB
@@ -19,20 +21,65 @@ _GAP_FRAMES = 1.75  # a step longer than this many frames is called a gap
 _MAX_REPAIRED = 0.5  # with more than this part of the frames unreadable nothing can be trusted
 _MAX_LISTED = 6
 _REPORT_EVERY = 2048  # frames between reports of a writer
-_BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 _SECONDS_PER_DAY = 86400.0
+_TOO_MUCH = 2.0  # no weight of 0..1 goes there but by a glitch
+_PERCENT_SHARE = 0.05  # of the frames have such a weight where weights are percentages
+_MOST_PERCENT = 200.0
 
-_LOOKUP = {name.lower(): i for i, name in enumerate(ARKIT_NAMES)}
+
+def arkit_weights(
+    path: Path, kind: str, names: Sequence[str], values: np.ndarray, warnings: list[str]
+) -> tuple[np.ndarray, frozenset[int]]:
+    """Turn a file's columns into ARKit weights, whatever they are called and scaled, and fill gaps.
+
+    Args:
+        path: For messages.
+        kind: What the file was taken for.
+        names: Of the columns.
+        values: [T, columns]; NaN where something is missing.
+        warnings: Sentences about what was done are appended.
+
+    Returns:
+        Weights [T, 52] float32, and the indices of the shapes that the file has.
+
+    Raises:
+        FileFormatError: No name is known, or more than half of the frames are unreadable.
+    """
+    shapes = map_shapes(names)
+    if not shapes.found:
+        raise bad_file(path, kind, "none of its names is an ARKit shape")
+    weights = fill_missing(path, kind, shapes.weights(values), "weights", warnings)
+    warnings.extend(shapes.warnings)
+    highest = weights.max(1)
+    if weights.max() <= _MOST_PERCENT and (highest > _TOO_MUCH).mean() > _PERCENT_SHARE:
+        weights /= 100.0
+        warnings.append("The weights go up to 100 and were read as percentages.")
+    return weights, shapes.found
 
 
-def arkit_index(name: str) -> int | None:
-    """Index of an ARKit name however its program spells it (EyeBlinkLeft, eyeBlink_L, blendShape.eyeBlinkLeft), or None."""
-    key = name.strip().rsplit(".", 1)[-1].lower()
-    if key.endswith("_l"):
-        key = key[:-2] + "left"
-    elif key.endswith("_r"):
-        key = key[:-2] + "right"
-    return _LOOKUP.get(key.replace("_", "").replace(" ", ""))
+def scale_times(times: np.ndarray, fps: float, warnings: list[str]) -> np.ndarray:
+    """Time stamps in seconds [T], whatever unit they count in; a sentence says which one was assumed.
+
+    No recording has less than a frame a second, so that larger steps count milliseconds, microseconds or nanoseconds; whole
+    steps of one count frames.
+
+    Args:
+        times: As the file has them, with at least two different ones.
+        fps: Frame rate of time stamps that count frames.
+        warnings: The sentence is appended.
+    """
+    steps = np.diff(np.sort(times))
+    step = float(np.median(steps[steps > 0]))
+    if step < 1.0:
+        return times
+    if (times == np.rint(times)).all() and steps[steps > 0].min() == step == 1.0:
+        warnings.append(f"The time stamps count frames; {fps:g} frames per second were assumed.")
+        return times / fps
+    for unit, name in ((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds")):
+        if step * unit < 1.0:
+            warnings.append(f"The time stamps are {step:g} apart and were read as {name}.")
+            return times * unit
+    return times
 
 
 def fill_missing(path: Path, kind: str, values: np.ndarray, what: str, warnings: list[str]) -> np.ndarray:
@@ -104,11 +151,6 @@ def missing_warning(found: set[int]) -> list[str]:
         return []
     more = f" and {len(missing) - _MAX_LISTED} more" if len(missing) > _MAX_LISTED else ""
     return [f"The file has no {', '.join(missing[:_MAX_LISTED])}{more}; they stay at zero."]
-
-
-def without_mark(start: bytes) -> bytes:
-    """The first bytes of a text without a byte order mark and leading space."""
-    return start.removeprefix(_BYTE_ORDER_MARK).lstrip()
 
 
 def report_frame(progress: Progress | None, i: int, count: int) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...files.format import Format
-from ...geometry.rotations import matrix_to_quaternion, quaternion_to_matrix
+from ...geometry.rotations import matrix_to_quaternion, multiply_quaternions, quaternion_to_matrix
 from ..glb import GltfReader, GltfWriter
 from .cloud import MAX_DEGREE, MAX_SPLATS, SplatCloud, exp_scale, finish_reading
 
@@ -150,26 +150,11 @@ def _transform(reader: GltfReader, cloud: SplatCloud, matrix: np.ndarray) -> Spl
         raise reader.bad("a node's scale differs between axes, which splats cannot follow")
     cloud.means = (cloud.means @ linear.T + matrix[:3, 3]).astype(np.float32)
     cloud.scales = (cloud.scales * size).astype(np.float32)
-    cloud.quats = multiply_quaternions(matrix_to_quaternion(rotation)[None], cloud.quats)
+    cloud.quats = multiply_quaternions(matrix_to_quaternion(rotation)[None], cloud.quats).astype(np.float32)
     if cloud.sh.shape[1] > 1 and not np.allclose(rotation, np.eye(3), atol=1e-4):
         cloud.sh = cloud.sh[:, :1]
         cloud.warnings.append("View-dependent color was dropped, since its node is turned.")
     return cloud
-
-
-def multiply_quaternions(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Hamilton product a b of quaternions wxyz, [..., 4], float32."""
-    aw, ax, ay, az = np.moveaxis(np.asarray(a), -1, 0)
-    bw, bx, by, bz = np.moveaxis(np.asarray(b), -1, 0)
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        -1,
-    ).astype(np.float32)
 
 
 def _join(clouds: list[SplatCloud]) -> SplatCloud:

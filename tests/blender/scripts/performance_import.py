@@ -216,3 +216,36 @@ report(live_link=live_link())
 report(cleaned=cleaned(), flame=flame_on_ours())
 report(messages=messages())
 report(edits=edits())
+
+
+def drawn_options() -> dict:
+    """Every option of the import operator stands in one panel of the file browser, and exists."""
+    operator = module("operators.import_performance").GRMM_OT_import_performance
+    properties = bpy.ops.grmm.import_performance.get_rna_type().properties
+    names: list[str] = []
+
+    class Layout:
+        use_property_split = False
+
+        def panel(self, name: str, default_closed: bool = False) -> tuple:
+            return self, self
+
+        def column(self) -> object:
+            return self
+
+        def label(self, text: str) -> None:
+            assert text
+
+        def prop(self, owner: object, name: str) -> None:
+            assert name in properties, name
+            names.append(name)
+
+    functions = {name: value for name, value in vars(operator).items() if callable(value)}
+    values = {"layout": Layout(), "keys": "REDUCED", "neutral": "FRAMES"}
+    stand_in = type("Drawn", (), {**functions, **values})()
+    stand_in.draw(bpy.context)
+    hidden = {"rna_type", "filepath", "filter_glob"}
+    return {"missing": sorted(set(properties.keys()) - set(names) - hidden), "twice": len(names) - len(set(names))}
+
+
+report(drawn_options=drawn_options())

@@ -33,6 +33,21 @@ bpy.context.view_layer.objects.active = avatar.armature
 load(files(presets.EXPRESSIONS)[0], "GRMM_MT_expression_presets")
 report(expressions=results, from_armature=shown())
 
+# Whatever sets values from Python has the editors drawn again, which custom properties do not by themselves.
+drawn_again: list[str] = []
+module("grmm_blender.rig.avatar").redraw = lambda *kinds: drawn_again.extend(kinds)
+editors = {}
+for name, options in (
+    ("random_expression", {"seed": 2}), ("mirror", {}), ("random_identity", {"seed": 2}), ("random_detail", {"seed": 2}),
+    ("save_pose", {"name": "Mine"}), ("apply_pose", {"pose": "Mine"}), ("reset", {}),
+):  # fmt: skip
+    drawn_again.clear()
+    getattr(bpy.ops.grmm, name)(**options)
+    editors[name] = list(drawn_again)
+drawn_again.clear()
+load(files(presets.EXPRESSIONS)[0], "GRMM_MT_expression_presets")
+report(drawn_again=editors | {"preset": list(drawn_again)})
+
 render = {}
 settings = bpy.context.scene.grmm_render
 for path in files(presets.RENDER):

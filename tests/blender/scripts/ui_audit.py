@@ -89,6 +89,23 @@ for name in head.keys():  # noqa: SIM118
     if not abs(ui.get("max", FAR)) < FAR or not abs(ui.get("min", FAR)) < FAR:
         problems.append(f"property {name} of the head has no range")
 
+
+class Opening:
+    """Stands in for the context while a file is being opened: there is no active object to ask for."""
+
+    def __getattr__(self, name: str) -> object:
+        if name in ("object", "active_object"):
+            raise AttributeError(name)
+        return getattr(bpy.context, name)
+
+
+shelves = ours(bpy.types.AssetShelf)
+asked = [
+    cls.__name__
+    for cls in (*operators, *shelves, *ours(bpy.types.FileHandler))
+    if hasattr(cls, "poll") and [cls.poll(Opening())]
+]
+
 # panels follow the selection: head and armature show the same, another object shows none of an avatar's
 contents = [cls for cls in module("grmm_blender.panels").CLASSES if cls.bl_space_type == "VIEW_3D"]
 
@@ -106,6 +123,7 @@ empty = bpy.data.objects.new("Empty", None)
 bpy.context.scene.collection.objects.link(empty)
 report(
     problems=problems,
+    asked=asked,
     operators=[cls.__name__ for cls in operators],
     undoing=undoing,
     properties=sum(len(cls.bl_rna.properties) for cls in groups),

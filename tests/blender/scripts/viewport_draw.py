@@ -156,6 +156,18 @@ report(
     own_triangles=len(own[0]),
 )
 
+# In a view without perspective, whose plane goes through the middle of the head, as those of the keys of the numeric pad.
+perspective = region_data.view_matrix.copy(), region_data.window_matrix.copy()
+region_data.view_matrix = Matrix(((1, 0, 0, 0), (0, 0, 1, 0), (0, -1, 0, 0), (0, 0, 0, 1)))
+region_data.window_matrix = Matrix(((4, 0, 0, 0), (0, 5, 0, 0), (0, 0, -0.001, 0), (0, 0, 0, 1)))
+settle()
+flat = in_buffer(draw)
+covered = flat[..., 3] > 0.98
+through = np.abs(in_buffer(lambda: triangles(own[0], RED), draw)[covered] - flat[covered]).max(-1) > 0.03
+report(own_mesh_ortho=float(through.mean()), ortho_covered=float(covered.mean()))
+region_data.view_matrix, region_data.window_matrix = perspective
+settle()
+
 # Bounds instead of the mesh: nothing to stand before any more. In an edit mode the mesh alone is shown.
 head = heads(scene)[0]
 head.display_type = "BOUNDS"
@@ -168,6 +180,46 @@ bpy.ops.object.mode_set(mode="SCULPT")
 overlay._on_change()
 report(sculpt=float(in_buffer(draw).max()))
 bpy.ops.object.mode_set(mode="OBJECT")
+
+# Bones stand over the splats while the rig is posed, and only then.
+rig = head.parent
+bones = module("grmm_blender.viewport.bones")
+overlays = SimpleNamespace(show_overlays=True, show_bones=True)
+view = SimpleNamespace(
+    space_data=SimpleNamespace(overlay=overlays), view_layer=bpy.context.view_layer, preferences=bpy.context.preferences
+)
+
+
+def draw_bones() -> None:
+    gpu.matrix.load_matrix(region_data.view_matrix)
+    gpu.matrix.load_projection_matrix(region_data.window_matrix)
+    bones.draw_bones(view, bpy.context.evaluated_depsgraph_get())
+    gpu.matrix.load_matrix(Matrix.Identity(4))
+    gpu.matrix.load_projection_matrix(Matrix.Identity(4))
+
+
+def changed_by_bones() -> float:
+    settle()
+    return float((np.abs(in_buffer(draw, draw_bones) - in_buffer(draw))[solid].max(-1) > 0.1).mean())
+
+
+def bone_colors() -> set[tuple[float, ...]]:
+    found = bones.posed_bones(view, bpy.context.evaluated_depsgraph_get())
+    return {tuple(round(value, 3) for value in color[:3]) for *_, color in found}
+
+
+looked_at = changed_by_bones()
+bpy.context.view_layer.objects.active = rig
+bpy.ops.object.mode_set(mode="POSE")
+posed = changed_by_bones()
+colors = bone_colors()
+names = [bone.name for bone in rig.pose.bones if any(c.is_visible_effectively for c in bone.bone.collections)]
+bpy.ops.pose.select_all(action="SELECT")
+selected = bone_colors()
+overlays.show_bones = False
+report(bones=[looked_at, posed, changed_by_bones()], bone_names=names, bone_colors=[len(colors), len(colors & selected)])
+bpy.ops.object.mode_set(mode="OBJECT")
+bpy.context.view_layer.objects.active = head
 
 # Only what has changed is made anew.
 overlay._on_change()

@@ -26,6 +26,12 @@ scene = new_scene(sys.argv[1], size=(16, 16))
 scene.frame_set(2)
 scene.grmm_viewport.detail = "1"
 bpy.ops.render.render()
+bones = module("grmm_blender.viewport.bones")
+rig = bpy.context.object if bpy.context.object.type == "ARMATURE" else bpy.context.object.parent
+bpy.context.view_layer.objects.active = rig
+looked_at = len(list(bones.posed_bones(bpy.context, bpy.context.evaluated_depsgraph_get())))
+bpy.ops.object.mode_set(mode="POSE")
+report(bones=[looked_at, len(list(bones.posed_bones(bpy.context, bpy.context.evaluated_depsgraph_get())))])
 report(callbacks=len(overlay._callbacks), rendered=True)
 
 # The level of detail follows measured times; the first one is that of loading.

@@ -14,10 +14,10 @@ from PIL import Image
 from safetensors import numpy as safetensors
 
 from grmm_core.avatar import load_avatar, read_avatar_header, save_avatar
-from grmm_core.avatar.make import sampled_avatar
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError, ShapeError
 from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.model.config import PRESETS
+from grmm_core.model.people import sampled_avatar
 from grmm_core.model.weights_file import WeightsInfo
 from grmm_core.pictures.color import linear_to_srgb, scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from grmm_core.pictures.images import encode_exr, encode_png, quantize

@@ -13,11 +13,11 @@ from grmm_core.avatar import load_avatar, save_avatar
 from grmm_core.controls.frame import Controls, resolve
 from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError
-from grmm_core.fitting.codes import code_prior, expression_code
+from grmm_core.fitting.codes import code_prior
 from grmm_core.fitting.color import PhotoLight, recolor, solve_maps, unchanged
 from grmm_core.fitting.invert import invert, photo_errors
 from grmm_core.fitting.locality import Locality, code_distances
-from grmm_core.fitting.objective import decode, draw, mesh
+from grmm_core.fitting.objective import decode, draw, photo_inputs
 from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset, preset_named
 from grmm_core.fitting.result import photo_camera, photo_controls
 from grmm_core.fitting.surface import SKIN, texel_surface
@@ -27,8 +27,8 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.model.config import BASIS_COLOR
 from grmm_core.model.config import PRESETS as MODEL_PRESETS
 from grmm_core.model.grmm import GRMM
+from grmm_core.model.store import with_deltas
 from grmm_core.model.weights_file import WeightsInfo
-from grmm_core.session.models import with_deltas
 
 SIZE = 96
 QUICK = Preset("quick", CodeSettings(64, 48, 4, 1, 0, 10), DecoderSettings(((64, 8), (96, 10)), False))
@@ -66,10 +66,8 @@ def photo(model, z_id, yaw=0.0, gain=1.0, smile=0.0, brown=0.0):
     aligned = np.zeros(len(ALIGNED_NAMES), np.float32)
     aligned[: len(expression)] = expression[: len(ALIGNED_NAMES)]
     with torch.no_grad():
-        rendering = model.render(
-            camera, shape=torch.tensor(shape), expression=torch.tensor(expression), pose=torch.tensor(pose),
-            z_id=torch.tensor(z_id), z_exp=model.z_expression(torch.tensor(aligned)),
-        )  # fmt: skip
+        frame = (torch.tensor(array) for array in (z_id, shape, expression, pose, aligned))
+        rendering = model.render(camera, model.performed(*frame))
     mask = rendering.alpha.numpy()
     image = rendering.image.numpy() * gain * np.array([1.0, 1.0 - 0.5 * brown, 1.0 - brown], np.float32)
     vertices = head.vertices(shape, expression, pose)
@@ -211,14 +209,15 @@ def test_locality_codes_are_at_the_documented_distance(person):
     prior = code_prior(info, model)
     view = fit_view(photo(model, z_id), model.head_model, 0, 64, len(ALIGNED_NAMES), model.dtype)
     fitted = torch.tensor(z_id)
-    codes = type("Fitted", (), {"z_id": fitted, "expression_code": lambda self, m, v: torch.zeros(m.z_exp_size)})()
+    inputs = dataclasses.replace(photo_inputs(model, view, fitted, None), z_exp=torch.zeros(model.z_exp_size))
+    codes = type("Fitted", (), {"z_id": fitted, "inputs": lambda self, model, view: inputs})()
     locality = Locality(model, prior, codes, view)
     id_distance, exp_distance = code_distances(model, prior)
     spread = np.sqrt(2.0 * np.var(info.z_id, axis=0, ddof=1).sum())
     assert id_distance == pytest.approx(0.5 * spread, rel=1e-4)
-    for number, (near, z_exp, _) in enumerate(locality.bank):
-        assert float((near - fitted).norm()) == pytest.approx(0.0 if number % 2 else id_distance, abs=1e-4)
-        assert float(z_exp.norm()) == pytest.approx(exp_distance, rel=1e-3)
+    for number, (near, _) in enumerate(locality.bank):
+        assert float((near.z_id - fitted).norm()) == pytest.approx(0.0 if number % 2 else id_distance, abs=1e-4)
+        assert float(near.z_exp.norm()) == pytest.approx(exp_distance, rel=1e-3)
         assert float(locality(model, number).detach()) == 0.0
 
 
@@ -228,8 +227,8 @@ def test_color_maps_are_found_exactly(person):
     view = fit_view(photo(model, z_id), model.head_model, 0, 96, len(ALIGNED_NAMES), model.dtype)
     code = torch.tensor(z_id)
     with torch.no_grad():
-        z_exp = expression_code(model, view, torch.zeros(model.z_exp_size))
-        vertices, look = mesh(model, view, code, z_exp), decode(model, code, z_exp, view.camera)
+        inputs = photo_inputs(model, view, code, None)
+        vertices, look = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
         wanted = unchanged(code)
         wanted[SKIN] = torch.tensor([[0.7, 0.05, 0.0], [0.0, 0.8, 0.1], [0.05, 0.0, 0.5], [0.1, 0.02, -0.03]])
         drawn = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, wanted, surface)), refined=False)

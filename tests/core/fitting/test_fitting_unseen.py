@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
-from grmm_core.fitting.objective import FIT_WEIGHTS, Drawn, fit_loss
+from grmm_core.fitting.objective import FIT_WEIGHTS, fit_loss
 from grmm_core.fitting.surface import SCALP, SKIN, texel_surface
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.fitting.unseen import facing, fill_colors, lid_exposure
@@ -16,7 +16,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 from grmm_core.head.open_head import load_open_head
 from grmm_core.model.config import PRESETS
-from grmm_core.model.grmm import GRMM
+from grmm_core.model.grmm import GRMM, Picture
 
 SIZE = 160
 SKIN_TONE, HAIR, CLOTH = np.array([0.8, 0.6, 0.5]), np.array([0.1, 0.07, 0.05]), np.array([0.1, 0.2, 0.7])
@@ -101,7 +101,7 @@ def test_an_avatar_may_not_cover_clothes_beside_its_bust(model):
     losses = []
     for alpha in (view.inside, (view.inside + view.empty).clamp(0, 1)):
         picture = view.image * alpha[..., None]
-        drawn = Drawn(picture, picture, alpha)
+        drawn = Picture(picture, picture, alpha, alpha)
         losses.append(float(fit_loss(drawn, view, torch.zeros(3), FIT_WEIGHTS, None)))
     assert losses[1] > losses[0] + 0.5 * FIT_WEIGHTS.alpha * float(view.empty.mean())
 
@@ -190,7 +190,7 @@ def test_unseen_skin_behind_hair_goes_on_as_hair(model, surface):
 
 def test_grazing_skin_counts_less_than_skin_that_faces_the_camera(model, surface):
     view = view_of(model)
-    frontal = facing(model, view, model.vertices(view.shape[None], view.expression[None], view.pose[None])[0], surface)
+    frontal = facing(model, view, model.vertices(view.shape, view.expression, view.pose), surface)
     places = model.anchor(model.head.v_template).positions
     skin = surface.group == SKIN
     nose = skin & (places[:, 2] > places[skin, 2].max() - 0.01)

@@ -12,9 +12,10 @@ import torch
 from model_fixtures import TEETH, inputs, randomise, small_head
 
 from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.tensor_rotations import euler_to_rotvec
 from grmm_core.head.skinning import euler_matrices
 from grmm_core.model.config import PRESETS
-from grmm_core.model.grmm import GRMM, JAW, NECK, euler_to_rotvec
+from grmm_core.model.grmm import GRMM, JAW, NECK
 from grmm_core.splat import rasterize
 from grmm_core.splat.reference import rotation_matrices
 from grmm_core.training.losses import LossWeights, Target, code_loss, scale_loss, ssim, total_loss, vertex_laplacian
@@ -62,10 +63,10 @@ def test_equation_2_cameras_in_head_space():
 def test_equations_5_to_11_of_the_mesh_decoder(model):
     data = inputs(model)
     decoder = model.mesh_decoder
-    z_id, z_exp = array(data["z_id"]), array(data["z_exp"])
-    turns = array(euler_to_rotvec(data["pose"][[NECK, JAW]]))
+    z_id, z_exp = array(data.z_id), array(data.z_exp)
+    turns = array(euler_to_rotvec(data.pose[[NECK, JAW]]))
     alpha_exp = np.zeros(100)
-    alpha_exp[:52] = array(data["expression"])
+    alpha_exp[:52] = array(data.expression)
 
     f_base = layers(decoder.shared, np.concatenate([z_id, turns[0], turns[1]]), last=True)  # eq. 5
     v_id = layers(decoder.identity, f_base)  # eq. 6
@@ -76,23 +77,22 @@ def test_equations_5_to_11_of_the_mesh_decoder(model):
     M_face[TEETH] = 0.0
     v_delta = 1e-3 * (v_id.reshape(-1, 3) + M_face * v_exp.reshape(-1, 3))  # of eq. 11, millimetres to metres
 
-    parts = (data["z_id"], data["z_exp"], torch.from_numpy(turns[0]), torch.from_numpy(turns[1]), data["expression"])
-    found = model.displacement(*(part[None] for part in parts))[0]
+    found = model.displacement(data)
     assert np.abs(v_delta).max() > 1e-5
     np.testing.assert_allclose(array(found), v_delta, atol=1e-12)
 
     # v_d = v_rec + v_delta: with all joints at rest, skinning changes nothing
     head = model.head_model
-    v_rec = head.v_template + head.shape_dirs @ array(data["shape"]) + head.expression_dirs @ array(data["expression"])
-    still = torch.zeros(1, 5, 3, dtype=torch.float64)
-    vertices = model.vertices(data["shape"][None], data["expression"][None], still, found[None])
-    np.testing.assert_allclose(array(vertices[0]), v_rec + v_delta, atol=1e-6)  # the head's arrays are float32
+    v_rec = head.v_template + head.shape_dirs @ array(data.shape) + head.expression_dirs @ array(data.expression)
+    still = torch.zeros(5, 3, dtype=torch.float64)
+    vertices, _ = model.head(data.shape, data.expression, still, found)
+    np.testing.assert_allclose(array(vertices), v_rec + v_delta, atol=1e-6)  # the head's arrays are float32
 
 
 def test_equation_12_attributes_in_the_tangent_frame(model):
     data, c = inputs(model), model.config
     frames = model.anchor(torch.from_numpy(model.head_model.v_template.astype(np.float64)))
-    offsets = model.offsets(data["z_id"], data["z_exp"])
+    offsets = model.offsets(data.z_id, data.z_exp)
     placed = model.geometry(torch.from_numpy(model.head_model.v_template.astype(np.float64)), offsets)
     delta_p, delta_r, delta_s = np.split(array(offsets), (3, 7), axis=1)
     axes = array(rotation_matrices(frames.quats))
@@ -111,7 +111,7 @@ def test_equation_12_attributes_in_the_tangent_frame(model):
 def test_equations_13_and_14_rasterise_then_refine(model):
     data = inputs(model)
     camera = Camera.orbit(26, 22, yaw=15.0, distance=0.8)
-    out = model.render(camera, **data, backend="torch")
+    out = model.render(camera, data, backend="torch")
     raster = rasterize(out.gaussians, camera, backend="torch")
     covered = array(raster.alpha) > 0.5
     depth = array(raster.depth)
@@ -126,7 +126,7 @@ def test_equations_13_and_14_rasterise_then_refine(model):
 def test_equations_15_to_18_of_the_objective(model):
     data = inputs(model)
     camera = Camera.orbit(26, 22, yaw=15.0, distance=0.8)
-    out = model.render(camera, **data, backend="torch")
+    out = model.render(camera, data, backend="torch")
     random = torch.Generator().manual_seed(3)
     metres = 0.8 + 0.1 * torch.rand(22, 26, generator=random, dtype=torch.float64)
     metres[:, :9] = 0.0  # unknown there
@@ -136,8 +136,8 @@ def test_equations_15_to_18_of_the_objective(model):
         return (a - b).square().mean().sqrt()
 
     laplacian = vertex_laplacian(torch.from_numpy(model.head_model.faces.copy()), model.head_model.vertex_count).double()
-    codes = (data["z_id"], data["z_exp"])
-    loss, terms = total_loss(out, target, codes, laplacian, LossWeights(), True, perceptual)
+    codes = (data.z_id, data.z_exp)
+    loss, terms = total_loss(out, target, laplacian, LossWeights(), True, perceptual)
 
     def L_rec(picture):  # eq. 16
         L_l1 = (picture - target.image).abs().mean()
@@ -149,7 +149,7 @@ def test_equations_15_to_18_of_the_objective(model):
     assert scale_loss(out.gaussians.scales * 1e3).item() == pytest.approx(l_s.mean(), rel=1e-9)
     L_z = sum((code**2).sum() for code in map(array, codes))
     assert code_loss(*codes).item() == pytest.approx(L_z, rel=1e-9)
-    rough = array(laplacian(out.displacement * 1e3))
+    rough = array(laplacian(out.mesh.displacement * 1e3))
     L_reg = 0.1 * l_s.mean() + 0.001 * L_z + 0.01 * (rough**2).sum(1).mean()  # eq. 17
     known = (array(metres) > 0) & (array(out.alpha) > 0.5)
     assert 0 < known.sum() < (array(out.alpha) > 0.5).sum()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -12,9 +13,11 @@ from model_fixtures import SHAPES, TEETH, inputs, randomise, small_head
 from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.errors import ConfigError, ShapeError
 from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.tensor_rotations import euler_to_rotvec
 from grmm_core.model.config import BASIS_COLOR, PRESETS, GRMMConfig
 from grmm_core.model.decoders import MapDecoder
-from grmm_core.model.grmm import GRMM, euler_to_rotvec
+from grmm_core.model.grmm import GRMM
+from grmm_core.model.inputs import ModelInputs
 
 
 @pytest.fixture(scope="module")
@@ -91,36 +94,31 @@ def test_film_formula(model):
 
 
 def test_displacement_starts_at_zero(model):
-    data = inputs(model)
-    turns = torch.zeros(1, 3)
-    result = model.displacement(data["z_id"][None], data["z_exp"][None], turns, turns, data["expression"][None])
-    assert result.shape == (1, model.head_model.vertex_count, 3)
+    result = model.displacement(inputs(model))
+    assert result.shape == (model.head_model.vertex_count, 3)
     assert not result.any()
 
 
 def test_expression_does_not_move_teeth_but_identity_does(model):
     randomise(model)
     data = inputs(model)
-    zero = torch.zeros(1, 3)
-    z_id = data["z_id"][None]
 
-    def displacement(z_id, z_exp, expression):
-        return model.displacement(z_id, z_exp, zero, zero, expression)[0].detach().numpy()
+    def displacement(**changes):
+        return model.displacement(dataclasses.replace(data, **changes)).detach().numpy()
 
-    one = displacement(z_id, data["z_exp"][None], data["expression"][None])
-    other = displacement(z_id, -data["z_exp"][None], -data["expression"][None])
+    one = displacement()
+    other = displacement(z_exp=-data.z_exp, expression=-data.expression)
     moved = np.abs(one - other).max(1)
     assert (moved[TEETH] == 0).all()
     assert (np.delete(moved, TEETH) > 0).all()
-    person = displacement(-z_id, data["z_exp"][None], data["expression"][None])
+    person = displacement(z_id=-data.z_id)
     assert (np.abs(one - person).max(1)[TEETH] > 0).all()
 
 
 def test_displacement_is_in_millimetres(model):
     with torch.no_grad():
         model.mesh_decoder.identity[-1].bias.fill_(1.0)
-    zero = torch.zeros(1, 3)
-    result = model.displacement(torch.zeros(1, 6), torch.zeros(1, 5), zero, zero, torch.zeros(1, 52))
+    result = model.displacement(ModelInputs(*(torch.zeros(n) for n in (6, 5, SHAPES, 52)), torch.zeros(5, 3)))
     torch.testing.assert_close(result, torch.full_like(result, 1e-3))
 
 
@@ -147,21 +145,22 @@ def test_opacity_depends_on_identity_only_and_appearance_on_the_view(model):
     randomise(model)
     data = inputs(model)
     front, side = torch.tensor([0.0, 0.0, 1.0]), torch.tensor([1.0, 0.0, 0.0])
-    one = model.gaussians(torch.from_numpy(model.head_model.v_template.copy()), data["z_id"], data["z_exp"], front)
-    other = model.gaussians(torch.from_numpy(model.head_model.v_template.copy()), data["z_id"], -data["z_exp"], side)
+    vertices = torch.from_numpy(model.head_model.v_template.copy())
+    one = model.gaussians(vertices, model.attributes(data, front))
+    other = model.gaussians(vertices, model.attributes(dataclasses.replace(data, z_exp=-data.z_exp), side))
     torch.testing.assert_close(one.opacities, other.opacities)
     assert ((one.opacities > 0) & (one.opacities < 1)).all()
     assert (one.colors - other.colors).abs().max() > 1e-4
     assert (one.features - other.features).abs().max() > 1e-4
     assert (one.means - other.means).abs().max() > 1e-5
-    added = model.expression_colors(data["z_id"], data["z_exp"])
-    torch.testing.assert_close(model.appearance(data["z_id"], front)[0] + added, one.colors)
+    added = model.expression_colors(data.z_id, data.z_exp)
+    torch.testing.assert_close(model.appearance(data.z_id, front)[0] + added, one.colors)
 
 
 def test_expression_maps_color_by_expression_with_a_gain_by_identity(model):
     randomise(model)
     maps = model.decoders.expression
-    z_id, z_exp = inputs(model)["z_id"], inputs(model)["z_exp"]
+    z_id, z_exp = inputs(model).z_id, inputs(model).z_exp
     weights = (maps.weights.weight @ z_exp) * (1 + maps.gains.weight @ z_id)
     expected = torch.einsum("k,knc->nc", weights, maps.maps.view(len(weights), -1, 3))
     torch.testing.assert_close(model.expression_colors(z_id, z_exp), expected)
@@ -207,8 +206,8 @@ def test_without_residuals_coefficients_take_the_codes_places(head):
     assert (model.z_id_size, model.z_exp_size) == (SHAPES, 52)
     assert model.aligned_codes is None
     data = inputs(model)
-    assert model.z_identity(torch.zeros(6), data["shape"]) is data["shape"]
-    torch.testing.assert_close(model.z_expression(torch.zeros(60), expression=data["expression"]), data["expression"])
+    assert model.z_identity(torch.zeros(6), data.shape) is data.shape
+    torch.testing.assert_close(model.z_expression(torch.zeros(60), expression=data.expression), data.expression)
     with pytest.raises(ConfigError):
         model.z_expression(torch.zeros(60))
 
@@ -219,8 +218,8 @@ def test_without_residuals_coefficients_take_the_codes_places(head):
 def test_render_composes_over_the_background(model):
     data = inputs(model)
     camera = Camera.orbit(24, 20, distance=0.8)
-    black = model.render(camera, **data, backend="torch")
-    blue = model.render(camera, **data, background=(0.0, 0.0, 1.0), backend="torch")
+    black = model.render(camera, data, backend="torch")
+    blue = model.render(camera, data, background=(0.0, 0.0, 1.0), backend="torch")
     assert black.image.shape == (20, 24, 3)
     expected = black.image + (1 - black.alpha)[..., None] * torch.tensor([0.0, 0.0, 1.0])
     torch.testing.assert_close(blue.image, expected)
@@ -229,9 +228,9 @@ def test_render_composes_over_the_background(model):
 
 
 def test_wrong_code_lengths_are_named(model):
-    data = inputs(model) | {"z_id": torch.zeros(3)}
+    data = dataclasses.replace(inputs(model), z_id=torch.zeros(3))
     with pytest.raises(ShapeError, match="z_id"):
-        model.render(Camera.orbit(8, 8), **data, backend="torch")
+        model.render(Camera.orbit(8, 8), data, backend="torch")
 
 
 def test_gradients_of_the_whole_chain(head):
@@ -239,17 +238,18 @@ def test_gradients_of_the_whole_chain(head):
     torch.manual_seed(7)
     model = GRMM(head, PRESETS["tiny"].replace(grid=16, decoder_channels=(8,), decoder_grid=8, view_stage=4)).double()
     randomise(model, 0.2)
-    data = {name: value.requires_grad_(True) for name, value in inputs(model).items()}
+    data = inputs(model)
+    given = {name: getattr(data, name).requires_grad_(True) for name in ("z_id", "z_exp", "shape", "expression", "pose")}
     camera = Camera.orbit(20, 18, yaw=30.0, distance=0.8)
     target = torch.rand(18, 20, 3, dtype=torch.float64)
 
     def loss() -> torch.Tensor:
-        r = model.render(camera, **data, background=(0.2, 0.5, 0.1), backend="torch")
+        r = model.render(camera, data, background=(0.2, 0.5, 0.1), backend="torch")
         return (r.image - target).square().mean() + 0.3 * (r.raw - target).square().mean() + r.alpha.mean() + r.depth.mean()
 
     model.zero_grad()
     loss().backward()
-    leaves = data | dict(model.named_parameters())
+    leaves = given | dict(model.named_parameters())
     generator = torch.Generator().manual_seed(8)
     step = 1e-6
     for name, leaf in leaves.items():

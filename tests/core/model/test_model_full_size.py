@@ -14,6 +14,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM
+from grmm_core.model.inputs import ModelInputs
 
 pytestmark = pytest.mark.slow
 MEMORY_GOAL = 2 << 30  # bytes
@@ -25,15 +26,14 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM
+from grmm_core.model.inputs import ModelInputs
 
 torch.manual_seed(0)
 model = GRMM(load_open_head(), PRESETS["paper"]).eval().requires_grad_(False)
 shape, expression = torch.zeros(model.head_model.shape_dirs.shape[-1]), torch.zeros(len(model.head_model.expression_names))
 with torch.inference_mode():
-    out = model.render(
-        Camera.orbit(1024, 1024), shape=shape, expression=expression, pose=torch.zeros(5, 3),
-        z_id=torch.randn(model.z_id_size), z_exp=torch.randn(model.z_exp_size),
-    )
+    codes = torch.randn(model.z_id_size), torch.randn(model.z_exp_size)
+    out = model.render(Camera.orbit(1024, 1024), ModelInputs(*codes, shape, expression, torch.zeros(5, 3)))
 # Not getrusage: its peak counts this test's process too, out of which the new one is started.
 peak = 1024 * int(re.search(r"VmHWM:\s*(\d+) kB", open("/proc/self/status").read())[1])
 print(json.dumps({"peak": peak, "cover": float(out.alpha.mean()), "finite": bool(out.image.isfinite().all())}))
@@ -48,7 +48,7 @@ def test_forward_and_backward(name, size):
     rest = {"shape": model.head_model.shape_dirs.shape[-1], "expression": len(model.head_model.expression_names)}
     data = codes | {key: torch.zeros(length) for key, length in rest.items()} | {"pose": torch.zeros(5, 3)}
     data = {key: value.requires_grad_(True) for key, value in data.items()}
-    out = model.render(Camera.orbit(size, size), **data)
+    out = model.render(Camera.orbit(size, size), ModelInputs(**data))
     assert out.image.shape == (size, size, 3)
     assert out.alpha.max() > 0.9
     (out.image.square().mean() + out.raw.square().mean() + out.depth.mean()).backward()

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
-from model_fixtures import SHAPES, small_head
+from model_fixtures import SHAPES, inputs, small_head
 
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
 from grmm_core.files.tensorfile import read_tensors, write_tensors
@@ -73,8 +73,8 @@ def test_round_trip(saved, model, info, head):
 def test_loaded_model_draws_the_same(saved, model, head):
     loaded, _ = load_weights(saved, head)
     vertices = torch.from_numpy(head.v_template.copy())
-    z_id, z_exp, view = torch.ones(6), torch.ones(5), torch.tensor([0.0, 0.0, 1.0])
-    one, two = (m.gaussians(vertices, z_id, z_exp, view) for m in (model, loaded))
+    data, view = inputs(model), torch.tensor([0.0, 0.0, 1.0])
+    one, two = (m.gaussians(vertices, m.attributes(data, view)) for m in (model, loaded))
     torch.testing.assert_close(one.means, two.means, atol=1e-4, rtol=0)
     torch.testing.assert_close(one.colors, two.colors, atol=3e-3, rtol=0)
 

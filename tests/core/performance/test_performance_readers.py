@@ -122,14 +122,29 @@ def test_live_link_columns_are_found_by_name_in_any_order_and_case(tmp_path):
     assert plain.warnings == []
 
 
-def test_live_link_landscape_swaps_the_sign_of_pitch_and_yaw(tmp_path):
+def test_live_link_heads_turn_as_in_the_engine_of_the_apps_maker(tmp_path):
+    """Derived in docs/formats.md: yaw to the subject's right, pitch down, roll to the left shoulder are positive."""
+    nose, ear = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])  # forward, and the subject's left
+    for column, along, component in ((0, nose, 0), (1, nose, 1), (2, ear, 1)):
+        angles = np.zeros((70, 9))
+        angles[:, column] = 0.3
+        path = write_csv(tmp_path / "a.csv", smooth_weights(70), angles)
+        turned = {}
+        for option in ("", "landscape", "flip_yaw", "flip_pitch", "flip_roll"):
+            turn = euler_to_matrix(read_performance(path, **({option: True} if option else {})).head_rotation[0])
+            turned[option] = float((turn @ along)[component])
+        assert turned[""] == pytest.approx(-np.sin(0.3), abs=1e-6)
+        flipped = {"flip_yaw", "landscape"} if column == 0 else {"flip_pitch", "landscape"} if column == 1 else {"flip_roll"}
+        for option, value in turned.items():
+            assert np.sign(value) == (1 if option in flipped else -1), (column, option)
+
+
+def test_live_link_angles_compose_as_yaw_of_pitch_of_roll(tmp_path):
     angles = np.tile(np.linspace(0.1, 0.9, 9), (70, 1))
-    path = write_csv(tmp_path / "a.csv", smooth_weights(70), angles)
-    portrait = read_performance(path).head_rotation[0]
-    landscape = read_performance(path, landscape=True).head_rotation[0]
+    found = read_performance(write_csv(tmp_path / "a.csv", smooth_weights(70), angles)).head_rotation
     yaw, pitch, roll = angles[0, :3]
-    assert portrait == pytest.approx([-pitch, yaw, roll])
-    assert landscape == pytest.approx([pitch, -yaw, roll])
+    wanted = euler_to_matrix(np.array([0, -yaw, 0])) @ euler_to_matrix(np.array([pitch, 0, 0]))
+    assert euler_to_matrix(found[0]) == pytest.approx(wanted @ euler_to_matrix(np.array([0, 0, -roll])), abs=1e-6)
 
 
 def test_live_link_eye_signs_follow_the_look_shapes(tmp_path):
@@ -177,13 +192,14 @@ def test_live_link_repeated_and_unordered_frames_are_cleaned(tmp_path):
 
 
 def test_controls_take_weights_and_head_rotation_once(tmp_path):
-    angles = np.full((70, 9), 0.2)
+    angles = np.zeros((70, 9))
+    angles[:, 0] = 0.2
     performance = read_performance(write_csv(tmp_path / "a.csv", smooth_weights(70), angles))
     controls = performance.controls(5)
     assert controls.aligned[:52] == pytest.approx(performance.weights[5])
-    assert controls.pose[JOINT_NAMES.index("neck")] == pytest.approx([-0.2, 0.2, 0.2])
+    assert controls.pose[JOINT_NAMES.index("neck")] == pytest.approx([0.0, -0.2, 0.0])
     assert not controls.pose[3:].any(), "the look shapes already turn the eyes"
-    assert performance.controls(5, head_joint="root").pose[0] == pytest.approx([-0.2, 0.2, 0.2])
+    assert performance.controls(5, head_joint="root").pose[0] == pytest.approx([0.0, -0.2, 0.0])
 
 
 def flame_arrays(count=12, expressions=100):
@@ -289,7 +305,7 @@ def test_pickled_arrays_do_not_run(tmp_path):
         ("a.json", b'{"names": ["jawOpen"], "frames": [[[1, 2]]]}', "not a number"),
         ("a.json", b'{"names": ["jawOpen"], "frames": [[1e999]]}', "no finite"),
         ("a.csv", b"", "does not name columns"),
-        ("a.csv", b"a,b\n1,2\n", "names no ARKit shape"),
+        ("a.csv", b"a,b\n1,2\n", "none of its names is an ARKit shape"),
         ("a.csv", b"Timecode,JawOpen\n", "no frames"),
         ("a.csv", b"Timecode,JawOpen\nyesterday,0.5\n", "not of the form"),
         ("a.csv", b"Timecode,JawOpen\n00:00:00:01.0,0.5,7\n", "3 cells for 2 columns"),

@@ -36,8 +36,8 @@ def test_refining_the_covered_part_changes_nothing(local, monkeypatch):
     regions = []
     original = compose._covered_region
 
-    def whole(cover, model, coarse):
-        regions.append(original(cover, model, coarse))
+    def whole(cover, network, coarse):
+        regions.append(original(cover, network, coarse))
         return slice(0, cover.shape[0]), slice(0, cover.shape[1])
 
     monkeypatch.setattr(compose, "_covered_region", whole)
@@ -48,8 +48,6 @@ def test_refining_the_covered_part_changes_nothing(local, monkeypatch):
 @pytest.mark.parametrize("channels", [(6,), (6, 5), (6, 5, 4), (6, 5, 4, 3)])
 @pytest.mark.parametrize("fold", [1, 2])
 def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
-    from types import SimpleNamespace
-
     import torch
 
     from grmm_core.model.config import PRESETS
@@ -65,7 +63,7 @@ def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
     rgb, features = torch.rand(230, 310, 3) * alpha[..., None], torch.rand(230, 310, config.features) * alpha[..., None]
     with torch.no_grad():
         whole = network(rgb, features, alpha, alpha)
-        rows, columns = _covered_region(alpha, SimpleNamespace(config=config, refinement=network))
+        rows, columns = _covered_region(alpha, network)
         part = network(rgb[rows, columns], features[rows, columns], alpha[rows, columns], alpha[rows, columns])
     assert part.numel() < whole.numel()
     np.testing.assert_allclose(part, whole[rows, columns], atol=1e-5)

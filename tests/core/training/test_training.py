@@ -51,7 +51,7 @@ def test_training_learns_two_people(head, source, tmp_path):
     after = trainer.evaluate(4)
     assert after["val_psnr"] > before + 3.0
     assert after["val_psnr"] > 21.0  # the sphere has open poles, which no Gaussian covers
-    red, blue = (trainer.draw(source.load(i), None, True)[0].image.detach() for i in (0, 1))
+    red, blue = (trainer.cast.draw(source.load(i), None, True).image.detach() for i in (0, 1))
     assert red[24, 24, 0] > red[24, 24, 2] + 0.15
     assert blue[24, 24, 2] > blue[24, 24, 0] + 0.15
     weights = tmp_path / "w.safetensors"
@@ -141,8 +141,8 @@ def test_two_views_average_their_gradients(head, source, tmp_path):
     expected = None
     for view, background in views:
         pair.optimiser.zero_grad(set_to_none=True)
-        rendering, codes = pair.draw(view, background, True)
-        total_loss(rendering, pair._target(view, background), codes, pair.laplacian, pair.loss_weights)[0].backward()
+        rendering, target = pair.cast.draw(view, background, True), pair.cast.target(view, background)
+        total_loss(rendering, target, pair.laplacian, pair.loss_weights)[0].backward()
         gradient = pair.model.decoders.appearance_mean.grad.clone()
         expected = gradient / 2 if expected is None else expected + gradient / 2
     pair.step()
@@ -186,9 +186,8 @@ def test_the_numbers_of_a_step_are_means_over_its_views(head, source, tmp_path):
     pair.start()
     singles = []
     for view, background in (choose(pair.config, source, 0, place, 0.0) for place in (0, 1)):
-        rendering, codes = pair.draw(view, background, True)
-        target = pair._target(view, background)
-        loss, terms = total_loss(rendering, target, codes, pair.laplacian, pair.loss_weights)
+        rendering, target = pair.cast.draw(view, background, True), pair.cast.target(view, background)
+        loss, terms = total_loss(rendering, target, pair.laplacian, pair.loss_weights)
         singles.append({"loss": float(loss.detach()), **{name: float(value) for name, value in terms.items()}})
     numbers = pair.step()
     assert set(singles[0]) - {"loss"} <= set(TERMS)

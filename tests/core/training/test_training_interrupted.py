@@ -218,8 +218,8 @@ def test_mixed_precision_learns_and_leaves_geometry_alone(head, tmp_path):
     for trainer in (plain, mixed):
         trainer.start()
     view, background = source.load(0), np.zeros(3, np.float32)
-    one, two = (trainer.draw(view, background, True)[0] for trainer in (plain, mixed))
-    torch.testing.assert_close(one.vertices, two.vertices, rtol=0, atol=0)
+    one, two = (trainer.cast.draw(view, background, True) for trainer in (plain, mixed))
+    torch.testing.assert_close(one.mesh.vertices, two.mesh.vertices, rtol=0, atol=0)
     assert two.image.dtype == two.offsets.dtype == torch.float32
     assert not torch.equal(one.offsets, two.offsets)
     torch.testing.assert_close(one.offsets, two.offsets, rtol=0.05, atol=0.02)

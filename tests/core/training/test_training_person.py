@@ -8,10 +8,10 @@ import torch
 from model_fixtures import SHAPES, TEETH, ColoredSpheres, small_head
 
 from grmm_core.errors import ConfigError, FileFormatError
+from grmm_core.model.store import with_deltas
 from grmm_core.model.weights import load_weights
-from grmm_core.session.models import with_deltas
 from grmm_core.training.config import train_config
-from grmm_core.training.personal import APPEARANCE, OWN_MAPS, flesh_tones, person_avatar
+from grmm_core.training.personal import APPEARANCE, OWN_MAPS, flesh_tones
 from grmm_core.training.trainer import CHECKPOINT, Trainer
 
 QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
@@ -68,8 +68,8 @@ def test_the_person_gets_better_and_the_shared_parts_stay(folder, head, tmp_path
 
 def test_the_avatar_draws_what_was_trained(folder, head, tmp_path):
     trainer = run(folder, head, tmp_path)
+    avatar = trainer.person_avatar("Red", "CC0-1.0")
     with trainer.averaged():
-        avatar = person_avatar(trainer, "Red", "CC0-1.0")
         own = {name: value.detach().clone() for name, value in trainer.parameters.items()}
     model, info = load_weights(folder / "w.safetensors", head)
     model = with_deltas(model, avatar.deltas, tmp_path)
@@ -124,4 +124,4 @@ def test_what_cannot_be_trained_is_said_first(folder, head, tmp_path):
     with pytest.raises(ConfigError, match="init_from"):
         begin("red", RedSphere(), "")
     with pytest.raises(ConfigError, match="many people"):
-        person_avatar(Trainer(config(), head, ColoredSpheres(), tmp_path / "all"), "Red")
+        Trainer(config(), head, ColoredSpheres(), tmp_path / "all").person_avatar("Red")

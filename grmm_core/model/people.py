@@ -1,4 +1,4 @@
-"""New avatars from what weights files know about the training people. Needs numpy only; called by sessions."""
+"""New avatars from what weights files know about the training people. Needs numpy only; called by sessions and evaluation."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .. import __version__
+from ..avatar import AssetReference, Avatar, Provenance
+from ..avatar.types import MADE_BY, SHAPE_SIZE
 from ..errors import ConfigError
-from .types import SHAPE_SIZE, AssetReference, Avatar, Provenance
 
 if TYPE_CHECKING:
-    from ..model.weights_file import WeightsInfo
+    from .weights_file import WeightsInfo
 
-MADE_BY = f"grmm {__version__}"
 NEIGHBOURS = 4  # people whom a drawn person's code is mixed with
 CODE_VARIATION = 0.3  # of the Gaussian, in a drawn code
 _OWN_SHARE, _OTHERS_SHARE = 3.0, 2.0  # of a Dirichlet distribution: 60 % of a code are one person's on the average

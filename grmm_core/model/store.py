@@ -1,6 +1,6 @@
 """Trained models in memory: found by name or by an avatar's reference, loaded once, shared by their avatars.
 
-Called by `local`. Imports torch.
+Called by sessions, fitting and evaluation. Imports torch.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import numpy as np
 import torch
 
 from ..avatar import AssetReference, Avatar
-from ..controls.names import ALIGNED_NAMES
+from ..compute.graphs import Replayed
 from ..errors import BackendError, FileAccessError, FileFormatError
 from ..head import HeadModel, load_open_head, read_head
-from ..model.config import COLOR_CHANNELS, TRANSFORM_CHANNELS
-from ..model.grmm import GRMM
-from ..model.weights import load_weights
-from ..model.weights_file import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, read_info, resolve_weights, weights_path
-from .graphs import Replayed
+from .config import COLOR_CHANNELS, TRANSFORM_CHANNELS
+from .grmm import GRMM
+from .inputs import InputSpace
+from .weights import load_weights
+from .weights_file import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, read_info, resolve_weights, weights_path
 
 _log = logging.getLogger(__name__)
 
@@ -35,9 +35,9 @@ class LoadedModel:
     """A model ready for inference.
 
     Attributes:
-        model: In evaluation mode on the session's device.
+        model: In evaluation mode on its device.
         info: What its weights file says.
-        codes: Table Z of aligned expression codes, [60, Y], or [60, 0] without residuals.
+        space: What persons and controls are added up in.
         shared: The weights without an avatar's own changes; None where there are none.
         opacity, appearance, offsets, tint: The model's decoders as functions to tuples of tensors, replayed on a graphics card;
             the tint is `GRMM.expression_colors`.
@@ -45,8 +45,8 @@ class LoadedModel:
 
     model: GRMM
     info: WeightsInfo
-    codes: np.ndarray
     shared: LoadedModel | None = None
+    space: InputSpace = field(init=False, repr=False)
     opacity: Replayed = field(init=False, repr=False)
     appearance: Replayed = field(init=False, repr=False)
     offsets: Replayed = field(init=False, repr=False)
@@ -54,6 +54,7 @@ class LoadedModel:
 
     def __post_init__(self) -> None:
         model = self.model
+        object.__setattr__(self, "space", model.input_space())
         object.__setattr__(self, "opacity", Replayed(lambda z_id: (model.opacity(z_id),)))
         object.__setattr__(self, "appearance", Replayed(lambda z_id, view: model.appearance(z_id, view)))
         object.__setattr__(self, "offsets", Replayed(lambda z_id, z_exp: (model.offsets(z_id, z_exp),)))
@@ -87,7 +88,7 @@ class ModelStore:
         self._models: dict[Path, LoadedModel] = {}
 
     def default(self) -> LoadedModel:
-        """Return the session's own weights. Raises `FileAccessError`, `FileFormatError`."""
+        """Return the default weights. Raises `FileAccessError`, `FileFormatError`."""
         if not self._default_path.exists():
             raise FileAccessError(
                 f"The trained weights {self._default_path} are not installed; install them or choose other weights."
@@ -118,10 +119,10 @@ class ModelStore:
             raise FileFormatError(f"The codes in {path} do not fit the weights {wanted.name!r}; make the avatar anew.")
         if not avatar.deltas:
             return loaded
-        return LoadedModel(with_deltas(model, avatar.deltas, path), loaded.info, loaded.codes, loaded)
+        return LoadedModel(with_deltas(model, avatar.deltas, path), loaded.info, loaded)
 
     def _find(self, wanted: AssetReference) -> LoadedModel | None:
-        """Look for weights by hash: the session's own first, then installed ones of the same name, then all others."""
+        """Look for weights by hash: the default ones first, then installed ones of the same name, then all others."""
         own_name = Path(wanted.name).name == wanted.name  # a file may name anything; it must not lead out of the folder
         candidates = [self._default_path, *([weights_path(wanted.name)] if own_name else [])]
         candidates += sorted(WEIGHTS_FOLDER.glob(f"*{WEIGHTS_SUFFIX}")) if wanted.sha256 else []
@@ -157,20 +158,24 @@ class ModelStore:
                 raise BackendError(f"The device {self._device} cannot hold the model ({reason}); use cpu.") from error
             # For the convolutions of a card that has bfloat16 units; not measured on CPUs, whose path stays in float32.
             model.half_refinement = self._device.type == "cuda" and torch.cuda.is_bf16_supported()
-            codes = np.zeros((len(ALIGNED_NAMES), 0), np.float32)
-            if model.aligned_codes is not None:
-                codes = model.aligned_codes.float().cpu().numpy()
-            self._models[path] = LoadedModel(model, info, codes)
+            self._models[path] = LoadedModel(model, info)
             _log.info("loaded weights %s (%s), %d Gaussians", info.name, info.sha256[:12], model.gaussian_count)
         return self._models[path]
 
 
-def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: Path) -> GRMM:
+def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> GRMM:
     """Return a copy of a model with an avatar's changes added; everything unchanged is shared (eq. 20's result).
+
+    Args:
+        model: Of the weights that the avatar was made with; it is returned itself where there are no changes.
+        deltas: `Avatar.deltas`.
+        path: The avatar's file, for messages.
 
     Raises:
         FileFormatError: A parameter is unknown or of another shape.
     """
+    if not deltas:
+        return model
     parameters = dict(model.named_parameters())
     maps = _absent_maps(model)
     for name, delta in deltas.items():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from grmm_core.session.graphs import SHAPES_KEPT, Replayed
+from grmm_core.compute.graphs import SHAPES_KEPT, Replayed
 
 
 class Recorder:

@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from ..grmm_core.avatar import AssetReference
-from ..grmm_core.controls.frame import ALIGNED_TO_ARKIT, Controls, resolve
+from ..grmm_core.controls.frame import Controls, arkit_weights, resolve
 from ..grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from ..grmm_core.errors import ConfigError, FileAccessError, FileFormatError
 from ..grmm_core.formats import SplatCloud, write_mesh
@@ -141,7 +141,7 @@ def recorded(avatar: Avatar | Puppet, controls: list[Controls], frames: list[int
     Mixtures become the ARKit shapes that they are made of. The eyes' rotations are whole: bones and eyeLook shapes together, as
     Live Link Face records them. What the format cannot hold is a warning.
     """
-    weights = np.stack([frame.aligned @ ALIGNED_TO_ARKIT for frame in controls])
+    weights = np.stack([arkit_weights(frame) for frame in controls])
     poses = np.stack([frame.pose for frame in controls]).astype(np.float64)  # [T, 5, 3]
     warnings = []
     if any(frame.expression.size and np.abs(frame.expression).max() > _TINY for frame in controls):
@@ -271,7 +271,7 @@ def _controls(avatar: Avatar, depsgraph: bpy.types.Depsgraph, canonical: bool) -
     found = avatar.controls(depsgraph)
     if not canonical:
         return found
-    return Controls(shape=found.shape, z_id=found.z_id, residual_strength=found.residual_strength)
+    return found.at_rest()
 
 
 def _head_mesh(

@@ -17,6 +17,7 @@ import numpy as np
 from ..grmm_core.avatar import AssetReference
 from ..grmm_core.controls.frame import Controls
 from ..grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
+from ..grmm_core.controls.table import CONTROLS, EXPRESSION
 from ..grmm_core.errors import ConfigError, FileFormatError, GrmmError
 from ..grmm_core.performance import CleanOptions, Performance, Progress, clean, to_arkit
 from ..grmm_core.performance.closures import LipModel, keep_lips_closed, lip_model
@@ -24,7 +25,7 @@ from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
 from . import session_host
 from .rig.actions import ensure_bag, find_curve, linear_keys, reduced_keys, replace_keys
 from .rig.avatar import Avatar
-from .rig.definitions import ALIGNED_RANGE, ARRAY_RANGES, EXPRESSION, REGIONS, property_path
+from .rig.custom_properties import property_path
 from .rig.identity import load_head
 from .splats.cloud import resting_positions
 
@@ -36,7 +37,6 @@ EyeSource = Literal["AUTO", "SHAPES", "ROTATIONS"]
 Keys = Literal["FRAMES", "REDUCED", "SAMPLES"]
 _EYE_SHAPES = "eyeLook"
 _EYES = {"left_eye": "left_eye_rotation", "right_eye": "right_eye_rotation"}
-_REGION_OF = {name: region for region, names in REGIONS.items() for name in names}
 MAX_FRAME = 1_048_574  # Blender's last frame
 NEEDS_FLAME = (
     "The performance has FLAME expression coefficients, which this head does not have; "
@@ -212,15 +212,13 @@ def channels_of(performance: Performance, options: ImportOptions, flame_head: bo
     has_shapes = any(name.startswith(_EYE_SHAPES) for name in performance.found)
     has_rotations = performance.left_eye_rotation is not None or performance.right_eye_rotation is not None
     rotate_eyes = has_rotations and (options.eyes == "ROTATIONS" or (options.eyes == "AUTO" and not has_shapes))
-    limits = (ALIGNED_RANGE.low, ALIGNED_RANGE.high)
     result: list[Channel] = []
     for k, name in enumerate(ARKIT_NAMES):
         if name in performance.found and not (rotate_eyes and name.startswith(_EYE_SHAPES)):
-            result.append(Channel("", property_path(name), 0, _REGION_OF[name], limits, performance.weights[:, k]))
+            result.append(_property_channel(name, 0, performance.weights[:, k]))
     if performance.expression is not None:
-        limits = (ARRAY_RANGES[EXPRESSION].low, ARRAY_RANGES[EXPRESSION].high)
         for k, values in enumerate(performance.expression.T):
-            result.append(Channel("", property_path(EXPRESSION), k, "Expression", limits, values * options.gain))
+            result.append(_property_channel(EXPRESSION, k, values * options.gain))
     for bone, angles in _rotations(performance, options, rotate_eyes).items():
         path = f'pose.bones["{bone}"].rotation_euler'
         for axis in range(3):
@@ -228,6 +226,11 @@ def channels_of(performance: Performance, options: ImportOptions, flame_head: bo
     if not result:
         raise FileFormatError("The performance holds nothing that this head can play; choose a file with ARKit weights.")
     return [replace(channel, values=np.clip(channel.values, *channel.limits)) for channel in result]
+
+
+def _property_channel(name: str, index: int, values: np.ndarray) -> Channel:
+    control = CONTROLS[name]
+    return Channel("", property_path(name), index, control.group, (control.limits.low, control.limits.high), values)
 
 
 def apply_performance(

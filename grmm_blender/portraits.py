@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from ..grmm_core.controls.frame import Controls
-from ..grmm_core.controls.names import ALIGNED_NAMES
 from ..grmm_core.geometry.camera import Camera
 from ..grmm_core.session import Instance, RenderOptions
 from . import session_host
@@ -21,8 +20,7 @@ OVERSAMPLING = 2  # small pictures of the model are rough; larger ones made smal
 
 def with_expression(controls: Controls, values: dict[str, float]) -> Controls:
     """Return controls whose named expressions are exactly `values`; everything else stays."""
-    aligned = np.array([values.get(name, 0.0) for name in ALIGNED_NAMES], np.float32)
-    return replace(controls, aligned=aligned)
+    return replace(controls, aligned=Controls().set_named(values).aligned)
 
 
 def portrait(

@@ -14,20 +14,11 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from ..grmm_core.controls.control import mirrored
+from ..grmm_core.controls.table import CONTROLS, EXPRESSIONS, REGIONS
 from ..grmm_core.files.access import atomic_write_bytes
 from .rig.avatar import Avatar
-from .rig.definitions import (
-    ALIGNED_NAMES,
-    ALIGNED_RANGE,
-    ARRAY_RANGES,
-    EXPRESSION,
-    REGIONS,
-    Z_EXP,
-    describe_aligned,
-    label,
-    mirrored,
-    property_path,
-)
+from .rig.custom_properties import controls_of, property_path
 
 TAG = "grmm"
 KEY = "grmm_pose"  # custom property of an action: the named expression that it was made from
@@ -36,7 +27,7 @@ CATALOGUE_ROOT = "GRMM Expressions"
 OWN = "Own"
 THUMBNAIL = 128  # pixels
 _NAMESPACE = uuid.UUID("5bd0a9b0-6d8b-5f0e-9b39-6a6d6d726700")  # any constant: catalogues keep their ids in every file
-_PATH = re.compile(r'^\["(\w+)"\]$')
+_PATH = re.compile(r'^\["([^"]+)"\]$')
 _HEADER = b"# This is an Asset Catalog Definition file for Blender.\n\nVERSION 1\n\n"
 
 Values = dict[tuple[str, int], float]
@@ -45,16 +36,18 @@ Values = dict[tuple[str, int], float]
 
 def expression_values(name: str) -> Values:
     """Return the pose of one named expression at full strength, everything else at rest."""
-    return {(other, 0): float(other == name) for other in ALIGNED_NAMES}
+    return {(other.name, 0): float(other.name == name) for other in EXPRESSIONS}
 
 
 def present_values(avatar: Avatar) -> Values:
-    """Return an avatar's present expression: all named ones, and the coefficients that are not zero."""
+    """Return what an avatar's face does now: single controls, and the coefficients that are not zero."""
     head = avatar.object
-    values: Values = {(name, 0): float(head[name]) for name in ALIGNED_NAMES if name in head}
-    for array in (EXPRESSION, Z_EXP):
-        if array in head:
-            values |= {(array, index): value for index, value in enumerate(head[array].to_list()) if value}
+    values: Values = {}
+    for control in controls_of(head):
+        if control.in_poses and control.size:
+            values |= {(control.name, index): value for index, value in enumerate(head[control.name].to_list()) if value}
+        elif control.in_poses:
+            values[control.name, 0] = float(head[control.name])
     return values
 
 
@@ -126,16 +119,16 @@ def apply_values(avatar: Avatar, values: Values, amount: float, add: bool) -> li
     """
     head = avatar.object
     names = []
-    arrays = {name: head[name].to_list() for name in (EXPRESSION, Z_EXP) if name in head}
+    posed = {control.name: control for control in controls_of(head) if control.in_poses}
+    arrays = {name: head[name].to_list() for name, control in posed.items() if control.size}
     for (name, index), value in values.items():
-        is_array = name in arrays
-        if name not in head or (is_array and index >= len(arrays[name])) or not (is_array or name in ALIGNED_NAMES):
+        if name not in posed or (name in arrays and index >= len(arrays[name])):
             continue  # a pose of another head model
-        old = arrays[name][index] if is_array else head[name]
+        old = arrays[name][index] if name in arrays else head[name]
         new = old + amount * (value if add else value - old)
-        limits = ARRAY_RANGES[name] if is_array else ALIGNED_RANGE
+        limits = posed[name].limits
         new = min(max(new, limits.low), limits.high)
-        if is_array:
+        if name in arrays:
             arrays[name][index] = new
         else:
             head[name] = new
@@ -155,8 +148,7 @@ def set_thumbnail(action: bpy.types.Action, picture: np.ndarray) -> None:
 
 def catalogue_of(key: str) -> str:
     """Return the catalogue path of a named expression, or of poses that the user saved."""
-    region = next((region for region, names in REGIONS.items() if key in names), OWN)
-    return f"{CATALOGUE_ROOT}/{region}"
+    return f"{CATALOGUE_ROOT}/{CONTROLS[key].region if key in CONTROLS else OWN}"
 
 
 def catalogue_id(path: str) -> str:
@@ -186,12 +178,13 @@ def _describe(action: bpy.types.Action, key: str) -> None:
     if action.asset_data is None:
         action.asset_mark()
     data = action.asset_data
-    data.description = describe_aligned(key) if key else "Expression saved from an avatar"
+    data.description = CONTROLS[key].description if key in CONTROLS else "Expression saved from an avatar"
     data.catalog_id = catalogue_id(catalogue_of(key))
     data.author = ""
     tags = [TAG, "expression"]
-    if key:
-        tags += [catalogue_of(key).rpartition("/")[2], *(word for word in label(key).split() if word in ("Left", "Right"))]
+    if key in CONTROLS:
+        control = CONTROLS[key]
+        tags += [control.region, *(word for word in control.label.split() if word in ("Left", "Right"))]
     for tag in tags:
         if tag not in data.tags:
             data.tags.new(tag)

@@ -12,10 +12,12 @@ import bpy
 from bl_operators.presets import AddPresetBase
 from bpy.types import Menu
 
-from .rig.avatar import active_object, avatar_of
-from .rig.definitions import ALIGNED_NAMES, property_path
+from ..grmm_core.controls.control import Control
+from ..grmm_core.controls.table import EXPRESSIONS
+from .rig.avatar import Avatar, active_object, avatar_of
+from .rig.custom_properties import property_path, put_at_rest
 
-EXPRESSIONS, RENDER = "grmm/expression", "grmm/render"
+EXPRESSION_FOLDER, RENDER_FOLDER = "grmm/expression", "grmm/render"
 _FOLDER = str(Path(__file__).parent)
 FIND_HEAD = "head = next(o for o in (bpy.context.object, *bpy.context.object.children) if 'jawOpen' in o)"
 _RENDER_VALUES = (
@@ -27,7 +29,7 @@ class GRMM_MT_expression_presets(Menu):
     """Expressions to start from."""
 
     bl_label = "Expression Presets"
-    preset_subdir = EXPRESSIONS
+    preset_subdir = EXPRESSION_FOLDER
     preset_operator = "script.execute_preset"
     draw = Menu.draw_preset
 
@@ -35,9 +37,8 @@ class GRMM_MT_expression_presets(Menu):
     def reset_cb(cls, context: bpy.types.Context, _filepath: str) -> None:
         """Put everything at rest first."""
         avatar = avatar_of(context.object)
-        for name in ALIGNED_NAMES if avatar is not None else ():
-            if name in avatar.object:
-                avatar.object[name] = 0.0
+        for control in _expressions(avatar):
+            put_at_rest(avatar.object, control)
 
     @classmethod
     def post_cb(cls, context: bpy.types.Context, _filepath: str) -> None:
@@ -47,9 +48,8 @@ class GRMM_MT_expression_presets(Menu):
             return
         avatar.tag_edited()
         if context.scene.tool_settings.use_keyframe_insert_auto:
-            for name in ALIGNED_NAMES:
-                if name in avatar.object:
-                    avatar.object.keyframe_insert(property_path(name))
+            for control in _expressions(avatar):
+                avatar.object.keyframe_insert(property_path(control.name))
         _remember(cls.bl_label)
 
 
@@ -57,7 +57,7 @@ class GRMM_MT_render_presets(Menu):
     """Settings of the GRMM engine for a purpose."""
 
     bl_label = "Render Presets"
-    preset_subdir = RENDER
+    preset_subdir = RENDER_FOLDER
     preset_operator = "script.execute_preset"
     draw = Menu.draw_preset
 
@@ -65,6 +65,11 @@ class GRMM_MT_render_presets(Menu):
     def post_cb(cls, _context: bpy.types.Context, _filepath: str) -> None:
         """Make it one step of the undo history."""
         _remember(cls.bl_label)
+
+
+def _expressions(avatar: Avatar | None) -> list[Control]:
+    """What a preset sets on an avatar."""
+    return [] if avatar is None else [control for control in EXPRESSIONS if control.name in avatar.object]
 
 
 def _remember(name: str) -> None:
@@ -79,9 +84,9 @@ class GRMM_OT_expression_preset_add(AddPresetBase, bpy.types.Operator):
     bl_label = "Add Expression Preset"
     bl_description = "Keep the active avatar's expression as a preset, or remove a preset"
     preset_menu = "GRMM_MT_expression_presets"
-    preset_subdir = EXPRESSIONS
+    preset_subdir = EXPRESSION_FOLDER
     preset_defines = (FIND_HEAD,)
-    preset_values = tuple(f"head{property_path(name)}" for name in ALIGNED_NAMES)
+    preset_values = tuple(f"head{property_path(control.name)}" for control in EXPRESSIONS)
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -96,7 +101,7 @@ class GRMM_OT_render_preset_add(AddPresetBase, bpy.types.Operator):
     bl_label = "Add Render Preset"
     bl_description = "Keep the GRMM render settings as a preset, or remove a preset"
     preset_menu = "GRMM_MT_render_presets"
-    preset_subdir = RENDER
+    preset_subdir = RENDER_FOLDER
     preset_defines = ("settings = bpy.context.scene.grmm_render",)
     preset_values = tuple(f"settings.{name}" for name in _RENDER_VALUES)
 

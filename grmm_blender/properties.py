@@ -1,6 +1,6 @@
 """Properties of the extension on Blender's data that are not controls: what makes an object an avatar.
 
-The controls themselves are custom properties (see `rig.definitions`), which keep working where the extension is absent.
+The controls themselves are custom properties (see `rig.custom_properties`), which keep working where the extension is absent.
 """
 
 from __future__ import annotations
@@ -8,9 +8,17 @@ from __future__ import annotations
 import bpy
 
 from ..grmm_core.controls.names import JOINT_NAMES
-from .rig.avatar import Avatar
-from .rig.build import show_source
+from .rig.avatar import Avatar, is_avatar
+from .rig.build import add_missing_controls, show_source
 from .rig.identity import DEFAULT_SOURCE
+
+
+@bpy.app.handlers.persistent
+def _complete(*_: object) -> None:
+    """Give the heads of a file that was just opened the controls that have come since it was saved."""
+    for obj in bpy.data.objects:
+        if is_avatar(obj):
+            add_missing_controls(Avatar(obj))
 
 
 def _changed(self: bpy.types.PropertyGroup, context: bpy.types.Context) -> None:
@@ -79,8 +87,10 @@ CLASSES = (GRMM_PG_avatar,)
 def register() -> None:
     """Attach the groups to Blender's types."""
     bpy.types.Object.grmm = bpy.props.PointerProperty(type=GRMM_PG_avatar, name="GRMM Avatar", override={"LIBRARY_OVERRIDABLE"})
+    bpy.app.handlers.load_post.append(_complete)
 
 
 def unregister() -> None:
     """Take the groups back; the values stay in the files."""
+    bpy.app.handlers.load_post.remove(_complete)
     del bpy.types.Object.grmm

@@ -12,8 +12,7 @@ import bpy
 
 from ..grmm_blender import preferences
 from ..grmm_blender.rig.build import build_avatar
-from ..grmm_blender.rig.definitions import FLAME_PREFIX
-from ..grmm_blender.rig.identity import read_identity
+from ..grmm_blender.rig.identity import FLAME_PREFIX, read_identity
 from ..grmm_core.errors import FileAccessError
 from .add_head import GRMM_OT_add_head
 from .common import Result, reports_errors

@@ -16,7 +16,8 @@ import numpy as np
 from ..grmm_blender.performance import parse_frames
 from ..grmm_blender.rig.actions import action_curves
 from ..grmm_blender.rig.avatar import Avatar
-from ..grmm_blender.rig.definitions import ALIGNED_NAMES, CONTROL_JOINTS, EXPRESSION, property_path
+from ..grmm_blender.rig.custom_properties import property_path
+from ..grmm_core.controls.table import EXPRESSION, EXPRESSIONS, JOINTS
 from ..grmm_core.errors import ControlError
 from .common import Result, active_avatar, reports_errors
 from .edit import Edit
@@ -80,7 +81,7 @@ class GRMM_OT_calibrate_neutral(Edit, bpy.types.Operator):
         head = avatar.object
         curves = {(curve.data_path, curve.array_index): curve for curve in action_curves(head)}
         changed = []
-        for name in (name for name in ALIGNED_NAMES if name in head):
+        for name in (control.name for control in EXPRESSIONS if control.name in head):
             curve = curves.get((property_path(name), 0))
             if curve is None:
                 if head[name] != 0.0:
@@ -106,7 +107,7 @@ class GRMM_OT_calibrate_neutral(Edit, bpy.types.Operator):
             return []
         curves = {(curve.data_path, curve.array_index): curve for curve in action_curves(rig)}
         changed = []
-        for bone in (rig.pose.bones[name] for name in CONTROL_JOINTS if name in rig.pose.bones):
+        for bone in (rig.pose.bones[joint.name] for joint in JOINTS if joint.axes and joint.name in rig.pose.bones):
             angles = list(bone.rotation_euler)
             animated = False
             for axis, curve in _rotation_curves(bone, curves):

@@ -10,11 +10,11 @@ import numpy as np
 
 from ..grmm_blender.engine import passes, pipeline
 from ..grmm_blender.portraits import portrait, with_expression
-from ..grmm_blender.rig.definitions import ALIGNED_NAMES, REGIONS, label
 from ..grmm_blender.scene.cameras import face_camera, head_camera
 from ..grmm_blender.scene.shot import Region
 from ..grmm_blender.scene.walk import take_frame
 from ..grmm_blender.sheet import grid
+from ..grmm_core.controls.table import CONTROLS, EXPRESSION_NAMES, REGIONS
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.pictures.color import linear_to_srgb
 from ..grmm_core.pictures.images import quantize, write_png
@@ -81,7 +81,7 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
             layout.prop(self, name)
 
     def _tile_count(self) -> int:
-        return len(ALIGNED_NAMES if self.region == ALL else REGIONS[self.region]) if self._is_expressions() else self.count
+        return len(EXPRESSION_NAMES if self.region == ALL else REGIONS[self.region]) if self._is_expressions() else self.count
 
     def _is_expressions(self) -> bool:
         return self.content == "EXPRESSIONS"
@@ -106,11 +106,12 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
         avatar = active_avatar(context)
         controls, color = avatar.controls(), tuple(self.background)
         if self._is_expressions():
-            names = ALIGNED_NAMES if self.region == ALL else REGIONS[self.region]
+            names = EXPRESSION_NAMES if self.region == ALL else REGIONS[self.region]
             for index, name in enumerate(names):
                 shown = with_expression(controls, {name: 1.0})
                 work = portrait(avatar.source, shown, face_camera, self.size, color)
-                yield label(name), Step(index / len(names), label(name), work)
+                label = CONTROLS[name].label
+                yield label, Step(index / len(names), label, work)
             return
         for index in range(self.count):
             angle = 360.0 * index / self.count

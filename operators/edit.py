@@ -15,39 +15,25 @@ from ..grmm_blender import session_host
 from ..grmm_blender.rig import live
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.rig.build import make_independent
-from ..grmm_blender.rig.codes import code_properties
-from ..grmm_blender.rig.definitions import (
-    ALIGNED_NAMES,
-    ARRAY_NAMES,
-    ARRAY_RANGES,
-    CODES,
-    CONTROL_JOINTS,
-    EXPRESSION,
-    REGIONS,
-    SHAPE,
-    STRENGTH,
-    Z_EXP,
-    Z_ID,
-    mirrored,
-    property_path,
-)
+from ..grmm_blender.rig.custom_properties import controls_of, property_path, put_at_rest, write_array
 from ..grmm_blender.rig.identity import load_head, read_identity
+from ..grmm_blender.rig.saved_codes import CODES, code_properties
 from ..grmm_core.avatar import AssetReference
+from ..grmm_core.controls.control import Control, is_sideways, mirrored, side_of
+from ..grmm_core.controls.table import EXPRESSION, EXPRESSIONS, JOINTS, REGIONS, SECTIONS, SHAPE, Z_ID
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from ..grmm_core.session import AvatarInfo
 from .common import Result, active_avatar, needs_avatar, reports_errors
 
 ALL = "ALL"
-_DIRECTIONS = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
-"""Movements to a side, not of a side: swapping swaps them, copying one side to the other leaves them."""
 _REGION_ITEMS = ((ALL, "All", "Every region"), *((name, name, f"The region {name.lower()}") for name in REGIONS))
-_AT_REST = {STRENGTH: 1.0}
 _TOGETHER = 0.8  # chance that both sides of a random expression move alike
 _RANDOM_SHAPE_COUNT = 60  # leading components: the others are too small to tell people apart
 
 
-def _names_in(region: str) -> tuple[str, ...]:
-    return ALIGNED_NAMES if region == ALL else REGIONS.get(region, ())
+def _expressions(avatar: Avatar, region: str) -> list[Control]:
+    """The named expressions of a region that an avatar has."""
+    return [control for control in EXPRESSIONS if region in (ALL, control.region) and control.name in avatar.object]
 
 
 class Edit:
@@ -67,6 +53,16 @@ class Edit:
         return {"FINISHED"}
 
 
+class DrawsAnother:
+    """Mixin of operators with a `seed`: chosen from a menu or by a button they draw something new each time."""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Take another seed, unless one is given."""
+        if not self.properties.is_property_set("seed"):
+            self.seed = int(np.random.default_rng().integers(1, 1 << 20))
+        return self.execute(context)
+
+
 class GRMM_OT_reset(Edit, bpy.types.Operator):
     """Set controls of the active avatar back to rest."""
 
@@ -79,10 +75,7 @@ class GRMM_OT_reset(Edit, bpy.types.Operator):
         description="Which controls to reset",
         items=(
             (ALL, "All", "Every control"),
-            ("EXPRESSION", "Expression", "Named expressions and expression coefficients"),
-            ("POSE", "Pose", "Neck, jaw, eyes and root"),
-            ("IDENTITY", "Identity", "Shape and residual identity"),
-            ("DETAIL", "Learned Detail", "Residual expression, its saved codes, and strength"),
+            *((section.key, section.label, section.description) for section in SECTIONS),
         ),
         default=ALL,
     )
@@ -93,27 +86,24 @@ class GRMM_OT_reset(Edit, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> Result:
         """Reset."""
         avatar = active_avatar(context)
-        names: list[str] = []
+        head = avatar.object
+        controls = [control for control in controls_of(head) if self._resets(control)]
+        for control in controls:
+            put_at_rest(head, control)
+            for saved in list(code_properties(head, control.name)) if control.name in CODES else ():
+                del head[saved]
         bones: list[str] = []
-        if self.what in (ALL, "EXPRESSION"):
-            names += _names_in(self.region)
-            names += [EXPRESSION] if self.region == ALL else []
-        if self.what in (ALL, "IDENTITY"):
-            names += [SHAPE, Z_ID]
-        if self.what in (ALL, "DETAIL"):
-            names += [Z_EXP, STRENGTH]
-        names = [name for name in names if name in avatar.object]
-        for code in (name for name in names if name in CODES):
-            for saved in list(code_properties(avatar.object, code)):
-                del avatar.object[saved]
-        for name in names:
-            value = avatar.object[name]
-            avatar.object[name] = [0.0] * len(value) if name in ARRAY_NAMES else _AT_REST.get(name, 0.0)
-        if self.what in (ALL, "POSE") and avatar.armature is not None:
-            bones = [name for name in (*CONTROL_JOINTS, "root") if name in avatar.armature.pose.bones]
-            for bone in bones:
-                avatar.armature.pose.bones[bone].rotation_euler = (0.0, 0.0, 0.0)
-        return self.finish(context, avatar, names, bones)
+        if avatar.armature is not None:
+            bones = [joint.name for joint in JOINTS if self._resets(joint) and joint.name in avatar.armature.pose.bones]
+        for bone in bones:
+            avatar.armature.pose.bones[bone].rotation_euler = (0.0, 0.0, 0.0)
+        return self.finish(context, avatar, [control.name for control in controls], bones)
+
+    def _resets(self, control: Control) -> bool:
+        """Whether a control is meant; a region means its expressions, and leaves what belongs to none."""
+        if self.what not in (ALL, control.section):
+            return False
+        return control.section != "EXPRESSION" or self.region in (ALL, control.region)
 
 
 class GRMM_OT_mirror(Edit, bpy.types.Operator):
@@ -139,7 +129,7 @@ class GRMM_OT_mirror(Edit, bpy.types.Operator):
         """Mirror."""
         avatar = active_avatar(context)
         head = avatar.object
-        names = [name for name in _names_in(self.region) if self._takes(name) and name in head]
+        names = [control.name for control in _expressions(avatar, self.region) if self._takes(control.name)]
         values = {name: head[mirrored(name)] for name in names}
         for name, value in values.items():
             head[name] = value
@@ -154,11 +144,7 @@ class GRMM_OT_mirror(Edit, bpy.types.Operator):
         """Whether a control gets its partner's value."""
         if self.direction == "SWAP":
             return mirrored(name) != name
-        if name in _DIRECTIONS:
-            return False
-        return ("Right" if self.direction == "LEFT" else "Left") in name or (
-            name.startswith("right_" if self.direction == "LEFT" else "left_")
-        )
+        return side_of(name) == ("right" if self.direction == "LEFT" else "left")
 
     def _mirror_coefficients(self, avatar: Avatar) -> None:
         names = load_head(AssetReference(avatar.object.grmm.head_name)).expression_names
@@ -173,14 +159,15 @@ class GRMM_OT_mirror(Edit, bpy.types.Operator):
         if avatar.armature is None:
             return []
         bones = avatar.armature.pose.bones
-        taken = [name for name in CONTROL_JOINTS if name in bones and (self.direction == "SWAP" or self._takes(name))]
+        shown = [joint.name for joint in JOINTS if joint.axes and joint.name in bones]
+        taken = [name for name in shown if self.direction == "SWAP" or self._takes(name)]
         angles = {name: bones[mirrored(name)].rotation_euler.copy() for name in taken}
         for name, (x, y, z) in angles.items():
             bones[name].rotation_euler = (x, -y, -z)
         return taken
 
 
-class GRMM_OT_random_expression(Edit, bpy.types.Operator):
+class GRMM_OT_random_expression(DrawsAnother, Edit, bpy.types.Operator):
     """Give the active avatar a random expression."""
 
     bl_idname = "grmm.random_expression"
@@ -196,31 +183,25 @@ class GRMM_OT_random_expression(Edit, bpy.types.Operator):
     )
     region: bpy.props.EnumProperty(name="Region", description="Change one region only", items=_REGION_ITEMS, default=ALL)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Another expression each time."""
-        if not self.properties.is_property_set("seed"):
-            self.seed = int(np.random.default_rng().integers(1, 1 << 20))
-        return self.execute(context)
-
     def execute(self, context: bpy.types.Context) -> Result:
         """Draw an expression."""
         avatar = active_avatar(context)
         generator = np.random.default_rng(self.seed)
         drawn: dict[str, float] = {}
-        for name in ALIGNED_NAMES:  # all of them, so that a seed means the same in every region
+        for control in EXPRESSIONS:  # all of them, so that a seed means the same in every region
+            name, partner = control.name, control.partner
             moves, weight, together = generator.random() < self.share, generator.random() * self.amount, generator.random()
-            partner = mirrored(name)
-            if partner in drawn and name not in _DIRECTIONS and together < _TOGETHER:
+            if partner in drawn and not is_sideways(name) and together < _TOGETHER:
                 drawn[name] = drawn[partner]
             else:
                 drawn[name] = weight if moves else 0.0
-        names = [name for name in _names_in(self.region) if name in avatar.object]
+        names = [control.name for control in _expressions(avatar, self.region)]
         for name in names:
             avatar.object[name] = drawn[name]
         return self.finish(context, avatar, names)
 
 
-class GRMM_OT_random_identity(Edit, bpy.types.Operator):
+class GRMM_OT_random_identity(DrawsAnother, Edit, bpy.types.Operator):
     """Give the active avatar another face by its identity controls."""
 
     bl_idname = "grmm.random_identity"
@@ -240,12 +221,6 @@ class GRMM_OT_random_identity(Edit, bpy.types.Operator):
         subtype="FACTOR",
     )
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Another person each time."""
-        if not self.properties.is_property_set("seed"):
-            self.seed = int(np.random.default_rng().integers(1, 1 << 20))
-        return self.execute(context)
-
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Draw a person."""
@@ -261,9 +236,9 @@ class GRMM_OT_random_identity(Edit, bpy.types.Operator):
             own = read_identity(avatar.source)
             shape = person.shape[: shape.size] - np.pad(own.shape, (0, shape.size))[: shape.size]
             if person.z_id_size == len(avatar.object[Z_ID]) == opened.z_id_size:
-                self._set(avatar, Z_ID, person.z_id - opened.z_id)
+                write_array(avatar.object, Z_ID, (person.z_id - opened.z_id) * self.amount)
                 names.append(Z_ID)
-        self._set(avatar, SHAPE, shape)
+        write_array(avatar.object, SHAPE, shape * self.amount)
         return self.finish(context, avatar, names)
 
     def _people(self, avatar: Avatar) -> tuple[AvatarInfo, AvatarInfo] | None:
@@ -274,10 +249,6 @@ class GRMM_OT_random_identity(Edit, bpy.types.Operator):
             return session_host.open_avatar(f"{session_host.SAMPLE_PREFIX}{self.seed}"), session_host.open_avatar(avatar.source)
         except RuntimeMissingError:
             return None
-
-    def _set(self, avatar: Avatar, name: str, values: np.ndarray) -> None:
-        limits = ARRAY_RANGES[name]
-        avatar.object[name] = (values * self.amount).clip(limits.low, limits.high).tolist()
 
 
 class GRMM_OT_make_independent(bpy.types.Operator):

@@ -9,8 +9,9 @@ import bpy
 
 from ..grmm_blender import poses, session_host
 from ..grmm_blender.portraits import portrait, with_expression
-from ..grmm_blender.rig.definitions import ALIGNED_NAMES, label
+from ..grmm_blender.rig.custom_properties import property_path
 from ..grmm_blender.scene.cameras import face_camera
+from ..grmm_core.controls.table import EXPRESSIONS
 from ..grmm_core.errors import FileAccessError, GrmmError
 from .common import Result, active_avatar, needs_avatar, reports_errors
 from .steps import Step, SteppedOperator, Steps
@@ -41,15 +42,15 @@ class GRMM_OT_create_pose_library(SteppedOperator, bpy.types.Operator):
             self.report({"WARNING"}, "There is no runtime: the poses have no thumbnails")
             draw = False
         pictures = {}  # all of them first: a cancelled run changes nothing
-        for index, name in enumerate(ALIGNED_NAMES if draw else ()):
-            shown = with_expression(controls, {name: 1.0})
+        for index, expression in enumerate(EXPRESSIONS if draw else ()):
+            shown = with_expression(controls, {expression.name: 1.0})
             work = portrait(source, shown, face_camera, poses.THUMBNAIL, None)
-            pictures[name] = yield Step(index / len(ALIGNED_NAMES), label(name), work)
-        for name in ALIGNED_NAMES:
-            action = poses.make_pose(label(name), poses.expression_values(name), key=name)
-            if name in pictures:
-                poses.set_thumbnail(action, pictures[name])
-        return f"The pose library has {len(ALIGNED_NAMES)} poses{_write_catalogues()}"
+            pictures[expression.name] = yield Step(index / len(EXPRESSIONS), expression.label, work)
+        for expression in EXPRESSIONS:
+            action = poses.make_pose(expression.label, poses.expression_values(expression.name), key=expression.name)
+            if expression.name in pictures:
+                poses.set_thumbnail(action, pictures[expression.name])
+        return f"The pose library has {len(EXPRESSIONS)} poses{_write_catalogues()}"
 
 
 class GRMM_OT_save_pose(bpy.types.Operator):
@@ -150,7 +151,7 @@ class GRMM_OT_apply_pose(bpy.types.Operator):
         avatar.tag_edited()
         if context.scene.tool_settings.use_keyframe_insert_auto:
             for name in names:
-                avatar.object.keyframe_insert(f'["{name}"]')
+                avatar.object.keyframe_insert(property_path(name))
         return {"FINISHED"}
 
     def _values(self, context: bpy.types.Context) -> poses.Values:

@@ -2,38 +2,27 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import bpy
 import numpy as np
 
 from ..grmm_blender.rig.avatar import Avatar
-from ..grmm_blender.rig.build import add_property
-from ..grmm_blender.rig.codes import (
-    BLEND_DESCRIPTION,
-    BLEND_RANGE,
-    SLOTS,
-    blend_name,
-    blend_of,
-    code_properties,
-    saved_slots,
-    slot_name,
-)
 from ..grmm_blender.rig.components import components
-from ..grmm_blender.rig.definitions import ARRAY_DESCRIPTIONS, ARRAY_RANGES, Z_EXP, Z_ID
+from ..grmm_blender.rig.custom_properties import add_property, read_array, write_array
+from ..grmm_blender.rig.saved_codes import SLOTS, blend_control, blend_of, code_properties, saved_slots, slot_control
+from ..grmm_core.controls.table import CONTROLS, Z_EXP, Z_ID
 from .common import Result, active_avatar, needs_avatar
-from .edit import Edit
+from .edit import DrawsAnother, Edit
 
 _CODE_ITEMS = (
-    (Z_EXP, "Residual Expression", "The code of the expression's learned detail"),
-    (Z_ID, "Residual Identity", "The code of the person's learned detail"),
+    (Z_EXP, CONTROLS[Z_EXP].label, "The code of the expression's learned detail"),
+    (Z_ID, CONTROLS[Z_ID].label, "The code of the person's learned detail"),
 )
 _SLOT_ITEMS = (("A", "A", "What the blend is at 0"), ("B", "B", "What the blend is at 1"))
 
 
 def present_code(avatar: Avatar, name: str) -> np.ndarray:
     """The code that the avatar has now, with what the blend adds, before it is evaluated again."""
-    values = np.array(avatar.object[name].to_list(), np.float32)
+    values = read_array(avatar.object, name)
     return values + blend_of(avatar.object, name, values.size)
 
 
@@ -49,11 +38,6 @@ class _CodeEdit(Edit):
             cls.poll_message_set("This head has no learned detail: no network draws it")
             return False
         return True
-
-    def set_code(self, avatar: Avatar, name: str, values: np.ndarray) -> None:
-        """Write a code, kept in its range."""
-        limits = ARRAY_RANGES[name]
-        avatar.object[name] = values.clip(limits.low, limits.high).tolist()
 
 
 class GRMM_OT_save_code(_CodeEdit, bpy.types.Operator):
@@ -71,18 +55,17 @@ class GRMM_OT_save_code(_CodeEdit, bpy.types.Operator):
         avatar = active_avatar(context)
         head, slot = avatar.object, self.slot.lower()
         present = present_code(avatar, self.code)
-        description = f"{ARRAY_DESCRIPTIONS[self.code]}: saved as {self.slot}"
-        name = slot_name(self.code, slot)
-        add_property(head, name, [0.0] * present.size, ARRAY_RANGES[self.code], description)
-        head[name] = present.tolist()
+        saved = slot_control(self.code, slot)
+        add_property(head, saved, present.size)
+        head[saved.name] = present.tolist()
         changed: list[str] = []
         if len(saved_slots(head, self.code)) == len(SLOTS):
-            blend = blend_name(self.code)
-            if blend not in head:
-                add_property(head, blend, 0.0, BLEND_RANGE, BLEND_DESCRIPTION)
-            head[blend] = 0.0 if slot == "a" else 1.0
-            self.set_code(avatar, self.code, np.zeros_like(present))
-            changed = [self.code, blend]
+            blend = blend_control(self.code)
+            if blend.name not in head:
+                add_property(head, blend)
+            head[blend.name] = 0.0 if slot == "a" else 1.0
+            write_array(head, self.code, np.zeros_like(present))
+            changed = [self.code, blend.name]
         return self.finish(context, avatar, changed)
 
 
@@ -98,30 +81,23 @@ class GRMM_OT_apply_blend(_CodeEdit, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> Result:
         """Apply it."""
         avatar = active_avatar(context)
-        self.set_code(avatar, self.code, present_code(avatar, self.code))
+        write_array(avatar.object, self.code, present_code(avatar, self.code))
         for name in list(code_properties(avatar.object, self.code)):
             del avatar.object[name]
         return self.finish(context, avatar, [self.code])
 
 
-class GRMM_OT_random_detail(_CodeEdit, bpy.types.Operator):
+class GRMM_OT_random_detail(DrawsAnother, _CodeEdit, bpy.types.Operator):
     """Give the active avatar a random learned detail."""
 
     bl_idname = "grmm.random_detail"
     bl_label = "Random Detail"
     bl_description = "Draw the active avatar's residual expression at random, spread as in the trained expressions"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     seed: bpy.props.IntProperty(name="Seed", description="Number of the detail", default=1, min=0)
     amount: bpy.props.FloatProperty(
         name="Amount", description="1 is as strong as trained expressions are", default=1.0, min=0.0, soft_max=2.0, max=4.0
     )
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Another detail each time."""
-        if not self.properties.is_property_set("seed"):
-            self.seed = int(np.random.default_rng().integers(1, 1 << 20))
-        return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Draw it."""
@@ -131,7 +107,7 @@ class GRMM_OT_random_detail(_CodeEdit, bpy.types.Operator):
         for component in components(Z_EXP, size):
             spread[component.index] = component.spread
         drawn = np.random.default_rng(self.seed).standard_normal(size).astype(np.float32)
-        self.set_code(avatar, Z_EXP, drawn * spread * self.amount)
+        write_array(avatar.object, Z_EXP, drawn * spread * self.amount)
         return self.finish(context, avatar, [Z_EXP])
 
 

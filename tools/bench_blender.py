@@ -56,25 +56,26 @@ def measure(frames: int) -> dict[str, Any]:
     import bpy
     import numpy as np
 
-    definitions, handlers = _module("grmm_blender.rig.definitions"), _module("grmm_blender.handlers")
+    table, handlers = _module("grmm_core.controls.table"), _module("grmm_blender.handlers")
+    property_path = _module("grmm_blender.rig.custom_properties").property_path
     generator = np.random.default_rng(0)
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.grmm.add_head()
     avatar = _module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
     avatar.object.grmm.live_detail = False  # the model's own time is not Blender's
-    names = definitions.ALIGNED_NAMES
+    arrays_of_head = [control.name for control in table.ARRAYS]
     for frame in KEYED_FRAMES:
-        for name in names:
+        for name in table.EXPRESSION_NAMES:
             avatar.object[name] = float(generator.uniform(0.0, 0.5))
-            avatar.object.keyframe_insert(definitions.property_path(name), frame=frame)
-        for name in definitions.ARRAY_NAMES:
+            avatar.object.keyframe_insert(property_path(name), frame=frame)
+        for name in arrays_of_head:
             avatar.object[name] = generator.uniform(-0.3, 0.3, len(avatar.object[name])).tolist()
-            avatar.object.keyframe_insert(definitions.property_path(name), frame=frame)
+            avatar.object.keyframe_insert(property_path(name), frame=frame)
         for name in BONES:
             avatar.armature.pose.bones[name].rotation_euler = generator.uniform(-0.3, 0.3, 3)
             avatar.armature.pose.bones[name].keyframe_insert("rotation_euler", frame=frame)
     curves = list(_module("grmm_blender.rig.actions").action_curves(avatar.object))
-    arrays = [c for c in curves if any(c.data_path == definitions.property_path(n) for n in definitions.ARRAY_NAMES)]
+    arrays = [c for c in curves if any(c.data_path == property_path(n) for n in arrays_of_head)]
     result: dict[str, Any] = {"blender": bpy.app.version_string, "curves": len(curves) + 3 * len(BONES)}
     times: dict[str, list[tuple[float, float]]] = {"blender": [], "extension": []}
     for _ in range(2):  # in turns

@@ -10,13 +10,13 @@ from mathutils import Matrix
 
 from ...grmm_core.avatar import load_avatar
 from ...grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
+from ...grmm_core.controls.table import EXPRESSION, Z_EXP
 from ...grmm_core.errors import ConfigError
 from ...grmm_core.fitting.result import photo_controls
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.head import load_open_head
 from ...grmm_core.session import HEAD_TO_BLENDER
 from ..rig.avatar import Avatar, avatar_of
-from ..rig.definitions import EXPRESSION, Z_EXP
 
 _SENSOR = 36.0  # millimetres
 _OPACITY = 0.5

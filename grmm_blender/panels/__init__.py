@@ -1,6 +1,7 @@
 """Panels: the sidebar tab "GRMM" and the object data tab.
 
 ``avatar_panels``  the selected avatar: source, sliders, pose, identity, learned detail
+``sliders``        rows of sliders that both draw
 ``splat_panels``   the selected splat cloud
 ``picture_panels`` poses and presets, composite, turntable, contact sheet; presets above the engine's settings
 """

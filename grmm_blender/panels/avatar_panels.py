@@ -1,26 +1,27 @@
-"""The avatar's panels: who it is, its sliders by region, pose, learned detail, and what runs the model.
+"""The avatar's panels: who it is, one for each section of the core's table of controls, and what runs the model.
 
 Each panel stands in the sidebar's GRMM tab and, as a twin, in the object data tab. They draw the custom properties of the
-selected avatar (see `rig.definitions`) and follow the selection: head or armature.
+selected avatar and follow the selection: head or armature. A section that has no class here gets its sliders and a reset.
 """
 
 from __future__ import annotations
 
 import bpy
 
+from ...grmm_core.controls.control import Control, Section
+from ...grmm_core.controls.table import CONTROLS, JOINTS, SECTIONS, SHAPE, Z_EXP, Z_ID
 from ..rig import live
 from ..rig.avatar import Avatar, avatar_of
-from ..rig.codes import SLOTS, blend_name, saved_slots
 from ..rig.components import components
-from ..rig.definitions import ARRAY_NAMES, CONTROL_JOINTS, REGIONS, SHAPE, STRENGTH, Z_EXP, Z_ID, label, mirrored, property_path
+from ..rig.custom_properties import property_path
+from ..rig.saved_codes import SLOTS, blend_control, saved_slots
 from ..session_host import runtime_status
+from .sliders import draw_expressions, draw_sliders
 from .width import draw_text, is_narrow
 
 CATEGORY = "GRMM"
 ALL = "ALL"  # of the operators' regions
 LEADING_COMPONENTS = 8  # of an array; the rest is reached through the object's custom properties
-SHORT_NAME = 15  # characters that a slider shows beside its value while the sidebar has its first width
-_ROTATION_NAMES = ("Pitch", "Yaw", "Roll")
 
 
 class _AvatarPanel:
@@ -90,97 +91,81 @@ class _Avatar(_AvatarPanel):
         _draw_runtime(layout, context)
 
 
-class _Expression(_AvatarPanel):
-    """The aligned expressions by region."""
+class _Section(_AvatarPanel):
+    """The controls of a section: a reset, and its sliders."""
 
-    bl_label = "Expression"
+    section: Section
 
     def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
+        """What the section has of its own, then its sliders."""
+        self.draw_own(layout, avatar, context)
+        draw_sliders(layout, avatar.object, self.section.key)
+
+    def draw_own(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
+        """Edits of the whole section."""
+        self.draw_reset(layout.row(align=True))
+
+    def draw_reset(self, row: bpy.types.UILayout) -> None:
+        """The button that puts the section at rest."""
+        row.operator("grmm.reset", text="Reset", icon="LOOP_BACK").what = self.section.key
+
+
+class _Expression(_Section):
+    """The named expressions by region."""
+
+    def draw_own(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
         """One box for each region; the two sides of an expression stand in one row where there is room for it."""
-        head = avatar.object
         layout.use_property_split = False
         narrow = is_narrow(context)
         _draw_edits(layout, ALL, narrow)
-        for region, names in REGIONS.items():
-            box = layout.box().column(align=True)
-            header = box.row(align=True)
-            header.label(text=region)
-            _draw_edits(header, region, narrow)
-            drawn: set[str] = set()
-            for name in names:
-                if name in drawn or name not in head:
-                    continue
-                partner = mirrored(name)
-                # The subject's right side stands on the left, as it does on the face that looks at the animator.
-                pair = [n for n in dict.fromkeys((partner, name)) if n in names] if name.endswith("Left") else [name]
-                row = box.column(align=True) if narrow else box.row(align=True)
-                for member in pair:
-                    text = _short(label(member), region) if narrow else label(member)
-                    row.prop(head, property_path(member), text=text, slider=True)
-                drawn.update(pair)
+        draw_expressions(layout, avatar.object, narrow, lambda heading, region: _draw_edits(heading, region, narrow))
 
 
-class _Pose(_AvatarPanel):
+class _Pose(_Section):
     """Neck, jaw and eyes."""
 
-    bl_label = "Pose"
-
-    def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
+    def draw_own(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
         """The bones' rotations, so that panel and viewport edit the same thing."""
         if avatar.armature is None:
             layout.label(text="The armature is missing; add the head again", icon="ERROR")
             return
         row = layout.row(align=True)
-        row.operator("grmm.reset", text="Reset", icon="LOOP_BACK").what = "POSE"
+        self.draw_reset(row)
         row.operator("grmm.calibrate_neutral", text="Neutral", icon="ARMATURE_DATA")
-        for joint in CONTROL_JOINTS:
-            bone = avatar.armature.pose.bones.get(joint)
-            if bone is None:
+        for joint in JOINTS:
+            bone = avatar.armature.pose.bones.get(joint.name)
+            if bone is None or not joint.axes:
                 continue
             column = layout.column(align=True)
-            for axis, name in enumerate(_ROTATION_NAMES[: 2 if joint.endswith("eye") else 3]):
-                text = f"{label(joint.replace('_', ' ').title().replace(' ', ''))} {name}"
-                column.prop(bone, "rotation_euler", index=axis, text=text)
+            for axis, name in enumerate(joint.axes):
+                column.prop(bone, "rotation_euler", index=axis, text=f"{joint.label} {name}")
 
 
-class _Identity(_AvatarPanel):
+class _Identity(_Section):
     """Shape and residual identity."""
 
-    bl_label = "Identity"
-
-    def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
+    def draw_own(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
         """Random person, the leading components, saved persons."""
         row = layout.row(align=True)
         row.operator("grmm.random_identity", text="Random", icon="COMMUNITY")
-        row.operator("grmm.reset", text="Reset", icon="LOOP_BACK").what = "IDENTITY"
-        _draw_array(layout, avatar, SHAPE)
-        _draw_code(layout, avatar, Z_ID)
+        self.draw_reset(row)
+        _draw_array(layout, avatar, CONTROLS[SHAPE])
+        _draw_code(layout, avatar, CONTROLS[Z_ID])
 
 
-class _Residual(_AvatarPanel):
+class _Residual(_Section):
     """The learned detail."""
-
-    bl_label = "Learned Detail"
 
     def draw_avatar(self, layout: bpy.types.UILayout, avatar: Avatar, context: bpy.types.Context) -> None:
         """Strength, the residual expression code, saved codes."""
         if Z_EXP not in avatar.object:
             layout.label(text="No network draws this head", icon="INFO")
             return
-        layout.prop(avatar.object, property_path(STRENGTH), text="Strength", slider=True)
+        draw_sliders(layout, avatar.object, self.section.key)
         row = layout.row(align=True)
         row.operator("grmm.random_detail", text="Random", icon="MOD_NOISE")
-        row.operator("grmm.reset", text="Reset", icon="LOOP_BACK").what = "DETAIL"
-        _draw_code(layout, avatar, Z_EXP)
-
-
-def _short(text: str, region: str) -> str:
-    """Shorten the sides, and leave out the region where even then the end, which tells the sides apart, would be cut off."""
-    for word, letter in (("Right", "R"), ("Left", "L")):
-        if text.endswith(f" {word}"):
-            text = text[: -len(word)] + letter
-    first, _, rest = text.partition(" ")
-    return rest if len(text) > SHORT_NAME and region.startswith(first) else text
+        self.draw_reset(row)
+        _draw_code(layout, avatar, CONTROLS[Z_EXP])
 
 
 def _draw_edits(layout: bpy.types.UILayout, region: str, narrow: bool) -> None:
@@ -204,25 +189,25 @@ def _draw_edits(layout: bpy.types.UILayout, region: str, narrow: bool) -> None:
             options.what = "EXPRESSION"
 
 
-def _draw_array(layout: bpy.types.UILayout, avatar: Avatar, name: str, labels: dict[int, str] | None = None) -> None:
+def _draw_array(layout: bpy.types.UILayout, avatar: Avatar, control: Control, labels: dict[int, str] | None = None) -> None:
     """The leading components of an array; `labels` says which, and in what words."""
-    if name not in ARRAY_NAMES or name not in avatar.object:
+    if control.name not in avatar.object:
         return
     column = layout.column(align=True)
-    column.label(text={SHAPE: "Shape", Z_ID: "Residual Identity", Z_EXP: "Residual Expression"}[name])
+    column.label(text=control.label)
     if labels is None:
-        labels = {index: "" for index in range(min(LEADING_COMPONENTS, len(avatar.object[name])))}
+        labels = {index: "" for index in range(min(LEADING_COMPONENTS, len(avatar.object[control.name])))}
     for index, words in labels.items():
-        column.prop(avatar.object, property_path(name), index=index, text=f"{index} {words}".strip(), slider=True)
+        column.prop(avatar.object, property_path(control.name), index=index, text=f"{index} {words}".strip(), slider=True)
 
 
-def _draw_code(layout: bpy.types.UILayout, avatar: Avatar, name: str) -> None:
+def _draw_code(layout: bpy.types.UILayout, avatar: Avatar, control: Control) -> None:
     """A residual code: its components that are seen most, by what they do, and the blend of saved states."""
-    head = avatar.object
+    head, name = avatar.object, control.name
     if name not in head:
         return
     leading = components(name, len(head[name]))[:LEADING_COMPONENTS]
-    _draw_array(layout, avatar, name, {component.index: component.label for component in leading})
+    _draw_array(layout, avatar, control, {component.index: component.label for component in leading})
     column = layout.column(align=True)
     saved = saved_slots(head, name)
     row = column.row(align=True)
@@ -230,7 +215,8 @@ def _draw_code(layout: bpy.types.UILayout, avatar: Avatar, name: str) -> None:
         options = row.operator("grmm.save_code", text=f"{'Replace' if slot in saved else 'Save'} {slot.upper()}")
         options.code, options.slot = name, slot.upper()
     if len(saved) == len(SLOTS):
-        column.prop(head, property_path(blend_name(name)), text="Blend A to B", slider=True)
+        blend = blend_control(name)
+        column.prop(head, property_path(blend.name), text=blend.label, slider=True)
         column.operator("grmm.apply_blend").code = name
 
 
@@ -261,14 +247,17 @@ def _twins(content: type[_AvatarPanel], name: str, closed: bool) -> tuple[type, 
     return sidebar, data_tab
 
 
-CLASSES = tuple(
-    panel
-    for content, name, closed in (
-        (_Avatar, "avatar", False),
-        (_Expression, "expression", False),
-        (_Pose, "pose", True),
-        (_Identity, "identity", True),
-        (_Residual, "residual", True),
-    )
-    for panel in _twins(content, name, closed)
-)
+def _panels_of(section: Section) -> tuple[type, type]:
+    """The panels of a section of controls."""
+    content, name, closed = _SECTIONS.get(section.key, (_Section, section.key.lower(), True))
+    members = {"bl_label": section.label, "section": section, "__doc__": content.__doc__}
+    return _twins(type(content.__name__, (content,), members), name, closed)
+
+
+_SECTIONS: dict[str, tuple[type[_Section], str, bool]] = {
+    "EXPRESSION": (_Expression, "expression", False),
+    "POSE": (_Pose, "pose", True),
+    "IDENTITY": (_Identity, "identity", True),
+    "DETAIL": (_Residual, "residual", True),
+}  # content, end of the panel's name, closed at first
+CLASSES = (*_twins(_Avatar, "avatar", False), *(panel for section in SECTIONS for panel in _panels_of(section)))

@@ -9,10 +9,10 @@ from typing import ClassVar
 
 import bpy
 
-from ..rig.definitions import REGIONS, label, mirrored, property_path
 from ..splats.cloud import Cloud, is_cloud
 from ..splats.rigged import is_puppet
 from .avatar_panels import CATEGORY
+from .sliders import draw_expressions
 
 
 class GRMM_PT_splats(bpy.types.Panel):
@@ -62,23 +62,7 @@ class GRMM_PT_splat_expression(bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """One box for each region."""
-        obj = context.object
-        for region, names in REGIONS.items():
-            present = [name for name in names if name in obj]
-            if not present:
-                continue
-            box = self.layout.box().column(align=True)
-            box.label(text=region)
-            drawn: set[str] = set()
-            for name in present:
-                if name in drawn:
-                    continue
-                # The subject's right side stands on the left, as it does on the face that looks at the animator.
-                pair = [n for n in dict.fromkeys((mirrored(name), name)) if n in present] if name.endswith("Left") else [name]
-                row = box.row(align=True)
-                for member in pair:
-                    row.prop(obj, property_path(member), text=label(member), slider=True)
-                drawn.update(pair)
+        draw_expressions(self.layout, context.object, narrow=False)
 
 
 CLASSES = (GRMM_PT_splats, GRMM_PT_splat_expression)

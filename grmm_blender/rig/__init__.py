@@ -1,23 +1,25 @@
 """The rig of an avatar: a head mesh with shape keys, an armature, and the properties that drive them.
 
-=================  =====================================================================================
-``definitions``    names, regions, ranges and descriptions of the controls; mirror pairs
-``identity``       from an avatar's source to its head model and resting shape, with numpy alone
-``mesh``           the head mesh: geometry, UV map, materials, vertex groups, shape keys
-``armature``       bones, bone collections, constraints
-``drivers``        what drives shape keys and bones: SUM drivers only, so files work with auto-run off
-``build``          puts the above together: `build_avatar`
-``codes``          saved residual codes and the blend between them
-``components``     what single components of the residual codes do, in words
-``sums``           sums of hundreds of small shape components, quick from frame to frame
-``live``           what the add-on keeps up to date: residual key, rest joints
-=================  =====================================================================================
+=====================  =================================================================================
+``avatar``             an avatar as a Python object: reads its controls and placement
+``custom_properties``  the controls on the head object, as the core's table of controls has them
+``identity``           from an avatar's source to its head model and resting shape, with numpy alone
+``mesh``               the head mesh: geometry, UV map, materials, vertex groups, shape keys
+``armature``           bones, bone collections, constraints
+``drivers``            what drives shape keys and bones: SUM drivers only, so files work with auto-run off
+``build``              puts the above together: `build_avatar`
+``actions``            curves of an object's action, and many keys at once
+``saved_codes``        saved residual codes and the blend between them
+``components``         what single components of the residual codes do, in words
+``weighted_sums``      sums of hundreds of small shape components, quick from frame to frame
+``live``               what the add-on keeps up to date: residual key, rest joints
+=====================  =================================================================================
 
 How a control reaches the mesh (no scripted driver, no add-on needed, except for what ``live`` does):
 
-* Custom properties on the head object are what animators keyframe: one float for each aligned expression (``jawOpen``),
-  arrays ``shape``, ``expression``, ``z_id``, ``z_exp``, and ``residual_strength``.
-* Shape key ``shape.k`` = shape[k]; expression key k = expression[k] + its ARKit float. An aligned expression that is more than
+* Custom properties on the head object are what animators keyframe: one float for each named expression (``jawOpen``),
+  arrays ``shape``, ``expression``, ``z_id``, ``z_exp``, and single numbers such as ``residual_strength``.
+* Shape key ``shape.k`` = shape[k]; expression key k = expression[k] + its ARKit float. A named expression that is more than
   one component of the head (a mixture, or an ARKit shape on FLAME) has a key of its own with its recipe's sum of offsets.
 * Joints have four bones with the same rest pose, aligned with the head's axes: ``MCH-jaw`` carries the shift of the joint
   with the person's shape, ``jaw`` is the animator's, ``DEF-jaw`` deforms, and ``DRV-jaw`` receives the rotation that

@@ -2,7 +2,7 @@
 
 `Avatar` wraps the head object, which carries the controls (see `rig`). The render engine, the viewport, handlers, operators
 and panels all go through it. Values come from the evaluated scene, so animation, drivers, constraints and library overrides
-count as they do for the mesh. Imports neither torch nor the session.
+count as they do for the mesh. Imports no torch.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from mathutils import Matrix
 
 from ...grmm_core.avatar.library import LIBRARY_PREFIX
 from ...grmm_core.controls.frame import Controls
-from ...grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
+from ...grmm_core.controls.names import JOINT_NAMES
+from ...grmm_core.controls.table import ARRAYS, EXPRESSIONS, SLIDERS
 from ...grmm_core.session import HEAD_TO_BLENDER
+from ..session_host import SAMPLE_PREFIX
 from ..windows import redraw
 from ..wrapper import ObjectWrapper
 from .armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset
-from .codes import blend_of
-from .definitions import ARRAY_NAMES, CODES, FLAME_PREFIX, STRENGTH
-
-DEFAULT_SOURCE = "default"
-_SAMPLE_PREFIX = "sample:"
+from .custom_properties import read_array
+from .identity import DEFAULT_SOURCE, FLAME_PREFIX
+from .saved_codes import CODES, blend_of
 
 
 class Avatar(ObjectWrapper):
@@ -42,7 +42,7 @@ class Avatar(ObjectWrapper):
         A user's FLAME head, which no session draws, is `FLAME_PREFIX` and the file's absolute path.
         """
         stored = self.object.grmm.source
-        if not stored or stored == DEFAULT_SOURCE or stored.startswith((_SAMPLE_PREFIX, LIBRARY_PREFIX)):
+        if not stored or stored == DEFAULT_SOURCE or stored.startswith((SAMPLE_PREFIX, LIBRARY_PREFIX)):
             return stored or DEFAULT_SOURCE
         if stored.startswith(FLAME_PREFIX):
             return FLAME_PREFIX + bpy.path.abspath(stored.removeprefix(FLAME_PREFIX), library=self.object.library)
@@ -92,11 +92,13 @@ class Avatar(ObjectWrapper):
         depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
         obj = self.object.evaluated_get(depsgraph)
         result = Controls()
-        result.aligned = np.array([obj.get(name, 0.0) for name in ALIGNED_NAMES], np.float32)
-        for name in ARRAY_NAMES:
-            array = _array(obj, name)
-            setattr(result, name, array + blend_of(obj, name, array.size) if name in CODES else array)
-        result.residual_strength = float(obj.get(STRENGTH, 1.0))
+        result.aligned = np.array([obj.get(control.name, control.rest) for control in EXPRESSIONS], np.float32)
+        for control in ARRAYS:
+            array = read_array(obj, control.name)
+            blended = control.name in CODES
+            setattr(result, control.field, array + blend_of(obj, control.name, array.size) if blended else array)
+        for control in SLIDERS:
+            setattr(result, control.field, float(obj.get(control.name, control.rest)))
         result.pose = self._pose(depsgraph)
         return result
 
@@ -109,7 +111,7 @@ class Avatar(ObjectWrapper):
 
     def array(self, name: str, depsgraph: bpy.types.Depsgraph | None = None) -> np.ndarray:
         """Return one of the arrays of controls, empty where the head has none; not validated."""
-        return _array(self.object.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()), name)
+        return read_array(self.object.evaluated_get(depsgraph or bpy.context.evaluated_depsgraph_get()), name)
 
     def model_to_world(self, depsgraph: bpy.types.Depsgraph | None = None) -> np.ndarray:
         """Return head space (metres, y up, face towards +z) to Blender's world, [4, 4] float64.
@@ -158,11 +160,6 @@ class Avatar(ObjectWrapper):
         return pose
 
 
-def _array(obj: bpy.types.Object, name: str) -> np.ndarray:
-    values = obj.get(name)
-    return np.array([] if values is None else values.to_list(), np.float32)
-
-
 def active_object(context: bpy.types.Context) -> bpy.types.Object | None:
     """Return the active object; None also where the context has none, as while a file is being opened."""
     return getattr(context, "object", None)
@@ -186,6 +183,6 @@ def avatar_of(obj: bpy.types.Object | None) -> Avatar | None:
 
 def missing_file(source: str) -> str:
     """Return one sentence if a source, as `Avatar.source` returns it, is a file that is not there, else an empty string."""
-    if source == DEFAULT_SOURCE or source.startswith((_SAMPLE_PREFIX, LIBRARY_PREFIX)) or Path(source).exists():
+    if source == DEFAULT_SOURCE or source.startswith((SAMPLE_PREFIX, LIBRARY_PREFIX)) or Path(source).exists():
         return ""
     return f"{source} does not exist; choose the file again with Relink Avatar in the GRMM tab."

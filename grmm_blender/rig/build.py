@@ -6,25 +6,13 @@ from pathlib import Path
 
 import bpy
 
-from ...grmm_core.controls.names import ALIGNED_NAMES
+from ...grmm_core.avatar import AssetReference
+from ...grmm_core.controls.table import ARRAYS, CONTROLS, EXPRESSIONS, SLIDERS, Z_EXP, Z_ID
 from ...grmm_core.errors import FileFormatError, GrmmError
 from . import armature, drivers, live, mesh
 from .avatar import Avatar
-from .definitions import (
-    ALIGNED_RANGE,
-    ARRAY_DESCRIPTIONS,
-    ARRAY_RANGES,
-    EXPRESSION,
-    SHAPE,
-    STRENGTH,
-    STRENGTH_DESCRIPTION,
-    STRENGTH_RANGE,
-    Z_EXP,
-    Z_ID,
-    Range,
-    describe_aligned,
-)
-from .identity import Identity, read_identity
+from .custom_properties import add_property
+from .identity import Identity, load_head, read_identity
 
 MODIFIER_NAME = "Armature"
 
@@ -63,19 +51,32 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
 
 def add_properties(obj: bpy.types.Object, identity: Identity) -> None:
     """Create the custom properties that are the avatar's controls, at rest."""
-    for name in ALIGNED_NAMES:
-        add_property(obj, name, 0.0, ALIGNED_RANGE, describe_aligned(name))
-    sizes = {
-        SHAPE: identity.head.shape_count,
-        EXPRESSION: identity.head.expression_count,
-        Z_ID: identity.z_id_size,
-        Z_EXP: identity.z_exp_size,
-    }
-    for name, size in sizes.items():
-        if size == 0:  # a head that no network draws has no codes
-            continue
-        add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])
-    add_property(obj, STRENGTH, 1.0, STRENGTH_RANGE, STRENGTH_DESCRIPTION)
+    for control in EXPRESSIONS:
+        add_property(obj, control)
+    for control in ARRAYS:
+        size = identity.sizes.get(control.name, control.size)
+        if size:  # a head that no network draws has no codes
+            add_property(obj, control, size)
+    for control in SLIDERS:
+        add_property(obj, control)
+
+
+def add_missing_controls(avatar: Avatar) -> None:
+    """Give a rig that an earlier version built the controls that have come since; what it has stays as it is."""
+    obj = avatar.object
+    missing = [control for control in (*EXPRESSIONS, *SLIDERS) if control.name not in obj]
+    if not missing or not obj.is_editable or live.limitation(avatar):
+        return
+    try:
+        head = load_head(AssetReference(obj.grmm.head_name))
+    except GrmmError:
+        return  # panels say what is wrong with it
+    for control in missing:
+        add_property(obj, control)
+    if any(control in EXPRESSIONS for control in missing):
+        mesh.add_recipe_keys(obj, head)
+        drivers.drive_shape_keys(obj, head)
+        drivers.drive_bones(avatar.armature, obj, head, drivers.resting_pose(avatar.armature))
 
 
 def show_source(avatar: Avatar) -> str:
@@ -116,7 +117,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
         values = obj[name].to_list() if name in obj else []
         if len(values) != size:
             kept = (values + [0.0] * size)[:size]
-            add_property(obj, name, [0.0] * size, ARRAY_RANGES[name], ARRAY_DESCRIPTIONS[name])
+            add_property(obj, CONTROLS[name], size)
             obj[name] = kept
     live.state_of(avatar).shape_for = None
     live.state_of(avatar).detail_for = None
@@ -142,22 +143,6 @@ def make_independent(avatar: Avatar) -> None:
     live.state_of(avatar).shape_for = None
     live.state_of(avatar).detail_for = None
     obj.update_tag()
-
-
-def add_property(obj: bpy.types.Object, name: str, value: float | list[float], limits: Range, description: str) -> None:
-    """Create one custom property with range and tooltip, which library overrides may change."""
-    obj[name] = value
-    obj.id_properties_ui(name).update(
-        min=limits.low,
-        max=limits.high,
-        soft_min=limits.soft_low,
-        soft_max=limits.soft_high,
-        default=value,
-        description=description,
-        step=1.0,
-        precision=3,
-    )
-    obj.property_overridable_library_set(f'["{name}"]', True)
 
 
 def _bind(obj: bpy.types.Object, rig: bpy.types.Object) -> None:

@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from ...grmm_core.avatar.library import LIBRARY_FOLDER
+from ...grmm_core.controls.control import in_words
+from ...grmm_core.controls.names import ALIGNED_NAMES
+from ...grmm_core.controls.table import Z_EXP, Z_ID
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.files.tensorfile import read_tensors
 from ...grmm_core.head import HeadModel, load_open_head
 from .. import session_host
-from .definitions import ALIGNED_NAMES, Z_EXP, Z_ID
-from .definitions import label as words
 
 _log = logging.getLogger(__name__)
 
@@ -204,7 +205,7 @@ def _describe_color(changes: dict[str, np.ndarray]) -> tuple[str, float]:
 def _user_of(column: np.ndarray) -> str:
     """Name the expression whose trained code has most of a component, from its values in all codes [60]."""
     row = int(np.abs(column).argmax())
-    return f"{'Detail of' if column[row] > 0 else 'Against'} {words(ALIGNED_NAMES[row])}"
+    return f"{'Detail of' if column[row] > 0 else 'Against'} {in_words(ALIGNED_NAMES[row])}"
 
 
 def _spread(codes: np.ndarray, size: int) -> np.ndarray:

@@ -11,26 +11,27 @@ from collections.abc import Sequence
 import bpy
 import numpy as np
 
-from ...grmm_core.controls.frame import ALIGNED_TO_ARKIT
-from ...grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
+from ...grmm_core.controls.frame import EXPRESSIONS_TO_ARKIT
+from ...grmm_core.controls.names import EXPRESSION_NAMES, JOINT_NAMES
+from ...grmm_core.controls.table import EXPRESSION, SHAPE
 from ...grmm_core.head import HeadModel
 from .armature import DRIVEN_PREFIX, driven_joints
-from .definitions import EXPRESSION, SHAPE, property_path
-from .mesh import aligned_rows, component_of, leading_shapes, mixture_key_name, shape_key_name
+from .custom_properties import property_path
+from .mesh import component_of, expression_rows, leading_shapes, recipe_key_name, shape_key_name
 
 _AXES = "xyz"
 _MIN_ANGLE = 1e-7  # radians per unit; smaller ones do not move a vertex by 1e-7 m
 
 
 def expression_inputs(head: HeadModel) -> tuple[list[list[str]], dict[str, np.ndarray]]:
-    """Sort the aligned expressions into those that are one component of the head and those with a key of their own.
+    """Sort the named expressions into those that are one component of the head and those with a key of their own.
 
     Returns:
         For each component the data paths that add up to it, [E]; and name to coefficients [E] of all others.
     """
     inputs = [[property_path(EXPRESSION, k)] for k in range(head.expression_count)]
     others: dict[str, np.ndarray] = {}
-    for name, row in zip(ALIGNED_NAMES, aligned_rows(head), strict=True):
+    for name, row in zip(EXPRESSION_NAMES, expression_rows(head), strict=True):
         component = component_of(row)
         if component is None:
             others[name] = row
@@ -48,7 +49,7 @@ def drive_shape_keys(obj: bpy.types.Object, head: HeadModel) -> None:
     for name, paths in zip(head.expression_names, inputs, strict=True):
         drive_sum(keys[name], "value", -1, obj, paths)
     for name in others:
-        drive_sum(keys[mixture_key_name(name, head)], "value", -1, obj, [property_path(name)])
+        drive_sum(keys[recipe_key_name(name, head)], "value", -1, obj, [property_path(name)])
 
 
 def drive_bones(armature: bpy.types.Object, obj: bpy.types.Object, head: HeadModel, resting: np.ndarray) -> None:
@@ -64,8 +65,8 @@ def drive_bones(armature: bpy.types.Object, obj: bpy.types.Object, head: HeadMod
     poses = np.asarray(head.expression_pose)  # [E, 5, 3]
     sources = [(name, inputs[k], poses[k]) for k, name in enumerate(head.expression_names)]
     sources += [(f"{name}.recipe", [property_path(name)], np.einsum("e,ejk->jk", row, poses)) for name, row in others.items()]
-    own = np.einsum("ma,ajk->mjk", ALIGNED_TO_ARKIT, head.arkit_pose)  # [60, 5, 3]; FLAME's shapes turn joints themselves
-    sources += [(f"{name}.own", [property_path(name)], own[k]) for k, name in enumerate(ALIGNED_NAMES)]
+    own = np.einsum("ma,ajk->mjk", EXPRESSIONS_TO_ARKIT, head.arkit_pose)  # [K, 5, 3]; FLAME's shapes turn joints themselves
+    sources += [(f"{name}.own", [property_path(name)], own[k]) for k, name in enumerate(EXPRESSION_NAMES)]
     for joint in driven_joints(head):
         bone = armature.pose.bones[DRIVEN_PREFIX + JOINT_NAMES[joint]]
         for axis in range(3):
@@ -115,10 +116,12 @@ def drive_sum(
     paths: Sequence[str],
     slope: float = 1.0,
 ) -> None:
-    """Make a channel the sum of properties of one object, times `slope`."""
+    """Make a channel the sum of properties of one object, times `slope`, whatever drove it before."""
     curve = owner.driver_add(path, index) if index >= 0 else owner.driver_add(path)
     driver = curve.driver
     driver.type = "SUM"
+    for variable in list(driver.variables):
+        driver.variables.remove(variable)
     for number, source in enumerate(paths):
         variable = driver.variables.new()
         variable.name = f"v{number}"

@@ -14,12 +14,14 @@ import numpy as np
 
 from ...grmm_core.avatar import AssetReference, load_avatar
 from ...grmm_core.avatar.library import DEFAULT_NAME, library_file, library_path
+from ...grmm_core.controls.table import EXPRESSION, SHAPE, Z_EXP, Z_ID
 from ...grmm_core.errors import FileAccessError, FileFormatError
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
 from .. import session_host
-from .definitions import FLAME_PREFIX
 
 DEFAULT_SOURCE = "default"
+FLAME_PREFIX = "flame:"
+"""Before the path of a user's FLAME file, in an avatar's source and in the name of its head model."""
 OPEN_HEAD = "open_head"
 _PAPER_SIZES = (512, 256)  # z_id, z_exp
 
@@ -46,6 +48,12 @@ class Identity:
     z_exp_size: int = _PAPER_SIZES[1]
     offset: np.ndarray | None = None
     reference: str = ""
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Length of each array of controls on this head; 0 where it has none."""
+        head = self.head
+        return {SHAPE: head.shape_count, EXPRESSION: head.expression_count, Z_ID: self.z_id_size, Z_EXP: self.z_exp_size}
 
     @property
     def vertices(self) -> np.ndarray:

@@ -19,6 +19,7 @@ import numpy as np
 
 from ...grmm_core.avatar import AssetReference
 from ...grmm_core.controls.frame import Controls, resolve
+from ...grmm_core.controls.table import CONTROLS, SHAPE
 from ...grmm_core.errors import GrmmError, RuntimeMissingError
 from ...grmm_core.head import HeadModel
 from ...grmm_core.head.skinning import euler_matrices
@@ -26,7 +27,7 @@ from .. import session_host
 from .actions import action_fcurves
 from .armature import joint_parents, shift_joints
 from .avatar import Avatar
-from .definitions import ARRAY_RANGES, SHAPE, property_path
+from .custom_properties import property_path
 from .drivers import resting_pose
 from .identity import load_head
 from .mesh import (
@@ -40,7 +41,7 @@ from .mesh import (
     write_key,
     write_offsets,
 )
-from .sums import RecentSums, weighted_sum
+from .weighted_sums import RecentSums, weighted_sum
 
 _SHAPE_PATH = property_path(SHAPE)
 
@@ -140,7 +141,7 @@ def predict(avatar: Avatar, frame: float, depsgraph: bpy.types.Depsgraph | None)
         return
     shape = np.array(values.to_list(), np.float32)
     shape[animated[0]] = animated[1]
-    limits = ARRAY_RANGES[SHAPE]
+    limits = CONTROLS[SHAPE].limits
     try:
         head = load_head(AssetReference(avatar.object.grmm.head_name))
     except GrmmError:
@@ -291,7 +292,7 @@ def _update_detail(avatar: Avatar, head: HeadModel, controls: Controls, state: L
     if not _may_write(avatar):
         state.stale = False
         return False
-    digest = _digest(avatar, controls) if wanted else b""
+    digest = _detail_key(avatar, controls) if wanted else b""
     if state.detail_for == digest:
         state.stale = False
         return False
@@ -311,10 +312,9 @@ def _wants_detail(avatar: Avatar, head: HeadModel) -> bool:
     return avatar.object.grmm.live_detail or head.posedirs is not None
 
 
-def _digest(avatar: Avatar, controls: Controls) -> bytes:
-    arrays = (controls.aligned, controls.expression, controls.shape, controls.pose, controls.z_id, controls.z_exp)
-    rest = f"{avatar.source}|{avatar.object.grmm.live_detail}|{controls.residual_strength}"
-    return b"".join(array.tobytes() for array in arrays) + rest.encode(errors="surrogateescape")
+def _detail_key(avatar: Avatar, controls: Controls) -> bytes:
+    """What the residual key depends on."""
+    return f"{avatar.source}|{avatar.object.grmm.live_detail}|".encode(errors="surrogateescape") + controls.key()
 
 
 def _pose_correctives(avatar: Avatar, head: HeadModel, controls: Controls) -> np.ndarray:

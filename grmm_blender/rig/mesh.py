@@ -8,10 +8,10 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...grmm_core.controls.frame import ALIGNED_TO_ARKIT
-from ...grmm_core.controls.names import ALIGNED_NAMES
+from ...grmm_core.controls.frame import EXPRESSIONS_TO_ARKIT
+from ...grmm_core.controls.names import EXPRESSION_NAMES
+from ...grmm_core.controls.table import SHAPE
 from ...grmm_core.head import HeadModel
-from .definitions import SHAPE
 from .identity import Identity
 
 BASIS_KEY = "Basis"
@@ -40,13 +40,13 @@ def to_blender(points: np.ndarray) -> np.ndarray:
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], -1).astype(np.float32)
 
 
-def aligned_rows(head: HeadModel) -> np.ndarray:
-    """Expression coefficients that each aligned expression stands for, [60, E]."""
-    return ALIGNED_TO_ARKIT @ np.asarray(head.arkit_to_expression, np.float32)
+def expression_rows(head: HeadModel) -> np.ndarray:
+    """Expression coefficients that each named expression stands for, [K, E]."""
+    return EXPRESSIONS_TO_ARKIT @ np.asarray(head.arkit_to_expression, np.float32)
 
 
 def component_of(row: np.ndarray) -> int | None:
-    """Return k where a row of `aligned_rows` [E] is component k and nothing else."""
+    """Return k where a row of `expression_rows` [E] is component k and nothing else."""
     used = np.flatnonzero(row)
     return int(used[0]) if used.size == 1 and row[used[0]] == 1.0 else None
 
@@ -97,11 +97,18 @@ def add_shape_keys(obj: bpy.types.Object, identity: Identity) -> None:
         _add_key(obj, shape_key_name(k), resting + to_blender(head.shape_dirs[:, :, k]))
     for k, name in enumerate(head.expression_names):
         _add_key(obj, name, resting + to_blender(head.expression_dirs[:, :, k]))
-    for name, row in zip(ALIGNED_NAMES, aligned_rows(head), strict=True):
-        if component_of(row) is None:
-            _add_key(obj, mixture_key_name(name, head), resting + to_blender(head.expression_dirs @ row))
+    add_recipe_keys(obj, head)
     for name in (SHAPE_REST_KEY, RESIDUAL_KEY):
         _add_key(obj, name, resting).value = 1.0
+
+
+def add_recipe_keys(obj: bpy.types.Object, head: HeadModel) -> None:
+    """Add the keys of named expressions that are more than one component of the head, where they are missing."""
+    resting = read_key(obj.data.shape_keys.key_blocks[BASIS_KEY]).reshape(-1, 3)
+    for name, row in zip(EXPRESSION_NAMES, expression_rows(head), strict=True):
+        key = recipe_key_name(name, head)
+        if component_of(row) is None and key not in obj.data.shape_keys.key_blocks:
+            _add_key(obj, key, resting + to_blender(head.expression_dirs @ row))
 
 
 def leading_shapes(head: HeadModel) -> int:
@@ -109,8 +116,8 @@ def leading_shapes(head: HeadModel) -> int:
     return min(LEADING_SHAPES, head.shape_count)
 
 
-def mixture_key_name(name: str, head: HeadModel) -> str:
-    """Name of the key of an aligned expression that has its own; an expression component may have taken the plain name."""
+def recipe_key_name(name: str, head: HeadModel) -> str:
+    """Name of the key of a named expression that has its own; an expression component may have taken the plain name."""
     return f"aligned.{name}" if name in head.expression_names else name
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...grmm_core.avatar import AssetReference
 from ...grmm_core.controls.names import ALIGNED_NAMES
+from ...grmm_core.controls.table import CONTROLS, EXPRESSION_LIMITS
 from ...grmm_core.errors import FileFormatError
 from ...grmm_core.formats import SplatCloud, read_avatar
 from ...grmm_core.formats.avatars.binding import place_on_mesh
@@ -24,8 +25,8 @@ from ...grmm_core.formats.avatars.lam import LamAvatar
 from ...grmm_core.performance import Performance
 from ..rig.actions import ensure_bag, find_curve, linear_keys, replace_keys
 from ..rig.avatar import Avatar
-from ..rig.build import add_property, build_avatar
-from ..rig.definitions import ALIGNED_RANGE, describe_aligned, property_path
+from ..rig.build import build_avatar
+from ..rig.custom_properties import add_property, property_path
 from ..rig.drivers import drive_sum
 from ..rig.identity import FLAME_PREFIX, Identity, load_head
 from ..rig.mesh import to_blender
@@ -136,12 +137,12 @@ def _add_lam(name: str, avatar: LamAvatar, path: Path) -> Imported:
     unknown = []
     for morph, offsets in avatar.mesh.morphs.items():
         key = obj.shape_key_add(name=morph, from_mix=False)
-        key.slider_min, key.slider_max, key.value = ALIGNED_RANGE.low, ALIGNED_RANGE.high, 0.0
+        key.slider_min, key.slider_max, key.value = EXPRESSION_LIMITS.low, EXPRESSION_LIMITS.high, 0.0
         key.points.foreach_set("co", (resting + to_blender(offsets)).ravel())
         if morph not in ALIGNED_NAMES:
             unknown.append(morph)
             continue
-        add_property(obj, morph, 0.0, ALIGNED_RANGE, describe_aligned(morph))
+        add_property(obj, CONTROLS[morph])
         drive_sum(key, "value", -1, obj, [property_path(morph)])
     warnings = list(avatar.cloud.warnings)
     if unknown:

@@ -7,7 +7,6 @@ when there is nothing left to do. Touches none of Blender's data.
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import time
 from collections.abc import Callable
@@ -168,7 +167,4 @@ def same_shot(one: AvatarShot, other: AvatarShot) -> bool:
         other.cloud and (other.cloud.key, other.cloud.version),
     ) or not np.array_equal(one.model_to_world, other.model_to_world):
         return False
-    return all(
-        np.array_equal(getattr(one.controls, field.name), getattr(other.controls, field.name))
-        for field in dataclasses.fields(one.controls)
-    )
+    return one.controls.key() == other.controls.key()

@@ -34,6 +34,7 @@ SECTIONS: tuple[Section, ...] = (
     Section("DETAIL", "Learned Detail", "Residual expression, its saved codes, and strength"),
 )
 SHAPE, EXPRESSION, Z_ID, Z_EXP, STRENGTH = "shape", "expression", "z_id", "z_exp", "residual_strength"
+EXPRESSION_LIMITS = Limits(-1.0, 2.0, 0.0, 1.0)
 _CODE_LIMITS = Limits(-20.0, 20.0, -3.0, 3.0)
 _TURN = Limits(-math.pi, math.pi, -math.pi / 2, math.pi / 2)
 _AXES = {"x": 0, "y": 1, "z": 2}
@@ -191,7 +192,7 @@ def _expression(index: int, name: str) -> Control:
         parts = ", ".join(f"{part} {weight:g}" for part, weight in recipe.items())
         what = f"{'mixture with a learned detail of its own' if name in MIXTURES else 'the sum of its parts'} ({parts})"
     return Control(
-        name, label, f"{label}: {what}", "EXPRESSION", Limits(-1.0, 2.0, 0.0, 1.0), "weight", region=region, field="aligned",
+        name, label, f"{label}: {what}", "EXPRESSION", EXPRESSION_LIMITS, "weight", region=region, field="aligned",
         index=index, in_poses=True,
     )  # fmt: skip
 

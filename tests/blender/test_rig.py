@@ -113,11 +113,3 @@ def test_deleting_parts(structure):
 def test_adding_heads_in_odd_places(structure):
     assert structure["elsewhere"]["pose_mode"] is False
     assert structure["elsewhere"]["second"] is True
-
-
-def test_names_sides_and_regions(structure):
-    names = structure["names"]
-    assert names["twice"] == list(ALIGNED_NAMES)
-    assert set(names["once"]) == set(ALIGNED_NAMES)
-    assert names["examples"] == ["jawRight", "right_eye", "unitEyeRightSlit", "Mouth Smile Left"]
-    assert sorted(names["regions"]) == sorted(ALIGNED_NAMES)

@@ -24,7 +24,7 @@ def _table() -> dict[str, tuple[str, ...]]:
 def _strings() -> set[str]:
     """Every string of the user interface's source but the table's own."""
     found: set[str] = set()
-    for folder in ("grmm_blender", "operators"):
+    for folder in ("grmm_blender", "operators", "grmm_core/controls"):
         for path in (ROOT / folder).rglob("*.py"):
             if path.name != "translations.py":
                 constants = (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Constant))

@@ -24,13 +24,13 @@ def load(path: Path, menu: str) -> None:
 
 
 results = {}
-for path in files(presets.EXPRESSIONS):
+for path in files(presets.EXPRESSION_FOLDER):
     head["jawRight"] = 0.9
     load(path, "GRMM_MT_expression_presets")
     results[path.stem] = shown()
 # With the armature active the head is still found.
 bpy.context.view_layer.objects.active = avatar.armature
-load(files(presets.EXPRESSIONS)[0], "GRMM_MT_expression_presets")
+load(files(presets.EXPRESSION_FOLDER)[0], "GRMM_MT_expression_presets")
 report(expressions=results, from_armature=shown())
 
 # Whatever sets values from Python has the editors drawn again, which custom properties do not by themselves.
@@ -50,7 +50,7 @@ report(drawn_again=editors | {"preset": list(drawn_again)})
 
 render = {}
 settings = bpy.context.scene.grmm_render
-for path in files(presets.RENDER):
+for path in files(presets.RENDER_FOLDER):
     load(path, "GRMM_MT_render_presets")
     render[path.stem] = [settings.use_refine, settings.detail, settings.motion_steps]
 report(render=render)
@@ -60,7 +60,7 @@ head["mouthPucker"] = 0.4
 bpy.ops.grmm.expression_preset_add(name="my kiss")
 bpy.ops.grmm.render_preset_add(name="mine")
 head["mouthPucker"] = 0.0
-own = [path for path in files(presets.EXPRESSIONS) if path.stem == "my_kiss"]
+own = [path for path in files(presets.EXPRESSION_FOLDER) if path.stem == "my_kiss"]
 load(own[0], "GRMM_MT_expression_presets")
 report(own=shown(), user_file="presets/grmm/expression" in own[0].as_posix() and "extensions" not in own[0].parts)
 bpy.ops.grmm.expression_preset_add(remove_active=True)

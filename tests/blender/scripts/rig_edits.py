@@ -9,7 +9,7 @@ from support import module, report
 
 actions = module("grmm_blender.rig.actions")
 components = module("grmm_blender.rig.components")
-codes = module("grmm_blender.rig.codes")
+codes = module("grmm_blender.rig.saved_codes")
 ALIGNED = module("grmm_core.controls.names").ALIGNED_NAMES
 
 
@@ -124,7 +124,7 @@ def regions() -> dict:
     bpy.ops.grmm.mirror(direction="SWAP", region="Eyes")
     swapped = [round(head[n], 3) for n in ("eyeBlinkLeft", "eyeBlinkRight", "browDownLeft")]
     bpy.ops.grmm.random_expression(seed=4, region="Brows", amount=0.5, share=1.0)
-    brows = [head[n] for n in module("grmm_blender.rig.definitions").REGIONS["Brows"]]
+    brows = [head[n] for n in module("grmm_core.controls.table").REGIONS["Brows"]]
     bpy.ops.grmm.reset(what="EXPRESSION", region="Mouth")
     return {
         "mirrored": mirrored,

@@ -30,19 +30,6 @@ def structure(avatar) -> dict:
     }
 
 
-def names() -> dict:
-    definitions = module("grmm_blender.rig.definitions")
-    mirrored = definitions.mirrored
-    return {
-        "once": [mirrored(name) for name in definitions.ALIGNED_NAMES],
-        "twice": [mirrored(mirrored(name)) for name in definitions.ALIGNED_NAMES],
-        "examples": [
-            mirrored("jawLeft"), mirrored("left_eye"), mirrored("unitEyeLeftSlit"), definitions.label("mouthSmileLeft"),
-        ],
-        "regions": [name for region in definitions.REGIONS.values() for name in region],
-    }  # fmt: skip
-
-
 def bone_and_slider_add_up(avatar) -> float:
     """Turn the jaw by hand while an expression opens it."""
     avatar.object["jawOpen"] = 0.6
@@ -149,7 +136,6 @@ def elsewhere() -> dict:
 
 avatar = without_detail(fresh_head())
 report(structure=structure(avatar), added=bone_and_slider_add_up(avatar), clamped=clamped(avatar))
-report(names=names())
 report(nan=not_a_number(avatar))
 report(undo=undone(avatar))
 report(**duplicates())

@@ -9,30 +9,35 @@ Must not import `avatar`.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import bpy
 import numpy as np
 
-from .definitions import CODES, Range
+from ...grmm_core.controls.control import Control, Limits
+from ...grmm_core.controls.table import CONTROLS, Z_EXP, Z_ID
+from .custom_properties import read_array
 
+CODES = (Z_ID, Z_EXP)
 SLOTS = ("a", "b")
-BLEND_RANGE = Range(-1.0, 2.0, 0.0, 1.0)
-BLEND_DESCRIPTION = "From the saved code A at 0 to the saved code B at 1; values beyond exaggerate"
 
 
-def slot_name(name: str, slot: str) -> str:
+def slot_control(name: str, slot: str) -> Control:
     """Property that holds a saved state of the code `name`; `slot` is "a" or "b"."""
-    return f"{name}_{slot}"
+    code = CONTROLS[name]
+    return replace(code, name=f"{name}_{slot}", description=f"{code.description}: saved as {slot.upper()}")
 
 
-def blend_name(name: str) -> str:
+def blend_control(name: str) -> Control:
     """Property that blends the saved states of the code `name`."""
-    return f"{name}_blend"
+    description = "From the saved code A at 0 to the saved code B at 1; values beyond exaggerate"
+    limits = Limits(-1.0, 2.0, 0.0, 1.0)
+    return Control(f"{name}_blend", "Blend A to B", description, CONTROLS[name].section, limits, "share")
 
 
 def saved_slots(obj: bpy.types.Object, name: str) -> list[str]:
     """The slots of a code in which something is saved."""
-    return [slot for slot in SLOTS if slot_name(name, slot) in obj]
+    return [slot for slot in SLOTS if slot_control(name, slot).name in obj]
 
 
 def blend_of(obj: bpy.types.Object, name: str, size: int) -> np.ndarray:
@@ -46,15 +51,15 @@ def blend_of(obj: bpy.types.Object, name: str, size: int) -> np.ndarray:
     result = np.zeros(size, np.float32)
     if name not in CODES or len(saved_slots(obj, name)) < len(SLOTS):
         return result
-    weight = float(obj.get(blend_name(name), 0.0))
+    weight = float(obj.get(blend_control(name).name, 0.0))
     for slot, share in zip(SLOTS, (1.0 - weight, weight), strict=True):
-        values = np.array(obj[slot_name(name, slot)].to_list(), np.float32)[:size]
+        values = read_array(obj, slot_control(name, slot).name)[:size]
         result[: len(values)] += share * values
     return result
 
 
 def code_properties(obj: bpy.types.Object, name: str) -> Iterator[str]:
     """Names of the properties of saved states that an object has for a code."""
-    for key in (*(slot_name(name, slot) for slot in SLOTS), blend_name(name)):
-        if key in obj:
-            yield key
+    for control in (*(slot_control(name, slot) for slot in SLOTS), blend_control(name)):
+        if control.name in obj:
+            yield control.name

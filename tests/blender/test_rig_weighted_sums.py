@@ -15,7 +15,7 @@ CLOSE = 1e-5
 @pytest.fixture(scope="module")
 def sums(repository) -> ModuleType:
     """The module alone: its package needs Blender."""
-    spec = importlib.util.spec_from_file_location("sums", repository / "grmm_blender" / "rig" / "sums.py")
+    spec = importlib.util.spec_from_file_location("weighted_sums", repository / "grmm_blender" / "rig" / "weighted_sums.py")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

@@ -12,29 +12,28 @@ from __future__ import annotations
 
 import functools
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ...grmm_core.avatar.library import LIBRARY_FOLDER
 from ...grmm_core.controls.control import in_words
 from ...grmm_core.controls.names import ALIGNED_NAMES
 from ...grmm_core.controls.table import Z_EXP, Z_ID
 from ...grmm_core.errors import GrmmError
-from ...grmm_core.files.tensorfile import read_tensors
-from ...grmm_core.head import HeadModel, load_open_head
+from ...grmm_core.head import HeadModel
+from ...grmm_core.model.config import BASIS_COLOR
+from ...grmm_core.model.packing import unpack
+from ...grmm_core.model.weights_file import WeightsFile, read_weights, resolve_weights
 from .. import session_host
 
 _log = logging.getLogger(__name__)
 
-# as `grmm_core.model.weights` writes them; that module needs torch, and sliders are named without a runtime too
-DEFAULT_WEIGHTS = LIBRARY_FOLDER.parent / "weights" / "default.safetensors"
 _SLOPE = 0.2  # of the decoders' leaky rectifiers
-_DECODER = "model/mesh_decoder."
-_COLOR_WEIGHTS, _COLOR_MAPS = "model/decoders.basis_weights.weight", "model/decoders.basis.color"
-_ANCHOR = "model/anchor.face"
-_CODES, _PEOPLE, _PERSON = "model/aligned_codes", "people/z_id", "people/default_z_id"
+_DECODER = "mesh_decoder."
+_COLOR_WEIGHTS, _COLOR_MAPS = "decoders.basis_weights.weight", f"decoders.basis.{BASIS_COLOR}"
+_CODES = "aligned_codes"
 _JOINTS = 6  # axis-angle vectors of neck and jaw, at rest
 # Parts of the face by the nearest of the 68 landmarks, in the iBUG order.
 _LANDMARK_PARTS = (
@@ -81,7 +80,7 @@ def components(name: str, size: int) -> tuple[Component, ...]:
     Returns:
         [size] components; without names or order, and of spread 1, where the weights do not tell.
     """
-    path = Path(session_host.settings().weights or DEFAULT_WEIGHTS)
+    path = resolve_weights(session_host.settings().weights or None)
     try:
         found = _tables(path, path.stat().st_mtime_ns)[name]
     except (OSError, GrmmError, KeyError, ValueError) as error:  # foreign weights: sliders have numbers only
@@ -93,14 +92,13 @@ def components(name: str, size: int) -> tuple[Component, ...]:
 @functools.lru_cache(maxsize=2)
 def _tables(path: Path, stamp: int) -> dict[str, tuple[Component, ...]]:
     """Both codes' components of a weights file. Raises `KeyError` and `ValueError` for networks of another structure."""
-    tensors, _ = read_tensors(path)
-    head = load_open_head()
+    file = read_weights(path)
+    head, codes, person = file.head, file.arrays[_CODES], file.info.default_z_id
     parts = face_parts(head)
-    decoder = _MeshDecoder(tensors, head.vertex_count)
-    person = tensors[_PERSON].astype(np.float32)
-    rest = np.zeros(tensors[_CODES].shape[1], np.float32)
-    spreads = {Z_ID: _spread(tensors[_PEOPLE], person.size), Z_EXP: _spread(tensors[_CODES], rest.size)}
-    colors = _color_changes(tensors, head, spreads[Z_ID])
+    decoder = _MeshDecoder(file.arrays, head.vertex_count)
+    rest = np.zeros(codes.shape[1], np.float32)
+    spreads = {Z_ID: _spread(file.info.z_id, person.size), Z_EXP: _spread(codes, rest.size)}
+    colors = _color_changes(file, spreads[Z_ID])
     found = {}
     for name, spread in spreads.items():
         steps = np.diag(spread)  # [K, K]
@@ -117,7 +115,7 @@ def _tables(path: Path, stamp: int) -> dict[str, tuple[Component, ...]]:
                 if change / _SEEN_COLOR > effect:
                     label, effect = tint, change / _SEEN_COLOR
             if name == Z_EXP and effect < 1.0:
-                label = _user_of(tensors[_CODES][:, k].astype(np.float32))
+                label = _user_of(codes[:, k])
             made.append(Component(k, label, effect, float(spread[k])))
         found[name] = tuple(sorted(made, key=lambda item: (-item.effect if item.effect >= 1.0 else 0.0, -item.spread)))
     return found
@@ -175,18 +173,20 @@ def _direction(motion: np.ndarray, places: np.ndarray, size: float) -> str:
     return (("wider", "narrower"), ("taller", "flatter"), ("deeper", "shallower"))[axis][int(growth[axis] < 0)]
 
 
-def _color_changes(tensors: dict[str, np.ndarray], head: HeadModel, spread: np.ndarray) -> dict[str, np.ndarray]:
+def _color_changes(file: WeightsFile, spread: np.ndarray) -> dict[str, np.ndarray]:
     """Mean change of each part's color for one standard deviation of each component of z_id, [K, 3]; empty without maps."""
-    if _COLOR_MAPS not in tensors:
+    stored = file.packed.get(_COLOR_MAPS)
+    maps = file.arrays.get(_COLOR_MAPS) if stored is None else unpack(*stored)
+    if maps is None:
         return {}
-    weights = tensors[_COLOR_WEIGHTS].astype(np.float32) * spread  # [M, K]
-    maps = tensors[_COLOR_MAPS].reshape(len(weights), -1, 3)  # [M, N, 3], float16
-    corner = head.faces[tensors[_ANCHOR], 0]  # [N]
+    weights = file.arrays[_COLOR_WEIGHTS] * spread  # [M, K]
+    texels = maps.reshape(len(weights), -1, 3)  # [M, N, 3]
+    corner = file.head.faces[file.layout.face, 0]  # [N]
     found = {}
     for name, regions in _COLOR_PARTS:
-        inside = np.isin(corner, np.concatenate([head.regions[region] for region in regions]))
+        inside = np.isin(corner, np.concatenate([file.head.regions[region] for region in regions]))
         if inside.any():
-            found[name] = weights.T @ maps[:, inside].mean(1, dtype=np.float32)
+            found[name] = weights.T @ texels[:, inside].mean(1)
     return found
 
 
@@ -210,19 +210,17 @@ def _user_of(column: np.ndarray) -> str:
 
 def _spread(codes: np.ndarray, size: int) -> np.ndarray:
     """Standard deviation of each component over trained codes [N, K]; 1 where there are too few to tell."""
-    values = codes.astype(np.float32)
-    if values.ndim != 2 or values.shape[1] != size or len(values) < 2:
+    if codes.ndim != 2 or codes.shape[1] != size or len(codes) < 2:
         return np.ones(size, np.float32)
-    spread = values.std(0)
+    spread = codes.std(0)
     return np.where(spread > 0, spread, 1.0).astype(np.float32)
 
 
 class _MeshDecoder:
     """The mesh decoder at rest (no joint rotation, no expression) with numpy; a readable twin is `model.mesh_decoder`."""
 
-    def __init__(self, tensors: dict[str, np.ndarray], vertex_count: int) -> None:
-        names = [name for name in tensors if name.startswith(_DECODER)]
-        self._arrays = {name.removeprefix(_DECODER): tensors[name].astype(np.float32) for name in names}
+    def __init__(self, arrays: Mapping[str, np.ndarray], vertex_count: int) -> None:
+        self._arrays = {name.removeprefix(_DECODER): array for name, array in arrays.items() if name.startswith(_DECODER)}
         self._count = vertex_count
         rest = self._layers("film", np.zeros((1, self._arrays["film.0.weight"].shape[1]), np.float32))
         self._gamma, self._beta = np.split(rest, 2, axis=1)

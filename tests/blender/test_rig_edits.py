@@ -45,6 +45,9 @@ def test_components_are_named(edits):
     names = edits["names"]
     assert names["indices"] == {"z_id": True, "z_exp": True}
     assert all(label for labels in names["labels"].values() for label in labels)
+    # Of hair and skin one standard deviation changes the color, of the scalp the shape, by a few times what can be seen.
+    assert {label.split()[0] for label in names["labels"]["z_id"]} >= {"Hair", "Skin", "Scalp"}
+    assert 1.0 < max(names["effects"]) < 20.0
     assert names["foreign"] == [""] * 7
 
 

@@ -76,6 +76,7 @@ def names() -> dict:
             name: sorted(c.index for c in each) == list(range(len(avatar.object[name]))) for name, each in found.items()
         },
         "labels": {name: [c.label for c in each[:8]] for name, each in found.items()},
+        "effects": [c.effect for c in found["z_id"]],
         "foreign": [c.label for c in components.components("z_exp", 7)],
     }
 

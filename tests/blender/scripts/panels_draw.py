@@ -2,70 +2,9 @@
 
 from __future__ import annotations
 
-from types import FunctionType, SimpleNamespace
-
 import bpy
+from panel_recorder import Narrow, draw_all
 from support import empty_scene, module, report
-
-
-class Recorder:
-    """Stands in for UILayout: resolves what a panel draws and notes it."""
-
-    def __init__(self, notes: dict[str, list[str]]) -> None:
-        self.notes = notes
-
-    def prop(self, data: object, path: str, **options: object) -> None:
-        value = data.path_resolve(path)
-        if "index" in options:
-            value[options["index"]]
-        if path.startswith('["') and "index" not in options:
-            self.notes["names"].append(options["text"])
-        self.notes["properties"].append(path if "index" not in options else f"{path}[{options['index']}]")
-
-    def operator(self, name: str, **_: object) -> object:
-        kind, function = name.split(".")
-        self.notes["operators"].append(name)
-        properties = getattr(getattr(bpy.ops, kind), function).get_rna_type().properties
-
-        class Settable:
-            def __setattr__(self, attribute: str, value: object) -> None:
-                assert attribute in properties, f"{name} has no {attribute}"
-
-        return Settable()
-
-    def label(self, text: str = "", **_: object) -> None:
-        self.notes["labels"].append(text)
-
-    def row(self, **_: object) -> Recorder:
-        return Recorder(self.notes)
-
-    column = box = row
-
-    def menu(self, name: str, **_: object) -> None:
-        assert hasattr(bpy.types, name), name
-
-
-class Narrow:
-    """Stands in for the context of a sidebar as it is first opened; in background there is no region."""
-
-    region = SimpleNamespace(width=220)
-
-    def __getattr__(self, name: str) -> object:
-        return getattr(bpy.context, name)
-
-
-def draw_all(context: object = bpy.context) -> dict[str, list[str]]:
-    notes: dict[str, list[str]] = {"properties": [], "operators": [], "labels": [], "panels": [], "names": []}
-    for panel in module("grmm_blender.panels").CLASSES:
-        if panel.poll(context):
-            notes["panels"].append(panel.__name__)
-            # Blender alone can make instances of a panel's class; its content class is plain Python.
-            drawing = {name: value for name, value in vars(panel).items() if isinstance(value, FunctionType)}
-            instance = type("Drawn", panel.__mro__[1:2], drawing)()
-            instance.layout = Recorder(notes)
-            instance.draw(context)
-    return notes
-
 
 empty_scene()
 report(without=draw_all())

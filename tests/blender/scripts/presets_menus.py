@@ -45,7 +45,7 @@ for name, options in (
     getattr(bpy.ops.grmm, name)(**options)
     editors[name] = list(drawn_again)
 drawn_again.clear()
-load(files(presets.EXPRESSIONS)[0], "GRMM_MT_expression_presets")
+load(files(presets.EXPRESSION_FOLDER)[0], "GRMM_MT_expression_presets")
 report(drawn_again=editors | {"preset": list(drawn_again)})
 
 render = {}

@@ -12,6 +12,7 @@
 ``pipeline``       a frame from plain values to pass values, on any thread
 ``view``           the rendered viewport, on Blender's main thread
 ``view_jobs``      its pictures, on a thread of their own
+``overlays``       takes overlays behind avatars out of it
 =================  ==============================================================================
 """
 

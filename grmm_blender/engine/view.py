@@ -24,9 +24,10 @@ from ..scene.meshes import MeshCache
 from ..scene.shot import Frame, SceneShot
 from ..scene.walk import read_scene
 from ..windows import redraw_viewports
-from . import view_jobs
+from . import overlays, view_jobs
 from .pipeline import DrawSettings
-from .view_jobs import ViewJobs, ViewRequest
+from .settings import ENGINE
+from .view_jobs import ViewJobs, ViewPicture, ViewRequest
 
 _POLL_SECONDS = 0.03
 _EDGE_SAMPLES = 2
@@ -50,8 +51,10 @@ class ViewRenderer:
         self._meshes = MeshCache()
         self._scene: _Scene | None = None
         self._shown: tuple[_Scene, Camera] | None = None
+        self._picture: ViewPicture | None = None
         self._texture: gpu.types.GPUTexture | None = None
-        self._level = ""
+        self._avatars: gpu.types.GPUTexture | None = None  # of the picture, made when it is needed
+        self._region = 0
         self._error = ""
         _viewports.add(self)
 
@@ -72,7 +75,8 @@ class ViewRenderer:
             self._request(context)
         found = self._jobs.take()
         if found is not None:
-            self._texture, self._level = _texture(found.values), found.level
+            self._picture, self._texture, self._avatars = found, _texture(found.values, "RGBA16F"), None
+        self._region = context.region.as_pointer()
         if self._texture is not None:
             gpu.state.blend_set("ALPHA_PREMULT")
             engine.bind_display_space_shader(depsgraph.scene)
@@ -83,6 +87,15 @@ class ViewRenderer:
         if self._jobs.busy:
             events.later(_poll, _POLL_SECONDS)
 
+    def hide_overlays(self, region: bpy.types.Region, region_data: bpy.types.RegionView3D) -> None:
+        """Clear overlays that avatars hide, in the buffer that is bound, where this viewport is that of the region."""
+        if self._picture is None or self._region != region.as_pointer():
+            return
+        if self._avatars is None:
+            self._avatars = _texture(self._picture.avatars, "RG32F")
+        projection = np.array(region_data.window_matrix, np.float64)
+        overlays.hide_overlays(self._avatars, projection, self._picture.request.setback)
+
     def status(self) -> str:
         """Return what the viewport shows, for its corner: an error, or how far the picture is."""
         error = self._error or self._jobs.error
@@ -90,9 +103,9 @@ class ViewRenderer:
             return error
         if self._scene is not None and not self._scene.shot.avatars:
             return "No visible avatar"
-        if self._texture is None:
+        if self._picture is None:
             return "Loading the model"
-        return "Preview" if self._level == "preview" else ""
+        return "Preview" if self._picture.level == "preview" else ""
 
     @property
     def has_news(self) -> bool:
@@ -126,13 +139,15 @@ class ViewRenderer:
             return
         self._shown = (self._scene, camera)
         space = context.space_data
-        clip = (space.clip_start, space.clip_end)
+        clip, setback = (space.clip_start, space.clip_end), 0.0
         if camera.orthographic:
             # Such a view shows what is behind its plane too: draw it from farther back.
             matrix = camera.world_to_camera.copy()
-            matrix[2, 3] += space.clip_end
+            setback = space.clip_end
+            matrix[2, 3] += setback
             camera, clip = replace(camera, world_to_camera=matrix), (clip[0], 2.0 * clip[1])
-        self._jobs.request(ViewRequest(Frame(self._scene.shot, camera, clip), self._scene.preview, self._scene.final))
+        frame = Frame(self._scene.shot, camera, clip)
+        self._jobs.request(ViewRequest(frame, self._scene.preview, self._scene.final, setback))
 
     def _is_shown(self, camera: Camera) -> bool:
         if self._shown is None or self._shown[0] is not self._scene:
@@ -141,6 +156,7 @@ class ViewRenderer:
 
 
 _viewports: weakref.WeakSet[ViewRenderer] = weakref.WeakSet()
+_callbacks: list[object] = []
 
 
 def _poll() -> float | None:
@@ -152,11 +168,20 @@ def _poll() -> float | None:
     return _POLL_SECONDS if more else None
 
 
-def _texture(values: np.ndarray) -> gpu.types.GPUTexture:
-    """Return a picture [H, W, 4], bottom row first, as a texture."""
+def _texture(values: np.ndarray, texture_format: str) -> gpu.types.GPUTexture:
+    """Return a picture [H, W, C], bottom row first, as a texture."""
     height, width = values.shape[:2]
-    buffer = gpu.types.Buffer("FLOAT", width * height * 4, np.ascontiguousarray(values, np.float32).reshape(-1))
-    return gpu.types.GPUTexture((width, height), format="RGBA16F", data=buffer)
+    buffer = gpu.types.Buffer("FLOAT", values.size, np.ascontiguousarray(values, np.float32).reshape(-1))
+    return gpu.types.GPUTexture((width, height), format=texture_format, data=buffer)
+
+
+def _hide_overlays() -> None:
+    """Blender's callback after its overlays were drawn."""
+    context = bpy.context
+    space = context.space_data
+    if space.shading.type == "RENDERED" and context.scene.render.engine == ENGINE and space.overlay.show_overlays:
+        for viewport in list(_viewports):
+            viewport.hide_overlays(context.region, context.region_data)
 
 
 @persistent
@@ -172,11 +197,16 @@ _EVENTS = tuple(
 
 
 def register() -> None:
-    """Follow Blender's events."""
+    """Follow Blender's events; without windows there are no overlays."""
     events.follow(_EVENTS)
+    if not bpy.app.background:
+        _callbacks.append(bpy.types.SpaceView3D.draw_handler_add(_hide_overlays, (), "WINDOW", "POST_VIEW"))
 
 
 def unregister() -> None:
     """Take back `register`, and end what is being drawn."""
     events.stop(_EVENTS, [_poll])
+    while _callbacks:
+        bpy.types.SpaceView3D.draw_handler_remove(_callbacks.pop(), "WINDOW")
     view_jobs.close_all()
+    overlays.forget()

@@ -25,7 +25,11 @@ from .pipeline import DrawSettings
 
 REST_SECONDS = 0.15  # without a newer request before the good picture is begun
 PREVIEW_PIXELS = 320 * 240  # what a preview is scaled down to
-_COMBINED = [RenderPass("combined", "Combined", "RGBA", "COLOR")]
+_PASSES = [
+    RenderPass("combined", "Combined", "RGBA", "COLOR"),
+    RenderPass("mask", "Mask", "X", "VALUE"),
+    RenderPass("depth", "Depth", "Z", "VALUE"),
+]
 
 _log = logging.getLogger(__name__)
 
@@ -40,11 +44,13 @@ class ViewRequest:
         frame: Scene and camera; the camera has the size of the viewport.
         preview: How the cheap picture is drawn.
         final: How the good picture is drawn.
+        setback: How much farther back than the viewport's the camera of `frame` stands, metres.
     """
 
     frame: Frame
     preview: DrawSettings
     final: DrawSettings
+    setback: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,11 +59,13 @@ class ViewPicture:
 
     Attributes:
         values: Scene-linear premultiplied RGBA, [H, W, 4] float32, bottom row first.
+        avatars: Visible cover of the avatars, and their depth in metres, [H, W, 2] float32, bottom row first.
         level: How good it is.
         request: What it shows.
     """
 
     values: np.ndarray
+    avatars: np.ndarray
     level: Level
     request: ViewRequest
 
@@ -153,9 +161,10 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
             return self._closed or (level == "final" and (self._in_the_way or self._wanted is not request))
 
         region = Region(0, 0, frame.camera.width, frame.camera.height)
-        values = pipeline.frame_values(frame, settings, _COMBINED, region, given_up, depths=self._depths)
-        rows = picture.blender_rows(values["Combined"]).reshape(region.height, region.width, 4)
-        self._put(ViewPicture(rows, level, request))
+        values = pipeline.frame_values(frame, settings, _PASSES, region, given_up, depths=self._depths)
+        avatars = np.concatenate([values["Mask"], values["Depth"]], -1)
+        rows = (picture.blender_rows(part).reshape(part.shape) for part in (values["Combined"], avatars))
+        self._put(ViewPicture(*rows, level, request))
 
 
 _live: weakref.WeakSet[ViewJobs] = weakref.WeakSet()

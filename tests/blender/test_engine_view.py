@@ -51,6 +51,11 @@ def test_viewport_shows_what_f12_renders(run_blender: RunBlender, weights: Path,
     # What changes is seen, what does not is not drawn again.
     assert found["redrawn_for_nothing"] is False
     assert found["pose_changed"] > 0.001
+    # Overlays are seen beside the avatar, and on it where they are nearer.
+    behind, beside, near = found["overlays"]
+    assert behind < 0.001
+    assert beside == 1.0
+    assert near == 1.0
     assert found["world"] == pytest.approx([0.1, 0.2, 0.05, 1.0], abs=2e-3)
     assert "missing.grmm" in found["error"]
     assert found["panoramic"] == ""

@@ -48,7 +48,7 @@ def context() -> SimpleNamespace:
     space = SimpleNamespace(
         view_matrix=camera.matrix_world.inverted(), window_matrix=camera.calc_matrix_camera(depsgraph, x=SIZE[0], y=SIZE[1])
     )
-    region = SimpleNamespace(width=SIZE[0], height=SIZE[1])
+    region = SimpleNamespace(width=SIZE[0], height=SIZE[1], as_pointer=lambda: 1)
     return SimpleNamespace(region=region, region_data=space, space_data=SimpleNamespace(clip_start=0.01, clip_end=100.0))
 
 
@@ -114,6 +114,25 @@ report(
 
 draw()
 report(redrawn_for_nothing=jobs.busy)
+
+
+def with_overlay(distance: float) -> np.ndarray:
+    """What is left of an overlay that fills the view at a distance, after the avatar has hidden it; [H, W], top row first."""
+    eye = context()
+    with target.bind():
+        buffer = gpu.state.active_framebuffer_get()
+        terms = np.array(eye.region_data.window_matrix)
+        depth = 0.5 * (terms[2, 2] * -distance + terms[2, 3]) / (terms[3, 2] * -distance) + 0.5
+        gpu.state.depth_mask_set(True)
+        buffer.clear(color=(1.0, 0.0, 0.0, 1.0), depth=float(depth))
+        renderer.hide_overlays(eye.region, eye.region_data)
+        values = np.array(buffer.read_color(0, 0, *SIZE, 4, 0, "FLOAT").to_list(), np.float32)
+    return values.reshape(SIZE[1], SIZE[0], 4)[::-1, :, 0]
+
+
+solid, beside = wanted[..., 3] > 0.9, wanted[..., 3] < 0.05
+far, near = with_overlay(3.0), with_overlay(0.5)
+report(overlays=[float(far[solid].mean()), float(far[beside].mean()), float(near.mean())])
 head = heads(scene)[0]
 head["jawOpen"] = 1.0
 head.update_tag()

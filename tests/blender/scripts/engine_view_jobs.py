@@ -47,7 +47,7 @@ def frame_values(frame, settings, items, region, should_cancel, depths):
         raise errors.CancelledError("cancelled")
     values = np.zeros((region.height, region.width, 4), np.float32)
     values[0] = 1.0  # the top row
-    return {"Combined": values}
+    return {"Combined": values, "Mask": values[..., :1], "Depth": values[..., :1]}
 
 
 pipeline.frame_values = frame_values

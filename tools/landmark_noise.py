@@ -19,7 +19,6 @@ from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import NoFaceError
 from grmm_core.files.tensorfile import write_tensors
 from grmm_core.fitting.landmark_priors import NOISE_ASSET
-from grmm_core.fitting.outline import project_points
 from grmm_core.head.model import HeadModel
 from grmm_core.head.open_head import load_open_head
 from grmm_core.head.skinning import euler_matrices
@@ -56,7 +55,7 @@ def errors_of(folder: Path, head: HeadModel) -> np.ndarray:
             continue
         vertices = head.vertices(dataset.shape(shot.subject), shot.expression, shot.pose)
         truth = head.landmark_positions(vertices, 478).astype(np.float64)
-        local, pixels = project_points(truth, view.camera)
+        local, pixels = view.camera.project(truth)
         unit = view.camera.fx * eye_distance / local[:, 2].mean()
         error = (face.landmarks[:, :2] - pixels) / unit
         if np.median(np.linalg.norm(error, axis=1)) < OUTLIER:

@@ -18,6 +18,7 @@ import numpy as np
 from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
 from ..geometry.camera import Camera
 from ..geometry.rotations import matrix_to_axis_angle
+from ..pictures.sampling import bilinear
 from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 from .foreign import FlameFrame, ForeignDataset, decode, held_out_people, intrinsic_camera, root_transform, vector3
 
@@ -144,7 +145,7 @@ def undistorted(image: np.ndarray, camera: Camera, coefficients: np.ndarray) -> 
     radial = 1.0 + r * (k1 + r * (k2 + r * k3))
     u = x * radial + 2.0 * p1 * x * y + p2 * (r + 2.0 * x * x)
     v = y * radial + p1 * (r + 2.0 * y * y) + 2.0 * p2 * x * y
-    return _bilinear(image, camera.fx * u + camera.cx - 0.5, camera.fy * v + camera.cy - 0.5)
+    return bilinear(image, np.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], -1))
 
 
 def raw_file(annotation: Path) -> Path | None:
@@ -152,17 +153,6 @@ def raw_file(annotation: Path) -> Path | None:
     name = annotation.name.replace("_anno.smc", "_raw.smc")
     places = [annotation.parent / name, annotation.parent.parent.parent / "raw" / annotation.parent.name / name]
     return next((place for place in places if place.is_file()), None)
-
-
-def _bilinear(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    height, width = image.shape[:2]
-    x, y = np.clip(x, 0, width - 1.001), np.clip(y, 0, height - 1.001)
-    left, top = x.astype(np.int64), y.astype(np.int64)
-    a, b = (x - left)[..., None].astype(np.float32), (y - top)[..., None].astype(np.float32)
-    upper = image[top, left] * (1 - a) + image[top, left + 1] * a
-    lower = image[top + 1, left] * (1 - a) + image[top + 1, left + 1] * a
-    result: np.ndarray = upper * (1 - b) + lower * b
-    return result
 
 
 class _Files:

@@ -10,10 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.camera import Camera
+from ..geometry.triangles import vertex_normals
 from ..geometry.zbuffer import triangle_depth
 from ..head.model import HeadModel
 from ..pictures.color import srgb_to_linear
-from .outline import project_points, sample, vertex_normals, visible_skin_vertices
+from ..pictures.sampling import bilinear
+from .outline import visible_skin_vertices
 
 COEFFICIENTS = 9
 _RIDGE = 0.02  # of the mean square: keeps directions that the face does not show near zero
@@ -37,23 +39,23 @@ def estimate_light(
 
     Args:
         head: Head model.
-        vertices: Posed vertices in metres, [V, 3].
-        camera: Of the picture.
-        image: Display sRGB 0..1, [H, W, 3].
-        mask: The person, 0..1, [H, W].
+        vertices: Its posed vertices, [V, 3], metres.
+        camera: The picture's.
+        image: The picture, display sRGB 0..1, [H, W, 3].
+        mask: Where the person is, 0..1, [H, W].
 
     Returns:
         [9, 3], or None where too little skin is seen.
     """
     vertices = np.asarray(vertices, np.float64)
     chosen = visible_skin_vertices(head, vertices, camera, triangle_depth(vertices[head.faces], camera))
-    pixels = project_points(vertices[chosen], camera)[1]
-    seen = sample(mask, pixels) > 0.9
+    pixels = camera.project(vertices[chosen])[1]
+    seen = bilinear(mask, pixels) > 0.9
     chosen, pixels = chosen[seen], pixels[seen]
     if len(chosen) < _MIN_SAMPLES:
         return None
     basis = harmonics(vertex_normals(vertices, head.faces)[chosen])  # [N, 9]
-    colors = srgb_to_linear(sample(image, pixels)).astype(np.float64)  # [N, 3]
+    colors = srgb_to_linear(bilinear(image, pixels)).astype(np.float64)  # [N, 3]
     weights = np.ones(len(chosen))
     ridge = np.eye(COEFFICIENTS) * _RIDGE
     ridge[0, 0] = 0.0

@@ -12,8 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.camera import Camera
+from ..geometry.triangles import vertex_normals
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head.model import HeadModel
+from ..pictures.sampling import bilinear
 
 REGIONS = ("face", "ears")
 REACH_OUT, REACH_IN = 0.30, 0.15  # eye distances from the mesh's outline that are searched
@@ -46,27 +48,6 @@ class OutlinePoints:
     distance: np.ndarray
 
 
-def project_points(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Camera coordinates [N, 3] and pixels [N, 2] of points in head space [N, 3]."""
-    local = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    z = np.maximum(local[:, 2:], 1e-6)
-    return local, local[:, :2] / z * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-
-
-def sample(picture: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Bilinear values of a picture [H, W] or [H, W, C] at pixels [..., 2]; the border's value beyond it."""
-    height, width = picture.shape[:2]
-    x = np.clip(points[..., 0] - _HALF, 0.0, width - 1.0)
-    y = np.clip(points[..., 1] - _HALF, 0.0, height - 1.0)
-    x0, y0 = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
-    u, v = x - x0, y - y0
-    if picture.ndim == 3:
-        u, v = u[..., None], v[..., None]
-    top = picture[y0, x0] * (1 - u) + picture[y0, x0 + 1] * u
-    bottom = picture[y0 + 1, x0] * (1 - u) + picture[y0 + 1, x0 + 1] * u
-    return top * (1 - v) + bottom * v
-
-
 def skin_map(image: np.ndarray, skin_points: np.ndarray) -> np.ndarray:
     """How much each pixel has the color of the person's skin.
 
@@ -78,7 +59,7 @@ def skin_map(image: np.ndarray, skin_points: np.ndarray) -> np.ndarray:
         0..1, [H, W].
     """
     features = _color_features(image)  # [H, W, 3]
-    known = sample(features, skin_points)
+    known = bilinear(features, skin_points)
     middle = np.median(known, axis=0)
     spread = 1.48 * np.median(np.abs(known - middle), axis=0)
     spread = np.maximum(spread, [_CHROMA_FLOOR, _CHROMA_FLOOR, _LUMA_FLOOR])
@@ -110,14 +91,14 @@ def find_outline(
         Possibly no points at all.
     """
     vertices = vertices.astype(np.float64)
-    pixels = project_points(vertices, camera)[1]
+    pixels = camera.project(vertices)[1]
     depth = triangle_depth(vertices[head.faces], camera)
     triangles, barycentric, position, normals = _mesh_outline(head, pixels, depth, unit)
     skin = skin_map(image, visible_skin(head, vertices, camera, depth)) * mask
     offsets = np.linspace(-REACH_IN, REACH_OUT, _STEPS) * unit
     path = position[:, None] + offsets[:, None] * normals[:, None]  # [N, T, 2]
-    skin_along, mask_along = sample(skin, path), sample(mask, path)
-    valid_along = sample(valid, path).min(axis=1) > 0.99
+    skin_along, mask_along = bilinear(skin, path), bilinear(mask, path)
+    valid_along = bilinear(valid, path).min(axis=1) > 0.99
     outward, found_out = _skin_end(skin_along, offsets, unit)
     inward, found_in = _person_begin(mask_along, offsets)
     distance = np.where(found_out, outward, inward)
@@ -130,14 +111,14 @@ def find_outline(
 def visible_skin(head: HeadModel, vertices: np.ndarray, camera: Camera, depth: np.ndarray) -> np.ndarray:
     """Pixels of the face's skin vertices that face the camera, [N, 2]."""
     chosen = visible_skin_vertices(head, vertices, camera, depth)
-    return project_points(vertices[chosen], camera)[1]
+    return camera.project(vertices[chosen])[1]
 
 
 def visible_skin_vertices(head: HeadModel, vertices: np.ndarray, camera: Camera, depth: np.ndarray) -> np.ndarray:
     """Indices of the face's skin vertices (no lips, lids, brows) that face the camera and are not hidden, [N]."""
     others = [head.regions[name] for name in ("lips", "lids", "brows", "lashes", "mouth_interior") if name in head.regions]
     face = np.setdiff1d(head.regions["face"], np.concatenate(others)) if others else head.regions["face"]
-    local, pixels = project_points(vertices[face], camera)
+    local, pixels = camera.project(vertices[face])
     normals = vertex_normals(vertices, head.faces)[face]
     rays = vertices[face] - camera.position
     facing = -(normals * rays).sum(1) / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
@@ -145,16 +126,6 @@ def visible_skin_vertices(head: HeadModel, vertices: np.ndarray, camera: Camera,
     rows = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
     inside = (pixels >= 1.0).all(1) & (pixels[:, 0] < camera.width - 1) & (pixels[:, 1] < camera.height - 1)
     return face[(facing > 0.4) & inside & (local[:, 2] < depth[rows, columns] + 0.004)]
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Area-weighted unit normals, [V, 3]."""
-    corners = vertices[faces]
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    result = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(result, faces[:, k], flat)
-    return result / np.maximum(np.linalg.norm(result, axis=1, keepdims=True), 1e-12)
 
 
 def _color_features(image: np.ndarray) -> np.ndarray:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import ShapeError
+from ..geometry.triangles import face_normals, spread_to_corners
 from ..head.model import JOINT_COUNT, HeadModel
 from ..head.skinning import euler_matrices, joint_transforms
 
@@ -173,9 +174,6 @@ class LandmarkRig(PointRig):
             raise ShapeError(f"The head model {head.name} has no 478 landmarks, so photos cannot be fitted with it.")
         triangles, barycentric = head.landmarks478
         super().__init__(head, triangles, barycentric)
-        edges = head.v_template[head.faces].astype(np.float64)  # [F, 3, 3]
-        flat_normals = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
-        vertex_normals = np.zeros((head.vertex_count, 3))
-        np.add.at(vertex_normals, head.faces.reshape(-1), np.repeat(flat_normals, 3, axis=0))
-        normals = np.einsum("nk,nkx->nx", barycentric, vertex_normals[head.faces[triangles]])
+        summed = spread_to_corners(face_normals(head.v_template.astype(np.float64), head.faces), head.faces, head.vertex_count)
+        normals = np.einsum("nk,nkx->nx", barycentric, summed[head.faces[triangles]])
         self.normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)

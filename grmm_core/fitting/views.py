@@ -19,7 +19,8 @@ from torch.nn import functional
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head import HeadModel
-from .outline import sample, skin_map
+from ..pictures.sampling import bilinear
+from .outline import skin_map
 from .types import PhotoTrack
 
 MARGIN_SIDE, MARGIN_TOP, MARGIN_BOTTOM = 0.18, 0.22, 0.03  # of the head's height in the picture, around the mesh
@@ -242,14 +243,14 @@ def _side_hair(
     Below the mouth only of people without a beard: there the same colors can be skin's.
     """
     marks = track.landmarks_fitted
-    tone = np.median(sample(track.image, marks[list(_SKIN_LANDMARKS)]), axis=0)
+    tone = np.median(bilinear(track.image, marks[list(_SKIN_LANDMARKS)]), axis=0)
     if hair is None or np.linalg.norm(hair - tone) < COLORS_DIFFER:
         return np.zeros(skin.shape, bool)
     middle = 0.5 * (marks[_SIDE_LANDMARKS[0]] + marks[_SIDE_LANDMARKS[1]])
     half = 0.5 * float(np.linalg.norm(marks[_SIDE_LANDMARKS[1]] - marks[_SIDE_LANDMARKS[0]]))
     across = (pixels[0] - middle[0]) * -down[1] + (pixels[1] - middle[1]) * down[0]
     distance = np.linalg.norm(track.image - hair, axis=-1) - np.linalg.norm(track.image - tone, axis=-1)
-    bearded = np.median(sample(distance, marks[list(_BEARD_LANDMARKS)])) < 0.0
+    bearded = np.median(bilinear(distance, marks[list(_BEARD_LANDMARKS)])) < 0.0
     end = marks[list(_MOUTH_LANDMARKS)].mean(0) if bearded else marks[_CHIN_LANDMARK]  # below it: a beard, or clothes
     above = (pixels[0] - end[0]) * down[0] + (pixels[1] - end[1]) * down[1] < 0.0
     return (distance < 0.0) & (np.abs(across) > HAIR_LATERAL * half) & (skin < 0.5) & above & (track.mask > 0.5)

@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import ShapeError
 
 _GL_TO_CV = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL camera axes (y up, z backward) to OpenCV
+_NEAREST = 1e-6  # metres; nothing is divided by less
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,15 @@ class Camera:
     def transformed(self, model_to_world: np.ndarray) -> Camera:
         """Return this camera as seen from a model's space (eq. 2): world_to_camera @ model_to_world, [4, 4]."""
         return replace(self, world_to_camera=self.world_to_camera @ np.asarray(model_to_world, np.float64))
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return camera coordinates [N, 3] in metres and pixels [N, 2] of points of the world [N, 3].
+
+        The pixels of points behind a perspective camera mean nothing; look at the camera's z.
+        """
+        local = np.asarray(points, np.float64) @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        divisor = 1.0 if self.orthographic else np.maximum(local[:, 2:], _NEAREST)
+        return local, local[:, :2] / divisor * [self.fx, self.fy] + [self.cx, self.cy]
 
     def crop(self, x: int, y: int, width: int, height: int) -> Camera:
         """Return the camera of the region whose upper left corner is (x, y)."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import FileFormatError
+from ..geometry.triangles import vertex_normals
 from .flame_regions import FlameSurface
-from .mesh_topology import vertex_normals
 from .model import HeadModel
 
 _BAND = 0.1  # half width of the midline's band, in distances from mouth to eyes

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..controls.names import ARKIT_NAMES, JOINT_NAMES
+from ..geometry.triangles import face_areas, spread_to_corners
 from .flame_align import Correspondence
 from .flame_regions import FlameSurface
 from .model import HeadModel
@@ -42,7 +43,8 @@ def arkit_map(
     skin = surface.skin
     trust = np.exp(-((correspondence.distance / _NEAR) ** 2))
     trust[np.isin(skin, surface.inner_mouth)] = 0.0  # the open head's outer skin says nothing about it; it follows the lips
-    weight = np.sqrt(_vertex_areas(surface)[skin] * trust)[:, None]  # [M, 1]
+    around = spread_to_corners(face_areas(surface.vertices, surface.faces) / 3, surface.faces, len(surface.vertices))  # [V]
+    weight = np.sqrt(around[skin] * trust)[:, None]  # [M, 1]
     basis = (flame.expression_dirs[skin].astype(np.float64) * weight[..., None]).reshape(len(skin) * 3, -1)
     normal = basis.T @ basis
     normal += np.eye(len(normal)) * _RIDGE * max(float(np.trace(normal)) / len(normal), 1e-20)
@@ -88,12 +90,3 @@ def _solve_jaw(flame: HeadModel, skin: np.ndarray, weight: np.ndarray, wanted: n
         step = np.linalg.lstsq(np.stack(slopes, 1), wanted - at, rcond=1e-6)[0]
         turn[list(axes)] = np.clip(turn[list(axes)] + step, -_MAX_JAW, _MAX_JAW)
     return turn
-
-
-def _vertex_areas(surface: FlameSurface) -> np.ndarray:
-    a, b, c = (surface.vertices[surface.faces[:, k]] for k in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    total = np.zeros(len(surface.vertices))
-    for corner in range(3):
-        np.add.at(total, surface.faces[:, corner], area)
-    return total

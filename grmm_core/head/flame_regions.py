@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import FileFormatError
-from .mesh_topology import boundary_loops, components, vertex_normals
+from ..geometry.triangles import vertex_normals
+from .mesh_topology import boundary_loops, components
 
 _SIZE = (0.1, 1.0)  # metres: the head's height
 _MIDLINE = 0.015  # metres: the mouth's middle lies this near to the eyes' middle

@@ -8,16 +8,16 @@ depend on it. Called by `flame`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..errors import FileFormatError
+from ..geometry.triangles import face_areas
 from .flame_regions import FlameSurface
 from .flame_teeth import LOWER_ROWS, ROW, TEETH_FACES, TEETH_VERTICES, UPPER_ROWS
 from .flatten_disk import fill_holes, flatten_disk, outline
 from .mesh_topology import boundary_loops, components, cut_along, directed_edges, is_disk, shortest_path
 from .uv_density import BACK
+from .uv_islands import Island, UVLayout, counter_clockwise, join_islands, signed_areas
 
 GUTTER = 10 / 1024  # between islands: 2.5 texels at 256
 SKIN_ASPECT = 0.72  # height of the skin's island over its width
@@ -30,32 +30,7 @@ _FIT_STEPS = 24
 _MAX_SPLITS = 40
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Texture coordinates.
-
-    Attributes:
-        uv: (0, 0) lower left, float32, [T, 2].
-        faces: Rows of `uv` for each triangle's corners, int32, [F, 3].
-        islands: Number of each triangle's island, 0 is the skin, [F].
-        names: What each island belongs to.
-    """
-
-    uv: np.ndarray
-    faces: np.ndarray
-    islands: np.ndarray
-    names: tuple[str, ...]
-
-
-@dataclass
-class _Island:
-    name: str
-    triangles: np.ndarray  # numbers of the mesh's faces, [m]
-    plane: np.ndarray  # metres times density, lower left at 0, [n, 2]
-    corners: np.ndarray  # rows of plane, [m, 3]
-
-
-def lay_out(surface: FlameSurface, vertices: np.ndarray, faces: np.ndarray, density: np.ndarray) -> Layout:
+def lay_out(surface: FlameSurface, vertices: np.ndarray, faces: np.ndarray, density: np.ndarray) -> UVLayout:
     """Texture layout of FLAME with teeth.
 
     Args:
@@ -85,7 +60,7 @@ def lay_out(surface: FlameSurface, vertices: np.ndarray, faces: np.ndarray, dens
 
 def _skin_islands(
     surface: FlameSurface, vertices: np.ndarray, faces: np.ndarray, density: np.ndarray, skin: np.ndarray, inner: np.ndarray
-) -> list[_Island]:
+) -> list[Island]:
     """One island for the skin and some for the lips' inner side; if that side cannot be taken off, all is skin."""
     lips_density = np.full(len(vertices), MOUTH_DENSITY)
     for outer, lips in ((skin, inner), (np.sort(np.concatenate([skin, inner])), inner[:0])):
@@ -98,7 +73,7 @@ def _skin_islands(
 
 def _skin_island(
     surface: FlameSurface, vertices: np.ndarray, faces: np.ndarray, density: np.ndarray, which: np.ndarray
-) -> _Island | None:
+) -> Island | None:
     seam = _seam(surface, vertices, faces[which])
     if seam is None:
         return None
@@ -153,7 +128,7 @@ def _on_midline(surface: FlameSurface, vertices: np.ndarray, forward: float) -> 
     return int(surface.neck_loop[np.argmax(forward * rim[:, 2] - 2 * aside)])
 
 
-def _eye_islands(vertices: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str) -> list[_Island]:
+def _eye_islands(vertices: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str) -> list[Island]:
     corners = vertices[faces[which]]
     arms = corners - vertices[np.unique(faces[which])].mean(0)
     angle = np.arccos(np.clip(arms[..., 2] / np.maximum(np.linalg.norm(arms, axis=-1), 1e-12), -1, 1))
@@ -169,7 +144,7 @@ def _eye_islands(vertices: np.ndarray, faces: np.ndarray, which: np.ndarray, nam
 
 def _teeth_island(
     vertices: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str, rows: tuple[int, ...], first: int
-) -> _Island:
+) -> Island:
     """The four rows as a grid: along the arch, and around the teeth from the front's root to the back's."""
     ids = first + np.array(rows)[:, None] * ROW + np.arange(ROW)  # [4, 15]
     along = np.linalg.norm(np.diff(vertices[ids], axis=1), axis=2).mean(0)
@@ -178,12 +153,12 @@ def _teeth_island(
     plane = np.stack(np.broadcast_arrays(u[None, :], v[:, None]), -1).reshape(-1, 2)
     row_of = {int(vertex): i for i, vertex in enumerate(ids.reshape(-1))}
     corners = np.array([[row_of[int(vertex)] for vertex in face] for face in faces[which]])
-    return _Island(name, which, _counter_clockwise(plane, corners) * TEETH_DENSITY, corners)
+    return Island(name, which, counter_clockwise(plane, corners) * TEETH_DENSITY, corners)
 
 
-def _pieces(vertices: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str, density: np.ndarray) -> list[_Island]:
+def _pieces(vertices: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str, density: np.ndarray) -> list[Island]:
     """Islands of any triangles: what is no disk is halved until it is."""
-    result: list[_Island] = []
+    result: list[Island] = []
     stack = [(part, 0) for part in _connected(faces, which)]
     while stack:
         part, depth = stack.pop()
@@ -209,7 +184,7 @@ def _connected(faces: np.ndarray, which: np.ndarray) -> list[np.ndarray]:
     return [which[label == value] for value in np.unique(label)]
 
 
-def _disk_island(vertices: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str, density: np.ndarray) -> _Island | None:
+def _disk_island(vertices: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str, density: np.ndarray) -> Island | None:
     corners, origin = cut_along(faces[which])
     loops = boundary_loops(corners)
     if not is_disk(corners, loops) or len(loops) > 1:
@@ -235,23 +210,15 @@ def _scaled(
     filled: np.ndarray,
     corners: np.ndarray,
     density: np.ndarray,
-) -> _Island:
+) -> Island:
     """Give an island the size that its density asks for."""
-    a, b, c = (points[filled[:, k]] for k in range(3))
-    wanted = float((0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1) * density**2).sum())
-    edges = plane[filled]
-    covered = 0.5 * float(np.linalg.det(np.stack([edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]], -1)).sum())
+    wanted = float((face_areas(points, filled) * density**2).sum())
+    covered = float(signed_areas(plane, filled).sum())
     used = int(corners.max()) + 1
-    return _Island(name, which, plane[:used] * np.sqrt(wanted / covered), corners)
+    return Island(name, which, plane[:used] * np.sqrt(wanted / covered), corners)
 
 
-def _counter_clockwise(plane: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    edges = plane[corners]
-    turned = np.linalg.det(np.stack([edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]], -1)).sum() < 0
-    return plane * (-1, 1) if turned else plane
-
-
-def _assemble(islands: list[_Island], count: int) -> Layout:
+def _assemble(islands: list[Island], count: int) -> UVLayout:
     for island in islands:
         island.plane = island.plane - island.plane.min(0)
     sizes = np.array([island.plane.max(0) for island in islands])  # [n, 2]
@@ -270,15 +237,7 @@ def _assemble(islands: list[_Island], count: int) -> Layout:
         low = high
     if places is None:
         raise FileFormatError("The triangles of this FLAME file are no surface that can be laid flat; get the file again.")
-    uv, faces, numbers = [], np.zeros((count, 3), np.int32), np.zeros(count, np.int32)
-    start = 0
-    for number, (island, corner) in enumerate(zip(islands, places, strict=True)):
-        uv.append(island.plane * low + corner)
-        faces[island.triangles] = island.corners + start
-        numbers[island.triangles] = number
-        start += len(island.plane)
-    names = tuple(island.name for island in islands)
-    return Layout(np.concatenate(uv).astype(np.float32), faces, numbers, names)
+    return join_islands(islands, [island.plane * low + corner for island, corner in zip(islands, places, strict=True)], count)
 
 
 def _place(sizes: np.ndarray, scale: float) -> np.ndarray | None:

@@ -10,6 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry.triangles import face_areas, spread_to_corners
+from .uv_islands import signed_areas
+
 POWER = 4.0  # of the outline, |x|^p + |y|^p = 1: nearly a box, yet strictly convex
 _ROUNDS = 9
 _STEP = 0.6
@@ -67,18 +70,15 @@ def flatten_disk(
     plane = np.zeros((len(points), 2))
     plane[inside] = rim.mean(0)
     plane[loop] = rim
-    area = _areas(points, faces)
+    area = face_areas(points, faces)
     tried: list[tuple[float, np.ndarray]] = []  # stretch and factors of each round
     for _ in range(rounds + 1):
         plane = _solve(low, high, spring * factor[low] * factor[high], plane, inside, _ROUGH)
-        flat = _signed_areas(plane, faces)
+        flat = signed_areas(plane, faces)
         # the solution is rough: slightly turned triangles are looked at again below
         stretch = _stretch(points, faces, plane, np.maximum(flat, _MIN_AREA * flat.sum())) * density  # [m], wanted equal
         tried.append((float((area * stretch**2).sum()), factor))
-        at_vertex, share = np.zeros(len(points)), np.zeros(len(points))
-        for corner in range(3):
-            np.add.at(at_vertex, faces[:, corner], area * stretch**2)
-            np.add.at(share, faces[:, corner], area)
+        at_vertex, share = (spread_to_corners(part, faces, len(points)) for part in (area * stretch**2, area))
         local = np.sqrt(at_vertex / np.maximum(share, 1e-30))
         local /= np.exp(np.log(np.maximum(local, 1e-30)).mean())
         factor = factor / np.clip(local, 1 / _LIMIT, _LIMIT) ** _STEP
@@ -86,7 +86,7 @@ def flatten_disk(
     for index in [*order[:_TRIES], 0]:
         factor = tried[index][1]
         plane = _solve(low, high, spring * factor[low] * factor[high], plane, inside, _EXACT)
-        if (_signed_areas(plane, faces) > 0).all():
+        if (signed_areas(plane, faces) > 0).all():
             return plane
     return None
 
@@ -95,7 +95,7 @@ def stretch_values(points: np.ndarray, faces: np.ndarray, plane: np.ndarray, fla
     """Singular values of the map from the plane to space per triangle, largest first, [m, 2]; `flat` replaces the areas."""
     a, b, c = (points[faces[:, k]] for k in range(3))
     p, q, r = (plane[faces[:, k]] for k in range(3))
-    double = 2 * (_signed_areas(plane, faces) if flat is None else flat)
+    double = 2 * (signed_areas(plane, faces) if flat is None else flat)
     along_u = (a * (q - r)[:, 1:] + b * (r - p)[:, 1:] + c * (p - q)[:, 1:]) / double[:, None]
     along_v = (a * (r - q)[:, :1] + b * (p - r)[:, :1] + c * (q - p)[:, :1]) / double[:, None]
     uu, uv, vv = ((x * y).sum(1) for x, y in ((along_u, along_u), (along_u, along_v), (along_v, along_v)))
@@ -105,17 +105,6 @@ def stretch_values(points: np.ndarray, faces: np.ndarray, plane: np.ndarray, fla
 
 def _stretch(points: np.ndarray, faces: np.ndarray, plane: np.ndarray, flat: np.ndarray) -> np.ndarray:
     return np.sqrt((stretch_values(points, faces, plane, flat) ** 2).mean(1))
-
-
-def _areas(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    a, b, c = (points[faces[:, k]] for k in range(3))
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-
-
-def _signed_areas(plane: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    first = plane[faces[:, 1]] - plane[faces[:, 0]]
-    second = plane[faces[:, 2]] - plane[faces[:, 0]]
-    return 0.5 * (first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
 
 
 def _springs(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

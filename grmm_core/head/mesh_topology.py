@@ -125,13 +125,3 @@ def shortest_path(edges: np.ndarray, cost: np.ndarray, start: int, goal: int) ->
                 best[other], before[other] = total + price, vertex
                 heapq.heappush(queue, (total + price, other))
     return None
-
-
-def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Unit normals by area, [V, 3]; zero where a vertex has no triangle."""
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    of_face = np.cross(b - a, c - a)
-    normals = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], of_face)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)

@@ -2,4 +2,5 @@
 
 ``color``    display sRGB, scene-linear light, straight and premultiplied alpha
 ``images``   PNG and OpenEXR out
+``sampling`` values between pixels
 """

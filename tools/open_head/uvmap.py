@@ -7,13 +7,12 @@ lashes are charted by xatlas. The small islands are packed below the head, on a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import xatlas
 from scipy.ndimage import distance_transform_edt
 
 from grmm_core.head.uv_density import face_density, smoothstep
+from grmm_core.head.uv_islands import Island, UVLayout, counter_clockwise, join_islands
 
 from .flatten import boundary_loops, distortion, flatten
 from .topology import Topology
@@ -32,32 +31,7 @@ EYE_FOCUS = 1.9  # how much the island's middle, the iris, gains over its rim
 EYE_FRONT = np.radians(100.0)  # the front island reaches this far from the pupil
 
 
-@dataclass
-class UVMap:
-    """Texture coordinates with (0, 0) at the lower left.
-
-    Attributes:
-        uv: [T, 2] in 0..1.
-        faces: For each triangle of the mesh its three rows of `uv`, [F, 3].
-        islands: Island number of each triangle, [F]; 0 is the head.
-        names: What each island belongs to.
-    """
-
-    uv: np.ndarray
-    faces: np.ndarray
-    islands: np.ndarray
-    names: list[str]
-
-
-@dataclass
-class _Island:
-    name: str
-    triangles: np.ndarray  # indices into the mesh's faces, [m]
-    plane: np.ndarray  # [n, 2]
-    corners: np.ndarray  # rows of plane, [m, 3]
-
-
-def build_uv(topology: Topology, template: np.ndarray, mouth: np.ndarray) -> UVMap:
+def build_uv(topology: Topology, template: np.ndarray, mouth: np.ndarray) -> UVLayout:
     """Lay out all triangles.
 
     Args:
@@ -80,7 +54,7 @@ def build_uv(topology: Topology, template: np.ndarray, mouth: np.ndarray) -> UVM
     return _assemble(islands, len(faces))
 
 
-def _head_island(template: np.ndarray, faces: np.ndarray, which: np.ndarray) -> _Island:
+def _head_island(template: np.ndarray, faces: np.ndarray, which: np.ndarray) -> Island:
     skin = faces[which]
     seam = _seam(template, skin)
     copies = {vertex: len(template) + i for i, vertex in enumerate(seam[:-1])}
@@ -118,7 +92,7 @@ def _head_island(template: np.ndarray, faces: np.ndarray, which: np.ndarray) -> 
     ]
     stiffness = 1 + (FACE_STIFFNESS - 1) * smoothstep(density, 0.5, 0.95)
     plane = flatten(points, local, density, outer=loop, sides=sides, pull=PULL, steps=STEPS, stiffness=stiffness)
-    return _Island("head", which, plane, local)
+    return Island("head", which, plane, local)
 
 
 def _seam(template: np.ndarray, skin: np.ndarray) -> list[int]:
@@ -140,7 +114,7 @@ def _seam(template: np.ndarray, skin: np.ndarray) -> list[int]:
     return seam
 
 
-def _eye_islands(template: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str) -> list[_Island]:
+def _eye_islands(template: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str) -> list[Island]:
     """Front: radius from the pupil grows with the angle, ever slower. Back: a small disk."""
     centre = template[np.unique(faces[which])].mean(0)
     result = []
@@ -157,11 +131,11 @@ def _eye_islands(template: np.ndarray, faces: np.ndarray, which: np.ndarray, nam
         distance = rim * np.arctan(EYE_FOCUS * theta) if sign > 0 else 0.35 * theta
         direction = arms[:, :2] * (sign, 1)
         direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
-        result.append(_Island(label, which[chosen], radius * distance[:, None] * direction, local.reshape(-1, 3)))
+        result.append(Island(label, which[chosen], radius * distance[:, None] * direction, local.reshape(-1, 3)))
     return result
 
 
-def _charts(template: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str, density: float) -> list[_Island]:
+def _charts(template: np.ndarray, faces: np.ndarray, which: np.ndarray, name: str, density: float) -> list[Island]:
     used, local = np.unique(faces[which], return_inverse=True)
     local = local.reshape(-1, 3)
     points = (template[used] * 100).astype(np.float32)  # centimetres: xatlas drops charts of tiny area
@@ -179,7 +153,7 @@ def _charts(template: np.ndarray, faces: np.ndarray, which: np.ndarray, name: st
     result = []
     for chosen in _connected(corners):
         rows, renumbered = np.unique(corners[chosen], return_inverse=True)
-        result.append(_Island(name, which[chosen], plane[rows].astype(float), renumbered.reshape(-1, 3)))
+        result.append(Island(name, which[chosen], plane[rows].astype(float), renumbered.reshape(-1, 3)))
     return result
 
 
@@ -201,11 +175,9 @@ def _connected(corners: np.ndarray) -> list[np.ndarray]:
     return [np.flatnonzero(of_face == value) for value in np.unique(of_face)]
 
 
-def _assemble(islands: list[_Island], count: int) -> UVMap:
-    for island in islands:  # all counter-clockwise
-        edges = island.plane[island.corners]
-        if np.linalg.det(np.stack([edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0]], -1)).sum() < 0:
-            island.plane = island.plane * (-1, 1)
+def _assemble(islands: list[Island], count: int) -> UVLayout:
+    for island in islands:
+        island.plane = counter_clockwise(island.plane, island.corners)
     low = float(np.ptp(islands[0].plane[:, 0])) / (1 - 4 * GUTTER / RASTER / 2)
     high = 1.6 * low
     best = _place(islands, high)
@@ -218,17 +190,10 @@ def _assemble(islands: list[_Island], count: int) -> UVMap:
             low = middle
         else:
             best, high = placed, middle
-    uv, faces, numbers = [], np.zeros((count, 3), np.int32), np.zeros(count, np.int32)
-    start = 0
-    for number, (island, plane) in enumerate(zip(islands, best, strict=True)):
-        uv.append(plane)
-        faces[island.triangles] = island.corners + start
-        numbers[island.triangles] = number
-        start += len(plane)
-    return UVMap(np.concatenate(uv), faces, numbers, [island.name for island in islands])
+    return join_islands(islands, best, count)
 
 
-def _place(islands: list[_Island], side: float) -> list[np.ndarray] | None:
+def _place(islands: list[Island], side: float) -> list[np.ndarray] | None:
     """Place all islands in a square of the given side (density metres); None where they do not fit."""
     free = np.ones((RASTER, RASTER), bool)
     edge = GUTTER // 2

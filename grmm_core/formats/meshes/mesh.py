@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...errors import ShapeError
+from ...geometry import triangles
 
 
 @dataclass
@@ -87,11 +88,5 @@ def split_seams(mesh: Mesh) -> tuple[Mesh, np.ndarray]:
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Area-weighted unit normals [V, 3] of a triangle mesh; +z where a vertex has no area."""
-    corners = vertices[faces]
-    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices)
-    for column in range(3):
-        for axis in range(3):
-            normals[:, axis] += np.bincount(faces[:, column], face_normals[:, axis], vertices.shape[0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.where(lengths > 1e-20, normals / np.maximum(lengths, 1e-20), np.array([0, 0, 1], normals.dtype))
+    normals = triangles.vertex_normals(vertices, faces)
+    return np.where(normals.any(axis=1, keepdims=True), normals, np.array([0, 0, 1], normals.dtype))

@@ -11,10 +11,11 @@ from scipy import spatial
 from grmm_core.fitting import photometric_stage
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.fitting.light import estimate_light, harmonics
-from grmm_core.fitting.outline import find_outline, sample, skin_map, vertex_normals
+from grmm_core.fitting.outline import find_outline, skin_map
 from grmm_core.fitting.photometric_stage import Appearance, posed, refine, shape_change
 from grmm_core.fitting.point_rig import LandmarkRig
 from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.triangles import vertex_normals
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 from grmm_core.head.open_head import load_open_head
 from grmm_core.pictures.color import linear_to_srgb
@@ -181,11 +182,6 @@ def test_skin_map_knows_skin_from_other_colors():
     assert result[:, :20].mean() > 0.9
     assert result[:, 20:40].mean() > 0.9  # the same skin in shade
     assert result[:, 40:].mean() < 0.1
-
-
-def test_sampling_is_bilinear_at_pixel_centres():
-    picture = np.arange(12.0).reshape(3, 4)
-    np.testing.assert_allclose(sample(picture, np.array([[0.5, 0.5], [1.0, 0.5], [3.5, 2.5], [99.0, -5.0]])), [0, 0.5, 11, 3])
 
 
 def test_pictures_cameras_agree():

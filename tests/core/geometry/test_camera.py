@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,12 @@ def test_impossible_cameras_are_refused(change):
     values = {"world_to_camera": np.eye(4), "fx": 1.0, "fy": 1.0, "cx": 0.0, "cy": 0.0, "width": 4, "height": 4}
     with pytest.raises(ShapeError):
         Camera(**{**values, **change})
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_many_points_are_projected_like_each_of_them(orthographic):
+    camera = replace(Camera.orbit(64, 48, yaw=30.0, distance=0.8), orthographic=orthographic)
+    points = np.array([[0.0, 0.0, 0.0], [0.05, -0.02, 0.1]])
+    local, pixels = camera.project(points)
+    np.testing.assert_allclose(pixels, [project(camera, tuple(point)) for point in points])
+    np.testing.assert_allclose(local, (np.c_[points, [1, 1]] @ camera.world_to_camera.T)[:, :3])

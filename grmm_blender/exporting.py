@@ -25,7 +25,7 @@ from ..grmm_core.geometry.rotations import matrix_to_euler, unwrap_euler
 from ..grmm_core.head import HeadModel, load_flame
 from ..grmm_core.head.skinning import euler_matrices
 from ..grmm_core.performance import Performance, to_expression
-from ..grmm_core.session.exporting import morph_targets, splat_cloud
+from ..grmm_core.session.exporting import flame_avatar, morph_targets, splat_cloud
 from . import session_host
 from .rig.avatar import Avatar, avatar_of
 from .rig.identity import FLAME_PREFIX, load_head
@@ -228,14 +228,10 @@ def gaussian_avatar(
         faces = triangles(avatar.object.data)
         bound = bind_to_mesh(cloud.resting(), head.shaped(shape) + offset, faces, cloud.binding())
         return GaussianAvatar(bound, replace(track, shape=shape, static_offset=offset))
-    from ..grmm_core.formats.avatars.flame_transfer import bind_to_flame, fit_flame  # with FLAME's dozen modules
-
     head = load_flame(bpy.path.abspath(flame))
     session, number = session_host.get_session(), session_host.open_avatar(avatar.source).id
     controls = _controls(avatar, bpy.context.evaluated_depsgraph_get(), canonical=True)
-    fit = fit_flame(session.deform(number, controls).vertices, head)
-    bound = bind_to_flame(splat_cloud(session, number, controls, options.degree, options.lod), fit, head)
-    return GaussianAvatar(bound, replace(track, static_offset=fit.offset))
+    return flame_avatar(session, number, controls, head, track, options.degree, options.lod)
 
 
 def save_gaussian_avatar(folder: Path, avatar: GaussianAvatar) -> None:

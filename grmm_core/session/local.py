@@ -25,7 +25,8 @@ from ..compute.memory import resident_memory
 from ..controls.frame import Controls
 from ..errors import SessionError, ShapeError
 from ..geometry.camera import Camera
-from ..head.skinning import euler_matrices, joint_transforms
+from ..geometry.rotations import euler_to_matrix
+from ..head.skinning import joint_transforms
 from ..model.people import default_avatar, sampled_avatar
 from ..model.portrait import thumbnail
 from ..model.store import LoadedModel, ModelStore
@@ -299,7 +300,7 @@ def _joints(target: OpenAvatar, inputs: Inputs) -> np.ndarray:
     """Return posed joint positions, [5, 3]."""
     head = target.model.head_model
     rest = np.asarray(head.joints(inputs.shape), np.float32)
-    transforms = joint_transforms(euler_matrices(inputs.pose), rest, head.parents)  # [5, 3, 4]
+    transforms = joint_transforms(euler_to_matrix(inputs.pose), rest, head.parents)  # [5, 3, 4]
     return ((transforms[..., :3] @ rest[..., None])[..., 0] + transforms[..., 3]).astype(np.float32)
 
 

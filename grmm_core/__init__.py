@@ -4,6 +4,7 @@ The map, from the ground up; each part uses only those above it:
 
 ``errors``                              typed errors
 ``compute``                             compiled kernels, devices, memory
+``jobs``                                progress of work that takes a while: the record, stages, time left
 ``files`` ``pictures``                  whole-or-nothing writes, tensor files, `.npz`; color, PNG and EXR
 ``geometry``                            cameras, rotations, depth of meshes
 ``controls``                            names of expressions, one frame of animation

@@ -6,11 +6,12 @@ still has everybody. Imports bpy through `scene`, with the first shot.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from grmm_core.controls.frame import Controls, resolve
+from grmm_core.data.claims import claim
 from grmm_core.data.dataset import (
     HELD_OUT_CAMERA,
     HELD_OUT_EXPRESSION,
@@ -26,11 +27,12 @@ from grmm_core.data.dataset import (
     write_shot,
     write_subject,
 )
-from grmm_core.data.jobs import TimeLeft, claim
 from grmm_core.data.layers import ALBEDO, LIGHT_PREFIX, NORMAL, PART_LAYER
 from grmm_core.errors import ConfigError
 from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head, load_people_model
+from grmm_core.jobs.progress import ProgressCallback, Reporter
+from grmm_core.jobs.stages import CAPTURE
 
 from .lights import RIG, chosen, draw_light
 from .shots import HELD_OUT_CAMERAS, MAX_CAMERAS, expression_pool, make_shot
@@ -78,16 +80,6 @@ class CaptureSettings:
     bare: bool = False
     layers: bool = False
     lights: str = ""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Sent after every shot: shots complete (by all processes) and in all, seconds left, what was done."""
-
-    done: int
-    total: int
-    seconds_left: float
-    text: str
 
 
 @dataclass(frozen=True)
@@ -193,7 +185,7 @@ def subject_name(seed: int, index: int) -> str:
 
 
 def run_job(
-    folder: Path, settings: CaptureSettings, threads: int = 2, report: Callable[[Progress], None] = lambda _: None,
+    folder: Path, settings: CaptureSettings, threads: int = 2, progress: ProgressCallback | None = None,
     only: Sequence[int] = (),
 ) -> Outcome:  # fmt: skip
     """Render what is missing.
@@ -202,7 +194,7 @@ def run_job(
         folder: Of the data set.
         settings: What to render.
         threads: Of this process.
-        report: Called after every shot.
+        progress: Called after every shot, with one of its pictures.
         only: Numbers of the people to render now; everybody when empty.
 
     Returns:
@@ -221,7 +213,8 @@ def run_job(
     def complete() -> int:  # by all processes
         return sum(record.exists() for record in records)
 
-    left = TimeLeft(len(records), complete())
+    report = Reporter(CAPTURE, progress)
+    report("shots", complete() / len(records))
     worker = _Worker(folder, settings, threads, pool)
     made, before, pieces = 0, -1, everything
     try:
@@ -239,10 +232,11 @@ def run_job(
                     for number in numbers:
                         if shot_record(folder, name, number).exists():
                             continue
-                        worker.shoot(index, number)
+                        picture = worker.shoot(index, number)
                         made += 1
                         done = complete()
-                        report(Progress(done, left.total, left.seconds(done), f"{name} shot {number}"))
+                        said = f"{done}/{len(records)} {name} shot {number}"
+                        report("shots", done / len(records), said, str(picture))
             pieces = held
     finally:
         worker.close()
@@ -260,8 +254,8 @@ class _Worker:
         self._subject: Subject | None = None
         self._met: set[int] = set()  # people whom the present studio has prepared
 
-    def shoot(self, index: int, number: int) -> None:
-        """Render and write one shot."""
+    def shoot(self, index: int, number: int) -> Path:
+        """Render and write one shot; returns the file of its first picture."""
         from .scene import Studio
 
         s = self.settings
@@ -288,6 +282,7 @@ class _Worker:
             self.folder, light=light.to_json(),
         )  # fmt: skip
         write_shot(self.folder, shot, pictures)
+        return shot_record(self.folder, shot.subject, number).with_name(views[0].image)
 
     def _picture(self, camera: Camera) -> Picture:
         s, studio = self.settings, self._studio

@@ -2,8 +2,8 @@
 
 A command module has ``add_parser(subparsers)``, which adds a parser named like the module, and ``run(args)``, which does the
 work and returns None, a mapping (the result, printed as one object under ``--json``) or an exit code. ``args.console`` is the
-`console.Console` to write with. Command modules are light to import: torch is loaded in ``run``. A command whose module is not
-installed is not offered.
+`console.Console` to write with. Commands that take a while offer ``--events``. Command modules are light to import: torch is
+loaded in ``run``. A command whose module is not installed is not offered.
 
 Errors meant for the user are one sentence on stderr and exit code 1; wrong usage is exit code 2; ``--debug`` shows tracebacks.
 """
@@ -42,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = parser.parse_args(argv)
     except SystemExit as stop:  # argparse has printed the help or what is wrong
         return int(stop.code or 0)
-    console = Console(as_json=args.json)
+    console = Console(args.json, as_events=getattr(args, "events", False))
     args.console = console
     logging.basicConfig(
         level=logging.DEBUG if args.debug else logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr
@@ -60,6 +60,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail(args, console, str(error))
     except KeyboardInterrupt:
         return _fail(args, console, "Cancelled.")
+    except ModuleNotFoundError as error:
+        return _fail(args, console, f"The Python {sys.executable} lacks the package {error.name}; install it there.")
     except MemoryError:
         return _fail(args, console, "There is not enough memory; choose a smaller size or close other programs.")
     except BrokenPipeError:

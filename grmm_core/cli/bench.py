@@ -14,9 +14,11 @@ from typing import TYPE_CHECKING, Any
 
 from ..controls.frame import Controls
 from ..geometry.camera import Camera
+from ..jobs.progress import Reporter
+from ..jobs.stages import BENCHMARK
 from ..session import Instance, RenderOptions, create_session
 from . import bench_model, bench_splat
-from .common import add_model, positive_int
+from .common import add_events, add_model, positive_int
 
 if TYPE_CHECKING:
     from ..session.local import LocalSession
@@ -39,6 +41,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--size", type=positive_int, default=CONFIGURATION_SIZE, help="pixels of --config (%(default)s)")
     add_model(parser)
+    add_events(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -69,15 +72,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             "resolution": lambda: scaling(session, avatar.id, repeats, resolutions, "size"),
             "detail": lambda: scaling(session, avatar.id, repeats, LODS, "lod"),
         }
-        with args.console.progress("measuring", len(sections) + 2) as bar:
+        with args.console.progress(BENCHMARK) as show:
+            report = Reporter(BENCHMARK, show)
             for name, measure in sections.items():
-                bar.advance(0, name)
+                report(name, 0.0)
                 result[name] = measure()
-                bar.advance(1, name)
-            bar.advance(0, "worker")
+            report("worker", 0.0)
             result["worker"] = worker(session, args, repeats)
-            bar.advance(1, "worker")
-            bar.advance(0, "rasteriser")
+            report("rasteriser", 0.0)
             result["peak memory of frames MiB"] = peak_memory_mib()
             result |= bench_splat.measure(best_times, repeats, args.quick, session.target(avatar.id).model.device.type)
     result["peak memory MiB"] = peak_memory_mib()

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RuntimeMissingError
+from ..jobs.progress import Progress
+from ..jobs.stages import CAPTURE
+from .common import add_events
 
 
 def add_parser(subparsers: Any) -> None:
@@ -48,6 +51,7 @@ def add_parser(subparsers: Any) -> None:
         "--threads", type=int, default=2, metavar="N", help="render threads of this process (default: %(default)s)"
     )
     parser.add_argument("--sheet", type=Path, metavar="FILE", help="only make a contact sheet of what the folder holds")
+    add_events(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -64,18 +68,21 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise RuntimeMissingError(
             "Rendering needs Blender's Python module; install it with pip install bpy==4.5.15 on Python 3.11."
         )
-    from grmm_studio.capture import CaptureSettings, Progress, run_job
+    from grmm_studio.capture import CaptureSettings, run_job
 
     settings = CaptureSettings(
         args.subjects, args.shots, args.cameras, args.size, args.samples, args.seed, args.expressions, args.varied_light,
         args.subsurface, not args.no_depth, args.bare, args.layers, args.lights,
     )  # fmt: skip
 
-    def report(progress: Progress) -> None:
-        left = progress.seconds_left
-        args.console.message(f"{progress.done}/{progress.total}  {progress.text}  {left / 60:.0f} min left")
+    with args.console.progress(CAPTURE) as show:
 
-    outcome = run_job(args.folder, settings, args.threads, report, args.only)
+        def report(progress: Progress) -> None:
+            show(progress)
+            if not args.console.draws_bars:
+                args.console.message(progress.text(CAPTURE))
+
+        outcome = run_job(args.folder, settings, args.threads, report, args.only)
     text = f"{outcome.complete} of {outcome.total} shots are complete, {outcome.made} of them made now"
     if outcome.in_work:
         text += f"; other processes hold {outcome.in_work}, run the command again if they end before these are made"

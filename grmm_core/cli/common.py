@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import argparse
+import signal
 from collections.abc import Iterable
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from ..controls.frame import Controls, parse_assignments
 from ..controls.table import settable
 from ..errors import FileAccessError
 from ..files.format import Format, OptionsOf, options_of_formats
+from ..fitting.request import DEVICES
 from .console import Console
-
-DEVICES = ("auto", "cpu", "cuda", "mps")
 
 
 def add_avatar(parser: argparse.ArgumentParser) -> None:
@@ -76,6 +77,11 @@ def options_of(args: argparse.Namespace, found: Format, which: OptionsOf) -> dic
     return {option.name: getattr(args, option.identifier) for option in getattr(found, which)}
 
 
+def add_events(parser: argparse.ArgumentParser) -> None:
+    """Add --events, for commands that take a while."""
+    parser.add_argument("--events", action="store_true", help="write progress and result as one JSON object a line on stdout")
+
+
 def controls_of(args: argparse.Namespace) -> Controls:
     """Return the controls that --set asks for. Raises `ControlError`."""
     return Controls().set_named(parse_assignments(args.assignments))
@@ -102,3 +108,30 @@ def positive_int(text: str) -> int:
     if not (text.isascii() and text.isdigit() and 0 < int(text) < 1 << 31):
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
     return int(text)
+
+
+def count(text: str) -> int:
+    """Parse a whole number of 0 or more; an argparse type."""
+    return 0 if text == "0" else positive_int(text)
+
+
+class StopOnSignal:
+    """Turns the first SIGINT or SIGTERM into a request, so that the state is saved; the second one interrupts."""
+
+    def __init__(self) -> None:
+        self.requested = False
+        self._previous: dict[int, Any] = {}
+
+    def __enter__(self) -> StopOnSignal:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            self._previous[number] = signal.signal(number, self._handle)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
+
+    def _handle(self, _number: int, _frame: FrameType | None) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True

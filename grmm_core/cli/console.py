@@ -1,7 +1,8 @@
 """What a command writes: the only place of the core that touches stdout and stderr.
 
 Results go to stdout (under ``--json`` as one object, and nothing else), messages and the progress bar to stderr; the bar is
-drawn on a terminal only.
+drawn on a terminal only. Under ``--events`` stdout has one JSON object a line, for a program that started this one: progress
+as it comes, and at the end the result or the error.
 """
 
 from __future__ import annotations
@@ -15,6 +16,9 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from ..jobs.progress import Progress, ProgressCallback
+from ..jobs.stages import JobStages
+
 BAR_WIDTH = 28
 REDRAW_SECONDS = 0.1
 
@@ -24,10 +28,13 @@ class Console:
 
     Attributes:
         as_json: The caller wants one JSON object on stdout.
+        as_events: The caller wants one JSON object a line.
     """
 
-    def __init__(self, as_json: bool = False, stdout: TextIO | None = None, stderr: TextIO | None = None) -> None:
-        self.as_json = as_json
+    def __init__(
+        self, as_json: bool = False, stdout: TextIO | None = None, stderr: TextIO | None = None, as_events: bool = False
+    ) -> None:
+        self.as_json, self.as_events = as_json or as_events, as_events
         self._stdout = sys.stdout if stdout is None else stdout
         self._stderr = sys.stderr if stderr is None else stderr
 
@@ -43,12 +50,22 @@ class Console:
 
     def error(self, text: str) -> None:
         """Write what went wrong, one sentence, on stderr."""
-        self._stderr.write(f"grmm: {' '.join(text.split())}\n")
+        text = " ".join(text.split())
+        self.event("error", message=text)
+        self._stderr.write(f"grmm: {text}\n")
 
     def result(self, values: Mapping[str, Any]) -> None:
         """Write the command's result as one JSON object; silent without ``--json``."""
-        if self.as_json:
-            self._stdout.write(json.dumps(_plain(values), ensure_ascii=False) + "\n")
+        if self.as_events:
+            self.event("done", **values)
+        elif self.as_json:
+            self._stdout.write(json.dumps(plain(values), ensure_ascii=False) + "\n")
+
+    def event(self, kind: str, **values: object) -> None:
+        """Write an event and hand it to the reader at once; silent without ``--events``."""
+        if self.as_events:
+            self._stdout.write(json.dumps({"event": kind, **plain(values)}, ensure_ascii=False) + "\n")
+            self._stdout.flush()
 
     def table(self, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
         """Write aligned columns for people; silent under ``--json``."""
@@ -57,44 +74,51 @@ class Console:
         for row in cells:
             self.line("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
+    @property
+    def draws_bars(self) -> bool:
+        """Whether somebody watches a terminal."""
+        return not self.as_json and self._stderr.isatty()
+
     def flush(self) -> None:
         """Hand everything to the system now, so that a closed pipe is noticed here."""
         self._stdout.flush()
 
     @contextmanager
-    def progress(self, label: str, total: int) -> Iterator[Progress]:
-        """Show a bar on a terminal while the block runs.
+    def progress(self, stages: JobStages) -> Iterator[ProgressCallback]:
+        """Show how far a piece of work is while the block runs: a bar on a terminal, or events.
 
         Args:
-            label: What is being done.
-            total: Number of steps.
+            stages: Of the work.
         """
-        bar = Progress(label, total, self._stderr if self._stderr.isatty() and not self.as_json else None)
+        bar = _Bar(stages, self._stderr if self.draws_bars else None)
+
+        def show(progress: Progress) -> None:
+            self.event("progress", **progress.to_json())
+            bar.draw(progress)
+
         try:
-            yield bar
+            yield show
         finally:
             bar.close()
 
 
-class Progress:
+class _Bar:
     """A progress bar; `stream` None draws nothing."""
 
-    def __init__(self, label: str, total: int, stream: TextIO | None) -> None:
-        self._label = label
-        self._total = max(total, 1)
-        self._stream = stream
-        self._done = 0
-        self._note = ""
-        self._start = time.monotonic()
-        self._drawn = 0.0
-        self._draw()
+    def __init__(self, stages: JobStages, stream: TextIO | None) -> None:
+        self._stages, self._stream = stages, stream
+        self._drawn = -REDRAW_SECONDS
 
-    def advance(self, steps: int = 1, note: str = "") -> None:
-        """Count finished steps and show a short note behind the bar."""
-        self._done += steps
-        self._note = note
-        if time.monotonic() - self._drawn > REDRAW_SECONDS:
-            self._draw()
+    def draw(self, progress: Progress) -> None:
+        """Draw it anew, but not too often."""
+        now = time.monotonic()
+        if self._stream is None or now - self._drawn < REDRAW_SECONDS:
+            return
+        self._drawn = now
+        filled = round(progress.fraction * BAR_WIDTH)
+        bar = "#" * filled + "." * (BAR_WIDTH - filled)
+        self._stream.write(f"\r\x1b[K{self._stages.label} [{bar}] {progress.fraction:.0%} {progress.text(self._stages)}")
+        self._stream.flush()
 
     def close(self) -> None:
         """Remove the bar."""
@@ -103,29 +127,17 @@ class Progress:
             self._stream.flush()
             self._stream = None
 
-    def _draw(self) -> None:
-        if self._stream is None:
-            return
-        self._drawn = time.monotonic()
-        part = min(self._done / self._total, 1.0)
-        filled = round(part * BAR_WIDTH)
-        elapsed = self._drawn - self._start
-        left = f" {elapsed / part * (1.0 - part):.0f} s left" if 0.02 < part < 1.0 and elapsed > 1.0 else ""
-        bar = "#" * filled + "." * (BAR_WIDTH - filled)
-        self._stream.write(f"\r\x1b[K{self._label} [{bar}] {self._done}/{self._total}{left} {self._note}".rstrip())
-        self._stream.flush()
 
-
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
     """Return a JSON value; NaN and infinity, which JSON lacks, become null."""
     if isinstance(value, Mapping):
-        return {str(name): _plain(item) for name, item in value.items()}
+        return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float) and not np.isfinite(value):
         return None
     if value is None or isinstance(value, (bool, int, float, str)):

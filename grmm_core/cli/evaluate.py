@@ -12,8 +12,10 @@ from ..avatar import EXTENSION, load_avatar
 from ..avatar.library import library_file
 from ..errors import ConfigError
 from ..files.access import atomic_write_bytes, make_folder
-from .common import DEVICES, positive_int
-from .console import _plain
+from ..jobs.progress import Reporter, Share, within
+from ..jobs.stages import EVALUATION
+from .common import DEVICES, add_events, count, positive_int
+from .console import plain
 
 if TYPE_CHECKING:
     from ..avatar import Avatar
@@ -48,9 +50,9 @@ def add_parser(subparsers: Any) -> None:
     )  # fmt: skip
     parser.add_argument("-o", "--output", metavar="DIR", type=Path, help="folder for JSON, table and pictures")
     parser.add_argument(
-        "--limit", type=_count, default=DEFAULT_LIMIT, metavar="N", help="views of a protocol, 0 for all (default: %(default)s)"
+        "--limit", type=count, default=DEFAULT_LIMIT, metavar="N", help="views of a protocol, 0 for all (default: %(default)s)"
     )
-    parser.add_argument("--people", type=_count, default=0, metavar="N", help="held-out people to fit (default: all)")
+    parser.add_argument("--people", type=count, default=0, metavar="N", help="held-out people to fit (default: all)")
     parser.add_argument("--size", type=positive_int, metavar="PX", help="reduce pictures to this longer side")
     parser.add_argument(
         "--fit", choices=METHODS, default="fast",
@@ -67,9 +69,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--identity", metavar="FILE", help="of photos also the distance by this face-recognition network (TorchScript)"
     )
-    parser.add_argument("--seed", type=_count, default=0, help="of the choice of views (default: %(default)s)")
+    parser.add_argument("--seed", type=count, default=0, help="of the choice of views (default: %(default)s)")
     parser.add_argument("--device", choices=DEVICES, default="auto", help="where the model runs (default: %(default)s)")
     parser.add_argument("--threads", type=positive_int, metavar="N", help="CPU threads (default: all)")
+    add_events(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -104,22 +107,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     ablation = Scene(resolve_weights(args.ablation), device, head=head) if args.ablation else None
     facts = _facts(args, scene, ablation)
     summaries: dict[str, Any] = {}
-    with args.console.progress("evaluating", 1000 * len(names)) as bar:
-        state = {"place": 0, "shown": 0}
-
-        def advance(text: str, share: float) -> None:
-            target = max(state["shown"], int(1000 * (state["place"] + share)))
-            bar.advance(target - state["shown"], text)
-            state["shown"] = target
-
-        evaluation = Evaluation(scene, datasets, settings, ablation, advance)
-        for place, name in enumerate(names):
-            state["place"] = place
+    stages = EVALUATION.only(names)
+    with args.console.progress(stages) as show:
+        reporter = Reporter(stages, show)
+        evaluation = Evaluation(scene, datasets, settings, ablation)
+        for name in (stage.name for stage in stages.stages):
             if name == CODES:
-                facts[CODES] = _codes(scene, args.output, advance)
+                facts[CODES] = _codes(scene, args.output, reporter.part(CODES))
             else:
                 try:
-                    result = evaluation.run(name)
+                    result = evaluation.run(name, reporter.part(name))
                 except ConfigError as error:
                     if ALL not in args.protocol:
                         raise
@@ -160,17 +157,11 @@ def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:
         if not photos_in(folder):
             raise ConfigError(f"{folder} holds neither a data set nor photos; choose another folder.")
         out = args.output if len(args.data) == 1 else args.output / Path(folder).name
-        with args.console.progress("fitting", 1000) as bar:
-            shown = 0
-
-            def advance(text: str, share: float) -> None:
-                nonlocal shown
-                bar.advance(max(0, int(1000 * share) - shown), text)
-                shown = max(shown, int(1000 * share))
-
+        stages = EVALUATION.only((MONOCULAR,))
+        with args.console.progress(stages) as show:
             results[Path(folder).name] = evaluate_photos(
                 folder, args.weights, out, preset, device=device, distances=_distances(args, device), identity=identity,
-                report=advance,
+                report=Reporter(stages, show).part(MONOCULAR),
             )  # fmt: skip
     text = "\n".join(photos_table(result) for result in results.values())
     _write(args.output, {"weights": args.weights, "monocular": results}, text)
@@ -205,13 +196,13 @@ def _text(facts: dict[str, Any], summaries: dict[str, Any]) -> str:
     return text
 
 
-def _codes(scene: Scene, output: Path | None, advance: Any) -> dict[str, Any]:
+def _codes(scene: Scene, output: Path | None, report: Share) -> dict[str, Any]:
     from ..evaluation.codes import separation
     from ..evaluation.strips import write_pictures
 
-    figures = separation(scene, lambda text, share: advance(text, 0.5 * share))
+    figures = separation(scene, within(report, 0.0, 0.5))
     if output is not None:
-        figures |= write_pictures(scene, output, report=lambda text, share: advance(text, 0.5 + 0.5 * share))
+        figures |= write_pictures(scene, output, report=within(report, 0.5, 1.0))
     return figures
 
 
@@ -248,11 +239,5 @@ def _distances(args: argparse.Namespace, device: str) -> dict[str, Any]:
 
 
 def _write(folder: Path, values: dict[str, Any], text: str) -> None:
-    atomic_write_bytes(folder / RESULT, (json.dumps(_plain(values), indent=1, ensure_ascii=False) + "\n").encode())
+    atomic_write_bytes(folder / RESULT, (json.dumps(plain(values), indent=1, ensure_ascii=False) + "\n").encode())
     atomic_write_bytes(folder / TABLE, text.encode())
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) < 1 << 31):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of 0 or more")
-    return int(text)

@@ -14,16 +14,27 @@ from typing import Any
 import numpy as np
 
 from ..controls.frame import Controls
-from ..controls.names import ARKIT_NAMES
 from ..errors import ConfigError
 from ..files.format import Format
 from ..formats import format_to_write, formats, suffixes
 from ..formats.meshes.mesh import Mesh
 from ..head import HeadModel, load_open_head
+from ..jobs.progress import Reporter
+from ..jobs.stages import EXPORT
 from ..session import MAX_LOD, AvatarInfo, Session, create_session
 from ..session.exporting import morph_targets, splat_cloud
 from ..session.harmonics import DEFAULT_DEGREE, MAX_DEGREE
-from .common import add_avatar, add_controls, add_format_options, add_model, add_output, check_folder, controls_of, options_of
+from .common import (
+    add_avatar,
+    add_controls,
+    add_events,
+    add_format_options,
+    add_model,
+    add_output,
+    check_folder,
+    controls_of,
+    options_of,
+)
 
 _WRITTEN: tuple[Any, ...] = ("splats", "mesh", "arrays")
 
@@ -48,6 +59,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--lod", type=int, choices=range(MAX_LOD + 1), default=0, help="fewer, larger Gaussians (default: 0)")
     add_format_options(parser, known, "writing")
     add_model(parser)
+    add_events(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
@@ -78,8 +90,8 @@ def _content(
     if target.holds == "mesh":
         morphs: dict[str, np.ndarray] = {}
         if target.morphs:
-            with args.console.progress("expressions", len(ARKIT_NAMES)) as bar:
-                morphs = morph_targets(session, avatar.id, controls, report=lambda name: bar.advance(note=name))
+            with args.console.progress(EXPORT) as show:
+                morphs = morph_targets(session, avatar.id, controls, report=Reporter(EXPORT, show).part("write"))
         count = {"vertices": len(mesh.vertices), "faces": len(head.faces), **({"morphs": len(morphs)} if morphs else {})}
         return Mesh(mesh.vertices, head.faces, head.uv, head.uv_faces, morphs), count
     cloud = splat_cloud(session, avatar.id, controls, args.sh_degree, args.lod)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 from ..avatar import EXTENSION
 from ..errors import CancelledError, ConfigError
+from ..jobs.stages import TRAINING
+from .common import StopOnSignal, add_events
 from .console import Console
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--name", metavar="TEXT", help="name of the avatar, where person=NAME is set; else the person's")
     parser.add_argument("--licence", default="", metavar="TEXT", help="what may be done with the avatar")
     parser.add_argument("--default-person", metavar="NAME", help="person who becomes the default avatar; else the mean")
+    add_events(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
@@ -64,19 +65,9 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     console = args.console if trainer.rank == 0 else Console(as_json=True)  # silent
     if args.resume:
         console.message(_continued(trainer) if trainer.resume() else f"There is no checkpoint in {args.out}; starting anew.")
-    stop = _StopOnInterrupt()
-    recent: dict[str, float] = {}
-
-    with stop, console.progress("training", 1000) as bar:
-
-        def show(metrics: dict[str, float]) -> None:
-            recent.update(metrics)
-            bar.advance(int(1000 * trainer.progress) - show.done, f"step {trainer.step_count} loss {metrics['loss']:.4f}")
-            show.done = int(1000 * trainer.progress)
-
-        show.done = 0
+    with StopOnSignal() as stop, console.progress(TRAINING) as show:
         try:
-            trainer.run(lambda: stop.requested, show)
+            trainer.run(show if trainer.rank == 0 else None, lambda: stop.requested)
         except CancelledError:
             if trainer.rank == 0:
                 raise
@@ -92,31 +83,12 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
         trainer.save_weights(path, provenance, person)
     console.line(f"Wrote {path} after {trainer.step_count} steps, {trainer.seconds / 60:.1f} minutes.")
     kind = "avatar" if config.person else "weights"
-    return {kind: str(path), "steps": trainer.step_count, "seconds": trainer.seconds, **recent}
+    return {kind: str(path), "steps": trainer.step_count, "seconds": trainer.seconds, **trainer.metrics}
 
 
 def _continued(trainer: Trainer) -> str:
     changes = "; ".join(trainer.differences)
     return f"Continuing after step {trainer.step_count}" + (f", not as it began: {changes}." if changes else ".")
-
-
-class _StopOnInterrupt:
-    """Turns the first Ctrl-C into a request, so that the step ends and a checkpoint is written; the second one interrupts."""
-
-    def __init__(self) -> None:
-        self.requested = False
-        self._previous: Any = None
-
-    def __enter__(self) -> None:
-        self._previous = signal.signal(signal.SIGINT, self._handle)
-
-    def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, self._previous)
-
-    def _handle(self, _number: int, _frame: FrameType | None) -> None:
-        if self.requested:
-            raise KeyboardInterrupt
-        self.requested = True
 
 
 def _settings(assignments: list[str]) -> dict[str, Any]:

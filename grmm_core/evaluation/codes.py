@@ -8,7 +8,7 @@ the displacement itself. Used by the command line; `strips` makes the pictures.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ from torch import Tensor
 from ..controls.frame import Controls
 from ..controls.names import MIXTURE_NAMES
 from ..errors import ConfigError
+from ..jobs.progress import Share, nobody
 from ..model.inputs import Person
 from .scene import Scene
 
@@ -46,12 +47,12 @@ class Posed:
     learned: np.ndarray
 
 
-def separation(scene: Scene, report: Callable[[str, float], None] | None = None) -> dict[str, Any]:
+def separation(scene: Scene, report: Share = nobody) -> dict[str, Any]:
     """Measure how much the same expression differs between people, and how much z_id alone changes an expression.
 
     Args:
         scene: Model.
-        report: Called with a text and the share done.
+        report: Hears how much is done.
 
     Returns:
         JSON values: ``same z_exp, other people`` (z_id and shape change) and ``z_id changed alone`` (the shape stays), each
@@ -68,8 +69,7 @@ def separation(scene: Scene, report: Callable[[str, float], None] | None = None)
     for number, person in enumerate(people):
         for place, (kind, shape) in enumerate((("people", scene.info.shapes[person]), ("codes", mean_shape))):
             tables[kind].append({name: posed(scene, scene.info.z_id[person], shape, name) for name in ("", *EXPRESSIONS)})
-            if report:
-                report("codes: people and expressions", (2 * number + place + 1) / total)
+            report((2 * number + place + 1) / total, "people and expressions")
     result: dict[str, Any] = {"people": len(people), "expressions": len(EXPRESSIONS)}
     for kind, label in (("people", "same z_exp, other people"), ("codes", "z_id changed alone")):
         for part in ("landmarks", "learned", "gaussians"):

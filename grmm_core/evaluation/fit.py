@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import logging
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,8 @@ from ..data.dataset import Shot
 from ..fitting.types import LANDMARK_COUNT, PhotoTrack
 from ..geometry.camera import Camera
 from ..head import HeadModel
+from ..jobs.progress import Reporter, Share, within
+from ..jobs.stages import FIT
 from ..pictures.images import quantize, write_png
 from ..training.losses import LossWeights, reconstruction_loss
 from ..training.views import View, crop_to_person, shrink
@@ -40,14 +41,10 @@ MARGIN = 8  # pixels around the person
 FIT_SIZE = 384  # pixels
 _WEIGHTS = LossWeights()
 _GREY = 0.5
-_TRACKED_SHARE, _FIRST_SHARE = 0.1, 0.3  # of the time, for the progress
-
-Progress = Callable[[float], None]
+_TRACKED_SHARE = 0.1  # of the time, for the progress
 
 
-def fit_person(
-    scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, method: str, progress: Progress
-) -> DrawnPerson:
+def fit_person(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, method: str, report: Share) -> DrawnPerson:
     """Fit a person.
 
     Args:
@@ -56,19 +53,17 @@ def fit_person(
         view: Its picture.
         shape: Shape coefficients of the person, [S].
         method: One of `METHODS`.
-        progress: Called with 0..1.
+        report: Hears how much is done.
 
     Raises:
         GrmmError: As the fitting does.
     """
     if method == CODES or not scene.residuals:  # without residual codes there is nothing to search
-        return search_codes(scene, sample, view, shape, progress)
-    return _inverted(scene, exact_track(scene.head, sample, view, shape), sample.shot.subject, method, progress)
+        return search_codes(scene, sample, view, shape, report)
+    return _inverted(scene, exact_track(scene.head, sample, view, shape), sample.shot.subject, method, report)
 
 
-def fit_photo(
-    scene: Scene, sample: Sample, view: LoadedView, method: str, progress: Progress
-) -> tuple[DrawnPerson, PhotoTrack]:
+def fit_photo(scene: Scene, sample: Sample, view: LoadedView, method: str, report: Share) -> tuple[DrawnPerson, PhotoTrack]:
     """Fit a person as users do: from the picture alone, tracked by `fitting.track`.
 
     Args:
@@ -76,7 +71,7 @@ def fit_photo(
         sample: The view.
         view: Its picture.
         method: One of `METHODS` but not `CODES`.
-        progress: Called with 0..1.
+        report: Hears how much is done.
 
     Returns:
         The person, and what the tracking found.
@@ -90,9 +85,7 @@ def fit_photo(
         path = Path(folder) / "photo.png"
         write_png(path, quantize(view.image + (1.0 - view.mask[..., None]) * _GREY))
         track = track_photos([path], scene.head, masks=[view.mask])[0]
-    progress(_TRACKED_SHARE)
-    rest = 1.0 - _TRACKED_SHARE
-    return _inverted(scene, track, sample.shot.subject, method, lambda share: progress(_TRACKED_SHARE + rest * share)), track
+    return _inverted(scene, track, sample.shot.subject, method, within(report, _TRACKED_SHARE, 1.0)), track
 
 
 def track_shot(sample: Sample, track: PhotoTrack, head: HeadModel) -> Shot:
@@ -101,14 +94,11 @@ def track_shot(sample: Sample, track: PhotoTrack, head: HeadModel) -> Shot:
     return dataclasses.replace(sample.shot, expression=track.expression, pose=pose)
 
 
-def _inverted(scene: Scene, track: PhotoTrack, name: str, method: str, progress: Progress) -> DrawnPerson:
-    from ..fitting.invert import CODES as FIRST
+def _inverted(scene: Scene, track: PhotoTrack, name: str, method: str, report: Share) -> DrawnPerson:
     from ..fitting.invert import invert
 
-    def report(stage: str, share: float, *_: object) -> None:
-        progress(_FIRST_SHARE * share if stage == FIRST else _FIRST_SHARE + (1.0 - _FIRST_SHARE) * share)
-
-    return scene.from_avatar(invert([track], scene.model, scene.head, method, info=scene.info, name=name, progress=report))
+    stages = Reporter(FIT.only(("codes", "decoders")), lambda progress: report(progress.fraction))
+    return scene.from_avatar(invert([track], scene.model, scene.head, method, info=scene.info, name=name, report=stages))
 
 
 def exact_track(head: HeadModel, sample: Sample, view: LoadedView, shape: np.ndarray) -> PhotoTrack:
@@ -132,7 +122,7 @@ def projected(points: np.ndarray, camera: Camera) -> np.ndarray:
     return np.stack([camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy], -1)
 
 
-def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, progress: Progress) -> DrawnPerson:
+def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarray, report: Share) -> DrawnPerson:
     """Search z_id and the offset of z_exp that draw a view best (eq. 19), from the training people's mean.
 
     Args:
@@ -140,7 +130,7 @@ def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarr
         sample: The view.
         view: Its picture.
         shape: Shape coefficients, [S].
-        progress: Called with 0..1.
+        report: Hears how much is done.
     """
     start = scene.made(sample.shot.subject, scene.mean_code, shape)
     if not scene.residuals:
@@ -166,7 +156,7 @@ def search_codes(scene: Scene, sample: Sample, view: LoadedView, shape: np.ndarr
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
-        progress((step + 1) / STEPS)
+        report((step + 1) / STEPS)
     logger.info("%s: loss %.4f after %d steps", sample.name, float(loss.detach()), STEPS)
     z_id, z_exp = ((base.z_id + step_id * spread), offset)
     return dataclasses.replace(start, z_id=z_id.detach().cpu().numpy(), z_exp=z_exp.detach().cpu().numpy())

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +23,10 @@ from ..errors import GrmmError
 from ..fitting.api import fit
 from ..fitting.invert import invert, photo_pictures
 from ..fitting.presets import Preset
+from ..fitting.request import FitRequest
 from ..fitting.types import PhotoTrack
 from ..geometry.camera import Camera
+from ..jobs.progress import Progress, Share, nobody, within
 from ..model.grmm import GRMM
 from ..model.portrait import portrait
 from ..model.store import with_deltas
@@ -56,8 +58,6 @@ MEASURED_PIXELS = 512
 _GREY = 0.5
 _DISTANCE, _FOV = 1.1, 20.0
 
-Report = Callable[[str, float], None]
-
 
 def photos_in(folder: str | Path) -> list[Path]:
     """Photos of a folder by their suffix, sorted; empty where there are none."""
@@ -67,7 +67,7 @@ def photos_in(folder: str | Path) -> list[Path]:
 
 def evaluate_photos(
     folder: str | Path, weights: str | Path | None, out: str | Path, preset: str = "standard", *, device: str = "auto",
-    distances: Mapping[str, Distance] | None = None, identity: Identity | None = None, report: Report | None = None,
+    distances: Mapping[str, Distance] | None = None, identity: Identity | None = None, report: Share = nobody,
 ) -> dict[str, Any]:  # fmt: skip
     """Fit every photo of a folder without hand work, measure it in its own view, and write avatars and sheets.
 
@@ -79,7 +79,7 @@ def evaluate_photos(
         device: Where the model runs.
         distances: Perceptual networks by name.
         identity: Distance by a face-recognition network (`identity.load_identity`), or None.
-        report: Called with the photo's name and the share done.
+        report: Hears how much is done.
 
     Returns:
         Figures of each photo by file name (or the sentence why there is no avatar), and their means.
@@ -90,13 +90,16 @@ def evaluate_photos(
     rows: dict[str, dict[str, Any]] = {}
     scene = Scene(resolve_weights(weights), "cpu" if device == "auto" else device)
     for number, photo in enumerate(photos):
+        part = within(report, number / len(photos), (number + 1) / len(photos))
 
-        def show(_stage: str, share: float, _left: float, _preview: str, number: int = number, photo: Path = photo) -> None:
-            if report is not None:
-                report(photo.name, (number + share) / len(photos))
+        def show(progress: Progress, part: Share = part, name: str = photo.name) -> None:
+            part(progress.fraction, name)
 
+        request = FitRequest(
+            (photo,), out / f"{photo.stem}.grmm", preset, weights="" if weights is None else str(weights), device=device
+        )
         try:
-            result = fit([photo], out / f"{photo.stem}.grmm", preset=preset, weights=weights, device=device, progress=show)
+            result = fit(request, progress=show)
         except GrmmError as error:
             rows[photo.name] = {"error": str(error)}
             continue

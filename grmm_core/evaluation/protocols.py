@@ -14,19 +14,22 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, CaptureDataset
 from ..errors import ConfigError, NoFaceError
+from ..jobs.progress import Share, nobody, within
 from ..pictures.images import quantize
 from .fit import CODES, fit_person, fit_photo, track_shot
 from .metrics import Distance, Errors, errors_of
 from .regions import region_pixels, triangle_groups
 from .scene import FULL, DrawnPerson, Scene
 from .views import LoadedView, Sample, limited, load, samples, source_view
+
+_FITTING_SHARE = 0.7  # of the time of a protocol that fits people, for the progress
 
 logger = logging.getLogger(__name__)
 
@@ -111,7 +114,6 @@ class Evaluation:
         datasets: Captures of the same head model.
         settings: How.
         ablation: A second model that draws the same views, trained without residuals (eq. 21) for the paper's ablation.
-        report: Called with a text and the share of the protocol that is done.
 
     Raises:
         ConfigError: A capture belongs to another head model.
@@ -123,18 +125,21 @@ class Evaluation:
         datasets: Sequence[CaptureDataset],
         settings: Settings,
         ablation: Scene | None = None,
-        report: Callable[[str, float], None] | None = None,
     ) -> None:
         from .scene import check_heads
 
         check_heads(scene, {str(dataset.folder): dataset.manifest.head for dataset in datasets})
         self.scene, self.datasets, self.settings, self.ablation = scene, tuple(datasets), settings, ablation
-        self._report = report or (lambda _text, _share: None)
+        self._report: Share = nobody
         self._groups = triangle_groups(scene.head)
         self._fitted: dict[tuple[int, str], DrawnPerson] = {}
 
-    def run(self, protocol: str) -> Result:
+    def run(self, protocol: str, report: Share = nobody) -> Result:
         """Run one protocol.
+
+        Args:
+            protocol: One of `PROTOCOLS`.
+            report: Hears how much is done.
 
         Raises:
             ConfigError: There is no such protocol, or the captures hold no views for it.
@@ -142,15 +147,17 @@ class Evaluation:
         """
         if protocol not in PROTOCOLS:
             raise ConfigError(f"There is no protocol {protocol!r}; use {', '.join(PROTOCOLS)}.")
+        self._report = report
         if protocol == MONOCULAR and self.settings.method != CODES:
             return self._tracked_photos()
         chosen, source = self._fitted_views(protocol) if protocol in FITTED else (self._trained_views(protocol), {})
         rows: list[Row] = []
+        rest = within(report, _FITTING_SHARE if protocol in FITTED else 0.0, 1.0)
         for number, (sample, person) in enumerate(chosen):
             rows.append(self.measure(sample, person))
             if number % max(1, len(chosen) // KEPT_PICTURES):
                 rows[-1].pictures = ()
-            self._report(f"{protocol} {sample.name}", (number + 1) / len(chosen))
+            rest((number + 1) / len(chosen), f"{protocol} {sample.name}")
         return Result(protocol, rows, source)
 
     def measure(self, sample: Sample, person: DrawnPerson, view: LoadedView | None = None, photo: bool = False) -> Row:
@@ -191,10 +198,8 @@ class Evaluation:
         for number, (place, name) in enumerate(people):
             photo = source_view(list(self._views_of(place, name)))
             view = load(photo, self.settings.size)
-
-            def report(share: float, name: str = name, number: int = number) -> None:
-                self._report(f"fitting {name} from the photo alone", (number + share) / len(people))
-
+            report = within(self._report, number / len(people), (number + 1) / len(people))
+            report(0.0, f"fitting {name} from the photo alone")
             try:
                 person, track = fit_photo(self.scene, photo, view, self.settings.method, report)
             except NoFaceError as error:
@@ -211,7 +216,7 @@ class Evaluation:
             raise ConfigError("No face was found in any held-out person's picture; choose a larger --size.")
         return result
 
-    def fitted(self, place: int, name: str) -> tuple[DrawnPerson, Sample]:
+    def fitted(self, place: int, name: str, report: Share = nobody) -> tuple[DrawnPerson, Sample]:
         """The held-out person `name` of the capture number `place`, fitted once, and the view used."""
         dataset = self.datasets[place]
         source = source_view(list(self._views_of(place, name)))
@@ -219,7 +224,7 @@ class Evaluation:
             view = load(source, self.settings.size)
             self._fitted[place, name] = fit_person(
                 self.scene, source, view, dataset.shape(name), self.settings.method,
-                lambda share: self._report(f"fitting {name}", share),
+                report,
             )  # fmt: skip
         return self._fitted[place, name], source
 
@@ -262,8 +267,10 @@ class Evaluation:
         source: dict[str, Sample] = {}
         candidates: list[Sample] = []
         places: dict[int, tuple[int, str]] = {}
-        for place, name in people:
-            persons[place, name], source[name] = self.fitted(place, name)
+        for number, (place, name) in enumerate(people):
+            begin, end = (_FITTING_SHARE * count / len(people) for count in (number, number + 1))
+            self._report(begin, f"fitting {name}")
+            persons[place, name], source[name] = self.fitted(place, name, within(self._report, begin, end))
             photo = source[name]
             for sample in self._views_of(place, name):
                 same = sample.shot is photo.shot and sample.view is photo.view

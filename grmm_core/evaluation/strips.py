@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import numpy as np
 from torch import Tensor
 
 from ..geometry.camera import Camera
+from ..jobs.progress import Share, nobody
 from ..model.people import sampled_avatar
 from ..model.portrait import portrait
 from ..pictures.images import write_png
@@ -28,17 +29,15 @@ SHOWN_EXPRESSIONS: tuple[dict[str, float], ...] = (
 )  # fmt: skip
 STRIP_ENDS = ({"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0}, {"visemeOO": 1.0})
 
-Report = Callable[[str, float], None]
 
-
-def write_pictures(scene: Scene, folder: Path, size: int = SIZE, report: Report | None = None) -> dict[str, Any]:
+def write_pictures(scene: Scene, folder: Path, size: int = SIZE, report: Share = nobody) -> dict[str, Any]:
     """Write all sheets of codes into a folder.
 
     Args:
         scene: Model; knows at least two people.
         folder: Exists.
         size: Side of a picture in pixels.
-        report: Called with a text and the share done.
+        report: Hears how much is done.
 
     Returns:
         JSON values: file names, and the smoothness of both strips.
@@ -47,15 +46,14 @@ def write_pictures(scene: Scene, folder: Path, size: int = SIZE, report: Report 
         ConfigError: The model knows fewer than two people.
         FileAccessError: The folder is not writable.
     """
-    done: Report = report or (lambda _text, _share: None)
     write_png(folder / "random_people.png", sheet(random_people(scene, size)))
-    done("random people", 0.4)
+    report(0.4, "random people")
     identity = identity_strip(scene, size)
     expression = expression_strip(scene, size)
     write_png(folder / "interpolations.png", sheet([[_array(p) for p in strip] for strip in (identity, expression)]))
-    done("interpolations", 0.7)
+    report(0.7, "interpolations")
     write_png(folder / "same_expressions.png", sheet(same_expressions(scene, size)))
-    done("expressions on several people", 1.0)
+    report(1.0, "expressions on several people")
     return {
         "pictures": ["random_people.png", "interpolations.png", "same_expressions.png"],
         "interpolation of z_id": smoothness(identity), "interpolation of z_exp": smoothness(expression),

@@ -1,5 +1,7 @@
 """From photos to an avatar (paper, section 3.5).
 
+``request``            what is asked of a fit, by the command line and by Blender's panel
+``presets``            how much work a fit is
 ``types``              what tracking finds in one photo, and its file
 ``point_rig``          points of the head, such as landmarks, with exact derivatives
 ``solver``             robust least squares over cameras, shape, expression and pose
@@ -9,9 +11,10 @@
 ``light``              spherical-harmonic light from the skin's colors
 ``photometric_stage``  the refinement by outline
 ``track``              photos to tracks
+``faces_picture``      the faces of a photo as a picture, to check the choice
 ``invert``             tracks to codes and decoders (eq. 19 and 20)
 ``folder``             the work folder: whose state it holds, what is refused before work begins
 ``api``                all of it, for the command line and Blender
 
-From `types` to `photometric_stage`, and for `folder`, numpy is enough; the rest needs torch.
+From `request` to `photometric_stage`, and for `folder`, numpy is enough; the rest needs torch.
 """

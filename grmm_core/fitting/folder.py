@@ -14,11 +14,11 @@ from pathlib import Path
 
 from ..avatar import PhotoRecord
 from ..errors import ConfigError, FileAccessError
-from ..files.access import TEMPORARY_PATTERN, atomic_write_bytes, describe_os_error
+from ..files.access import TEMPORARY_PATTERN, atomic_write_bytes, describe_os_error, read_bytes
+from .request import FitRequest, work_folder
 
 TRACKS_FILE, CODES_FILE, DECODERS_FILE = "tracks.safetensors", "codes.safetensors", "decoders.safetensors"
-JOB_FILE, PREVIEW_FILE = "job.json", "preview.png"
-WORK_SUFFIX = ".fit"
+JOB_FILE, REQUEST_FILE, PREVIEW_FILE = "job.json", "request.json", "preview.png"
 _STATE_FILES = (TRACKS_FILE, CODES_FILE, DECODERS_FILE, PREVIEW_FILE)
 
 
@@ -59,19 +59,20 @@ def check_writable(output: Path) -> None:
         ) from error
 
 
-def prepare(folder: Path, job: Job, resume: bool) -> None:
-    """Make the work folder; forget the state of another job, or all where nothing is to be resumed.
+def prepare(job: Job, request: FitRequest) -> Path:
+    """Make the work folder; forget the state of another job, or all where nothing is to be resumed. Returns the folder.
 
     Raises:
         ConfigError: The folder holds something else; nothing in it is touched.
         FileAccessError: It cannot be written.
     """
+    folder = request.work_folder
     try:
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / JOB_FILE
         if any(folder.iterdir()) and not path.exists() and not _only_ours(folder):
             raise ConfigError(f"{folder} holds other files; choose an empty folder, or none, for the state of the fit.")
-        if not (resume and path.exists() and path.read_bytes() == job.to_json()):
+        if not (request.resume and path.exists() and path.read_bytes() == job.to_json()):
             for name in _STATE_FILES:
                 (folder / name).unlink(missing_ok=True)
         for unfinished in folder.glob(TEMPORARY_PATTERN):  # of a process that was killed
@@ -79,6 +80,24 @@ def prepare(folder: Path, job: Job, resume: bool) -> None:
     except OSError as error:
         raise FileAccessError(f"Cannot write {folder}: {describe_os_error(error)}; choose another folder.") from error
     atomic_write_bytes(folder / JOB_FILE, job.to_json())
+    photos, masks = (tuple(path.absolute() for path in paths) for paths in (request.photos, request.masks))
+    asked = dataclasses.replace(request, photos=photos, masks=masks)
+    atomic_write_bytes(folder / REQUEST_FILE, json.dumps(asked.to_json()).encode())
+    return folder
+
+
+def interrupted_request(output: Path, work: Path | None) -> FitRequest:
+    """What the interrupted fit of an avatar's file was asked, to go on with it without naming photos and options again.
+
+    Raises:
+        ConfigError: There is none, or an earlier version left it.
+    """
+    folder = work if work is not None else work_folder(output)
+    try:
+        asked = FitRequest.from_json(json.loads(read_bytes(folder / REQUEST_FILE)))
+    except (FileAccessError, ValueError) as error:
+        raise ConfigError(f"{folder} holds no interrupted fit; name the photos.") from error
+    return dataclasses.replace(asked, output=output, work=work, resume=True)
 
 
 def can_resume(folder: Path) -> bool:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,16 +16,20 @@ from torch import Tensor
 
 from ..avatar import Avatar
 from ..controls.names import ALIGNED_NAMES
-from ..errors import CancelledError, ConfigError, SessionError
+from ..errors import ConfigError, SessionError
+from ..files.access import atomic_write_bytes
 from ..head import HeadModel
+from ..jobs.progress import Reporter
+from ..jobs.stages import FIT
 from ..model.grmm import GRMM, Picture
 from ..model.weights_file import WeightsInfo
-from ..pictures.images import quantize
+from ..pictures.images import encode_png, quantize
 from ..training.losses import Perceptual
 from .checkpoint import codes_key, decoders_key, load_codes, resume_tuner, save_codes, save_tuner
 from .codes import Codes, code_prior, fit_codes
 from .color import recolor
 from .decoders import Tuner
+from .folder import PREVIEW_FILE
 from .locality import LOCALITY_WEIGHT
 from .objective import decode, photo_inputs, relit
 from .presets import Preset, preset_named
@@ -34,15 +38,11 @@ from .surface import Surface, texel_surface
 from .types import PhotoTrack
 from .views import FitView, fit_view
 
-CODES, DECODERS = "codes", "decoders"
+CODES, DECODERS = "codes", "decoders"  # stages of `jobs.stages.FIT`
 SAVE_SECONDS = 20.0
 PREVIEW_SECONDS = 2.0
 MEASURED_SIDE = 512
 _GREY = 0.5
-_DECODE_COST = 0.12  # of a step's decoders, in units of a megapixel drawn and differentiated: for the time left
-
-Progress = Callable[[str, float, float, "np.ndarray | None"], None]
-"""Called with the stage, its share done 0..1, the seconds left (NaN while unknown) and sometimes a preview [H, W, 3] uint8."""
 
 logger = logging.getLogger(__name__)
 
@@ -56,8 +56,7 @@ def invert(
     info: WeightsInfo | None = None,
     name: str = "Person",
     work: Path | None = None,
-    progress: Progress | None = None,
-    cancelled: Callable[[], bool] | None = None,
+    report: Reporter | None = None,
     second_stage: bool = True,
     locality: float = LOCALITY_WEIGHT,
     perceptual: Perceptual | None = None,
@@ -72,15 +71,15 @@ def invert(
         info: What the weights file says; its training people are the prior of z_id.
         name: Display name of the avatar.
         work: Folder for the state, from which the same call goes on; None keeps none.
-        progress: Called often.
-        cancelled: Asked often; True ends the work with the state saved.
+        report: Hears of the stages "codes" and "decoders", with pictures where there is a work folder; on its wish to stop
+            the work ends with the state saved.
         second_stage: False stops after eq. 19 (the ablation).
         locality: lambda_loc of eq. 20; 0 leaves it out (the ablation).
         perceptual: Network of eq. 16's L_perc, or None to leave it out.
 
     Raises:
         ConfigError: No photo, no such preset, or the weights' information is missing.
-        CancelledError: `cancelled` said so.
+        CancelledError: `report` wanted to stop.
         SessionError: Out of memory.
         FileAccessError: The work folder cannot be written.
     """
@@ -92,7 +91,7 @@ def invert(
     try:
         with torch.enable_grad():
             return _Inversion(
-                tracks, model, settings, info, name, work, progress, cancelled, second_stage, locality, perceptual
+                tracks, model, settings, info, name, work, report or Reporter(FIT), second_stage, locality, perceptual
             ).run()
     except (MemoryError, torch.OutOfMemoryError) as error:
         raise _out_of_memory() from error
@@ -111,14 +110,13 @@ class _Inversion:
 
     def __init__(
         self, tracks: Sequence[PhotoTrack], model: GRMM, preset: Preset, info: WeightsInfo, name: str, work: Path | None,
-        progress: Progress | None, cancelled: Callable[[], bool] | None, second_stage: bool, locality: float,
-        perceptual: Perceptual | None,
+        report: Reporter, second_stage: bool, locality: float, perceptual: Perceptual | None,
     ) -> None:  # fmt: skip
         self.tracks, self.model, self.preset, self.info, self.name = tracks, model, preset, info, name
         self.work, self.second_stage, self.locality, self.perceptual = work, second_stage, locality, perceptual
         self.codes_key = codes_key(tracks, info, preset)
         self.decoders_key = decoders_key(self.codes_key, preset, locality)
-        self.clock = _Clock(progress, cancelled, preset, second_stage)
+        self.report, self.shown = report, 0.0  # when a picture was made last
         self.saved = time.monotonic()
 
     def run(self) -> Avatar:
@@ -155,8 +153,8 @@ class _Inversion:
         views = self.views(settings.side)
 
         def tick(share: float, drawn: Picture | None) -> None:
-            self.clock.report(CODES, share, lambda: None if drawn is None else preview(views[0], drawn))
-            self.clock.check()
+            self._tell(CODES, share, views[0], drawn)
+            self.report.check()
 
         codes = fit_codes(
             self.model, code_prior(self.info, self.model), views, self.views(settings.small_side), surface, settings, tick,
@@ -176,10 +174,10 @@ class _Inversion:
 
         def tick(share: float, drawn: Picture | None) -> None:
             level, index = tuner.last_drawn
-            self.clock.report(DECODERS, share, lambda: preview(levels[level][index], drawn) if drawn is not None else None)
-            if self.clock.wants_to_stop or time.monotonic() - self.saved > SAVE_SECONDS:
+            self._tell(DECODERS, share, levels[level][index], drawn)
+            if self.report.wants_to_stop or time.monotonic() - self.saved > SAVE_SECONDS:
                 self._save(tuner)
-            self.clock.check()
+            self.report.check()
 
         tuner.run(tick)
         self._save(tuner)
@@ -202,8 +200,17 @@ class _Inversion:
             self.name, self.tracks, self.info, codes.z_id.cpu().numpy(), codes.z_exp.cpu().numpy(),
             {name: value.cpu().numpy() for name, value in deltas.items()}, arrays,
         )  # fmt: skip
-        self.clock.report(DECODERS, 1.0, lambda: None)
+        self.report(DECODERS, 1.0)
         return avatar
+
+    def _tell(self, stage: str, share: float, view: FitView, drawn: Picture | None) -> None:
+        """Report, every few seconds with the photo and the avatar beside it."""
+        picture, now = "", time.monotonic()
+        if drawn is not None and self.work is not None and self.report.has_listener and now - self.shown > PREVIEW_SECONDS:
+            path = self.work / PREVIEW_FILE
+            atomic_write_bytes(path, encode_png(preview(view, drawn)))
+            picture, self.shown = str(path), now
+        self.report(stage, share, picture=picture)
 
 
 def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]) -> dict[str, Tensor]:
@@ -252,51 +259,3 @@ def preview(view: FitView, drawn: Picture) -> np.ndarray:
     behind = (1.0 - drawn.alpha)[..., None] * view.image
     both = torch.cat([view.image, drawn.image + behind], 1)
     return quantize(both.detach().cpu().numpy())
-
-
-class _Clock:
-    """Reports progress with the time left, and stops the work on request."""
-
-    def __init__(
-        self, progress: Progress | None, cancelled: Callable[[], bool] | None, preset: Preset, second_stage: bool
-    ) -> None:
-        self._progress, self._cancelled = progress, cancelled
-        codes, decoders = _work(preset)
-        self._shares = {CODES: codes, DECODERS: decoders if second_stage else 0.0}
-        self._start, self._first, self._shown = time.monotonic(), None, 0.0
-
-    def report(self, stage: str, share: float, picture: Callable[[], np.ndarray | None]) -> None:
-        """Tell the share done of a stage; the picture is made at most every few seconds."""
-        if self._progress is None:
-            return
-        now = time.monotonic()
-        whole = sum(self._shares.values())
-        done = (share * self._shares[stage] + (self._shares[CODES] if stage == DECODERS else 0.0)) / max(whole, 1e-9)
-        if self._first is None:  # what was done in an earlier run took no time in this one
-            self._first = done
-        fresh = done - self._first
-        left = (now - self._start) / fresh * (1.0 - done) if fresh > 0.02 else float("nan")
-        image = None
-        if now - self._shown > PREVIEW_SECONDS:
-            image = picture()
-            self._shown = now if image is not None else self._shown
-        self._progress(stage, share, left, image)
-
-    @property
-    def wants_to_stop(self) -> bool:
-        """Whether the user has cancelled."""
-        return self._cancelled is not None and self._cancelled()
-
-    def check(self) -> None:
-        """Raise `CancelledError` if the user has cancelled."""
-        if self.wants_to_stop:
-            raise CancelledError("The fit was cancelled.")
-
-
-def _work(preset: Preset) -> tuple[float, float]:
-    """Expected work of the stages, in a unit of its own."""
-    codes, levels = preset.codes, preset.decoders.levels
-    first = (codes.starts * codes.trial_steps + codes.steps) * (codes.side**2 / 1e6 + _DECODE_COST)
-    first += codes.candidates * (codes.small_side**2 / 1e6 + _DECODE_COST / 2)
-    extra = 2 * _DECODE_COST if preset.decoders.networks else 0.0
-    return first, sum(steps * (side**2 / 2e6 + 0.03 + extra) for side, steps in levels)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..errors import ConfigError
+from ..jobs.stages import FIT, JobStages
 
 
 @dataclass(frozen=True)
@@ -49,11 +50,13 @@ class Preset:
         name: "fast", "standard" or "high".
         codes: Stage 1.
         decoders: Stage 2.
+        seconds: That the two stages take on two cores, for the first estimate of the time left.
     """
 
     name: str
     codes: CodeSettings
     decoders: DecoderSettings
+    seconds: tuple[float, float] = (20.0, 25.0)
 
 
 PRESETS: dict[str, Preset] = {
@@ -72,3 +75,11 @@ def preset_named(name: str) -> Preset:
     if name not in PRESETS:
         raise ConfigError(f"There is no preset {name!r}; use {', '.join(PRESETS)}.")
     return PRESETS[name]
+
+
+def fit_stages(preset: Preset, photos: int = 1) -> JobStages:
+    """The stages of a fit of so many photos, weighted by the time that they take with a preset."""
+    codes, decoders = preset.seconds
+    return FIT.weighted({
+        "analyse": photos * FIT["analyse"].weight, "track": photos * FIT["track"].weight, "codes": codes, "decoders": decoders,
+    })  # fmt: skip

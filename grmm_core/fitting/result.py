@@ -29,7 +29,7 @@ def make_avatar(
     name: str, tracks: Sequence[PhotoTrack], info: WeightsInfo, z_id: np.ndarray, z_exp: np.ndarray,
     deltas: Mapping[str, np.ndarray], tracking: Mapping[str, np.ndarray],
 ) -> Avatar:  # fmt: skip
-    """Put an avatar together; its photos are named without hashes (see `with_photos`).
+    """Put an avatar together; its photos are named without hashes, which whoever has read the files adds.
 
     Args:
         name: Display name.

@@ -18,7 +18,7 @@ from ..errors import CancelledError, ConfigError, NoFaceError, ShapeError
 from ..geometry.camera import Camera
 from ..head.model import HeadModel
 from ..photo.faces import Face, find_faces
-from ..photo.load import Photo, check_proportion, load_photo
+from ..photo.load import Photo, PhotoFile, check_proportion
 from ..photo.person import person_mask
 from .landmark_priors import FULL_FRAME
 from .landmark_stage import LandmarkFit, Observation, fit_landmarks
@@ -34,8 +34,6 @@ MIN_FACE = 64.0  # pixels of the face's longer side; below this nothing of a per
 FRAME_TARGET = (0.0, -0.002, 0.0)  # head space: what the training pictures of the whole head look at
 FRAME_HALF = 0.224  # metres from there to the picture's edge (1.1 m away, angle of view 23 degrees)
 PADDING_GREY = 0.5
-_EXIF_IFD, _EXIF_FOCAL_35MM = 0x8769, 0xA405
-_FOCAL_RANGE = (8.0, 1200.0)  # millimetres; files state 0 for "unknown"
 _ANALYSE_SHARE, _LANDMARK_SHARE, _REFINE_SHARE = 0.4, 0.3, 0.2  # of the time, for the progress
 
 
@@ -54,15 +52,19 @@ class AnalysedPhoto:
     focal: float | None = None
 
 
-def analyse_photo(path: str | os.PathLike[str]) -> AnalysedPhoto:
-    """Open a photo and find the faces.
+def analyse_photo(source: str | os.PathLike[str] | PhotoFile) -> AnalysedPhoto:
+    """Decode a photo and find the faces.
+
+    Args:
+        source: The file, or one that is open already; it is closed.
 
     Raises:
-        FileAccessError, FileFormatError: See `load_photo`.
+        FileAccessError, FileFormatError: See `PhotoFile`.
         NoFaceError: There is no face, or none is large enough to be fitted.
     """
-    photo = load_photo(path)
-    return _with_faces(photo, _stated_focal(Path(path), photo))
+    photo = (source if isinstance(source, PhotoFile) else PhotoFile(source)).load()
+    focal = photo.focal_35mm
+    return _with_faces(photo, None if focal is None else focal / FULL_FRAME * max(photo.pixels.shape[:2]))
 
 
 def analyse_picture(pixels: np.ndarray, name: str = "picture") -> AnalysedPhoto:
@@ -168,20 +170,6 @@ def _chosen_face(item: AnalysedPhoto, index: int) -> Face:
 def _observation(item: AnalysedPhoto, face: Face) -> Observation:
     height, width = item.photo.pixels.shape[:2]
     return Observation(face.landmarks.astype(np.float64), face.arkit, width, height, item.focal)
-
-
-def _stated_focal(path: Path, photo: Photo) -> float | None:
-    """Focal length in pixels from the file's 35 mm equivalent, or None. A missing or odd entry is no error."""
-    from PIL import Image
-
-    try:
-        with Image.open(path) as image:
-            value = float(image.getexif().get_ifd(_EXIF_IFD).get(_EXIF_FOCAL_35MM, 0) or 0)
-    except (OSError, ValueError, TypeError, SyntaxError, ZeroDivisionError):
-        return None
-    if not _FOCAL_RANGE[0] <= value <= _FOCAL_RANGE[1]:
-        return None
-    return value / FULL_FRAME * max(photo.pixels.shape[:2])
 
 
 def _working_picture(photo: Photo, camera: Camera, size: int, mask: np.ndarray | None) -> Appearance:

@@ -6,10 +6,12 @@ the one-sentence errors.
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import hashlib
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,6 +29,8 @@ MAX_SIDE = 4096  # larger photos are reduced: a face is never fitted at more
 MIN_SIDE = 64
 MASK_TOLERANCE = 0.02  # relative difference of proportions
 _EXIF_ORIENTATION, _TURNED = 0x0112, (5, 6, 7, 8)  # values with which width and height change places
+_EXIF_IFD, _EXIF_FOCAL_35MM = 0x8769, 0xA405
+_FOCAL_RANGE = (8.0, 1200.0)  # millimetres; files state 0 for "unknown"
 _HEIC_SUFFIXES = {".heic", ".heif", ".avif"}
 
 
@@ -39,40 +43,82 @@ class Photo:
         pixels: Display sRGB 0..1, [H, W, 3] float32; transparent parts are composited over mid grey.
         alpha: Opacity 0..1, [H, W] float32, or None when the file has none.
         scale: Size of `pixels` relative to the file's (below 1 when it was reduced).
+        focal_35mm: Focal length that the file states, millimetres for 35 mm film, or None.
     """
 
     path: Path
     pixels: np.ndarray
     alpha: np.ndarray | None
     scale: float
+    focal_35mm: float | None = None
+
+    def coverage(self) -> np.ndarray:
+        """A picture of an outline as coverage 0..1, [H, W]: its alpha where it has one, else its brightness."""
+        return self.pixels.mean(-1) if self.alpha is None or self.alpha.min() >= 1.0 else self.alpha
 
 
-def load_photo(path: str | os.PathLike[str], max_side: int = MAX_SIDE) -> Photo:
-    """Read a photo: EXIF orientation applied, 8 or 16 bits, grey, palette or alpha.
+class PhotoFile:
+    """A photo's file, opened once: size and EXIF at once, hash and pixels when they are asked for.
+
+    Attributes:
+        path: The file.
+        width, height: Of the upright photo, pixels.
+        focal_35mm: As in `Photo`.
 
     Raises:
         FileAccessError: Missing or not readable.
         FileFormatError: Not a picture, truncated, in a format that is not installed, too small or too large.
     """
-    from PIL import ImageOps
 
-    path = Path(path)
-    with _opened(path) as image:
-        width, height = image.size
-        image.draft("RGB", (max_side, max_side))  # JPEG decodes large photos at a fraction of their size
-        image.load()
-        image = ImageOps.exif_transpose(image)
-        scale = min(1.0, max_side / max(width, height))
-        rgb, alpha = _to_rgb(image)
-    return _reduced(Photo(path, rgb, alpha, scale), max_side)
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        from PIL import Image
+
+        self.path = Path(path)
+        with _one_sentence(self.path), contextlib.ExitStack() as opened:
+            self._stream = opened.enter_context(self.path.open("rb"))
+            self._image = opened.enter_context(contextlib.closing(Image.open(self._stream)))
+            self._size = self._image.size
+            _check_size(self.path, *self._size)
+            exif = self._image.getexif()  # of a PNG it may stand behind the pixels, which are then decoded here, and kept
+            turned = exif.get(_EXIF_ORIENTATION, 1) in _TURNED
+            self.width, self.height = self._size[::-1] if turned else self._size
+            self.focal_35mm = _stated_focal(exif)
+            self._opened = opened.pop_all()
+
+    def __enter__(self) -> PhotoFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Let go of the file and of what Pillow has decoded; harmless when done twice."""
+        self._opened.close()
+
+    def sha256(self) -> str:
+        """Hash of the file's bytes, hexadecimal."""
+        with _one_sentence(self.path):
+            position = self._stream.tell()
+            self._stream.seek(0)
+            digest = hashlib.file_digest(self._stream, "sha256").hexdigest()
+            self._stream.seek(position)  # where the decoder goes on
+            return digest
+
+    def load(self, max_side: int = MAX_SIDE) -> Photo:
+        """Decode the pixels, upright, at most `max_side` on the longer side; once, and the file is closed."""
+        from PIL import ImageOps
+
+        with _one_sentence(self.path), self:
+            image = self._image
+            image.draft("RGB", (max_side, max_side))  # JPEG decodes large photos at a fraction of their size
+            image.load()
+            rgb, alpha = _to_rgb(ImageOps.exif_transpose(image))
+        return _reduced(Photo(self.path, rgb, alpha, min(1.0, max_side / max(self._size)), self.focal_35mm), max_side)
 
 
-def picture_size(path: str | os.PathLike[str]) -> tuple[int, int]:
-    """Width and height of the upright photo; its pixels are not decoded. Raises as `load_photo`."""
-    path = Path(path)
-    with _opened(path) as image:
-        width, height = image.size
-        return (height, width) if image.getexif().get(_EXIF_ORIENTATION, 1) in _TURNED else (width, height)
+def load_photo(path: str | os.PathLike[str], max_side: int = MAX_SIDE) -> Photo:
+    """Read a photo: EXIF orientation applied, 8 or 16 bits, grey, palette or alpha. Raises as `PhotoFile`."""
+    return PhotoFile(path).load(max_side)
 
 
 def check_proportion(mask: tuple[int, int], photo: tuple[int, int], name: str) -> None:
@@ -84,18 +130,16 @@ def check_proportion(mask: tuple[int, int], photo: tuple[int, int], name: str) -
         )
 
 
-@contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
-    """A picture that Pillow has opened and of which only the header is read; what goes wrong with it becomes one sentence."""
+@contextlib.contextmanager
+def _one_sentence(path: Path) -> Iterator[None]:
+    """What goes wrong with a picture's file becomes one sentence."""
     from PIL import Image, UnidentifiedImageError
 
     try:
         with warnings.catch_warnings():
             # Pillow's own bomb warning has another limit; ours is checked before anything is decoded.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(path) as image:
-                _check_size(path, *image.size)
-                yield image
+            yield
     except (FileNotFoundError, IsADirectoryError) as error:
         raise FileAccessError(f"{path} does not exist or is a folder; choose a photo.") from error
     except PermissionError as error:
@@ -110,6 +154,15 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     # Damaged files make Pillow's decoders raise OSError, SyntaxError, ValueError, struct.error, EOFError, IndexError ...
     except Exception as error:
         raise FileFormatError(f"{path.name} is damaged or truncated; get the photo again.") from error
+
+
+def _stated_focal(exif: Image.Exif) -> float | None:
+    """Focal length from the 35 mm equivalent, millimetres. A missing or odd entry is no error."""
+    try:
+        value = float(exif.get_ifd(_EXIF_IFD).get(_EXIF_FOCAL_35MM, 0) or 0)
+    except (OSError, ValueError, TypeError, SyntaxError, ZeroDivisionError):
+        return None
+    return value if _FOCAL_RANGE[0] <= value <= _FOCAL_RANGE[1] else None
 
 
 def _check_size(path: Path, width: int, height: int) -> None:
@@ -152,4 +205,4 @@ def _reduced(photo: Photo, max_side: int) -> Photo:
 
     pixels = np.stack([shrink(np.ascontiguousarray(photo.pixels[:, :, c])) for c in range(3)], axis=2)
     alpha = None if photo.alpha is None else shrink(photo.alpha)
-    return Photo(photo.path, pixels, alpha, photo.scale)
+    return dataclasses.replace(photo, pixels=pixels, alpha=alpha)

@@ -6,7 +6,7 @@ network. Needs numpy only.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from ..controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from ..formats import SplatCloud
 from ..formats.avatars.gaussian_avatars import GaussianAvatar
 from ..head import HeadModel
+from ..jobs.progress import Share, nobody
 from ..performance import Performance
 from .api import Session
 from .harmonics import fit_harmonics
@@ -70,7 +71,7 @@ def morph_targets(
     avatar_id: int,
     controls: Controls,
     names: Sequence[str] = ARKIT_NAMES,
-    report: Callable[[str], None] | None = None,
+    report: Share = nobody,
 ) -> dict[str, np.ndarray]:
     """Return how aligned expressions at 1 move the posed vertices, [V, 3] metres each, by name.
 
@@ -79,14 +80,14 @@ def morph_targets(
         avatar_id: The avatar.
         controls: Expression and pose that they are added to.
         names: Which of the 60; the 52 ARKit shapes, of which the others are mixtures, unless told.
-        report: Told the name of each that is done.
+        report: Hears how much is done.
     """
     resting = session.deform(avatar_id, controls).vertices
     morphs: dict[str, np.ndarray] = {}
-    for name in names:
+    for number, name in enumerate(names):
+        report(number / len(names), name)
         raised = controls.copy()
         raised.aligned[ALIGNED_NAMES.index(name)] += 1.0
         morphs[name] = session.deform(avatar_id, raised).vertices - resting
-        if report:
-            report(name)
+    report(1.0)
     return morphs

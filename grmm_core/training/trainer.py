@@ -31,6 +31,8 @@ from torch import Tensor, nn
 
 from ..errors import CancelledError, ConfigError, FileAccessError, RuntimeMissingError, TrainingError
 from ..files.access import describe_os_error, make_folder
+from ..jobs.progress import ProgressCallback, Reporter
+from ..jobs.stages import TRAINING
 from ..model.grmm import GRMM
 from ..model.weights import save_weights
 from ..model.weights_file import WeightsInfo, head_fingerprint
@@ -123,6 +125,8 @@ class Trainer:
         )
         self.average = MovingAverage(self.parameters.values(), config.ema, config.ema_every) if config.ema else None
         self.differences: list[str] = []  # of a resumed run from the one that wrote the checkpoint, in words
+        self.metrics: dict[str, float] = {}  # newest numbers by name
+        self.sheet = ""  # file of the newest previews
         self.step_count = 0
         self.seconds = 0.0
         self.started = bool(self.base)  # one person's run begins above: a resumed one needs the frozen parts too
@@ -135,37 +139,34 @@ class Trainer:
 
     # --- running ---------------------------------------------------------------------------------------------------
 
-    def run(
-        self, should_stop: Callable[[], bool] | None = None, on_step: Callable[[dict[str, float]], None] | None = None
-    ) -> None:
+    def run(self, progress: ProgressCallback | None = None, cancelled: Callable[[], bool] | None = None) -> None:
         """Train to the end of the schedule; ends with a checkpoint.
 
         Args:
-            should_stop: Asked after each step; True saves a checkpoint and ends, in all processes where one says so.
-            on_step: Called with the numbers of each step.
+            progress: Called after each step, with the newest sheet of previews; `metrics` holds the step's numbers.
+            cancelled: Asked after each step; True saves a checkpoint and ends, in all processes where one says so.
 
         Raises:
-            CancelledError: `should_stop` returned True; the checkpoint holds everything done.
+            CancelledError: `cancelled` returned True; the checkpoint holds everything done.
             TrainingError: The loss is not finite. The last checkpoint is kept as it was.
             FileAccessError: Disk full or not writable.
         """
         try:
-            self._run(should_stop, on_step)
+            self._run(Reporter(TRAINING, progress, cancelled))
         finally:
             if self.curves is not None:
                 self.curves.close()
                 self.curves = None
 
-    def _run(
-        self, should_stop: Callable[[], bool] | None, on_step: Callable[[dict[str, float]], None] | None
-    ) -> None:  # fmt: skip
+    def _run(self, report: Reporter) -> None:
+        report("prepare", 0.0)
         self.start()
         c = self.config
         while self.progress < 1.0:
             metrics = self.step()
-            if on_step:
-                on_step(metrics)
+            self.metrics.update(metrics)
             n = self.step_count
+            report("steps", self.progress, f"step {n} loss {metrics['loss']:.4f}", self.sheet)
             ends = self.progress >= 1.0
             if c.refresh_every and n % c.refresh_every == 0:
                 self.refresh()
@@ -175,7 +176,7 @@ class Trainer:
             self._log(metrics)
             if self.rank == 0 and c.preview_every and (n % c.preview_every == 0 or ends):
                 self._preview()
-            stopped = anybody(should_stop is not None and should_stop(), self.model.device)
+            stopped = anybody(report.wants_to_stop, self.model.device)
             if self.rank == 0 and ((c.checkpoint_every and n % c.checkpoint_every == 0) or ends or stopped):
                 self.save()
             if stopped and not ends:
@@ -283,8 +284,10 @@ class Trainer:
         numbers = self.source.validation if len(self.source.validation) else self.source.training
         picks = numbers[np.linspace(0, len(numbers) - 1, VALIDATION_ROWS + 2).astype(int)[1:-1]]
         views = [self._sized(self.source.load(int(index))) for index in picks]
+        path = self.folder / f"preview_{self.step_count:06d}.png"
         with self.averaged():
-            write_preview(self.cast, views, self.folder / f"preview_{self.step_count:06d}.png")
+            write_preview(self.cast, views, path)
+        self.sheet = str(path)
         write_curves([read_metrics(self.folder / METRICS)], self.folder / CURVES)
 
     # --- files -----------------------------------------------------------------------------------------------------

@@ -20,6 +20,8 @@ from grmm_core.avatar import load_avatar
 from grmm_core.cli import build_parser, main
 from grmm_core.cli.console import Console
 from grmm_core.formats import formats, read_splats, suffixes
+from grmm_core.jobs.progress import Progress
+from grmm_core.jobs.stages import CAPTURE
 from grmm_core.session import EMPTY_DEPTH
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -265,10 +267,39 @@ class Terminal(io.StringIO):
 def test_progress_is_drawn_on_a_terminal_only():
     for stream, as_json, drawn in ((Terminal(), False, True), (io.StringIO(), False, False), (Terminal(), True, False)):
         console = Console(as_json, stdout=io.StringIO(), stderr=stream)
-        with console.progress("working", 4) as bar:
-            bar.advance(2)
-        assert ("working [" in stream.getvalue()) == drawn
+        with console.progress(CAPTURE) as show:
+            show(Progress("shots", 0.5, 200.0))
+        assert ("capture [##############..............] 50% Rendering, about 3 min left" in stream.getvalue()) == drawn
     assert stream.getvalue() == ""
+
+
+def test_events_are_progress_and_result_one_object_a_line():
+    out, err = io.StringIO(), Terminal()
+    console = Console(as_events=True, stdout=out, stderr=err)
+    with console.progress(CAPTURE) as show:
+        show(Progress("shots", 0.5, 200.0, "a.png"))
+    console.line("for people")
+    console.result({"file": Path("x"), "error": float("nan")})
+    progress, done = map(json.loads, out.getvalue().splitlines())
+    assert progress.pop("event") == "progress"
+    assert Progress.from_json(progress) == Progress("shots", 0.5, 200.0, "a.png")
+    assert done == {"event": "done", "file": "x", "error": None}
+    assert err.getvalue() == ""
+    console.error("No\nroom.")
+    assert json.loads(out.getvalue().splitlines()[-1]) == {"event": "error", "message": "No room."}
+    assert err.getvalue() == "grmm: No room.\n"
+
+
+def test_a_package_that_is_missing_is_named(grmm, monkeypatch):
+    from grmm_core.cli import info
+
+    def broken():
+        raise ModuleNotFoundError("No module named 'numba.core'", name="numba")
+
+    monkeypatch.setattr(info, "installation", broken)
+    code, _, err = grmm("info")
+    assert code == 1
+    assert err == f"grmm: The Python {sys.executable} lacks the package numba; install it there.\n"
 
 
 def test_json_has_no_nan():

@@ -16,12 +16,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from progress_checks import check_progress
 
 from grmm_core.cli import main
+from grmm_core.data.claims import claim
 from grmm_core.data.dataset import CaptureDataset, Picture, read_manifest
-from grmm_core.data.jobs import claim
 from grmm_core.data.layers import ALBEDO, NORMAL, PART_LAYER, PARTS
 from grmm_core.errors import ConfigError, FileAccessError
+from grmm_core.jobs.stages import CAPTURE
 from grmm_studio import capture
 from grmm_studio.capture import STUDIO, CaptureSettings, Outcome, check_settings, open_job, run_job
 from grmm_studio.sheet import write_sheet
@@ -182,25 +184,27 @@ def test_what_others_hold_is_counted_and_taken_over_later(tmp_path):
     held.__enter__()
 
     def end_of_the_other(progress):
-        if progress.done == 11:
+        if progress.message.startswith("11/15"):
             held.__exit__(None, None, None)
 
-    assert run_job(tmp_path, SETTINGS, report=end_of_the_other) == Outcome(15, 15, 15)
+    assert run_job(tmp_path, SETTINGS, progress=end_of_the_other) == Outcome(15, 15, 15)
 
 
 def test_progress_counts_the_shots_of_all(tmp_path):
     seen = []
 
     def report(progress):
-        seen.append((progress.done, progress.total, progress.seconds_left))
-        if len(seen) == 2:  # another process has been here
+        seen.append(progress)
+        if len(seen) == 3:  # another process has been here
             for number in (2, 3):
                 (tmp_path / "shots" / "s0000_0000" / f"{number:04d}.json").write_text("{}")
 
-    run_job(tmp_path, SETTINGS, report=report)
-    assert [done for done, _, _ in seen] == [1, 2, *range(5, 16)]
-    assert all(total == 15 for _, total, _ in seen)
-    assert seen[-1][2] == 0.0
+    run_job(tmp_path, SETTINGS, progress=report)
+    check_progress(seen, CAPTURE)
+    assert [round(15 * one.fraction) for one in seen] == [0, 1, 2, *range(5, 16)]
+    assert seen[3].message.startswith("5/15 s0000_")
+    assert all(Path(one.picture).suffix == ".png" and Path(one.picture).exists() for one in seen[1:])
+    assert seen[-1].seconds_left == 0.0
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from grmm_core.data.jobs import TimeLeft, claim
 
 from grmm_core.data.dataset import (
     CaptureDataset,
@@ -23,7 +24,6 @@ from grmm_core.data.dataset import (
     write_shot,
     write_subject,
 )
-from grmm_core.data.jobs import TimeLeft, claim
 from grmm_core.data.layers import DEPTH_UNIT, NORMAL, PART_LAYER, PARTS
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError, ShapeError
 from grmm_core.geometry.camera import Camera

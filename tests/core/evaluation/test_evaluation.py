@@ -377,7 +377,7 @@ def test_monocular_protocol_tracks_the_photo(scene, folder, monkeypatch, found):
         assert masks[0].shape == (48, 48)
         return [replace(exact, source="photo.png")]
 
-    def inverted(scene, track, name, method, progress):
+    def inverted(scene, track, name, method, report):
         code = scene.info.z_id.mean(0) + 0.7 * (scene.info.z_id[2] - scene.info.z_id[3])
         return scene.made(name, code, track.shape)
 
@@ -400,14 +400,14 @@ def test_people_are_fitted_by_the_inversion(scene, folder, monkeypatch):
     monkeypatch.setitem(presets.PRESETS, "fast", quick)
     shares = []
     runs = evaluation(scene, folder, method="fast", ablations=False, regions=False)
-    runs._report = lambda text, share: shares.append(share) if "fitting" in text else None
-    result = runs.run("person")
+    result = runs.run("person", lambda share, message="": shares.append(share))
     assert len(result.rows) == 2
     person = result.rows[0].person
     assert person.name == HELD_OUT
     assert person.model is not scene.model  # the decoders were tuned for this person, and the scene's model was not
     assert person.photo_code is not None
     assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert all(np.isfinite(row.errors.psnr_mask) for row in result.rows)
     first = evaluation(scene, folder).run("reconstruction").rows[0]
     assert first.errors.psnr > 40.0

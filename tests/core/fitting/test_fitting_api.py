@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import io
 import json
+import math
 import os
 
 import numpy as np
 import pytest
+from progress_checks import check_progress
 from tiny_model import write_tiny_weights
 
 from grmm_core import cli
 from grmm_core.avatar import PhotoRecord, load_avatar, read_avatar_header
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError, ShapeError
-from grmm_core.fitting import api, presets
-from grmm_core.fitting.api import fit
+from grmm_core.fitting import presets
+from grmm_core.fitting.api import FitResult, fit
 from grmm_core.fitting.folder import TRACKS_FILE, Job, can_resume, prepare
 from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset
+from grmm_core.fitting.request import FitRequest
+from grmm_core.jobs.progress import Progress
+from grmm_core.jobs.stages import FIT
 from grmm_core.session import models
 
 QUICK = Preset("fast", CodeSettings(48, 48, 1, 1, 0, 2), DecoderSettings(((64, 4),), False))
@@ -46,16 +53,26 @@ def photo(tmp_path_factory):
     return path
 
 
+@pytest.fixture
+def make(weights):
+    """Ask for a fit by the tiny model and make it; options of the request, and of `fit`."""
+
+    def make(photos, output, *, progress=None, on_faces=None, cancelled=None, **options) -> FitResult:
+        values = {"preset": "fast", "weights": weights, "device": "cpu"} | options
+        return fit(FitRequest(photos, output, **values), progress=progress, on_faces=on_faces, cancelled=cancelled)
+
+    return make
+
+
 @pytest.fixture(autouse=True)
 def quick_preset(monkeypatch):
     monkeypatch.setitem(presets.PRESETS, "fast", QUICK)
 
 
-def test_a_photo_becomes_a_file_that_says_so(photo, weights, tmp_path):
+def test_a_photo_becomes_a_file_that_says_so(photo, make, tmp_path):
     events, faces = [], []
-    result = fit(
-        [photo], tmp_path / "anna.grmm", preset="fast", weights=weights, device="cpu",
-        progress=lambda *values: events.append(values), on_faces=lambda name, boxes: faces.append((name, boxes)),
+    result = make(
+        [photo], tmp_path / "anna.grmm", progress=events.append, on_faces=lambda name, boxes: faces.append((name, boxes))
     )  # fmt: skip
     header = read_avatar_header(result.path)
     assert header.name == "anna"
@@ -63,51 +80,81 @@ def test_a_photo_becomes_a_file_that_says_so(photo, weights, tmp_path):
     assert header.provenance.date
     (record,) = header.provenance.photos
     assert record.name == "face.png"
-    assert len(record.sha256) == 64
+    assert record.sha256 == hashlib.sha256(photo.read_bytes()).hexdigest()
     assert header.thumbnail.startswith(b"\x89PNG")
     assert header.camera.width == 256
-    assert list(dict.fromkeys(stage for stage, *_ in events)) == list(api.STAGES)
-    for stage in api.STAGES:
-        shares = [share for name, share, *_ in events if name == stage]
-        assert shares == sorted(shares)
-        assert shares[-1] <= 1.0
+    check_progress(events, FIT)
+    assert list(dict.fromkeys(event.stage for event in events)) == [stage.name for stage in FIT.stages]
+    assert events[-1].fraction == 1.0
+    assert not math.isnan(events[0].seconds_left), "there is an estimate from the beginning"
+    assert any(event.picture.endswith("preview.png") for event in events)
     assert faces[0][1].shape == (1, 4)
     assert list(tmp_path.iterdir()) == [tmp_path / "anna.grmm"], "the work folder is gone"
     assert result.rmse[0] == pytest.approx(float(load_avatar(result.path).tracking["rmse"][0]), rel=1e-5)
 
 
-def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, weights, tmp_path, monkeypatch):
+def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, make, tmp_path):
     output, seen = tmp_path / "a.grmm", []
-    arguments = {"preset": "fast", "weights": weights, "device": "cpu", "progress": lambda *values: seen.append(values[0])}
-    with pytest.raises(CancelledError, match="--resume"):
-        fit([photo], output, cancelled=lambda: "codes" in seen, **arguments)
+    with pytest.raises(CancelledError, match="it can be resumed"):
+        make([photo], output, progress=seen.append, cancelled=lambda: bool(seen) and seen[-1].stage == "codes")
     assert not output.exists()
-    folder = tmp_path / f"a.grmm{api.WORK_SUFFIX}"
-    assert (folder / api.TRACKS_FILE).exists()
+    folder = FitRequest([photo], output).work_folder
+    assert (folder / TRACKS_FILE).exists()
     seen.clear()
-    result = fit([photo], output, resume=True, **arguments)
-    assert set(seen) == {"codes", "decoders"}
+    result = make([photo], output, resume=True, progress=seen.append)
+    assert {event.stage for event in seen} == {"load", "codes", "decoders", "finish"}
+    check_progress(seen, FIT)
     assert result.path.exists()
     assert not folder.exists()
     # cancelled before anything is known: nothing is left behind
-    with pytest.raises(CancelledError):
-        fit([photo], tmp_path / "b.grmm", cancelled=lambda: True, **arguments)
+    with pytest.raises(CancelledError, match="had not found the person yet"):
+        make([photo], tmp_path / "b.grmm", cancelled=lambda: True)
     assert [path.name for path in tmp_path.iterdir()] == ["a.grmm"]
 
 
 @pytest.mark.slow
-def test_the_state_of_other_photos_is_not_resumed(photo, weights, tmp_path):
+def test_the_state_of_other_photos_is_not_resumed(photo, make, tmp_path):
     from PIL import Image
 
     work = tmp_path / "work"
-    arguments = {"preset": "fast", "weights": weights, "device": "cpu", "work": work}
-    fit([photo], tmp_path / "a.grmm", **arguments)
-    assert (work / api.TRACKS_FILE).exists(), "a folder that was asked for stays"
+    make([photo], tmp_path / "a.grmm", work=work)
+    assert (work / TRACKS_FILE).exists(), "a folder that was asked for stays"
     other = tmp_path / "other.png"
     Image.open(photo).transpose(Image.Transpose.FLIP_LEFT_RIGHT).save(other)
     seen = []
-    fit([other], tmp_path / "b.grmm", resume=True, progress=lambda *values: seen.append(values[0]), **arguments)
-    assert "analyse" in seen
+    make([other], tmp_path / "b.grmm", resume=True, work=work, progress=seen.append)
+    assert "analyse" in {event.stage for event in seen}
+
+
+def test_photos_and_masks_are_opened_once_and_decoded_once(photo, make, tmp_path, monkeypatch):
+    from PIL import Image, ImageFile
+
+    turned, mask, jpeg = tmp_path / "turned.png", tmp_path / "mask.png", tmp_path / "face.jpg"
+    exif = Image.Exif()
+    exif[0x0112] = 3
+    with Image.open(photo) as image:
+        image.transpose(Image.Transpose.ROTATE_180).save(turned, exif=exif)
+        image.save(jpeg, quality=95)
+    Image.fromarray(np.full((256, 256), 255, np.uint8)).save(mask)
+    watched = {str(path): 0 for path in (turned, mask, jpeg)}
+    decoded = []
+    open_file, load = io.open, ImageFile.ImageFile.load
+    with monkeypatch.context() as patch:
+        patch.setattr(io, "open", lambda file, *a, **k: (count(watched, file), open_file(file, *a, **k))[1])
+        # what is decoded already has no tiles left
+        patch.setattr(
+            ImageFile.ImageFile, "load", lambda self: (decoded.append(self.size) if self.tile else None, load(self))[1]
+        )
+        result = make([turned, jpeg], tmp_path / "a.grmm")
+        make([turned], tmp_path / "b.grmm", masks=[mask])
+    assert watched == {str(turned): 2, str(mask): 1, str(jpeg): 1}, "once in each fit"
+    assert len(decoded) == 4
+    assert [record.name for record in result.avatar.provenance.photos] == ["turned.png", "face.jpg"]
+
+
+def count(watched, file) -> None:
+    if str(file) in watched:
+        watched[str(file)] += 1
 
 
 def test_events_are_json_lines(photo, weights, tmp_path, capsys):
@@ -116,10 +163,10 @@ def test_events_are_json_lines(photo, weights, tmp_path, capsys):
     assert cli.main([*arguments, "--events"]) == 0
     events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert events[0]["event"] == "progress"
-    assert events[-1] == {"event": "done", "avatar": str(output)}
+    assert (events[-1]["event"], events[-1]["avatar"]) == ("done", str(output))
     (faces,) = [event for event in events if event["event"] == "faces"]
     assert faces["photo"] == str(photo)
-    assert {event["stage"] for event in events if event["event"] == "progress"} == set(api.STAGES)
+    check_progress([Progress.from_json(event) for event in events if event["event"] == "progress"], FIT)
     assert cli.main(["info", str(output)]) == 0
     shown = capsys.readouterr().out
     assert "from photos: yes" in shown
@@ -127,7 +174,7 @@ def test_events_are_json_lines(photo, weights, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("make", "error", "words"),
+    ("spoil", "error", "words"),
     [
         (lambda p: p.write_text("hello"), FileFormatError, "not a picture"),
         (lambda p: None, FileAccessError, "does not exist"),
@@ -135,21 +182,21 @@ def test_events_are_json_lines(photo, weights, tmp_path, capsys):
     ],
     ids=["text", "missing", "folder"],
 )
-def test_photos_that_cannot_be_used_give_one_sentence(make, error, words, weights, tmp_path):
+def test_photos_that_cannot_be_used_give_one_sentence(spoil, error, words, make, tmp_path):
     path = tmp_path / "x.jpg"
-    make(path)
+    spoil(path)
     with pytest.raises(error, match=words):
-        fit([path], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu")
+        make([path], tmp_path / "a.grmm")
     assert not (tmp_path / "a.grmm").exists()
 
 
-def test_a_picture_without_face_is_named(weights, tmp_path, capsys):
+def test_a_picture_without_face_is_named(make, weights, tmp_path, capsys):
     from PIL import Image
 
     path = tmp_path / "wall.png"
     Image.fromarray(np.full((120, 160, 3), 130, np.uint8)).save(path)
     with pytest.raises(NoFaceError, match=r"wall\.png"):
-        fit([path], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu")
+        make([path], tmp_path / "a.grmm")
     arguments = ["fit", str(path), "-o", str(tmp_path / "a.grmm"), "--preset", "fast", "--weights", str(weights), "--events"]
     assert cli.main(arguments) == 1
     captured = capsys.readouterr()
@@ -159,7 +206,7 @@ def test_a_picture_without_face_is_named(weights, tmp_path, capsys):
     assert event["message"].count("\n") == 0
 
 
-def test_arguments_are_checked_before_work_begins(photo, weights, tmp_path):
+def test_arguments_are_checked_before_work_begins(photo, make, tmp_path):
     wrong = [
         ({"photos": []}, ConfigError, "at least one"),
         ({"photos": [photo] * 17}, ConfigError, "at most 16"),
@@ -171,12 +218,12 @@ def test_arguments_are_checked_before_work_begins(photo, weights, tmp_path):
         ({"faces": [0, 0]}, ConfigError, "2 faces"),
     ]
     for changes, error, words in wrong:
-        values = {"photos": [photo], "output": tmp_path / "a.grmm", "preset": "fast"} | changes
+        values = {"photos": [photo], "output": tmp_path / "a.grmm"} | changes
         with pytest.raises(error, match=words):
-            fit(values.pop("photos"), values.pop("output"), weights=weights, device="cpu", **values)
+            make(values.pop("photos"), values.pop("output"), **values)
 
 
-def test_bad_pictures_are_refused_before_anything_is_written(photo, weights, tmp_path):
+def test_bad_pictures_are_refused_before_anything_is_written(photo, make, tmp_path):
     from PIL import Image
 
     copy, mask, text = tmp_path / "copy.png", tmp_path / "mask.png", tmp_path / "mask.txt"
@@ -194,30 +241,32 @@ def test_bad_pictures_are_refused_before_anything_is_written(photo, weights, tmp
     for changes, error, words in wrong:
         values = {"photos": [photo]} | changes
         with pytest.raises(error, match=words) as caught:
-            fit(values.pop("photos"), tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu", **values)
+            make(values.pop("photos"), tmp_path / "a.grmm", **values)
         assert "\n" not in str(caught.value)
         assert sorted(path.name for path in tmp_path.iterdir()) == names
 
 
-def test_a_work_folder_with_other_files_is_left_alone(photo, weights, tmp_path):
+def test_a_work_folder_with_other_files_is_left_alone(photo, make, tmp_path):
     work = tmp_path / "mine"
     work.mkdir()
     (work / "codes.safetensors").write_text("my own weights")
     (work / "preview.png").write_text("my own picture")
     with pytest.raises(ConfigError, match="holds other files"):
-        fit([photo], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu", work=work)
+        make([photo], tmp_path / "a.grmm", work=work)
     assert {path.name: path.read_text() for path in work.iterdir()} == {
         "codes.safetensors": "my own weights", "preview.png": "my own picture",
     }  # fmt: skip
     folder = tmp_path / "state"
     job = Job((PhotoRecord("a.png", "1"),), (0,), ())
-    prepare(folder, job, False)
+    asked = FitRequest([photo], tmp_path / "a.grmm", work=folder)
+    prepare(job, asked)
     for name in (TRACKS_FILE, "notes.txt", "mine.safetensors", ".grmm-x.tmp"):
         (folder / name).write_text(name)
-    prepare(folder, job, True)  # the same job goes on; what a killed process was writing is removed
+    asked = dataclasses.replace(asked, resume=True)
+    prepare(job, asked)  # the same job goes on; what a killed process was writing is removed
     assert can_resume(folder)
     assert not (folder / ".grmm-x.tmp").exists()
-    prepare(folder, dataclasses.replace(job, weights="others"), True)
+    prepare(dataclasses.replace(job, weights="others"), asked)
     assert not can_resume(folder)
     assert (folder / "mine.safetensors").exists()
     assert (folder / "notes.txt").exists()
@@ -235,24 +284,24 @@ def test_a_head_file_reaches_the_model(photo, weights, tmp_path, capsys):
 
 
 def test_looking_names_a_face_that_is_not_there_after_drawing_those_that_are(photo, tmp_path, capsys):
-    assert cli.main(["fit", str(photo), "--look", str(tmp_path / "found"), "--face", "3"]) == 1
+    assert cli.main(["fit", str(photo), "--find-faces", str(tmp_path / "found"), "--face", "3"]) == 1
     assert "choose a number from 1 to 1" in capsys.readouterr().err
     assert (tmp_path / "found" / "found_1.png").exists()
-    assert cli.main(["fit", str(photo), "--look", str(tmp_path / "found"), "--face", "1", "--face", "1"]) == 1
+    assert cli.main(["fit", str(photo), "--find-faces", str(tmp_path / "found"), "--face", "1", "--face", "1"]) == 1
     assert "2 faces were chosen for 1 photos" in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="needs a folder that this user cannot write")
-def test_a_folder_that_cannot_be_written_is_named(photo, weights, tmp_path):
+def test_a_folder_that_cannot_be_written_is_named(photo, make, tmp_path):
     tmp_path.chmod(0o500)
     try:
         with pytest.raises(FileAccessError, match="choose another folder"):
-            fit([photo], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu")
+            make([photo], tmp_path / "a.grmm")
     finally:
         tmp_path.chmod(0o700)
 
 
-def test_a_full_disk_leaves_nothing_half_written(photo, weights, tmp_path, monkeypatch):
+def test_a_full_disk_leaves_nothing_half_written(photo, make, tmp_path, monkeypatch):
     import errno
 
     def full(*_: object) -> None:
@@ -261,17 +310,17 @@ def test_a_full_disk_leaves_nothing_half_written(photo, weights, tmp_path, monke
     output = tmp_path / "a.grmm"
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(FileAccessError, match="no space left"):
-        fit([photo], output, preset="fast", weights=weights, device="cpu")
+        make([photo], output)
     assert not output.exists()
     assert not list(tmp_path.rglob("*.tmp"))
 
 
-def test_a_mask_replaces_the_outline_that_would_be_found(photo, weights, tmp_path):
+def test_a_mask_replaces_the_outline_that_would_be_found(photo, make, tmp_path):
     from PIL import Image
 
     mask = tmp_path / "mask.png"
     Image.fromarray(np.zeros((256, 256), np.uint8)).save(mask)
-    result = fit([photo], tmp_path / "a.grmm", preset="fast", weights=weights, device="cpu", masks=[mask])
+    result = make([photo], tmp_path / "a.grmm", masks=[mask])
     assert float(result.tracks[0].mask.max()) < 0.1
     assert dataclasses.is_dataclass(result)
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from model_fixtures import small_head
+from progress_checks import check_progress
 
 from grmm_core.avatar import load_avatar, save_avatar
 from grmm_core.controls.frame import Controls, resolve
@@ -24,6 +25,8 @@ from grmm_core.fitting.surface import SKIN, texel_surface
 from grmm_core.fitting.types import PhotoTrack
 from grmm_core.fitting.views import fit_view, project
 from grmm_core.geometry.camera import Camera
+from grmm_core.jobs.progress import Progress, Reporter
+from grmm_core.jobs.stages import FIT
 from grmm_core.model.config import BASIS_COLOR
 from grmm_core.model.config import PRESETS as MODEL_PRESETS
 from grmm_core.model.grmm import GRMM
@@ -150,28 +153,26 @@ def test_cancel_leaves_a_state_from_which_the_fit_goes_on_to_the_same_result(per
     model, info, z_id = person
     tracks = [photo(model, z_id, brown=0.3)]
     whole = invert(tracks, model, model.head_model, TUNING, info=info)
-    seen = []
-
-    def progress(stage, share, left, picture):
-        seen.append((stage, share))
-
+    seen: list[Progress] = []
+    stages = FIT.only(("codes", "decoders"))
+    begin, end = stages.span("decoders")
+    half = Reporter(stages, seen.append, lambda: bool(seen) and seen[-1].fraction >= 0.5 * (begin + end))
     with pytest.raises(CancelledError):
-        invert(
-            tracks, model, model.head_model, TUNING, info=info, work=tmp_path, progress=progress,
-            cancelled=lambda: bool(seen) and seen[-1][0] == "decoders" and seen[-1][1] >= 0.5,
-        )  # fmt: skip
+        invert(tracks, model, model.head_model, TUNING, info=info, work=tmp_path, report=half)
+    check_progress(seen, stages)
     assert not list(tmp_path.glob("*.tmp"))
     seen.clear()
-    resumed = invert(tracks, model, model.head_model, TUNING, info=info, work=tmp_path, progress=progress)
-    assert {stage for stage, _ in seen} == {"decoders"}, "stage 1 was done before"
-    assert min(share for _, share in seen) > 0.5
+    resumed = invert(tracks, model, model.head_model, TUNING, info=info, work=tmp_path, report=Reporter(stages, seen.append))
+    assert {one.stage for one in seen} == {"decoders"}, "stage 1 was done before"
+    assert seen[0].fraction > 0.5 * (begin + end)
+    check_progress(seen, stages)
     for name, array in whole.deltas.items():
         np.testing.assert_allclose(resumed.deltas[name], array, atol=2e-3, err_msg=name)
     # the state of another job is not taken
     seen.clear()
     other = [photo(model, z_id, brown=0.2)]
-    invert(other, model, model.head_model, TUNING, info=info, work=tmp_path, progress=progress)
-    assert "codes" in {stage for stage, _ in seen}
+    invert(other, model, model.head_model, TUNING, info=info, work=tmp_path, report=Reporter(stages, seen.append))
+    assert "codes" in {one.stage for one in seen}
 
 
 def test_a_damaged_state_is_done_anew(person, tmp_path):

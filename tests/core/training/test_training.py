@@ -8,8 +8,10 @@ import pytest
 import torch
 from model_fixtures import ColoredSpheres, small_head
 from PIL import Image
+from progress_checks import check_progress
 
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, RuntimeMissingError, TrainingError
+from grmm_core.jobs.stages import TRAINING
 from grmm_core.model.weights import load_weights
 from grmm_core.training.checkpoint import load_checkpoint
 from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
@@ -86,7 +88,7 @@ def test_resume_repeats_the_run_exactly(head, source, tmp_path):
     whole.run()
     first = Trainer(config(**settings), head, source, tmp_path / "parts")
     with pytest.raises(CancelledError):
-        first.run(should_stop=lambda: first.step_count == 5)
+        first.run(cancelled=lambda: first.step_count == 5)
     second = Trainer(config(**settings), head, source, tmp_path / "parts")
     assert second.resume()
     assert second.step_count == 5
@@ -171,7 +173,7 @@ def test_a_loss_that_is_not_finite_keeps_the_checkpoint(head, source, tmp_path):
 def test_gradients_that_are_not_finite_keep_checkpoint_and_weights(head, source, tmp_path, clip_norm):
     trainer = Trainer(config(checkpoint_every=1, clip_norm=clip_norm), head, source, tmp_path)
     with pytest.raises(CancelledError):
-        trainer.run(should_stop=lambda: True)
+        trainer.run(cancelled=lambda: True)
     kept = (tmp_path / CHECKPOINT).read_bytes()
     weights = {name: value.detach().clone() for name, value in trainer.parameters.items()}
     trainer.codes.register_hook(lambda gradient: gradient * torch.nan)
@@ -247,7 +249,7 @@ def scalars(folder, name):
 def test_curves_for_tensorboard(head, source, tmp_path, monkeypatch):
     trainer = Trainer(config(tensorboard=True, steps=4, checkpoint_every=2), head, source, tmp_path)
     with pytest.raises(TrainingError):
-        trainer.run(on_step=lambda numbers: forget(trainer) if numbers["step"] == 3 else None)
+        trainer.run(lambda _: forget(trainer) if trainer.step_count == 3 else None)
     second = Trainer(config(tensorboard=True, steps=4), head, source, tmp_path)
     assert second.resume()
     second.run()
@@ -259,8 +261,14 @@ def test_curves_for_tensorboard(head, source, tmp_path, monkeypatch):
 
 
 def test_preview_is_a_picture(head, source, tmp_path):
-    trainer = Trainer(config(steps=1, preview_every=1), head, source, tmp_path)
-    trainer.run()
+    trainer = Trainer(config(steps=3, preview_every=1), head, source, tmp_path)
+    seen = []
+    trainer.run(seen.append)
+    check_progress(seen, TRAINING)
+    assert [one.stage for one in seen] == ["prepare", "steps", "steps", "steps"]
+    assert seen[-1].fraction == 1.0
+    assert seen[-1].message == f"step 3 loss {trainer.metrics['loss']:.4f}"
+    assert seen[-1].picture == str(tmp_path / "preview_000002.png")  # the newest when the last step was done
     picture = np.asarray(Image.open(tmp_path / "preview_000001.png"))
     assert picture.shape == (5 * 48, 4 * 48, 3)
     assert picture.std() > 10

@@ -273,7 +273,7 @@ def trainer(folder, **settings):
 one = trainer(folder)
 said = []
 try:
-    one.run(lambda: rank == world - 1 and one.step_count == 3)  # the last process alone is asked to stop
+    one.run(cancelled=lambda: rank == world - 1 and one.step_count == 3)  # the last process alone is asked to stop
 except CancelledError:
     said.append("stopped")
 if rank == 0:

@@ -1,4 +1,4 @@
-"""Sharing a capture between processes: claims on pieces of work by locked files, and an estimate of the time left.
+"""Sharing a capture between processes: claims on pieces of work by locked files.
 
 A claim is the operating system's exclusive lock on a file. The system ends it with the process, however that dies, so no claim
 is ever stale and none must be taken over: a file that is left behind is merely one that nobody has locked. Between computers
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -92,21 +91,3 @@ else:
         except BlockingIOError:
             return False
         return True
-
-
-class TimeLeft:
-    """Estimate of the time left from how fast all processes together finish pieces.
-
-    Args:
-        total: Pieces of the job.
-        done: Those that were complete when we began.
-    """
-
-    def __init__(self, total: int, done: int) -> None:
-        self.total, self._first, self._start = total, done, time.monotonic()
-
-    def seconds(self, done: int) -> float:
-        """Seconds left when `done` pieces are complete; infinite before the first new one."""
-        if done <= self._first:
-            return float("inf")
-        return (time.monotonic() - self._start) / (done - self._first) * (self.total - done)

@@ -14,7 +14,9 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..grmm_core.errors import GrmmError
-from . import compat, diagnostics, runtime_install, session_host
+from ..grmm_core.jobs.stages import INSTALL
+from . import compat, diagnostics, runtime_install, session_host, windows
+from .progress_bar import draw_progress
 
 _POLL_SECONDS = 0.25
 
@@ -126,8 +128,7 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
         machine = runtime_install.detect_machine()
         layout.label(text=f"This machine: {machine.system}, {machine.accelerator or 'no accelerator found'}")
         if _job is not None and _job.running:
-            progress = _job.progress
-            layout.progress(factor=progress.fraction, text=progress.text)
+            draw_progress(layout, _job.progress, INSTALL)
             layout.operator(GRMM_OT_cancel_runtime.bl_idname, icon="CANCEL")
             return
         if facts:
@@ -191,7 +192,7 @@ class GRMM_OT_install_runtime(bpy.types.Operator):
         _job = runtime_install.InstallJob(runtime_install.InstallRequest(_folder(), python, wheels, preferences.index))
         _job.start()
         if not self.wait:
-            bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS)
+            bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS, persistent=True)
             return {"FINISHED"}
         _job.wait()
         _finish()
@@ -305,11 +306,7 @@ def _folder() -> Path:
 
 def _poll() -> float | None:
     """Timer while an installation runs: show its progress, then use the result."""
-    manager = bpy.context.window_manager
-    for window in manager.windows if manager is not None else ():
-        for area in window.screen.areas:
-            if area.type == "PREFERENCES":
-                area.tag_redraw()
+    windows.redraw("PREFERENCES")
     if _job is not None and _job.running:
         return _POLL_SECONDS
     _finish()

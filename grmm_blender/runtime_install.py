@@ -22,10 +22,11 @@ import threading
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from ..grmm_core.errors import CancelledError, GrmmError, RuntimeMissingError
 from ..grmm_core.files.access import describe_os_error
+from ..grmm_core.jobs.progress import Progress, Reporter
+from ..grmm_core.jobs.stages import INSTALL
 
 REQUIREMENTS = ("torch>=2.6,<3", "numba>=0.61,<1", "numpy>=1.26,<3", "pillow>=10.3,<14")
 """What the worker imports; the same as the dependencies of the package `grmm-core`."""
@@ -34,7 +35,6 @@ STATE_FILE = "grmm_runtime.json"
 _PARTIAL = "runtime.partial"
 _LOG_LINES = 400
 _USUAL_PACKAGES = 14  # that pip fetches for the requirements on a machine without CUDA; only shapes the progress bar
-_ENVIRONMENT_SHARE, _FETCH_SHARE, _INSTALL_SHARE = 0.05, 0.70, 0.95  # of the progress bar, at the end of each stage
 _CHECK = (
     "import json, platform, numpy, numba, torch, PIL; "
     "torch.zeros(3).sum(); "
@@ -58,8 +58,6 @@ _KNOWN_FAILURES = (
     (r"No module named (venv|ensurepip)", "The Python {python} cannot make environments (no {0}); choose another Python."),
 )  # fmt: skip
 
-Stage = Literal["environment", "download", "install", "check", "done"]
-
 
 @dataclass(frozen=True)
 class InstallRequest:
@@ -76,21 +74,6 @@ class InstallRequest:
     python: str = sys.executable
     wheels: str = ""
     index: str = ""
-
-
-@dataclass(frozen=True)
-class InstallProgress:
-    """Where an installation stands.
-
-    Attributes:
-        stage: What it does.
-        fraction: 0..1, of all stages.
-        text: Last thing that happened, for people.
-    """
-
-    stage: Stage = "environment"
-    fraction: float = 0.0
-    text: str = "Starting"
 
 
 @dataclass(frozen=True)
@@ -134,7 +117,8 @@ class InstallJob:
         self._lock = threading.Lock()
         self._process: subprocess.Popen[str] | None = None
         self._cancelled = False
-        self._progress = InstallProgress()
+        self._progress = Progress()
+        self._report = Reporter(INSTALL, self._keep)
         self._fetched = 0
         self._log: deque[str] = deque(maxlen=_LOG_LINES)
         self._error = ""
@@ -164,7 +148,7 @@ class InstallJob:
         return self._thread.is_alive()
 
     @property
-    def progress(self) -> InstallProgress:
+    def progress(self) -> Progress:
         """Where it stands."""
         with self._lock:
             return self._progress
@@ -198,20 +182,20 @@ class InstallJob:
 
     def _install(self, partial: Path) -> None:
         request = self._request
-        self._advance("environment", 0.0, "Making the environment")
+        self._report("environment", 0.0)
         request.folder.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(partial, ignore_errors=True)
         self._call([request.python, "-m", "venv", "--clear", str(partial)])
-        self._advance("download", _ENVIRONMENT_SHARE, "Looking for packages")
+        self._report("download", 0.0, "Looking for packages")
         self._call([environment_python(partial), *pip_arguments(request)], self._follow_pip)
-        self._advance("check", _INSTALL_SHARE, "Trying the runtime")
+        self._report("check", 0.0)
         facts = self._call([environment_python(partial), "-c", _CHECK]).strip().splitlines()[-1]
         (partial / STATE_FILE).write_text(facts, "utf-8")
         final = request.folder / FOLDER
         if final.exists():
             remove(request.folder)
         partial.rename(final)
-        self._advance("done", 1.0, "Installed")
+        self._report("check", 1.0, "Installed")
 
     def _call(self, command: list[str], follow: object = None) -> str:
         """Run a tool to its end and return its output. Raises `CancelledError`, `RuntimeMissingError`."""
@@ -247,20 +231,19 @@ class InstallJob:
     def _follow_pip(self, line: str) -> None:
         if line.startswith("Collecting"):
             self._fetched += 1
-            share = min(1.0, self._fetched / _USUAL_PACKAGES)
             name = re.split(r"[<>=!~;\[ ]", line.removeprefix("Collecting").strip(), maxsplit=1)[0]
-            fraction = _ENVIRONMENT_SHARE + share * (_FETCH_SHARE - _ENVIRONMENT_SHARE)
-            self._advance("download", fraction, f"Fetching {name}")
+            self._report("download", self._fetched / _USUAL_PACKAGES, f"Fetching {name}")
         elif line.startswith("Downloading"):
             size = re.search(r"\(([^)]*)\)", line)
             if size:
-                self._advance("download", self.progress.fraction, f"{self.progress.text.split(' (')[0]} ({size[1]})")
+                name = self.progress.message.split(" (")[0]
+                self._report("download", self._fetched / _USUAL_PACKAGES, f"{name} ({size[1]})")
         elif line.startswith("Installing collected packages"):
-            self._advance("install", _FETCH_SHARE, "Installing packages")
+            self._report("install", 0.0)
 
-    def _advance(self, stage: Stage, fraction: float, text: str) -> None:
+    def _keep(self, progress: Progress) -> None:
         with self._lock:
-            self._progress = InstallProgress(stage, fraction, text)
+            self._progress = progress
 
 
 def pip_arguments(request: InstallRequest) -> list[str]:

@@ -7,13 +7,13 @@ from typing import ClassVar
 
 import bpy
 
+from ..grmm_blender.rig.avatar import stored_path
 from ..grmm_blender.rig.build import build_avatar
 from ..grmm_blender.rig.identity import DEFAULT_SOURCE, read_identity
 from ..grmm_blender.session_host import SAMPLE_PREFIX
 from ..grmm_core.avatar import EXTENSION
 from ..grmm_core.avatar.library import LIBRARY_PREFIX, library_names
 from ..grmm_core.errors import GrmmError
-from .relink import stored_path
 
 LIBRARY_ITEMS = tuple(
     (name, name.replace("_", " ").capitalize(), f"The avatar {name} of the library") for name in library_names()

@@ -9,11 +9,12 @@ import bpy
 
 from ..grmm_blender import session_host
 from ..grmm_blender.fitting import watch
-from ..grmm_blender.fitting.job import FitJob, FitRequest
-from ..grmm_blender.fitting.origin import origin_of
+from ..grmm_blender.fitting.job import FitJob
 from ..grmm_blender.fitting.photo_camera import set_photo_expression
+from ..grmm_blender.fitting.provenance import provenance_sentence
 from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings
-from ..grmm_core.errors import ConfigError, FileAccessError
+from ..grmm_core.errors import ConfigError
+from ..grmm_core.fitting.request import FacesRequest, FitRequest
 from .common import Result, active_avatar, needs_avatar, reports_errors
 
 _EXTENSIONS = "*.jpg;*.jpeg;*.png;*.webp;*.tif;*.tiff;*.bmp"
@@ -21,7 +22,7 @@ _EXTENSIONS = "*.jpg;*.jpeg;*.png;*.webp;*.tif;*.tiff;*.bmp"
 
 def _idle(cls: type[bpy.types.Operator], _context: bpy.types.Context) -> bool:
     """`poll`: no fit is running."""
-    if watch.job() is not None and watch.job().running:
+    if watch.is_running():
         cls.poll_message_set("A fit is running; wait or cancel it")
         return False
     return True
@@ -55,14 +56,14 @@ class GRMM_OT_fit_add_photos(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> Result:
-        """Append what was chosen."""
-        chosen = settings(context)
+        """Append what was choices."""
+        choices = settings(context)
         names = [str(Path(self.directory) / file.name) for file in self.files if file.name] or [self.filepath]
-        known = {photo.path for photo in chosen.photos}
+        known = {photo.path for photo in choices.photos}
         for name in names:
             if name and name not in known:
-                chosen.photos.add().path = name
-        chosen.active = max(0, len(chosen.photos) - 1)
+                choices.photos.add().path = name
+        choices.active = max(0, len(choices.photos) - 1)
         return {"FINISHED"}
 
 
@@ -77,16 +78,16 @@ class GRMM_OT_fit_remove_photo(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Remove it."""
-        chosen = settings(context)
-        chosen.photos.remove(min(chosen.active, len(chosen.photos) - 1))
-        chosen.active = max(0, min(chosen.active, len(chosen.photos) - 1))
+        choices = settings(context)
+        choices.photos.remove(min(choices.active, len(choices.photos) - 1))
+        choices.active = max(0, min(choices.active, len(choices.photos) - 1))
         return {"FINISHED"}
 
 
-class GRMM_OT_fit_look(bpy.types.Operator):
+class GRMM_OT_fit_find_faces(bpy.types.Operator):
     """Find faces, landmarks and outline, and show them."""
 
-    bl_idname = "grmm.fit_look"
+    bl_idname = "grmm.fit_find_faces"
     bl_label = "Find Faces"
     bl_description = "Find faces, landmarks and the outline in the photos, to check the choice before fitting"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
@@ -95,10 +96,9 @@ class GRMM_OT_fit_look(bpy.types.Operator):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Start the job."""
-        chosen = settings(context)
-        look = Path(bpy.app.tempdir) / "grmm_found"
-        request = FitRequest(photo_paths(chosen), look=look, face=chosen.face, masks=mask_paths(chosen))
-        return _run(self, context, request)
+        choices = settings(context)
+        folder = Path(bpy.app.tempdir) / "grmm_faces"
+        return _run(self, context, FacesRequest(photo_paths(choices), folder, (choices.face - 1,), mask_paths(choices)))
 
 
 class GRMM_OT_fit_photos(bpy.types.Operator):
@@ -114,20 +114,28 @@ class GRMM_OT_fit_photos(bpy.types.Operator):
     )
     poll = classmethod(_with_photos)
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Ask before an avatar that is there already is replaced."""
+        output = output_path(settings(context))
+        if self.resume or not output.exists():
+            return self.execute(context)
+        return context.window_manager.invoke_confirm(
+            self, event, title="Replace Avatar?", confirm_text="Replace", icon="WARNING",
+            message=f"{output.name} exists already. Choose another avatar file to keep it.",
+        )  # fmt: skip
+
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Start the job; in background wait for it."""
-        chosen, runtime = settings(context), session_host.settings()
-        output = output_path(chosen)
-        if not output.parent.is_dir():
-            raise FileAccessError(f"The folder {output.parent} does not exist; choose another avatar file.")
-        some = [photo for photo in chosen.photos if photo.path and photo.mask]
-        if some and not mask_paths(chosen):
+        choices, runtime = settings(context), session_host.settings()
+        some = [photo for photo in choices.photos if photo.path and photo.mask]
+        if some and not mask_paths(choices):
             raise ConfigError("Only some photos have an outline; give one for each, or none.")
         request = FitRequest(
-            photo_paths(chosen), output, preset=chosen.preset, face=chosen.face, masks=mask_paths(chosen),
-            resume=self.resume, weights=runtime.weights, device=runtime.device, threads=runtime.threads,
+            photo_paths(choices), output_path(choices), choices.preset, (choices.face - 1,), mask_paths(choices),
+            weights=runtime.weights, device=runtime.device, threads=runtime.threads, resume=self.resume,
         )  # fmt: skip
+        request.check_output()
         return _run(self, context, request)
 
 
@@ -142,7 +150,7 @@ class GRMM_OT_fit_cancel(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """While a fit runs."""
-        return watch.job() is not None and watch.job().running
+        return watch.is_running()
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Ask it to end."""
@@ -150,18 +158,18 @@ class GRMM_OT_fit_cancel(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_fit_use(bpy.types.Operator):
+class GRMM_OT_fit_add_to_scene(bpy.types.Operator):
     """Put the finished avatar into the scene, where that did not work at once."""
 
-    bl_idname = "grmm.fit_use"
+    bl_idname = "grmm.fit_add_to_scene"
     bl_label = "Add to Scene"
     bl_description = "Put the finished avatar into the scene, with the camera that took the photo"
-    bl_options: ClassVar[set[str]] = {"UNDO"}
+    bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """When a finished avatar waits; building its rig needs object mode."""
-        if not watch.finished():
+        if not watch.waits_to_be_added():
             cls.poll_message_set("There is no finished avatar that is not in the scene")
             return False
         if context.mode != "OBJECT":
@@ -172,7 +180,7 @@ class GRMM_OT_fit_use(bpy.types.Operator):
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Add it."""
-        self.report({"INFO"}, watch.add_finished(context))
+        self.report({"INFO"}, watch.add_to_scene(context))
         return {"FINISHED"}
 
 
@@ -189,7 +197,7 @@ class GRMM_OT_fit_photo_expression(bpy.types.Operator):
         """An avatar whose file was made from photos."""
         if not needs_avatar(cls, context):
             return False
-        if not origin_of(active_avatar(context).source):
+        if not provenance_sentence(active_avatar(context).source):
             cls.poll_message_set("Select an avatar that was made from photos")
             return False
         return True
@@ -203,7 +211,7 @@ class GRMM_OT_fit_photo_expression(bpy.types.Operator):
         return {"FINISHED"}
 
 
-def _run(operator: bpy.types.Operator, context: bpy.types.Context, request: FitRequest) -> Result:
+def _run(operator: bpy.types.Operator, context: bpy.types.Context, request: FitRequest | FacesRequest) -> Result:
     """Start a job; a window goes on, background mode waits. Raises `GrmmError`s."""
     watch.start(FitJob.start(session_host.job_python(), request), request)
     if bpy.app.background:
@@ -213,6 +221,11 @@ def _run(operator: bpy.types.Operator, context: bpy.types.Context, request: FitR
 
 
 CLASSES = (
-    GRMM_OT_fit_add_photos, GRMM_OT_fit_remove_photo, GRMM_OT_fit_look, GRMM_OT_fit_photos, GRMM_OT_fit_cancel, GRMM_OT_fit_use,
+    GRMM_OT_fit_add_photos,
+    GRMM_OT_fit_remove_photo,
+    GRMM_OT_fit_find_faces,
+    GRMM_OT_fit_photos,
+    GRMM_OT_fit_cancel,
+    GRMM_OT_fit_add_to_scene,
     GRMM_OT_fit_photo_expression,
-)  # fmt: skip
+)

@@ -8,20 +8,11 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender.rig import live
+from ..grmm_blender.rig.avatar import stored_path
 from ..grmm_blender.rig.identity import read_identity
 from ..grmm_core.avatar import EXTENSION
 from ..grmm_core.errors import FileAccessError, FileFormatError
 from .common import Result, active_avatar, needs_avatar, reports_errors
-
-
-def stored_path(path: str, relative: bool = True) -> str:
-    """What to keep in the scene for a file: relative to the saved .blend file where that is possible and wanted."""
-    if not (relative and bpy.data.is_saved):
-        return path
-    try:
-        return bpy.path.relpath(path)
-    except ValueError:  # another drive on Windows
-        return path
 
 
 class GRMM_OT_relink_avatar(bpy.types.Operator):

@@ -16,10 +16,13 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_core.errors import GrmmError
+from ..grmm_core.jobs.progress import Progress, Reporter, duration
+from ..grmm_core.jobs.stages import EXPORT
 from .common import Result
 
 CancelCheck = Callable[[], bool]
 _INTERVAL = 0.02  # seconds between looks at the work
+_SHORT = 5.0  # seconds; nobody needs to be told that less is left
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,7 @@ class SteppedOperator:
     _steps: Steps | None = None
     _work: _Work | None = None
     _timer: bpy.types.Timer | None = None
+    _report: Reporter | None = None
 
     def steps(self, context: bpy.types.Context) -> Steps:
         """Make the generator."""
@@ -132,6 +136,7 @@ class SteppedOperator:
         self._steps, self._work = self.steps(context), None
         self._timer = manager.event_timer_add(_INTERVAL, window=context.window)
         manager.progress_begin(0.0, 1.0)
+        self._report = Reporter(EXPORT, lambda progress: self._show(context, progress))
         manager.modal_handler_add(self)
         return self._advance(context, None)
 
@@ -175,10 +180,14 @@ class SteppedOperator:
             self._end(context)
             raise
         self._work = _Work(step)
-        context.window_manager.progress_update(step.fraction)
-        text = f"{step.text} " if step.text else ""
-        context.workspace.status_text_set(f"{self.bl_label}: {text}({step.fraction:.0%}). Esc cancels")
+        self._report("write", step.fraction, step.text)
         return {"RUNNING_MODAL"}
+
+    def _show(self, context: bpy.types.Context, progress: Progress) -> None:
+        context.window_manager.progress_update(progress.fraction)
+        text = f"{progress.message} " if progress.message else ""
+        left = f", about {duration(progress.seconds_left)} left" if progress.seconds_left > _SHORT else ""
+        context.workspace.status_text_set(f"{self.bl_label}: {text}({progress.fraction:.0%}{left}). Esc cancels")
 
     def _end(self, context: bpy.types.Context) -> None:
         if self._timer is not None:

@@ -8,7 +8,8 @@ import bpy
 from bpy.props import CollectionProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
 
 from ...grmm_core.avatar import EXTENSION
-from ...grmm_core.fitting.folder import WORK_SUFFIX, can_resume
+from ...grmm_core.fitting.folder import can_resume
+from ...grmm_core.fitting.request import work_folder
 
 PROPERTY = "grmm_fit"
 PRESET_ITEMS = (
@@ -28,7 +29,7 @@ class GRMM_FitPhoto(bpy.types.PropertyGroup):
         subtype="FILE_PATH",
     )
     faces: IntProperty(name="Faces", description="Faces found in this photo; 0 before it was looked at", default=0, min=0)
-    found: StringProperty(name="Found", description="Picture of what was found", options={"HIDDEN"})
+    faces_picture: StringProperty(name="Faces", description="Picture of the faces that were found", options={"HIDDEN"})
 
 
 class GRMM_FitSettings(bpy.types.PropertyGroup):
@@ -53,31 +54,30 @@ def settings(context: bpy.types.Context) -> GRMM_FitSettings:
     return getattr(context.window_manager, PROPERTY)
 
 
-def photo_paths(chosen: GRMM_FitSettings) -> tuple[Path, ...]:
+def photo_paths(choices: GRMM_FitSettings) -> tuple[Path, ...]:
     """Absolute paths of the photos."""
-    return tuple(Path(bpy.path.abspath(photo.path)) for photo in chosen.photos if photo.path)
+    return tuple(Path(bpy.path.abspath(photo.path)) for photo in choices.photos if photo.path)
 
 
-def mask_paths(chosen: GRMM_FitSettings) -> tuple[Path, ...]:
+def mask_paths(choices: GRMM_FitSettings) -> tuple[Path, ...]:
     """Absolute paths of the outlines, where every photo has one; else none."""
-    masks = tuple(Path(bpy.path.abspath(photo.mask)) for photo in chosen.photos if photo.path and photo.mask)
-    return masks if len(masks) == len(photo_paths(chosen)) else ()
+    masks = tuple(Path(bpy.path.abspath(photo.mask)) for photo in choices.photos if photo.path and photo.mask)
+    return masks if len(masks) == len(photo_paths(choices)) else ()
 
 
-def output_path(chosen: GRMM_FitSettings) -> Path:
+def output_path(choices: GRMM_FitSettings) -> Path:
     """Where the avatar goes; needs a photo where no file is chosen."""
-    if chosen.output:
-        path = Path(bpy.path.abspath(chosen.output))
+    if choices.output:
+        path = Path(bpy.path.abspath(choices.output))
         return path if path.suffix == EXTENSION else path.with_name(path.name + EXTENSION)
-    return photo_paths(chosen)[0].with_suffix(EXTENSION)
+    return photo_paths(choices)[0].with_suffix(EXTENSION)
 
 
-def can_go_on(chosen: GRMM_FitSettings) -> bool:
+def can_go_on(choices: GRMM_FitSettings) -> bool:
     """Whether a fit of this avatar's file was interrupted, in this Blender or an earlier one."""
-    if not photo_paths(chosen):
+    if not photo_paths(choices):
         return False
-    output = output_path(chosen)
-    return can_resume(output.with_name(output.name + WORK_SUFFIX))
+    return can_resume(work_folder(output_path(choices)))
 
 
 CLASSES = (GRMM_FitPhoto, GRMM_FitSettings)

@@ -6,95 +6,138 @@ In background mode there are no timers: the operator waits and calls `finish` it
 from __future__ import annotations
 
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 import bpy.utils.previews
+from bpy.app.handlers import persistent
 
 from ...grmm_core.avatar import read_avatar_header
 from ...grmm_core.errors import GrmmError
-from .job import FitJob, FitRequest, FitStatus
+from ...grmm_core.fitting.request import FacesRequest, FitRequest
+from ...grmm_core.jobs.stages import FIND_FACES, FIT, JobStages
+from .. import windows
+from ..rig.avatar import Avatar, stored_path
+from ..rig.build import build_avatar
+from ..rig.identity import read_identity
+from ..scene.avatars import avatars_in
+from .job import FitJob, FitStatus
 from .photo_camera import add_photo_camera
 from .settings import settings
 
 _POLL_SECONDS = 0.3
-_POLL = ".poll()"  # stands before the reason why an operator cannot run now
+_BESIDE = 0.4  # metres between heads that stand beside each other
 
 _log = logging.getLogger(__name__)
-_job: FitJob | None = None
-_request: FitRequest | None = None
-_note = ""  # what went wrong or right after the job
-_added = False  # whether the finished avatar is in the scene
+
+
+@dataclass
+class _Watched:
+    """The running or last job.
+
+    Attributes:
+        job: Itself.
+        request: What it was asked.
+        note: One sentence about it once it has ended, or "".
+        is_added: Whether the finished avatar is in the scene.
+        is_from_another_file: Whether another .blend file was opened since.
+    """
+
+    job: FitJob
+    request: FitRequest | FacesRequest
+    note: str = ""
+    is_added: bool = False
+    is_from_another_file: bool = False
+
+
+_watched: _Watched | None = None
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 _shown: dict[str, float] = {}  # pictures in the collection by path, with their file's time
 
 
-def start(job: FitJob, request: FitRequest) -> None:
+def start(job: FitJob, request: FitRequest | FacesRequest) -> None:
     """Follow a job. There is one at a time."""
-    global _job, _request, _note, _added
-    _job, _request, _note, _added = job, request, "", False
+    global _watched
+    _watched = _Watched(job, request)
     if not bpy.app.background and not bpy.app.timers.is_registered(_poll):
-        bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS)
+        bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS, persistent=True)
 
 
 def job() -> FitJob | None:
     """The running or last job."""
-    return _job
+    return None if _watched is None else _watched.job
 
 
-def request() -> FitRequest | None:
-    """What it was asked."""
-    return _request
+def is_running() -> bool:
+    """Whether a job runs."""
+    return _watched is not None and _watched.job.running
 
 
 def status() -> FitStatus | None:
     """Where the running or last job stands."""
-    return None if _job is None else _job.status
+    return None if _watched is None else _watched.job.status
+
+
+def stages() -> JobStages:
+    """Of the running or last job."""
+    return FIND_FACES if _watched is not None and isinstance(_watched.request, FacesRequest) else FIT
 
 
 def note() -> str:
     """One sentence about the last job, or ""."""
-    return _note
+    return "" if _watched is None else _watched.note
 
 
 def finish(context: bpy.types.Context) -> str:
     """Use the result of an ended job; returns one sentence about it, and raises `GrmmError` where there is none."""
-    global _note
-    ended = _job.status
-    if _request.output is None:
-        _take_found(context, ended)  # of a wrong choice, too: the picture shows which faces there are
+    watched, ended = _watched, _watched.job.status
+    only_faces = isinstance(watched.request, FacesRequest)
+    if only_faces:
+        _take_faces(context, ended)  # of a wrong choice, too: the picture shows which faces there are
     if ended.state != "done":
-        _note = ended.message
+        watched.note = ended.message
         raise GrmmError(ended.message)
-    if _request.output is None:
-        _note = "Check the faces and the outline, then fit."
-        return _note
-    return add_finished(context)
+    if only_faces:
+        watched.note = "Check the faces and the outline, then fit."
+        return watched.note
+    if watched.is_from_another_file:
+        watched.note = (
+            f"{Path(ended.avatar).name} is finished; it was begun in another file. Press Add to Scene to have it here."
+        )
+        return watched.note
+    return add_to_scene(context)
 
 
-def finished() -> bool:
+def waits_to_be_added() -> bool:
     """Whether there is a finished avatar that is not in the scene."""
-    return _job is not None and _job.status.state == "done" and _request.output is not None and not _added
+    return _watched is not None and bool(_watched.job.status.avatar) and not _watched.is_added
 
 
-def add_finished(context: bpy.types.Context) -> str:
-    """Put the finished avatar into the scene; returns one sentence about it. Raises `GrmmError`."""
-    global _note, _added
-    avatar = _job.status.avatar
+def add_to_scene(context: bpy.types.Context) -> str:
+    """Put the finished avatar into the scene, as one step to undo; returns one sentence about it. Raises `GrmmError`."""
+    watched = _watched
+    path = watched.job.status.avatar
     try:
-        header = read_avatar_header(avatar)
-        bpy.ops.grmm.add_head("EXEC_DEFAULT", True, person="FILE", filepath=avatar)
-    except (GrmmError, RuntimeError) as error:  # RuntimeError: what an operator reports, or that it cannot run now
-        reason = " ".join(str(error).replace("Error:", "").rpartition(_POLL)[2].split()).rstrip(".")
-        _note = f"The avatar is written, but it cannot be added to the scene ({reason}); press Add to Scene then."
-        raise GrmmError(_note) from error
-    _added = True
-    head = context.object
+        if context.mode != "OBJECT":
+            raise GrmmError("go to object mode first")
+        header = read_avatar_header(path)
+        others = avatars_in(context.scene)
+        avatar = build_avatar(context, stored_path(path), read_identity(path))
+    except GrmmError as error:
+        reason = str(error).rstrip(".")
+        watched.note = f"The avatar is written, but it cannot be added to the scene ({reason}); press Add to Scene then."
+        raise GrmmError(watched.note) from error
+    watched.is_added = True
+    moved = _stand_beside(avatar, others)
     if header.camera is not None:
-        add_photo_camera(context, head, _request.photos[0], header.camera)
-    _keep_thumbnail(head, Path(avatar), header.thumbnail)
-    _note = f"{header.name} is in the scene, with a camera that shows the photo."
-    return _note
+        add_photo_camera(context, avatar.object, watched.request.photos[0], header.camera)
+    _keep_thumbnail(avatar.object, Path(path), header.thumbnail)
+    if bpy.ops.ed.undo_push.poll():  # of everything at once: a step from before the camera would take it away
+        bpy.ops.ed.undo_push(message="Add Avatar from Photos")
+    beside = ", beside the head that was there" if moved else ""
+    watched.note = f"{header.name} is in the scene{beside}, with a camera that shows the photo."
+    return watched.note
 
 
 def icon_of(path: str) -> int:
@@ -111,29 +154,58 @@ def icon_of(path: str) -> int:
     if _shown.get(path) != changed:
         if path in _pictures:
             del _pictures[path]
-        _pictures.load(path, path, "IMAGE")
+        loaded = _pictures.load(path, path, "IMAGE")
         _shown[path] = changed
+        _ = tuple(loaded.image_size)  # asked for, it is read now; else a spinner stands there until the next picture
     return _pictures[path].icon_id
+
+
+def register() -> None:
+    """Hear of other files."""
+    bpy.app.handlers.load_post.append(_on_load)
 
 
 def unregister() -> None:
     """End the job and forget the pictures."""
-    global _job, _request, _note, _added, _pictures
+    global _watched, _pictures
+    if _on_load in bpy.app.handlers.load_post:
+        bpy.app.handlers.load_post.remove(_on_load)
     if bpy.app.timers.is_registered(_poll):
         bpy.app.timers.unregister(_poll)
-    if _job is not None:
-        _job.cancel()
-        _job.wait(1.0)
+    if _watched is not None:
+        _watched.job.cancel()
+        _watched.job.wait(1.0)
     if _pictures is not None:
         bpy.utils.previews.remove(_pictures)
-    _job, _request, _note, _added, _pictures = None, None, "", False, None
+    _watched = _pictures = None
     _shown.clear()
 
 
-def _take_found(context: bpy.types.Context, ended: FitStatus) -> None:
-    chosen = [photo for photo in settings(context).photos if photo.path]
-    for photo, (_, faces), picture in zip(chosen, ended.faces, ended.found, strict=False):
-        photo.faces, photo.found = faces, picture
+@persistent
+def _on_load(*_: object) -> None:
+    """Another file: what was said about the last job belongs to the file before; a running one goes on."""
+    global _watched
+    if not is_running():
+        _watched = None
+    else:
+        _watched.is_from_another_file = True
+
+
+def _stand_beside(avatar: Avatar, others: list[Avatar]) -> bool:
+    """Move a new avatar to the side until no other head is in its place; returns whether that was needed."""
+    rig = avatar.armature
+    places = [(other.armature or other.object).matrix_world.translation for other in others]
+    moved = False
+    while any((place - rig.location).length < _BESIDE / 2 for place in places):
+        rig.location.x += _BESIDE
+        moved = True
+    return moved
+
+
+def _take_faces(context: bpy.types.Context, ended: FitStatus) -> None:
+    photos = [photo for photo in settings(context).photos if photo.path]
+    for photo, faces in zip(photos, ended.faces, strict=False):
+        photo.faces, photo.faces_picture = faces.count, faces.picture
 
 
 def _keep_thumbnail(head: bpy.types.Object, path: Path, png: bytes) -> None:
@@ -153,22 +225,14 @@ def _keep_thumbnail(head: bpy.types.Object, path: Path, png: bytes) -> None:
 
 def _poll() -> float | None:
     """Timer while a job runs."""
-    global _note
-    manager = bpy.context.window_manager
-    windows = manager.windows if manager is not None else ()
-    for window in windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-    if _job is None or _job.running:
-        return _POLL_SECONDS if _job is not None else None
-    if not windows:
-        return None
-    area = next((a for a in windows[0].screen.areas if a.type == "VIEW_3D"), None)
-    with bpy.context.temp_override(window=windows[0], area=area):
+    windows.redraw("VIEW_3D")
+    if _watched is None or _watched.job.running:
+        return _POLL_SECONDS if _watched is not None else None
+    area = next(windows.areas("VIEW_3D"), None)
+    window = bpy.context.window_manager.windows[0]
+    with bpy.context.temp_override(window=window, area=area):
         try:
             finish(bpy.context)
         except GrmmError as error:
-            _note = str(error)
             _log.warning("fit: %s", error)
     return None

@@ -181,6 +181,16 @@ def avatar_of(obj: bpy.types.Object | None) -> Avatar | None:
     return None
 
 
+def stored_path(path: str, relative: bool = True) -> str:
+    """What to keep in the scene for a file: relative to the saved .blend file where that is possible and wanted."""
+    if not (relative and bpy.data.is_saved):
+        return path
+    try:
+        return bpy.path.relpath(path)
+    except ValueError:  # another drive on Windows
+        return path
+
+
 def missing_file(source: str) -> str:
     """Return one sentence if a source, as `Avatar.source` returns it, is a file that is not there, else an empty string."""
     if source == DEFAULT_SOURCE or source.startswith((SAMPLE_PREFIX, LIBRARY_PREFIX)) or Path(source).exists():

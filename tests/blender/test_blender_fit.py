@@ -44,7 +44,9 @@ def test_photos_are_looked_at(run_blender: RunBlender, folder: Path, version: st
     find_python(version)
     done = run_blender("fit_panel.py", folder, "look", python=version, environment=environment(), timeout=400.0)
     said = done.result["statuses"]
-    assert said["done"] == ["done", "a.grmm", 1.0, [["a.jpg", 2]], "p.png"]
+    assert said["done"] == ["done", "a.grmm", 1.0, ["a.jpg", 2, "f.png"], "p.png"]
+    assert said["looked"] == "done"
+    assert said["fell"] == 0.35
     assert said["failed"] == ["failed", "No face was found."]
     assert said["crashed"][0] == "failed"
     assert "memory" in said["crashed"][1]
@@ -59,7 +61,8 @@ def test_photos_are_looked_at(run_blender: RunBlender, folder: Path, version: st
     assert "code 3 (Illegal instruction of some library)" in said["stopped"][1]
     assert said["real"][0] == "cancelled"
     assert said["cancelled"][0] == "cancelled"
-    assert "resumed" in said["cancelled"][1]
+    assert said["cancelled"][1] == "The fit was cancelled."
+    assert said["resumable"] == ["cancelled", "The fit was cancelled; it can be resumed."]
     look = done.result["look"]
     assert not look["poll_without"]
     assert look["photos"] == 1  # the same file is not added twice
@@ -100,6 +103,7 @@ def test_a_real_photo_is_cancelled_resumed_and_seen_through_its_camera(
     assert cancelled["state"] == "cancelled"
     assert "resumed" in cancelled["message"]
     assert cancelled["growing"]
+    assert cancelled["stages"] == ["load", "analyse", "track", "codes"]
     assert cancelled["faces"] == [1]
     assert cancelled["left"] == ["person.grmm.fit", "photo.png"]
     assert done["resumable"]

@@ -20,17 +20,19 @@ POLL_SECONDS, LONGEST = 0.2, 900.0
 def cancel_in(stage: str) -> dict[str, object]:
     """Start the fit as a window would, follow it, and cancel it in a stage."""
     job_module, host = module("grmm_blender.fitting.job"), module("grmm_blender.session_host")
-    request = job_module.FitRequest((photo,), folder / "person.grmm", preset="fast", device="cpu")
+    request = module("grmm_core.fitting.request").FitRequest((photo,), folder / "person.grmm", preset="fast", device="cpu")
     job, seen, begin = job_module.FitJob.start(host.job_python(), request), [], time.monotonic()
     while job.running and time.monotonic() - begin < LONGEST:
-        now = job.status
-        seen.append(now.fraction)
-        if now.stage == stage and now.fraction > job_module.STAGE_SHARES[stage][0]:
+        seen.append(job.status.progress)
+        if seen[-1].stage == stage and seen[-1].fraction > next(one.fraction for one in seen if one.stage == stage):
             job.cancel()
         time.sleep(POLL_SECONDS)
     ended = job.wait(60.0)
+    fractions = [one.fraction for one in seen]
     return {
-        "state": ended.state, "message": ended.message, "growing": seen == sorted(seen), "faces": [n for _, n in ended.faces],
+        "state": ended.state, "message": ended.message, "growing": fractions == sorted(fractions),
+        "stages": list(dict.fromkeys(one.stage for one in seen if one.stage)), "faces": [one.count for one in ended.faces],
+        "first_estimate": next((one.seconds_left for one in seen if one.stage), None),
         "left": sorted(path.name for path in folder.iterdir()),
     }  # fmt: skip
 
@@ -52,9 +54,10 @@ def main() -> None:
     background = camera.data.background_images[0]
     report(
         seconds=time.monotonic() - begin, note=watch.note(), rigged=avatar.armature is not None,
-        origin=module("grmm_blender.fitting.origin").origin_of(avatar.source), preview=list(head.preview_ensure().image_size),
-        background=Path(bpy.path.abspath(background.image.filepath)).name, preview_seen=watch.status().preview,
-        seconds_left=watch.status().seconds_left, left=sorted(path.name for path in folder.iterdir()),
+        origin=module("grmm_blender.fitting.provenance").provenance_sentence(avatar.source),
+        preview=list(head.preview_ensure().image_size),
+        background=Path(bpy.path.abspath(background.image.filepath)).name, preview_seen=watch.status().progress.picture,
+        seconds_left=watch.status().progress.seconds_left, left=sorted(path.name for path in folder.iterdir()),
     )  # fmt: skip
     bpy.ops.grmm.fit_photo_expression()
     scene.render.engine = "GRMM"

@@ -12,7 +12,7 @@ _NAMED = 3  # photos that are named; of more the number is said
 _KEPT = 16
 
 
-def origin_of(source: str) -> str:
+def provenance_sentence(source: str) -> str:
     """Say that an avatar's file was made from photos; "" of other avatars and of files that cannot be read.
 
     Panels draw often: a file is read again only when it has changed.
@@ -23,11 +23,11 @@ def origin_of(source: str) -> str:
         state = Path(source).stat()
     except (OSError, ValueError):
         return ""
-    return _said(source, state.st_mtime_ns, state.st_size)
+    return _sentence(source, state.st_mtime_ns, state.st_size)
 
 
 @lru_cache(maxsize=_KEPT)
-def _said(source: str, _changed: int, _size: int) -> str:
+def _sentence(source: str, _changed: int, _size: int) -> str:
     try:
         made = read_avatar_header(Path(source)).provenance
     except GrmmError:

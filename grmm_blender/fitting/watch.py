@@ -17,7 +17,7 @@ from ...grmm_core.avatar import read_avatar_header
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.fitting.request import FacesRequest, FitRequest
 from ...grmm_core.jobs.stages import FIND_FACES, FIT, JobStages
-from .. import windows
+from .. import events, windows
 from ..rig.avatar import Avatar, stored_path
 from ..rig.build import build_avatar
 from ..rig.identity import read_identity
@@ -162,16 +162,13 @@ def icon_of(path: str) -> int:
 
 def register() -> None:
     """Hear of other files."""
-    bpy.app.handlers.load_post.append(_on_load)
+    events.follow(_EVENTS)
 
 
 def unregister() -> None:
     """End the job and forget the pictures."""
     global _watched, _pictures
-    if _on_load in bpy.app.handlers.load_post:
-        bpy.app.handlers.load_post.remove(_on_load)
-    if bpy.app.timers.is_registered(_poll):
-        bpy.app.timers.unregister(_poll)
+    events.stop(_EVENTS, (_poll,))
     if _watched is not None:
         _watched.job.cancel()
         _watched.job.wait(1.0)
@@ -236,3 +233,6 @@ def _poll() -> float | None:
         except GrmmError as error:
             _log.warning("fit: %s", error)
     return None
+
+
+_EVENTS = ((bpy.app.handlers.load_post, _on_load),)

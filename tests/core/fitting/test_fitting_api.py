@@ -24,7 +24,7 @@ from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset
 from grmm_core.fitting.request import FitRequest
 from grmm_core.jobs.progress import Progress
 from grmm_core.jobs.stages import FIT
-from grmm_core.session import models
+from grmm_core.model import store
 
 QUICK = Preset("fast", CodeSettings(48, 48, 1, 1, 0, 2), DecoderSettings(((64, 4),), False))
 
@@ -275,9 +275,9 @@ def test_a_work_folder_with_other_files_is_left_alone(photo, make, tmp_path):
 def test_a_head_file_reaches_the_model(photo, weights, tmp_path, capsys):
     arguments = ["fit", str(photo), "-o", str(tmp_path / "a.grmm"), "--preset", "fast", "--weights", str(weights)]
     seen = []
-    original = models.ModelStore.__init__
+    original = store.ModelStore.__init__
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(models.ModelStore, "__init__", lambda self, *a, **k: (seen.append(a[2]), original(self, *a, **k))[1])
+        patch.setattr(store.ModelStore, "__init__", lambda self, *a, **k: (seen.append(a[2]), original(self, *a, **k))[1])
         cli.main([*arguments, "--head", str(tmp_path / "flame.npz"), "--face", "9"])
     assert [str(path) for path in seen] == [str(tmp_path / "flame.npz")]
     assert "choose a number from 1 to 1" in capsys.readouterr().err

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from grmm_core.data.jobs import TimeLeft, claim
 
+from grmm_core.data.claims import claim
 from grmm_core.data.dataset import (
     CaptureDataset,
     Manifest,
@@ -291,7 +291,7 @@ def _start(script: str, *arguments: object) -> subprocess.Popen:
 CLAIM = """
 import sys
 from pathlib import Path
-from grmm_core.data.jobs import claim
+from grmm_core.data.claims import claim
 with claim(Path(sys.argv[1])) as mine:
     print(mine, flush=True)
     sys.stdin.readline()
@@ -326,7 +326,7 @@ def test_a_file_that_is_left_over_is_no_claim(tmp_path, content):
 FIGHT = """
 import os, sys, time
 from pathlib import Path
-from grmm_core.data.jobs import claim
+from grmm_core.data.claims import claim
 path, rounds = Path(sys.argv[1]), int(sys.argv[2])
 print("ready", flush=True)
 sys.stdin.readline()
@@ -375,11 +375,3 @@ def test_a_folder_that_cannot_be_written_is_explained(tmp_path):
     (tmp_path / "subjects").write_text("a file")
     with pytest.raises(FileAccessError, match="choose another folder"):
         write_subject(tmp_path, "anna", np.zeros(3), {})
-
-
-def test_time_left_counts_what_all_processes_make():
-    left = TimeLeft(10, done=4)
-    assert left.seconds(4) == float("inf")
-    left._start -= 6.0
-    assert left.seconds(7) == pytest.approx(6.0, abs=0.5)
-    assert left.seconds(10) == 0.0

@@ -257,7 +257,7 @@ def test_gradients_of_one_output_alone_equal_the_reference(backend):
 
 def test_available_backends_name_all_and_say_why():
     infos = {info.name: info for info in available_backends()}
-    assert set(infos) == {"torch", "cpu", "cuda"}
+    assert {"torch", "cpu", "cuda"} <= set(infos)
     assert infos["torch"].available
     assert all(info.detail for info in infos.values())
 

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grmm_core.head import HeadModel
+
 from .fields import beard_density, smoothstep, wave_noise
 from .hair import Roots, skin_triangles
 from .lashes import lash_edges
-from .mesh import Head, RenderMesh
+from .mesh import RenderMesh
 from .subjects import Subject
 
 STEPS = 6  # points of a strand
@@ -61,7 +63,7 @@ def brow_density(points: np.ndarray, subject: Subject) -> np.ndarray:
     return smoothstep(1.15, 0.55, off) * ends * (points[..., 2] > 0.05)
 
 
-def brows(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs:
+def brows(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs:
     """Eyebrows on the neutral head [V, 3]."""
     numbers = skin_triangles(head, mesh)
     p = np.asarray(head.v_template, float)[np.asarray(head.faces)[numbers]].mean(1)
@@ -90,7 +92,7 @@ def beard_field(points: np.ndarray, s: Subject) -> np.ndarray:
     return beard_density(points, s.asymmetry) * cut[s.beard_cut]
 
 
-def beard(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs | None:
+def beard(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs | None:
     """The beard on the neutral head [V, 3]; None for the shaven."""
     if s.beard <= 0:
         return None
@@ -114,7 +116,7 @@ def beard(head: Head, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.r
     return _hairs(roots, points, 0.00012)
 
 
-def lashes(head: Head, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs:
+def lashes(head: HeadModel, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs:
     """Curved lashes from the root edge of each lash card to its outer edge."""
     triangles, weights, points = [], [], []
     t = np.linspace(0, 1, STEPS)[None, :, None]

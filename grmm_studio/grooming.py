@@ -6,16 +6,17 @@ import numpy as np
 
 from grmm_core.hair.groom import Groom, bind, join
 from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
+from grmm_core.head import HeadModel
 
 from .face_hair import Hairs, beard, brows, lashes
 from .fields import scalp_density, smoothstep
 from .grooms import KNOTS, growth_of, tail_points
 from .hair import Roots, Skull, grow, resample, skin_triangles
-from .mesh import Head, RenderMesh
+from .mesh import RenderMesh
 from .subjects import Subject
 
 
-def make_groom(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Subject, share: float = 1.0) -> Groom:
+def make_groom(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, subject: Subject, share: float = 1.0) -> Groom:
     """All strands of a person on the neutral head [V, 3]; `share` of the scalp's strands."""
     g = np.random.default_rng([subject.seed, subject.index, 22])
     parts = [
@@ -25,7 +26,7 @@ def make_groom(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Subje
     return join([_bound(head, neutral, hairs, group) for group, hairs in parts if hairs is not None and len(hairs.triangles)])
 
 
-def _bound(head: Head, neutral: np.ndarray, hairs: Hairs, group: int) -> Groom:
+def _bound(head: HeadModel, neutral: np.ndarray, hairs: Hairs, group: int) -> Groom:
     count, steps = hairs.points.shape[:2]
     return bind(
         head.v_template, head.faces, neutral, hairs.triangles, hairs.weights, hairs.points.reshape(-1, 3),
@@ -33,7 +34,7 @@ def _bound(head: Head, neutral: np.ndarray, hairs: Hairs, group: int) -> Groom:
     )  # fmt: skip
 
 
-def scalp_hairs(head: Head, mesh: RenderMesh, neutral: np.ndarray, subject: Subject, share: float = 1.0) -> Hairs | None:
+def scalp_hairs(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, subject: Subject, share: float = 1.0) -> Hairs | None:
     """Scalp hair on the neutral head [V, 3], by the person's style; None for the bald."""
     growth = growth_of(subject)
     if growth is None:

@@ -92,8 +92,8 @@ def _flow(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
 
 
 def _clearance(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
-    where = {"": 0.0, "top": _top(rest), "crown": smoothstep(0.0, 0.1, rest[:, 1])}[style.puffs]
-    return np.full(len(rest), style.clearance) + style.puff * s.hair_volume * where
+    where: dict[str, float | np.ndarray] = {"": 0.0, "top": _top(rest), "crown": smoothstep(0.0, 0.1, rest[:, 1])}
+    return np.full(len(rest), style.clearance) + style.puff * s.hair_volume * where[style.puffs]
 
 
 def _length(style: Style, s: Subject) -> float:
@@ -144,7 +144,7 @@ def _to_knot(style: Style, s: Subject, rest: np.ndarray) -> np.ndarray:
     return np.linalg.norm(rest - KNOTS[style.comb], axis=1) * 1.22 + 0.004
 
 
-CUTS = {
+CUTS: dict[str, Callable[[Style, Subject, np.ndarray], np.ndarray]] = {
     "even": _even, "graded": _graded, "crest": _crest, "fringe": _fringe, "line": _line, "layers": _layers, "round": _round,
     "tied": _to_knot,
 }  # fmt: skip
@@ -188,7 +188,7 @@ def _comb_knot(name: str, s: Subject, rest: np.ndarray, at: np.ndarray) -> np.nd
     return _unit(KNOTS[name] - at)
 
 
-COMBS = {
+COMBS: dict[str, Callable[[Subject, np.ndarray, np.ndarray], np.ndarray]] = {
     "none": _no_comb, "forward": _comb_forward, "aside": _comb_aside, "back": _comb_back, "quiff": _comb_quiff,
     "fringe": _comb_fringe, "parted": _comb_parted, **{name: partial(_comb_knot, name) for name in KNOTS},
 }  # fmt: skip
@@ -236,7 +236,7 @@ def _way_tied(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> n
     return comb(rest, position + np.array([0, 0, 0.004]))
 
 
-WAYS = {
+WAYS: dict[str, Callable[[Comb, np.ndarray, np.ndarray, float], np.ndarray]] = {
     "short": _way_short, "fringe": _way_fringe, "back": _way_back, "hanging": _way_hanging, "out": partial(_way_out, 0.0),
     "drooping": partial(_way_out, 0.9), "ponytail": _way_tied, "bun": _way_tied,
 }  # fmt: skip

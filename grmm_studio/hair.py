@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from grmm_core.head import HeadModel
+
 from .fields import smoothstep
 from .grooms import Growth
-from .mesh import Head, RenderMesh, region_vertices
+from .mesh import RenderMesh, region_vertices
 from .styles import Style
 
 STEPS = 14  # of a path, before curls
@@ -40,7 +42,7 @@ class Roots:
     normals: np.ndarray
 
     @staticmethod
-    def place(head: Head, mesh: RenderMesh, neutral: np.ndarray, triangles: np.ndarray, weights: np.ndarray) -> Roots:
+    def place(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, triangles: np.ndarray, weights: np.ndarray) -> Roots:
         """Roots at barycentric `weights` [N, 3] of numbered `triangles` [N]."""
         corners, w = np.asarray(head.faces)[triangles], weights[..., None]
         normals = _unit((mesh.normals(neutral)[corners] * w).sum(1))
@@ -49,7 +51,7 @@ class Roots:
 
     @staticmethod
     def scatter(
-        head: Head, mesh: RenderMesh, neutral: np.ndarray, among: np.ndarray, density: np.ndarray, count: int,
+        head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, among: np.ndarray, density: np.ndarray, count: int,
         g: np.random.Generator,
     ) -> Roots:  # fmt: skip
         """Draw `count` roots evenly by area times `density` [F'] on the triangles numbered `among` [F']."""
@@ -65,7 +67,7 @@ class Roots:
         return Roots(*(value[which] for value in (self.triangles, self.weights, self.rest, self.points, self.normals)))
 
 
-def skin_triangles(head: Head, mesh: RenderMesh, without: tuple[str, ...] = ("mouth_interior",)) -> np.ndarray:
+def skin_triangles(head: HeadModel, mesh: RenderMesh, without: tuple[str, ...] = ("mouth_interior",)) -> np.ndarray:
     """Numbers of the triangles of the skin that touch none of the named regions."""
     numbers = mesh.kept[mesh.materials[::4] == 0]
     for name in without:
@@ -76,7 +78,7 @@ def skin_triangles(head: Head, mesh: RenderMesh, without: tuple[str, ...] = ("mo
 class Skull:
     """The outer surface of a person, which hair must not enter."""
 
-    def __init__(self, head: Head, mesh: RenderMesh, neutral: np.ndarray) -> None:
+    def __init__(self, head: HeadModel, mesh: RenderMesh, neutral: np.ndarray) -> None:
         normals = mesh.normals(neutral)
         outside = np.ones(len(neutral))
         for name in INSIDE:

@@ -14,8 +14,9 @@ from itertools import pairwise
 import numpy as np
 
 from grmm_core.hair.groom import Groom
+from grmm_core.head import HeadModel
 
-from .mesh import Head, region_vertices
+from .mesh import region_vertices
 
 LASH_CARD_ROWS = 4  # quads across a lash card
 SEAM_LIFT = np.array([0.0, 0.0003, 0.0007])  # metres from the lower lid's lash roots to those of a shut upper lid
@@ -39,7 +40,7 @@ class LashCard:
     upper: bool
 
 
-def lash_edges(head: Head) -> list[LashCard]:
+def lash_edges(head: HeadModel) -> list[LashCard]:
     """The lash cards of a head.
 
     Cards are grids of `LASH_CARD_ROWS` quads across; the root edge is the long border that lies at the skin.
@@ -129,7 +130,7 @@ class Lashes:
     rest: np.ndarray
 
     @staticmethod
-    def build(head: Head, neutral: np.ndarray, groom: Groom) -> Lashes:
+    def build(head: HeadModel, neutral: np.ndarray, groom: Groom) -> Lashes:
         """Prepare a groom of lashes alone, strands of one number of points, on a person's neutral vertices [V, 3]."""
         pieces: dict[int, list[tuple[int, int, int, int, bool]]] = {}
         seams: dict[int, np.ndarray] = {}

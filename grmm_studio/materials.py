@@ -6,6 +6,7 @@ centre with +z through the pupil), and masks 0..1.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import bpy
@@ -34,13 +35,13 @@ class Nodes:
         self.tree = self.material.node_tree
         self.tree.nodes.clear()
 
-    def node(self, kind: str, inputs: dict[str | int, Socket] | None = None, **settings: Any) -> Any:
+    def node(self, kind: str, inputs: Mapping[Any, Socket] | None = None, **settings: Any) -> Any:
         """Add a node, set its properties, link or set its inputs."""
         node = self.tree.nodes.new(kind)
-        for key, value in settings.items():
-            setattr(node, key, value)
-        for key, value in (inputs or {}).items():
-            self.put(node.inputs[key], value)
+        for setting, value in settings.items():
+            setattr(node, setting, value)
+        for name_or_number, value in (inputs or {}).items():
+            self.put(node.inputs[name_or_number], value)
         return node
 
     def put(self, target: Any, value: Socket) -> None:

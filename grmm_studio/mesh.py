@@ -7,25 +7,16 @@ aligned to the parameters. Topology and attributes are made once per subject, po
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
+
+from grmm_core.head import HeadModel
 
 ROUNDNESS = 0.75  # of Phong tessellation
 SKIN, EYE, TEETH, TONGUE = range(4)
 
 
-class Head(Protocol):
-    """What the studio needs of a head model."""
-
-    v_template: np.ndarray  # [V, 3]
-    faces: np.ndarray  # [F, 3]
-    uv: np.ndarray  # [T, 2]
-    uv_faces: np.ndarray  # [F, 3]
-    regions: dict[str, np.ndarray]
-
-
-def region_vertices(head: Head, name: str) -> np.ndarray:
+def region_vertices(head: HeadModel, name: str) -> np.ndarray:
     """Vertex indices of a region, given as indices or as a mask; empty where the head has no such region."""
     region = head.regions.get(name)
     if region is None:
@@ -53,7 +44,7 @@ class RenderMesh:
     materials: np.ndarray
 
     @staticmethod
-    def build(head: Head) -> RenderMesh:
+    def build(head: HeadModel) -> RenderMesh:
         """Subdivide the head's topology."""
         slot = np.full(len(head.v_template), SKIN)
         for names, value in (
@@ -77,7 +68,7 @@ class RenderMesh:
         fine = np.stack([np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))], 1)
         return RenderMesh(coarse, kept, edges, fine.reshape(-1, 3), np.repeat(slot[a], 4))
 
-    def corner_uv(self, head: Head) -> np.ndarray:
+    def corner_uv(self, head: HeadModel) -> np.ndarray:
         """Texture coordinates of each corner of the fine triangles, [4 F' * 3, 2]."""
         a, b, c = (np.asarray(head.uv, float)[np.asarray(head.uv_faces)[self.kept, k]] for k in range(3))
         ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)

@@ -18,13 +18,14 @@ from grmm_core.data.dataset import Picture
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair.groom import Groom
 from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
+from grmm_core.head import HeadModel
 
 from . import fields
 from .grooming import make_groom
 from .lamps import Lamps, look_at
 from .lights import RIG, Light
 from .materials import eye_material, hair_material, skin_material, teeth_material, tongue_material
-from .mesh import Head, RenderMesh, region_vertices
+from .mesh import RenderMesh, region_vertices
 from .passes import Passes, silence_exit
 from .strands import HairObjects, to_blender
 from .subjects import Subject, hair_albedo
@@ -48,7 +49,7 @@ class Studio:
 
     def __init__(
         self,
-        head: Head,
+        head: HeadModel,
         size: int,
         samples: int,
         subsurface: bool = True,

@@ -11,9 +11,9 @@ from scipy.spatial import cKDTree
 
 from grmm_core.hair.groom import Groom
 from grmm_core.hair.roots import GROUPS, LASHES
+from grmm_core.head import HeadModel
 
 from .lashes import Lashes
-from .mesh import Head
 
 LOCKS = 600  # of the hair that differ in color
 
@@ -33,7 +33,7 @@ class _Part:
 class HairObjects:
     """The hair of one person; a shot rewrites its points."""
 
-    def __init__(self, head: Head, neutral: np.ndarray, groom: Groom, looks: dict[int, Any], seed: int) -> None:
+    def __init__(self, head: HeadModel, neutral: np.ndarray, groom: Groom, looks: dict[int, Any], seed: int) -> None:
         """Make the objects on the neutral head [V, 3]; `looks` has the material of each group."""
         self._groom = groom
         self._frames = groom.frames(head.v_template, head.faces)

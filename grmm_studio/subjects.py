@@ -6,9 +6,10 @@ A `Subject` depends only on (seed, index), so that any process can make any pers
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Protocol
 
 import numpy as np
+
+from grmm_core.head import PeopleModel
 
 SHAPE_COUNT = 300
 CALM_SHARE = 0.75  # of the residual spread: the far tails of independent coefficients look like nobody
@@ -23,16 +24,6 @@ MEN = {
     "curly": 0.9, "fringe": 0.7, "curtains": 0.5, "wavy_long": 0.4, "mohawk": 0.2, "bun": 0.2, "receding": 0.3, "bald": 0.8,
 }  # fmt: skip
 TIGHT = {"afro": 1.8, "coily": 1.8, "buzz": 1.0, "curly": 0.9, "locs": 1.0, "braids": 1.0, "ringlets": 0.4}
-
-
-class ShapePrior(Protocol):
-    """The part of a head model that says how macro attributes move the shape coefficients."""
-
-    names: tuple[str, ...]
-    mean: np.ndarray  # [M]
-    std: np.ndarray  # [M]
-    macro_to_shape: np.ndarray  # [M, S]
-    residual_std: np.ndarray  # [S]
 
 
 @dataclass(frozen=True)
@@ -140,7 +131,7 @@ def hair_albedo(melanin: float, red: float, grey: float) -> np.ndarray:
     return (1 - grey) * color + grey * np.array([0.46, 0.455, 0.45])
 
 
-def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
+def draw_subject(seed: int, index: int, prior: PeopleModel | None) -> Subject:
     """Draw one person.
 
     Args:
@@ -240,7 +231,7 @@ def draw_subject(seed: int, index: int, prior: ShapePrior | None) -> Subject:
     )
 
 
-def _draw_shape(g: np.random.Generator, macros: dict[str, float], prior: ShapePrior | None) -> np.ndarray:
+def _draw_shape(g: np.random.Generator, macros: dict[str, float], prior: PeopleModel | None) -> np.ndarray:
     if prior is None:
         return np.clip(g.normal(0, 0.8, SHAPE_COUNT), -SHAPE_LIMIT, SHAPE_LIMIT).astype(np.float32)
     values = np.array([macros[name] for name in prior.names])
@@ -258,8 +249,8 @@ def _draw_style(g: np.random.Generator, female: bool, age: float, african: float
         wear = {name: 0.4 * share for name, share in wear.items()}
         for name, share in TIGHT.items():
             wear[name] = wear.get(name, 0.0) + share * (0.2 if female and name == "buzz" else 1.0)
-    share = np.array(list(wear.values()))
-    return str(g.choice(list(wear), p=share / share.sum()))
+    shares = np.array(list(wear.values()))
+    return str(g.choice(list(wear), p=shares / shares.sum()))
 
 
 def _draw_hair_color(g: np.random.Generator, age: float, african: float, asian: float) -> np.ndarray:

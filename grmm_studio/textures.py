@@ -12,11 +12,13 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from grmm_core.head import HeadModel
+
 from . import fields
 from .face_hair import beard_field, brow_density
 from .fields import smoothstep
 from .grooms import growth_of
-from .mesh import Head, region_vertices
+from .mesh import region_vertices
 from .subjects import Subject, skin_albedo
 from .wrinkles import paint_lines
 
@@ -40,7 +42,7 @@ class Atlas:
     nearest: np.ndarray
 
     @staticmethod
-    def build(head: Head, size: int = 1024) -> Atlas:
+    def build(head: HeadModel, size: int = 1024) -> Atlas:
         """Rasterise the UV layout of everything but the lash cards."""
         faces, uv, uv_faces = np.asarray(head.faces), np.asarray(head.uv, float), np.asarray(head.uv_faces)
         lashes = np.zeros(len(head.v_template), bool)

@@ -12,9 +12,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from grmm_core.controls.frame import Controls, resolve
-from grmm_core.data.dataset import HELD_OUT_EXPRESSION, Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
+from grmm_core.data.dataset import HELD_OUT_EXPRESSION, Manifest, Shot, View, write_manifest, write_shot, write_subject
 from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head, load_people_model
+from grmm_studio.capture import STUDIO
 from grmm_studio.scene import Studio
 from grmm_studio.shots import CLOSE_FOV, DISTANCE, HELD_OUT_CAMERAS, make_shot, ring_camera
 from grmm_studio.subjects import draw_subject
@@ -43,7 +44,7 @@ def render(folder: Path, settings: Settings) -> None:
     """Write the views as a capture data set."""
     head, people = load_open_head(), load_people_model()
     subjects = [draw_subject(settings.seed, number, people) for number in settings.people]
-    write_manifest(folder, Manifest("open_head", [subject.name for subject in subjects], asdict(settings)))
+    write_manifest(folder, Manifest("open_head", [subject.name for subject in subjects], asdict(settings) | {"studio": STUDIO}))
     studio = Studio(head, settings.size, settings.samples, subsurface=False)  # as the training pictures
     views = cameras(settings.size)
     for subject in subjects:
@@ -53,7 +54,7 @@ def render(folder: Path, settings: Settings) -> None:
             plan = make_shot(settings.seed, subject.index, number, 1, settings.size)
             controls = resolve(Controls(aligned=plan.aligned, pose=plan.pose), head)
             studio.set_shot(controls.expression, controls.pose)
-            pictures = [Picture(*studio.render(camera)[:2], None) for camera in views.values()]
+            pictures = [studio.render(camera) for camera in views.values()]
             written = tuple(
                 View(name, camera, f"{number:04d}_{i:02d}.png", "", HELD_OUT_EXPRESSION)
                 for i, (name, camera) in enumerate(views.items())

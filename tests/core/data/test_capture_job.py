@@ -250,10 +250,12 @@ def test_a_capture_of_another_studio_is_not_continued(tmp_path, monkeypatch):
     values = json.loads(path.read_text())
     del values["settings"]["studio"]
     path.write_text(json.dumps(values))
-    open_job(tmp_path, CaptureSettings())  # made before the number was recorded
+    with pytest.raises(ConfigError, match=f"studio 2, and this is studio {STUDIO}.*use another folder"):
+        open_job(tmp_path, CaptureSettings())  # made before the number was recorded
+    open_job(tmp_path / "new", CaptureSettings())
     monkeypatch.setattr(capture, "STUDIO", STUDIO + 1)
     with pytest.raises(ConfigError, match=f"studio {STUDIO}, and this is studio {STUDIO + 1}.*use another folder"):
-        open_job(tmp_path, CaptureSettings())
+        open_job(tmp_path / "new", CaptureSettings())
 
 
 def pretend_bpy(monkeypatch):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grmm_core.controls.frame import ALIGNED_TO_ARKIT, Controls, parse_assignments, resolve
-from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES, MIXTURES
+from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES, EXPRESSION_NAMES, MIXTURES
 from grmm_core.errors import ControlError
 
 
@@ -63,3 +63,21 @@ def test_assignments_of_the_command_line():
     for text in ("jawOpen", "jawOpen=wide"):
         with pytest.raises(ControlError, match="NAME=NUMBER"):
             parse_assignments([text])
+
+
+def test_validating_copies_nothing_that_is_right_already():
+    controls = Controls().set_named({"jawOpen": 0.5, "shape.3": 1.0})
+    again = controls.validate()
+    assert all(getattr(again, name) is getattr(controls, name) for name in ("aligned", "pose", "shape", "expression", "z_id"))
+    other = controls.copy()
+    other.aligned[:] = 1.0
+    other.pose[:] = 1.0
+    assert controls.aligned.sum() == 0.5
+    assert not controls.pose.any()
+
+
+def test_resolving_leaves_the_controls_alone():
+    controls = Controls().set_named({name: 0.3 for name in EXPRESSION_NAMES})
+    before = controls.key()
+    resolve(controls, Basis())
+    assert controls.key() == before

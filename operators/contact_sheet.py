@@ -10,12 +10,13 @@ import numpy as np
 
 from ..grmm_blender.engine import passes, pipeline
 from ..grmm_blender.portraits import portrait, with_expression
-from ..grmm_blender.scene.cameras import face_camera, head_camera
+from ..grmm_blender.scene.cameras import face_camera
 from ..grmm_blender.scene.shot import Region
 from ..grmm_blender.scene.walk import take_frame
 from ..grmm_blender.sheet import grid
 from ..grmm_core.controls.table import CONTROLS, EXPRESSION_NAMES, REGIONS
 from ..grmm_core.errors import ConfigError
+from ..grmm_core.model.portrait import portrait_camera
 from ..grmm_core.pictures.color import linear_to_srgb
 from ..grmm_core.pictures.images import quantize, write_png
 from .common import Result, active_avatar, needs_avatar, output_path
@@ -115,7 +116,7 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
             return
         for index in range(self.count):
             angle = 360.0 * index / self.count
-            work = portrait(avatar.source, controls, lambda size, yaw=angle: head_camera(size, yaw), self.size, color)
+            work = portrait(avatar.source, controls, lambda size, yaw=angle: portrait_camera(size, yaw), self.size, color)
             yield f"{angle:.0f}°", Step(index / self.count, f"view {index + 1} of {self.count}", work)
 
     def _frame_steps(self, context: bpy.types.Context):  # noqa: ANN202 - as above

@@ -9,7 +9,6 @@ import numpy as np
 
 from ...grmm_core.errors import ConfigError
 from ...grmm_core.geometry.camera import Camera
-from ...grmm_core.session import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from .shot import Region
 
 SUPPORTED_CAMERAS = ("PERSP", "ORTHO")
@@ -117,11 +116,6 @@ def face_camera(size: int, yaw: float = 12.0) -> Camera:
         yaw: Degrees to the subject's left.
     """
     return Camera.orbit(size, size, yaw=yaw, distance=1.0, fov=FACE_FOV, target=FACE)
-
-
-def head_camera(size: int, yaw: float, pitch: float = 0.0) -> Camera:
-    """Return a camera in head space that shows the whole head; arguments in pixels and degrees."""
-    return Camera.orbit(size, size, yaw=yaw, pitch=pitch, distance=PORTRAIT_DISTANCE, fov=PORTRAIT_FOV)
 
 
 def same_camera(one: Camera, other: Camera) -> bool:

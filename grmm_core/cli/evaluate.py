@@ -145,8 +145,8 @@ def _avatar(source: str) -> Avatar | None:
 
 def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:
     """The monocular protocol on folders of real photos: figures in the photos' views, avatars and sheets."""
-    from ..evaluation.fitting import evaluate_photos, photos_in, photos_table
     from ..evaluation.identity import load_identity
+    from ..evaluation.photo_fits import evaluate_photos, photos_in, photos_table
 
     if args.output is None:
         raise ConfigError("Photos are judged by looking at their sheets; give a folder for them with --output.")
@@ -197,7 +197,7 @@ def _text(facts: dict[str, Any], summaries: dict[str, Any]) -> str:
 
 
 def _codes(scene: Scene, output: Path | None, report: Share) -> dict[str, Any]:
-    from ..evaluation.codes import separation
+    from ..evaluation.disentanglement import separation
     from ..evaluation.strips import write_pictures
 
     figures = separation(scene, within(report, 0.0, 0.5))

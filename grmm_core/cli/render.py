@@ -26,9 +26,10 @@ import numpy as np
 from ..errors import ConfigError
 from ..files.access import atomic_write_bytes
 from ..geometry.camera import Camera
+from ..model.portrait import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from ..pictures.color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from ..pictures.images import quantize, write_exr, write_png
-from ..session import MAX_LOD, PASS_NAMES, PORTRAIT_DISTANCE, PORTRAIT_FOV, Instance, RenderOptions, create_session
+from ..session import MAX_LOD, PASS_NAMES, Instance, RenderOptions, create_session
 from .common import add_avatar, add_controls, add_model, add_output, check_folder, controls_of, picture_size
 
 SUFFIXES = (".png", ".exr", ".npz")

@@ -2,18 +2,19 @@
 
 The map:
 
-``metrics``    errors of one picture: whole frame, inside the mask, by region (``lpips``: from a user's weights)
-``regions``    which region of the head each pixel shows
-``scene``      a trained model that draws captured views, with parts switched off on request
-``views``      which views of a capture a protocol uses
-``fit``        a held-out person's codes from one view
-``protocols``  the protocols: views in, rows of numbers out
-``codes``      whether identity and expression are separate, and smooth
-``strips``     pictures of codes: random people, interpolations, transfer
-``report``     rows to JSON, tables and picture sheets
+``metrics``          errors of one picture: whole frame, inside the mask, by region (``lpips``: from a user's weights)
+``regions``          which region of the head each pixel shows
+``scene``            a trained model that draws captured views, with parts switched off on request
+``samples``          which views of a capture a protocol uses
+``person_fit``       a held-out person's codes from one view
+``protocols``        the protocols: views in, rows of numbers out
+``photo_fits``       real photos fitted as users do, and what the stages of the fitting give (``identity``: by face recognition)
+``disentanglement``  whether identity and expression are separate, and smooth
+``strips``           pictures of codes: random people, interpolations, transfer
+``report``           rows to JSON, tables and picture sheets
 
 Uses `model`, `head`, `data`, `training` (losses, perceptual networks) and `fitting`. Called by the command line
-(`grmm evaluate`). Everything but `views` and `report` imports torch.
+(`grmm evaluate`). Everything but `samples` and `report` imports torch.
 """
 
 from __future__ import annotations

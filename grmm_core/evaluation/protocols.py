@@ -23,11 +23,11 @@ from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, CaptureD
 from ..errors import ConfigError, NoFaceError
 from ..jobs.progress import Share, nobody, within
 from ..pictures.images import quantize
-from .fit import CODES, fit_person, fit_photo, track_shot
 from .metrics import Distance, Errors, errors_of
+from .person_fit import CODES, fit_person, fit_photo, track_shot
 from .regions import region_pixels, triangle_groups
+from .samples import LoadedView, Sample, limited, load, samples, source_view
 from .scene import FULL, DrawnPerson, Scene
-from .views import LoadedView, Sample, limited, load, samples, source_view
 
 _FITTING_SHARE = 0.7  # of the time of a protocol that fits people, for the progress
 

@@ -1,4 +1,4 @@
-"""A trained model that draws captured views, with parts switched off on request. Used by `protocols` and `codes`."""
+"""A trained model that draws captured views, with parts switched off on request. Used by `protocols` and `disentanglement`."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from ..jobs.progress import Share, nobody
 from ..model.people import sampled_avatar
 from ..model.portrait import portrait
 from ..pictures.images import write_png
-from .codes import smoothness
+from .disentanglement import smoothness
 from .report import sheet
 from .scene import DrawnPerson, Scene
 

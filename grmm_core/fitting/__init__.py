@@ -12,7 +12,11 @@
 ``photometric_stage``  the refinement by outline
 ``track``              photos to tracks
 ``faces_picture``      the faces of a photo as a picture, to check the choice
-``invert``             tracks to codes and decoders (eq. 19 and 20)
+``photo_targets``      tracked photos as what the inversion compares with
+``objective``          attributes drawn into a photo's camera, and their loss
+``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light
+``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest
+``invert``             tracks to an avatar by both stages
 ``folder``             the work folder: whose state it holds, what is refused before work begins
 ``api``                all of it, for the command line and Blender
 

@@ -18,11 +18,11 @@ from torch import Tensor
 from ..errors import FileAccessError, FileFormatError
 from ..files.tensorfile import read_tensors, write_tensors
 from ..model.weights_file import WeightsInfo
-from .codes import Codes
-from .color import PhotoLight
-from .decoders import Tuner
+from .code_stage import Codes
+from .decoder_stage import Tuner
 from .folder import CODES_FILE, DECODERS_FILE
 from .presets import Preset
+from .recoloring import PhotoLight
 from .types import PhotoTrack
 
 FORMAT, VERSION = "grmm-fit", "1"

@@ -1,4 +1,4 @@
-"""Tracked photos to an avatar: stage 1 (`codes`), stage 2 (`decoders`), their progress, cancelling and resuming.
+"""Tracked photos to an avatar: stage 1 (`code_stage`), stage 2 (`decoder_stage`), their progress, cancelling and resuming.
 
 Called by `api` and the evaluation. Imports torch.
 """
@@ -26,17 +26,17 @@ from ..model.weights_file import WeightsInfo
 from ..pictures.images import encode_png, quantize
 from ..training.losses import Perceptual
 from .checkpoint import codes_key, decoders_key, load_codes, resume_tuner, save_codes, save_tuner
-from .codes import Codes, code_prior, fit_codes
-from .color import recolor
-from .decoders import Tuner
+from .code_stage import Codes, code_prior, fit_codes
+from .decoder_stage import Tuner
 from .folder import PREVIEW_FILE
 from .locality import LOCALITY_WEIGHT
 from .objective import decode, photo_inputs, relit
+from .photo_targets import FitView, fit_view
 from .presets import Preset, preset_named
+from .recoloring import recolor
 from .result import make_avatar
 from .surface import Surface, texel_surface
 from .types import PhotoTrack
-from .views import FitView, fit_view
 
 CODES, DECODERS = "codes", "decoders"  # stages of `jobs.stages.FIT`
 SAVE_SECONDS = 20.0

@@ -1,6 +1,6 @@
 """L_loc of eq. 20: near the fitted codes the tuned decoders must decode what the frozen ones do (after PTI, Roich et al. 2022).
 
-Called by `decoders`. Imports torch.
+Called by `decoder_stage`. Imports torch.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from torch import Tensor
 
 from ..model.grmm import GRMM, Attributes
 from ..model.inputs import ModelInputs
-from .codes import CodePrior, Codes
+from .code_stage import CodePrior, Codes
 from .objective import decode
-from .views import FitView
+from .photo_targets import FitView
 
 LOCALITY_WEIGHT = 0.1  # lambda_loc of eq. 20
 LOCALITY_DISTANCE = 0.5

@@ -4,7 +4,7 @@ A person's `Attributes` are changed between decoding and drawing: stage 1 recolo
 loss is L_rec of the refined and of the splatted picture (eq. 16) over a plain background where the photo is a target, and the
 L1 of the coverage, which keeps the outline.
 
-Called by `color`, `codes`, `decoders`, `invert`. Imports torch.
+Called by `recoloring`, `code_stage`, `decoder_stage`, `invert`. Imports torch.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..model.inputs import ModelInputs
 from ..splat import rasterize
 from ..training.losses import LossWeights, Perceptual, l1_loss, reconstruction_loss
-from .views import FitView
+from .photo_targets import FitView
 
 _FEW_PIXELS = 0.2  # damps the step of Gaussians that hardly show
 FIT_WEIGHTS = LossWeights(alpha=0.4)

@@ -4,7 +4,7 @@ Parts: skin, scalp (where hair grows) and the inner parts (eyes, teeth, tongue, 
 says nothing about. `fill` spreads values from texels that a photo shows to those that none does, along the surface and
 across the plane of symmetry: the membrane of least bending by conjugate gradients.
 
-Called by `color` and `decoders`. Imports torch.
+Called by `recoloring` and `decoder_stage`. Imports torch.
 """
 
 from __future__ import annotations

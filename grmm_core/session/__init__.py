@@ -12,7 +12,6 @@ import sys
 from typing import Literal
 
 from ..errors import ConfigError, RuntimeMissingError
-from ..model.portrait import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from .api import (
     EMPTY_DEPTH,
     HEAD_TO_BLENDER,
@@ -34,8 +33,6 @@ __all__ = [
     "HEAD_TO_BLENDER",
     "MAX_LOD",
     "PASS_NAMES",
-    "PORTRAIT_DISTANCE",
-    "PORTRAIT_FOV",
     "AvatarInfo",
     "CancelCheck",
     "CloudArrays",

@@ -2,20 +2,20 @@
 
 The map:
 
-``config``      `TrainConfig`, read from TOML (numpy-free)
-``losses``      every term of the objective as a pure function; also used by the fitting (``blur``: the window of SSIM)
-``perceptual``  features of a classification network, for eq. 16
-``views``       what a training view is, and the reproducible choice of views, crops and backgrounds
-``capture``     capture data sets as training views
-``cast``        the people of a run and the model that draws them
-``initialise``  mean colors from the pictures
-``warm_start``  networks of an earlier run, for other people
-``optimise``    parameter groups, schedule, moving average
-``precision``   bfloat16 convolutions
-``checkpoint``  whole-or-nothing checkpoints as tensor files
-``trainer``     `Trainer`: the loop
-``preview``     picture sheets
-``curves``      the logged numbers as a picture
+``config``        `TrainConfig`, read from TOML (numpy-free)
+``losses``        every term of the objective as a pure function; also used by the fitting (``blur``: the window of SSIM)
+``perceptual``    features of a classification network, for eq. 16
+``views``         what a training view is, and the reproducible choice of views, crops and backgrounds
+``capture``       capture data sets as training views
+``cast``          the people of a run and the model that draws them
+``initialise``    mean colors from the pictures
+``warm_start``    networks of an earlier run, for other people
+``optimise``      parameter groups, schedule, moving average
+``precision``     bfloat16 convolutions
+``checkpoint``    whole-or-nothing checkpoints as tensor files
+``trainer``       `Trainer`: the loop
+``preview``       picture sheets
+``metric_plots``  the logged numbers as a picture
 
 Uses `model`, `splat`, `data`. Called by the command line (`grmm train`). Everything but `config` imports torch.
 """

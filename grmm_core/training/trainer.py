@@ -278,7 +278,7 @@ class Trainer:
         return shrink(view, self.config.image_size) if self.config.image_size else view
 
     def _preview(self) -> None:
-        from .curves import read_metrics, write_curves
+        from .metric_plots import read_metrics, write_curves
         from .preview import VALIDATION_ROWS, write_preview
 
         numbers = self.source.validation if len(self.source.validation) else self.source.training

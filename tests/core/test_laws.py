@@ -189,7 +189,7 @@ PLACES = {
     "types": "a room's data classes",
 }
 KNOWN_TWINS = {
-    "grmm_core": {"codes", "color", "curves", "decoders", "fitting", "model", "views"},
+    "grmm_core": {"model"},
 }
 
 

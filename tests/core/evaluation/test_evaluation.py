@@ -18,13 +18,13 @@ from grmm_core.cli import main
 from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import ConfigError, FileFormatError
 from grmm_core.evaluation import protocols, report
-from grmm_core.evaluation.codes import smoothness, spread
+from grmm_core.evaluation.disentanglement import smoothness, spread
 from grmm_core.evaluation.lpips import SLICES, Lpips, load_lpips
 from grmm_core.evaluation.metrics import errors_of
 from grmm_core.evaluation.protocols import Evaluation, Settings
 from grmm_core.evaluation.regions import REGIONS, region_pixels, triangle_groups
+from grmm_core.evaluation.samples import Sample, limited, load, samples, source_view
 from grmm_core.evaluation.scene import FULL, MEAN_CODES, NO_EXPRESSION_CODE, Scene
-from grmm_core.evaluation.views import Sample, limited, load, samples, source_view
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
 
@@ -155,9 +155,9 @@ def test_a_model_reproduces_its_own_pictures(scene, folder, protocol):
 
 
 def test_a_fit_comes_closer_than_the_mean(scene, folder, monkeypatch):
-    from grmm_core.evaluation import fit
+    from grmm_core.evaluation import person_fit
 
-    monkeypatch.setattr(fit, "STEPS", 30)
+    monkeypatch.setattr(person_fit, "STEPS", 30)
     runs = evaluation(scene, folder)
     result = runs.run("person")
     assert {row.sample.shot.number for row in result.rows} == {1, 2}
@@ -344,7 +344,7 @@ def test_everybody_whom_the_weights_do_not_know_is_held_out(scene, folder, tmp_p
 
 
 def test_exact_tracks_are_what_the_capture_says(scene, folder):
-    from grmm_core.evaluation.fit import exact_track, track_shot
+    from grmm_core.evaluation.person_fit import exact_track, track_shot
 
     dataset = CaptureDataset(folder)
     sample = next(s for s in samples([dataset], "person") if s.shot.number == 1)
@@ -363,12 +363,12 @@ def test_monocular_protocol_tracks_the_photo(scene, folder, monkeypatch, found):
     from dataclasses import replace
 
     from grmm_core.errors import NoFaceError
-    from grmm_core.evaluation import fit
+    from grmm_core.evaluation import person_fit
     from grmm_core.fitting import track as tracking
 
     runs = evaluation(scene, folder, method="fast", ablations=False)
     photo = source_view([s for s in samples([CaptureDataset(folder)], "person")])
-    exact = fit.exact_track(scene.head, photo, load(photo), CaptureDataset(folder).shape(HELD_OUT))
+    exact = person_fit.exact_track(scene.head, photo, load(photo), CaptureDataset(folder).shape(HELD_OUT))
 
     def track(paths, head, masks):
         if not found:
@@ -382,7 +382,7 @@ def test_monocular_protocol_tracks_the_photo(scene, folder, monkeypatch, found):
         return scene.made(name, code, track.shape)
 
     monkeypatch.setattr(tracking, "track_photos", track)
-    monkeypatch.setattr(fit, "_inverted", inverted)
+    monkeypatch.setattr(person_fit, "_inverted", inverted)
     if not found:
         with pytest.raises(ConfigError, match="No face"):
             runs.run("monocular")

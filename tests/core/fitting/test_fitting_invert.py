@@ -14,16 +14,16 @@ from grmm_core.avatar import load_avatar, save_avatar
 from grmm_core.controls.frame import Controls, resolve
 from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError
-from grmm_core.fitting.codes import code_prior
-from grmm_core.fitting.color import PhotoLight, recolor, solve_maps, unchanged
+from grmm_core.fitting.code_stage import code_prior
 from grmm_core.fitting.invert import invert, photo_errors
 from grmm_core.fitting.locality import Locality, code_distances
 from grmm_core.fitting.objective import decode, draw, photo_inputs
+from grmm_core.fitting.photo_targets import fit_view, project
 from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset, preset_named
+from grmm_core.fitting.recoloring import PhotoLight, recolor, solve_maps, unchanged
 from grmm_core.fitting.result import photo_camera, photo_controls
 from grmm_core.fitting.surface import SKIN, texel_surface
 from grmm_core.fitting.types import PhotoTrack
-from grmm_core.fitting.views import fit_view, project
 from grmm_core.geometry.camera import Camera
 from grmm_core.jobs.progress import Progress, Reporter
 from grmm_core.jobs.stages import FIT

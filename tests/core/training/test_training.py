@@ -15,9 +15,9 @@ from grmm_core.jobs.stages import TRAINING
 from grmm_core.model.weights import load_weights
 from grmm_core.training.checkpoint import load_checkpoint
 from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
-from grmm_core.training.curves import COLORS, read_metrics, write_curves
-from grmm_core.training.curves import main as draw_curves
 from grmm_core.training.losses import TERMS, total_loss
+from grmm_core.training.metric_plots import COLORS, read_metrics, write_curves
+from grmm_core.training.metric_plots import main as draw_curves
 from grmm_core.training.optimise import MovingAverage, rate_factor
 from grmm_core.training.processes import mean_terms
 from grmm_core.training.trainer import CHECKPOINT, METRICS, Trainer

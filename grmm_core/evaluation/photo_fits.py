@@ -32,12 +32,12 @@ from ..model.portrait import portrait
 from ..model.store import with_deltas
 from ..model.weights_file import resolve_weights
 from ..pictures.images import write_png
-from .fit import exact_track
 from .identity import Identity
 from .metrics import Distance, errors_of
+from .person_fit import exact_track
 from .report import sheet
+from .samples import Sample, load
 from .scene import DrawnPerson, Scene
-from .views import Sample, load
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 NEW_VIEWS = (-30.0, 30.0, 60.0)  # degrees

@@ -7,11 +7,11 @@ import pytest
 import torch
 
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
+from grmm_core.fitting.inpainting import facing, fill_colors, lid_exposure
 from grmm_core.fitting.objective import FIT_WEIGHTS, fit_loss
+from grmm_core.fitting.photo_targets import fit_view, project
 from grmm_core.fitting.surface import SCALP, SKIN, texel_surface
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
-from grmm_core.fitting.unseen import facing, fill_colors, lid_exposure
-from grmm_core.fitting.views import fit_view, project
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 from grmm_core.head.open_head import load_open_head

@@ -9,7 +9,7 @@ What keeps the rest intact:
 - `Locality`, the paper's L_loc after PTI (Roich et al. 2022): at random codes at a fixed distance from the fitted ones the
   tuned networks must decode what the frozen ones do.
 - The maps are pulled to zero, more for skin than for hair, and at the end they are spread from texels that a photo shows to
-  the others along the surface and across the plane of symmetry (`unseen`): no border runs where the photo's view ends.
+  the others along the surface and across the plane of symmetry (`inpainting`): no border runs where the photo's view ends.
 
 Called by `invert`. Imports torch.
 """
@@ -25,14 +25,14 @@ from torch import Tensor
 
 from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
-from .codes import CodePrior, Codes, Tick, background
-from .color import recolor
+from .code_stage import CodePrior, Codes, Tick, background
+from .inpainting import facing, fill_colors, lid_exposure
 from .locality import LOCALITY_WEIGHT, Locality
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
+from .photo_targets import FitView
 from .presets import DecoderSettings
+from .recoloring import recolor
 from .surface import INNER, SCALP, SKIN, Surface
-from .unseen import facing, fill_colors, lid_exposure
-from .views import FitView
 
 NETWORKS = ("transform", "opacity", "appearance")
 RATES = {"color": 0.012, "opacity": 0.06, "position": 0.012, "scale": 0.02, "networks": 3e-4}

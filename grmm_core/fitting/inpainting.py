@@ -4,7 +4,7 @@
 ``lid_exposure``    skin that lies folded away in the photo and comes out when the eyes close
 ``fill_colors``    tone of skin, change of hair, spread along the surface; hair of no other color than the photo's
 
-Called by `decoders`. Imports torch.
+Called by `decoder_stage`. Imports torch.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from torch import Tensor
 from ..controls.names import ARKIT_NAMES
 from ..head import HeadModel
 from ..model.grmm import GRMM
+from .photo_targets import FitView
 from .surface import SCALP, SKIN, Surface
-from .views import FitView
 
 GRAZING = (0.1, 0.4)  # cosine between normal and view below which colors say nothing, and above which they count fully
 TONE_TEXELS = 40.0  # length above which colors are a general tone

@@ -20,11 +20,11 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..model.inputs import ModelInputs
 from ..model.weights_file import WeightsInfo
 from ..training.losses import Perceptual
-from .color import PhotoLight, recolor, solve_light, solve_maps, unchanged
 from .objective import FIT_WEIGHTS, decode, draw, fit_loss, photo_inputs, relit
+from .photo_targets import FitView
 from .presets import CodeSettings
+from .recoloring import PhotoLight, recolor, solve_light, solve_maps, unchanged
 from .surface import Surface
-from .views import FitView
 
 OUTLINE_WEIGHT, START_OUTLINE_WEIGHT = 1.0, 2.0  # of the coverage: codes decide how much hair there is, and how long
 CODE_WEIGHT = 4e-4  # of |w|^2 (standard deviations); eq. 17 has 0.001 for codes without such a scale

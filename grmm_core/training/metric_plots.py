@@ -1,6 +1,6 @@
 """A picture of a run's curves, from the numbers that the trainer logs: the loss, and what held-out views say.
 
-    python -m grmm_core.training.curves RUN/metrics.jsonl ... -o curves.png
+    python -m grmm_core.training.metric_plots RUN/metrics.jsonl ... -o curves.png
 
 draws the runs that followed one another side by side, as one. Used by `trainer` beside its previews. Needs Pillow.
 """

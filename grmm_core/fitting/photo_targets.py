@@ -4,7 +4,7 @@ The model has a head, a neck and the top of the shoulders. What else of the pers
 falls far below the chin) is no target: such pixels get weight 0 in every loss. The background is one: nothing of the avatar
 may be there, nor where clothes are seen beside the bust.
 
-Called by `codes`, `decoders`, `invert` and the evaluation. Imports torch.
+Called by `code_stage`, `decoder_stage`, `invert` and the evaluation. Imports torch.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ splatting is linear in color. Stage 2 turns it into a map of colors.
 What is removed: the difference of each further photo from the first, a gain and an offset a channel (`PhotoLight`).
 What is left of the light (its direction) goes where each photo shows it, into stage 2's map.
 
-Called by `codes` and `decoders`. Imports torch.
+Called by `code_stage` and `decoder_stage`. Imports torch.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from torch import Tensor
 
 from ..model.grmm import GRMM, Attributes
 from ..splat import rasterize
+from .photo_targets import FitView
 from .surface import GROUPS, INNER, SCALP, SKIN, Surface
-from .views import FitView
 
 GAIN_RANGE = (0.4, 2.5)
 OFFSET_LIMIT = 0.3

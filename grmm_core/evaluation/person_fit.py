@@ -26,8 +26,8 @@ from ..jobs.stages import FIT
 from ..pictures.images import quantize, write_png
 from ..training.losses import LossWeights, reconstruction_loss
 from ..training.views import View, crop_to_person, shrink
+from .samples import LoadedView, Sample
 from .scene import DrawnPerson, Scene
-from .views import LoadedView, Sample
 
 logger = logging.getLogger(__name__)
 

@@ -13,6 +13,7 @@ The map, from the ground up; each part uses only those above it:
 ``splat``                               the differentiable Gaussian rasteriser and its backends
 ``avatar``                              `.grmm` files, and the library of avatars that come with the package
 ``model``                               the paper's networks, weights, and the one way from inputs to a picture
+``inference``                           the model again without torch: numpy, numba and onnxruntime
 ``performance`` ``formats``             animation files, splat and mesh files
 ``session``                             open, deform, render: in this process or in a worker process
 ``data`` ``training``                   capture data sets; losses and the training loop, for many people or one

@@ -95,7 +95,7 @@ class FitJob:
             process = subprocess.Popen(
                 [python, "-m", "grmm_core", "fit", "--events", *request.arguments()],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8",
-                errors="replace", env=core_environment(), cwd=core_folder(), **options,
+                errors="replace", env=core_environment(python), cwd=core_folder(), **options,
             )  # fmt: skip
         except OSError as error:
             raise RuntimeMissingError(

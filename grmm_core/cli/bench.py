@@ -16,7 +16,7 @@ from ..controls.frame import Controls
 from ..geometry.camera import Camera
 from ..jobs.progress import Reporter
 from ..jobs.stages import BENCHMARK
-from ..session import Instance, RenderOptions, create_session
+from ..session import Instance, RenderOptions, create_session, make_local_session
 from . import bench_model, bench_splat
 from .common import add_events, add_model, positive_int
 
@@ -53,9 +53,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         _show(args.console, result)
         return result
     resolutions = RESOLUTIONS[:-1] if args.quick else RESOLUTIONS
-    from ..session.local import LocalSession
-
-    with LocalSession(args.weights, args.device, args.threads, head=args.head) as session:
+    with make_local_session(args.weights, args.device, args.threads, args.head) as session:
         avatar = session.open("default")
         session.warm_up()
         status = session.status()

@@ -1,8 +1,8 @@
 """Small networks on a graphics card as CUDA graphs: one launch instead of dozens, whose starts cost more than their arithmetic.
 
 The decoders read a code of a few hundred numbers and always give the same shapes, so that each can be captured once and
-replayed. `model.store` wraps them; on other devices a `Replayed` calls its function as it is. Never run on a graphics card so
-far: none was at hand. Where a capture fails, the function is called plainly from then on.
+replayed. `model.torch_loader` wraps them; on other devices a `Replayed` calls its function as it is. Never run on a graphics
+card so far: none was at hand. Where a capture fails, the function is called plainly from then on.
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ from ..geometry.camera import Camera
 from ..jobs.progress import Progress, Share, nobody, within
 from ..model.grmm import GRMM
 from ..model.portrait import portrait
-from ..model.store import with_deltas
+from ..model.torch_loader import with_deltas
 from ..model.weights_file import resolve_weights
 from ..pictures.images import write_png
 from .identity import Identity

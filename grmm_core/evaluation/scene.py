@@ -17,7 +17,7 @@ from ..errors import ConfigError
 from ..geometry.camera import Camera
 from ..model.grmm import GRMM, Rendering
 from ..model.inputs import ModelInputs, Person, expression_code
-from ..model.store import with_deltas
+from ..model.torch_loader import with_deltas
 from ..model.weights import load_weights
 from ..model.weights_file import WeightsInfo
 

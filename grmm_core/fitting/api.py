@@ -119,7 +119,8 @@ def _make(
 
     from ..compute.devices import choose_device, limit_rasteriser_threads
     from ..model.portrait import thumbnail
-    from ..model.store import ModelStore, with_deltas
+    from ..model.store import ModelStore
+    from ..model.torch_loader import TorchLoader, with_deltas
     from .invert import invert, photo_errors
 
     if request.threads:
@@ -128,7 +129,7 @@ def _make(
         torch.set_num_threads(request.threads)
         limit_rasteriser_threads(request.threads)
     report.part("load")(0.5)
-    loaded = ModelStore(request.weights or None, choose_device(request.device), request.head or None).default()
+    loaded = ModelStore(request.weights or None, TorchLoader(choose_device(request.device)), request.head or None).default()
     head, folder = loaded.model.head_model, request.work_folder
     tracks = _tracks(request, job, photos, masks, head, report, on_faces)
     avatar = invert(

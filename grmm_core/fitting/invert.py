@@ -227,7 +227,7 @@ def photo_pictures(
     """An avatar drawn as each of its photos shows it, under that photo's exposure.
 
     Args:
-        model: With the avatar's own changes (`model.store.with_deltas`).
+        model: With the avatar's own changes (`model.torch_loader.with_deltas`).
         avatar: Fitted to these photos.
         tracks: Photos.
         side: Longer side of the picture.

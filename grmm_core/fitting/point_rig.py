@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import ShapeError
-from ..geometry.rotations import euler_to_matrix
 from ..geometry.triangles import face_normals, spread_to_corners
 from ..head.model import JOINT_COUNT, HeadModel
-from ..head.skinning import joint_transforms
+from ..head.skinning import euler_matrices, joint_transforms
 
 _ANGLE_STEP = 1e-5  # radians; central differences in float64 are exact to 1e-9 of a metre
 _SMALL_WEIGHT = 1e-9
@@ -108,7 +107,7 @@ class PointRig:
         total = self._total_pose(expression, pose)
         points = self._unposed(np.concatenate([shape, expression]))
         positions = self._skinned(points, joints, total)
-        rotations = euler_to_matrix(total)
+        rotations = euler_matrices(total)
         transforms = joint_transforms(rotations, joints, self._parents)  # [5, 3, 4]
         count = self.shape_count + self.expression_count
         derivative = np.zeros((self.count, 3, count))
@@ -146,7 +145,7 @@ class PointRig:
         return [part.template + (part.directions @ coefficients).reshape(-1, 3) for part in self._parts]
 
     def _skinned(self, points: list[np.ndarray], joints: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        rotations = euler_to_matrix(pose)
+        rotations = euler_matrices(pose)
         transforms = joint_transforms(rotations, joints, self._parents)
         feature = (rotations[1:] - np.eye(3)).reshape(-1)  # [36]
         result = np.zeros((self.count, 3))

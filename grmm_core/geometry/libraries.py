@@ -24,3 +24,25 @@ def library_of(array: np.ndarray | torch.Tensor) -> ModuleType:
     """Return torch for a tensor and numpy for anything else, without importing torch."""
     torch = sys.modules.get("torch")
     return torch if torch is not None and isinstance(array, torch.Tensor) else np
+
+
+def zeros(shape: tuple[int, ...], like: Array) -> Array:
+    """Zeros of a shape, of the type and device of an array."""
+    library = library_of(like)
+    place = {} if library is np else {"device": like.device}
+    result: Array = library.zeros(shape, dtype=like.dtype, **place)
+    return result
+
+
+def as_like(values: np.ndarray | tuple[float, ...], like: Array) -> Array:
+    """Numbers as an array or tensor of the type and device of another one."""
+    library = library_of(like)
+    place = {} if library is np else {"device": like.device}
+    result: Array = library.asarray(values, dtype=like.dtype, **place)
+    return result
+
+
+def to_numpy(array: np.ndarray | torch.Tensor) -> np.ndarray:
+    """Contiguous float32 numbers of an array or tensor."""
+    library = library_of(array)
+    return np.ascontiguousarray(array if library is np else array.detach().float().cpu().numpy(), np.float32)

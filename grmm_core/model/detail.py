@@ -1,19 +1,17 @@
 """Levels of detail: one larger Gaussian in the place of a block of texels.
 
-Level 0 is every Gaussian; each further level has about a quarter of them. Needs numpy only; `thin_out` takes tensors.
+Level 0 is every Gaussian; each further level has about a quarter of them. Needs numpy only; `thin_out` takes tensors as well.
 Used by sessions.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from ..geometry.libraries import Array, as_like, library_of, zeros
 from ..splat.types import Gaussians
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 class Blocks(NamedTuple):
@@ -49,7 +47,7 @@ def texel_blocks(texel: np.ndarray, grid: int, lod: int) -> Blocks:
     return Blocks(middle, block, counts.astype(np.float32))
 
 
-def thin_out(gaussians: Gaussians, blocks: tuple[Tensor, Tensor, Tensor], lod: int) -> Gaussians:
+def thin_out(gaussians: Gaussians, blocks: Blocks, lod: int) -> Gaussians:
     """Replace each block of texels by one Gaussian.
 
     It takes the place and frame of the block's middle texel, the mean of what can be averaged, and 2^lod times the size in the
@@ -57,21 +55,31 @@ def thin_out(gaussians: Gaussians, blocks: tuple[Tensor, Tensor, Tensor], lod: i
 
     Args:
         gaussians: All Gaussians, [N].
-        blocks: `texel_blocks` as tensors like them.
+        blocks: Of `texel_blocks`.
         lod: Level of detail, at least 1.
     """
-    middle, block, counts = blocks
+    order = np.argsort(blocks.block, kind="stable")
+    ends = np.cumsum(blocks.counts).astype(np.int64)
 
-    def mean(values: Tensor) -> Tensor:
-        total = values.new_zeros((len(middle), *values.shape[1:])).index_add_(0, block, values)
-        return total / counts.view(-1, *[1] * (values.ndim - 1))
+    def mean(values: Array) -> Array:
+        return _block_sums(values, order, ends) / as_like(blocks.counts.reshape(-1, *[1] * (values.ndim - 1)), values)
 
-    grow = gaussians.scales.new_tensor([1 << lod, 1 << lod, 1])
+    grow = as_like((1 << lod, 1 << lod, 1), gaussians.scales)
     return Gaussians(
-        means=gaussians.means[middle],
-        quats=gaussians.quats[middle],
+        means=gaussians.means[blocks.middle],
+        quats=gaussians.quats[blocks.middle],
         scales=mean(gaussians.scales) * grow,
         opacities=mean(gaussians.opacities),
         colors=mean(gaussians.colors),
         features=None if gaussians.features is None else mean(gaussians.features),
     )
+
+
+def _block_sums(values: Array, order: np.ndarray, ends: np.ndarray) -> Array:
+    """Sums of runs of `values` [N, ...] in an order, each up to one of the ends: [M, ...]."""
+    if library_of(values) is np:
+        return np.add.reduceat(values[order], np.concatenate([[0], ends[:-1]]), axis=0)
+    import torch
+
+    block = torch.as_tensor(np.repeat(np.arange(len(ends)), np.diff(ends, prepend=0)), device=values.device)
+    return zeros((len(ends), *values.shape[1:]), values).index_add_(0, block, values[order])

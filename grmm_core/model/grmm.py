@@ -12,7 +12,7 @@ Batches as in `inputs`: [..., K] with any leading dimensions, up to the rasteris
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -30,7 +30,8 @@ from .inputs import InputSpace, ModelInputs, expression_code, identity_code
 from .layout import TexelLayout, texel_layout
 from .mesh_decoder import MeshDecoder
 from .refine import RefinementNetwork
-from .texels import Geometry, TexelAnchor
+from .steps import HEAD_CENTRE, Geometry, Mesh, Rest, face_mask
+from .texels import TexelAnchor
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,30 +39,8 @@ if TYPE_CHECKING:
     from ..head import HeadModel
     from ..splat.backends import Backend
 
-HEAD_CENTRE: tuple[float, float, float] = (0.0, 0.0, 0.0)
-"""Point from which view directions are taken: between the ears, head space, metres."""
 NECK, JAW = JOINT_NAMES.index("neck"), JOINT_NAMES.index("jaw")
-TEETH_REGIONS = ("upper_teeth", "lower_teeth")
 CODE_INIT = 0.1  # standard deviation of the table of expression codes before training
-
-
-class Rest(NamedTuple):
-    """A shaped head before expression and pose: vertices [..., V, 3] and joints [..., 5, 3], metres."""
-
-    vertices: Tensor
-    joints: Tensor
-
-
-class Mesh(NamedTuple):
-    """A posed mesh.
-
-    Attributes:
-        vertices: v_d of eq. 11 after skinning, [..., V, 3] metres.
-        displacement: Learned displacement of the unposed vertices, strength included, [..., V, 3] metres.
-    """
-
-    vertices: Tensor
-    displacement: Tensor
 
 
 @dataclass(frozen=True)
@@ -159,7 +138,7 @@ class GRMM(nn.Module):
         if layout.grid != config.grid:
             raise ConfigError(f"The texel layout has a grid of {layout.grid}; the configuration says {config.grid}.")
         self.anchor = TexelAnchor(layout, head.faces, head.uv, head.uv_faces, vertex_count)
-        self.mesh_decoder = MeshDecoder(config, self.z_id_size, self.z_exp_size, face_mask(head))
+        self.mesh_decoder = MeshDecoder(config, self.z_id_size, self.z_exp_size, torch.from_numpy(face_mask(head)))
         self.decoders = AttributeDecoders(config, self.z_id_size, self.z_exp_size, layout.texel)
         self.refinement = RefinementNetwork(config) if config.refine else None
         self.half_refinement = False  # whether the refinement network computes in bfloat16: for devices that gain by it
@@ -190,8 +169,7 @@ class GRMM(nn.Module):
 
     def tensors(self, inputs: ModelInputs[np.ndarray]) -> ModelInputs[Tensor]:
         """The same inputs as tensors like the model's."""
-        arrays = (inputs.z_id, inputs.z_exp, inputs.shape, inputs.expression, inputs.pose)
-        return ModelInputs(*(torch.as_tensor(array, dtype=self.dtype, device=self.device) for array in arrays), inputs.strength)
+        return inputs.mapped(lambda array: torch.as_tensor(array, dtype=self.dtype, device=self.device))
 
     def performed(
         self, z_id: Tensor, shape: Tensor, expression: Tensor, pose: Tensor, aligned: Tensor, offset: Tensor | None = None
@@ -288,6 +266,15 @@ class GRMM(nn.Module):
             c.scale_log_limit, c.texel_scale, c.normal_scale,
         )  # fmt: skip
 
+    def normals(self, vertices: Tensor) -> Tensor:
+        """Outward unit normals of the mesh with posed vertices [V, 3] at the Gaussians' texels, [N, 3]."""
+        return self.anchor(vertices).normals
+
+    def texels(self) -> np.ndarray:
+        """Flat index row * grid + column of each Gaussian's texel, [N]."""
+        flat: np.ndarray = self.anchor.texel.cpu().numpy()
+        return flat
+
     def gaussians(self, vertices: Tensor, attributes: Attributes) -> Gaussians:
         """Place decoded attributes on the posed vertices [V, 3] of one head."""
         placed = self.geometry(vertices, attributes.offsets)
@@ -361,12 +348,3 @@ class GRMM(nn.Module):
             picture = picture.over(background)
         seen = (picture.image, picture.raw, picture.alpha, picture.depth)
         return Rendering(*seen, inputs, mesh, attributes.offsets, gaussians)
-
-
-def face_mask(head: HeadModel) -> Tensor:
-    """M_face of eq. 11: 0 on teeth vertices, 1 elsewhere, [V]."""
-    mask = np.ones(len(head.v_template), np.float32)
-    for name in TEETH_REGIONS:
-        if name in head.regions:
-            mask[head.regions[name]] = 0.0
-    return torch.from_numpy(mask)

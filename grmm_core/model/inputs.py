@@ -8,8 +8,9 @@ Numpy only: a session without torch makes the same inputs and the same cache key
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Generic, TypeAlias
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
     AnyPerson: TypeAlias = "Person | Avatar"
 
+Other = TypeVar("Other")
 _NOTHING = np.zeros(0, np.float32)
 
 
@@ -46,6 +48,11 @@ class ModelInputs(Generic[Array]):
     expression: Array
     pose: Array
     strength: float = 1.0
+
+    def mapped(self, function: Callable[[Array], Other]) -> ModelInputs[Other]:
+        """The same inputs with every array replaced by what a function makes of it."""
+        arrays = (self.z_id, self.z_exp, self.shape, self.expression, self.pose)
+        return ModelInputs(*map(function, arrays), self.strength)
 
     # What each step of the chain depends on, for caches.
 

@@ -14,42 +14,10 @@ from torch import Tensor, nn
 
 from ..splat.types import RasterOutput
 from .config import COLOR_CHANNELS, GRMMConfig
+from .steps import depth_range, normalise_depth, refinement_grid, refinement_margin
 
 SLOPE = 0.2
-COVERED = 0.5  # alpha above which a pixel's depth counts for the normalisation
-_DEPTH_SPAN_MIN = 1e-6  # metres
 _THIN_COVER = 1e-6  # keeps the division by an enlarged alpha defined; where that is 0, so is alpha itself
-
-
-def depth_range(depth: Tensor, alpha: Tensor) -> Tensor:
-    """Smallest and largest depth of covered pixels.
-
-    Args:
-        depth: Expected depth, metres, [H, W].
-        alpha: [H, W].
-
-    Returns:
-        [2] metres; zeros where nothing is covered.
-    """
-    covered = depth[alpha > COVERED]
-    if not covered.numel():
-        return depth.new_zeros(2)
-    return torch.stack(torch.aminmax(covered))
-
-
-def normalise_depth(depth: Tensor, alpha: Tensor, limits: Tensor) -> Tensor:
-    """Min-max normalised depth (paper section 3.3), premultiplied by alpha.
-
-    Args:
-        depth: Metres, [H, W].
-        alpha: [H, W].
-        limits: Smallest and largest depth, metres, [2].
-
-    Returns:
-        0 (near) to 1 (far) times alpha, [H, W].
-    """
-    span = (limits[1] - limits[0]).clamp(min=_DEPTH_SPAN_MIN)
-    return ((depth - limits[0]) / span).clamp(0.0, 1.0) * alpha
 
 
 def halved(picture: Tensor) -> Tensor:
@@ -77,12 +45,8 @@ class RefinementNetwork(nn.Module):
         widths = config.refine_channels
         steps = range(len(widths) - 1)
         self.fold = fold
-        self.multiple = fold << (len(widths) - 1)  # pixels: the network's grid
-        # In cells of the finest level: one each for the first and the last convolution; at each level one of its cells on the
-        # way down, one on the way up and two where nearest enlargement smears the next level; one at the bottom.
-        reach = 2 + sum(4 << level for level in range(len(widths) - 1)) + (1 << (len(widths) - 1))
-        self.margin = -(-reach * fold // self.multiple) * self.multiple
-        """Pixels beyond a pixel that its refined value can depend on, rounded up to the network's grid."""
+        self.multiple = refinement_grid(config)
+        self.margin = refinement_margin(config)
         self.activation = nn.LeakyReLU(SLOPE)
         # Most of the time goes at the finest level: there the many channels of the folded pixels are first mixed without
         # looking at neighbours, as one matrix product, and skips are added rather than concatenated.

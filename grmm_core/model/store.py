@@ -1,64 +1,101 @@
 """Trained models in memory: found by name or by an avatar's reference, loaded once, shared by their avatars.
 
-Called by sessions, fitting and evaluation. Imports torch.
+What a model is made with, a `Loader` says: `torch_loader` for torch, `inference.loader` for numpy and onnxruntime. Called by
+sessions, fitting and evaluation. Needs numpy only.
 """
 
 from __future__ import annotations
 
-import copy
 import functools
 import hashlib
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-import torch
 
 from ..avatar import AssetReference, Avatar
-from ..compute.graphs import Replayed
-from ..errors import BackendError, FileAccessError, FileFormatError
+from ..errors import FileAccessError, FileFormatError
 from ..head import HeadModel, load_open_head, read_head
-from .config import COLOR_CHANNELS, TRANSFORM_CHANNELS
-from .grmm import GRMM
-from .inputs import InputSpace
-from .weights import load_weights
+from ..splat.types import RasterOutput
+from .config import GRMMConfig
+from .inputs import InputSpace, ModelInputs
+from .steps import Geometry, Mesh, Rest
 from .weights_file import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, read_info, resolve_weights, weights_path
 
+AnyModel = TypeVar("AnyModel", bound="Model")
 _log = logging.getLogger(__name__)
 
 
+class Model(Protocol):
+    """What a session asks of a model, whichever library computes it: `grmm.GRMM`, `inference.model.PlainModel`."""
+
+    config: GRMMConfig
+    head_model: HeadModel
+    z_id_size: int
+    z_exp_size: int
+
+    @property
+    def gaussian_count(self) -> int:
+        """Active texels N."""
+        ...
+
+    def input_space(self) -> InputSpace:
+        """What persons and controls are added up in."""
+        ...
+
+    def rest(self, shape: Any) -> Rest[Any]:
+        """The shaped head before expression and pose, for coefficients [S]."""
+        ...
+
+    def mesh(self, inputs: ModelInputs[Any], rest: Rest[Any] | None = None) -> Mesh[Any]:
+        """Posed mesh with the learned displacement, eq. 5-11."""
+        ...
+
+    def geometry(self, vertices: Any, offsets: Any) -> Geometry[Any]:
+        """Place the Gaussians on posed vertices [V, 3] with offsets [N, 10] (eq. 12)."""
+        ...
+
+    def normals(self, vertices: Any) -> Any:
+        """Outward unit normals of the mesh at the Gaussians' texels, [N, 3]."""
+        ...
+
+    def texels(self) -> np.ndarray:
+        """Flat index row * grid + column of each Gaussian's texel, [N]."""
+        ...
+
+    def refine(self, raster: RasterOutput, limits: Any = None, coarse: bool = False) -> Any:
+        """Psi_ref (eq. 14) on a picture that was rasterised over black, [H, W, 3]."""
+        ...
+
+
+Decoder = Callable[..., tuple[Any, ...]]
+DECODERS = ("opacity", "appearance", "offsets", "expression_colors")
+
+
 @dataclass(frozen=True)
-class LoadedModel:
+class LoadedModel(Generic[AnyModel]):
     """A model ready for inference.
 
     Attributes:
         model: In evaluation mode on its device.
         info: What its weights file says.
-        space: What persons and controls are added up in.
+        decoders: The model's methods named in `DECODERS`, as functions to tuples.
         shared: The weights without an avatar's own changes; None where there are none.
-        opacity, appearance, offsets, tint: The model's decoders as functions to tuples of tensors, replayed on a graphics card;
-            the tint is `GRMM.expression_colors`.
+        space: What persons and controls are added up in.
     """
 
-    model: GRMM
+    model: AnyModel
     info: WeightsInfo
-    shared: LoadedModel | None = None
+    decoders: Mapping[str, Decoder]
+    shared: LoadedModel[AnyModel] | None = None
     space: InputSpace = field(init=False, repr=False)
-    opacity: Replayed = field(init=False, repr=False)
-    appearance: Replayed = field(init=False, repr=False)
-    offsets: Replayed = field(init=False, repr=False)
-    tint: Replayed = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        model = self.model
-        object.__setattr__(self, "space", model.input_space())
-        object.__setattr__(self, "opacity", Replayed(lambda z_id: (model.opacity(z_id),)))
-        object.__setattr__(self, "appearance", Replayed(lambda z_id, view: model.appearance(z_id, view)))
-        object.__setattr__(self, "offsets", Replayed(lambda z_id, z_exp: (model.offsets(z_id, z_exp),)))
-        object.__setattr__(self, "tint", Replayed(lambda z_id, z_exp: (model.expression_colors(z_id, z_exp),)))
+        object.__setattr__(self, "space", self.model.input_space())
 
     @functools.cached_property
     def reach(self) -> float:
@@ -68,26 +105,41 @@ class LoadedModel:
         return float(np.sqrt(2.0 * self.info.z_id.var(0, ddof=1).sum()))
 
 
-class ModelStore:
+class Loader(Protocol[AnyModel]):
+    """Makes models of one library."""
+
+    def load(self, path: Path, head: HeadModel | None) -> LoadedModel[AnyModel]:
+        """Read weights; None as the head takes the open one. Raises `FileAccessError`, `FileFormatError`, `BackendError`."""
+        ...
+
+    def with_deltas(self, loaded: LoadedModel[AnyModel], deltas: Mapping[str, np.ndarray], path: Path) -> LoadedModel[AnyModel]:
+        """Return a model with an avatar's changes; what is unchanged is shared. Raises `FileFormatError`."""
+        ...
+
+
+class ModelStore(Generic[AnyModel]):
     """Loads weights on demand and keeps them."""
 
     def __init__(
-        self, weights: str | os.PathLike[str] | None, device: torch.device, head: str | os.PathLike[str] | None = None
+        self,
+        weights: str | os.PathLike[str] | None,
+        loader: Loader[AnyModel],
+        head: str | os.PathLike[str] | None = None,
     ) -> None:
         """Remember which weights are the default; nothing is read yet.
 
         Args:
             weights: Name of installed weights, or a file; None for the embedded ones.
-            device: Where models go.
+            loader: Makes the models.
             head: Head file for weights of another head model than the open one.
         """
         self._default_path = resolve_weights(weights)
         self.embedded = self._default_path == resolve_weights(None)
         self._head_path = None if head is None else Path(head)
-        self._device = device
-        self._models: dict[Path, LoadedModel] = {}
+        self._loader = loader
+        self._models: dict[Path, LoadedModel[AnyModel]] = {}
 
-    def default(self) -> LoadedModel:
+    def default(self) -> LoadedModel[AnyModel]:
         """Return the default weights. Raises `FileAccessError`, `FileFormatError`."""
         if not self._default_path.exists():
             raise FileAccessError(
@@ -95,7 +147,7 @@ class ModelStore:
             )
         return self._load(self._default_path)
 
-    def for_avatar(self, avatar: Avatar, path: Path) -> LoadedModel:
+    def for_avatar(self, avatar: Avatar, path: Path) -> LoadedModel[AnyModel]:
         """Return the model that an avatar was made for, with the avatar's own changes of the weights.
 
         Args:
@@ -119,9 +171,9 @@ class ModelStore:
             raise FileFormatError(f"The codes in {path} do not fit the weights {wanted.name!r}; make the avatar anew.")
         if not avatar.deltas:
             return loaded
-        return LoadedModel(with_deltas(model, avatar.deltas, path), loaded.info, loaded)
+        return self._loader.with_deltas(loaded, avatar.deltas, path)
 
-    def _find(self, wanted: AssetReference) -> LoadedModel | None:
+    def _find(self, wanted: AssetReference) -> LoadedModel[AnyModel] | None:
         """Look for weights by hash: the default ones first, then installed ones of the same name, then all others."""
         own_name = Path(wanted.name).name == wanted.name  # a file may name anything; it must not lead out of the folder
         candidates = [self._default_path, *([weights_path(wanted.name)] if own_name else [])]
@@ -147,65 +199,16 @@ class ModelStore:
             return None
         return read_head(self._head_path)
 
-    def _load(self, path: Path) -> LoadedModel:
+    def _load(self, path: Path) -> LoadedModel[AnyModel]:
         if path not in self._models:
-            model, info = load_weights(path, self._head_of(path))
-            model.requires_grad_(False)
-            try:
-                model.to(self._device)
-            except RuntimeError as error:  # torch's only type for a device that is broken or full
-                reason = first_line(error)
-                raise BackendError(f"The device {self._device} cannot hold the model ({reason}); use cpu.") from error
-            # For the convolutions of a card that has bfloat16 units; not measured on CPUs, whose path stays in float32.
-            model.half_refinement = self._device.type == "cuda" and torch.cuda.is_bf16_supported()
-            self._models[path] = LoadedModel(model, info)
-            _log.info("loaded weights %s (%s), %d Gaussians", info.name, info.sha256[:12], model.gaussian_count)
+            loaded = self._models[path] = self._loader.load(path, self._head_of(path))
+            info, count = loaded.info, loaded.model.gaussian_count
+            _log.info("loaded weights %s (%s), %d Gaussians", info.name, info.sha256[:12], count)
         return self._models[path]
 
 
-def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: str | os.PathLike[str]) -> GRMM:
-    """Return a copy of a model with an avatar's changes added; everything unchanged is shared (eq. 20's result).
-
-    Args:
-        model: Of the weights that the avatar was made with; it is returned itself where there are no changes.
-        deltas: `Avatar.deltas`.
-        path: The avatar's file, for messages.
-
-    Raises:
-        FileFormatError: A parameter is unknown or of another shape.
-    """
-    if not deltas:
-        return model
-    parameters = dict(model.named_parameters())
-    maps = _absent_maps(model)
+def check_deltas(deltas: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]], path: str | os.PathLike[str]) -> None:
+    """Refuse changes of parameters that do not exist or have another shape. Raises `FileFormatError`."""
     for name, delta in deltas.items():
-        shape = tuple(parameters[name].shape) if name in parameters else maps.get(name)
-        if shape != delta.shape:
+        if shapes.get(name) != delta.shape:
             raise FileFormatError(f"{path} changes the parameter {name[:80]!r}, which the weights do not have; make it anew.")
-    memo: dict[int, object] = {id(value): value for name, value in parameters.items() if name not in deltas}
-    memo |= {id(value): value for value in model.buffers()}
-    memo[id(model.head_model)] = model.head_model
-    changed = copy.deepcopy(model, memo)
-    for name in deltas:
-        if name in maps:  # the paper's form has no mean maps; an avatar may still bring its own
-            empty = torch.zeros(maps[name], dtype=model.dtype, device=model.device)
-            setattr(changed.decoders, name.rpartition(".")[2], torch.nn.Parameter(empty, requires_grad=False))
-    with torch.no_grad():
-        for name, value in changed.named_parameters():
-            if name in deltas:
-                value.add_(torch.tensor(deltas[name], dtype=value.dtype, device=value.device))
-    return changed
-
-
-def _absent_maps(model: GRMM) -> dict[str, tuple[int, int]]:
-    """Mean maps that the model's configuration leaves out, by parameter name, with the shapes they would have."""
-    config = model.config
-    widths = {"transform": TRANSFORM_CHANNELS, "opacity": 1, "appearance": COLOR_CHANNELS + config.features}
-    count = model.gaussian_count
-    return {} if config.mean_maps else {f"decoders.{name}_mean": (count, width) for name, width in widths.items()}
-
-
-def first_line(error: BaseException) -> str:
-    """Return the first line of a library's message, without its final full stop."""
-    text = str(error).strip() or type(error).__name__
-    return text.splitlines()[0].rstrip(".")

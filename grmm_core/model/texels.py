@@ -19,6 +19,7 @@ from ..geometry.rotations import multiply_quaternions
 from ..geometry.tensor_rotations import matrix_to_quaternion, rotate, unit
 from .layout import TexelLayout, anchor_tables
 from .sparse import FixedSparse
+from .steps import Geometry
 
 _TINY = 1e-9  # metres per unit of UV; keeps frames of degenerate triangles defined
 
@@ -156,20 +157,6 @@ class _Place(torch.autograd.Function):
         g_corners = torch.zeros(corners.shape)
         scatter(corners, *ctx.layout, g_texels, g_corners.numpy())
         return g_corners, g_offsets, None, None
-
-
-class Geometry(NamedTuple):
-    """Placed Gaussians without opacity and color.
-
-    Attributes:
-        means: [..., N, 3] metres.
-        quats: [..., N, 4] unit wxyz.
-        scales: [..., N, 3] metres.
-    """
-
-    means: Tensor
-    quats: Tensor
-    scales: Tensor
 
 
 def place_gaussians(

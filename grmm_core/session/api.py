@@ -231,6 +231,7 @@ class SessionStatus:
         alive: The model can answer now (a worker that was not started yet, or has crashed, is not alive).
         pid: Process that runs the model, 0 when not alive.
         python: Version of its interpreter.
+        engine: "torch", or "plain" for numpy, numba and onnxruntime; "" when it has not been loaded yet.
         torch: Version of torch there, or "" when it has not been loaded yet.
         device: "cpu", "cuda", "mps" with a readable name.
         threads: Threads the model may use.
@@ -243,6 +244,7 @@ class SessionStatus:
     alive: bool
     pid: int = 0
     python: str = ""
+    engine: str = ""
     torch: str = ""
     device: str = ""
     threads: int = 0

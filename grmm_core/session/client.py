@@ -55,21 +55,23 @@ class WorkerSession:
         threads: int | None = None,
         timeout: float = CALL_TIMEOUT,
         head: str | os.PathLike[str] | None = None,
+        engine: str = "auto",
     ) -> None:
         """Prepare a session; the process starts with the first call or `warm_up`.
 
         Args:
-            python: Executable of an interpreter that has torch.
-            weights: As `LocalSession`.
-            device: As `LocalSession`.
-            threads: As `LocalSession`.
+            python: Executable of an interpreter that has the engine's libraries.
+            weights: As `make_local_session`.
+            device: As `make_local_session`.
+            threads: As `make_local_session`.
             timeout: Seconds that one call may take before the worker counts as hung and is ended.
-            head: As `LocalSession`.
+            head: As `make_local_session`.
+            engine: As `make_local_session`.
         """
         self._python = python
         self._settings = {
             "weights": None if weights is None else os.fspath(weights), "device": device, "threads": threads,
-            "head": None if head is None else os.fspath(Path(head).absolute()),
+            "head": None if head is None else os.fspath(Path(head).absolute()), "engine": engine,
         }  # fmt: skip
         self._timeout = timeout
         self._lock = threading.RLock()

@@ -1,20 +1,21 @@
 """Gaussians from elsewhere (splat files, other projects' avatars) drawn beside the model's avatars.
 
 A cloud has no networks: its color comes from spherical harmonics, it has no features and no normals, and refinement leaves it
-alone. `compose` treats it as one more instance. Called by `local` and `compose`. Imports torch.
+alone. `compose` treats it as one more instance. Called by `local` and `compose`; its arrays are the engine's.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..geometry.camera import Camera
-from ..splat import Gaussians
+from ..geometry.libraries import Array, as_like, library_of, to_numpy, zeros
+from ..splat.types import Gaussians
 from .api import CloudArrays
+from .engines import Engine
 from .harmonics import harmonic_basis
 
 _SEED = 20  # of the order in which a cloud is thinned out; any constant
@@ -37,18 +38,15 @@ class OpenCloud:
     name: str
     version: str
     gaussians: Gaussians
-    harmonics: Tensor
+    harmonics: Any
 
     @staticmethod
-    def make(number: int, name: str, version: str, cloud: CloudArrays, device: torch.device) -> OpenCloud:
-        """Copy a cloud to a device."""
-
-        def tensor(values: np.ndarray) -> Tensor:
-            return torch.tensor(values, dtype=torch.float32, device=device)
-
-        means = tensor(cloud.means)
-        parts = Gaussians(means, tensor(cloud.quats), tensor(cloud.scales), tensor(cloud.opacities), torch.zeros_like(means))
-        return OpenCloud(number, name, version, parts, tensor(cloud.harmonics))
+    def make(number: int, name: str, version: str, cloud: CloudArrays, engine: Engine) -> OpenCloud:
+        """Copy a cloud to where an engine computes."""
+        means = engine.array(cloud.means.copy())
+        parts = [engine.array(part.copy()) for part in (cloud.quats, cloud.scales, cloud.opacities)]
+        gaussians = Gaussians(means, *parts, zeros(cloud.means.shape, means))
+        return OpenCloud(number, name, version, gaussians, engine.array(cloud.harmonics.copy()))
 
     def seen_from(self, camera: Camera, lod: int = 0) -> Gaussians:
         """Return the Gaussians with the colors that a camera sees.
@@ -63,28 +61,28 @@ class OpenCloud:
             scales = own.scales[kept] * (1 << lod)
             own = Gaussians(own.means[kept], own.quats[kept], scales, own.opacities[kept], own.colors[kept])
             harmonics = harmonics[kept]
-        colors = (0.5 + _CONSTANT_TERM * harmonics[:, 0]).clamp(min=0.0)
+        colors = library_of(harmonics).clip(0.5 + _CONSTANT_TERM * harmonics[:, 0], 0.0, None)
         if harmonics.shape[1] > 1:
-            colors = torch.empty_like(own.means)
+            colors = zeros(tuple(own.means.shape), own.means)
             for start in range(0, len(own), _CHUNK):
                 part = slice(start, start + _CHUNK)
                 colors[part] = _shade(own.means[part], harmonics[part], camera)
         return Gaussians(own.means, own.quats, own.scales, own.opacities, colors)
 
-    def _kept(self, lod: int) -> Tensor:
-        order = torch.randperm(len(self.gaussians), generator=torch.Generator().manual_seed(_SEED))
-        count = max(1, len(self.gaussians) >> (2 * lod))
-        return order[:count].sort().values.to(self.gaussians.means.device)
+    def _kept(self, lod: int) -> np.ndarray:
+        order = np.random.default_rng(_SEED).permutation(len(self.gaussians))
+        return np.sort(order[: max(1, len(self.gaussians) >> (2 * lod))])
 
 
-def _shade(means: Tensor, harmonics: Tensor, camera: Camera) -> Tensor:
+def _shade(means: Array, harmonics: Array, camera: Camera) -> Array:
     """Colors [N, 3] of Gaussians as a camera sees them: 0.5 + sum_k basis_k(direction) coefficient_k, not below 0."""
+    places = to_numpy(means)
+    directions = places - camera.position.astype(np.float32)
     if camera.orthographic:
-        directions = means.new_tensor(camera.forward).expand(len(means), 3)
-    else:
-        directions = means - means.new_tensor(camera.position)
-        directions = directions / directions.norm(dim=-1, keepdim=True).clamp(min=1e-12)
+        directions = np.broadcast_to(camera.forward.astype(np.float32), places.shape)
+    directions = directions / np.maximum(np.linalg.norm(directions, axis=-1, keepdims=True), 1e-12)
     degree = round(harmonics.shape[1] ** 0.5) - 1
-    basis = harmonic_basis(directions.cpu().numpy(), degree)  # [N, K]
-    colors = torch.einsum("nk,nkc->nc", torch.as_tensor(basis, dtype=means.dtype, device=means.device), harmonics)
-    return (colors + 0.5).clamp(min=0.0)
+    basis = as_like(harmonic_basis(directions, degree), means)  # [N, K]
+    library = library_of(means)
+    colors: Array = library.clip(library.einsum("nk,nkc->nc", basis, harmonics) + 0.5, 0.0, None)
+    return colors

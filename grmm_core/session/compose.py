@@ -11,27 +11,29 @@ blended in by their coverage: I = I_rgb + sum_g (I_g - I_rgb) c_g / alpha. With 
 
 Networks run on the covered part of the picture only, with a margin as wide as they see, which changes nothing in it.
 
-Called by `local`. Imports torch.
+One text for every engine: its arrays are numpy's or torch's. Called by `local`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from ..errors import CancelledError
 from ..geometry.camera import Camera
+from ..geometry.libraries import Array, as_like, library_of, to_numpy, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
-from ..model.grmm import GRMM, HEAD_CENTRE
-from ..model.refine import RefinementNetwork, depth_range
-from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
-from ..splat import Gaussians, RasterOutput, rasterize
+from ..model.config import GRMMConfig
+from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
+from ..model.store import Model
+from ..pictures.color import MIN_ALPHA
+from ..splat.types import Gaussians, RasterOutput
 from .api import EMPTY_DEPTH, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud
+from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 
 NORMAL_CHANNELS = 3
@@ -47,7 +49,7 @@ class Placed:
     instance: Instance
 
     @property
-    def model(self) -> GRMM | None:
+    def model(self) -> Model | None:
         """The network that the Gaussians come from."""
         return self.target.model if isinstance(self.target, OpenAvatar) else None
 
@@ -72,7 +74,7 @@ class _Channels:
 def compose(
     placed: Sequence[Placed], evaluator: Evaluator, camera: Camera, options: RenderOptions, should_cancel: CancelCheck | None
 ) -> dict[str, np.ndarray]:
-    """Draw instances; see `api.Session.render` for the result. Call under `torch.inference_mode`."""
+    """Draw instances; see `api.Session.render` for the result. Call within `Engine.calling`."""
     check = _canceller(should_cancel)
     if not placed:
         return _empty(camera, options)
@@ -84,14 +86,14 @@ def compose(
         check()
     if len(placed) == 1:
         # In head space as it is: the placement goes into the camera (eq. 2) and no Gaussian is moved.
-        raster = rasterize(parts[0], camera.transformed(placed[0].instance.model_to_world))
+        raster = evaluator.engine.rasterize(parts[0], camera.transformed(placed[0].instance.model_to_world))
     else:
-        raster = rasterize(Gaussians.concatenate(parts), _at_origin(camera))
+        raster = evaluator.engine.rasterize(Gaussians.concatenate(parts), _at_origin(camera))
     check()
     refined = raster.rgb
     if _refines(options):
         refined = _refine(placed, raster, channels, options.coarse, check)
-    return _buffers(placed, raster, refined, channels, options)
+    return _buffers(raster, refined, channels, options, evaluator.engine)
 
 
 def _canceller(should_cancel: CancelCheck | None) -> Callable[[], None]:
@@ -143,7 +145,7 @@ def _gaussians(
     elif own_slice is not None and own_slice == slice(0, channels.count):
         stacked = own.features
     else:
-        stacked = own.means.new_zeros((len(own), channels.count))
+        stacked = zeros((len(own), channels.count), own.means)
         if own_slice is not None:
             stacked[:, own_slice] = own.features
         if channels.normals is not None and isinstance(item.target, OpenAvatar):
@@ -156,16 +158,16 @@ def _gaussians(
     if not single:
         to_camera = camera.world_to_camera @ model_to_world
         size = float(np.cbrt(np.linalg.det(to_camera[:3, :3])))
-        linear = means.new_tensor(to_camera[:3, :3])
-        means = means @ linear.T + means.new_tensor(to_camera[:3, 3])
-        quats = multiply_quaternions(quats.new_tensor(matrix_to_quaternion(to_camera[:3, :3] / size)), quats)
+        linear = as_like(to_camera[:3, :3], means)
+        means = means @ linear.T + as_like(to_camera[:3, 3], means)
+        quats = multiply_quaternions(as_like(matrix_to_quaternion(to_camera[:3, :3] / size), quats), quats)
         scales = scales * size
     return Gaussians(means, quats, scales, own.opacities, own.colors, stacked)
 
 
-def _rotation(model_to_world: np.ndarray, like: Tensor) -> Tensor:
+def _rotation(model_to_world: np.ndarray, like: Array) -> Array:
     linear = model_to_world[:3, :3]
-    return like.new_tensor(linear / np.cbrt(np.linalg.det(linear)))
+    return as_like(linear / np.cbrt(np.linalg.det(linear)), like)
 
 
 def _at_origin(camera: Camera) -> Camera:
@@ -177,22 +179,22 @@ def _at_origin(camera: Camera) -> Camera:
 
 def _refine(
     placed: Sequence[Placed], raster: RasterOutput, channels: _Channels, coarse: bool, check: Callable[[], None]
-) -> Tensor:
+) -> Any:
     """Return the refined colors, premultiplied over black, [H, W, 3]."""
     coverage = None if channels.coverage is None else raster.features[..., channels.coverage]  # [H, W, K]
     limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
     result = raster.rgb
-    models: dict[int, GRMM] = {id(item.model): item.model for item in placed if item.model is not None}
+    models: dict[int, Model] = {id(item.model): item.model for item in placed if item.model is not None}
     mixed = len({id(item.model) for item in placed}) > 1  # several weights, or clouds that no network may touch
     for key, model in models.items():
         check()
-        if model.refinement is None:
+        if not model.config.refine:
             continue
         share = None
         if mixed:
             own = [k for k, item in enumerate(placed) if item.model is model]
             share = coverage[..., own].sum(-1)  # [H, W]
-        region = _covered_region(raster.alpha if share is None else share, model.refinement, coarse)
+        region = _covered_region(raster.alpha if share is None else share, model.config, coarse)
         if region is None:
             continue
         rows, columns = region
@@ -204,35 +206,37 @@ def _refine(
         )
         refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns], coarse)
         if result is raster.rgb:
-            result = raster.rgb.clone()
+            result = raster.rgb + 0.0
         if share is None:
             result[rows, columns] = refined
         else:
-            weight = (share[rows, columns] / part.alpha.clamp(min=_MIN_SHARE)).clamp(max=1.0)
+            clip = library_of(share).clip
+            weight = clip(share[rows, columns] / clip(part.alpha, _MIN_SHARE, None), None, 1.0)
             result[rows, columns] += (refined - part.rgb) * weight[..., None]
     return result
 
 
-def _ranges(raster: RasterOutput, coverage: Tensor) -> Tensor:
+def _ranges(raster: RasterOutput, coverage: Any) -> Any:
     """Return, at each pixel, the depth range of the avatar that covers most of it, [2, H, W]."""
     owner = coverage.argmax(-1)  # [H, W]
-    limits = raster.depth.new_zeros((2, *owner.shape))
+    limits = zeros((2, *owner.shape), raster.depth)
     for k in range(coverage.shape[-1]):
         mine = owner == k
-        limits[:, mine] = depth_range(raster.depth, torch.where(mine, raster.alpha, 0.0))[:, None]
+        limits[:, mine] = depth_range(raster.depth, raster.alpha * mine)[:, None]
     return limits
 
 
-def _covered_region(cover: Tensor, network: RefinementNetwork, coarse: bool = False) -> tuple[slice, slice] | None:
+def _covered_region(cover: Array, config: GRMMConfig, coarse: bool = False) -> tuple[slice, slice] | None:
     """Return rows and columns around everything covered, on the network's grid, with a margin; None when nothing is."""
     scale = 2 if coarse else 1
-    multiple, margin = scale * network.multiple, scale * network.margin
+    multiple, margin = scale * refinement_grid(config), scale * refinement_margin(config)
     bounds = []
     for axis in (1, 0):
-        hit = torch.nonzero(cover.amax(axis) > 0)
+        library = library_of(cover)
+        hit = library.argwhere(library.amax(cover, axis) > 0)
         if not len(hit):
             return None
-        low, high = int(hit[0]), int(hit[-1]) + 1
+        low, high = int(hit[0][0]), int(hit[-1][0]) + 1
         low = max(low - margin, 0) // multiple * multiple
         high = min(-(-(high + margin) // multiple) * multiple, cover.shape[1 - axis])
         bounds.append(slice(low, high))
@@ -240,53 +244,37 @@ def _covered_region(cover: Tensor, network: RefinementNetwork, coarse: bool = Fa
 
 
 def _buffers(
-    placed: Sequence[Placed], raster: RasterOutput, refined: Tensor, channels: _Channels, options: RenderOptions
+    raster: RasterOutput, refined: Any, channels: _Channels, options: RenderOptions, engine: Engine
 ) -> dict[str, np.ndarray]:
     alpha = raster.alpha
-    behind = 0.0
+    behind: Any = 0.0
     if options.background is not None:
-        behind = (1.0 - alpha)[..., None] * alpha.new_tensor(options.background)
-    makers: dict[str, Callable[[], Tensor]] = {
+        behind = (1.0 - alpha)[..., None] * as_like(options.background, alpha)
+    empty = as_like((EMPTY_DEPTH,), alpha)
+    makers: dict[str, Callable[[], Any]] = {
         "rgb": lambda: refined + behind,
-        LINEAR_PASS: lambda: _scene_linear(refined, alpha),
+        LINEAR_PASS: lambda: engine.scene_linear(refined, alpha),
         "alpha": lambda: alpha[..., None],
-        "depth": lambda: torch.where(alpha >= MIN_ALPHA, raster.depth, EMPTY_DEPTH)[..., None],
+        "depth": lambda: library_of(alpha).where(alpha >= MIN_ALPHA, raster.depth, empty)[..., None],
         "raw": lambda: raster.rgb + behind,
         "normal": lambda: _unit_normals(raster.features[..., channels.normals], alpha),
         "features": lambda: _all_features(raster, channels),
         "mask": lambda: alpha[..., None] if channels.coverage is None else raster.features[..., channels.coverage],
     }
-    return {name: _to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
+    return {name: to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
 
 
-def _scene_linear(rgb: Tensor, alpha: Tensor) -> Tensor:
-    """Twin of `color.scene_linear_premultiplied` on all cores: rgb [H, W, 3], alpha [H, W] -> [H, W, 4]."""
-    result = rgb.new_zeros((*alpha.shape, 4))
-    bounds = [torch.nonzero(alpha.amax(axis) >= MIN_ALPHA) for axis in (1, 0)]
-    if not len(bounds[0]):
-        result[..., 3] = alpha.clamp(0.0, 1.0)
-        return result
-    rows, columns = (slice(int(hit[0]), int(hit[-1]) + 1) for hit in bounds)  # outside colors are black
-    cover = alpha.clamp(0.0, 1.0)
-    result[..., 3] = cover
-    cover = cover[rows, columns, None]
-    straight = rgb[rows, columns] * ((cover >= MIN_ALPHA) / cover.clamp(min=MIN_ALPHA))
-    straight.clamp_(0.0, 1.0)
-    curve = straight.add(SRGB_OFFSET).mul_(1.0 / (1.0 + SRGB_OFFSET)).pow_(SRGB_GAMMA)
-    toe = straight <= SRGB_TOE * SRGB_TOE_SLOPE
-    torch.mul(torch.where(toe, straight.div_(SRGB_TOE_SLOPE), curve), cover, out=result[rows, columns, :3])
-    return result
+def _unit_normals(summed: Array, alpha: Array) -> Array:
+    library = library_of(summed)
+    length = (summed * summed).sum(-1)[..., None] ** 0.5
+    seen = (alpha[..., None] >= MIN_ALPHA) & (length > 0)
+    return library.where(seen, summed / library.clip(length, 1e-12, None), zeros((1,), summed))
 
 
-def _unit_normals(summed: Tensor, alpha: Tensor) -> Tensor:
-    length = summed.norm(dim=-1, keepdim=True)
-    return torch.where((alpha[..., None] >= MIN_ALPHA) & (length > 0), summed / length.clamp(min=1e-12), 0.0)
-
-
-def _all_features(raster: RasterOutput, channels: _Channels) -> Tensor:
+def _all_features(raster: RasterOutput, channels: _Channels) -> Any:
     """Return the features of all models, added up where their numbers differ (they cover different pixels)."""
     width = max((part.stop - part.start for part in channels.features.values()), default=0)
-    total = raster.alpha.new_zeros((*raster.alpha.shape, width))
+    total = zeros((*raster.alpha.shape, width), raster.alpha)
     for part in channels.features.values():
         total[..., : part.stop - part.start] += raster.features[..., part]
     return total
@@ -302,7 +290,3 @@ def _empty(camera: Camera, options: RenderOptions) -> dict[str, np.ndarray]:
         elif name in ("rgb", "raw") and options.background is not None:
             buffer[:] = options.background
     return buffers
-
-
-def _to_numpy(tensor: Tensor) -> np.ndarray:
-    return np.ascontiguousarray(tensor.float().cpu().numpy())

@@ -1,6 +1,6 @@
 """`LocalSession`: the session interface, carried out in this process.
 
-Used directly by the command line and scripts, and inside the worker process by `worker`. Importing this module imports torch.
+Used directly by the command line and scripts, and inside the worker process by `worker`. What it computes with is its engine.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ import threading
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
-from typing import Concatenate, ParamSpec, Self, TypeVar
+from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
-import torch
 
 from ..avatar import Avatar, load_avatar, save_avatar
 from ..avatar.library import DEFAULT_NAME, library_path
-from ..compute.devices import choose_device, describe_device, limit_rasteriser_threads, one_thread
 from ..compute.memory import resident_memory
 from ..controls.frame import Controls
 from ..errors import SessionError, ShapeError
 from ..geometry.camera import Camera
-from ..geometry.rotations import euler_to_matrix
-from ..head.skinning import joint_transforms
+from ..geometry.libraries import to_numpy
+from ..head.skinning import euler_matrices, joint_transforms
 from ..model.people import default_avatar, sampled_avatar
-from ..model.portrait import thumbnail
-from ..model.store import LoadedModel, ModelStore
+from ..model.portrait import THUMBNAIL_PIXELS, portrait_camera
+from ..model.store import LoadedModel
+from ..pictures.color import straight_rgba
+from ..pictures.images import encode_png, quantize
 from .api import (
     MAX_LOD,
     AvatarInfo,
@@ -44,6 +44,7 @@ from .api import (
 )
 from .clouds import OpenCloud
 from .compose import Placed, compose
+from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .sources import SourceKey, source_key
 
@@ -58,24 +59,17 @@ R = TypeVar("R")
 def _guarded(
     method: Callable[Concatenate[LocalSession, P], R],
 ) -> Callable[Concatenate[LocalSession, P], R]:
-    """Let one call through at a time, without gradients, and turn an exhausted memory into one sentence."""
+    """Let one call through at a time, and turn an exhausted memory into one sentence."""
 
     @functools.wraps(method)
     def call(self: LocalSession, *args: P.args, **kwargs: P.kwargs) -> R:
-        with self._lock, torch.inference_mode():
+        with self._lock:
             if self._closed:
                 raise SessionError("The session is closed; open a new one.")
-            if self._threads is not None:
-                torch.set_num_threads(self._threads)  # a setting of the calling thread
             try:
-                return method(self, *args, **kwargs)
-            except (MemoryError, torch.OutOfMemoryError) as error:
-                self.evaluator.cache.clear()
-                raise SessionError("The model ran out of memory; choose a smaller size or a higher level of detail.") from error
-            except RuntimeError as error:
-                # Torch reports a failed allocation on the CPU as a plain RuntimeError.
-                if "alloc" not in str(error):
-                    raise
+                with self.engine.calling():
+                    return method(self, *args, **kwargs)
+            except MemoryError as error:
                 self.evaluator.cache.clear()
                 raise SessionError("The model ran out of memory; choose a smaller size or a higher level of detail.") from error
 
@@ -85,38 +79,19 @@ def _guarded(
 class LocalSession:
     """Opens and draws avatars in this process. See `api.Session` for the methods.
 
+    Args:
+        engine: What computes; weights are read by the first call or `warm_up`.
+        cache_bytes: Limit of what is kept between calls (see `evaluator`).
+
     Attributes:
         evaluator: Computes meshes and Gaussians; its cache is the session's.
     """
 
-    def __init__(
-        self,
-        weights: str | os.PathLike[str] | None = None,
-        device: str = "auto",
-        threads: int | None = None,
-        cache_bytes: int = CACHE_BYTES,
-        head: str | os.PathLike[str] | None = None,
-    ) -> None:
-        """Prepare a session; weights are read by the first call or `warm_up`.
-
-        Args:
-            weights: Name of installed weights, or a file, for "default" and `sample`; None for the embedded ones.
-            device: "auto", "cpu", "cuda" or "mps".
-            threads: CPU threads; None leaves it to the libraries.
-            cache_bytes: Limit of what is kept between calls (see `evaluator`).
-            head: Head file (the user's FLAME model) for weights that were trained on another head than the open one.
-
-        Raises:
-            BackendError: The device is not there.
-        """
+    def __init__(self, engine: Engine, cache_bytes: int = CACHE_BYTES) -> None:
         self._lock = threading.RLock()
         self._closed = False
-        self._device = choose_device(device)
-        self._threads = threads
-        if threads is not None:
-            limit_rasteriser_threads(threads)
-        self._store = ModelStore(weights, self._device, head)
-        self.evaluator = Evaluator(cache_bytes)
+        self.engine = engine
+        self.evaluator = Evaluator(engine, cache_bytes)
         self._avatars: dict[int, OpenAvatar] = {}
         self._infos: dict[int, AvatarInfo] = {}
         self._clouds: dict[int, OpenCloud] = {}
@@ -136,7 +111,9 @@ class LocalSession:
     def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
         """See `Session.save`."""
         target = self.target(avatar_id)
-        save_avatar(target.avatar.with_thumbnail(thumbnail(target.model, target.avatar)), path)
+        buffers = self.render([Instance(avatar_id)], portrait_camera(THUMBNAIL_PIXELS))
+        png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))
+        save_avatar(target.avatar.with_thumbnail(png), path)
 
     @_guarded
     def release(self, avatar_id: int) -> None:
@@ -154,7 +131,7 @@ class LocalSession:
             self._next_id += 1
         number = self._next_id if known is None else known.id
         if known is None or known.version != version:
-            self._clouds[number] = OpenCloud.make(number, name, version, cloud, self._device)
+            self._clouds[number] = OpenCloud.make(number, name, version, cloud, self.engine)
         return number
 
     @_guarded
@@ -162,9 +139,9 @@ class LocalSession:
         """See `Session.deform`."""
         target = self.target(avatar_id)
         inputs = self.evaluator.inputs(target, controls)
-        with one_thread():
+        with self.engine.one_thread():
             mesh = self.evaluator.mesh(target, inputs)
-        return Deformation(_array(mesh.vertices), _array(mesh.displacement), _joints(target, inputs))
+        return Deformation(to_numpy(mesh.vertices), to_numpy(mesh.displacement), _joints(target, inputs))
 
     @_guarded
     def gaussians(
@@ -179,9 +156,9 @@ class LocalSession:
             raise ShapeError("The view direction must be a unit vector of three numbers.")
         inputs = self.evaluator.inputs(target, controls)
         found = self.evaluator.gaussians(target, inputs, direction, lod)
-        extra = _array(found.features) if features else np.zeros((len(found), 0), np.float32)
+        extra = to_numpy(found.features) if features else np.zeros((len(found), 0), np.float32)
         return GaussianArrays(
-            *(_array(part) for part in (found.means, found.quats, found.scales, found.opacities, found.colors)), extra
+            *(to_numpy(part) for part in (found.means, found.quats, found.scales, found.opacities, found.colors)), extra
         )
 
     @_guarded
@@ -216,9 +193,10 @@ class LocalSession:
             alive=not self._closed,
             pid=os.getpid(),
             python=platform.python_version(),
-            torch=torch.__version__,
-            device=describe_device(self._device),
-            threads=self._threads or torch.get_num_threads(),
+            engine=self.engine.name,
+            torch=self.engine.torch,
+            device=self.engine.device,
+            threads=self.engine.threads,
             memory_bytes=resident_memory(),
         )
 
@@ -244,8 +222,8 @@ class LocalSession:
         path = self._file_of(key)
         if path is not None:
             avatar = load_avatar(path)
-            return self._add(avatar, self._store.for_avatar(avatar, path), key)
-        loaded = self._store.default()
+            return self._add(avatar, self.engine.store.for_avatar(avatar, path), key)
+        loaded = self.engine.store.default()
         size = loaded.model.z_exp_size
         made = sampled_avatar(loaded.info, size, int(key.name)) if key.kind == "sample" else default_avatar(loaded.info, size)
         return self._add(made, loaded, key)
@@ -257,9 +235,9 @@ class LocalSession:
         if key.kind == "library":
             return library_path(key.name)
         # weights of the user's own have a default person of their own
-        return library_path(DEFAULT_NAME) if key.kind == "default" and self._store.embedded else None
+        return library_path(DEFAULT_NAME) if key.kind == "default" and self.engine.store.embedded else None
 
-    def _add(self, avatar: Avatar, loaded: LoadedModel, key: SourceKey) -> AvatarInfo:
+    def _add(self, avatar: Avatar, loaded: LoadedModel[Any], key: SourceKey) -> AvatarInfo:
         self._next_id += 1
         target = OpenAvatar(self._next_id, avatar, loaded, key)
         # Reject an avatar that does not fit before it gets an id.
@@ -300,9 +278,5 @@ def _joints(target: OpenAvatar, inputs: Inputs) -> np.ndarray:
     """Return posed joint positions, [5, 3]."""
     head = target.model.head_model
     rest = np.asarray(head.joints(inputs.shape), np.float32)
-    transforms = joint_transforms(euler_to_matrix(inputs.pose), rest, head.parents)  # [5, 3, 4]
+    transforms = joint_transforms(euler_matrices(inputs.pose), rest, head.parents)  # [5, 3, 4]
     return ((transforms[..., :3] @ rest[..., None])[..., 0] + transforms[..., 3]).astype(np.float32)
-
-
-def _array(tensor: torch.Tensor) -> np.ndarray:
-    return np.array(tensor.float().cpu().numpy(), np.float32)

@@ -8,6 +8,7 @@ name with this package's parent folder on its path, so that it works under whate
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import logging
 import os
 import queue
@@ -32,6 +33,7 @@ CANCEL_POLL = 0.03  # seconds between two questions to `should_cancel`
 LOG_LINES = 200
 PROTOCOL = 1
 WORKER_MODULE = "grmm_core.session.worker"
+LIBRARIES = ("numpy", "numba", "onnxruntime")
 _PARENTS_PYTHON = ("PYTHONHOME", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "__PYVENV_LAUNCHER__")
 
 _log = logging.getLogger(__name__)
@@ -54,7 +56,7 @@ class WorkerProcess:
 
         Args:
             python: Its executable.
-            settings: Arguments of `LocalSession` there, as JSON values.
+            settings: Arguments of `make_local_session` there, as JSON values.
 
         Raises:
             SessionError: It cannot be started or does not answer; the message says which Python and why.
@@ -229,15 +231,28 @@ class WorkerProcess:
                 _log.debug("worker %d: %s", self.pid, text)
 
 
-def core_environment() -> dict[str, str]:
-    """Environment in which another Python imports this very package; start it in `core_folder`.
+def core_environment(python: str) -> dict[str, str]:
+    """Environment in which a Python imports this very package; start it in `core_folder`.
 
-    A parent of another Python version must not lend the child its libraries.
+    A parent of another Python version must not lend the child its libraries. Its own Python gets them: Blender keeps those
+    of extensions in a folder that only a running Blender has on its path.
     """
     environment = {k: v for k, v in os.environ.items() if k not in _PARENTS_PYTHON}
+    folders = [str(core_folder()), *(_library_folders() if Path(python).resolve() == Path(sys.executable).resolve() else [])]
     return environment | {
-        "PYTHONPATH": str(core_folder()), "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONNOUSERSITE": "1",
+        "PYTHONPATH": os.pathsep.join(folders), "PYTHONUTF8": "1", "PYTHONUNBUFFERED": "1", "PYTHONNOUSERSITE": "1",
     }  # fmt: skip
+
+
+def _library_folders() -> list[str]:
+    """Folders from which this Python takes the libraries of inference."""
+    folders = []
+    for name in LIBRARIES:
+        with contextlib.suppress(ImportError):  # a finder may refuse a name
+            spec = importlib.util.find_spec(name)
+            if spec is not None and spec.origin is not None:
+                folders.append(str(Path(spec.origin).parents[1]))
+    return list(dict.fromkeys(folders))
 
 
 def core_folder() -> Path:
@@ -256,7 +271,7 @@ def _launch(python: str, arena: SharedArena) -> subprocess.Popen[bytes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=core_environment(),
+        env=core_environment(python),
         cwd=core_folder(),
         **options,
     )

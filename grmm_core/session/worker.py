@@ -18,6 +18,7 @@ import traceback
 from typing import Any, BinaryIO
 
 from ..errors import GrmmError, RuntimeMissingError, SessionError
+from . import make_local_session
 from .arena import SharedArena
 from .codec import receive, send, unpack
 from .process import PROTOCOL
@@ -85,9 +86,7 @@ def main() -> None:
 def _make_session(settings: dict[str, Any]) -> tuple[Any, GrmmError | None]:
     """Return the session, or why there is none: that is the answer to every call."""
     try:
-        from .local import LocalSession
-
-        return LocalSession(**settings), None
+        return make_local_session(**settings), None
     except ModuleNotFoundError as error:
         missing = (error.name or "a module").partition(".")[0]
         return None, RuntimeMissingError(

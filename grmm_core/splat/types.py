@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..errors import ShapeError
+from ..geometry.libraries import library_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -82,15 +83,14 @@ class Gaussians:
         Raises:
             ShapeError: No parts, or only some of them carry features.
         """
-        import torch
-
         if not parts:
             raise ShapeError("At least one set of Gaussians is needed to join them.")
         if len({None if part.features is None else part.features.shape[1] for part in parts}) > 1:
             raise ShapeError("Gaussians with different numbers of features cannot be drawn together.")
-        joined = {f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Gaussians) if f.name != "features"}
+        join = library_of(parts[0].means).concatenate
+        joined = {f.name: join([getattr(p, f.name) for p in parts]) for f in fields(Gaussians) if f.name != "features"}
         if parts[0].features is not None:
-            joined["features"] = torch.cat([part.features for part in parts if part.features is not None])
+            joined["features"] = join([part.features for part in parts if part.features is not None])
         return Gaussians(**joined)
 
 

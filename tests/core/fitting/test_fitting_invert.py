@@ -30,7 +30,7 @@ from grmm_core.jobs.stages import FIT
 from grmm_core.model.config import BASIS_COLOR
 from grmm_core.model.config import PRESETS as MODEL_PRESETS
 from grmm_core.model.grmm import GRMM
-from grmm_core.model.store import with_deltas
+from grmm_core.model.torch_loader import with_deltas
 from grmm_core.model.weights_file import WeightsInfo
 
 SIZE = 96

@@ -8,7 +8,8 @@ from model_fixtures import randomise, small_head
 
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM
-from grmm_core.model.refine import RefinementNetwork, depth_range, normalise_depth
+from grmm_core.model.refine import RefinementNetwork
+from grmm_core.model.steps import depth_range, normalise_depth
 from grmm_core.splat import RasterOutput
 
 

@@ -8,7 +8,7 @@ import torch
 from model_fixtures import RADIUS, inputs, randomise, small_head
 
 from grmm_core.errors import ShapeError
-from grmm_core.geometry.rotations import multiply_quaternions, quaternion_to_matrix
+from grmm_core.geometry.rotations import multiply_quaternions
 from grmm_core.geometry.tensor_rotations import matrix_to_quaternion, rotate
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM
@@ -18,6 +18,7 @@ from grmm_core.model.texels import (
     TexelAnchor,
     place_gaussians,
 )
+from grmm_core.splat.reference import rotation_matrices
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +70,7 @@ def test_frames_of_a_plane_are_exact():
     normal = np.cross(along, across)
     normal /= np.linalg.norm(normal)
     tangent = along / np.linalg.norm(along)
-    turned = quaternion_to_matrix(frames.quats).numpy()
+    turned = rotation_matrices(frames.quats).numpy()
     axes = np.stack([tangent, np.cross(normal, tangent), normal], -1)
     np.testing.assert_allclose(turned, np.broadcast_to(axes, turned.shape), atol=1e-6)
     height = np.linalg.norm(np.cross(tangent, across))
@@ -99,8 +100,8 @@ def test_gaussians_turn_with_the_mesh(model):
     count = model.gaussian_count
     torch.testing.assert_close(after.means, rotate(turn.expand(count, 4), before.means), atol=1e-8, rtol=0)
     torch.testing.assert_close(after.scales, before.scales, atol=1e-8, rtol=0)
-    expected = quaternion_to_matrix(multiply_quaternions(turn.expand(count, 4), before.quats))
-    torch.testing.assert_close(quaternion_to_matrix(after.quats), expected, atol=1e-6, rtol=0)
+    expected = rotation_matrices(multiply_quaternions(turn.expand(count, 4), before.quats))
+    torch.testing.assert_close(rotation_matrices(after.quats), expected, atol=1e-6, rtol=0)
 
 
 def test_zero_offsets_leave_gaussians_on_the_surface(model):
@@ -141,8 +142,8 @@ def test_quaternions_of_random_rotations():
     generator = torch.Generator().manual_seed(3)
     quats = torch.randn(500, 4, generator=generator, dtype=torch.float64)
     quats = torch.cat([quats, torch.eye(4, dtype=torch.float64)])  # half turns, where one-formula conversions fail
-    matrices = quaternion_to_matrix(quats)
-    torch.testing.assert_close(quaternion_to_matrix(matrix_to_quaternion(matrices)), matrices, atol=1e-12, rtol=0)
+    matrices = rotation_matrices(quats)
+    torch.testing.assert_close(rotation_matrices(matrix_to_quaternion(matrices)), matrices, atol=1e-12, rtol=0)
 
 
 def test_fixed_sparse_is_the_dense_product_and_its_gradient():

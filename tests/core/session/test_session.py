@@ -40,7 +40,19 @@ def worker(weights):
         yield session
 
 
-@pytest.fixture(scope="module", params=["local", "worker"])
+@pytest.fixture(scope="module")
+def plain(weights):
+    with create_session("local", weights=weights, device="cpu", threads=1, engine="plain") as session:
+        yield session
+
+
+@pytest.fixture(scope="module")
+def plain_worker(weights):
+    with create_session("worker", weights=weights, device="cpu", threads=1, engine="plain") as session:
+        yield session
+
+
+@pytest.fixture(scope="module", params=["local", "worker", "plain", "plain_worker"])
 def session(request):
     return request.getfixturevalue(request.param)
 
@@ -407,7 +419,8 @@ def test_status_tells_what_runs_the_model(session, avatar):
     assert status.alive
     assert status.device == "cpu"
     assert status.threads == 1
-    assert status.torch
+    assert status.engine in ("torch", "plain")
+    assert bool(status.torch) == (status.engine == "torch")
     assert status.pid > 0
     assert (status.pid == os.getpid()) == (status.kind == "local")
 

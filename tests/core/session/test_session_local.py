@@ -36,8 +36,8 @@ def test_refining_the_covered_part_changes_nothing(local, monkeypatch):
     regions = []
     original = compose._covered_region
 
-    def whole(cover, network, coarse):
-        regions.append(original(cover, network, coarse))
+    def whole(cover, config, coarse):
+        regions.append(original(cover, config, coarse))
         return slice(0, cover.shape[0]), slice(0, cover.shape[1])
 
     monkeypatch.setattr(compose, "_covered_region", whole)
@@ -63,7 +63,7 @@ def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
     rgb, features = torch.rand(230, 310, 3) * alpha[..., None], torch.rand(230, 310, config.features) * alpha[..., None]
     with torch.no_grad():
         whole = network(rgb, features, alpha, alpha)
-        rows, columns = _covered_region(alpha, network)
+        rows, columns = _covered_region(alpha, config)
         part = network(rgb[rows, columns], features[rows, columns], alpha[rows, columns], alpha[rows, columns])
     assert part.numel() < whole.numel()
     np.testing.assert_allclose(part, whole[rows, columns], atol=1e-5)
@@ -99,8 +99,9 @@ def test_only_what_changed_is_computed(local, monkeypatch):
 
 def test_the_cache_stays_within_its_limit(weights, local):
     from grmm_core.session.local import LocalSession
+    from grmm_core.session.torch_engine import TorchEngine
 
-    with LocalSession(weights, "cpu", cache_bytes=300_000) as small:
+    with LocalSession(TorchEngine(weights, "cpu"), cache_bytes=300_000) as small:
         for step in range(12):
             controls = Controls().set_named({"jawOpen": step / 12})
             camera = Camera.orbit(SIZE, SIZE, yaw=5.0 * step)
@@ -125,14 +126,15 @@ def test_plain_and_residual_free_configurations_work(tmp_path):
         assert all_passes(session, pair)["mask"].shape[-1] == 2
 
 
-def test_create_session_asks_for_torch_where_there_is_none(monkeypatch):
+def test_create_session_asks_for_libraries_where_there_are_none(monkeypatch):
     from grmm_core import session as package
 
     monkeypatch.setattr(package, "has_torch", lambda: False)
+    monkeypatch.setattr(package, "PLAIN_LIBRARIES", ("no_such_library",))
     monkeypatch.delenv(package.WORKER_PYTHON_VARIABLE, raising=False)
     with pytest.raises(RuntimeMissingError, match="choose a Python that has it"):
         create_session()
-    with pytest.raises(RuntimeMissingError, match="not installed in this Python"):
+    with pytest.raises(RuntimeMissingError, match="needs torch, or no_such_library, which this Python does not have"):
         create_session("local")
     with pytest.raises(ConfigError, match="no session mode 'remote'"):
         create_session("remote")

@@ -8,7 +8,7 @@ import torch
 from model_fixtures import SHAPES, TEETH, ColoredSpheres, small_head
 
 from grmm_core.errors import ConfigError, FileFormatError
-from grmm_core.model.store import with_deltas
+from grmm_core.model.torch_loader import with_deltas
 from grmm_core.model.weights import load_weights
 from grmm_core.training.config import train_config
 from grmm_core.training.personal import APPEARANCE, OWN_MAPS, flesh_tones

@@ -1,0 +1,110 @@
+"""Compiled loops of the model that are neither convolutions nor the rasteriser; importing this module loads numba.
+
+Twins of the torch code in `model`: `CompressedRows` products of `model.sparse`, packed basis maps of `model.packing`, the UV
+corners of `model.texels`. All arrays are contiguous; sizes as in the argument lists.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from ..compute.kernels import compiled
+from ..model.packing import BLOCK
+
+_OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
+_ONE, _TWO = np.float32(1.0), np.float32(2.0)
+_TINY = np.float32(1e-9)  # metres per unit of UV; keeps frames of degenerate triangles defined
+_TINY_NORM = np.float32(1e-20)
+
+
+@compiled(parallel=True, **_OPTIONS)
+def add_product(starts: np.ndarray, columns: np.ndarray, values: np.ndarray, x: np.ndarray, out: np.ndarray) -> None:
+    """Add A x [R, C] to `out`, for a sparse matrix A by rows and x [K, C]."""
+    for row in numba.prange(len(out)):
+        for entry in range(starts[row], starts[row + 1]):
+            value, source = values[entry], columns[entry]
+            for channel in range(x.shape[1]):
+                out[row, channel] += value * x[source, channel]
+
+
+@compiled(parallel=True, **_OPTIONS)
+def add_packed_maps(weights: np.ndarray, whole: np.ndarray, scales: np.ndarray, out: np.ndarray) -> None:
+    """Add the weighted sum of packed rows to `out` [M]: weights [K], whole numbers [K, M] int8, scales [K, B] float32."""
+    for block in numba.prange(scales.shape[1]):
+        first = block * BLOCK
+        last = min(first + BLOCK, len(out))
+        for k in range(len(weights)):
+            factor = weights[k] * scales[k, block]
+            for m in range(first, last):
+                out[m] += factor * np.float32(whole[k, m])
+
+
+@compiled(parallel=True, **_OPTIONS)
+def add_maps(weights: np.ndarray, maps: np.ndarray, out: np.ndarray) -> None:
+    """Add the weighted sum of rows to `out` [M]: weights [K], maps [K, M]."""
+    for block in numba.prange((len(out) + BLOCK - 1) // BLOCK):
+        first = block * BLOCK
+        last = min(first + BLOCK, len(out))
+        for k in range(len(weights)):
+            for m in range(first, last):
+                out[m] += weights[k] * maps[k, m]
+
+
+@compiled(parallel=True, **_OPTIONS)
+def uv_corners(
+    starts: np.ndarray, columns: np.ndarray, values: np.ndarray, vertices: np.ndarray, corner_vertex: np.ndarray,
+    outward: np.ndarray, out: np.ndarray,
+) -> None:  # fmt: skip
+    """Position, |dP/du|, |dP/dv| across it, and quaternion wxyz of the tangent frame at the UV corners.
+
+    Args:
+        starts: Of the rows of the Jacobian [2 T, V]: dP/du, then dP/dv.
+        columns: Of its entries.
+        values: Of its entries.
+        vertices: [V, 3] metres.
+        corner_vertex: [T].
+        outward: 1 or -1, [T].
+        out: Written, [T, 9].
+    """
+    count = len(corner_vertex)
+    for t in numba.prange(count):
+        ux, uy, uz = _TINY, np.float32(0.0), np.float32(0.0)
+        for entry in range(starts[t], starts[t + 1]):
+            value, v = values[entry], columns[entry]
+            ux += value * vertices[v, 0]
+            uy += value * vertices[v, 1]
+            uz += value * vertices[v, 2]
+        vx, vy, vz = np.float32(0.0), _TINY, np.float32(0.0)
+        for entry in range(starts[count + t], starts[count + t + 1]):
+            value, v = values[entry], columns[entry]
+            vx += value * vertices[v, 0]
+            vy += value * vertices[v, 1]
+            vz += value * vertices[v, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        inverse = outward[t] / math.sqrt(max(nx * nx + ny * ny + nz * nz, _TINY_NORM))
+        nx, ny, nz = nx * inverse, ny * inverse, nz * inverse
+        width = math.sqrt(ux * ux + uy * uy + uz * uz)
+        inverse = _ONE / max(width, np.float32(1e-10))
+        tx, ty, tz = ux * inverse, uy * inverse, uz * inverse
+        bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+        for k in range(3):
+            out[t, k] = vertices[corner_vertex[t], k]
+        out[t, 3] = width
+        out[t, 4] = abs(vx * bx + vy * by + vz * bz)
+        # rows of 4 q q^T are linear in the matrix [tangent, bitangent, normal]; the one with the largest diagonal is q
+        ww, xx, yy, zz = _ONE + tx + by + nz, _ONE + tx - by - nz, _ONE - tx + by - nz, _ONE - tx - by + nz
+        wx, wy, wz = bz - ny, nx - tz, ty - bx
+        xy, xz, yz = ty + bx, nx + tz, bz + ny
+        if ww >= xx and ww >= yy and ww >= zz:
+            a, b, c, d = ww, wx, wy, wz
+        elif xx >= yy and xx >= zz:
+            a, b, c, d = wx, xx, xy, xz
+        elif yy >= zz:
+            a, b, c, d = wy, xy, yy, yz
+        else:
+            a, b, c, d = wz, xz, yz, zz
+        inverse = _ONE / math.sqrt(max(a * a + b * b + c * c + d * d, _TINY_NORM))
+        out[t, 5], out[t, 6], out[t, 7], out[t, 8] = a * inverse, b * inverse, c * inverse, d * inverse

@@ -1,0 +1,64 @@
+"""The engine without torch: numpy, numba and onnxruntime, on the CPU. What stock Blender draws with."""
+
+from __future__ import annotations
+
+import os
+from contextlib import AbstractContextManager, nullcontext
+
+import numpy as np
+
+from ..compute.devices import limit_rasteriser_threads
+from ..errors import BackendError
+from ..geometry.camera import Camera
+from ..inference.loader import PlainLoader
+from ..inference.model import PlainModel
+from ..model.store import ModelStore
+from ..pictures.color import scene_linear_premultiplied
+from ..splat.api import rasterize_arrays
+from ..splat.types import GaussianArrays, Gaussians, RasterOutput
+
+
+class PlainEngine:
+    """See `Engine`; arguments and errors as for `TorchEngine`, with the device "auto" or "cpu"."""
+
+    name = "plain"
+    torch = ""
+    device = "cpu"
+
+    def __init__(
+        self,
+        weights: str | os.PathLike[str] | None,
+        device: str = "auto",
+        threads: int | None = None,
+        head: str | os.PathLike[str] | None = None,
+    ) -> None:
+        if device not in ("auto", "cpu"):
+            raise BackendError(f"The device {device!r} needs torch; install the runtime with torch, or use auto or cpu.")
+        if threads is not None:
+            limit_rasteriser_threads(threads)
+        self.threads = threads or os.cpu_count() or 1
+        self.store: ModelStore[PlainModel] = ModelStore(weights, PlainLoader(threads), head)
+
+    def calling(self) -> AbstractContextManager[None]:
+        """See `Engine.calling`."""
+        return nullcontext()
+
+    def one_thread(self) -> AbstractContextManager[None]:
+        """See `Engine.one_thread`."""
+        return nullcontext()
+
+    def array(self, values: np.ndarray) -> np.ndarray:
+        """See `Engine.array`."""
+        return np.ascontiguousarray(values, np.float32)
+
+    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput:
+        """See `Engine.rasterize`."""
+        own = gaussians
+        features = np.zeros((len(own), 0), np.float32) if own.features is None else own.features
+        parts = (own.means, own.quats, own.scales, own.opacities, own.colors, features)
+        drawn = rasterize_arrays(GaussianArrays(*map(np.asarray, parts)), camera)
+        return RasterOutput(drawn.rgb, drawn.alpha, drawn.depth, drawn.features)
+
+    def scene_linear(self, rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+        """See `Engine.scene_linear`."""
+        return scene_linear_premultiplied(rgb, alpha[..., None])

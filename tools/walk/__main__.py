@@ -1,0 +1,29 @@
+"""`python -m tools.walk ZIP --output FOLDER [--root FOLDER]`: walk with a built extension, print what went wrong."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from .blender import WalkedBlender
+from .steps import walk
+
+
+def main() -> int:
+    """Command line entry."""
+    parser = argparse.ArgumentParser(description="Walk through a real Blender with a window, with a built extension.")
+    parser.add_argument("extension", type=Path, help="zip of the extension")
+    parser.add_argument("--output", type=Path, default=Path("out/walk"), help="folder for pictures and the console's text")
+    parser.add_argument("--root", type=Path, help="folder of another system, with Blender, Xvfb, openbox and xdotool (chroot)")
+    arguments = parser.parse_args()
+    with WalkedBlender(arguments.output, arguments.root) as blender:
+        problems = walk(blender, arguments.extension)
+    for problem in problems:
+        print(problem)
+    print(f"{arguments.output} has the pictures; {len(problems)} problems")
+    return 1 if problems else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

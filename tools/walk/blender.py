@@ -1,0 +1,183 @@
+"""A Blender with a window on a virtual screen, driven from outside.
+
+Needs Xvfb, openbox, xdotool and ImageMagick's `import` beside Blender, in this system or, with `root`, in a folder that holds
+another one (chroot): `WalkedBlender(output, root=Path("/opt/sid"))`. Keys go by keycode, because a key by its name arrives
+with modifiers on some layouts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Self
+
+KEYCODES = {"F3": 69, "F12": 96, "Escape": 9, "Return": 36, "space": 65, "Tab": 23, "Delete": 119, "ctrl": 37, "shift": 50}
+KEYCODES |= {"alt": 64, "a": 38, "g": 42, "n": 57, "z": 52, "s": 39, "r": 27, "x": 53, "0": 90, "1": 87, "5": 84, "period": 91}
+DISPLAY = ":77"
+SIZE = (1600, 1000)
+START_SECONDS = 120.0
+
+
+class WalkError(Exception):
+    """Blender did not start, or a snippet failed."""
+
+
+class WalkedBlender:
+    """Blender in a window of the virtual screen, until the `with` block ends.
+
+    Args:
+        output: Folder for pictures and the console's text.
+        root: Folder of another system in which everything runs, or None for this one.
+        home: User folder of Blender, kept between walks where given; else one that starts empty.
+    """
+
+    def __init__(self, output: Path, root: Path | None = None, home: Path | None = None) -> None:
+        self.output = output
+        self._root = root
+        shared = (root or Path("/")) / "tmp"
+        self.shared = Path(tempfile.mkdtemp(prefix="grmm-walk-", dir=shared))
+        self._home = home
+        self._processes: list[subprocess.Popen[bytes]] = []
+        self._count = 0
+        self._pictures = 0
+
+    def inner(self, path: Path) -> str:
+        """Return a path below `shared` as Blender sees it."""
+        return "/" + str(path.relative_to(self._root or Path("/")))
+
+    def __enter__(self) -> Self:
+        self.output.mkdir(parents=True, exist_ok=True)
+        shutil.copy(Path(__file__).with_name("inside.py"), self.shared / "inside.py")
+        snippets = self.shared / "snippets"
+        snippets.mkdir()
+        width, height = SIZE
+        self._start(["Xvfb", DISPLAY, "-screen", "0", f"{width}x{height}x24", "+extension", "GLX"])
+        time.sleep(1.0)
+        self._start(["openbox"])
+        begin = [
+            "blender",
+            "--window-geometry",
+            "0",
+            "0",
+            str(width),
+            str(height),
+            "--python",
+            self.inner(self.shared / "inside.py"),
+        ]
+        self._start([*begin, "--", self.inner(snippets)])
+        self.run("result = bpy.app.version_string", START_SECONDS)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in reversed(self._processes):
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGTERM)
+        for process in self._processes:
+            try:
+                process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+        shutil.copy(self.shared / "console.txt", self.output / "console.txt")
+        shutil.rmtree(self.shared, ignore_errors=True)
+
+    @property
+    def console(self) -> str:
+        """What Blender has written to its console."""
+        return (self.shared / "console.txt").read_text("utf-8", errors="replace")
+
+    def run(self, snippet: str, timeout: float = 60.0) -> Any:
+        """Run Python inside the live window and return its `result`. Raises `WalkError` with its traceback."""
+        self._count += 1
+        path = self.shared / "snippets" / f"{self._count:05d}.py"
+        path.with_suffix(".part").write_text(snippet, "utf-8")
+        path.with_suffix(".part").rename(path)
+        answer = path.with_suffix(".json")
+        deadline = time.monotonic() + timeout
+        while not answer.exists():
+            if time.monotonic() > deadline or self._processes[-1].poll() is not None:
+                raise WalkError(f"Blender did not answer:\n{snippet}\n{self.console[-2000:]}")
+            time.sleep(0.05)
+        found = json.loads(answer.read_text("utf-8"))
+        if "error" in found:
+            raise WalkError(f"{snippet}\n{found['error']}")
+        return found["result"]
+
+    def key(self, *names: str) -> None:
+        """Press keys together, the last one with the others held: `key("ctrl", "z")`."""
+        codes = [str(KEYCODES[name]) for name in names]
+        held, last = codes[:-1], codes[-1]
+        steps = [part for code in held for part in ("keydown", code)] + ["key", last]
+        steps += [part for code in reversed(held) for part in ("keyup", code)]
+        self._command(["xdotool", *steps])
+        time.sleep(0.3)
+
+    def type(self, text: str) -> None:
+        """Type text."""
+        self._command(["xdotool", "type", "--delay", "30", text])
+        time.sleep(0.3)
+
+    def move(self, x: int, y: int) -> None:
+        """Move the mouse to pixels from the upper left corner of the screen."""
+        self._command(["xdotool", "mousemove", str(x), str(y)])
+        time.sleep(0.2)
+
+    def click(self, x: int, y: int, button: int = 1) -> None:
+        """Click there."""
+        self.move(x, y)
+        self._command(["xdotool", "click", str(button)])
+        time.sleep(0.3)
+
+    def drag(self, x: int, y: int, to_x: int, to_y: int, button: int = 1) -> None:
+        """Drag with the mouse from one place to another."""
+        self.move(x, y)
+        self._command(["xdotool", "mousedown", str(button)])
+        for step in range(1, 9):
+            self.move(x + (to_x - x) * step // 8, y + (to_y - y) * step // 8)
+        self._command(["xdotool", "mouseup", str(button)])
+
+    def picture(self, title: str, wait: float = 1.5) -> Path:
+        """Wait for Blender to draw and save the screen as a numbered PNG."""
+        time.sleep(wait)
+        self._pictures += 1
+        path = self.output / f"{self._pictures:02d}_{title}.png"
+        inside = self.shared / "shot.png"
+        self._command(["import", "-silent", "-window", "root", self.inner(inside)])
+        shutil.copy(inside, path)
+        return path
+
+    def bring(self, path: Path, name: str) -> Path:
+        """Copy a file to where Blender can read it."""
+        return Path(shutil.copy(path, self.shared / name))
+
+    def keep(self, path: Path, title: str) -> None:
+        """Copy a file that Blender wrote beside the pictures."""
+        self._pictures += 1
+        shutil.copy(path, self.output / f"{self._pictures:02d}_{title}{path.suffix}")
+
+    def _environment(self) -> dict[str, str]:
+        home = self.inner(self.shared / "home") if self._home is None else str(self._home)
+        (self.shared / "home").mkdir(exist_ok=True)
+        return {
+            "PATH": "/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME": home, "DISPLAY": DISPLAY,
+            "LIBGL_ALWAYS_SOFTWARE": "1", "LANG": "C.UTF-8", "OMP_WAIT_POLICY": "PASSIVE",
+        }  # fmt: skip
+
+    def _inside(self, command: list[str]) -> list[str]:
+        return command if self._root is None else ["chroot", str(self._root), *command]
+
+    def _start(self, command: list[str]) -> None:
+        with (self.shared / "console.txt").open("ab") as console:
+            self._processes.append(
+                subprocess.Popen(
+                    self._inside(command), env=self._environment(), stdout=console, stderr=console, start_new_session=True
+                )
+            )
+
+    def _command(self, command: list[str]) -> None:
+        subprocess.run(self._inside(command), env=self._environment(), check=True, timeout=60.0)

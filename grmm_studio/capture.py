@@ -279,7 +279,7 @@ class _Worker:
             views.append(self._view(index, number, i, name, camera))
         shot = Shot(
             self._subject.name, number, plan.kind, controls.aligned, controls.expression, controls.pose, tuple(views),
-            self.folder, light=light.to_json(),
+            self.folder, self._studio.displacement, light.to_json(),
         )  # fmt: skip
         write_shot(self.folder, shot, pictures)
         return shot_record(self.folder, shot.subject, number).with_name(views[0].image)

@@ -159,11 +159,11 @@ class Lashes:
 
     def points(self, vertices: np.ndarray) -> np.ndarray:
         """World positions on a posed head [V, 3] -> [N, K, 3]."""
-        rigid = _rigid(self.rest, vertices[np.concatenate(list(self.seams.values()))])
-        turn = _between(self.direction @ rigid, self._directions(vertices))
-        offsets = self.offsets @ rigid @ turn.transpose(0, 2, 1)
+        whole = rigid(self.rest, vertices[np.concatenate(list(self.seams.values()))])
+        turn = _between(self.direction @ whole, self._directions(vertices))
+        offsets = self.offsets @ whole @ turn.transpose(0, 2, 1)
         roots = self._roots(vertices)
-        upwards = np.array([0.0, 1.0, 0.0]) @ rigid
+        upwards = np.array([0.0, 1.0, 0.0]) @ whole
         shift, shut = self._to_seam(vertices, roots, upwards)
         length = np.linalg.norm(self.offsets[:, -1], axis=1)
         along = np.linspace(0, 1, self.offsets.shape[1]) ** 1.5
@@ -211,7 +211,7 @@ class Lashes:
         return shift, shut
 
 
-def _rigid(rest: np.ndarray, posed: np.ndarray) -> np.ndarray:
+def rigid(rest: np.ndarray, posed: np.ndarray) -> np.ndarray:
     """Rotation [3, 3] that takes rows of points `rest` [M, 3] best to `posed`, by multiplication from the right."""
     u, _, v = np.linalg.svd((rest - rest.mean(0)).T @ (posed - posed.mean(0)))
     proper = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))])

@@ -21,6 +21,7 @@ from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
 from grmm_core.head import HeadModel
 
 from . import fields
+from .flesh import Flesh
 from .grooming import make_groom
 from .lamps import Lamps, look_at
 from .lights import RIG, Light
@@ -99,6 +100,7 @@ class Studio:
         if prepared is None:
             prepared = self._prepared[subject.name] = self._prepare(subject)
         self._neutral, self.groom = prepared.neutral, prepared.groom
+        self._flesh = Flesh(subject, self.head, self._neutral)
         self._add_mesh(subject, prepared.textures)
         brow = tuple(0.62 * c + 0.38 * d for c, d in zip(subject.hair_color, hair_albedo(0.8, 0, 0), strict=True))
         looks = {
@@ -116,7 +118,7 @@ class Studio:
         )
 
     def set_shot(self, expression: np.ndarray, pose: np.ndarray, light: Light = RIG) -> np.ndarray:
-        """Pose the person; returns the vertices [V, 3] in head space.
+        """Pose the person; returns the vertices [V, 3] in head space. `displacement` is what they have beyond the mesh model.
 
         Args:
             expression: Head-model coefficients, [E].
@@ -124,7 +126,9 @@ class Studio:
             light: Of the shot.
         """
         subject = self._subject
-        posed = np.asarray(self.head.vertices(subject.shape, expression, pose), float)
+        model = np.asarray(self.head.vertices(subject.shape, expression, pose), float)
+        self.displacement = self._flesh.displacement(model, self.mesh.normals(model), expression, pose)
+        posed = model + self.displacement
         fine = self.mesh.refine(posed)
         mesh = self._objects[0].data
         mesh.vertices.foreach_set("co", to_blender(fine).astype(np.float32).ravel())

@@ -43,7 +43,7 @@ class FakeStudio:
         FakeStudio.built += 1
 
     def set_subject(self, subject):
-        self.person, self.groom = subject, None
+        self.person, self.groom, self.displacement = subject, None, np.zeros((7, 3), np.float32)
 
     def set_shot(self, expression, pose, light):
         self.seed = zlib.crc32(self.person.name.encode() + expression.tobytes() + pose.tobytes())

@@ -8,7 +8,6 @@ expression stays 1; coefficients and angles lose n.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar
 
 import bpy
 import numpy as np
@@ -36,7 +35,6 @@ class GRMM_OT_calibrate_neutral(Edit, bpy.types.Operator):
         "Make the face of the present frame, or the mean of chosen frames, the neutral one: expressions and rotations become "
         "relative to it, in the whole animation"
     )
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     source: bpy.props.EnumProperty(
         name="Neutral",

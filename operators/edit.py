@@ -54,7 +54,9 @@ class Edit:
 
 
 class DrawsAnother:
-    """Mixin of operators with a `seed`: chosen from a menu or by a button they draw something new each time."""
+    """Mixin of operators that draw at random: from a menu or by a button something new each time."""
+
+    seed: bpy.props.IntProperty(name="Seed", description="Equal numbers draw the same", default=1, min=0)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Take another seed, unless one is given."""
@@ -174,7 +176,6 @@ class GRMM_OT_random_expression(DrawsAnother, Edit, bpy.types.Operator):
     bl_label = "Random Expression"
     bl_description = "Give the active avatar a random expression, or one region of it"
 
-    seed: bpy.props.IntProperty(name="Seed", description="Number of the expression", default=1, min=0)
     amount: bpy.props.FloatProperty(
         name="Amount", description="Largest weight of an expression", default=0.7, min=0.0, max=1.0, subtype="FACTOR"
     )
@@ -211,7 +212,6 @@ class GRMM_OT_random_identity(DrawsAnother, Edit, bpy.types.Operator):
         "runtime"
     )
 
-    seed: bpy.props.IntProperty(name="Seed", description="Number of the person", default=1, min=0)
     amount: bpy.props.FloatProperty(
         name="Amount",
         description="0 is the avatar itself, 1 the random person",

@@ -66,7 +66,7 @@ def option_values(operator: bpy.types.Operator, found: Format, which: OptionsOf)
 def _property(option: Option) -> Any:
     common = {"name": option.label, "description": option.description}
     if option.choices:
-        items = tuple((str(value), label, "") for value, label in option.choices)
+        items = tuple((str(value), label, f"{option.label} {label}") for value, label in option.choices)
         return bpy.props.EnumProperty(items=items, default=str(option.default), **common)
     kinds = {bool: bpy.props.BoolProperty, int: bpy.props.IntProperty, float: bpy.props.FloatProperty}
     return kinds.get(type(option.default), bpy.props.StringProperty)(default=option.default, **common)

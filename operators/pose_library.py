@@ -9,11 +9,11 @@ import bpy
 
 from ..grmm_blender import poses, session_host
 from ..grmm_blender.portraits import portrait, with_expression
-from ..grmm_blender.rig.custom_properties import property_path
 from ..grmm_blender.scene.cameras import face_camera
 from ..grmm_core.controls.table import EXPRESSIONS
 from ..grmm_core.errors import FileAccessError, GrmmError
 from .common import Result, active_avatar, needs_avatar, reports_errors
+from .edit import Edit
 from .steps import Step, SteppedOperator, Steps
 
 
@@ -53,16 +53,14 @@ class GRMM_OT_create_pose_library(SteppedOperator, bpy.types.Operator):
         return f"The pose library has {len(EXPRESSIONS)} poses{_write_catalogues()}"
 
 
-class GRMM_OT_save_pose(bpy.types.Operator):
+class GRMM_OT_save_pose(Edit, bpy.types.Operator):
     """Save the active avatar's expression as a pose asset."""
 
     bl_idname = "grmm.save_pose"
     bl_label = "Save Expression as Pose"
     bl_description = "Save the active avatar's present expression as a pose asset of this file"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     name: bpy.props.StringProperty(name="Name", description="Name of the pose", default="Expression", maxlen=60)
-    poll = classmethod(needs_avatar)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Ask for the name."""
@@ -98,13 +96,12 @@ def _pose_items(_self: bpy.types.Operator, _context: bpy.types.Context | None) -
     return _items
 
 
-class GRMM_OT_apply_pose(bpy.types.Operator):
+class GRMM_OT_apply_pose(Edit, bpy.types.Operator):
     """Apply a pose asset to the active avatar."""
 
     bl_idname = "grmm.apply_pose"
     bl_label = "Apply Pose"
     bl_description = "Apply an expression of the pose library to the active avatar"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
     bl_property = "pose"
 
     pose: bpy.props.EnumProperty(
@@ -121,7 +118,6 @@ class GRMM_OT_apply_pose(bpy.types.Operator):
         name="Add", description="Add the pose to the present expression instead of replacing it", default=False
     )
     flip: bpy.props.BoolProperty(name="Flip", description="Exchange the sides of the pose", default=False)
-    poll = classmethod(needs_avatar)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Search for a pose, unless one was clicked."""
@@ -148,11 +144,7 @@ class GRMM_OT_apply_pose(bpy.types.Operator):
         names = poses.apply_values(avatar, values, self.amount, self.add)
         if not names:
             raise GrmmError("The pose sets nothing on this avatar; choose an expression pose.")
-        avatar.tag_edited()
-        if context.scene.tool_settings.use_keyframe_insert_auto:
-            for name in names:
-                avatar.object.keyframe_insert(property_path(name))
-        return {"FINISHED"}
+        return self.finish(context, avatar, names)
 
     def _values(self, context: bpy.types.Context) -> poses.Values:
         asset = getattr(context, "asset", None)

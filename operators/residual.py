@@ -94,7 +94,6 @@ class GRMM_OT_random_detail(DrawsAnother, _CodeEdit, bpy.types.Operator):
     bl_label = "Random Detail"
     bl_description = "Draw the active avatar's residual expression at random, spread as in the trained expressions"
 
-    seed: bpy.props.IntProperty(name="Seed", description="Number of the detail", default=1, min=0)
     amount: bpy.props.FloatProperty(
         name="Amount", description="1 is as strong as trained expressions are", default=1.0, min=0.0, soft_max=2.0, max=4.0
     )

@@ -9,7 +9,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ...grmm_core.avatar import load_avatar
-from ...grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
+from ...grmm_core.controls.names import EXPRESSION_NAMES, JOINT_NAMES
 from ...grmm_core.controls.table import EXPRESSION, Z_EXP
 from ...grmm_core.errors import ConfigError
 from ...grmm_core.fitting.result import photo_controls
@@ -71,8 +71,8 @@ def set_photo_expression(avatar: Avatar, index: int = 0) -> None:
     stored, head = load_avatar(avatar.source), load_open_head()
     if stored.head.name != head.name:
         raise ConfigError(f"{avatar.name} has the head model {stored.head.name!r}; only the open head's sliders can be set.")
-    controls, target = photo_controls(stored, head, index), avatar.object
-    for name, value in zip(ALIGNED_NAMES, controls.aligned, strict=True):
+    controls, target = photo_controls(stored, head, index).validate(), avatar.object
+    for name, value in zip(EXPRESSION_NAMES, controls.aligned, strict=True):
         target[name] = float(value)
     for name in (EXPRESSION, Z_EXP):
         values = np.zeros(len(target[name]), np.float32)

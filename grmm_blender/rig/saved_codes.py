@@ -8,6 +8,7 @@ Must not import `avatar`.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -22,12 +23,14 @@ CODES = (Z_ID, Z_EXP)
 SLOTS = ("a", "b")
 
 
+@functools.cache
 def slot_control(name: str, slot: str) -> Control:
     """Property that holds a saved state of the code `name`; `slot` is "a" or "b"."""
     code = CONTROLS[name]
     return replace(code, name=f"{name}_{slot}", description=f"{code.description}: saved as {slot.upper()}")
 
 
+@functools.cache
 def blend_control(name: str) -> Control:
     """Property that blends the saved states of the code `name`."""
     description = "From the saved code A at 0 to the saved code B at 1; values beyond exaggerate"

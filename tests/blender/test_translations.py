@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 from pathlib import Path
 
@@ -12,23 +13,17 @@ from blender_process import RunBlender
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def _table() -> dict[str, tuple[str, ...]]:
-    """Read the messages from the source: the module needs bpy."""
-    source = (ROOT / "grmm_blender" / "translations.py").read_text("utf-8")
-    for node in ast.parse(source).body:
-        if isinstance(node, ast.AnnAssign) and node.target.id == "MESSAGES":
-            return ast.literal_eval(node.value)
-    raise AssertionError("translations.py has no MESSAGES")
+def _table() -> dict[str, list[str]]:
+    return json.loads((ROOT / "grmm_blender" / "translations.json").read_text("utf-8"))["messages"]
 
 
 def _strings() -> set[str]:
-    """Every string of the user interface's source but the table's own."""
+    """Every string of the user interface's source."""
     found: set[str] = set()
     for folder in ("grmm_blender", "operators", "grmm_core/controls"):
         for path in (ROOT / folder).rglob("*.py"):
-            if path.name != "translations.py":
-                constants = (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Constant))
-                found |= {node.value for node in constants if isinstance(node.value, str)}
+            constants = (node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.Constant))
+            found |= {node.value for node in constants if isinstance(node.value, str)}
     return found
 
 

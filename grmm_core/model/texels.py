@@ -118,7 +118,7 @@ class TexelAnchor(nn.Module):
         if not compiled:
             return place_gaussians(self(vertices), offsets, *settings)
         limits = (position_unit, position_limit, scale_log_limit or 0.0, texel_scale / self.grid, normal_scale / self.grid)
-        packed = np.array(limits, np.float32)
+        packed = tuple(map(np.float32, limits))
         layout = (self.texel_corners.numpy(), self.barycentric.numpy())
         corners = self.corners(vertices)
         if corners.ndim == 2 == offsets.ndim:
@@ -133,7 +133,7 @@ class _Place(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any, corners: Tensor, offsets: Tensor, layout: tuple[np.ndarray, np.ndarray], settings: np.ndarray
+        ctx: Any, corners: Tensor, offsets: Tensor, layout: tuple[np.ndarray, np.ndarray], settings: tuple[np.float32, ...]
     ) -> tuple[Tensor, Tensor, Tensor]:
         from .placing import place_forward
 
@@ -149,7 +149,7 @@ class _Place(torch.autograd.Function):
         from .placing import place_backward, scatter
 
         corners, offsets = (saved.numpy() for saved in ctx.saved_tensors)
-        g_offsets, g_texels = torch.empty((len(offsets), 10)), np.empty((len(offsets), 9), np.float32)
+        g_offsets, g_texels = torch.empty((len(offsets), 10)), np.empty((len(offsets), corners.shape[1]), np.float32)
         given = (gradient.contiguous().numpy() for gradient in gradients)
         place_backward(corners, *ctx.layout, offsets, ctx.settings, *given, g_offsets.numpy(), g_texels)
         if not ctx.needs_input_grad[0]:

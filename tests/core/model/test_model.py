@@ -19,18 +19,6 @@ from grmm_core.model.decoders import MapDecoder
 from grmm_core.model.grmm import GRMM
 from grmm_core.model.inputs import ModelInputs
 
-
-@pytest.fixture(scope="module")
-def head():
-    return small_head()
-
-
-@pytest.fixture
-def model(head):
-    torch.manual_seed(0)
-    return GRMM(head, PRESETS["tiny"])
-
-
 # --- configuration ---------------------------------------------------------------------------------------------------
 
 

@@ -4,24 +4,12 @@ from __future__ import annotations
 
 import pytest
 import torch
-from model_fixtures import randomise, small_head
+from model_fixtures import randomise
 
 from grmm_core.model.config import PRESETS
-from grmm_core.model.grmm import GRMM
 from grmm_core.model.refine import RefinementNetwork
 from grmm_core.model.steps import depth_range, normalise_depth
 from grmm_core.splat import RasterOutput
-
-
-@pytest.fixture(scope="module")
-def head():
-    return small_head()
-
-
-@pytest.fixture
-def model(head):
-    torch.manual_seed(0)
-    return GRMM(head, PRESETS["tiny"])
 
 
 @pytest.mark.parametrize("size", [(16, 16), (17, 23), (3, 5)])

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from model_fixtures import RADIUS, inputs, randomise, small_head
+from model_fixtures import RADIUS, inputs, randomise
+from without_torch import run_without_torch
 
 from grmm_core.errors import ShapeError
 from grmm_core.geometry.rotations import multiply_quaternions
 from grmm_core.geometry.tensor_rotations import matrix_to_quaternion, rotate
-from grmm_core.model.config import PRESETS
-from grmm_core.model.grmm import GRMM
 from grmm_core.model.layout import map_reader, texel_layout
 from grmm_core.model.sparse import FixedSparse
 from grmm_core.model.texels import (
@@ -19,17 +18,6 @@ from grmm_core.model.texels import (
     place_gaussians,
 )
 from grmm_core.splat.reference import rotation_matrices
-
-
-@pytest.fixture(scope="module")
-def head():
-    return small_head()
-
-
-@pytest.fixture
-def model(head):
-    torch.manual_seed(0)
-    return GRMM(head, PRESETS["tiny"])
 
 
 def test_texel_positions_match_their_uv(head):
@@ -136,6 +124,27 @@ def test_compiled_placing_is_the_plain_one_with_its_gradients(model):
         for name, fast, plain in zip(("means", "quats", "scales", "vertices", "offsets"), *results, strict=True):
             tolerance = 2e-4 * float(plain.abs().max())
             torch.testing.assert_close(fast, plain, rtol=2e-4, atol=tolerance, msg=lambda m, n=name: n + m)
+
+
+def test_gaussians_are_placed_where_torch_is_missing(model, tmp_path):
+    vertices = torch.from_numpy(model.head_model.v_template.copy())
+    offsets = 0.3 * torch.randn(len(model.anchor.barycentric), 10, generator=torch.Generator().manual_seed(11))
+    inputs = model.anchor.corners(vertices), model.anchor.texel_corners, model.anchor.barycentric, offsets
+    np.savez(tmp_path / "inputs.npz", *(tensor.numpy() for tensor in inputs))
+    script = """
+        import numpy as np
+        from grmm_core.model.placing import place_forward
+        inputs = np.load("inputs.npz")
+        arrays = [inputs[name] for name in inputs.files]
+        placed = [np.empty((len(arrays[-1]), size), np.float32) for size in (3, 4, 3)]
+        place_forward(*arrays, tuple(map(np.float32, (0.01, 0.2, 1.6, 0.6 / GRID, 0.35 / GRID))), *placed)
+        np.savez("placed.npz", *placed)
+    """
+    run_without_torch(script.replace("GRID", str(model.anchor.grid)), tmp_path)
+    expected = place_gaussians(model.anchor(vertices), offsets, 0.01, 0.2, 1.6, 0.6, 0.35)
+    with np.load(tmp_path / "placed.npz") as placed:
+        for name, wanted in zip(placed.files, expected, strict=True):
+            np.testing.assert_allclose(placed[name], wanted, rtol=2e-4, atol=2e-4 * float(wanted.abs().max()))
 
 
 def test_quaternions_of_random_rotations():

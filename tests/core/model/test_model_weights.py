@@ -17,17 +17,6 @@ from grmm_core.model.weights import load_weights, save_weights
 from grmm_core.model.weights_file import WeightsInfo, head_fingerprint, read_info
 
 
-@pytest.fixture(scope="module")
-def head():
-    return small_head()
-
-
-@pytest.fixture
-def model(head):
-    torch.manual_seed(0)
-    return GRMM(head, PRESETS["tiny"])
-
-
 @pytest.fixture
 def info(model):
     rng = np.random.default_rng(0)

@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import subprocess
-import sys
-import textwrap
 import threading
-from pathlib import Path
 
 import numba
 import numpy as np
@@ -16,13 +11,12 @@ import pytest
 import torch
 from splat_scenes import NAMES, OUTPUTS, leaves_of, orbit, pulled, scene
 from tolerances import SPLAT_PICTURE
+from without_torch import run_without_torch
 
 from grmm_core.errors import BackendError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.splat import GaussianArrays, Gaussians, rasterize, rasterize_arrays
 from grmm_core.splat.cpu import jit, threads
-
-ROOT = Path(__file__).parents[3]
 
 
 def test_the_picture_does_not_depend_on_gradients_threads_or_layout(monkeypatch):
@@ -216,8 +210,6 @@ def test_arrays_are_drawn_where_torch_is_missing(tmp_path):
     many, camera = scene(300, seed=35), orbit(64, 48)
     np.savez(tmp_path / "scene.npz", **{name: getattr(many, name).numpy() for name in NAMES})
     script = """
-        import sys
-        sys.modules["torch"] = None
         import numpy as np
         from grmm_core.geometry.camera import Camera
         from grmm_core.splat import GaussianArrays, rasterize_arrays
@@ -227,8 +219,7 @@ def test_arrays_are_drawn_where_torch_is_missing(tmp_path):
         part = rasterize_arrays(scene, camera.crop(19, 7, 30, 35), antialiased=True, frame=camera)
         np.savez("pictures.npz", **whole._asdict(), **{f"part_{name}": array for name, array in part._asdict().items()})
     """
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    subprocess.run([sys.executable, "-c", textwrap.dedent(script)], cwd=tmp_path, env=environment, check=True, timeout=300)
+    run_without_torch(script, tmp_path)
     expected = rasterize(many, camera, (0.2, 0.5, 0.7), backend="torch")
     expected_part = rasterize(many, camera.crop(19, 7, 30, 35), backend="torch", antialiased=True, frame=camera)
     with np.load(tmp_path / "pictures.npz") as pictures:

@@ -19,7 +19,8 @@ from ..grmm_core.controls.frame import Controls
 from ..grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from ..grmm_core.controls.table import CONTROLS, EXPRESSION
 from ..grmm_core.errors import ConfigError, FileFormatError, GrmmError
-from ..grmm_core.performance import CleanOptions, Performance, Progress, clean, to_arkit
+from ..grmm_core.jobs.progress import Share, nobody, within
+from ..grmm_core.performance import CleanOptions, Performance, clean, to_arkit
 from ..grmm_core.performance.closures import LipModel, keep_lips_closed, lip_model
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
 from . import session_host
@@ -115,7 +116,7 @@ class Channel:
         return "" if self.bone else self.path.split('"')[1]
 
 
-def prepare(performance: Performance, options: ImportOptions, progress: Progress | None = None) -> Performance:
+def prepare(performance: Performance, options: ImportOptions, progress: Share | None = None) -> Performance:
     """Clean a recording as the options say; at the scene's rate, unless every sample gets a key. Raises `ShapeError`."""
     gains = {name: gain for name, gain in {"all": options.gain, **options.region_gains}.items() if gain != 1.0}
     wanted = CleanOptions(
@@ -177,7 +178,7 @@ def parse_frames(text: str) -> tuple[int, ...]:
     return tuple(frames)
 
 
-def for_head(performance: Performance, flame_head: bool, flame: HeadModel | None, progress: Progress | None) -> Performance:
+def for_head(performance: Performance, flame_head: bool, flame: HeadModel | None, progress: Share | None) -> Performance:
     """Return a performance that a head can play: FLAME's coefficients become ARKit weights for any other head.
 
     Args:
@@ -234,7 +235,7 @@ def _property_channel(name: str, index: int, values: np.ndarray) -> Channel:
 
 
 def apply_performance(
-    avatar: Avatar | Puppet, performance: Performance, options: ImportOptions, name: str, progress: Progress | None = None
+    avatar: Avatar | Puppet, performance: Performance, options: ImportOptions, name: str, progress: Share | None = None
 ) -> ImportedRange:
     """Write a performance as keys; keys of the same curves at other times stay.
 
@@ -249,8 +250,8 @@ def apply_performance(
         FileFormatError, ShapeError: See `channels_of` and `prepare`.
         ConfigError: The performance would end behind Blender's last frame.
     """
-    report = progress or (lambda fraction: None)
-    prepared = prepare(performance, options, lambda fraction: report(_PREPARED * fraction))
+    report = progress or nobody
+    prepared = prepare(performance, options, within(report, 0.0, _PREPARED))
     if options.close_lips and isinstance(avatar, Avatar):
         prepared = closed_lips(avatar, prepared, performance, options)
     channels = channels_of(prepared, options, flame_head=avatar.object.grmm.head_name.startswith("flame"))
@@ -271,8 +272,7 @@ def apply_performance(
     if options.keys == "REDUCED":
         errors = np.array([options.angle_error if channel.bone else options.max_error for channel, _ in placed])
         values = np.stack([channel.values for channel, _ in placed], 1)
-        share = _REDUCED - _PREPARED
-        curves = reduce_curves(seconds, values, errors, progress=lambda fraction: report(_PREPARED + share * fraction))
+        curves = reduce_curves(seconds, values, errors, progress=within(report, _PREPARED, _REDUCED))
     count = 0
     for k, (channel, bag) in enumerate(placed):
         curve = find_curve(bag, channel.path, channel.index, channel.group)

@@ -13,7 +13,8 @@ from ..grmm_core.errors import FileAccessError
 from ..grmm_core.files.format import options_of_formats
 from ..grmm_core.formats import format_to_read, formats
 from ..grmm_core.head import load_flame
-from ..grmm_core.performance import REGIONS, Progress
+from ..grmm_core.jobs.progress import within
+from ..grmm_core.performance import REGIONS
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
 from .common import Result, active_performer, flame_path, needs_performer, reports_errors
 from .file_formats import dropped_suffixes, listed, option_mixin, option_values, read_filter
@@ -218,19 +219,19 @@ class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bp
         """Read, retarget, clean and key; `show` is told how many hundredths are done."""
         performer = active_performer(context)
 
-        def part(start: float, end: float) -> Progress:
-            return lambda done: show(int(_HUNDRED * (start + (end - start) * done)))
+        def whole(share: float, message: str = "") -> None:
+            show(int(_HUNDRED * share))
 
         found = format_to_read(path, "performance")
         chosen = option_values(self, found, "reading")
-        performance = found.read(path, fps=self.fps or None, progress=part(0.0, _READ), **chosen)
+        performance = found.read(path, fps=self.fps or None, progress=within(whole, 0.0, _READ), **chosen)
         on_flame = performer.object.grmm.head_name.startswith("flame")
         flame = None
         if performance.expression is not None and not on_flame:
             named = flame_path(self.flame_file)
             flame = load_flame(named) if named else None
-        performance = for_head(performance, on_flame, flame, part(_READ, _RETARGETED))
-        return apply_performance(performer, performance, self._options(context), path.stem, part(_RETARGETED, 1.0))
+        performance = for_head(performance, on_flame, flame, within(whole, _READ, _RETARGETED))
+        return apply_performance(performer, performance, self._options(context), path.stem, within(whole, _RETARGETED, 1.0))
 
     def _options(self, context: bpy.types.Context) -> ImportOptions:
         render = context.scene.render

@@ -165,12 +165,12 @@ class _Progress:
     def __init__(self, engine: bpy.types.RenderEngine, start: float = 0.0, length: float = 1.0) -> None:
         self._engine, self._start, self._length = engine, start, length
 
-    def __call__(self, fraction: float, text: str) -> None:
-        self._engine.update_progress(self._start + self._length * fraction)
-        used = session_host.memory_megabytes() if fraction == pipeline.DRAWN else 0.0
+    def __call__(self, share: float, message: str = "") -> None:
+        self._engine.update_progress(self._start + self._length * share)
+        used = session_host.memory_megabytes() if share == pipeline.DRAWN else 0.0
         if used:
             self._engine.update_memory_stats(memory_used=used, memory_peak=used)
-        self._engine.update_stats("", f"GRMM: {text}")
+        self._engine.update_stats("", f"GRMM: {message}")
 
     def part(self, start: float, length: float) -> _Progress:
         """Return the progress of a part of this part."""

@@ -5,20 +5,19 @@ Shared by final renders and the viewport. Touches none of Blender's data, so tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...grmm_core.errors import CancelledError, FileAccessError, GrmmError
+from ...grmm_core.jobs.progress import Share, nobody
 from ...grmm_core.session import CancelCheck, Instance, RenderOptions
 from .. import session_host
 from ..rig.avatar import missing_file
 from ..scene.shot import AvatarShot, Frame, Region
 from . import passes, picture
 from .occlusion import OccluderDepths, Visibility
-
-Progress = Callable[[float, str], None]
 
 OPENED, DRAWN = 0.1, 0.8  # of the progress: when the session begins and has ended
 
@@ -44,7 +43,7 @@ def frame_values(
     items: list[passes.RenderPass],
     region: Region,
     should_cancel: CancelCheck,
-    progress: Progress = lambda fraction, text: None,
+    progress: Share = nobody,
     depths: OccluderDepths | None = None,
 ) -> dict[str, np.ndarray]:
     """Return the values of passes, each [H, W, C] of the region, top row first.

@@ -30,7 +30,8 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..files.format import Format
-from ..performance.types import Performance, Progress
+from ..jobs.progress import Share
+from ..performance.types import Performance
 from .registry import format_to_read, format_to_write, formats, suffixes
 from .splats.cloud import SplatCloud
 
@@ -139,7 +140,7 @@ def write_mesh(
 
 
 def read_performance(
-    path: str | os.PathLike[str], *, fps: float | None = None, progress: Progress | None = None, **options: Any
+    path: str | os.PathLike[str], *, fps: float | None = None, progress: Share | None = None, **options: Any
 ) -> Performance:
     """Read a recorded performance of any known format, chosen by what is in the file and not by its name alone.
 
@@ -159,7 +160,7 @@ def read_performance(
     return format_to_read(Path(path), "performance").read(Path(path), fps=fps, progress=progress, **options)
 
 
-def write_performance(path: str | os.PathLike[str], performance: Performance, progress: Progress | None = None) -> None:
+def write_performance(path: str | os.PathLike[str], performance: Performance, progress: Share | None = None) -> None:
     """Write a performance in the format that the extension names.
 
     Args:

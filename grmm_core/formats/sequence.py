@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from ..errors import FileAccessError
-from ..performance.types import Progress
+from ..jobs.progress import Share
 from . import write_splats
 from .splats.cloud import SplatCloud
 
@@ -31,7 +31,7 @@ def write_sequence(
     pattern: str | os.PathLike[str],
     frames: Iterable[int],
     splats_of: Callable[[int], SplatCloud],
-    progress: Progress | None = None,
+    progress: Share | None = None,
     **options: object,
 ) -> list[Path]:
     """Write one splat file a frame.

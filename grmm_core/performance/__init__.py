@@ -24,13 +24,12 @@ from .pipeline import CleanOptions, clean
 from .retarget import to_arkit, to_expression
 from .smoothing import smooth
 from .timing import resample, shift, trim
-from .types import Performance, Progress
+from .types import Performance
 
 __all__ = [
     "REGIONS",
     "CleanOptions",
     "Performance",
-    "Progress",
     "ReducedCurve",
     "apply_gain",
     "calibrate_neutral",

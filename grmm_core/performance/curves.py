@@ -20,7 +20,8 @@ import numpy as np
 
 from ..controls.names import ARKIT_NAMES
 from ..errors import ShapeError
-from .types import Performance, Progress
+from ..jobs.progress import Share
+from .types import Performance
 
 Interpolation = Literal["linear", "bezier"]
 
@@ -70,7 +71,7 @@ def reduce_performance(
     max_error: float = DEFAULT_ERROR,
     angle_error: float = DEFAULT_ANGLE_ERROR,
     interpolation: Interpolation = "bezier",
-    progress: Progress | None = None,
+    progress: Share | None = None,
 ) -> dict[str, ReducedCurve]:
     """Reduce every curve of a performance to keys.
 
@@ -108,7 +109,7 @@ def reduce_curves(
     values: np.ndarray,
     max_error: float | np.ndarray,
     interpolation: Interpolation = "bezier",
-    progress: Progress | None = None,
+    progress: Share | None = None,
 ) -> list[ReducedCurve]:
     """Reduce curves that share their frames.
 
@@ -155,7 +156,7 @@ def reduce_curves(
 _Segments = list[tuple[np.ndarray, np.ndarray]]  # key frames [K] and slopes at both ends of each segment [K - 1, 2]
 
 
-def _linear_segments(times: np.ndarray, values: np.ndarray, errors: np.ndarray, progress: Progress | None) -> _Segments:
+def _linear_segments(times: np.ndarray, values: np.ndarray, errors: np.ndarray, progress: Share | None) -> _Segments:
     """Longest straight segments, all curves at once: a segment to a frame is good if it lies in the cone of those between."""
     count, curves = values.shape
     start = np.zeros(curves, np.int64)
@@ -182,7 +183,7 @@ def _linear_segments(times: np.ndarray, values: np.ndarray, errors: np.ndarray, 
     return [(np.flatnonzero(is_key[:, k]), np.zeros((0, 2))) for k in range(curves)]
 
 
-def _bezier_segments(times: np.ndarray, values: np.ndarray, errors: np.ndarray, progress: Progress | None) -> _Segments:
+def _bezier_segments(times: np.ndarray, values: np.ndarray, errors: np.ndarray, progress: Share | None) -> _Segments:
     """Longest cubic segments: doubling, then halving, of the length.
 
     All curves advance side by side, and each in several blocks at once, which costs one key a block.

@@ -11,10 +11,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from ..jobs.progress import Share
 from .editing import apply_gain, calibrate_neutral, clamp, find_neutral_frames, range_warnings
 from .smoothing import smooth
 from .timing import resample, shift, trim
-from .types import Performance, Progress
+from .types import Performance
 
 _STEPS = 6
 
@@ -44,7 +45,7 @@ class CleanOptions:
     limit: bool = True
 
 
-def clean(performance: Performance, options: CleanOptions, progress: Progress | None = None) -> Performance:
+def clean(performance: Performance, options: CleanOptions, progress: Share | None = None) -> Performance:
     """Trim, calibrate, smooth, resample, amplify, limit and shift a recording.
 
     Args:

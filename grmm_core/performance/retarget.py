@@ -13,7 +13,8 @@ import numpy as np
 
 from ..controls.names import ARKIT_NAMES, JOINT_NAMES
 from ..errors import ShapeError
-from .types import Performance, Progress
+from ..jobs.progress import Share
+from .types import Performance
 
 _LEVER = 0.10  # metres from a joint to the surface that it moves
 _RIDGE = 1e-4  # relative to the mean diagonal: keeps nearly parallel shapes from cancelling each other
@@ -113,7 +114,7 @@ def to_expression(performance: Performance, head: ExpressionModel, keep_weights:
     )
 
 
-def to_arkit(performance: Performance, head: ExpressionModel, progress: Progress | None = None) -> Performance:
+def to_arkit(performance: Performance, head: ExpressionModel, progress: Share | None = None) -> Performance:
     """Turn expression coefficients and jaw rotations of `head` into ARKit weights 0..1 that move its vertices most alike.
 
     Args:
@@ -168,7 +169,7 @@ def _squares(coefficients: np.ndarray, features: np.ndarray) -> float:
     return float(np.einsum("ti,ij,tj->", values, features @ features.T, values, optimize=True))
 
 
-def bounded_least_squares(gram: np.ndarray, targets: np.ndarray, progress: Progress | None = None) -> np.ndarray:
+def bounded_least_squares(gram: np.ndarray, targets: np.ndarray, progress: Share | None = None) -> np.ndarray:
     """Weights 0..1 that minimise w^T G w - 2 w^T t for every frame, by accelerated projected gradient.
 
     Args:

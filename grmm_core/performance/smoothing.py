@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import ShapeError
-from .types import Performance, Progress
+from ..jobs.progress import Share
+from .types import Performance
 
 _MAD_TO_SIGMA = 1.4826
 _LOWER, _UPPER = 2.5, 4.5  # standard deviations of noise between which the recording takes over again
@@ -25,7 +26,7 @@ _SPREAD = 2  # frames by which a transient's protection reaches beyond it
 _THIRD_DIFFERENCE_GAIN = 20.0**0.5  # of white noise: 1 + 9 + 9 + 1
 
 
-def smooth(performance: Performance, strength: float = 0.5, progress: Progress | None = None) -> Performance:
+def smooth(performance: Performance, strength: float = 0.5, progress: Share | None = None) -> Performance:
     """Remove jitter from all curves of a performance.
 
     Args:

@@ -5,7 +5,6 @@ Used by every module of this package, the Blender importer and the command line.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,9 +12,6 @@ import numpy as np
 from ..controls.frame import Controls
 from ..controls.names import ALIGNED_NAMES, ARKIT_NAMES, JOINT_NAMES
 from ..errors import ShapeError
-
-Progress = Callable[[float], None]
-"""Called with the fraction done, 0..1. A caller cancels by raising `CancelledError` from it."""
 
 _ROTATIONS = ("head_rotation", "neck_rotation", "jaw_rotation", "left_eye_rotation", "right_eye_rotation")
 

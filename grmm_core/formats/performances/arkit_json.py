@@ -29,8 +29,9 @@ import numpy as np
 from ...controls.names import ARKIT_NAMES
 from ...files.access import atomic_write_bytes, bad_file, read_bytes
 from ...files.format import Format
+from ...jobs.progress import Share
 from ...performance.editing import range_warnings
-from ...performance.types import Performance, Progress
+from ...performance.types import Performance
 from .repair import (
     MAX_FILE_BYTES,
     MAX_FRAMES,
@@ -66,7 +67,7 @@ JSON_TRACKS = {
 """Key in a frame to the attribute of `Performance`."""
 
 
-def read_arkit_json(path: Path, fps: float | None = None, progress: Progress | None = None) -> Performance:
+def read_arkit_json(path: Path, fps: float | None = None, progress: Share | None = None) -> Performance:
     """Read ARKit weights from JSON.
 
     Args:
@@ -154,7 +155,7 @@ def _is_category(value: Any) -> bool:
     return isinstance(value, dict) and "score" in value and isinstance(_first(value, _CATEGORY_KEYS), str)
 
 
-def _values(path: Path, frames: list[Any], names: list[str], progress: Progress | None) -> tuple[np.ndarray, np.ndarray]:
+def _values(path: Path, frames: list[Any], names: list[str], progress: Share | None) -> tuple[np.ndarray, np.ndarray]:
     """Weights [T, len(names)] and times [T]; what is missing is NaN."""
     count = len(names)
     rows: list[list[Any]] = []
@@ -215,7 +216,7 @@ def _stated_fps(document: Any) -> float | None:
     return None
 
 
-def write_arkit_json(path: str | os.PathLike[str], performance: Performance, progress: Progress | None = None) -> None:
+def write_arkit_json(path: str | os.PathLike[str], performance: Performance, progress: Share | None = None) -> None:
     """Write weights with a time and the rotations of every frame. Raises `FileAccessError`."""
     rows = []
     tracks = {key: getattr(performance, name) for key, name in JSON_TRACKS.items() if getattr(performance, name) is not None}

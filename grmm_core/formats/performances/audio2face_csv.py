@@ -13,8 +13,9 @@ import numpy as np
 from ...controls.names import ARKIT_NAMES
 from ...files.access import bad_file
 from ...files.format import Format
+from ...jobs.progress import Share
 from ...performance.editing import range_warnings
-from ...performance.types import Performance, Progress
+from ...performance.types import Performance
 from .repair import arkit_weights, clean_times, fill_missing, median_rate, missing_warning, scale_times
 from .text_table import read_table, start_text, to_floats
 
@@ -23,7 +24,7 @@ DEFAULT_FPS = 30.0
 _PREFIX = "blendshapes."
 
 
-def read_audio2face_csv(path: Path, fps: float | None = None, progress: Progress | None = None) -> Performance:
+def read_audio2face_csv(path: Path, fps: float | None = None, progress: Share | None = None) -> Performance:
     """Read an Audio2Face-3D recording.
 
     Args:

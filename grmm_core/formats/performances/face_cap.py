@@ -16,8 +16,9 @@ from ...controls.names import ARKIT_NAMES
 from ...files.access import bad_file, read_bytes
 from ...files.format import Format
 from ...geometry.rotations import unwrap_euler
+from ...jobs.progress import Share
 from ...performance.editing import range_warnings
-from ...performance.types import Performance, Progress
+from ...performance.types import Performance
 from .repair import (
     MAX_FILE_BYTES,
     MAX_FRAMES,
@@ -40,7 +41,7 @@ _WEIGHTS = 11  # columns before the weights
 def read_face_cap(
     path: Path,
     fps: float | None = None,
-    progress: Progress | None = None,
+    progress: Share | None = None,
     flip_pitch: bool = False,
     flip_yaw: bool = False,
     flip_roll: bool = False,

@@ -19,7 +19,8 @@ from ...files.access import atomic_write_bytes, bad_file
 from ...files.format import Format
 from ...files.npz import read_npz
 from ...geometry.rotations import axis_angle_to_euler, euler_to_axis_angle
-from ...performance.types import Performance, Progress
+from ...jobs.progress import Share
+from ...performance.types import Performance
 from .repair import MAX_FRAMES, fill_missing
 
 KIND = "FLAME parameter file"
@@ -42,7 +43,7 @@ _VERTEX_COUNTS = (5023, 5143)  # FLAME without and with the added teeth
 _MAX_COEFFICIENT = 100.0  # standard deviations; larger ones are no faces
 
 
-def read_flame_npz(path: Path, fps: float | None = None, progress: Progress | None = None) -> Performance:
+def read_flame_npz(path: Path, fps: float | None = None, progress: Share | None = None) -> Performance:
     """Read a track of FLAME parameters.
 
     Args:
@@ -170,7 +171,7 @@ def _rate(array: np.ndarray | None, warnings: list[str]) -> float:
     return DEFAULT_FPS
 
 
-def write_flame_npz(path: str | os.PathLike[str], performance: Performance, progress: Progress | None = None) -> None:
+def write_flame_npz(path: str | os.PathLike[str], performance: Performance, progress: Share | None = None) -> None:
     """Write GaussianAvatars' `flame_param.npz`: axis-angle rotations, 300 shape and 100 expression coefficients.
 
     Raises:

@@ -22,8 +22,9 @@ import numpy as np
 from ...controls.names import ARKIT_NAMES
 from ...files.access import atomic_write_bytes, bad_file
 from ...files.format import Format, Option
+from ...jobs.progress import Share
 from ...performance.editing import range_warnings
-from ...performance.types import Performance, Progress
+from ...performance.types import Performance
 from .repair import arkit_weights, clean_times, fill_missing, median_rate, missing_warning, report_frame
 from .text_table import Table, read_table, start_text
 from .turns import FLIPS, from_euler, match_eye_signs, to_euler
@@ -53,7 +54,7 @@ _MAX_RADIANS = 2.0 * np.pi  # larger numbers must be degrees
 def read_live_link_csv(
     path: Path,
     fps: float | None = None,
-    progress: Progress | None = None,
+    progress: Share | None = None,
     landscape: bool = False,
     flip_pitch: bool = False,
     flip_yaw: bool = False,
@@ -169,7 +170,7 @@ def _timecode_rate(parts: np.ndarray) -> float:
     return float(rate if whole_second_seen else max(rate, DEFAULT_FPS))
 
 
-def write_live_link_csv(path: str | os.PathLike[str], performance: Performance, progress: Progress | None = None) -> None:
+def write_live_link_csv(path: str | os.PathLike[str], performance: Performance, progress: Share | None = None) -> None:
     """Write 63 columns in the app's order. Raises `FileAccessError`.
 
     The time code counts frames of the nearest whole rate, with a decimal part.

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...controls.names import ARKIT_NAMES
 from ...files.access import bad_file
-from ...performance.types import Progress
+from ...jobs.progress import Share
 from .shapes import map_shapes
 
 MAX_FRAMES = 2_000_000  # nine hours at 60 frames per second
@@ -153,7 +153,7 @@ def missing_warning(found: set[int]) -> list[str]:
     return [f"The file has no {', '.join(missing[:_MAX_LISTED])}{more}; they stay at zero."]
 
 
-def report_frame(progress: Progress | None, i: int, count: int) -> None:
+def report_frame(progress: Share | None, i: int, count: int) -> None:
     """Tell now and then how far a writer is, which is also where it is cancelled."""
     if progress and i % _REPORT_EVERY == 0:
         progress(0.95 * i / count)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ...files.access import bad_file, read_bytes
-from ...performance.types import Progress
+from ...jobs.progress import Share
 from .repair import MAX_FILE_BYTES, MAX_FRAMES
 
 _REPORT_EVERY = 4096
@@ -70,7 +70,7 @@ def start_text(start: bytes) -> str:
     return start.decode(encoding_of(start), "ignore").removeprefix("\ufeff").lstrip().lower()
 
 
-def read_table(path: Path, kind: str, text_column: str, progress: Progress | None = None) -> Table:
+def read_table(path: Path, kind: str, text_column: str, progress: Share | None = None) -> Table:
     """Read a file whose first line names its columns.
 
     Args:

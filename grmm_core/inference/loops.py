@@ -13,6 +13,7 @@ import numpy as np
 
 from ..compute.kernels import compiled
 from ..model.packing import BLOCK
+from ..model.placing import HEIGHT, QW, QX, QY, QZ, WIDTH, X
 
 _OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
@@ -67,7 +68,7 @@ def uv_corners(
         vertices: [V, 3] metres.
         corner_vertex: [T].
         outward: 1 or -1, [T].
-        out: Written, [T, 9].
+        out: Written, [T, CORNER_VALUES] of `placing`.
     """
     count = len(corner_vertex)
     for t in numba.prange(count):
@@ -91,9 +92,9 @@ def uv_corners(
         tx, ty, tz = ux * inverse, uy * inverse, uz * inverse
         bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
         for k in range(3):
-            out[t, k] = vertices[corner_vertex[t], k]
-        out[t, 3] = width
-        out[t, 4] = abs(vx * bx + vy * by + vz * bz)
+            out[t, X + k] = vertices[corner_vertex[t], k]
+        out[t, WIDTH] = width
+        out[t, HEIGHT] = abs(vx * bx + vy * by + vz * bz)
         # rows of 4 q q^T are linear in the matrix [tangent, bitangent, normal]; the one with the largest diagonal is q
         ww, xx, yy, zz = _ONE + tx + by + nz, _ONE + tx - by - nz, _ONE - tx + by - nz, _ONE - tx - by + nz
         wx, wy, wz = bz - ny, nx - tz, ty - bx
@@ -107,4 +108,4 @@ def uv_corners(
         else:
             a, b, c, d = wz, xz, yz, zz
         inverse = _ONE / math.sqrt(max(a * a + b * b + c * c + d * d, _TINY_NORM))
-        out[t, 5], out[t, 6], out[t, 7], out[t, 8] = a * inverse, b * inverse, c * inverse, d * inverse
+        out[t, QW], out[t, QX], out[t, QY], out[t, QZ] = a * inverse, b * inverse, c * inverse, d * inverse

@@ -253,7 +253,7 @@ class _Tables:
         self.parents = tuple(int(parent) for parent in head.parents)
         unit, limit = config.position_unit_mm * METRES_PER_MM, config.position_limit_mm * METRES_PER_MM
         scales = config.texel_scale / config.grid, config.normal_scale / config.grid
-        self.placing = np.array([unit, limit, config.scale_log_limit or 0.0, *scales], np.float32)
+        self.placing = tuple(map(np.float32, (unit, limit, config.scale_log_limit or 0.0, *scales)))
 
 
 def _parts_of(matrix: CompressedRows) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,9 +1,9 @@
 """The one model session of this Blender process.
 
 Everything in Blender that needs the model asks here: the render engine, the viewport, the frame handler and operators, on
-whatever thread Blender runs them. The session is made on first use: in this process when torch can be imported, else in a
-worker process with the interpreter of the preferences or the installed runtime. Threads never read preferences from here:
-`preferences` hands its values over by `configure`.
+whatever thread Blender runs them. The session is made on first use, by `choose_runtime`: a Python of the user's with torch,
+torch in this process, or what the extension's own wheels can do in a process of Blender's own Python. Threads never read
+preferences from here: `preferences` hands its values over by `configure`.
 
 Imports neither torch nor bpy's data; `grmm_core.session` is light.
 """
@@ -15,6 +15,7 @@ import os
 import sys
 import threading
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
@@ -25,6 +26,7 @@ from ..grmm_core.session import (
     Session,
     SessionStatus,
     create_session,
+    has_plain_engine,
     has_torch,
 )
 
@@ -32,7 +34,11 @@ _log = logging.getLogger(__name__)
 
 SAMPLE_PREFIX = "sample:"
 NO_RUNTIME = (
-    "The model needs torch, which this Blender does not have; install the runtime, or choose a Python, "
+    "This zip of GRMM carries no libraries for drawing; install the one for this platform and Blender, or choose a Python with "
+    "torch in the preferences of the extension."
+)
+NO_TORCH = (
+    "Avatars from photos need torch, which this Blender does not have; install the runtime, or choose a Python that has torch, "
     "in the preferences of the GRMM extension."
 )
 CLASSES = ()
@@ -45,7 +51,7 @@ class RuntimeSettings:
     """How to make the session.
 
     Attributes:
-        mode: "auto" runs the model here if there is torch, else in a worker.
+        mode: "auto" chooses by `choose_runtime`.
         python: Interpreter of the worker, or "" for the environment variable GRMM_WORKER_PYTHON.
         device: "auto", "cpu", "cuda" or "mps".
         threads: CPU threads, 0 leaves it to the libraries.
@@ -108,9 +114,10 @@ def get_session() -> Session:
     with _lock:
         if _session is None:
             try:
+                mode, python = choose_runtime(_settings)
                 _session = create_session(
-                    _settings.mode,
-                    python=_settings.python or None,
+                    mode,
+                    python=python or None,
                     device=_settings.device,
                     threads=_settings.threads or None,
                     weights=_settings.weights or None,
@@ -125,8 +132,22 @@ def get_session() -> Session:
         return _session
 
 
+def choose_runtime(current: RuntimeSettings) -> tuple[Mode, str]:
+    """Return where the model runs, and with which interpreter if in a process of its own.
+
+    The user's Python comes first. Torch in this process is a developer's Blender. What the extension carries runs in a process
+    of Blender's Python, so that a crash of the model never takes Blender down.
+    """
+    named = current.python or os.environ.get(WORKER_PYTHON_VARIABLE, "")
+    if current.mode == "local" or (current.mode == "auto" and not named and has_torch()):
+        return "local", ""
+    if named or not has_plain_engine():
+        return current.mode, named
+    return ("worker", sys.executable) if Path(sys.executable).stem.lower().startswith("python") else ("local", "")
+
+
 def job_python() -> str:
-    """Return the interpreter for work in a process of its own.
+    """Return the interpreter for fits, in a process of its own.
 
     Raises:
         RuntimeMissingError: Torch is neither here nor behind another interpreter.
@@ -136,7 +157,7 @@ def job_python() -> str:
     if named and (current.mode != "local" or not has_torch()):
         return named
     if not has_torch():
-        raise RuntimeMissingError(NO_RUNTIME)
+        raise RuntimeMissingError(NO_TORCH)
     return sys.executable
 
 
@@ -183,9 +204,10 @@ def runtime_status() -> RuntimeStatus:
         return RuntimeStatus(True, f"The model runs {where}.", details)
     if error:
         return RuntimeStatus(False, error)
-    if current.mode != "worker" and has_torch():
+    mode, python = choose_runtime(current)
+    if mode == "local" and (has_torch() or has_plain_engine()):
         return RuntimeStatus(True, "The model will run in Blender.")
-    if current.mode != "local" and (current.python or os.environ.get(WORKER_PYTHON_VARIABLE) or has_torch()):
+    if mode != "local" and (python or has_torch()):
         return RuntimeStatus(True, "The model will run in a worker process.")
     return RuntimeStatus(False, NO_RUNTIME)
 

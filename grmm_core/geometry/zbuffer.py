@@ -17,7 +17,7 @@ import numpy as np
 
 from ..errors import ShapeError
 from .camera import Camera
-from .zbuffer_numpy import EMPTY, SPAN_SLACK
+from .zbuffer_numpy import EMPTY, FIRST, LAST, SPAN_SLACK
 from .zbuffer_numpy import draw as plain_draw
 
 Window = tuple[int, int, int, int]
@@ -156,7 +156,7 @@ def _edges_and_planes(
     Returns:
         First and last row, [2, K] int64; columns and rows of the corners from the top down, [3, K] each; columns per row
         along the edges top-bottom, top-middle and middle-bottom, [3, K]; the value as a plane, [3, K]: at a sample it is
-        plane[0] + plane[1] * column + plane[2] * row.
+        plane[VALUE] + plane[PER_COLUMN] * column + plane[PER_ROW] * row (names of `zbuffer_numpy`).
     """
     left, top, right, bottom = edges
     area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])
@@ -167,7 +167,7 @@ def _edges_and_planes(
     x_min, x_max = x.min(axis=0), x.max(axis=0)
     # Most triangles of a dense mesh lie between samples and draw nothing.
     between = np.floor(x_max - 0.5 + SPAN_SLACK) < np.ceil(x_min - 0.5 - SPAN_SLACK)
-    keep = (area != 0) & np.isfinite(area) & (x_max > left) & (x_min < right) & (rows[1] >= rows[0]) & ~between
+    keep = (area != 0) & np.isfinite(area) & (x_max > left) & (x_min < right) & (rows[LAST] >= rows[FIRST]) & ~between
     order = np.argsort(y[:, keep], axis=0)
     x, y, linear = (np.take_along_axis(array[:, keep], order, axis=0) for array in (x, y, linear))
     # Sorting the corners may turn the triangle over, and with it the sign of the area.

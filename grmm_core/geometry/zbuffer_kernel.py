@@ -10,7 +10,20 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from .zbuffer_numpy import EMPTY, SPAN_SLACK
+from .zbuffer_numpy import (
+    EMPTY,
+    FIRST,
+    LAST,
+    LONG,
+    LOWER,
+    MIDDLE,
+    PER_COLUMN,
+    PER_ROW,
+    SPAN_SLACK,
+    TOP,
+    UPPER,
+    VALUE,
+)
 
 _SMALLEST = 1.0 / float(EMPTY)
 
@@ -23,17 +36,17 @@ def draw(
     """Write the nearer values into `depth` [H, W], whose corner is at (left, top), as `zbuffer_numpy.draw` does."""
     right = left + depth.shape[1]
     for t in range(rows.shape[1]):
-        for row in range(rows[0, t], rows[1, t] + 1):
+        for row in range(rows[FIRST, t], rows[LAST, t] + 1):
             center = row + 0.5
-            to_middle = center - y[1, t]
-            one = x[0, t] + (center - y[0, t]) * slopes[0, t]
-            two = x[1, t] + to_middle * (slopes[1, t] if to_middle < 0 else slopes[2, t])
+            to_middle = center - y[MIDDLE, t]
+            one = x[TOP, t] + (center - y[TOP, t]) * slopes[LONG, t]
+            two = x[MIDDLE, t] + to_middle * (slopes[UPPER, t] if to_middle < 0 else slopes[LOWER, t])
             low, high = min(max(min(one, two), left - 1.0), right + 1.0), min(max(max(one, two), left - 1.0), right + 1.0)
             first = max(math.ceil(low - 0.5 - SPAN_SLACK), left)
             last = min(math.floor(high - 0.5 + SPAN_SLACK), right - 1)
-            start = plane[0, t] + plane[2, t] * row
+            start = plane[VALUE, t] + plane[PER_ROW, t] * row
             for column in range(first, last + 1):
-                value = start + plane[1, t] * column
+                value = start + plane[PER_COLUMN, t] * column
                 z = value if orthographic else 1.0 / max(value, _SMALLEST)
                 if z <= far:
                     depth[row - top, column - left] = min(depth[row - top, column - left], np.float32(z))

@@ -10,6 +10,12 @@ EMPTY = np.float32(1.0e10)
 """Depth where nothing is; Blender's value for an empty Z pass."""
 SPAN_SLACK = 1e-6
 """Samples; a shared edge must not leave a gap between two triangles."""
+# Rows of what describes triangles: first and last row of samples; corners from the top down; columns per row along the edges
+# top-bottom, top-middle and middle-bottom; value at the first sample, its change per column and per row.
+FIRST, LAST = range(2)
+TOP, MIDDLE, BOTTOM = range(3)
+LONG, UPPER, LOWER = range(3)
+VALUE, PER_COLUMN, PER_ROW = range(3)
 _CHUNK = 1 << 18  # rows or samples handled at once: their arrays stay in the processor's cache
 
 
@@ -21,19 +27,19 @@ def draw(
     width = depth.shape[1]
     right = left + width
     target = depth.reshape(-1)
-    for which, step in _runs(rows[1] - rows[0] + 1):
-        row = rows[0][which] + step
+    for which, step in _runs(rows[LAST] - rows[FIRST] + 1):
+        row = rows[FIRST][which] + step
         center = row + 0.5
         # The row meets the triangle in one span: from the long edge to one of the two others.
-        to_middle = center - y[1][which]
-        one = x[0][which] + (center - y[0][which]) * slopes[0][which]
-        two = x[1][which] + to_middle * np.where(to_middle < 0, slopes[1][which], slopes[2][which])
+        to_middle = center - y[MIDDLE][which]
+        one = x[TOP][which] + (center - y[TOP][which]) * slopes[LONG][which]
+        two = x[MIDDLE][which] + to_middle * np.where(to_middle < 0, slopes[UPPER][which], slopes[LOWER][which])
         low, high = np.minimum(one, two), np.maximum(one, two)
         first = np.ceil(np.clip(low, left - 1.0, right + 1.0) - 0.5 - SPAN_SLACK).clip(left, right).astype(np.int64)
         last = np.floor(np.clip(high, left - 1.0, right + 1.0) - 0.5 + SPAN_SLACK).clip(left - 1, right - 1).astype(np.int64)
         full = last >= first
         which, row, first, last = which[full], row[full], first[full], last[full]
-        start, slope = plane[0][which] + plane[2][which] * row, plane[1][which]
+        start, slope = plane[VALUE][which] + plane[PER_ROW][which] * row, plane[PER_COLUMN][which]
         for span, step in _runs(last - first + 1):
             column = first[span] + step
             value = start[span] + slope[span] * column

@@ -4,7 +4,7 @@
 ``onnx_networks``the map decoders and the refinement network as such graphs
 ``loops``        compiled loops (loads numba)
 ``resize``       pictures of half and double size
-``model``        `PlainModel`, the twin of `model.grmm.GRMM`
+``plain_model``  `PlainModel`, the twin of `model.grmm.GRMM`
 ``loader``       weights files and avatars' changes to such models
 
 Every part is held to its torch twin by the tests. Used by sessions; nothing here may import torch.

@@ -11,7 +11,7 @@ import numpy as np
 from ..model.parameters import mean_map_shapes, parameter_shapes
 from ..model.store import Decoder, LoadedModel, check_deltas
 from ..model.weights_file import WeightsInfo, read_weights
-from .model import PlainModel
+from .plain_model import PlainModel
 
 if TYPE_CHECKING:
     from ..head import HeadModel

@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 
 
 class Model(Protocol):
-    """What a session asks of a model, whichever library computes it: `grmm.GRMM`, `inference.model.PlainModel`."""
+    """What a session asks of a model, whichever library computes it: `grmm.GRMM`, `inference.plain_model.PlainModel`."""
 
     config: GRMMConfig
     head_model: HeadModel

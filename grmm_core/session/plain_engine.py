@@ -11,7 +11,7 @@ from ..compute.devices import limit_rasteriser_threads
 from ..errors import BackendError
 from ..geometry.camera import Camera
 from ..inference.loader import PlainLoader
-from ..inference.model import PlainModel
+from ..inference.plain_model import PlainModel
 from ..model.store import ModelStore
 from ..pictures.color import scene_linear_premultiplied
 from ..splat.api import rasterize_arrays

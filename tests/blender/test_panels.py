@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from blender_process import RunBlender
 
-from grmm_core.controls.names import ALIGNED_NAMES
+from grmm_core.controls.names import EXPRESSION_NAMES
 
 pytestmark = pytest.mark.blender
 
@@ -16,7 +16,7 @@ def test_every_slider_of_the_selected_avatar_is_drawn_once(run_blender: RunBlend
     assert without["panels"] == ["GRMM_PT_avatar"]
     assert "grmm.add_head" in without["operators"]
     drawn = [path for path in head["properties"] if path.startswith('["')]
-    for name in ALIGNED_NAMES:
+    for name in EXPRESSION_NAMES:
         assert drawn.count(f'["{name}"]') == 2, name  # the sidebar's panel and its twin in the data tab
     assert any(path == "rotation_euler[0]" for path in head["properties"])
     assert "grmm.import_performance" in head["operators"]
@@ -37,7 +37,7 @@ def test_a_narrow_sidebar_has_every_slider_under_a_name_that_fits(run_blender: R
     assert sorted(narrow["operators"]) == sorted(head["operators"])
     sliders = [path for path in narrow["properties"] if path.startswith('["') and path.endswith('"]')]
     names = dict(zip(sliders, narrow["names"], strict=True))
-    expressions = [names[f'["{name}"]'] for name in ALIGNED_NAMES]
-    assert len(set(expressions)) == len(ALIGNED_NAMES)
+    expressions = [names[f'["{name}"]'] for name in EXPRESSION_NAMES]
+    assert len(set(expressions)) == len(EXPRESSION_NAMES)
     assert max(map(len, expressions)) <= 17
     assert max(map(len, narrow["labels"])) <= 30

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from blender_process import RunBlender
 
-from grmm_core.controls.names import ALIGNED_NAMES
+from grmm_core.controls.names import EXPRESSION_NAMES
 
 pytestmark = pytest.mark.blender
 
@@ -26,7 +26,7 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_pose_library(run_blender: RunBlender, blender_version: str, weights: Path, tmp_path: Path):
     result = run_blender("pose_assets.py", weights, tmp_path, python=blender_version, environment=ENVIRONMENT).result
     assert result["done"]
-    assert result["count"] == len(ALIGNED_NAMES)
+    assert result["count"] == len(EXPRESSION_NAMES)
     assert result["sizes"] == [[THUMBNAIL, THUMBNAIL, 4]] * 2
     assert min(result["covered"]) > 0.2
     assert result["differ"] > 0.1
@@ -46,7 +46,7 @@ def test_pose_library(run_blender: RunBlender, blender_version: str, weights: Pa
     assert result["left_over"] == 0
     wanted = ("has no pose Nothing", "Cannot read", "no pose Nothing")
     assert all(text in message for text, message in zip(wanted, result["messages"], strict=True))
-    assert result["keyed"] == len(ALIGNED_NAMES)
+    assert result["keyed"] == len(EXPRESSION_NAMES)
 
 
 def test_presets_menus_and_operators(run_blender: RunBlender, blender_version: str):

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 from blender_process import RunBlender
 
-from grmm_core.controls.names import ALIGNED_NAMES, JOINT_NAMES
+from grmm_core.controls.names import JOINT_NAMES
+from grmm_core.controls.table import CONTROLS
 from grmm_core.head import load_open_head
 
 pytestmark = pytest.mark.blender
@@ -49,7 +50,7 @@ def structure(request: pytest.FixtureRequest, run_blender: RunBlender) -> dict:
 def test_a_head_has_named_controls_with_ranges(structure):
     found = structure["structure"]
     head = load_open_head()
-    assert set(ALIGNED_NAMES) | {"shape", "expression", "z_id", "z_exp", "residual_strength"} == set(found["properties"])
+    assert {name for name, control in CONTROLS.items() if control.source == "property"} == set(found["properties"])
     assert set(head.expression_names) | {"shape.0", "residual", "visemeAA"} <= set(found["keys"])
     assert found["keys"].index("residual") == len(found["keys"]) - 1
     assert found["bones"] == sorted(JOINT_NAMES)

@@ -171,8 +171,8 @@ def test_info_describes_weights(grmm, weights):
 def documented_commands(repository):
     """Command lines of `grmm` in the README and in docs/, without comments and without what stands in brackets."""
     for path in [repository / "README.md", *sorted((repository / "docs").glob("*.md"))]:
-        for block in re.findall(r"^```\n(.*?)^```", path.read_text(encoding="utf-8"), re.S | re.M):
-            for line in block.splitlines():
+        for language, block in re.findall(r"^```(\w*)\n(.*?)^```$", path.read_text(encoding="utf-8"), re.S | re.M):
+            for line in [] if language else block.splitlines():
                 words = shlex.split(line, comments=True)
                 if words[:1] == ["grmm"] and not re.search(r"[\[|<]|\.\.\.", line.partition("#")[0]):
                     yield path.name, words[1:]

@@ -10,7 +10,7 @@ PYTEST_ARGS ?=
 # A file's tests stay in one process, and share what they set up. Torch's threads would only get in each other's way.
 PYTEST = OMP_NUM_THREADS=1 $(PY) -m pytest --numprocesses 2 --dist loadfile
 
-.PHONY: demo test test-all lint extension open-head help clean
+.PHONY: demo test test-all lint extension release open-head help clean
 
 help:
 	@sed -n 's/^#: //p' $(MAKEFILE_LIST)
@@ -20,11 +20,11 @@ demo: $(VENV)/.ready
 	$(PY) -m tools.demo --out out $(if $(PERFORMANCE),--performance "$(PERFORMANCE)")
 
 #: make test                      lint and run the quick tests (under 15 minutes on two cores)
-test: $(VENV)/.ready .venv52/.ready lint
+test: $(VENV)/.ready .venv45/.ready .venv52/.ready lint
 	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
 
 #: make test-all                  run every test
-test-all: $(VENV)/.ready .venv52/.ready lint
+test-all: $(VENV)/.ready .venv45/.ready .venv52/.ready lint
 	$(PYTEST) $(PYTEST_ARGS)
 
 #: make lint                      check the style and the types
@@ -44,7 +44,7 @@ open-head: $(VENV)/.ready
 
 #: make clean                     remove what the targets made
 clean:
-	rm -rf out dist build .pytest_cache .ruff_cache .mypy_cache .venv .venv52 *.egg-info
+	rm -rf out dist build .pytest_cache .ruff_cache .mypy_cache .venv .venv45 .venv52 *.egg-info
 
 # Torch comes first and by its exact version, so that nothing else pulls in another build of it.
 $(VENV)/.ready: pyproject.toml constraints.txt
@@ -62,3 +62,13 @@ $(VENV)/.ready: pyproject.toml constraints.txt
 	mkdir -p .venv52
 	sh tools/setup_blender52.sh .venv52
 	touch $@
+
+# Blender 4.5 as people have it: numpy and nothing else.
+.venv45/.ready: constraints.txt
+	$(PYTHON) -m venv .venv45
+	.venv45/bin/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt bpy==4.5.15
+	touch $@
+
+#: make release                   build and validate every zip with its wheels into dist/
+release: $(VENV)/.ready
+	$(PY) -m tools.release --output dist

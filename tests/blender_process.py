@@ -35,6 +35,8 @@ ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = ROOT / "tests" / "blender" / "scripts"
 PYTHON_52_VARIABLE = "GRMM_BPY52_PYTHON"
 EXTENSION = Path("extensions", "user_default", "grmm")  # in a Blender user folder
+STOCK = {"4.5": "4.5 alone", "5.2": "5.2"}
+"""Blenders with numpy and nothing else; the 4.5 beside pytest has torch, so `.venv45` holds another one."""
 KERNEL_TIME = 1_700_000_000  # seconds; any constant
 DEFAULT_TIMEOUT = 180.0  # seconds; numba may compile for the first time
 
@@ -74,6 +76,11 @@ def find_python(version: str) -> Path:
         if importlib.util.find_spec("bpy") is None:
             pytest.skip("bpy is not installed beside pytest")
         return Path(sys.executable)
+    if version == STOCK["4.5"]:
+        python = ROOT / ".venv45" / "bin" / "python"
+        if not python.exists():
+            pytest.skip("no bpy 4.5 without torch: make .venv45/.ready")
+        return python
     named = os.environ.get(PYTHON_52_VARIABLE)
     python = Path(named) if named else ROOT / ".venv52" / "bin" / "python"
     if not python.exists():
@@ -166,6 +173,13 @@ def _run(
     done = _launch(python, folder, script, [str(a) for a in arguments], timeout, enable, environment)
     if check:
         assert done.returncode == 0, f"{script} exited with {done.returncode}:\n{done.output}"
+    return done
+
+
+def run_alone(script: str, *arguments: object, python: str, timeout: float = 2 * DEFAULT_TIMEOUT) -> BlenderRun:
+    """Run a script in a Blender with an empty user folder, without the extension."""
+    done = _launch(python, _temporary_folder(), script, [str(a) for a in arguments], timeout, enable=False)
+    assert done.returncode == 0, done.output
     return done
 
 

@@ -21,11 +21,10 @@ from ..grmm_core.errors import ConfigError, FileAccessError, FileFormatError
 from ..grmm_core.formats import SplatCloud, write_mesh
 from ..grmm_core.formats.avatars.binding import bind_to_mesh
 from ..grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
-from ..grmm_core.geometry.rotations import matrix_to_euler, unwrap_euler
+from ..grmm_core.geometry.rotations import euler_to_matrix, matrix_to_euler, unwrap_euler
 from ..grmm_core.head import HeadModel, load_flame
-from ..grmm_core.head.skinning import euler_matrices
 from ..grmm_core.performance import Performance, to_expression
-from ..grmm_core.session.exporting import morph_targets, splat_cloud
+from ..grmm_core.session.exporting import flame_avatar, morph_targets, splat_cloud
 from . import session_host
 from .rig.avatar import Avatar, avatar_of
 from .rig.identity import FLAME_PREFIX, load_head
@@ -155,7 +154,7 @@ def recorded(avatar: Avatar | Puppet, controls: list[Controls], frames: list[int
     moved = {name: np.abs(poses[:, joint]).max() > _TINY for joint, name in enumerate(JOINT_NAMES)}
     turned = None
     if moved["root"] or moved["neck"]:
-        turned = unwrap_euler(matrix_to_euler(euler_matrices(poses[:, 0]) @ euler_matrices(poses[:, 1])))
+        turned = unwrap_euler(matrix_to_euler(euler_to_matrix(poses[:, 0]) @ euler_to_matrix(poses[:, 1])))
     eyes = [whole_eyes[:, side] if np.abs(whole_eyes[:, side]).max() > _TINY else None for side in (0, 1)]
     return Performance(
         (np.array(frames) - frames[0]) / fps,
@@ -228,14 +227,10 @@ def gaussian_avatar(
         faces = triangles(avatar.object.data)
         bound = bind_to_mesh(cloud.resting(), head.shaped(shape) + offset, faces, cloud.binding())
         return GaussianAvatar(bound, replace(track, shape=shape, static_offset=offset))
-    from ..grmm_core.formats.avatars.flame_transfer import bind_to_flame, fit_flame  # with FLAME's dozen modules
-
     head = load_flame(bpy.path.abspath(flame))
     session, number = session_host.get_session(), session_host.open_avatar(avatar.source).id
     controls = _controls(avatar, bpy.context.evaluated_depsgraph_get(), canonical=True)
-    fit = fit_flame(session.deform(number, controls).vertices, head)
-    bound = bind_to_flame(splat_cloud(session, number, controls, options.degree, options.lod), fit, head)
-    return GaussianAvatar(bound, replace(track, static_offset=fit.offset))
+    return flame_avatar(session, number, controls, head, track, options.degree, options.lod)
 
 
 def save_gaussian_avatar(folder: Path, avatar: GaussianAvatar) -> None:

@@ -19,9 +19,9 @@ from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import NoFaceError
 from grmm_core.files.tensorfile import write_tensors
 from grmm_core.fitting.landmark_priors import NOISE_ASSET
+from grmm_core.geometry.rotations import euler_to_matrix
 from grmm_core.head.model import HeadModel
 from grmm_core.head.open_head import load_open_head
-from grmm_core.head.skinning import euler_matrices
 from grmm_core.photo.faces import find_faces
 
 MAX_ANGLE = 45.0  # degrees between the face and the camera
@@ -46,7 +46,7 @@ def errors_of(folder: Path, head: HeadModel) -> np.ndarray:
     for shot, view in dataset.views():
         if shot.subject in dataset.manifest.held_out_people:  # the evaluation measures on them
             continue
-        forward = euler_matrices(np.asarray(shot.pose[1], np.float64)) @ np.array([0.0, 0.0, 1.0])
+        forward = euler_to_matrix(np.asarray(shot.pose[1], np.float64)) @ np.array([0.0, 0.0, 1.0])
         if forward @ view.camera.view_direction(np.zeros(3)) < np.cos(np.radians(MAX_ANGLE)):
             continue
         try:

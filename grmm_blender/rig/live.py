@@ -21,8 +21,8 @@ from ...grmm_core.avatar import AssetReference
 from ...grmm_core.controls.frame import Controls, resolve
 from ...grmm_core.controls.table import CONTROLS, SHAPE
 from ...grmm_core.errors import GrmmError, RuntimeMissingError
+from ...grmm_core.geometry.rotations import euler_to_matrix
 from ...grmm_core.head import HeadModel
-from ...grmm_core.head.skinning import euler_matrices
 from .. import session_host
 from .actions import action_fcurves
 from .armature import joint_parents, shift_joints
@@ -322,5 +322,5 @@ def _pose_correctives(avatar: Avatar, head: HeadModel, controls: Controls) -> np
     if head.posedirs is None:
         return np.zeros((head.vertex_count, 3), np.float32)
     pose = resolve(controls, head).pose + resting_pose(avatar.armature)
-    feature = (euler_matrices(pose)[1:] - np.eye(3, dtype=np.float32)).ravel()
+    feature = (euler_to_matrix(pose)[1:] - np.eye(3, dtype=np.float32)).ravel()
     return head.posedirs @ feature

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import ShapeError
+from ..geometry.rotations import euler_to_matrix
 from ..geometry.triangles import face_normals, spread_to_corners
 from ..head.model import JOINT_COUNT, HeadModel
-from ..head.skinning import euler_matrices, joint_transforms
+from ..head.skinning import joint_transforms
 
 _ANGLE_STEP = 1e-5  # radians; central differences in float64 are exact to 1e-9 of a metre
 _SMALL_WEIGHT = 1e-9
@@ -107,7 +108,7 @@ class PointRig:
         total = self._total_pose(expression, pose)
         points = self._unposed(np.concatenate([shape, expression]))
         positions = self._skinned(points, joints, total)
-        rotations = euler_matrices(total)
+        rotations = euler_to_matrix(total)
         transforms = joint_transforms(rotations, joints, self._parents)  # [5, 3, 4]
         count = self.shape_count + self.expression_count
         derivative = np.zeros((self.count, 3, count))
@@ -145,7 +146,7 @@ class PointRig:
         return [part.template + (part.directions @ coefficients).reshape(-1, 3) for part in self._parts]
 
     def _skinned(self, points: list[np.ndarray], joints: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        rotations = euler_matrices(pose)
+        rotations = euler_to_matrix(pose)
         transforms = joint_transforms(rotations, joints, self._parents)
         feature = (rotations[1:] - np.eye(3)).reshape(-1)  # [36]
         result = np.zeros((self.count, 3))

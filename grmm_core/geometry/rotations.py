@@ -1,6 +1,6 @@
 """Rotations as animators and trackers write them: XYZ Euler angles, axis-angle vectors, quaternions wxyz; whole tracks.
 
-Needs numpy only. `multiply_quaternions` takes tensors as well; what else is differentiated is in `tensor_rotations`.
+Needs numpy only. What takes an `Array` takes tensors as well; what else is differentiated is in `tensor_rotations`.
 """
 
 from __future__ import annotations
@@ -68,32 +68,29 @@ def multiply_quaternions(first: Array, second: Array) -> Array:
     return library_of(first).stack(product, -1)
 
 
-def quaternion_to_matrix(quaternions: np.ndarray) -> np.ndarray:
-    """Rotation matrices of quaternions wxyz of any length, [..., 4] to [..., 3, 3]."""
-    q = np.asarray(quaternions)
-    w, x, y, z = np.moveaxis(q / np.linalg.norm(q, axis=-1, keepdims=True), -1, 0)
-    return np.stack(
-        [
-            1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-        ],
-        -1,
-    ).reshape(*w.shape, 3, 3)  # fmt: skip
+def quaternion_to_matrix(quaternions: Array) -> Array:
+    """Rotation matrices of quaternions wxyz of any length but zero, [..., 4] to [..., 3, 3]."""
+    lengths = (quaternions * quaternions).sum(-1) ** 0.5
+    w, x, y, z = (quaternions[..., i] / lengths for i in range(4))
+    entries = (
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    )  # fmt: skip
+    return library_of(quaternions).stack(entries, -1).reshape((*quaternions.shape[:-1], 3, 3))
 
 
-def euler_to_matrix(angles: np.ndarray) -> np.ndarray:
-    """R = Rz Ry Rx. [..., 3] radians about x, y, z to [..., 3, 3]."""
-    angles = np.asarray(angles, np.float64)
-    (cx, cy, cz), (sx, sy, sz) = np.moveaxis(np.cos(angles), -1, 0), np.moveaxis(np.sin(angles), -1, 0)
-    return np.stack(
-        [
-            cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx,
-            sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx,
-            -sy, cy * sx, cy * cx,
-        ],
-        -1,
-    ).reshape(*cx.shape, 3, 3)  # fmt: skip
+def euler_to_matrix(angles: Array) -> Array:
+    """Rotation matrices R = Rz Ry Rx of XYZ Euler angles (Blender's 'XYZ'), radians, [..., 3] to [..., 3, 3]."""
+    lib = library_of(angles)
+    cx, cy, cz = (lib.cos(angles[..., i]) for i in range(3))
+    sx, sy, sz = (lib.sin(angles[..., i]) for i in range(3))
+    entries = (
+        cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz,
+        cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz,
+        -sy, sx * cy, cx * cy,
+    )  # fmt: skip
+    return lib.stack(entries, -1).reshape((*angles.shape[:-1], 3, 3))
 
 
 def matrix_to_euler(matrices: np.ndarray) -> np.ndarray:
@@ -119,4 +116,4 @@ def axis_angle_to_euler(vectors: np.ndarray) -> np.ndarray:
 
 def euler_to_axis_angle(angles: np.ndarray) -> np.ndarray:
     """XYZ Euler angles [T, 3] to axis-angle vectors [T, 3], radians."""
-    return matrix_to_axis_angle(euler_to_matrix(angles))
+    return matrix_to_axis_angle(euler_to_matrix(np.asarray(angles, np.float64)))

@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from ..controls.names import ARKIT_NAMES, JOINT_NAMES
+from ..geometry.rotations import euler_to_matrix
 from ..geometry.triangles import face_areas, spread_to_corners
 from .flame_align import Correspondence
 from .flame_regions import FlameSurface
 from .model import HeadModel
-from .skinning import euler_matrices, posed_vertices
+from .skinning import posed_vertices
 
 _JAW = JOINT_NAMES.index("jaw")
 _EYES = (JOINT_NAMES.index("left_eye"), JOINT_NAMES.index("right_eye"))
@@ -74,7 +75,7 @@ def _jaw_moves(flame: HeadModel, turn: np.ndarray) -> np.ndarray:
     euler[_JAW] = turn
     template = flame.v_template.astype(np.float64)
     joints, parents = flame.joint_template.astype(np.float64), flame.parents.tolist()
-    return posed_vertices(template, euler_matrices(euler), joints, flame.weights, parents, flame.posedirs) - template
+    return posed_vertices(template, euler_to_matrix(euler), joints, flame.weights, parents, flame.posedirs) - template
 
 
 def _solve_jaw(flame: HeadModel, skin: np.ndarray, weight: np.ndarray, wanted: np.ndarray, axes: tuple[int, ...]) -> np.ndarray:

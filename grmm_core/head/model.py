@@ -18,7 +18,8 @@ import numpy as np
 
 from ..controls.names import ARKIT_NAMES, JOINT_NAMES
 from ..errors import ShapeError
-from .skinning import euler_matrices, posed_vertices
+from ..geometry.rotations import euler_to_matrix
+from .skinning import posed_vertices
 
 JOINT_COUNT = len(JOINT_NAMES)
 
@@ -153,7 +154,7 @@ class HeadModel:
             if displacement.shape != unposed.shape:
                 raise ShapeError(f"The displacement has shape {displacement.shape}; it must be {unposed.shape}.")
             unposed = unposed + displacement
-        rotations = euler_matrices(pose)
+        rotations = euler_to_matrix(pose)
         return posed_vertices(unposed, rotations, self.joints(shape), self.weights, self.parents.tolist(), self.posedirs)
 
     def pose_of(self, expression: np.ndarray, pose_euler: np.ndarray | None = None) -> np.ndarray:

@@ -4,7 +4,7 @@ The functions use only operators that both libraries share, picked by the type o
 (numpy, stock Blender) and the training path (torch, batched, differentiable) are one text. Torch is never imported here.
 Used by `head.model`, `head.torch_head` and the builder of the open head.
 
-Conventions: rotations are XYZ Euler angles in radians, R = Rz Ry Rx (Blender's 'XYZ'), in head axes; lengths in metres.
+Conventions: rotation matrices in head axes (`geometry.rotations.euler_to_matrix` gives them); lengths in metres.
 """
 
 from __future__ import annotations
@@ -14,26 +14,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..geometry.libraries import Array, library_of
-
-
-def euler_matrices(euler: Array) -> Array:
-    """Rotation matrices of XYZ Euler angles.
-
-    Args:
-        euler: Radians, [..., 3].
-
-    Returns:
-        R = Rz Ry Rx, [..., 3, 3].
-    """
-    lib = library_of(euler)
-    cx, cy, cz = (lib.cos(euler[..., i]) for i in range(3))
-    sx, sy, sz = (lib.sin(euler[..., i]) for i in range(3))
-    entries = (
-        cy * cz, sx * sy * cz - cx * sz, cx * sy * cz + sx * sz,
-        cy * sz, sx * sy * sz + cx * cz, cx * sy * sz - sx * cz,
-        -sy, sx * cy, cx * cy,
-    )  # fmt: skip
-    return lib.stack(entries, -1).reshape((*euler.shape[:-1], 3, 3))
 
 
 def joint_transforms(rotations: Array, joints: Array, parents: Sequence[int]) -> Array:

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor, nn
 
 from ..errors import ShapeError
+from ..geometry.rotations import euler_to_matrix
 from .model import JOINT_COUNT, HeadModel
-from .skinning import euler_matrices, posed_vertices
+from .skinning import posed_vertices
 
 
 class TorchHead(nn.Module):
@@ -101,7 +102,7 @@ class TorchHead(nn.Module):
     def posed(self, unposed: Tensor, pose: Tensor, joints: Tensor) -> Tensor:
         """Pose vertices [..., V, 3] of a head with rest joints [..., 5, 3]; `pose` and errors as in `forward`."""
         if pose.shape[-2:] == (JOINT_COUNT, 3) and pose.ndim == joints.ndim:
-            rotations = euler_matrices(pose)
+            rotations = euler_to_matrix(pose)
         elif pose.shape[-3:] == (JOINT_COUNT, 3, 3):
             rotations = pose
         else:

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from ..controls.names import JOINT_NAMES
-from ..geometry.rotations import euler_to_axis_angle
-from ..head.skinning import euler_matrices, posed_vertices
+from ..geometry.rotations import euler_to_axis_angle, euler_to_matrix
+from ..head.skinning import posed_vertices
 from ..model.config import BASIS_COLOR, BASIS_GROUPS, COLOR_CHANNELS, METRES_PER_MM, TRANSFORM_CHANNELS
 from ..model.inputs import InputSpace, ModelInputs
 from ..model.layout import CompressedRows, anchor_tables, compressed_rows, map_reader
@@ -158,7 +158,7 @@ class PlainModel:
         displacement = self._displacement(inputs) * np.float32(inputs.strength)
         used = len(inputs.expression)
         unposed = rest.vertices + head.expression_dirs[:, :, :used] @ inputs.expression + displacement
-        rotations = euler_matrices(inputs.pose)
+        rotations = euler_to_matrix(inputs.pose)
         vertices = posed_vertices(unposed, rotations, rest.joints, head.weights, self._tables.parents, head.posedirs)
         return Mesh(vertices.astype(np.float32), displacement)
 

@@ -121,7 +121,7 @@ def calibrate_neutral(performance: Performance, frames: Sequence[int] | np.ndarr
         changes["expression"] = performance.expression - np.median(performance.expression[chosen], axis=0)
     if head:
         for name in performance.rotation_names():
-            angles = getattr(performance, name)
+            angles = getattr(performance, name).astype(np.float64)
             matrices = euler_to_matrix(angles)
             rest = euler_to_matrix(np.median(angles[chosen], axis=0))
             changes[name] = unwrap_euler(matrix_to_euler(rest.T @ matrices))

@@ -7,13 +7,17 @@ network. Needs numpy only.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ..controls.frame import Controls
 from ..controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from ..formats import SplatCloud
+from ..formats.avatars.gaussian_avatars import GaussianAvatar
+from ..head import HeadModel
 from ..jobs.progress import Share, nobody
+from ..performance import Performance
 from .api import Session
 from .harmonics import fit_harmonics
 
@@ -31,6 +35,35 @@ def splat_cloud(session: Session, avatar_id: int, controls: Controls, sh_degree:
     found = session.gaussians(avatar_id, controls, lod=lod)
     harmonics = fit_harmonics(session, avatar_id, controls, sh_degree, lod)
     return SplatCloud(found.means, found.quats, found.scales, np.clip(found.opacities, 0.0, 1.0), harmonics)
+
+
+def flame_avatar(
+    session: Session, avatar_id: int, controls: Controls, flame: HeadModel, track: Performance, sh_degree: int, lod: int = 0
+) -> GaussianAvatar:
+    """Return an avatar of the open head as GaussianAvatars store it: splats on the triangles of the user's FLAME.
+
+    Args:
+        session: Where the avatar is open.
+        avatar_id: The avatar.
+        controls: The person at rest.
+        flame: The user's head model.
+        track: FLAME's parameters of the animation.
+        sh_degree: 0 to 3.
+        lod: As `Session.gaussians`.
+
+    Raises:
+        ShapeError: The avatar is not of the open head.
+        FileFormatError: The head model is not FLAME's.
+    """
+    from ..formats.avatars.flame_transfer import PROBES, bind_to_flame, fit_flame  # with FLAME's dozen modules
+
+    fit = fit_flame(session.deform(avatar_id, controls).vertices, flame)
+    probes = []
+    for probe in PROBES:
+        raised = controls.validate().set_named(probe)
+        probes.append((session.gaussians(avatar_id, raised, lod=lod).means, session.deform(avatar_id, raised).vertices))
+    bound = bind_to_flame(splat_cloud(session, avatar_id, controls, sh_degree, lod), fit, flame, probes)
+    return GaussianAvatar(bound, replace(track, static_offset=fit.offset))
 
 
 def morph_targets(

@@ -24,7 +24,8 @@ from ..controls.frame import Controls
 from ..errors import SessionError, ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy
-from ..head.skinning import euler_matrices, joint_transforms
+from ..geometry.rotations import euler_to_matrix
+from ..head.skinning import joint_transforms
 from ..model.people import default_avatar, sampled_avatar
 from ..model.portrait import THUMBNAIL_PIXELS, portrait_camera
 from ..model.store import LoadedModel
@@ -278,5 +279,5 @@ def _joints(target: OpenAvatar, inputs: Inputs) -> np.ndarray:
     """Return posed joint positions, [5, 3]."""
     head = target.model.head_model
     rest = np.asarray(head.joints(inputs.shape), np.float32)
-    transforms = joint_transforms(euler_matrices(inputs.pose), rest, head.parents)  # [5, 3, 4]
+    transforms = joint_transforms(euler_to_matrix(inputs.pose), rest, head.parents)  # [5, 3, 4]
     return ((transforms[..., :3] @ rest[..., None])[..., 0] + transforms[..., 3]).astype(np.float32)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
+from ..geometry.rotations import quaternion_to_matrix
 from .rules import ALPHA_MAX, ALPHA_MIN, COMPENSATION_MIN, DILATION, NEAR, TRANSMITTANCE_MIN, View
 from .types import Gaussians, RasterOutput
 
@@ -39,17 +40,6 @@ class Projected:
     depths: Tensor
     opacities: Tensor
     index: Tensor
-
-
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """Return rotation matrices [N, 3, 3] of quaternions [N, 4] (w x y z, any length but zero)."""
-    w, x, y, z = (quats / quats.norm(dim=-1, keepdim=True)).unbind(-1)
-    rows = (
-        torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], -1),
-        torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], -1),
-        torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1),
-    )
-    return torch.stack(rows, -2)
 
 
 def drawable(gaussians: Gaussians) -> Tensor:
@@ -101,7 +91,7 @@ def project(gaussians: Gaussians, view: View, antialiased: bool) -> Projected:
             -2,
         )
     # Rows of W = J R V with V = rotation * scales; the covariance is W W^T, its determinant |W0 x W1|^2 free of cancellation.
-    spread = jacobian @ rotation @ (rotation_matrices(quats) * scales[:, None, :])  # [V, 2, 3]
+    spread = jacobian @ rotation @ (quaternion_to_matrix(quats) * scales[:, None, :])  # [V, 2, 3]
     first, second = spread.unbind(-2)
     a, b, c = first.square().sum(-1), (first * second).sum(-1), second.square().sum(-1)
     det = torch.linalg.cross(first, second).square().sum(-1)

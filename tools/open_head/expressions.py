@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.head.skinning import euler_matrices, joint_transforms, skin
+from grmm_core.geometry.rotations import euler_to_matrix
+from grmm_core.head.skinning import joint_transforms, skin
 
 from .parts import InnerParts
 from .source import Source
@@ -100,16 +101,16 @@ def build_expression_space(source: Source, topology: Topology, parts: InnerParts
             pose[other] = pose[index][list(joint_map)] * (1, -1, -1)
     open_pose = pose[names.index("jawOpen"), JAW]
     open_pose[1:] = 0.0
-    weights = _weights(source, topology, template, joints[JAW], euler_matrices(open_pose), sculpted[names.index("jawOpen")])
+    weights = _weights(source, topology, template, joints[JAW], euler_to_matrix(open_pose), sculpted[names.index("jawOpen")])
 
     for index, name in enumerate(names):
         for side, joint in (("left", LEFT_EYE), ("right", RIGHT_EYE)):
             part = topology.parts[f"{side}_eyeball"]
-            turn = euler_matrices(pose[index, joint])
+            turn = euler_to_matrix(pose[index, joint])
             sculpted[index][part] = (template[part] - joints[joint]) @ (turn - np.eye(3)).T
         if name in JAW_SHAPES:  # teeth are rigid: exactly the joint's motion
             part = topology.parts["lower_teeth"]
-            sculpted[index][part] = (template[part] - joints[JAW]) @ (euler_matrices(pose[index, JAW]) - np.eye(3)).T
+            sculpted[index][part] = (template[part] - joints[JAW]) @ (euler_to_matrix(pose[index, JAW]) - np.eye(3)).T
     _free_tongue(topology, names, template, sculpted, pose, joints, weights)
     directions = np.stack([unpose(template, sculpted[i], pose[i], joints, weights) for i in range(len(names))], -1)
     return ExpressionSpace(tuple(names), sculpted, directions, pose, joints, weights)
@@ -132,7 +133,7 @@ def _free_tongue(
     unposed = TONGUE_JAW * unpose(template, sculpted[jaw], pose[jaw], joints, weights) + sculpted[tongue]
     unposed[topology.parts["tongue"]] += tongue_reach(template[topology.parts["tongue"]])
     pose[tongue] = TONGUE_JAW * pose[jaw]
-    transforms = joint_transforms(euler_matrices(pose[tongue]), joints, PARENTS)
+    transforms = joint_transforms(euler_to_matrix(pose[tongue]), joints, PARENTS)
     sculpted[tongue] = skin(template + unposed, transforms, weights) - template
 
 
@@ -145,7 +146,7 @@ def tongue_reach(points: np.ndarray) -> np.ndarray:
 
 def unpose(template: np.ndarray, sculpted: np.ndarray, pose: np.ndarray, joints: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the offsets [V, 3] before skinning that give `template + sculpted` after skinning with `pose` [5, 3]."""
-    transforms = joint_transforms(euler_matrices(pose), joints, PARENTS)  # [5, 3, 4]
+    transforms = joint_transforms(euler_to_matrix(pose), joints, PARENTS)  # [5, 3, 4]
     blended = np.einsum("vj,jab->vab", weights, transforms)
     wanted = template + sculpted - blended[:, :, 3]
     return np.linalg.solve(blended[:, :, :3], wanted[..., None])[..., 0] - template
@@ -201,7 +202,7 @@ def _bend_tongue(topology: Topology, template: np.ndarray, angles: np.ndarray) -
     pivot = np.array([0.0, np.median(points[:, 1][along < 0.2]), low + 0.35 * (high - low)])
     if angles[2]:
         pivot[1] = points[along > 0.5, 1].mean()
-    turns = euler_matrices(angles * (along**1.5)[:, None])
+    turns = euler_to_matrix(angles * (along**1.5)[:, None])
     offsets = np.zeros_like(template)
     offsets[part] = np.einsum("vab,vb->va", turns, points - pivot) + pivot - points
     return offsets

@@ -14,10 +14,10 @@ from ...errors import FileAccessError, FileFormatError, ShapeError
 from ...files.format import Format
 from ...performance.types import Performance
 from ..performances.flame_npz import read_flame_npz, write_flame_npz
-from ..splats.cloud import SplatCloud
+from ..splats.cloud import MAX_DEGREE, SplatCloud
 from ..splats.ply import read_layout, read_ply, write_ply
 
-FLAME_TEETH_FACES = 10144
+FLAME_TEETH_FACES, FLAME_TEETH_VERTICES = 10144, 5143
 PLY_NAME, TRACK_NAME = "point_cloud.ply", "flame_param.npz"
 
 
@@ -62,20 +62,28 @@ def _with_track(path: Path, cloud: SplatCloud) -> GaussianAvatar:
         raise FileFormatError(
             f"{path} is bound to more triangles than FLAME with teeth has ({FLAME_TEETH_FACES}); check its head model."
         )
+    cloud = cloud.with_degree(cloud.used_degree)
     track_path = path.parent / TRACK_NAME
     return GaussianAvatar(cloud, read_flame_npz(track_path) if track_path.exists() else None)
 
 
 def write_gaussian_avatar(folder: str | os.PathLike[str], avatar: GaussianAvatar) -> None:
-    """Write `point_cloud.ply` and `flame_param.npz` to an existing folder. Raises `ShapeError` and `FileAccessError`."""
+    """Write `point_cloud.ply` and `flame_param.npz` to an existing folder, as that project's loader wants them.
+
+    It takes harmonics of degree 3 alone, so that missing ones are written as zeros.
+
+    Raises:
+        ShapeError: The splats are not bound to triangles.
+        FileAccessError: The folder is missing, or a file cannot be written.
+    """
     if avatar.cloud.binding is None:
         raise ShapeError("A GaussianAvatars avatar needs splats bound to triangles; bind them first.")
     folder = Path(folder)
     if not folder.is_dir():
         raise FileAccessError(f"{folder} is not a folder; create it or choose another.")
-    write_ply(folder / PLY_NAME, avatar.cloud)
+    write_ply(folder / PLY_NAME, avatar.cloud.with_degree(MAX_DEGREE))
     if avatar.track is not None:
-        write_flame_npz(folder / TRACK_NAME, avatar.track)
+        write_flame_npz(folder / TRACK_NAME, avatar.track, vertex_count=FLAME_TEETH_VERTICES)
 
 
 def _recognises(path: Path, start: bytes) -> bool:

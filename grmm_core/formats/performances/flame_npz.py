@@ -171,8 +171,17 @@ def _rate(array: np.ndarray | None, warnings: list[str]) -> float:
     return DEFAULT_FPS
 
 
-def write_flame_npz(path: str | os.PathLike[str], performance: Performance, progress: Share | None = None) -> None:
+def write_flame_npz(
+    path: str | os.PathLike[str], performance: Performance, progress: Share | None = None, vertex_count: int = 0
+) -> None:
     """Write GaussianAvatars' `flame_param.npz`: axis-angle rotations, 300 shape and 100 expression coefficients.
+
+    Args:
+        path: Target file.
+        performance: With expression coefficients.
+        progress: Not used; a track is written at once.
+        vertex_count: Of the mesh, for files of an avatar, whose loader also wants an offset of each vertex, for all frames
+            and for each; 0 leaves out what the performance does not have.
 
     Raises:
         ShapeError: The performance has ARKit weights, or more coefficients than FLAME.
@@ -201,6 +210,9 @@ def write_flame_npz(path: str | os.PathLike[str], performance: Performance, prog
     arrays["translation"] = np.zeros((count, 3), np.float32) if translation is None else np.asarray(translation, np.float32)
     if performance.static_offset is not None:
         arrays["static_offset"] = np.asarray(performance.static_offset, np.float32)[None]
+    if vertex_count:
+        arrays.setdefault("static_offset", np.zeros((1, vertex_count, 3), np.float32))
+        arrays["dynamic_offset"] = np.broadcast_to(np.float32(0.0), (count, vertex_count, 3))
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **arrays)
     atomic_write_bytes(path, buffer.getvalue())

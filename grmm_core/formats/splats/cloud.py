@@ -70,6 +70,18 @@ class SplatCloud:
         """Display sRGB of the constant term, [N, 3], not clipped."""
         return 0.5 + SH_C0 * self.sh[:, 0]
 
+    @property
+    def used_degree(self) -> int:
+        """Degree of the highest harmonics that are not all zero."""
+        return max((d for d in range(1, self.degree + 1) if (self.sh[:, d * d : (d + 1) ** 2] != 0).any()), default=0)
+
+    def with_degree(self, degree: int) -> SplatCloud:
+        """Return a copy with harmonics of another degree: zeros are added, or the higher ones left out."""
+        sh = np.zeros((self.count, (degree + 1) ** 2, 3), np.float32)
+        kept = min(sh.shape[1], self.sh.shape[1])
+        sh[:, :kept] = self.sh[:, :kept]
+        return replace(self, sh=sh)
+
     def summary(self) -> dict[str, object]:
         """Facts for people: what `grmm info` shows."""
         size = np.ptp(self.means, axis=0)

@@ -11,10 +11,12 @@ its Gaussians, which gives g = alpha dL/dalpha; for each Gaussian the sums over 
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..rules import TILE
-from .blocks import alpha_at, ellipse, in_lanes, make_scratch, pass_light, start_batch, whitened
+from .blocks import Four, alpha_at, ellipse, in_lanes, make_scratch, pass_light, start_batch, whitened
 from .jit import kernel, part
 from .projection_gradient import unproject
 from .records import RECORD, ROW, VALUES
@@ -23,7 +25,7 @@ from .tiling import BATCH, BLOCKS, GROUP, ONE, ROOM, ZERO, F, lane_of, padded, s
 
 
 @part
-def _add_four(four, weight, pull, at):  # noqa: ANN001, ANN202
+def _add_four(four: Four, weight: Any, pull: np.ndarray, at: int) -> Four:
     """Return the sums of four channels with a weight times a block's four gradients added."""
     a, b, c, d = four
     a = a + weight * load(pull, at)
@@ -44,10 +46,7 @@ def _slot(i: int, whole: np.ndarray, tile_x: int, tile_y: int) -> int:
 def _replay_tile(
     low: int,
     high: int,
-    gaussian: np.ndarray,
-    geometry: np.ndarray,
-    whole: np.ndarray,
-    features: np.ndarray,
+    scene: tuple[np.ndarray, ...],
     tile_x: int,
     tile_y: int,
     constants: tuple[float, ...],
@@ -69,6 +68,7 @@ def _replay_tile(
         entries: Scratch [BLOCKS * BATCH + 1] int64: places in `weights`, by Gaussian; `first` becomes the first of each one.
         rows: Output [slots, ROW.red + channels], the channels padded as everywhere here.
     """
+    gaussian, _, whole, _ = scene
     values, shapes, pairs, first, weights, sources, ends = scratch
     channels = values.shape[1]
     flat, out = values.reshape(-1), rows.reshape(-1)
@@ -77,7 +77,7 @@ def _replay_tile(
     left, top = F(tile_x * TILE), F(tile_y * TILE)
     for batch in range(low, high, BATCH):
         end = min(batch + BATCH, high)
-        start_batch(batch, end, gaussian, geometry, features, left, top, scratch)
+        start_batch(batch, end, scene, left, top, scratch)
         listed = 0
         pair = 0
         for k in range(end - batch):
@@ -160,10 +160,7 @@ def replay(
     tiles_x: int,
     starts: np.ndarray,
     ends: np.ndarray,
-    gaussian: np.ndarray,
-    geometry: np.ndarray,
-    whole: np.ndarray,
-    features: np.ndarray,
+    scene: tuple[np.ndarray, ...],
     constants: tuple[float, ...],
     pictures: tuple[np.ndarray, ...],
     d_pictures: tuple[np.ndarray, ...],
@@ -172,11 +169,12 @@ def replay(
     """Write the gradients of the instances of some tiles to `rows`.
 
     Arguments by group:
-        first_tile, end_tile, tiles_x, starts, gaussian, geometry, whole, features, constants: As in `forward.draw`.
+        first_tile, end_tile, tiles_x, starts, scene, constants: As in `forward.draw`.
         ends, pictures: What it returned.
         d_pictures: Gradients of the pictures.
         rows: Output [M, ROW.red + padded(C)].
     """
+    gaussian, _, whole, features = scene
     channels = padded(features.shape[1])
     pull = np.zeros(BLOCKS * channels * WIDTH, np.float32)
     behind = np.zeros(BLOCKS * WIDTH, np.float32)
@@ -214,7 +212,7 @@ def replay(
                         arriving += g * blended[y, x, k]
                     behind[pixel] = arriving
             _replay_tile(
-                low, end, gaussian, geometry, whole, features, tile % tiles_x, tile // tiles_x, constants,
+                low, end, scene, tile % tiles_x, tile // tiles_x, constants,
                 pull, behind, through, scratch, ratios, entries, rows,
             )  # fmt: skip
         for n in range(max(end, low), high):

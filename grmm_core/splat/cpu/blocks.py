@@ -7,7 +7,7 @@ predict. Used by `forward.py`, `backward.py` and `count.py`.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -32,6 +32,8 @@ from .tiling import (
 )
 
 SHRINK = F(SQUEEZE)  # makes t in e^(-8 t) the sum of the squares of s and q
+Four: TypeAlias = tuple[Any, Any, Any, Any]
+"""Lanes of four channels."""
 
 
 class Constants(NamedTuple):
@@ -102,7 +104,7 @@ class Ellipse(NamedTuple):
 
 
 @part
-def ellipse(shapes, k, left, top) -> Ellipse:  # noqa: ANN001
+def ellipse(shapes: np.ndarray, k: int, left: float, top: float) -> Ellipse:
     """Return Gaussian k of a batch's `shapes` on the tile whose corner is left, top."""
     return Ellipse(
         spread(shapes[k, RECORD.x] - left - HALF),
@@ -114,14 +116,14 @@ def ellipse(shapes, k, left, top) -> Ellipse:  # noqa: ANN001
 
 
 @part
-def whitened(shape, block):  # noqa: ANN001, ANN201
+def whitened(shape: Ellipse, block: int) -> tuple[Any, Any]:
     """Return s and q of an `Ellipse` at a block's pixels."""
     dx, dy = load(PIXEL_X, block * WIDTH) - shape.x, load(PIXEL_Y, block * WIDTH) - shape.y
     return shape.l11 * dx + shape.l12 * dy, shape.l22 * dy
 
 
 @part
-def alpha_at(opacity, s, q, lanes):  # noqa: ANN001, ANN201
+def alpha_at(opacity: Any, s: Any, q: Any, lanes: Constants) -> Any:
     """Return alpha in each lane, zero where it is below its threshold."""
     t = smaller(s * s + q * q, lanes.farthest)
     tt = t * t
@@ -133,7 +135,7 @@ def alpha_at(opacity, s, q, lanes):  # noqa: ANN001, ANN201
 
 
 @part
-def pass_light(through, block, alpha, lanes):  # noqa: ANN001, ANN201
+def pass_light(through: np.ndarray, block: int, alpha: Any, lanes: Constants) -> Any:
     """Take a Gaussian's alpha from a block's transmittance; return its weight, zero in pixels that have ended or end here."""
     before = load(through, block * WIDTH)
     after = before * (lanes.one - alpha)
@@ -142,7 +144,7 @@ def pass_light(through, block, alpha, lanes):  # noqa: ANN001, ANN201
 
 
 @part
-def make_scratch(channels):  # noqa: ANN001, ANN201
+def make_scratch(channels: int) -> tuple[np.ndarray, ...]:
     """Return a thread's memory for the batches of a tile, as a tuple.
 
     values [BATCH, channels]: red, green, blue, depth, features, zeros.
@@ -250,14 +252,13 @@ def find_blocks(count: int, shapes: np.ndarray, left: float, top: float, pairs: 
 def start_batch(
     low: int,
     high: int,
-    gaussian: np.ndarray,
-    geometry: np.ndarray,
-    features: np.ndarray,
+    scene: tuple[np.ndarray, ...],
     left: float,
     top: float,
     scratch: tuple[np.ndarray, ...],
 ) -> int:
     """Make the scratch ready for the instances low..high over the tile at left, top; return the number of pairs."""
+    gaussian, geometry, _, features = scene
     values, shapes, pairs, first, _, _, ends = scratch
     gather(low, high, gaussian, geometry, features, values, shapes)
     for block in range(BLOCKS):

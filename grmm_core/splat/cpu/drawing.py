@@ -95,7 +95,7 @@ def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialia
     for_each(
         len(groups),
         lambda k: forward.draw(
-            *groups[k], tiles_x, starts, gaussian, geometry, whole, gaussians.features, background, blocks.CONSTANTS,
+            *groups[k], tiles_x, starts, (gaussian, geometry, whole, gaussians.features), background, blocks.CONSTANTS,
             tuple(pictures), ends,
         ),
     )  # fmt: skip
@@ -122,11 +122,12 @@ def differentiate(
     rows = buffers.empty(shape)
     gradients = GaussianArrays(*(np.zeros_like(array) for array in gaussians))
     geometry, whole = drawing.geometry, drawing.whole
+    scene = (drawing.gaussian, geometry, whole, gaussians.features)
     groups = _pieces(len(drawing.ends), TILES_MIN, TASKS * thread_count())
     for_each(
         len(groups),
         lambda k: backward.replay(
-            *groups[k], drawing.tiles_x, drawing.starts, drawing.ends, drawing.gaussian, geometry, whole, gaussians.features,
+            *groups[k], drawing.tiles_x, drawing.starts, drawing.ends, scene,
             blocks.CONSTANTS, tuple(pictures), tuple(d_pictures), rows,
         ),
     )  # fmt: skip

@@ -8,11 +8,13 @@ each block, the sums of weight times value, which stay in registers for the whol
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from ..rules import TILE
 from .binning import BUCKETS, DIGITS, sort_by_depth
-from .blocks import all_ended, alpha_at, ellipse, in_lanes, make_scratch, pass_light, start_batch, whitened
+from .blocks import Four, all_ended, alpha_at, ellipse, in_lanes, make_scratch, pass_light, start_batch, whitened
 from .jit import kernel, part
 from .records import RECORD, VALUES
 from .simd import WIDTH, any_at_least, load, spread, store
@@ -20,12 +22,12 @@ from .tiling import BATCH, BLOCKS, GROUP, ONE, ROOM, ZERO, F, lane_of, padded, s
 
 
 @part
-def _load_four(sums, at):  # noqa: ANN001, ANN202
+def _load_four(sums: np.ndarray, at: int) -> Four:
     return load(sums, at), load(sums, at + WIDTH), load(sums, at + 2 * WIDTH), load(sums, at + 3 * WIDTH)
 
 
 @part
-def _add_four(four, weight, flat, at):  # noqa: ANN001, ANN202
+def _add_four(four: Four, weight: Any, flat: np.ndarray, at: int) -> Four:
     """Return the sums of four channels with a weight times a Gaussian's four values added."""
     a, b, c, d = four
     a = a + weight * spread(flat[at])
@@ -36,7 +38,7 @@ def _add_four(four, weight, flat, at):  # noqa: ANN001, ANN202
 
 
 @part
-def _store_four(sums, at, four):  # noqa: ANN001, ANN202
+def _store_four(sums: np.ndarray, at: int, four: Four) -> None:
     a, b, c, d = four
     store(sums, at, a)
     store(sums, at + WIDTH, b)
@@ -48,9 +50,7 @@ def _store_four(sums, at, four):  # noqa: ANN001, ANN202
 def _blend_tile(
     low: int,
     high: int,
-    gaussian: np.ndarray,
-    geometry: np.ndarray,
-    features: np.ndarray,
+    scene: tuple[np.ndarray, ...],
     left: float,
     top: float,
     constants: tuple[float, ...],
@@ -72,7 +72,7 @@ def _blend_tile(
         if batch > low and all_ended(through):
             return batch
         end = min(batch + BATCH, high)
-        listed = start_batch(batch, end, gaussian, geometry, features, left, top, scratch)
+        listed = start_batch(batch, end, scene, left, top, scratch)
         for pair in range(listed):
             k, block = pairs[pair] // BLOCKS, pairs[pair] % BLOCKS
             s, q = whitened(ellipse(shapes, k, left, top), block)
@@ -149,10 +149,7 @@ def draw(
     end_tile: int,
     tiles_x: int,
     starts: np.ndarray,
-    gaussian: np.ndarray,
-    geometry: np.ndarray,
-    whole: np.ndarray,
-    features: np.ndarray,
+    scene: tuple[np.ndarray, ...],
     background: np.ndarray,
     constants: tuple[float, ...],
     pictures: tuple[np.ndarray, ...],
@@ -163,14 +160,15 @@ def draw(
     Arguments by group:
         first_tile, end_tile: Which.
         tiles_x: Tiles in a row of the grid.
-        starts, gaussian: Instances, of `binning`; those of the tiles are sorted by depth in place.
-        geometry, whole: Of `projection.project`.
-        features: [N, C] float32.
+        starts: First instance of each tile, of `binning`.
+        scene: gaussian of each instance, of `binning`, those of the tiles sorted by depth in place; geometry and whole, of
+            `projection.project`; features [N, C] float32.
         background: [1, 1, 3] or [H, W, 3] float32.
         constants: CONSTANTS.
         pictures: Outputs, the parts of `PictureArrays`.
         ends: Output [tiles] int64: end of the instances of each tile that any pixel was still open to.
     """
+    gaussian, _, whole, features = scene
     rgb, alpha, depth, blended = pictures
     height, width = alpha.shape
     channels = padded(features.shape[1])
@@ -191,7 +189,7 @@ def draw(
             sort_by_depth(gaussian[low:high], whole, keys, spare, histogram)
             sums[:] = ZERO
             start_tile(through, columns, rows)
-            ends[tile] = _blend_tile(low, high, gaussian, geometry, features, F(x0), F(y0), constants, sums, through, scratch)
+            ends[tile] = _blend_tile(low, high, scene, F(x0), F(y0), constants, sums, through, scratch)
             _write_tile(x0, y0, columns, rows, sums, through, channels, background, pictures)
         else:
             ends[tile] = low

@@ -28,8 +28,11 @@ SCRATCH = 20
 
 
 @part
-def footprint(m, v):  # noqa: ANN001, ANN201 - numbers or lanes of them, row by row
-    """Return W = M V (2 x 3) of EWA splatting, for M = J R (2 x 3) and V = rotation times scales (3 x 3)."""
+def footprint(m: tuple[Any, ...], v: tuple[Any, ...]) -> tuple[Any, ...]:
+    """Return W = M V (2 x 3) of EWA splatting, for M = J R (2 x 3) and V = rotation times scales (3 x 3).
+
+    Each row by row, numbers or lanes of them.
+    """
     m00, m01, m02, m10, m11, m12 = m
     v00, v01, v02, v10, v11, v12, v20, v21, v22 = v
     return (
@@ -43,7 +46,7 @@ def footprint(m, v):  # noqa: ANN001, ANN201 - numbers or lanes of them, row by 
 
 
 @part
-def covariance(w):  # noqa: ANN001, ANN201
+def covariance(w: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return entries xx, xy, yy of a footprint's covariance W W^T, and its determinant |W0 x W1|^2, free of cancellation."""
     w00, w01, w02, w10, w11, w12 = w
     k0, k1, k2 = w01 * w12 - w02 * w11, w02 * w10 - w00 * w12, w00 * w11 - w01 * w10

@@ -26,7 +26,7 @@ PIXEL_Y = np.add.outer(BLOCK_TOP, (_LANE // BLOCK_X).astype(np.float32)).reshape
 
 
 @part
-def lane_of(row, column, channels):  # noqa: ANN001, ANN201
+def lane_of(row: int, column: int, channels: int) -> tuple[int, int]:
     """Return where a tile's pixel is in one number per pixel, and in `channels` numbers per pixel."""
     block, lane = row // BLOCK_Y * BLOCKS_X + column // BLOCK_X, row % BLOCK_Y * BLOCK_X + column % BLOCK_X
     return block * WIDTH + lane, block * channels * WIDTH + lane

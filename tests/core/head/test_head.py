@@ -10,9 +10,10 @@ from grmm_core.controls.frame import Controls, resolve
 from grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
 from grmm_core.errors import ControlError, FileAccessError, FileFormatError, ShapeError
 from grmm_core.files.tensorfile import read_tensors, write_tensors
+from grmm_core.geometry.rotations import euler_to_matrix
 from grmm_core.head import load_open_head, load_people_model, read_head
 from grmm_core.head.open_head import ASSET
-from grmm_core.head.skinning import euler_matrices, joint_transforms, posed_vertices
+from grmm_core.head.skinning import joint_transforms, posed_vertices
 
 SCULPT_TOLERANCE = 5e-6  # metres; 16-bit rounding of directions gives under 1e-6
 PEOPLE = 12
@@ -188,17 +189,17 @@ def test_corrupt_asset_is_refused(tmp_path, raw):
 
 def test_euler_convention_is_rz_ry_rx():
     angles = np.array([0.3, -0.5, 0.7])
-    single = [euler_matrices(angles * axis) for axis in np.eye(3)]
-    np.testing.assert_allclose(euler_matrices(angles), single[2] @ single[1] @ single[0], atol=1e-12)
-    np.testing.assert_allclose(euler_matrices(np.array([0.1, 0, 0])) @ (0, 1, 0), (0, np.cos(0.1), np.sin(0.1)), atol=1e-12)
+    single = [euler_to_matrix(angles * axis) for axis in np.eye(3)]
+    np.testing.assert_allclose(euler_to_matrix(angles), single[2] @ single[1] @ single[0], atol=1e-12)
+    np.testing.assert_allclose(euler_to_matrix(np.array([0.1, 0, 0])) @ (0, 1, 0), (0, np.cos(0.1), np.sin(0.1)), atol=1e-12)
 
 
 def test_joint_chain_turns_children(head):
     joints = head.joints(np.zeros(0))
     pose = np.zeros((5, 3), np.float32)
     pose[1] = (0.2, 0.4, -0.1)
-    transforms = joint_transforms(euler_matrices(pose), joints, head.parents.tolist())
-    neck = euler_matrices(pose[1])
+    transforms = joint_transforms(euler_to_matrix(pose), joints, head.parents.tolist())
+    neck = euler_to_matrix(pose[1])
     for child in (2, 3, 4):
         moved = transforms[child, :, :3] @ joints[child] + transforms[child, :, 3]
         np.testing.assert_allclose(moved, neck @ (joints[child] - joints[1]) + joints[1], atol=1e-6)
@@ -209,7 +210,7 @@ def test_root_moves_everything_rigidly(head):
     pose[0] = (0.3, -0.2, 0.5)
     turned = head.vertices(np.zeros(0), np.zeros(0), pose)
     root = head.joints(np.zeros(0))[0]
-    np.testing.assert_allclose(turned, (head.v_template - root) @ euler_matrices(pose[0]).T + root, atol=1e-5)
+    np.testing.assert_allclose(turned, (head.v_template - root) @ euler_to_matrix(pose[0]).T + root, atol=1e-5)
 
 
 def test_numpy_and_torch_agree(head):
@@ -226,7 +227,7 @@ def test_numpy_and_torch_agree(head):
     for i in range(2):
         np.testing.assert_allclose(vertices[i], head.vertices(shape[i], expression[i], pose[i], displacement[i]), atol=2e-6)
         np.testing.assert_allclose(joints[i], head.joints(shape[i]), atol=2e-6)
-    rotations = euler_matrices(arguments[2])
+    rotations = euler_to_matrix(arguments[2])
     np.testing.assert_allclose(twin(arguments[0], arguments[1], rotations, arguments[3])[0], vertices, atol=1e-6)
     np.testing.assert_allclose(twin.pose_of(arguments[1])[0], head.pose_of(expression[0]), atol=1e-5)
     assert not twin.state_dict()
@@ -270,7 +271,7 @@ def test_persons_do_not_mix(head):
 def test_posedirs_are_added_before_skinning(head):
     pose = np.zeros((5, 3), np.float32)
     pose[2] = (0.2, 0.1, 0)
-    rotations = euler_matrices(pose)
+    rotations = euler_to_matrix(pose)
     posedirs = np.random.default_rng(0).normal(0, 1e-3, (head.vertex_count, 3, 36)).astype(np.float32)
     extra = posedirs @ (rotations[1:] - np.eye(3, dtype=np.float32)).ravel()
     joints, parents = head.joints(np.zeros(0)), head.parents.tolist()

@@ -9,7 +9,7 @@ from model_fixtures import RADIUS, inputs, randomise
 from without_torch import run_without_torch
 
 from grmm_core.errors import ShapeError
-from grmm_core.geometry.rotations import multiply_quaternions
+from grmm_core.geometry.rotations import multiply_quaternions, quaternion_to_matrix
 from grmm_core.geometry.tensor_rotations import matrix_to_quaternion, rotate
 from grmm_core.model.layout import map_reader, texel_layout
 from grmm_core.model.sparse import FixedSparse
@@ -17,7 +17,6 @@ from grmm_core.model.texels import (
     TexelAnchor,
     place_gaussians,
 )
-from grmm_core.splat.reference import rotation_matrices
 
 
 def test_texel_positions_match_their_uv(head):
@@ -58,7 +57,7 @@ def test_frames_of_a_plane_are_exact():
     normal = np.cross(along, across)
     normal /= np.linalg.norm(normal)
     tangent = along / np.linalg.norm(along)
-    turned = rotation_matrices(frames.quats).numpy()
+    turned = quaternion_to_matrix(frames.quats).numpy()
     axes = np.stack([tangent, np.cross(normal, tangent), normal], -1)
     np.testing.assert_allclose(turned, np.broadcast_to(axes, turned.shape), atol=1e-6)
     height = np.linalg.norm(np.cross(tangent, across))
@@ -88,8 +87,8 @@ def test_gaussians_turn_with_the_mesh(model):
     count = model.gaussian_count
     torch.testing.assert_close(after.means, rotate(turn.expand(count, 4), before.means), atol=1e-8, rtol=0)
     torch.testing.assert_close(after.scales, before.scales, atol=1e-8, rtol=0)
-    expected = rotation_matrices(multiply_quaternions(turn.expand(count, 4), before.quats))
-    torch.testing.assert_close(rotation_matrices(after.quats), expected, atol=1e-6, rtol=0)
+    expected = quaternion_to_matrix(multiply_quaternions(turn.expand(count, 4), before.quats))
+    torch.testing.assert_close(quaternion_to_matrix(after.quats), expected, atol=1e-6, rtol=0)
 
 
 def test_zero_offsets_leave_gaussians_on_the_surface(model):
@@ -151,8 +150,8 @@ def test_quaternions_of_random_rotations():
     generator = torch.Generator().manual_seed(3)
     quats = torch.randn(500, 4, generator=generator, dtype=torch.float64)
     quats = torch.cat([quats, torch.eye(4, dtype=torch.float64)])  # half turns, where one-formula conversions fail
-    matrices = rotation_matrices(quats)
-    torch.testing.assert_close(rotation_matrices(matrix_to_quaternion(matrices)), matrices, atol=1e-12, rtol=0)
+    matrices = quaternion_to_matrix(quats)
+    torch.testing.assert_close(quaternion_to_matrix(matrix_to_quaternion(matrices)), matrices, atol=1e-12, rtol=0)
 
 
 def test_fixed_sparse_is_the_dense_product_and_its_gradient():

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from types import ModuleType
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def library_of(array: np.ndarray | torch.Tensor) -> ModuleType:
 def zeros(shape: tuple[int, ...], like: Array) -> Array:
     """Zeros of a shape, of the type and device of an array."""
     library = library_of(like)
-    place = {} if library is np else {"device": like.device}
+    place: dict[str, Any] = {} if isinstance(like, np.ndarray) else {"device": like.device}
     result: Array = library.zeros(shape, dtype=like.dtype, **place)
     return result
 
@@ -37,12 +37,11 @@ def zeros(shape: tuple[int, ...], like: Array) -> Array:
 def as_like(values: np.ndarray | tuple[float, ...], like: Array) -> Array:
     """Numbers as an array or tensor of the type and device of another one."""
     library = library_of(like)
-    place = {} if library is np else {"device": like.device}
+    place: dict[str, Any] = {} if isinstance(like, np.ndarray) else {"device": like.device}
     result: Array = library.asarray(values, dtype=like.dtype, **place)
     return result
 
 
 def to_numpy(array: np.ndarray | torch.Tensor) -> np.ndarray:
     """Contiguous float32 numbers of an array or tensor."""
-    library = library_of(array)
-    return np.ascontiguousarray(array if library is np else array.detach().float().cpu().numpy(), np.float32)
+    return np.ascontiguousarray(array if isinstance(array, np.ndarray) else array.detach().float().cpu().numpy(), np.float32)

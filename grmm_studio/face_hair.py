@@ -20,6 +20,7 @@ BROW_Y = (0.0530, 0.0550, 0.0580, 0.0600, 0.0580, 0.0515)
 BROW_HALF = (0.0032, 0.0042, 0.0042, 0.0032, 0.0022, 0.0008)
 CANDIDATES = 16000  # roots drawn for brows, of which those in the brow are kept
 BEARD_ROOTS = 30000  # likewise
+STUBBLE = 0.0011  # metres
 
 
 @dataclass
@@ -93,22 +94,24 @@ def beard_field(points: np.ndarray, s: Subject) -> np.ndarray:
 
 
 def beard(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, s: Subject, g: np.random.Generator) -> Hairs | None:
-    """The beard on the neutral head [V, 3]; None for the shaven."""
-    if s.beard <= 0:
+    """Beard or stubble on the neutral head [V, 3]; None where there is neither."""
+    shaven = s.beard <= 0
+    if shaven and s.stubble < 0.05:
         return None
+    grown = STUBBLE * (0.4 + s.stubble) if shaven else s.beard
     faces, template = np.asarray(head.faces), np.asarray(head.v_template, float)
     numbers = skin_triangles(head, mesh, ("mouth_interior", "lips"))
     near = numbers[beard_field(template, s)[faces[numbers]].max(1) > 0.0]
     roots = Roots.scatter(head, mesh, neutral, near, np.ones(len(near)), BEARD_ROOTS, g)
-    roots = roots.select(g.random(BEARD_ROOTS) < beard_field(roots.rest, s))
+    roots = roots.select(g.random(BEARD_ROOTS) < beard_field(roots.rest, s) * (0.25 + 0.75 * s.stubble if shaven else 1.0))
     rest, count = roots.rest, len(roots.rest)
     aside = 0.25 * np.sign(rest[:, 0])
     direction = np.stack([aside, np.full(count, -1.0), np.full(count, 0.1)], 1) + g.normal(0, 0.35, (count, 3))
     direction = _tangent(direction, roots.normals) + 0.55 * roots.normals
-    short = np.where(rest[:, 1] > -0.028, np.minimum(1.0, 0.009 / s.beard), 1.0)
+    short = np.where(rest[:, 1] > -0.028, np.minimum(1.0, 0.009 / grown), 1.0)
     short *= 0.45 + 0.55 * smoothstep(0.10, 0.85, beard_field(rest, s))  # edges are shorter
-    length = s.beard * np.clip(g.normal(1, 0.25, count), 0.4, 1.5) * short
-    long = s.beard > 0.008
+    length = grown * np.clip(g.normal(1, 0.25, count), 0.4, 1.5) * short
+    long = grown > 0.008
     points = _bent(roots, direction, length, -0.12 if long else 0.0)
     if long:
         wave = np.sin(np.linspace(0, 7, STEPS) + g.uniform(0, 6, (count, 1))) - np.sin(g.uniform(0, 6, (count, 1)))

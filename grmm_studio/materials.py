@@ -20,10 +20,10 @@ from .textures import SkinTextures
 from .wrinkles import LINE_DEPTH
 
 Socket = Any  # a bpy node socket, or a constant for it
-TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068)  # from the middle outwards, metres
+TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068, 0.0100, 0.0095)  # from the middle outwards, metres
 MOUTH_GLOW = 0.10  # of the color: light that bounces in the mouth more often than the render follows it
 LINE_SHADE = 0.9  # how much of the groove's color the deepest line of an expression takes
-ARC_RANGE = 0.05  # metres mapped to 0..1 of the tooth ramp
+ARC_RANGE = 0.07  # metres mapped to 0..1 of the tooth ramp
 
 
 class Nodes:
@@ -175,6 +175,9 @@ def eye_material(s: Subject) -> bpy.types.Material:
     around = n.node(
         "ShaderNodeCombineXYZ", {0: n.math("COSINE", radial), 1: n.math("SINE", radial), 2: n.math("MULTIPLY", angle, 1.2)}
     ).outputs[0]
+    around = n.node("ShaderNodeVectorMath", {0: around, 1: (s.asymmetry % 97, s.asymmetry % 89, 0.0)}, operation="ADD").outputs[
+        0
+    ]
     fibres = n.noise(around, 9.0, 4.0, 0.7)
     crypts = n.noise(around, 3.0, 2.0, 0.5)
     share = n.math("DIVIDE", angle, s.iris_angle)
@@ -225,14 +228,16 @@ def teeth_material(s: Subject) -> bpy.types.Material:
     arc = n.math("ABSOLUTE", n.attribute("arc"))
     ramp = n.node("ShaderNodeValToRGB", {0: n.math("DIVIDE", arc, ARC_RANGE)})
     elements = ramp.color_ramp.elements
-    gaps, at = [0.0], 0.0
+    g = np.random.default_rng([s.asymmetry, 91])
+    gaps, at, wide = [0.0], 0.0, float(g.uniform(0.92, 1.08))
     for width in TOOTH_WIDTHS:
-        at += width
+        at += width * wide * float(g.uniform(0.95, 1.05))
         gaps.append(at)
     elements[0].position, elements[0].color = 0.0, (0, 0, 0, 1)
     elements[1].position, elements[1].color = 1.0, (1, 1, 1, 1)
+    half = 0.0009 + 0.0007 * float(g.beta(1.2, 3.0))  # of the dark between two teeth
     for i, gap in enumerate(gaps):
-        for offset, value in ((-0.0011, 1.0), (0.0, 0.0), (0.0011, 1.0)):
+        for offset, value in ((-half, 1.0), (0.0, 0.0), (half, 1.0)):
             where = (gap + offset) / ARC_RANGE
             if where > 0.001:
                 elements.new(where).color = (value, value, value, 1)
@@ -242,6 +247,7 @@ def teeth_material(s: Subject) -> bpy.types.Material:
     crown = n.attribute("crown")
     scallop = n.math("MULTIPLY", n.math("SUBTRACT", 1.0, body), 0.0013)
     gum = n.ramp(n.math("SUBTRACT", crown, scallop), 0.0004, -0.0003)
+    gum = n.math("MAXIMUM", gum, n.ramp(arc, gaps[-1], gaps[-1] + 0.001))  # behind the last tooth
     enamel = n.mix(n.ramp(crown, 0.0, 0.006), tuple(c * f for c, f in zip(s.teeth, (0.92, 0.84, 0.70), strict=True)), s.teeth)
     enamel = n.mix(body, n.mix(1.0, enamel, (0.30, 0.21, 0.15), "MULTIPLY"), enamel)
     rest = n.vector("rest")

@@ -18,6 +18,8 @@ from . import fields
 from .face_hair import beard_field, brow_density
 from .fields import smoothstep
 from .grooms import growth_of
+from .lashes import lash_edges
+from .marks import Canvas, paint_marks
 from .mesh import region_vertices
 from .subjects import Subject, skin_albedo
 from .wrinkles import paint_lines
@@ -34,12 +36,14 @@ class Atlas:
         rest: Template positions of the covered texels, metres, [n, 3].
         masks: Region weights of the covered texels, [n] each.
         nearest: Index into the covered texels for every texel, [size, size].
+        lash_line: Template points along the edges of the upper lids, [m, 3].
     """
 
     size: int
     rest: np.ndarray
     masks: dict[str, np.ndarray]
     nearest: np.ndarray
+    lash_line: np.ndarray
 
     @staticmethod
     def build(head: HeadModel, size: int = 1024) -> Atlas:
@@ -74,7 +78,11 @@ class Atlas:
         index = np.full((size, size), -1)
         index[covered] = np.arange(covered.sum())
         where = ndimage.distance_transform_edt(~covered, return_distances=False, return_indices=True)
-        return Atlas(size, rest, masks, index[where[0], where[1]])
+        edges = [np.asarray(head.v_template, float)[card.root] for card in lash_edges(head) if card.upper]
+        finer = [
+            np.stack([np.interp(np.linspace(0, 1, 80), np.linspace(0, 1, len(e)), e[:, k]) for k in range(3)], 1) for e in edges
+        ]
+        return Atlas(size, rest, masks, index[where[0], where[1]], np.concatenate(finer))
 
 
 @dataclass
@@ -130,7 +138,7 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     color = _mix(smoothstep(0.45, 0.8, small) * 0.30, color, dark)
     color = _mix(smoothstep(0.55, 0.8, noise(rest, 21.0, seed + 4, 3)) * 0.30, color, dark)
     color = _mix(smoothstep(0.58, 0.85, pores) * 0.30 * s.pores, color, dark)
-    color = _mix(fields.eye_shadow(rest) * 0.55, color, dark)
+    color = _mix(fields.eye_shadow(rest) * g.uniform(0.2, 0.9), color, dark)
     if s.freckles > 0.05:
         zone = (
             fields.bump(rest, (0.03, 0.008, 0.10), (0.035, 0.025, 0.05))
@@ -166,8 +174,7 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     color = _mix(brow_density(rest, s) * 0.22, color, hair_dark)
     if s.stubble > 0.03:
         grown = np.minimum(1.0, 0.5 * np.array(s.hair_color) + 0.035)
-        speckle = 0.25 + 0.55 * smoothstep(0.40, 0.70, noise(rest, 1100.0, seed + 6, 1))
-        color = _mix(speckle * beard_field(rest, s) * s.stubble * (1 - lips), color, grown)
+        color = _mix((0.16 + 0.2 * pores) * beard_field(rest, s) * s.stubble * (1 - lips), color, grown)
     lip = skin_albedo(s.melanin * 0.85, s.blood + 0.35) * np.array(s.lips)
     lip = _mix(
         smoothstep(0.45, 0.75, lip_lines) * 0.4,
@@ -196,10 +203,12 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     roughness = (
         0.56 - 0.10 * s.shine + 0.12 * (small - 0.5) - oily * (0.10 + 0.08 * s.shine) - 0.14 * lips - 0.28 * mouth + 0.2 * scalp
     )
+    canvas = Canvas(rest, color, height, roughness)
+    paint_marks(s, canvas, edge * (1 - mouth), atlas.lash_line)
     return SkinTextures(
-        albedo=np.clip(color, 0, 1).astype(np.float16)[atlas.nearest],
+        albedo=np.clip(canvas.color, 0, 1).astype(np.float16)[atlas.nearest],
         groove_albedo=np.asarray(dark / skin_albedo(s.melanin, s.blood)),
-        detail=np.stack([height, groove, roughness], -1).astype(np.float16)[atlas.nearest],
+        detail=np.stack([canvas.height, groove, canvas.roughness], -1).astype(np.float16)[atlas.nearest],
         lines=(paint_lines(s, rest) * (1 - mouth)[:, None]).astype(np.float16)[atlas.nearest],
     )
 

@@ -4,8 +4,8 @@ Version 2. One pixel is one splat: positions in 16 bits after a symmetric logari
 256 values, the three smallest components of quaternions in 8 bits with the fourth byte naming the largest, opacity as alpha;
 higher harmonics as indices to a palette of coefficient rows. y is down, as in the PLY files that these are made from.
 
-Pillow reads and writes WebP (chosen because the core has it already and its decoder is the reference one); numpy does the rest.
-There is no Python library for the format itself. Higher harmonics are read but not written: avatars have none.
+Pillow reads WebP outside of Blender (its decoder is the reference one), Blender's own image loader inside; `webp` writes it.
+There is no Python library for the format itself. Higher harmonics are read but not written.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from ...files.archive import member, read_members, read_neighbour
 from ...files.format import Format
 from .cloud import MAX_SPLATS, SplatCloud, exp_scale, finish_reading, log_scale, lost_harmonics
 from .splat_file import to_byte
+from .webp import encode_webp
 
 Decoder = Callable[[bytes], np.ndarray]
 
@@ -218,11 +219,9 @@ def write_sog(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file
 
     Raises:
         ShapeError: The cloud is malformed.
-        BackendError: Pillow is not installed.
         FileAccessError: The file cannot be written.
     """
     cloud = cloud.validated()
-    _pillow(Path(path))
     cloud = cloud if axes == "y_up" else cloud.flipped()
     width = 4 * max(1, int(np.ceil((cloud.count / 16) ** 0.5)))
     logs = np.sign(cloud.means) * np.log1p(np.abs(cloud.means.astype(np.float64)))
@@ -259,19 +258,16 @@ def write_sog(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file
     with atomic_write(path) as file, zipfile.ZipFile(file, "w") as archive:  # WebP is compressed already
         archive.writestr("meta.json", json.dumps(meta))
         for name, pixels in pictures.items():
-            archive.writestr(name, _encode(Path(path), pixels, width))
+            archive.writestr(name, _encode(pixels, width))
     return lost_harmonics(cloud)
 
 
-def _encode(path: Path, pixels: np.ndarray, width: int) -> bytes:
-    """Lossless WebP of pixels [N, 4], filled up to whole rows; colors under zero alpha are kept."""
+def _encode(pixels: np.ndarray, width: int) -> bytes:
+    """A lossless picture of pixels [N, 4], filled up to whole rows."""
     height = -(-pixels.shape[0] // width)
     canvas = np.zeros((height * width, 4), np.uint8)
     canvas[: pixels.shape[0]] = pixels
-    buffer = io.BytesIO()
-    image = _pillow(path).fromarray(canvas.reshape(height, width, 4), "RGBA")
-    image.save(buffer, "WEBP", lossless=True, exact=True, quality=50, method=1)
-    return buffer.getvalue()
+    return encode_webp(canvas.reshape(height, width, 4))
 
 
 def _quantise(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -292,5 +288,5 @@ def _quantise(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 FORMAT = Format(
     "sog", "SOG (.sog)", "Compressed pictures, as PlayCanvas uses", "splats", (".sog",), read_sog, write_sog,
-    file_names=("meta.json",), needs={"PIL": "the pictures inside"},
+    file_names=("meta.json",), needs={"PIL": "reading outside of Blender"},
 )  # fmt: skip

@@ -13,9 +13,10 @@ import pytest
 from PIL import Image
 from splat_files import make_cloud
 
-from grmm_core.errors import BackendError, FileFormatError
+from grmm_core.errors import BackendError, FileFormatError, ShapeError
 from grmm_core.formats import read_splats, write_splats
 from grmm_core.formats.glb import GltfWriter
+from grmm_core.formats.splats.webp import encode_webp
 
 
 def sog_parts(tmp_path):
@@ -62,12 +63,42 @@ def test_sog_without_pillow_takes_a_decoder_or_says_what_to_install(tmp_path, mo
     monkeypatch.setitem(sys.modules, "PIL", None)
     with pytest.raises(BackendError, match="Pillow"):
         read_splats(tmp_path / "a.sog")
-    with pytest.raises(BackendError, match="Pillow"):
-        write_splats(tmp_path / "b.sog", reference)
+    write_splats(tmp_path / "b.sog", reference)
+    assert (tmp_path / "b.sog").stat().st_size > 1000
     decoded = read_splats(tmp_path / "a.sog", decode=pictures.__getitem__)
     assert np.array_equal(decoded.means, reference.means)
     with pytest.raises(FileFormatError, match="four channels"):
         read_splats(tmp_path / "a.sog", decode=lambda data: np.zeros((20, 20)))
+
+
+def pictures_to_encode():
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 256, (37, 53, 4), dtype=np.uint8)
+    normal = np.clip(rng.normal(128, 9, (120, 90, 4)), 0, 255).astype(np.uint8)
+    normal[..., 3] = 255
+    rare = [1, 1]  # counts for which Huffman's codes would be longer than the format allows
+    while sum(rare) < 1_000_000:
+        rare.append(rare[-1] + rare[-2])
+    rare = np.concatenate([np.full(count, value, np.uint8) for value, count in enumerate(rare)])
+    rare = np.stack([rare[: len(rare) // 1000 * 1000]] * 4, 1).reshape(-1, 1000, 4)
+    clear = noise.copy()
+    clear[..., 3] = rng.integers(0, 2, clear.shape[:2]) * 255
+    flat = np.full((8, 3, 4), 7, np.uint8)
+    return {"noise": noise, "normal": normal, "rare": rare, "clear": clear, "flat": flat, "pixel": noise[:1, :1]}
+
+
+@pytest.mark.parametrize("name", ["noise", "normal", "rare", "clear", "flat", "pixel"])
+def test_webp_pictures_come_back_from_the_reference_decoder(name):
+    pixels = pictures_to_encode()[name]
+    with Image.open(io.BytesIO(encode_webp(pixels))) as image:
+        assert image.format == "WEBP"
+        assert np.array_equal(np.asarray(image.convert("RGBA")), pixels)
+
+
+@pytest.mark.parametrize("pixels", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4, 4)), np.zeros((1, 16385, 4), np.uint8)])
+def test_pictures_that_webp_cannot_hold(pixels):
+    with pytest.raises(ShapeError):
+        encode_webp(pixels)
 
 
 @pytest.mark.parametrize(

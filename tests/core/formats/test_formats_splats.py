@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import importlib.util
 import struct
 import sys
 from dataclasses import replace
@@ -268,7 +267,7 @@ def test_unknown_extensions_missing_files_and_bad_clouds(tmp_path):
         write_splats(tmp_path / "a.xyz", cloud)
     with pytest.raises(FileFormatError, match="not a splat file that can be read"):
         read_splats(tmp_path / "a.xyz")
-    extensions = set(TOLERANCES) - (set() if importlib.util.find_spec("PIL") else {".sog"})
+    extensions = set(TOLERANCES)
     for extension in sorted(extensions):
         with pytest.raises(FileAccessError, match="does not exist"):
             read_splats(tmp_path / f"none{extension}")

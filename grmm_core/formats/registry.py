@@ -18,7 +18,9 @@ from ..files.format import Format, Holds
 
 MODULES = [
     "splats.ply",
+    "splats.compressed_ply",
     "splats.splat_file",
+    "splats.ksplat",
     "splats.spz",
     "splats.sog",
     "splats.gltf_splats",

@@ -18,6 +18,9 @@ SH_C0 = 0.28209479177387814
 """Value of the constant spherical harmonic: color = 0.5 + SH_C0 * coefficient."""
 MAX_DEGREE = 3
 MAX_SPLATS = 10_000_000  # limit of packed files, whose size says little about their count; five times a large capture
+_PLAIN_BYTES = 44  # of a splat in memory, without its harmonics
+_ANY_SIZE = 3 << 27  # bytes of a cloud that a file of any size may make
+_MOST_PACKED = 40  # times that a packed file may grow beyond that; real ones grow by less than half of it
 _MIN_SCALE, _MAX_SCALE = 1e-12, 1e12
 _MIN_OPACITY = 1e-6  # so that its logit is finite
 _MIN_QUATERNION = 1e-12
@@ -154,6 +157,24 @@ class SplatCloud:
             quats=self.quats * _FLIP_QUATERNION,
             sh=self.sh * _FLIP_SH[: self.sh.shape[1], None],
         )
+
+
+def check_expansion(path: Path, kind: str, count: int, terms: int, file_bytes: int) -> None:
+    """Refuse a small file that claims a large cloud before anything is allocated.
+
+    Args:
+        path: The file.
+        kind: What it was taken for.
+        count: Splats that it claims.
+        terms: Harmonics of each, the constant one included.
+        file_bytes: Size of the file.
+
+    Raises:
+        FileFormatError: The cloud would be larger than half a GiB and than any packing could make of such a file.
+    """
+    needed = count * (_PLAIN_BYTES + 12 * terms)
+    if needed > max(_ANY_SIZE, _MOST_PACKED * file_bytes):
+        raise bad_file(path, kind, f"its {count} splats would take {needed} bytes, from a file of {file_bytes}")
 
 
 def finish_reading(path: Path, kind: str, cloud: SplatCloud) -> SplatCloud:

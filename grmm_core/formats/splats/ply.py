@@ -228,8 +228,6 @@ def read_ply(path: Path, axes: str = "file") -> SplatCloud:
 def splats_from_rows(path: Path, rows: np.ndarray, kind: str = "splat PLY") -> SplatCloud:
     """Splats of the element `vertex`: x y z, f_dc, f_rest, opacity, scale, rot and optionally binding. Raises as `read_ply`."""
     names = set(rows.dtype.names or ())
-    if "packed_position" in names:
-        raise bad_file(path, kind, "it is a compressed PLY; save it as a plain PLY, .spz or .sog")
     missing = [name for name in _NEEDED if name not in names]
     if missing:
         raise bad_file(path, kind, f"it has no column {missing[0]!r}, so it is a point cloud or mesh and not 3DGS splats")

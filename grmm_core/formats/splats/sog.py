@@ -24,7 +24,7 @@ from ...errors import BackendError
 from ...files.access import atomic_write, bad_file, read_bytes
 from ...files.archive import member, read_members, read_neighbour
 from ...files.format import Format
-from .cloud import MAX_SPLATS, SplatCloud, exp_scale, finish_reading, log_scale, lost_harmonics
+from .cloud import MAX_SPLATS, SplatCloud, check_expansion, exp_scale, finish_reading, log_scale, lost_harmonics
 from .splat_file import to_byte
 from .webp import encode_webp
 
@@ -65,6 +65,8 @@ def read_sog(path: Path, axes: str = "file", decode: Decoder | None = None) -> S
         text = member(path, KIND, contents, "meta.json")
     meta = _Meta(path, text, contents, decode)
     count = meta.integer("count", 1, MAX_SPLATS)
+    size = len(text) + sum(map(len, contents.values())) if contents is not None else _LIMIT
+    check_expansion(path, KIND, count, 16 if "shN" in meta.document else 1, size)
     cloud = SplatCloud(
         _read_means(meta, count),
         _read_quats(meta, count),

@@ -23,7 +23,17 @@ import numpy as np
 from ...errors import BackendError
 from ...files.access import atomic_write_bytes, bad_file, read_bytes
 from ...files.format import Format, Option
-from .cloud import MAX_DEGREE, MAX_SPLATS, SH_C0, SplatCloud, clipped_colors, exp_scale, finish_reading, log_scale
+from .cloud import (
+    MAX_DEGREE,
+    MAX_SPLATS,
+    SH_C0,
+    SplatCloud,
+    check_expansion,
+    clipped_colors,
+    exp_scale,
+    finish_reading,
+    log_scale,
+)
 from .splat_file import to_byte
 
 KIND = "SPZ file"
@@ -41,6 +51,7 @@ _MAX_FILE_BYTES = 1 << 30
 _DEFLATE_RATIO = 1032  # the most that deflate can expand
 _HALF_ROOT = 0.5**0.5
 _GZIP_WBITS = 31
+_CHUNK = 1 << 16  # splats decoded at once: bounds memory
 
 
 def read_spz(path: Path) -> SplatCloud:
@@ -67,12 +78,12 @@ def _read_gzip(path: Path, data: bytes) -> SplatCloud:
         if magic != MAGIC:
             raise bad_file(path, KIND, "it has no SPZ header")
         if version not in (2, 3):
-            raise bad_file(path, KIND, f"its version is {version}, and 2 to 4 are read")
-        sizes = _stream_sizes(path, version, count, degree, bits)
+            raise bad_file(path, KIND, f"its version is {version}, and in a file of this form 2 and 3 are read")
+        sizes = _stream_sizes(path, version, count, degree, bits, len(data))
         total = sum(sizes)
         if total > len(data) * _DEFLATE_RATIO:
             raise bad_file(path, KIND, f"its header claims {count} splats, more than it can hold")
-        body = stream.decompress(stream.unconsumed_tail, total)
+        body = bytearray(stream.decompress(stream.unconsumed_tail, total))
         while len(body) < total and not stream.eof:  # the object may hand out its output in parts
             part = stream.decompress(stream.unconsumed_tail, total - len(body))
             if not part:
@@ -94,8 +105,8 @@ def _read_v4(path: Path, data: bytes) -> SplatCloud:
         raise bad_file(path, KIND, "it is truncated")
     _, version, count, degree, bits, flags, streams, toc = _HEADER_V4.unpack_from(data)
     if version != 4:
-        raise bad_file(path, KIND, f"its version is {version}, and 2 to 4 are read")
-    sizes = _stream_sizes(path, version, count, degree, bits)
+        raise bad_file(path, KIND, f"its version is {version}, and in a file of this form 4 is read")
+    sizes = _stream_sizes(path, version, count, degree, bits, len(data))
     start = toc + streams * _TOC_ENTRY.size
     needed = 6 if degree else 5
     if not _HEADER_V4.size <= toc <= len(data) or streams < needed or start > len(data):
@@ -139,33 +150,39 @@ def _unpack_zstd(path: Path, decompressor: Any, packed: bytes, size: int) -> byt
     return raw
 
 
-def _stream_sizes(path: Path, version: int, count: int, degree: int, bits: int) -> list[int]:
+def _stream_sizes(path: Path, version: int, count: int, degree: int, bits: int, file_bytes: int) -> list[int]:
     if degree >= len(_SH_COUNTS) or bits > _MAX_FRACTIONAL_BITS:
         raise bad_file(path, KIND, f"degree {degree} or {bits} fractional bits are impossible")
     if not 1 <= count <= MAX_SPLATS:
         raise bad_file(path, KIND, f"it has {count} splats, and 1 to {MAX_SPLATS} are read")
+    check_expansion(path, KIND, count, _SH_COUNTS[min(degree, MAX_DEGREE)] + 1, file_bytes)
     rotation = 3 if version == 2 else 4
     return [count * n for n in (9, 1, 3, 3, rotation, 3 * _SH_COUNTS[degree])]
 
 
 def _decode(path: Path, parts: list[np.ndarray], version: int, count: int, degree: int, bits: int, flags: int) -> SplatCloud:
-    positions, alphas, colors, scales, rotations, harmonics = parts
-    octets = positions.reshape(-1, 3).astype(np.int32)
-    fixed = octets[:, 0] | (octets[:, 1] << 8) | (octets[:, 2] << 16)
-    fixed = (fixed ^ 0x800000) - 0x800000  # sign of 24 bits
+    positions, alphas, colors, scales, rotations, harmonics = (part.reshape(count, -1) for part in parts)
     kept = _SH_COUNTS[min(degree, MAX_DEGREE)]
-    sh = np.empty((count, kept + 1, 3), np.float32)
-    sh[:, 0] = (colors.reshape(count, 3).astype(np.float32) / 255.0 - 0.5) / _COLOR_SCALE
-    if kept:
-        sh[:, 1:] = (harmonics.reshape(count, -1, 3)[:, :kept].astype(np.float32) - 128.0) / 128.0
     cloud = SplatCloud(
-        (fixed.astype(np.float64) / (1 << bits)).astype(np.float32).reshape(count, 3),
-        _first_three(rotations) if version == 2 else _smallest_three(rotations),
-        exp_scale(scales.reshape(count, 3).astype(np.float32) / 16.0 - 10.0),
-        alphas.astype(np.float32) / 255.0,
-        sh,
+        np.empty((count, 3), np.float32),
+        np.empty((count, 4), np.float32),
+        np.empty((count, 3), np.float32),
+        alphas[:, 0] / np.float32(255.0),
+        np.empty((count, kept + 1, 3), np.float32),
         antialiased=bool(flags & _FLAG_ANTIALIASED),
     )
+    for start in range(0, count, _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        octets = positions[rows].reshape(-1, 3).astype(np.int32)
+        fixed = octets[:, 0] | (octets[:, 1] << 8) | (octets[:, 2] << 16)
+        fixed = (fixed ^ 0x800000) - 0x800000  # sign of 24 bits
+        cloud.means[rows] = (fixed.astype(np.float64) / (1 << bits)).reshape(-1, 3)
+        cloud.quats[rows] = _first_three(rotations[rows]) if version == 2 else _smallest_three(rotations[rows])
+        cloud.scales[rows] = exp_scale(scales[rows].astype(np.float32) / 16.0 - 10.0)
+        cloud.sh[rows, 0] = (colors[rows].astype(np.float32) / 255.0 - 0.5) / _COLOR_SCALE
+        if kept:
+            rest = harmonics[rows].reshape(-1, harmonics.shape[1] // 3, 3)[:, :kept]
+            cloud.sh[rows, 1:] = (rest.astype(np.float32) - 128.0) / 128.0
     if degree > MAX_DEGREE:
         cloud.warnings.append(f"Spherical harmonics of degree {degree} were cut to degree {MAX_DEGREE}.")
     return finish_reading(path, KIND, cloud)

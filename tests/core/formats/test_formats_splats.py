@@ -5,10 +5,12 @@ from __future__ import annotations
 import gzip
 import struct
 import sys
+import zlib
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from fuzzing import memory_limit
 from splat_files import make_cloud, ply_bytes, splat_rows
 
 from grmm_core.errors import BackendError, CancelledError, FileAccessError, FileFormatError, ShapeError
@@ -202,7 +204,7 @@ def ply_header(text):
         (ply_bytes(splat_rows())[:-1], "claims 20 rows"),
         (ply_bytes(splat_rows(), "ascii")[:-60], "a row|claims"),
         (ply_bytes(np.zeros(4, [("x", "<f4"), ("y", "<f4"), ("z", "<f4")])), "point cloud or mesh"),
-        (ply_bytes(np.zeros(4, [("packed_position", "<i4")])), "compressed PLY"),
+        (ply_bytes(np.zeros(4, [("packed_position", "<i4")])), "no chunks or no packed columns"),
     ],
 )
 def test_bad_ply_files(tmp_path, data, reason):
@@ -230,7 +232,7 @@ def spz_bytes(version=3, count=10, degree=0, bits=12, body=None):
         (spz_bytes(bits=99), "99 fractional bits"),
         (spz_bytes(count=0), "0 splats"),
         (spz_bytes(count=4_000_000_000, body=b"abc"), "4000000000 splats"),
-        (spz_bytes(count=9_000_000, body=b"abc"), "more than it can hold"),
+        (spz_bytes(count=2_000_000, body=b"abc"), "more than it can hold"),
         (spz_bytes(count=100, body=bytes(200)), "more than it has"),
         (spz_bytes()[:-20], "more than it has|truncated"),
     ],
@@ -252,6 +254,52 @@ def test_spz_bomb_is_not_unpacked_beyond_what_the_header_needs(tmp_path):
     tracemalloc.stop()
     assert cloud.count == 10
     assert peak < 20 << 20
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits memory through /proc and setrlimit")
+@pytest.mark.parametrize(("count", "degree", "refused"), [(10_000_000, 3, True), (10_000_000, 0, True), (7_000_000, 0, False)])
+def test_a_small_spz_of_millions_of_splats_stays_within_a_gibibyte(tmp_path, count, degree, refused):
+    stream = zlib.compressobj(1, zlib.DEFLATED, 31)
+    data = stream.compress(struct.pack("<IIIBBBB", 0x5053474E, 3, count, degree, 12, 0, 0))
+    left = count * (20 + 3 * (0, 3, 8, 15)[degree])
+    while left:
+        size = min(left, 1 << 24)
+        data += stream.compress(bytes(size))
+        left -= size
+    path = tmp_path / "a.spz"
+    path.write_bytes(data + stream.flush())
+    with memory_limit(1 << 30):
+        if refused:
+            with pytest.raises(FileFormatError, match=f"{count} splats would take"):
+                read_splats(path)
+        else:
+            assert read_splats(path).count == count
+
+
+def test_versions_of_spz_that_are_not_read_are_named(tmp_path):
+    path = tmp_path / "a.spz"
+    path.write_bytes(spz_bytes(version=1))
+    with pytest.raises(FileFormatError, match="its version is 1, and in a file of this form 2 and 3 are read"):
+        read_splats(path)
+    path.write_bytes(gzip.decompress(spz_bytes(version=2)) + bytes(100))
+    with pytest.raises(FileFormatError, match="its version is 2, and in a file of this form 4 is read"):
+        read_splats(path)
+
+
+def test_colors_that_a_format_clips_are_counted_and_said(tmp_path):
+    cloud = make_cloud(20, 1)
+    assert write_splats(tmp_path / "a.ply", cloud) == ()
+    cloud.sh[:3, 0] = 3.0
+    cloud.sh[3, 1] = 1.5
+    assert write_splats(tmp_path / "a.ply", cloud) == ()
+    assert write_splats(tmp_path / "a.splat", cloud)[0].startswith("3 of 20 splats have colors beyond")
+    assert "no view dependence" in write_splats(tmp_path / "a.splat", cloud)[1]
+    assert write_splats(tmp_path / "a.spz", cloud) == (
+        "1 of 20 splats have view dependence beyond what SPZ holds; it was clipped.",
+    )
+    cloud.sh[:5, 0] = -4.0
+    assert write_splats(tmp_path / "a.spz", cloud)[0].startswith("5 of 20 splats have colors beyond")
+    assert write_splats(tmp_path / "a.glb", cloud) == ()
 
 
 def test_splat_records_must_be_whole(tmp_path):

@@ -240,7 +240,7 @@ def _with_gradients(scene: Gaussians, size: int, backend: str = "auto") -> Calla
         for leaf in leaves.values():
             leaf.grad = None
         out = rasterize(learning, Camera.orbit(size, size), backend=backend)
-        pictures = [out.rgb, out.alpha, out.depth, out.features]
+        pictures = [picture for picture in (out.rgb, out.alpha, out.depth, out.features) if picture is not None]
         torch.autograd.backward(pictures, [torch.ones_like(picture) for picture in pictures])
         if scene.means.device.type == "cuda":
             torch.cuda.synchronize()

@@ -69,7 +69,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise ConfigError(f"{path} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; choose one of these formats.")
     check_folder(path)
     controls = controls_of(args)
-    camera = Camera.orbit(*args.size, args.yaw, args.pitch, args.distance, args.fov)
+    width, height = args.size
+    camera = Camera.orbit(width, height, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
     options = RenderOptions(not args.no_refine, passes, args.lod, args.background, args.coarse)
     with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:

@@ -78,7 +78,8 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     if config.person:
         save_avatar(trainer.person_avatar(args.name or config.person, args.licence), path)
     else:
-        provenance = {"seed": config.seed, "steps": trainer.step_count, "hours": round(trainer.seconds / 3600, 3)}
+        hours = round(trainer.seconds / 3600, 3)
+        provenance: dict[str, Any] = {"seed": config.seed, "steps": trainer.step_count, "hours": hours}
         provenance |= {"data": [Path(d).name for d in args.data], "views": len(source.training)}
         trainer.save_weights(path, provenance, person)
     console.line(f"Wrote {path} after {trainer.step_count} steps, {trainer.seconds / 60:.1f} minutes.")

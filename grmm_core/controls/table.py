@@ -19,7 +19,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -117,7 +119,7 @@ class Controls:
             ControlError: A value is NaN or infinite; the control is named.
             ShapeError: An array is of another shape than documented.
         """
-        clean = {f.name: np.asarray(getattr(self, f.name), np.float32) for f in fields(self)}
+        clean: dict[str, Any] = {f.name: np.asarray(getattr(self, f.name), np.float32) for f in fields(self)}
         for name, array in clean.items():
             if not np.isfinite(array).all():
                 raise ControlError(
@@ -136,14 +138,12 @@ class Controls:
                 raise ShapeError(
                     f"Controls.{control.field} has shape {shape}; it must be one row, at most {control.size} long."
                 )
-        sliders = {slider.field: float(clean.pop(slider.field)) for slider in SLIDERS}
-        return Controls(**clean, **sliders)  # type: ignore[arg-type]  # mypy cannot know which fields these are
+        sliders: dict[str, Any] = {slider.field: float(clean.pop(slider.field)) for slider in SLIDERS}
+        return Controls(**clean, **sliders)
 
     def copy(self) -> Controls:
         """Return a copy whose arrays can be changed in place. Raises as `validate`."""
-        clean = self.validate()
-        arrays = {f.name: value.copy() for f in fields(clean) if isinstance(value := getattr(clean, f.name), np.ndarray)}
-        return replace(clean, **arrays)
+        return deepcopy(self.validate())
 
     def set_named(self, values: Mapping[str, float]) -> Controls:
         """Return a copy with the named controls set (see the module's table).
@@ -209,7 +209,8 @@ def _field_rows() -> Iterator[Control]:
     for f in fields(Controls):
         if f.metadata:
             row: Control = f.metadata["row"]
-            yield replace(row, name=row.name or f.name, field=f.name, rest=row.rest if row.size else float(f.default))
+            rest = row.rest if row.size else getattr(Controls, f.name)
+            yield replace(row, name=row.name or f.name, field=f.name, rest=rest)
 
 
 EXPRESSIONS: tuple[Control, ...] = tuple(_expression(index, name) for index, name in enumerate(EXPRESSION_NAMES))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import cast
 
 import torch
 from torch import Tensor, nn
@@ -37,12 +38,15 @@ class Lpips(nn.Module):
         FileFormatError: One is missing or of another shape.
     """
 
+    shift: Tensor
+    scale: Tensor
+
     def __init__(self, state: Mapping[str, Tensor]) -> None:
         super().__init__()
         self.slices, self.linear = nn.ModuleList(), nn.ParameterList()
         width = 3
         for number, layers in enumerate(SLICES):
-            convolutions = nn.ModuleList()
+            convolutions = nn.Sequential()
             for index, channels in layers:
                 convolution = nn.Conv2d(width, channels, 3, padding=1)
                 for part in ("weight", "bias"):
@@ -64,7 +68,7 @@ class Lpips(nn.Module):
         for number, convolutions in enumerate(self.slices):
             if number:
                 x = nn.functional.max_pool2d(x, 2)
-            for convolution in convolutions:
+            for convolution in cast(nn.Sequential, convolutions):
                 x = convolution(x).relu()
             unit = x / (x.square().sum(1, keepdim=True).sqrt() + _EPSILON)
             difference = (unit[0] - unit[1]).square()[None]

@@ -31,7 +31,7 @@ HAIR_DEPTH = 0.004  # metres before the mesh
 def triangle_groups(head: HeadModel) -> dict[str, np.ndarray]:
     """Triangles of each group and of the rest, as row numbers of `head.faces`."""
     label = np.full(len(head.faces), REST, dtype=object)
-    for name, regions in reversed(GROUPS.items()):
+    for name, regions in reversed(list(GROUPS.items())):
         inside = np.zeros(head.vertex_count, bool)
         for region in regions:
             if region in head.regions:

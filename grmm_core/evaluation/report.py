@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,9 +38,7 @@ def summary(result: Result) -> dict[str, Any]:
         values["ablation"] = {**_means(other for _, other in second), "views": len(second)}
         values["ablation"]["same views"] = _means(own for own, _ in second)
     values["regions"] = {"refined": _pooled(row.errors for row in rows), "unrefined": _pooled(row.raw for row in rows)}
-    groups: dict[str, Callable[[Row], bool]] = {
-        name: (lambda row, name=name: row.sample.direction == name and not row.sample.close) for name in DIRECTIONS
-    }
+    groups: dict[str, Callable[[Row], bool]] = {name: partial(_whole_head_from, name) for name in DIRECTIONS}
     groups["close-up"] = lambda row: row.sample.close
     groups["neutral"] = lambda row: row.sample.neutral
     groups["with expression"] = lambda row: not row.sample.neutral
@@ -56,9 +55,13 @@ def summary(result: Result) -> dict[str, Any]:
     return values
 
 
+def _whole_head_from(direction: str, row: Row) -> bool:
+    return row.sample.direction == direction and not row.sample.close
+
+
 def table(summaries: Mapping[str, Mapping[str, Any]]) -> str:
     """Tables of several protocols' `summary` in Markdown."""
-    figures = list(_NAMES[:-1]) + sorted({n for s in summaries.values() for n in s["refined"] if n not in _NAMES})
+    figures: list[str] = list(_NAMES[:-1]) + sorted({n for s in summaries.values() for n in s["refined"] if n not in _NAMES})
     titles = [_TITLES.get(name, name) for name in figures]
     header = ["protocol", "views", "people", *titles]
     rows = [[name, str(s["views"]), str(s["people"]), *_cells(s["refined"], figures)] for name, s in summaries.items()]

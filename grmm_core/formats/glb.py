@@ -39,10 +39,7 @@ class GltfReader:
         self.kind = kind
         data = read_bytes(path, _MAX_FILE_BYTES) if data is None else data
         self.binary: bytes | memoryview = b""
-        if data[:4] == struct.pack("<I", _MAGIC):
-            text = self._split(data)
-        else:
-            text = data
+        text = self._split(data) if data[:4] == struct.pack("<I", _MAGIC) else data
         try:
             self.document = json.loads(bytes(text).decode("utf-8"))
         except (ValueError, RecursionError) as error:

@@ -10,6 +10,8 @@ Codes are [..., K] with any leading dimensions, which the attributes have as wel
 
 from __future__ import annotations
 
+from typing import cast
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -39,22 +41,24 @@ class MapDecoder(nn.Module):
         self.start = start
         self.view_stage = view_stage
         self.first = nn.Linear(inputs, channels[0] * start * start)
-        self.stages = nn.ModuleList()
         widths = (*channels, outputs)
-        for i in range(len(channels)):
-            extra = VIEW_CHANNELS if start << i == view_stage else 0
-            self.stages.append(nn.ConvTranspose2d(widths[i] + extra, widths[i + 1], 4, stride=2, padding=1))
+        extra = [VIEW_CHANNELS if start << i == view_stage else 0 for i in range(len(channels))]
+        stages = [nn.ConvTranspose2d(widths[i] + extra[i], widths[i + 1], 4, stride=2, padding=1) for i in range(len(channels))]
+        self.stages = nn.ModuleList(stages)
         self.activation = nn.LeakyReLU(SLOPE)
-        self._initialise()
-
-    def _initialise(self) -> None:
         nn.init.kaiming_normal_(self.first.weight, SLOPE)
         nn.init.zeros_(self.first.bias)
-        for i, stage in enumerate(self.stages):
+        for i, stage in enumerate(stages):
             # each output of a 4x4, stride 2 transposed convolution sees 4 of the 16 taps
-            gain = nn.init.calculate_gain("leaky_relu", SLOPE) * (LAST_GAIN if i == len(self.stages) - 1 else 1.0)
+            gain = nn.init.calculate_gain("leaky_relu", SLOPE) * (LAST_GAIN if i == len(stages) - 1 else 1.0)
             nn.init.normal_(stage.weight, std=gain / (4 * stage.in_channels) ** 0.5)
-            nn.init.zeros_(stage.bias)
+            if stage.bias is not None:
+                nn.init.zeros_(stage.bias)
+
+    @property
+    def last_bias(self) -> Tensor:
+        """What is added to every texel of the map, [outputs]."""
+        return cast(Tensor, self.stages[-1].bias)
 
     def forward(self, code: Tensor, view: Tensor | None = None) -> Tensor:
         """Return the map.
@@ -112,6 +116,10 @@ class AttributeDecoders(nn.Module):
         texel: Flat indices of the active texels, [N].
     """
 
+    transform_mean: nn.Parameter | None
+    opacity_mean: nn.Parameter | None
+    appearance_mean: nn.Parameter | None
+
     def __init__(self, config: GRMMConfig, z_id: int, z_exp: int, texel: np.ndarray) -> None:
         super().__init__()
         count = len(texel)
@@ -131,7 +139,7 @@ class AttributeDecoders(nn.Module):
             self.register_parameter(f"{name}_mean", mean)
         if not config.mean_maps:
             with torch.no_grad():
-                self.appearance.stages[-1].bias[:COLOR_CHANNELS] = 0.5  # mid grey
+                self.appearance.last_bias[:COLOR_CHANNELS] = 0.5  # mid grey
         self.basis = nn.ParameterDict()
         self.basis_weights: nn.Linear | None = None
         if config.basis_maps:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..geometry.libraries import Array, as_like, library_of, zeros
+from ..geometry.libraries import Array, as_like, zeros
 from ..splat.types import Gaussians
 
 
@@ -77,7 +77,7 @@ def thin_out(gaussians: Gaussians, blocks: Blocks, lod: int) -> Gaussians:
 
 def _block_sums(values: Array, order: np.ndarray, ends: np.ndarray) -> Array:
     """Sums of runs of `values` [N, ...] in an order, each up to one of the ends: [M, ...]."""
-    if library_of(values) is np:
+    if isinstance(values, np.ndarray):
         return np.add.reduceat(values[order], np.concatenate([[0], ends[:-1]]), axis=0)
     import torch
 

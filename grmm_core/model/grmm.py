@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ..head import HeadModel
-    from ..splat.backends import Backend
 
 NECK, JAW = JOINT_NAMES.index("neck"), JOINT_NAMES.index("jaw")
 CODE_INIT = 0.1  # standard deviation of the table of expression codes before training
@@ -123,6 +122,8 @@ class GRMM(nn.Module):
     Raises:
         ConfigError: The head lacks what the configuration needs.
     """
+
+    aligned_codes: nn.Parameter | None
 
     def __init__(self, head: HeadModel, config: GRMMConfig, layout: TexelLayout | None = None) -> None:
         super().__init__()
@@ -287,7 +288,7 @@ class GRMM(nn.Module):
         """The paper's d: unit vector from the head's centre to a camera given in head space, [3]."""
         return torch.as_tensor(camera.view_direction(np.array(HEAD_CENTRE)), dtype=self.dtype, device=self.device)
 
-    def draw(self, gaussians: Gaussians, camera: Camera, refine: bool = True, backend: Backend = "auto") -> Picture:
+    def draw(self, gaussians: Gaussians, camera: Camera, refine: bool = True, backend: str = "auto") -> Picture:
         """Rasterise and refine one head (eq. 13, 14), over black.
 
         Args:
@@ -322,7 +323,7 @@ class GRMM(nn.Module):
         inputs: ModelInputs[Tensor],
         background: Sequence[float] | Tensor | None = None,
         refine: bool = True,
-        backend: Backend = "auto",
+        backend: str = "auto",
     ) -> Rendering:
         """Draw one head, differentiably.
 

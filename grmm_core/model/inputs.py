@@ -20,12 +20,14 @@ from ..errors import ConfigError, ShapeError
 from ..geometry.libraries import Array
 
 if TYPE_CHECKING:
+    import torch
+
     from ..avatar import Avatar
     from ..head import HeadModel
 
+    Other = TypeVar("Other", np.ndarray, torch.Tensor)
     AnyPerson: TypeAlias = "Person | Avatar"
 
-Other = TypeVar("Other")
 _NOTHING = np.zeros(0, np.float32)
 
 
@@ -52,7 +54,8 @@ class ModelInputs(Generic[Array]):
     def mapped(self, function: Callable[[Array], Other]) -> ModelInputs[Other]:
         """The same inputs with every array replaced by what a function makes of it."""
         arrays = (self.z_id, self.z_exp, self.shape, self.expression, self.pose)
-        return ModelInputs(*map(function, arrays), self.strength)
+        z_id, z_exp, shape, expression, pose = (function(array) for array in arrays)
+        return ModelInputs(z_id, z_exp, shape, expression, pose, self.strength)
 
     # What each step of the chain depends on, for caches.
 

@@ -14,7 +14,6 @@ from ..pictures.color import straight_rgba
 from ..pictures.images import encode_png, quantize
 
 if TYPE_CHECKING:
-    from ..splat.backends import Backend
     from .grmm import GRMM, Picture
     from .inputs import AnyPerson
 
@@ -31,7 +30,7 @@ def portrait_camera(pixels: int, yaw: float = 0.0, pitch: float = 0.0) -> Camera
 
 def portrait(
     model: GRMM, person: AnyPerson, controls: Mapping[str, float], camera: Camera,
-    background: Sequence[float] | None = None, backend: Backend = "auto",
+    background: Sequence[float] | None = None, backend: str = "auto",
 ) -> Picture:  # fmt: skip
     """Draw a person with named controls, without gradients.
 

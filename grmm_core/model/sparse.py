@@ -29,6 +29,13 @@ class FixedSparse(nn.Module):
         shape: Rows and columns of A.
     """
 
+    starts: Tensor
+    columns: Tensor
+    values: Tensor
+    t_starts: Tensor
+    t_columns: Tensor
+    t_values: Tensor
+
     def __init__(self, entries: Entries, shape: tuple[int, int]) -> None:
         super().__init__()
         self.shape = shape

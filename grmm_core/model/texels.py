@@ -54,6 +54,14 @@ class TexelAnchor(nn.Module):
         vertex_count: V.
     """
 
+    texel: Tensor
+    face: Tensor
+    barycentric: Tensor
+    outward: Tensor
+    corner_vertex: Tensor
+    texel_corners: Tensor
+    used_corners: Tensor
+
     def __init__(self, layout: TexelLayout, faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray, vertex_count: int) -> None:
         super().__init__()
         self.grid = layout.grid
@@ -140,9 +148,9 @@ class _Place(torch.autograd.Function):
         corners, offsets = corners.detach().contiguous(), offsets.detach().contiguous()
         ctx.save_for_backward(corners, offsets)
         ctx.layout, ctx.settings = layout, settings
-        results = tuple(torch.empty((len(offsets), width)) for width in (3, 4, 3))
-        place_forward(corners.numpy(), *layout, offsets.numpy(), settings, *(result.numpy() for result in results))
-        return results
+        means, quats, scales = (torch.empty((len(offsets), width)) for width in (3, 4, 3))
+        place_forward(corners.numpy(), *layout, offsets.numpy(), settings, means.numpy(), quats.numpy(), scales.numpy())
+        return means, quats, scales
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:

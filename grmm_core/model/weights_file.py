@@ -225,8 +225,9 @@ def _header(path: str | os.PathLike[str], metadata: Mapping[str, str]) -> dict[s
 
 def _info(path: str | os.PathLike[str], header: Mapping[str, Any], sha256: str) -> WeightsInfo:
     head, people, provenance = header.get("head"), header.get("people"), header.get("provenance")
-    named = isinstance(head, dict) and all(isinstance(head.get(key), str) for key in ("name", "sha256"))
-    if not named or not isinstance(people, list) or not all(isinstance(p, str) for p in people):
+    if not isinstance(head, dict) or not all(isinstance(head.get(key), str) for key in ("name", "sha256")):
+        raise _damaged(path, "its description is incomplete")
+    if not isinstance(people, list) or not all(isinstance(p, str) for p in people):
         raise _damaged(path, "its description is incomplete")
     if not isinstance(header.get("name"), str) or not isinstance(provenance, dict):
         raise _damaged(path, "its description is incomplete")

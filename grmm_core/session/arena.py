@@ -96,11 +96,16 @@ class SharedArena:
         if self._map is not None:
             self._map.close()
             self._map = None
-        if _WINDOWS:
+        if sys.platform == "win32":
             self._map = mmap.mmap(-1, size, tagname=self._tag)
         else:
             self._map = mmap.mmap(self._descriptor, size)
         self._size = size
+
+    def _memory(self) -> mmap.mmap:
+        if self._map is None:
+            raise SessionError("The model worker's memory was given back; open the session again.")
+        return self._map
 
     def write(self, arrays: list[np.ndarray]) -> list[int]:
         """Copy arrays into the arena, growing it as needed, and return their offsets in bytes."""
@@ -113,7 +118,7 @@ class SharedArena:
         for array, offset in zip(arrays, offsets, strict=True):
             if array.size == 0:
                 continue
-            target = np.frombuffer(self._map, array.dtype, array.size, offset)
+            target = np.frombuffer(self._memory(), array.dtype, array.size, offset)
             target[:] = array.reshape(-1)
         return offsets
 
@@ -122,7 +127,7 @@ class SharedArena:
         count = int(np.prod(shape, dtype=np.int64))
         if count == 0:
             return np.empty(shape, np.dtype(dtype))
-        return np.frombuffer(self._map, np.dtype(dtype), count, offset).reshape(shape).copy()
+        return np.frombuffer(self._memory(), np.dtype(dtype), count, offset).reshape(shape).copy()
 
     def close(self) -> None:
         """Give the memory back; harmless when done twice."""

@@ -18,7 +18,7 @@ import threading
 import time
 from collections import deque
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, cast
 
 from ..errors import CancelledError, SessionError
 from ..files.access import describe_os_error
@@ -74,6 +74,9 @@ class WorkerProcess:
                 f"The model worker's Python {python} cannot be started ({describe_os_error(error)}); choose another one."
             ) from error
         self.pid = self._process.pid
+        # All three are pipes, see `_launch`.
+        self._input, self._output = cast(BinaryIO, self._process.stdin), cast(BinaryIO, self._process.stdout)
+        self._errors = cast(BinaryIO, self._process.stderr)
         threading.Thread(target=self._read_replies, name="grmm-worker-replies", daemon=True).start()
         self._log_reader = threading.Thread(target=self._read_log, name="grmm-worker-log", daemon=True)
         self._log_reader.start()
@@ -156,9 +159,8 @@ class WorkerProcess:
                 self._abandoned = None
 
     def _send(self, message: dict[str, Any], with_arena: bool = True) -> None:
-        stream = self._process.stdin
         try:
-            send(stream, message, self._arena if with_arena else None)
+            send(self._input, message, self._arena if with_arena else None)
         except (OSError, ValueError) as error:
             raise self._death() from error
 
@@ -190,7 +192,7 @@ class WorkerProcess:
     def stop(self) -> None:
         """End the process: it leaves when its input closes, and is killed if it does not."""
         with contextlib.suppress(OSError, ValueError):
-            self._process.stdin.close()
+            self._input.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(EXIT_GRACE)
         self.kill()
@@ -206,11 +208,11 @@ class WorkerProcess:
             self._process.kill()
             self._process.wait()
         with contextlib.suppress(OSError, ValueError):
-            self._process.stdin.close()
+            self._input.close()
         self._arena.close()
 
     def _read_replies(self) -> None:
-        with self._process.stdout as stream:
+        with self._output as stream:
             while True:
                 try:
                     message = receive(stream)
@@ -224,7 +226,7 @@ class WorkerProcess:
                     return
 
     def _read_log(self) -> None:
-        with self._process.stderr as stream:
+        with self._errors as stream:
             for line in stream:
                 text = line.decode("utf-8", "replace").rstrip()
                 self._lines.append(text)

@@ -11,7 +11,6 @@ from torch import Tensor
 
 from ..model.grmm import GRMM, Rendering
 from ..model.inputs import Person
-from ..splat.backends import Backend
 from .losses import Target
 from .views import View
 
@@ -30,7 +29,7 @@ class Cast:
     model: GRMM
     codes: Tensor
     shapes: Tensor
-    backend: Backend = "auto"
+    backend: str = "auto"
 
     def draw(self, view: View, background: np.ndarray | None, refined: bool) -> Rendering:
         """Render a view's person, expression and camera over a color [3], differentiably in the codes."""

@@ -50,7 +50,7 @@ def initialise_colors(model: GRMM, source: ViewSource, views: int, seed: int) ->
     if appearance is not None:
         appearance[:, :3] = means
     else:
-        model.decoders.appearance.stages[-1].bias[:3] = means.mean(0)
+        model.decoders.appearance.last_bias[:3] = means.mean(0)
 
 
 def _project(model: GRMM, view: View, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

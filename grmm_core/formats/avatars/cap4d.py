@@ -80,7 +80,7 @@ def read_cap4d(path: str | os.PathLike[str]) -> AnimatedAvatar:
     cloud = splats_from_rows(path, elements["vertex"], KIND)
     if cloud.binding is None or int(cloud.binding.max()) >= faces.shape[0]:
         raise bad_file(path, KIND, "its splats are bound to triangles that it does not have")
-    deltas = []
+    deltas: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     while f"delta_vertex_{len(deltas):05d}" in elements and len(deltas) < _MAX_FRAMES:
         number = f"{len(deltas):05d}"
         rows = elements[f"delta_vertex_{number}"]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -111,7 +112,7 @@ class SplatCloud:
             ShapeError: A wrong shape, a value that is not finite, a scale that is not positive or an opacity outside 0..1.
         """
         names = ("means", "quats", "scales", "opacities", "sh")
-        arrays = {name: np.ascontiguousarray(getattr(self, name), np.float32) for name in names}
+        arrays: dict[str, Any] = {name: np.ascontiguousarray(getattr(self, name), np.float32) for name in names}
         count = arrays["means"].shape[0] if arrays["means"].ndim else 0
         sh_count = arrays["sh"].shape[1] if arrays["sh"].ndim == 3 else 0
         shapes = {"means": (count, 3), "quats": (count, 4), "scales": (count, 3), "opacities": (count,)}
@@ -136,8 +137,8 @@ class SplatCloud:
                 raise ShapeError(f"SplatCloud.binding must be {count} triangle numbers; got shape {binding.shape}.")
         return replace(self, **arrays, binding=binding)
 
-    def select(self, index: np.ndarray) -> SplatCloud:
-        """The splats chosen by a mask [N] or by indices."""
+    def select(self, index: np.ndarray | slice) -> SplatCloud:
+        """The splats chosen by a mask [N], by indices or by a range."""
         binding = None if self.binding is None else self.binding[index]
         return replace(
             self,

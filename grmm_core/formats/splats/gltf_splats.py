@@ -58,14 +58,13 @@ def _is_splats(primitive: dict[str, Any]) -> bool:
 
 
 def _read_primitive(reader: GltfReader, attributes: dict[str, Any]) -> SplatCloud:
-    def get(name: str, width: int, required: bool = True) -> np.ndarray | None:
-        index = attributes.get(f"{EXTENSION}:{name}", attributes.get(f"_{name}"))
-        if name == "POSITION":
-            index = attributes.get("POSITION")
+    def place_of(name: str) -> Any:
+        return attributes.get(name if name == "POSITION" else f"{EXTENSION}:{name}", attributes.get(f"_{name}"))
+
+    def get(name: str, width: int) -> np.ndarray:
+        index = place_of(name)
         if index is None:
-            if required:
-                raise reader.bad(f"a splat primitive has no attribute {name}")
-            return None
+            raise reader.bad(f"a splat primitive has no attribute {name}")
         values = reader.accessor(index)
         if (values.ndim == 1) != (width == 1) or (width > 1 and values.shape[1] != width):
             raise reader.bad(f"attribute {name} is not {width} values a splat")
@@ -76,14 +75,14 @@ def _read_primitive(reader: GltfReader, attributes: dict[str, Any]) -> SplatClou
     count = means.shape[0]
     terms: list[np.ndarray] = []
     for degree in range(MAX_DEGREE + 1):
-        level = [get(f"SH_DEGREE_{degree}_COEF_{n}", 3, required=degree == 0) for n in range(2 * degree + 1)]
-        if any(term is None for term in level):
+        names = [f"SH_DEGREE_{degree}_COEF_{n}" for n in range(2 * degree + 1)]
+        if degree and any(place_of(name) is None for name in names):
             break
-        terms += level
+        terms += [get(name, 3) for name in names]
     if any(array.shape[0] != count for array in (quats, scales, opacities, *terms)):
         raise reader.bad("attributes of a splat primitive differ in length")
     warnings = []
-    if count and (scales < 0).any():
+    if (scales < 0).any():
         scales = exp_scale(scales)
         warnings.append("Scales are negative, so they were read as logarithms, as in an early draft of the format.")
     return SplatCloud(means, quats[:, [3, 0, 1, 2]], scales, opacities, np.stack(terms, 1), warnings=warnings)
@@ -162,11 +161,10 @@ def _join(clouds: list[SplatCloud]) -> SplatCloud:
     if len(clouds) == 1:
         return clouds[0]
     terms = min(cloud.sh.shape[1] for cloud in clouds)
-    return SplatCloud(
-        *(np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in ("means", "quats", "scales", "opacities")),
-        np.concatenate([cloud.sh[:, :terms] for cloud in clouds]),
-        warnings=[warning for cloud in clouds for warning in cloud.warnings],
-    )
+    names = ("means", "quats", "scales", "opacities")
+    means, quats, scales, opacities = (np.concatenate([getattr(cloud, name) for cloud in clouds]) for name in names)
+    sh = np.concatenate([cloud.sh[:, :terms] for cloud in clouds])
+    return SplatCloud(means, quats, scales, opacities, sh, warnings=[text for cloud in clouds for text in cloud.warnings])
 
 
 def write_gltf_splats(path: str | os.PathLike[str], cloud: SplatCloud) -> None:

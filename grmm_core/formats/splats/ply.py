@@ -14,8 +14,9 @@ import io
 import os
 import re
 from dataclasses import dataclass
+from io import BufferedIOBase
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +76,7 @@ def read_elements(path: Path, kind: str = KIND, data: bytes | None = None) -> Pl
         return _read_file(path, kind, file, os.fstat(file.fileno()).st_size)
 
 
-def _read_file(path: Path, kind: str, file: BinaryIO, size: int) -> PlyFile:
+def _read_file(path: Path, kind: str, file: BufferedIOBase, size: int) -> PlyFile:
     order, elements, comments = _read_header(path, kind, file)
     if order == "=":
         return PlyFile(_read_text(path, kind, file, elements), comments)
@@ -97,7 +98,7 @@ def read_layout(path: Path) -> dict[str, tuple[str, ...]]:
         return {element.name: tuple(row[0] for row in element.properties) for element in _read_header(path, KIND, file)[1]}
 
 
-def _read_header(path: Path, kind: str, file: BinaryIO) -> tuple[str, list[_Element], list[str]]:
+def _read_header(path: Path, kind: str, file: BufferedIOBase) -> tuple[str, list[_Element], list[str]]:
     if file.readline(16).strip() != b"ply":
         raise bad_file(path, kind, "it does not start with 'ply'")
     order: str | None = None
@@ -133,7 +134,7 @@ def _read_header(path: Path, kind: str, file: BinaryIO) -> tuple[str, list[_Elem
     return order, elements, comments
 
 
-def _element_dtype(path: Path, kind: str, file: BinaryIO, element: _Element, order: str) -> np.dtype[Any]:
+def _element_dtype(path: Path, kind: str, file: BufferedIOBase, element: _Element, order: str) -> np.dtype[Any]:
     """Row type; the length of a list is taken from the first row and checked for the others afterwards."""
     fields: list[tuple[Any, ...]] = []
     start = file.tell()
@@ -160,7 +161,7 @@ def _check_lists(path: Path, kind: str, element: _Element, rows: np.ndarray) -> 
     return rows
 
 
-def _read_text(path: Path, kind: str, file: BinaryIO, elements: list[_Element]) -> dict[str, np.ndarray]:
+def _read_text(path: Path, kind: str, file: BufferedIOBase, elements: list[_Element]) -> dict[str, np.ndarray]:
     arrays = {}
     for element in elements:
         if element.has_lists:
@@ -298,7 +299,7 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file
     with atomic_write(path) as file:
         file.write(header.encode("ascii"))
         for start in range(0, cloud.count, _WRITE_CHUNK):
-            part = cloud.select(np.s_[start : start + _WRITE_CHUNK])
+            part = cloud.select(slice(start, start + _WRITE_CHUNK))
             rows = np.zeros((part.count, len(names)), "<f4")
             rows[:, 0:3] = part.means
             rows[:, 6:9] = part.sh[:, 0]

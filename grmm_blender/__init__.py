@@ -13,6 +13,7 @@ imports torch or numba, or knows the operators. What is registered stands in the
 ``properties``                          settings of avatars on Blender's objects
 ``scene``                               a scene as plain values: avatars, clouds, meshes, world, cameras; walked once
 ``engine``                              the GRMM render engine: stills, animations, the rendered viewport
+``staging``                             where new avatars stand, cameras that frame them
 ``viewport``                            drawing splats in solid and material preview viewports
 ``composite``                           scenes of another engine with avatars in them
 ``portraits`` ``sheet``                 small pictures of one avatar; tiles of many with captions

@@ -16,6 +16,7 @@ from ..grmm_core.errors import GrmmError
 from . import events, session_host
 from .rig import live
 from .rig.avatar import Avatar, avatar_of
+from .rig.left_rigs import LeftRigs
 from .scene.avatars import avatars_in
 
 CLASSES = ()
@@ -23,6 +24,7 @@ CLASSES = ()
 _CATCH_UP_SECONDS = 0.3
 _SETTLE_SECONDS = 0.2
 _PATIENCE = 200  # times that the timer finds the model not ready before the next update waits for it, and meets its error
+_left_rigs = LeftRigs()
 _waited = 0
 _rendering = False  # between the start and the end of a render
 _busy = False  # a handler of ours is writing; its own changes call the handlers again
@@ -50,14 +52,18 @@ def _on_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     if _busy or _is_playing():
         return
+    if _left_rigs.look() and not bpy.app.background:
+        events.later(_remove_left_rigs, 0.0)  # not while the edit is being reported
     for avatar in _touched(depsgraph.updates):
         _update(avatar, depsgraph)
 
 
 @persistent
 def _on_other_state(*_: object) -> None:
-    """Another file, point of the undo history, or runtime: what was written last says nothing about it."""
+    """Another file or another point of the undo history: what was written last says nothing about it."""
     live.forget()
+    _left_rigs.forget()
+    _left_rigs.look()
     if not bpy.app.background:
         events.later(_catch_up, _CATCH_UP_SECONDS)
 
@@ -66,6 +72,10 @@ def _on_other_state(*_: object) -> None:
 def _on_playback_end(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     for avatar in avatars_in(scene):
         _update(avatar, depsgraph)
+
+
+def _remove_left_rigs() -> None:
+    _left_rigs.remove()
 
 
 def _window_depsgraph(scene: bpy.types.Scene) -> bpy.types.Depsgraph | None:
@@ -178,7 +188,6 @@ _EVENTS = (
     (bpy.app.handlers.render_cancel, _on_render_end),
     (bpy.app.handlers.undo_post, _on_other_state),
     (bpy.app.handlers.redo_post, _on_other_state),
-    (session_host.changed, _on_other_state),
     (bpy.app.handlers.animation_playback_post, _on_playback_end),
 )
 
@@ -190,5 +199,5 @@ def register() -> None:
 
 def unregister() -> None:
     """Stop following them."""
-    events.stop(_EVENTS, [_catch_up, _settle])
+    events.stop(_EVENTS, [_catch_up, _settle, _remove_left_rigs])
     live.forget()

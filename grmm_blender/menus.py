@@ -12,7 +12,7 @@ _SECTIONS = (
     ("random_expression", "mirror", "reset", "random_identity", "make_independent"),
     ("apply_pose", "save_pose", "create_pose_library"),
     ("import_performance",),
-    ("composite_set_up", "composite_remove", "turntable", "contact_sheet"),
+    ("composite_set_up", "composite_remove", "portrait_camera", "turntable", "contact_sheet"),
 )
 
 

@@ -17,6 +17,7 @@
 ``relink``              choose an avatar's file again
 ``composite``           Cycles or EEVEE scenes with their avatars
 ``pose_library``        poses as assets
+``portrait_camera``     a camera before the avatar
 ``turntable``           a camera around the avatar
 ``contact_sheet``       many small pictures in one file
 
@@ -38,6 +39,7 @@ from . import (
     fit,
     import_performance,
     import_splats,
+    portrait_camera,
     pose_library,
     relink,
     residual,
@@ -58,6 +60,7 @@ _TOPICS = (
     fit,
     composite,
     pose_library,
+    portrait_camera,
     turntable,
     contact_sheet,
 )

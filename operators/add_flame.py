@@ -11,14 +11,13 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import preferences
-from ..grmm_blender.rig.build import build_avatar
-from ..grmm_blender.rig.identity import FLAME_PREFIX, read_identity
+from ..grmm_blender.rig.identity import FLAME_PREFIX
 from ..grmm_core.errors import FileAccessError
-from .add_head import GRMM_OT_add_head
+from .add_head import PlacesHead
 from .common import Result, reports_errors
 
 
-class GRMM_OT_add_flame_head(bpy.types.Operator):
+class GRMM_OT_add_flame_head(PlacesHead, bpy.types.Operator):
     """Add the head of your own FLAME file with an ARKit rig."""
 
     bl_idname = "grmm.add_flame_head"
@@ -37,13 +36,9 @@ class GRMM_OT_add_flame_head(bpy.types.Operator):
     )
     filter_glob: bpy.props.StringProperty(default="*.pkl;*.npz", options={"HIDDEN"})
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """As for adding a head."""
-        return GRMM_OT_add_head.poll.__func__(cls, context)
-
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Ask for the file where the preferences do not name one."""
+        self.watch(context)
         if self.filepath or preferences.get().flame:
             return self.execute(context)
         context.window_manager.fileselect_add(self)
@@ -59,23 +54,8 @@ class GRMM_OT_add_flame_head(bpy.types.Operator):
         if not path.is_file():
             raise FileAccessError(f"{path} does not exist; choose your FLAME file again.")
         source = f"{FLAME_PREFIX}{path}"
-        build_avatar(context, source, read_identity(source))
+        self.add(context, source, source)
         return {"FINISHED"}
 
 
-def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    self.layout.operator_context = "INVOKE_DEFAULT"
-    self.layout.operator(GRMM_OT_add_flame_head.bl_idname, text="GRMM FLAME Head...", icon="MONKEY")
-
-
 CLASSES = (GRMM_OT_add_flame_head,)
-
-
-def register() -> None:
-    """Add the menu entry."""
-    bpy.types.VIEW3D_MT_add.append(_menu)
-
-
-def unregister() -> None:
-    """Remove the menu entry."""
-    bpy.types.VIEW3D_MT_add.remove(_menu)

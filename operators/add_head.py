@@ -7,20 +7,66 @@ from typing import ClassVar
 
 import bpy
 
+from ..grmm_blender import staging
 from ..grmm_blender.rig.avatar import stored_path
 from ..grmm_blender.rig.build import build_avatar
 from ..grmm_blender.rig.identity import DEFAULT_SOURCE, read_identity
 from ..grmm_blender.session_host import SAMPLE_PREFIX
 from ..grmm_core.avatar import EXTENSION
-from ..grmm_core.avatar.library import LIBRARY_PREFIX, library_names
-from ..grmm_core.errors import GrmmError
+from ..grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_names
+from ..grmm_core.errors import FileAccessError
+from .common import Result, needs_object_mode, reports_errors
+from .importing import ImportsFiles, menu_entry, over_viewport
 
 LIBRARY_ITEMS = tuple(
     (name, name.replace("_", " ").capitalize(), f"The avatar {name} of the library") for name in library_names()
 )
+_NOT_KEPT = {"SKIP_SAVE"}
 
 
-class GRMM_OT_add_head(bpy.types.Operator):
+class PlacesHead:
+    """Mixin of operators that add a head: where it stands. For somebody who watches it stands where it can be seen."""
+
+    stand: bpy.props.BoolProperty(
+        name="Stand on Cursor",
+        description="Put the lower edge, not the middle of the head, at the 3D cursor, so that no floor runs through the face",
+        default=False,
+        options=_NOT_KEPT,
+    )
+    set_up: bpy.props.BoolProperty(
+        name="Set Up Scene",
+        description="Put camera and viewport before the head and render with GRMM; on at first in Blender's startup scene",
+        default=False,
+        options=_NOT_KEPT,
+    )
+    poll = classmethod(needs_object_mode)
+
+    def watch(self, context: bpy.types.Context) -> None:
+        """Choose what suits somebody who looks at the viewport; scripts get what they ask for."""
+        for name, value in (("stand", True), ("set_up", staging.is_as_started(context.scene))):
+            if not self.properties.is_property_set(name):
+                setattr(self, name, value)
+
+    def add(self, context: bpy.types.Context, stored: str, source: str) -> None:
+        """Build the head of a source.
+
+        Args:
+            context: In object mode.
+            stored: What the scene keeps of the source.
+            source: What is opened now.
+
+        Raises:
+            GrmmError: The source cannot be used.
+        """
+        fresh = staging.is_as_started(context.scene)
+        avatar = build_avatar(context, stored, read_identity(source))
+        if self.stand:
+            staging.stand_up(avatar)
+        if self.set_up:
+            staging.set_up(context, avatar, fresh)
+
+
+class GRMM_OT_add_head(PlacesHead, bpy.types.Operator):
     """Add an animatable GRMM head with its rig at the 3D cursor."""
 
     bl_idname = "grmm.add_head"
@@ -46,28 +92,17 @@ class GRMM_OT_add_head(bpy.types.Operator):
         name="Relative Path", description="Store the file name relative to the .blend file", default=True
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Building the armature needs object mode."""
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Go to object mode first")
-            return False
-        return True
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Draw another person each time that a random one is asked for without a seed."""
         if self.person == "RANDOM" and not self.properties.is_property_set("seed"):
             self.seed = random.randrange(1, 1 << 20)
+        self.watch(context)
         return self.execute(context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
         """Build the avatar."""
-        try:
-            stored, source = self._source()
-            build_avatar(context, stored, read_identity(source))
-        except GrmmError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
+        self.add(context, *self._source())
         return {"FINISHED"}
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -75,13 +110,9 @@ class GRMM_OT_add_head(bpy.types.Operator):
         layout = self.layout
         layout.use_property_split = True
         layout.prop(self, "person")
-        if self.person == "LIBRARY":
-            layout.prop(self, "library")
-        elif self.person == "RANDOM":
-            layout.prop(self, "seed")
-        elif self.person == "FILE":
-            layout.prop(self, "filepath")
-            layout.prop(self, "relative_path")
+        shown = {"LIBRARY": ("library",), "RANDOM": ("seed",), "FILE": ("filepath", "relative_path")}
+        for name in (*shown.get(self.person, ()), "stand", "set_up"):
+            layout.prop(self, name)
 
     def _source(self) -> tuple[str, str]:
         """What to store, and what to open now."""
@@ -91,71 +122,93 @@ class GRMM_OT_add_head(bpy.types.Operator):
             return (f"{LIBRARY_PREFIX}{self.library}",) * 2
         if self.person == "DEFAULT" and not self.filepath:
             return DEFAULT_SOURCE, DEFAULT_SOURCE
-        if not self.filepath:
-            raise GrmmError("No avatar file is chosen; choose a .grmm file.")
-        absolute = bpy.path.abspath(self.filepath)
-        return stored_path(absolute, self.relative_path), absolute
+        return file_source(self.filepath, self.relative_path)
 
 
-class GRMM_OT_open_avatar(bpy.types.Operator):
+class GRMM_OT_open_avatar(PlacesHead, ImportsFiles, bpy.types.Operator):
     """Choose an avatar file and add it to the scene."""
 
     bl_idname = "grmm.open_avatar"
     bl_label = "Open GRMM Avatar"
     bl_description = "Choose an avatar file and add it to the scene"
-    bl_options: ClassVar[set[str]] = {"REGISTER"}
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: bpy.props.StringProperty(
         name="File", description="Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"}
     )
     filter_glob: bpy.props.StringProperty(default=f"*{EXTENSION}", options={"HIDDEN"})
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """As for adding a head."""
-        return GRMM_OT_add_head.poll.__func__(cls, context)
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Open the file browser, unless a file was dropped."""
+        self.watch(context)
+        return ImportsFiles.invoke(self, context, event)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """Open the file browser."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
         """Add the head of the file."""
-        return bpy.ops.grmm.add_head("EXEC_DEFAULT", True, person="FILE", filepath=self.filepath)
+        self.add(context, *file_source(self.filepath))
+        return {"FINISHED"}
 
 
-class GRMM_MT_library(bpy.types.Menu):
-    """Avatars that come with the extension."""
+def file_source(filepath: str, relative: bool = True) -> tuple[str, str]:
+    """Return what to store for an avatar file, and its absolute path. Raises `FileAccessError` where none is chosen."""
+    if not filepath:
+        raise FileAccessError("No avatar file is chosen; choose a .grmm file.")
+    absolute = bpy.path.abspath(filepath)
+    return stored_path(absolute, relative), absolute
 
-    bl_idname = "GRMM_MT_library"
-    bl_label = "GRMM Library"
+
+class GRMM_FH_avatar(bpy.types.FileHandler):
+    """Take avatar files that are dropped into the 3D viewport."""
+
+    bl_idname = "GRMM_FH_avatar"
+    bl_label = "GRMM Avatar"
+    bl_import_operator = GRMM_OT_open_avatar.bl_idname
+    bl_file_extensions = EXTENSION
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Only in 3D viewports."""
+        return over_viewport(context)
+
+
+class GRMM_MT_add(bpy.types.Menu):
+    """Heads to add."""
+
+    bl_idname = "GRMM_MT_add"
+    bl_label = "GRMM"
 
     def draw(self, context: bpy.types.Context) -> None:
-        """One entry for each avatar."""
+        """Who comes with the extension, random people, files."""
+        layout = self.layout
+        layout.operator_context = "INVOKE_DEFAULT"
+        layout.operator(GRMM_OT_add_head.bl_idname, text="Default", icon="COMMUNITY").person = "DEFAULT"
         for name, label, _ in LIBRARY_ITEMS:
-            entry = self.layout.operator(GRMM_OT_add_head.bl_idname, text=label, icon="COMMUNITY")
-            entry.person, entry.library = "LIBRARY", name
+            if name != DEFAULT_NAME:
+                entry = layout.operator(GRMM_OT_add_head.bl_idname, text=label, icon="COMMUNITY")
+                entry.person, entry.library = "LIBRARY", name
+        layout.separator()
+        layout.operator(GRMM_OT_add_head.bl_idname, text="Random Person", icon="COMMUNITY").person = "RANDOM"
+        layout.operator(GRMM_OT_open_avatar.bl_idname, text="Avatar File...", icon="FILE_FOLDER")
+        layout.operator("grmm.add_flame_head", text="FLAME Head...", icon="MONKEY")
 
 
 def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    layout = self.layout
-    layout.separator()
-    layout.operator_context = "INVOKE_DEFAULT"
-    layout.operator(GRMM_OT_add_head.bl_idname, text="GRMM Head", icon="COMMUNITY").person = "DEFAULT"
-    layout.menu(GRMM_MT_library.bl_idname, icon="COMMUNITY")
-    layout.operator(GRMM_OT_add_head.bl_idname, text="GRMM Random Person", icon="COMMUNITY").person = "RANDOM"
-    layout.operator(GRMM_OT_open_avatar.bl_idname, text="GRMM Avatar File...", icon="FILE_FOLDER")
+    self.layout.separator()
+    self.layout.menu(GRMM_MT_add.bl_idname, icon="COMMUNITY")
 
 
-CLASSES = (GRMM_OT_add_head, GRMM_OT_open_avatar, GRMM_MT_library)
+CLASSES = (GRMM_OT_add_head, GRMM_OT_open_avatar, GRMM_FH_avatar, GRMM_MT_add)
+_add_import, _remove_import = menu_entry(GRMM_OT_open_avatar, f"GRMM Avatar ({EXTENSION})")
 
 
 def register() -> None:
     """Add the menu entries."""
     bpy.types.VIEW3D_MT_add.append(_menu)
+    _add_import()
 
 
 def unregister() -> None:
     """Remove the menu entries."""
+    _remove_import()
     bpy.types.VIEW3D_MT_add.remove(_menu)

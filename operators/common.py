@@ -64,6 +64,14 @@ def needs_avatar(cls: type[bpy.types.Operator], context: bpy.types.Context) -> b
     return True
 
 
+def needs_object_mode(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """`poll` of operators that make new objects."""
+    if context.mode != "OBJECT":
+        cls.poll_message_set("Go to object mode first")
+        return False
+    return True
+
+
 def reports_errors(execute: _Execute) -> _Execute:
     """Decorate `execute` so that the core's errors become a report and a cancelled operator; defects of ours stay visible."""
 

@@ -11,7 +11,7 @@ from ..grmm_blender.performance import ImportOptions, apply_performance
 from ..grmm_blender.splats.rigged import Imported, import_file
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.formats import formats
-from .common import Result, flame_path, reports_errors
+from .common import Result, flame_path, needs_object_mode, reports_errors
 from .file_formats import dropped_suffixes, listed, read_filter
 from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 
@@ -48,13 +48,7 @@ class GRMM_OT_import_splats(ImportsFiles, bpy.types.Operator):
         name="Animation", description="Key the performance that lies beside a GaussianAvatars file", default=True
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """New objects are made in object mode."""
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Go to object mode first")
-            return False
-        return True
+    poll = classmethod(needs_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:

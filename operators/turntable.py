@@ -6,16 +6,16 @@ import math
 from typing import ClassVar
 
 import bpy
-import numpy as np
-from mathutils import Matrix, Vector
+from mathutils import Matrix
 
+from ..grmm_blender.rig.actions import action_curves
 from ..grmm_blender.rig.avatar import Avatar
+from ..grmm_blender.scene.avatars import place_of
+from ..grmm_blender.scene.cameras import fitting_distance
+from ..grmm_blender.staging import LENS, SENSOR
 from .common import Result, active_avatar, needs_avatar
 
 PIVOT_TAG = "grmm_turntable"  # custom property of the objects: a second run uses them again
-_HEAD_RADIUS = 0.19  # metres around the head's origin that hold hair and neck
-_CENTRE = Vector((0.0, 0.0, -0.01))  # of the head in the axes of its object, metres
-_SENSOR = 36.0  # millimetres
 
 
 class GRMM_OT_turntable(bpy.types.Operator):
@@ -42,38 +42,61 @@ class GRMM_OT_turntable(bpy.types.Operator):
         min=-math.radians(85.0), max=math.radians(85.0),
     )  # fmt: skip
     lens: bpy.props.FloatProperty(
-        name="Focal Length", description="Millimetres", default=85.0, min=10.0, max=500.0, subtype="DISTANCE_CAMERA"
+        name="Focal Length", description="Millimetres", default=LENS, min=10.0, max=500.0, subtype="DISTANCE_CAMERA"
     )
     margin: bpy.props.FloatProperty(name="Margin", description="Room around the head", default=0.1, min=0.0, max=2.0)
-    set_range: bpy.props.BoolProperty(name="Set Scene Range", description="Let the scene play the turn", default=True)
+    set_range: bpy.props.BoolProperty(
+        name="Set Scene Range",
+        description="Let the scene play the turn; off at first where the avatar is animated",
+        default=True,
+    )
+    set_camera: bpy.props.BoolProperty(
+        name="Set Scene Camera", description="Render the turn; off at first where the avatar is animated", default=True
+    )
 
     poll = classmethod(needs_avatar)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Make the camera, or change the one of an earlier run."""
         scene, avatar = context.scene, active_avatar(context)
+        self._respect(scene, avatar)
         pivot, camera = self._objects(scene)
-        center, scale = _head_place(avatar, context)
-        pivot.location = center
+        place = place_of(avatar, context.evaluated_depsgraph_get())
+        pivot.location = place.centre
         pivot.rotation_mode = "XYZ"
         camera.parent = pivot
         camera.matrix_parent_inverse = Matrix()
-        camera.data.lens, camera.data.sensor_fit, camera.data.sensor_width = self.lens, "AUTO", _SENSOR
-        distance = self._distance(scene) * scale
+        camera.data.lens, camera.data.sensor_fit, camera.data.sensor_width = self.lens, "AUTO", SENSOR
+        distance = fitting_distance(scene.render, self.lens, SENSOR, place.radius * (1 + self.margin))
         camera.location = (0.0, -distance * math.cos(self.elevation), distance * math.sin(self.elevation))
         camera.rotation_euler = (math.pi / 2 - self.elevation, 0.0, 0.0)
         camera.data.clip_start = min(0.1, distance / 10)
-        facing = _facing(avatar, context)
         pivot.animation_data_clear()
         for frame, angle in ((self.start, 0.0), (self.start + self.frames, self.angle)):
-            pivot.rotation_euler = (0.0, 0.0, facing + self.first + angle)
+            pivot.rotation_euler = (0.0, 0.0, place.facing + self.first + angle)
             pivot.keyframe_insert("rotation_euler", index=2, frame=frame)
-        _straighten(pivot.animation_data.action)
-        scene.camera = camera
+        for curve in action_curves(pivot):  # at constant speed, on and on
+            curve.extrapolation = "LINEAR"
+            for key in curve.keyframe_points:
+                key.interpolation = "LINEAR"
+        if self.set_camera:
+            scene.camera = camera
         if self.set_range:
             scene.frame_start, scene.frame_end = self.start, self.start + self.frames - 1
         scene.frame_set(scene.frame_current)
         return {"FINISHED"}
+
+    def _respect(self, scene: bpy.types.Scene, avatar: Avatar) -> None:
+        """Leave a performance its range and its camera, and walk as long as it plays, unless something else is asked for."""
+        if not is_animated(avatar):
+            return
+        length = scene.frame_end - scene.frame_start + 1
+        kept = scene.camera is None or PIVOT_TAG in scene.camera
+        for name, value in (("start", scene.frame_start), ("frames", length), ("set_range", False), ("set_camera", kept)):
+            if not self.properties.is_property_set(name):
+                setattr(self, name, value)
+        if not self.set_camera:
+            self.report({"INFO"}, "The scene keeps its camera and its range; Set Scene Camera renders the turn")
 
     def _objects(self, scene: bpy.types.Scene) -> tuple[bpy.types.Object, bpy.types.Object]:
         found = {obj[PIVOT_TAG]: obj for obj in scene.objects if PIVOT_TAG in obj}
@@ -88,37 +111,11 @@ class GRMM_OT_turntable(bpy.types.Operator):
         found["pivot"].empty_display_size = 0.1
         return found["pivot"], found["camera"]
 
-    def _distance(self, scene: bpy.types.Scene) -> float:
-        """Distance from which the head fills the shorter side of the picture, but for the margin; metres."""
-        render = scene.render
-        width, height = render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y
-        half = math.atan(_SENSOR * min(width, height) / max(width, height) / (2 * self.lens))
-        return _HEAD_RADIUS * (1 + self.margin) / math.sin(half)
 
-
-def _head_place(avatar: Avatar, context: bpy.types.Context) -> tuple[Vector, float]:
-    """Centre of the head in the world, and its scale."""
-    matrix = Matrix(avatar.model_to_world(context.evaluated_depsgraph_get()).tolist())
-    head = matrix @ Vector((_CENTRE.x, _CENTRE.z, -_CENTRE.y))  # head axes: y up, z forward
-    return head, float(np.cbrt(abs(matrix.to_3x3().determinant())))
-
-
-def _facing(avatar: Avatar, context: bpy.types.Context) -> float:
-    """Angle about the world's z axis by which the rig is turned."""
-    matrix = Matrix(avatar.model_to_world(context.evaluated_depsgraph_get()).tolist())
-    forward = matrix.to_3x3() @ Vector((0.0, 0.0, 1.0))
-    return math.atan2(forward.x, -forward.y)
-
-
-def _straighten(action: bpy.types.Action) -> None:
-    """Walk at constant speed, on and on."""
-    for layer in action.layers:
-        for strip in layer.strips:
-            for bag in strip.channelbags:
-                for curve in bag.fcurves:
-                    curve.extrapolation = "LINEAR"
-                    for key in curve.keyframe_points:
-                        key.interpolation = "LINEAR"
+def is_animated(avatar: Avatar) -> bool:
+    """Whether an avatar plays anything: an action or a strip on its head or its rig."""
+    owners = (obj.animation_data for obj in (avatar.object, avatar.armature) if obj is not None)
+    return any(data is not None and (data.action is not None or len(data.nla_tracks) > 0) for data in owners)
 
 
 CLASSES = (GRMM_OT_turntable,)

@@ -21,12 +21,15 @@ from ..scene.shot import Frame, Region
 from ..scene.walk import drawn_objects, take_frame
 from . import output, passes, picture, pipeline
 from .occlusion import OccluderDepths
+from .passes import COMBINED
 from .pipeline import DrawSettings
 
 _log = logging.getLogger(__name__)
 
 _meshes = MeshCache()
 _depths = OccluderDepths()
+_has_window = not bpy.app.background
+_before: dict[tuple[str, str], np.ndarray] = {}  # the last picture by view layer and view, in a window
 
 NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > GRMM Head."
 
@@ -72,6 +75,8 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
 
     engine.update_stats("", "GRMM: reading the scene")
     views = [view.name for view in scene.render.views if view.use] if scene.render.use_multiview else [""]
+    if _has_window:
+        _show_before(engine, region, view_layer.name, views)
     values: dict[str, dict[str, np.ndarray]] = {}  # by view, then pass
     for index, view in enumerate(views):
         if view:
@@ -79,6 +84,8 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
         report = _Progress(engine, index / len(views), 1.0 / len(views))
         values[view] = _view_values(engine, depsgraph, settings, items, region, report)
     _write(engine, region, view_layer.name, values)
+    if _has_window:
+        _before.update({(view_layer.name, view): passes_of[COMBINED] for view, passes_of in values.items()})
 
 
 def _view_values(
@@ -134,6 +141,13 @@ def _take_frame(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) 
     return take_frame(depsgraph, size, camera, eye, scene.grmm_render.use_occlusion, _meshes)
 
 
+def _show_before(engine: bpy.types.RenderEngine, region: Region, layer: str, views: list[str]) -> None:
+    """Show the picture of the frame before until there is a new one; Blender empties its window with every frame."""
+    known = {view: _before[layer, view] for view in views if (layer, view) in _before}
+    if known and all(last.shape[:2] == (region.height, region.width) for last in known.values()):
+        _write(engine, region, layer, {view: {COMBINED: last} for view, last in known.items()})
+
+
 def _write(engine: bpy.types.RenderEngine, region: Region, layer: str, values: dict[str, dict[str, np.ndarray]]) -> None:
     """Hand finished passes to Blender; nothing before this point can leave a half result behind."""
     for view, view_values in values.items():
@@ -182,6 +196,7 @@ def _forget(*_: object) -> None:
     """Another file: what is kept of the scene is of no use any more."""
     _meshes.forget()
     _depths.clear()
+    _before.clear()
 
 
 _EVENTS = ((bpy.app.handlers.load_pre, _forget),)

@@ -12,6 +12,7 @@ import bpy
 
 from .. import compat
 
+COMBINED = "Combined"
 MAX_NAME = 60  # characters; Blender cuts longer pass names
 FEATURES_IN_A_PASS = 4
 FEATURE_CHANNELS = 32  # the refinement network's input; weights with fewer leave the rest at zero
@@ -59,7 +60,7 @@ def layer_passes(view_layer: bpy.types.ViewLayer, avatar_names: list[str]) -> li
         view_layer: The view layer.
         avatar_names: Names of the scene's avatars, sorted.
     """
-    passes = [RenderPass("combined", "Combined", "RGBA", "COLOR")]
+    passes = [RenderPass("combined", COMBINED, "RGBA", "COLOR")]
     if view_layer.use_pass_z:
         passes.append(RenderPass("depth", compat.depth_pass_name(), "Z", "VALUE"))
     extra = view_layer.grmm_passes

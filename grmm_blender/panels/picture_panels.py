@@ -73,6 +73,7 @@ class GRMM_PT_pictures(_SidebarPanel, bpy.types.Panel):
             draw_text(layout, MESH_ALONE, context, icon="INFO")
         self._draw_composite(layout, context.scene)
         column = layout.column(align=True)
+        column.operator("grmm.portrait_camera", icon="CAMERA_DATA")
         column.operator("grmm.turntable", icon="CON_FOLLOWPATH")
         column.operator_context = "INVOKE_DEFAULT"
         column.operator("grmm.contact_sheet", text="Contact Sheet...", icon="IMGDISPLAY")

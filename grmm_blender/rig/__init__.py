@@ -12,6 +12,7 @@
 ``saved_codes``        saved residual codes and the blend between them
 ``components``         what single components of the residual codes do, in words
 ``weighted_sums``      sums of hundreds of small shape components, quick from frame to frame
+``left_rigs``          rigs whose heads were deleted
 ``live``               what the add-on keeps up to date: residual key, rest joints
 =====================  =================================================================================
 

@@ -67,6 +67,13 @@ def make_armature(context: bpy.types.Context, name: str, head: HeadModel, joints
     return obj
 
 
+def is_head_rig(obj: bpy.types.Object) -> bool:
+    """Whether an object is an armature with the bones of `make_armature` and no others."""
+    prefixes = ("", SHIFT_PREFIX, DRIVEN_PREFIX, DEFORM_PREFIX)
+    ours = {prefix + name for prefix in prefixes for name in JOINT_NAMES}
+    return obj.type == "ARMATURE" and {bone.name for bone in obj.data.bones} <= ours
+
+
 def rest_joints(obj: bpy.types.Object) -> np.ndarray:
     """Joints that an armature was built with, head axes, metres, [5, 3]; zero where a bone was removed."""
     joints = np.zeros((len(JOINT_NAMES), 3), np.float32)

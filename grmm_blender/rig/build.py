@@ -18,7 +18,7 @@ MODIFIER_NAME = "Armature"
 
 
 def build_avatar(context: bpy.types.Context, source: str, identity: Identity) -> Avatar:
-    """Add a head with its rig at the scene's cursor and make it active.
+    """Add a head with its rig at the scene's cursor; both are selected, and the rig is active.
 
     Args:
         context: In object mode.
@@ -44,8 +44,9 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
     rig.location = context.scene.cursor.location
     for other in context.selected_objects:
         other.select_set(False)
-    obj.select_set(True)
-    context.view_layer.objects.active = obj
+    for part in (obj, rig):
+        part.select_set(True)
+    context.view_layer.objects.active = rig  # what can be moved
     return Avatar(obj)
 
 

@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import bpy
 import numpy as np
+from mathutils import Matrix, Vector
 
 from ..rig.avatar import Avatar, is_avatar
 from ..splats.cloud import carries_splats
 from .shot import AvatarShot
 from .visibility import is_holdout
+
+_HEAD_RADIUS = 0.19  # metres around the head's origin that hold hair and neck
+_CENTRE = Vector((0.0, -0.01, 0.0))  # of the head, in its own axes
+
+
+@dataclass(frozen=True)
+class HeadPlace:
+    """Where a head is in the world.
+
+    Attributes:
+        centre: Middle of the head with its hair, metres.
+        radius: Of a ball around it that holds hair and neck.
+        facing: Angle about the world's z axis by which it is turned, radians; 0 looks along -y.
+    """
+
+    centre: Vector
+    radius: float
+    facing: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +59,15 @@ class DrawnAvatar:
         """Copy the avatar as it is in the depsgraph's moment."""
         controls, cuts = self.avatar.controls(depsgraph), is_holdout(self.object, depsgraph.view_layer)
         return AvatarShot(self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts)
+
+
+def place_of(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> HeadPlace:
+    """Return where an avatar's head is in the depsgraph's moment."""
+    matrix = Matrix(avatar.model_to_world(depsgraph).tolist())
+    turn = matrix.to_3x3()
+    forward = turn @ Vector((0.0, 0.0, 1.0))
+    radius = _HEAD_RADIUS * float(np.cbrt(abs(turn.determinant())))
+    return HeadPlace(matrix @ _CENTRE, radius, math.atan2(forward.x, -forward.y))
 
 
 def avatars_in(where: bpy.types.Scene | bpy.types.Depsgraph) -> list[Avatar]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import bpy
@@ -79,6 +80,20 @@ def clip_range(camera: bpy.types.Object) -> tuple[float, float]:
     if camera.type != "CAMERA":
         return 1e-4, 1e10
     return camera.data.clip_start if camera.data.type == "PERSP" else 1e-4, camera.data.clip_end
+
+
+def fitting_distance(render: bpy.types.RenderSettings, lens: float, sensor: float, radius: float) -> float:
+    """Return the distance from which a ball fills the shorter side of the picture, metres.
+
+    Args:
+        render: Format of the picture.
+        lens: Focal length, millimetres.
+        sensor: Width of the sensor that the longer side is fitted to, millimetres.
+        radius: Of the ball, metres.
+    """
+    width, height = render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y
+    half = math.atan(sensor * min(width, height) / max(width, height) / (2 * lens))
+    return radius / math.sin(half)
 
 
 def render_region(render: bpy.types.RenderSettings, width: int, height: int) -> Region:

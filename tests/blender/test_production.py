@@ -83,6 +83,8 @@ def test_turntable_and_contact_sheets(run_blender: RunBlender, blender_version: 
     assert result["angles"] == pytest.approx([45.0 * step for step in range(8)], abs=0.01)
     assert result["distances"] == pytest.approx([result["distances"][0]] * 8, rel=1e-4)
     assert result["past"] < 1e-5
+    assert result["kept"] == ["Own", 11, 30, [11.0, 31.0]]
+    assert result["asked"] == [True, 3, 10]
     assert result["jaw"] == [2 * (32 + 18), 3 * 32, 4]
     assert result["plain"] == [2 * 32, 3 * 32, 4]
     assert result["ink"] < 100  # captions

@@ -80,11 +80,11 @@ def caches() -> dict:
     scene = bpy.context.scene
     scene.frame_set(15)
     wanted = world_vertices(avatar.object, bpy.context.evaluated_depsgraph_get())
-    result = {}
+    result, active = {}, bpy.context.object
     bpy.ops.grmm.export_cache(filepath=str(folder / "cache.abc"))
     bpy.ops.grmm.export_cache(filepath=str(folder / "cache.usdc"), first=15, last=15)
     result["range"] = [scene.frame_start, scene.frame_end, scene.frame_current]
-    result["active"] = bpy.context.object == avatar.object
+    result["active"] = bpy.context.object == active
     for name, importer in (("cache.abc", bpy.ops.wm.alembic_import), ("cache.usdc", bpy.ops.wm.usd_import)):
         before = set(bpy.data.objects)
         importer(filepath=str(folder / name))

@@ -8,7 +8,7 @@ from rig_support import core_mesh, mesh_of, update, without_detail
 from support import empty_scene, module, report
 
 library = module("grmm_core.avatar.library")
-result: dict = {"names": list(library.library_names()), "menu": hasattr(bpy.types, "GRMM_MT_library"), "people": {}}
+result: dict = {"names": list(library.library_names()), "menu": hasattr(bpy.types, "GRMM_MT_add"), "people": {}}
 empty_scene()
 for name in result["names"]:
     bpy.ops.grmm.add_head(person="LIBRARY", library=name)

@@ -11,7 +11,7 @@ report(without=draw_all())
 bpy.ops.grmm.add_head()
 report(head=draw_all())
 report(narrow=draw_all(Narrow()))
-bpy.context.object.grmm.source = "/nowhere/gone.grmm"
+module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).object.grmm.source = "/nowhere/gone.grmm"
 missing = draw_all()
 report(missing={"text": " ".join(missing["labels"]), "operators": missing["operators"]})
 report(registered=[p.bl_rna.identifier for p in module("grmm_blender.panels").CLASSES if p.is_registered])

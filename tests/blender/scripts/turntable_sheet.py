@@ -46,6 +46,23 @@ for frame in range(3, 11):
     past.append(miss)
 report(angles=angles, distances=distances, past=max(past))
 
+# A performance keeps its range and its camera, unless something else is asked for.
+avatar.object["jawOpen"] = 0.0
+avatar.object.keyframe_insert('["jawOpen"]', frame=1)
+own = bpy.data.objects.new("Own", bpy.data.cameras.new("Own"))
+scene.collection.objects.link(own)
+turning = scene.camera
+scene.camera, scene.frame_start, scene.frame_end = own, 11, 30
+bpy.ops.grmm.turntable()
+keys = [
+    key.co[0] for curve in module("grmm_blender.rig.actions").action_curves(turning.parent) for key in curve.keyframe_points
+]
+kept = [scene.camera.name, scene.frame_start, scene.frame_end, keys]
+bpy.ops.grmm.turntable(frames=8, start=3, elevation=0.0, set_range=True, set_camera=True)
+report(kept=kept, asked=[scene.camera == turning, scene.frame_start, scene.frame_end])
+avatar.object.animation_data_clear()
+avatar.object["jawOpen"] = 0.0
+
 scene.frame_set(5)
 bpy.ops.grmm.contact_sheet(filepath=str(folder / "jaw.png"), region="Jaw", size=32, columns=3)
 jaw = load_png(folder / "jaw.png")

@@ -79,7 +79,7 @@ problems += [f"{cls.__name__} has no label" for cls in panels if not cls.bl_labe
 problems += [f"{cls.__name__} is not named GRMM_PT_*" for cls in panels if not cls.__name__.startswith("GRMM_PT_")]
 
 bpy.ops.grmm.add_head()
-head = bpy.context.object
+head = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).object
 for name in head.keys():  # noqa: SIM118
     if name.startswith("grmm"):
         continue

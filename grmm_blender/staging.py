@@ -1,0 +1,91 @@
+"""Where a new avatar stands and who looks at it: the floor under it, cameras that frame it, Blender's startup scene."""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+import numpy as np
+from mathutils import Euler, Matrix, Vector
+
+from .engine.settings import ENGINE
+from .rig.avatar import Avatar
+from .scene.avatars import place_of
+from .scene.cameras import fitting_distance
+
+PORTRAIT_TAG = "grmm_portrait"  # custom property of the camera: a second run uses it again
+LENS, SENSOR = 85.0, 36.0  # of a portrait, millimetres
+_YAW, _PITCH = math.radians(15.0), math.radians(4.0)  # a little from the side, a little from above
+_MARGIN = 0.1  # around the head, of its size
+_VIEW_RADII = 4.0  # distance of a viewport from the middle of the head, in radii
+# What Blender's startup scene holds, and where.
+_STARTUP = {"CAMERA": (7.3589, -6.9258, 4.9583), "MESH": (0.0, 0.0, 0.0), "LIGHT": (4.0762, 1.0055, 5.9039)}
+_CUBE = 2.0  # metres
+
+
+def stand_up(avatar: Avatar) -> None:
+    """Raise an avatar so that its lower edge is where its middle was: a floor does not run through the face then."""
+    mesh = avatar.object.data
+    positions = np.empty(len(mesh.vertices) * 3, np.float32)
+    mesh.vertices.foreach_get("co", positions)
+    avatar.armature.location.z -= float(positions[2::3].min())
+
+
+def is_as_started(scene: bpy.types.Scene) -> bool:
+    """Whether nobody has set up a scene yet: it holds nothing but what Blender starts with, each thing in its place."""
+    return scene.render.engine != ENGINE and all(_is_of_startup(obj) for obj in scene.objects)
+
+
+def _is_of_startup(obj: bpy.types.Object) -> bool:
+    place = _STARTUP.get(obj.type)
+    if place is None or (obj.location - Vector(place)).length > 1e-3 or obj.parent or obj.animation_data:
+        return False
+    return obj.type != "MESH" or (len(obj.data.vertices) == 8 and (obj.dimensions - Vector((_CUBE,) * 3)).length < 1e-3)
+
+
+def set_up(context: bpy.types.Context, avatar: Avatar, fresh: bool) -> None:
+    """Show a head: a camera and the viewport before it, rendered by GRMM.
+
+    Args:
+        context: Its viewport looks at the head, if it has one.
+        avatar: The head.
+        fresh: The scene was as Blender starts it: its camera is moved, and a head inside its cube stands upon it.
+    """
+    scene, location = context.scene, avatar.armature.location
+    if (
+        fresh
+        and max(map(abs, location)) < _CUBE / 2
+        and any(_is_of_startup(obj) for obj in scene.objects if obj.type == "MESH")
+    ):
+        location.z = _CUBE / 2
+        stand_up(avatar)
+    aim(scene, avatar, (scene.camera if fresh else None) or _portrait_camera(scene))
+    scene.render.engine = ENGINE
+    view = context.region_data
+    if view is not None and context.space_data.type == "VIEW_3D":
+        place = place_of(avatar, context.evaluated_depsgraph_get())
+        view.view_location, view.view_distance = place.centre, _VIEW_RADII * place.radius
+        view.view_rotation = Euler((math.pi / 2 - _PITCH, 0.0, place.facing + _YAW)).to_quaternion()
+        view.view_perspective = "PERSP"
+
+
+def aim(scene: bpy.types.Scene, avatar: Avatar, camera: bpy.types.Object) -> None:
+    """Put a camera without parent before an avatar so that its head fills the picture, and render through it."""
+    place = place_of(avatar, bpy.context.evaluated_depsgraph_get())
+    camera.data.lens, camera.data.sensor_fit, camera.data.sensor_width = LENS, "AUTO", SENSOR
+    distance = fitting_distance(scene.render, LENS, SENSOR, place.radius * (1 + _MARGIN))
+    turned = Matrix.Rotation(place.facing + _YAW, 4, "Z") @ Matrix.Rotation(math.pi / 2 - _PITCH, 4, "X")
+    camera.matrix_world = Matrix.Translation(place.centre) @ turned @ Matrix.Translation((0.0, 0.0, distance))
+    camera.data.clip_start = min(camera.data.clip_start, distance / 10)
+    scene.camera = camera
+
+
+def _portrait_camera(scene: bpy.types.Scene) -> bpy.types.Object:
+    """The scene's camera for portraits, made where there is none."""
+    for obj in scene.objects:
+        if PORTRAIT_TAG in obj:
+            return obj
+    camera = bpy.data.objects.new("Portrait Camera", bpy.data.cameras.new("Portrait Camera"))
+    camera[PORTRAIT_TAG] = True
+    scene.collection.objects.link(camera)
+    return camera

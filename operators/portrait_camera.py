@@ -1,0 +1,28 @@
+"""A camera before the active avatar's face, and the engine that draws it."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import bpy
+
+from ..grmm_blender import staging
+from .common import Result, active_avatar, needs_avatar
+
+
+class GRMM_OT_portrait_camera(bpy.types.Operator):
+    """Render the active avatar as a portrait."""
+
+    bl_idname = "grmm.portrait_camera"
+    bl_label = "Portrait Camera"
+    bl_description = "Put a camera before the active avatar, and render through it with GRMM; again: put it there again"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+    poll = classmethod(needs_avatar)
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Place the camera."""
+        staging.set_up(context, active_avatar(context), fresh=False)
+        return {"FINISHED"}
+
+
+CLASSES = (GRMM_OT_portrait_camera,)

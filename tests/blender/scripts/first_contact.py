@@ -1,0 +1,114 @@
+"""A head in the scene that Blender starts with, and in others: first_contact.py WEIGHTS FOLDER."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+from render_support import exact_colors, load_png, render, use_weights
+from support import module, report
+
+weights, folder = sys.argv[1], Path(sys.argv[2])
+use_weights(weights)
+avatars = module("grmm_blender.scene.avatars")
+staging = module("grmm_blender.staging")
+
+
+def startup() -> bpy.types.Scene:
+    bpy.ops.wm.read_homefile(use_factory_startup=True, use_factory_startup_app_template_only=True)
+    return bpy.context.scene
+
+
+def lowest() -> float:
+    """World height of the lowest point of the head."""
+    head = avatars.avatars_in(bpy.context.scene)[0].object
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    evaluated = head.evaluated_get(depsgraph)
+    return min((evaluated.matrix_world @ vertex.co).z for vertex in evaluated.data.vertices)
+
+
+def add_as_in_a_window() -> None:
+    """Add a head with what the operator's `invoke` chooses; without a window Blender leaves that out."""
+    bpy.ops.grmm.add_head(person="RANDOM", seed=3, stand=True, set_up=staging.is_as_started(bpy.context.scene))
+
+
+# Somebody presses Add and F12 and nothing else.
+scene = startup()
+report(objects=sorted(obj.name for obj in scene.objects), as_started=staging.is_as_started(scene))
+add_as_in_a_window()
+avatar = avatars.avatars_in(scene)[0]
+report(
+    active=bpy.context.object == avatar.armature,
+    selected=sorted(obj.name for obj in bpy.context.selected_objects) == sorted([avatar.name, avatar.armature.name]),
+    stands=lowest(),
+    engine=scene.render.engine,
+    started_again=staging.is_as_started(scene),
+)
+exact_colors(scene)
+scene.render.resolution_x, scene.render.resolution_y, scene.render.film_transparent = 160, 90, True
+alpha = load_png(render(folder / "f12.png"))[..., 3] / 255
+rows = alpha.max(axis=1) > 0.5
+report(covered=float(alpha.mean()), height=float(rows.mean()), edges=[float(alpha[0].max()), float(alpha[:, 0].max())])
+
+# A scene in which somebody has moved anything is left alone, and so it is by scripts.
+scene = startup()
+scene.objects["Cube"].location.x = 3.0
+add_as_in_a_window()
+moved = [scene.render.engine != "GRMM", [round(x, 3) for x in scene.camera.location], lowest()]
+scene = startup()
+bpy.ops.grmm.add_head(person="RANDOM", seed=3)
+scripted = [scene.render.engine != "GRMM", [round(x, 3) for x in scene.camera.location], list(bpy.context.object.location)]
+bpy.ops.grmm.portrait_camera()
+bpy.ops.grmm.portrait_camera()
+cameras = sorted(obj.name for obj in scene.objects if obj.type == "CAMERA")
+report(moved=moved, scripted=scripted, portrait=[scene.camera.name, cameras, scene.render.engine])
+
+# Avatar files are imported and dropped like others.
+host = module("grmm_blender.session_host")
+path = folder / "person.grmm"
+host.get_session().save(host.open_avatar("sample:4").id, path)
+scene = startup()
+handler = bpy.types.GRMM_FH_avatar
+operator = getattr(bpy.ops.grmm, handler.bl_import_operator.partition(".")[2])
+dropped = operator("INVOKE_DEFAULT", filepath=str(path)) == {"FINISHED"}
+report(dropped=[dropped, handler.bl_file_extensions, Path(avatars.avatars_in(scene)[0].source).name])
+try:
+    bpy.ops.grmm.open_avatar(filepath="")
+    message = ""
+except RuntimeError as error:
+    message = str(error)
+report(none_chosen=message)
+
+# Who deletes a head does not keep its rig; what hangs on a rig keeps it.
+left_rigs = module("grmm_blender.rig.left_rigs").LeftRigs()
+
+
+def after_deleting(name: str, hat: bool = False, other_bone: bool = False) -> list[bool]:
+    startup()
+    bpy.ops.grmm.add_head(person="RANDOM", seed=3)
+    avatar = avatars.avatars_in(bpy.context.scene)[0]
+    rig = avatar.armature
+    if hat:
+        item = bpy.data.objects.new("Hat", None)
+        item.parent = rig
+        bpy.context.scene.collection.objects.link(item)
+    if other_bone:
+        rig.data.bones["neck"].name = "Chest"
+    left_rigs.forget()
+    before = left_rigs.look()
+    bpy.data.objects.remove(avatar.object if name == "head" else bpy.data.objects["Cube"])
+    noticed = left_rigs.look()
+    left_rigs.remove()
+    return [before, noticed, any(obj.type == "ARMATURE" for obj in bpy.data.objects)]
+
+
+report(
+    deleted={
+        "head": after_deleting("head"),
+        "cube": after_deleting("cube"),
+        "with a hat": after_deleting("head", hat=True),
+        "with another bone": after_deleting("head", other_bone=True),
+    },
+    armatures=len(bpy.data.armatures),
+)

@@ -1,0 +1,44 @@
+"""What somebody meets first: a head in Blender's startup scene, F12, files, deleting."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+from blender_process import RunBlender
+from tiny_model import write_tiny_weights
+
+pytestmark = pytest.mark.blender
+
+
+def test_a_head_is_seen_moved_opened_and_deleted_as_expected(run_blender: RunBlender, blender_version: str, tmp_path: Path):
+    weights = write_tiny_weights(tmp_path / "tiny.safetensors")
+    environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
+    found = run_blender(
+        "first_contact.py", weights, tmp_path, python=blender_version, environment=environment, fresh=True
+    ).result
+    assert found["objects"] == ["Camera", "Cube", "Light"]
+    assert (found["as_started"], found["started_again"]) == (True, False)
+    # What is selected can be moved and deleted as a whole; it stands on the cube and fills the picture.
+    assert found["active"]
+    assert found["selected"]
+    assert found["stands"] == pytest.approx(1.0, abs=1e-3)
+    assert found["engine"] == "GRMM"
+    assert found["covered"] > 0.1
+    assert 0.5 < found["height"] <= 1.0
+    assert found["edges"][1] == 0.0
+    engine_kept, camera, lowest = found["moved"]
+    assert engine_kept
+    assert camera == [7.359, -6.926, 4.958]
+    assert lowest == pytest.approx(0.0, abs=1e-3)  # on the floor
+    assert found["scripted"] == [True, [7.359, -6.926, 4.958], [0.0, 0.0, 0.0]]
+    assert found["portrait"] == ["Portrait Camera", ["Camera", "Portrait Camera"], "GRMM"]
+    assert found["dropped"] == [True, ".grmm", "person.grmm"]
+    assert "No avatar file is chosen" in found["none_chosen"]
+    assert found["deleted"] == {
+        "head": [False, True, False],
+        "cube": [False, False, True],
+        "with a hat": [False, True, True],
+        "with another bone": [False, True, True],
+    }

@@ -60,7 +60,7 @@ def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 
 @persistent
 def _on_other_state(*_: object) -> None:
-    """Another file or another point of the undo history: what was written last says nothing about it."""
+    """Another file, point of the undo history, or runtime: what was written last says nothing about it."""
     live.forget()
     _left_rigs.forget()
     _left_rigs.look()
@@ -188,6 +188,7 @@ _EVENTS = (
     (bpy.app.handlers.render_cancel, _on_render_end),
     (bpy.app.handlers.undo_post, _on_other_state),
     (bpy.app.handlers.redo_post, _on_other_state),
+    (session_host.changed, _on_other_state),
     (bpy.app.handlers.animation_playback_post, _on_playback_end),
 )
 

@@ -23,18 +23,21 @@ _POLL_SECONDS = 0.25
 _job: runtime_install.InstallJob | None = None
 
 
-def _apply(preferences: GRMM_AddonPreferences, _context: bpy.types.Context | None = None) -> None:
-    """Hand the values to the session host."""
+def _apply(preferences: GRMM_AddonPreferences | SimpleNamespace, renewed: bool = False) -> None:
+    """Hand the values to the session host; `renewed` as there."""
     python = bpy.path.abspath(preferences.worker_python) if preferences.worker_python else ""
-    session_host.configure(
-        session_host.RuntimeSettings(
-            mode=preferences.runtime,
-            python=python or runtime_install.installed_python(_folder()),
-            device=preferences.device,
-            threads=preferences.threads,
-            weights=bpy.path.abspath(preferences.weights) if preferences.weights else "",
-        )
+    settings = session_host.RuntimeSettings(
+        mode=preferences.runtime,
+        python=python or runtime_install.installed_python(_folder()),
+        device=preferences.device,
+        threads=preferences.threads,
+        weights=bpy.path.abspath(preferences.weights) if preferences.weights else "",
     )
+    session_host.configure(settings, renewed)
+
+
+def _on_edit(preferences: GRMM_AddonPreferences, _context: bpy.types.Context) -> None:
+    _apply(preferences)
 
 
 class GRMM_AddonPreferences(bpy.types.AddonPreferences):
@@ -51,13 +54,13 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
             ("worker", "In a Worker", "In a process of its own: a crash or lack of memory there does not take Blender down"),
         ),
         default="auto",
-        update=_apply,
+        update=_on_edit,
     )
     worker_python: StringProperty(
         name="Worker's Python",
         description="Python executable with torch and numba for the worker; empty for the installed runtime",
         subtype="FILE_PATH",
-        update=_apply,
+        update=_on_edit,
     )
     device: EnumProperty(
         name="Device",
@@ -69,19 +72,19 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
             ("mps", "Metal", "Apple graphics"),
         ),
         default="auto",
-        update=_apply,
+        update=_on_edit,
     )
     threads: IntProperty(
         name="Threads",
         description="Processor threads for the model; 0 uses all",
         default=0, min=0, max=1024,
-        update=_apply,
+        update=_on_edit,
     )  # fmt: skip
     weights: StringProperty(
         name="Weights",
         description="Trained weights for the default avatar and random people; empty for those that come with the extension",
         subtype="FILE_PATH",
-        update=_apply,
+        update=_on_edit,
     )
     flame: StringProperty(
         name="FLAME File",
@@ -315,4 +318,4 @@ def _poll() -> float | None:
 
 def _finish() -> None:
     if _job is not None and not _job.error:
-        _apply(get())
+        _apply(get(), renewed=True)

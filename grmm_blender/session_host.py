@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import logging
 import os
+import shutil
 import sys
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -85,16 +87,25 @@ _settings = RuntimeSettings()
 _session: Session | None = None
 _last_error = ""
 _clouds: set[int] = set()  # ids of splat clouds in the session
+changed: list[Callable[[], None]] = []
+"""Called on the main thread when sessions are made otherwise from now on: what met an error then tries again."""
 
 
-def configure(settings: RuntimeSettings) -> None:
-    """Use these settings from now on; a session made with others is closed."""
+def configure(settings: RuntimeSettings, renewed: bool = False) -> None:
+    """Use these settings from now on; a session made with others is closed. On the main thread.
+
+    Args:
+        settings: How to make the session.
+        renewed: What they name is another by now, such as a runtime that was installed again.
+    """
     global _settings, _last_error
     with _lock:
-        if settings == _settings:
+        if settings == _settings and not renewed:
             return
         _settings, _last_error = settings, ""
     shutdown()
+    for function in changed:
+        function()
 
 
 def settings() -> RuntimeSettings:
@@ -198,13 +209,15 @@ def runtime_status() -> RuntimeStatus:
     """Return what runs the model, for panels; cheap, starts nothing."""
     with _lock:
         session, current, error = _session, _settings, _last_error
+    mode, python = choose_runtime(current)
+    if python and shutil.which(python) is None:
+        return RuntimeStatus(False, f"There is no Python at {python}; choose another in the preferences of the GRMM extension.")
     if session is not None:
         details = session.status()
         where = "in Blender" if details.kind == "local" else "in a worker process"
         return RuntimeStatus(True, f"The model runs {where}.", details)
     if error:
         return RuntimeStatus(False, error)
-    mode, python = choose_runtime(current)
     if mode == "local" and (has_torch() or has_plain_engine()):
         return RuntimeStatus(True, "The model will run in Blender.")
     if mode != "local" and (python or has_torch()):

@@ -20,7 +20,7 @@ from grmm_core.errors import NoFaceError
 from grmm_core.files.tensorfile import write_tensors
 from grmm_core.fitting.landmark_priors import NOISE_ASSET
 from grmm_core.geometry.rotations import euler_to_matrix
-from grmm_core.head.model import HeadModel
+from grmm_core.head.head_model import HeadModel
 from grmm_core.head.open_head import load_open_head
 from grmm_core.photo.faces import find_faces
 

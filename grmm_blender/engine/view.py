@@ -18,7 +18,7 @@ from gpu_extras.presets import draw_texture_2d
 
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
-from .. import events
+from .. import events, session_host
 from ..scene.cameras import same_camera, view_camera
 from ..scene.meshes import MeshCache
 from ..scene.shot import Frame, SceneShot
@@ -107,6 +107,11 @@ class ViewRenderer:
             return "Loading the model"
         return "Preview" if self._picture.level == "preview" else ""
 
+    def start_again(self) -> None:
+        """Copy the scene and ask for its picture anew with the next draw."""
+        self._scene = self._shown = None
+        self._error = ""
+
     @property
     def has_news(self) -> bool:
         """Whether it should be drawn again."""
@@ -190,9 +195,18 @@ def _give_way(*_: object) -> None:
     view_jobs.give_way()
 
 
-_EVENTS = tuple(
-    (handlers, _give_way)
-    for handlers in (bpy.app.handlers.frame_change_pre, bpy.app.handlers.depsgraph_update_pre, bpy.app.handlers.render_pre)
+def _on_runtime() -> None:
+    """Another runtime: what the one before could not draw is tried again."""
+    for viewport in _viewports:
+        viewport.start_again()
+    redraw_viewports("RENDERED")
+
+
+_EVENTS = (
+    (bpy.app.handlers.frame_change_pre, _give_way),
+    (bpy.app.handlers.depsgraph_update_pre, _give_way),
+    (bpy.app.handlers.render_pre, _give_way),
+    (session_host.changed, _on_runtime),
 )
 
 

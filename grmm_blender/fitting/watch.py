@@ -102,9 +102,7 @@ def finish(context: bpy.types.Context) -> str:
         watched.note = "Check the faces and the outline, then fit."
         return watched.note
     if watched.is_from_another_file:
-        watched.note = (
-            f"{Path(ended.avatar).name} is finished; it was begun in another file. Press Add to Scene to have it here."
-        )
+        watched.note = f"{Path(ended.avatar).name}, begun in another file, is finished; press Add to Scene to have it here."
         return watched.note
     return add_to_scene(context)
 

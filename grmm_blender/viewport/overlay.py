@@ -8,7 +8,7 @@ import blf
 import bpy
 from bpy.app.handlers import persistent
 
-from .. import events
+from .. import events, session_host
 from ..engine.settings import MESH_ALONE, shows_mesh_alone
 from ..windows import redraw_viewports
 from . import shaders, splat_view
@@ -127,12 +127,19 @@ def _on_load(*_: object) -> None:
     splat_view.forget()
 
 
+def _on_runtime() -> None:
+    """Another runtime: all that was asked of the one before is asked again."""
+    _on_load()
+    redraw_viewports(*SHADINGS)
+
+
 _EVENTS = (
     (bpy.app.handlers.depsgraph_update_post, _on_change),
     (bpy.app.handlers.frame_change_post, _on_change),
     (bpy.app.handlers.undo_post, _on_change),
     (bpy.app.handlers.redo_post, _on_change),
     (bpy.app.handlers.load_post, _on_load),
+    (session_host.changed, _on_runtime),
 )
 
 

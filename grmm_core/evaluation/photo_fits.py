@@ -133,7 +133,7 @@ def photo_figures(
 
     `rmse_dressed` also has the clothes that are painted on neck and bust, whose texels are coarse.
     """
-    sums: dict[str, list[float]] = {}
+    figures: dict[str, list[float]] = {}
     for (view, drawn), track in zip(photo_pictures(model, avatar, tracks, MEASURED_PIXELS), tracks, strict=True):
         grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
         counts = view.weight[..., None]
@@ -145,8 +145,8 @@ def photo_figures(
         if identity is not None:
             found["identity"] = identity(shown.clamp(0, 1), target, track, view.camera)
         for name, value in {**found, "landmark_error": track.landmark_error}.items():
-            sums.setdefault(name, []).append(value)
-    return {name: float(np.mean(values)) for name, values in sums.items()}
+            figures.setdefault(name, []).append(value)
+    return {name: float(np.mean(values)) for name, values in figures.items()}
 
 
 def photo_sheet(model: GRMM, avatar: Avatar, track: PhotoTrack, pixels: int = SHEET_PIXELS) -> np.ndarray:

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from ..avatar import Avatar
     from ..data.dataset import CaptureDataset, Shot
     from ..head import HeadModel
-    from ..splat.backends import Backend
 
 FULL, NO_EXPRESSION_CODE, MEAN_CODES = "full", "z_exp off", "z_id mean, z_exp off"
 VARIANTS = (FULL, NO_EXPRESSION_CODE, MEAN_CODES)
@@ -63,7 +62,7 @@ class Scene:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], device: str = "cpu", backend: Backend = "auto", head: HeadModel | None = None,
+        self, path: str | os.PathLike[str], device: str = "cpu", backend: str = "auto", head: HeadModel | None = None,
         avatar: Avatar | None = None,
     ) -> None:  # fmt: skip
         self.path = Path(path)

@@ -16,7 +16,7 @@ import numpy as np
 from ..controls.names import ARKIT_NAMES
 from ..errors import FileFormatError
 from ..files.tensorfile import read_tensors
-from ..head.model import JOINT_COUNT, HeadModel
+from ..head.head_model import JOINT_COUNT, HeadModel
 from .point_rig import LandmarkRig
 from .types import LANDMARK_COUNT
 

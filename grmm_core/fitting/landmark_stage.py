@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import ShapeError
 from ..geometry.camera import Camera
-from ..head.model import JOINT_COUNT
+from ..head.head_model import JOINT_COUNT
 from .landmark_priors import View, landmark_modes, landmark_sigmas, make_priors
 from .point_rig import LandmarkRig
 from .solver import PhotoProblem, Problem, Solution, Term, camera_of, project, solve

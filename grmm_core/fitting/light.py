@@ -12,7 +12,7 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..geometry.triangles import vertex_normals
 from ..geometry.zbuffer import triangle_depth
-from ..head.model import HeadModel
+from ..head.head_model import HeadModel
 from ..pictures.color import srgb_to_linear
 from ..pictures.sampling import bilinear
 from .outline import visible_skin_vertices

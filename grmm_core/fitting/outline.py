@@ -14,7 +14,7 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..geometry.triangles import vertex_normals
 from ..geometry.zbuffer import EMPTY, triangle_depth
-from ..head.model import HeadModel
+from ..head.head_model import HeadModel
 from ..pictures.sampling import bilinear
 
 REGIONS = ("face", "ears")

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.camera import Camera
-from ..head.model import HeadModel
+from ..head.head_model import HeadModel
 from .landmark_stage import LandmarkFit, finished, similarity
 from .outline import REGIONS, OutlinePoints, find_outline
 from .point_rig import LandmarkRig, PointRig

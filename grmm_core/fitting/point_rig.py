@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..geometry.rotations import euler_to_matrix
 from ..geometry.triangles import face_normals, spread_to_corners
-from ..head.model import JOINT_COUNT, HeadModel
+from ..head.head_model import JOINT_COUNT, HeadModel
 from ..head.skinning import joint_transforms
 
 _ANGLE_STEP = 1e-5  # radians; central differences in float64 are exact to 1e-9 of a metre

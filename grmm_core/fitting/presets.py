@@ -56,16 +56,22 @@ class Preset:
     name: str
     codes: CodeSettings
     decoders: DecoderSettings
-    seconds: tuple[float, float] = (20.0, 25.0)
+    seconds: tuple[float, float] = (30.0, 85.0)
 
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset("fast", CodeSettings(192, 96, 24, 2, 6, 16), DecoderSettings(((192, 40), (384, 50)), False)),
+    "fast": Preset("fast", CodeSettings(192, 96, 24, 2, 6, 16), DecoderSettings(((192, 40), (384, 50)), False), (11.0, 10.0)),
     "standard": Preset(
-        "standard", CodeSettings(256, 128, 64, 3, 16, 60), DecoderSettings(((256, 70), (384, 120), (512, 120)), True)
+        "standard",
+        CodeSettings(256, 128, 64, 3, 16, 60),
+        DecoderSettings(((256, 70), (384, 120), (512, 120)), True),
+        (30.0, 85.0),
     ),
     "high": Preset(
-        "high", CodeSettings(320, 160, 256, 4, 24, 120), DecoderSettings(((256, 150), (512, 350), (768, 400)), True)
+        "high",
+        CodeSettings(320, 160, 256, 4, 24, 120),
+        DecoderSettings(((256, 150), (512, 350), (768, 400)), True),
+        (84.0, 315.0),
     ),
 }
 

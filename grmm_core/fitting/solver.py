@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.camera import Camera
-from ..head.model import JOINT_COUNT
+from ..head.head_model import JOINT_COUNT
 from .landmark_priors import Priors, View
 from .point_rig import PointRig
 

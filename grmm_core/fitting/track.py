@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import CancelledError, ConfigError, NoFaceError, ShapeError
 from ..geometry.camera import Camera
-from ..head.model import HeadModel
+from ..head.head_model import HeadModel
 from ..photo.faces import Face, find_faces
 from ..photo.load import Photo, PhotoFile, check_proportion
 from ..photo.person import person_mask

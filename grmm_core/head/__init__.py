@@ -1,6 +1,6 @@
 """Head models: the open head, the user's FLAME, skinning.
 
-``model``       `HeadModel`, FLAME's format as numpy arrays; needs numpy only
+``head_model``  `HeadModel`, FLAME's format as numpy arrays; needs numpy only
 ``skinning``    linear blend skinning as pure functions, for numpy and torch
 ``open_head``   the project's own head and its relation to age, gender, ethnicity and weight
 ``flame``       a user's FLAME file completed to a `HeadModel`; its parts are ``flame_file`` (reading without executing),
@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from .model import HeadModel
+from .head_model import HeadModel
 from .open_head import PeopleModel, load_open_head, load_people_model, read_head_file
 
 FLAME_SUFFIXES = (".pkl", ".npz")

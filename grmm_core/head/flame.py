@@ -29,7 +29,7 @@ from .flame_file import FLAME_FACES, FlameArrays, read_fields, read_flame_file, 
 from .flame_regions import FlameSurface, find_surface, name_regions
 from .flame_teeth import LOWER_ROWS, ROW, TEETH_FACES, TEETH_VERTICES, UPPER_ROWS, Teeth, build_teeth
 from .flame_uv import lay_out
-from .model import HeadModel
+from .head_model import HeadModel
 from .open_head import load_open_head
 from .uv_density import face_density
 

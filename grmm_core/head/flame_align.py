@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import FileFormatError
 from ..geometry.triangles import vertex_normals
 from .flame_regions import FlameSurface
-from .model import HeadModel
+from .head_model import HeadModel
 
 _BAND = 0.1  # half width of the midline's band, in distances from mouth to eyes
 _NORMAL_WEIGHT = 0.012  # metres for opposite directions: half of this apart

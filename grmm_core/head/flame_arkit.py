@@ -14,7 +14,7 @@ from ..geometry.rotations import euler_to_matrix
 from ..geometry.triangles import face_areas, spread_to_corners
 from .flame_align import Correspondence
 from .flame_regions import FlameSurface
-from .model import HeadModel
+from .head_model import HeadModel
 from .skinning import posed_vertices
 
 _JAW = JOINT_NAMES.index("jaw")

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import ControlError, FileFormatError, ShapeError
 from ..files.tensorfile import read_tensors
-from .model import HeadModel
+from .head_model import HeadModel
 
 FORMAT = "grmm-head"
 VERSION = 1

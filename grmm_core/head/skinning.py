@@ -2,7 +2,7 @@
 
 The functions use only operators that both libraries share, picked by the type of the argument, so that the animation path
 (numpy, stock Blender) and the training path (torch, batched, differentiable) are one text. Torch is never imported here.
-Used by `head.model`, `head.torch_head` and the builder of the open head.
+Used by `head.head_model`, `head.torch_head` and the builder of the open head.
 
 Conventions: rotation matrices in head axes (`geometry.rotations.euler_to_matrix` gives them); lengths in metres.
 """

@@ -1,6 +1,6 @@
 """The head model as a batched, differentiable torch module, for training and fitting.
 
-The twin of `model.HeadModel`: same arrays, same functions of `skinning`, any leading batch. Imported only where torch is
+The twin of `head_model.HeadModel`: same arrays, same functions of `skinning`, any leading batch. Imported only where torch is
 installed; used by `model.grmm`, training and fitting.
 """
 
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from ..errors import ShapeError
 from ..geometry.rotations import euler_to_matrix
-from .model import JOINT_COUNT, HeadModel
+from .head_model import JOINT_COUNT, HeadModel
 from .skinning import posed_vertices
 
 

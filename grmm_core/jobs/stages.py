@@ -75,12 +75,12 @@ class JobStages:
 FIT = JobStages(
     "fit",
     (
-        Stage("load", "Starting", 8.0),
-        Stage("analyse", "Looking for faces", 1.0),
-        Stage("track", "Tracking", 2.0),
-        Stage("codes", "Finding the person", 20.0),  # this and the next depend on the preset, see `fitting.presets`
-        Stage("decoders", "Fine detail", 25.0),
-        Stage("finish", "Finishing", 3.0),
+        Stage("load", "Starting", 3.0),
+        Stage("analyse", "Looking for faces", 0.5),
+        Stage("track", "Tracking", 5.0),
+        Stage("codes", "Finding the person", 30.0),  # this and the next depend on the preset, see `fitting.presets`
+        Stage("decoders", "Fine detail", 85.0),
+        Stage("finish", "Finishing", 1.0),
     ),
     timed=True,
 )

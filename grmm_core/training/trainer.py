@@ -52,7 +52,6 @@ from .warm_start import warm_start
 if TYPE_CHECKING:
     from ..avatar import Avatar
     from ..head import HeadModel
-    from ..splat.backends import Backend
 
 logger = logging.getLogger(__name__)
 
@@ -81,7 +80,7 @@ class Trainer:
 
     def __init__(
         self, config: TrainConfig, head: HeadModel, source: ViewSource, folder: str | os.PathLike[str],
-        device: str = "cpu", backend: Backend = "auto",
+        device: str = "cpu", backend: str = "auto",
     ) -> None:  # fmt: skip
         if not len(source.training):
             raise TrainingError("The data set has no training views; capture more or change its splits.")

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import pytest
 from blender_process import RunBlender, find_python
+from tolerances import CHANNEL_STEP, RIG_PARITY
 
 from grmm_core.head import load_open_head
 
 pytestmark = pytest.mark.blender
 
-PARITY = 1e-5  # metres
-STEP = 1.0 + 1e-3  # of an 8-bit channel
 ENVIRONMENT = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
 
 
@@ -38,56 +37,56 @@ def saved(request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_fact
 def test_reopened_in_a_new_process(saved):
     folder, run = saved
     result = run("files_open.py", "head.blend")
-    assert result["opened"] < PARITY
-    assert max(result["errors"].values()) < PARITY
+    assert result["opened"] < RIG_PARITY
+    assert max(result["errors"].values()) < RIG_PARITY
     assert len(result["avatars"]) == 1
     assert Path(result["source"][0]) == folder / "person.grmm"
-    assert result["picture"] <= STEP
+    assert result["picture"] <= CHANNEL_STEP
 
 
 def test_opened_without_the_extension(saved):
     _, run = saved
     result = run("files_open.py", "head.blend", "without.blend", enable=False)
     assert result["extension"] is False
-    assert result["opened"] < PARITY  # what the extension keeps up to date was saved
+    assert result["opened"] < RIG_PARITY  # what the extension keeps up to date was saved
     assert result["polygons"] == len(load_open_head().faces)
     assert result["valid"]
-    assert max(result["native_errors"].values()) < PARITY  # exact but for the learned detail, which stays as saved
-    assert max(result["errors"].values()) > PARITY
+    assert max(result["native_errors"].values()) < RIG_PARITY  # exact but for the learned detail, which stays as saved
+    assert max(result["errors"].values()) > RIG_PARITY
     assert min(result["moved"].values()) > 1e-3
 
     # saved there, the file is an avatar again where the extension is
     again = run("files_open.py", "without.blend")
     assert len(again["avatars"]) == 1
-    assert max(again["errors"].values()) < PARITY
-    assert again["picture"] <= STEP
+    assert max(again["errors"].values()) < RIG_PARITY
+    assert again["picture"] <= CHANNEL_STEP
 
 
 def test_libraries_and_persons(saved):
     _, run = saved
     result = run("files_libraries.py")
 
-    assert result["appended"] == {"parity": pytest.approx(0.0, abs=PARITY), "source": "person.grmm"}
+    assert result["appended"] == {"parity": pytest.approx(0.0, abs=RIG_PARITY), "source": "person.grmm"}
 
     linked = result["linked"]
     assert "linked" in linked["message"]
     assert linked["poll"] is False
     assert linked["source"] is True  # relative to the library, not to the file that links it
-    assert linked["parity"] < PARITY
+    assert linked["parity"] < RIG_PARITY
 
     overridden = result["overridden"]
     assert overridden["moved"] > 1e-3
     assert "override" in overridden["message"]
     assert overridden["kept"] == [0.9, 0.2]
-    assert overridden["reloaded"] < PARITY
+    assert overridden["reloaded"] < RIG_PARITY
 
     person = result["person"]
-    assert person["other"]["parity"] < PARITY
+    assert person["other"]["parity"] < RIG_PARITY
     assert person["other"]["changed"] > 1e-3
     assert "gone.grmm does not exist" in person["missing"]["message"]
     assert person["missing"]["mesh"] == 0.0
     assert "still_gone.grmm does not exist" in person["missing"]["relink"]
-    assert person["back"]["mesh"] < PARITY
+    assert person["back"]["mesh"] < RIG_PARITY
     assert person["back"]["message"] == ""
 
     gone, broken, nothing, objects = result["bad"]

@@ -75,6 +75,36 @@ def test_photos_are_looked_at(run_blender: RunBlender, folder: Path, version: st
     assert look["found_then"] > 20_000
 
 
+def test_a_finished_fit_is_one_step_to_undo_and_asks_before_it_replaces(
+    run_blender: RunBlender, blender_version: str, tmp_path: Path
+):
+    found = run_blender("fit_scene.py", tmp_path, python=blender_version).result
+    assert found["waits"]
+    assert not found["waits_then"]
+    assert found["note"] == "Ada is in the scene, with a camera that shows the photo."
+    assert found["one"] == {"heads": [0.0], "cameras": ["Ada rig"]}
+    assert found["beside"] == "Ada is in the scene, beside the head that was there, with a camera that shows the photo."
+    assert found["two"] == {"heads": [0.0, 0.4], "cameras": ["Ada rig", "Ada rig.001"]}
+    assert found["undone"] == found["one"], "the earlier avatar keeps its camera"
+    assert found["undone_twice"] == {"heads": [], "cameras": []}
+    assert found["redone"] == found["one"]
+    assert "go to object mode first" in found["edit_mode"]
+    assert found["still_waits"]
+    assert not found["can_add"]
+    assert found["added_later"] == ["Ada rig"]
+    assert found["note_of_before"] == ""
+    assert found["job_of_before"]
+    assert found["begun_elsewhere"] == "ada.grmm, begun in another file, is finished; press Add to Scene to have it here."
+    assert found["not_added"] == {"heads": [], "cameras": []}
+    assert found["offered"]
+    assert found["added_here"] == ["Ada rig"]
+    assert found["there"] == ["RUNNING_MODAL"]
+    assert found["asked"] == ["ada.grmm exists already. Choose another avatar file to keep it."]
+    assert found["resumed"] == ["FINISHED"]
+    assert found["new"] == ["FINISHED"]
+    assert found["asked_then"] == 1
+
+
 @pytest.mark.slow
 def test_a_fit_puts_the_avatar_into_the_scene(run_blender: RunBlender, folder: Path):
     done = run_blender("fit_panel.py", folder, "fit", python="4.5", environment=environment(), timeout=900.0)

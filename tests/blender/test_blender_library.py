@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import pytest
 from blender_process import RunBlender, find_python
+from tolerances import RIG_PARITY
 
 pytestmark = pytest.mark.blender
-
-PARITY = 1e-5  # metres
 
 
 @pytest.mark.parametrize("version", ["4.5", "5.2"])
@@ -21,4 +20,4 @@ def test_every_avatar_can_be_added(run_blender: RunBlender, version: str):
     assert added["reopened"] == sorted(sources)
     assert len({person["object"] for person in added["people"].values()}) == len(sources)
     for person in added["people"].values():
-        assert person["parity"] < PARITY
+        assert person["parity"] < RIG_PARITY

@@ -7,10 +7,10 @@ from blender_process import RunBlender, find_python
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
 from performance_files import write_performances
+from tolerances import RIG_PARITY
 
 pytestmark = pytest.mark.blender
 
-PARITY = 1e-5  # metres
 SINGLE = 1e-5  # keys hold single precision
 
 
@@ -26,7 +26,7 @@ def imported(request: pytest.FixtureRequest, run_blender: RunBlender, tmp_path_f
 def test_every_frame_is_what_was_recorded(imported):
     speech = imported["speech"]
     assert speech["error"] < SINGLE
-    assert speech["parity"] < PARITY
+    assert speech["parity"] < RIG_PARITY
     assert speech["range"] == [5, 245]
     assert speech["groups"] == ["Brows", "Cheeks and nose", "Eyes", "Jaw", "Mouth", "Tongue"]
     assert speech["curves"] == 52
@@ -104,7 +104,7 @@ def test_mirror_reset_and_random(imported):
     assert edits["other"] > 0.05
     assert edits["largest"] <= 0.7
     assert edits["shape"] > 0.5
-    assert edits["parity"] < PARITY
+    assert edits["parity"] < RIG_PARITY
 
 
 def test_the_file_browser_shows_every_option_once(imported):

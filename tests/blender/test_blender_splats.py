@@ -17,6 +17,7 @@ from flame_head_files import flame_head_fields
 from performance_files import write_performances
 from PIL import Image
 from splat_files import make_cloud
+from tolerances import CHANNEL_STEP
 
 from grmm_core.formats import write_splats
 from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
@@ -24,7 +25,6 @@ from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gau
 pytestmark = pytest.mark.blender
 
 PATIENCE = 600.0  # seconds; many imports in one Blender, also on a busy machine
-STEP = 1.0 + 1e-3  # of an 8-bit channel
 CLOSE = (2e-6, 1e-5, 1e-3)  # metres, 1 - |cos|, share of a scale
 
 
@@ -58,7 +58,7 @@ def test_formats_are_drawn_as_their_files_say(imported):
     for name, found in imported["formats"].items():
         assert found["count"] == 3000, name
         assert (np.array(found["gap"]) < CLOSE).all(), (name, found)
-        assert found["picture"] <= STEP, name
+        assert found["picture"] <= CHANNEL_STEP, name
         assert found["covered"] > 0.05, name
         assert found["terms"] == (1 if name == "cloud.splat" else 9)
 
@@ -75,7 +75,7 @@ def test_clouds_live_in_blend_files(imported):
 def test_clouds_and_heads_occlude_one_another(imported):
     masks = imported["beside"]["masks"]
     assert masks["front"][0] < 0.95 * masks["behind"][0]
-    assert max(masks[where][1] for where in masks) <= STEP
+    assert max(masks[where][1] for where in masks) <= CHANNEL_STEP
     assert imported["beside"]["names"]
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 from blender_process import RunBlender
+from tolerances import CHANNEL_STEP
 
 pytestmark = pytest.mark.blender
 
-STEP = 1.0 + 1e-3  # of an 8-bit channel
 MERGED = ["Group"]
 EEVEE_PATIENCE = 900.0  # seconds
 
@@ -24,16 +24,16 @@ def test_pixels_in_front_and_behind(run_blender: RunBlender, blender_version: st
     assert result["done"]
     assert result["solid"] > 0.05
     # The avatar is the engine's own picture, not the mesh rendered by Cycles; the scene stands around it.
-    assert result["behind_avatar"] <= STEP
-    assert result["behind_wall"] <= STEP
+    assert result["behind_avatar"] <= CHANNEL_STEP
+    assert result["behind_wall"] <= CHANNEL_STEP
     # An object added later hides its half of the face.
-    assert result["front_left"] <= STEP
-    assert result["front_right"] <= STEP
+    assert result["front_left"] <= CHANNEL_STEP
+    assert result["front_right"] <= CHANNEL_STEP
     assert result["half_size"] == [40, 48]
     # Without the meshes' help only comparing depths hides the avatar.
-    assert result["unseen"] <= 2 * STEP  # where the avatar is not quite solid, green shines through
-    assert result["compared_left"] <= STEP
-    assert result["compared_right"] <= STEP
+    assert result["unseen"] <= 2 * CHANNEL_STEP  # where the avatar is not quite solid, green shines through
+    assert result["compared_left"] <= CHANNEL_STEP
+    assert result["compared_right"] <= CHANNEL_STEP
     assert result["before"]["scenes"] == 1
     assert result["before"]["camera"] == [True]
     assert result["first"]["scenes"] == 2
@@ -56,7 +56,7 @@ def test_pixels_in_front_and_behind_in_eevee(run_blender: RunBlender, tmp_path: 
         "composite_render.py", weights, tmp_path, "BLENDER_EEVEE", python="5.2", environment=environment, timeout=EEVEE_PATIENCE
     ).result
     for name in ("behind_avatar", "behind_wall", "front_left", "front_right", "compared_left", "compared_right"):
-        assert result[name] <= STEP, name
+        assert result[name] <= CHANNEL_STEP, name
     assert result["solid"] > 0.05
     assert result["half_size"] == [40, 48]
     assert result["removed"]["camera"] == [True, True]

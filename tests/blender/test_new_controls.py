@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 from blender_process import RunBlender, find_python
+from tolerances import RIG_PARITY
 from worked_examples import apply_diff, apply_diffs, chapters
 
 from grmm_core.controls.names import EXPRESSION_NAMES
 
 pytestmark = pytest.mark.blender
 
-PARITY = 1e-5  # metres
 SECTION_AND_SLIDER = """+++ grmm_core/controls/table.py
      Section("DETAIL", "Learned Detail", "Residual expression, its saved codes, and strength"),
 +    Section("LIGHT", "Light", "How light falls on the skin"),
@@ -43,7 +43,7 @@ def test_a_row_is_all_that_a_control_needs(run_blender: RunBlender, version: str
         assert state["present"] == [True, True]
         assert state["limits"] == [0.0, 2.0, 1.0, 0.5]
         assert state["moved"] > 1e-3
-        assert state["parity"] < PARITY
+        assert state["parity"] < RIG_PARITY
         assert state["frames"] == 3
         assert state["gloss"] == 0.75
         assert state["valid"]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from blender_process import RunBlender
+from tolerances import RIG_PARITY
 
 from grmm_core.controls.names import JOINT_NAMES
 from grmm_core.controls.table import CONTROLS
@@ -14,7 +15,6 @@ from grmm_core.head import load_open_head
 
 pytestmark = pytest.mark.blender
 
-PARITY = 1e-5  # metres
 ANGLE = 1e-6  # radians
 
 
@@ -28,15 +28,15 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_mesh_agrees_with_the_core(run_blender: RunBlender, blender_version: str, weights: Path):
     environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
     result = run_blender("rig_parity.py", weights, python=blender_version, environment=environment).result
-    assert result["rest"] < PARITY
-    assert max(result["model"]) < PARITY
-    assert max(result["head"]) < PARITY
-    assert max(result["frames"]) < PARITY
-    assert result["moved"] < 2 * PARITY  # the armature is scaled by two
+    assert result["rest"] < RIG_PARITY
+    assert max(result["model"]) < RIG_PARITY
+    assert max(result["head"]) < RIG_PARITY
+    assert max(result["frames"]) < RIG_PARITY
+    assert result["moved"] < 2 * RIG_PARITY  # the armature is scaled by two
     assert max(result["controls"]) < ANGLE
     for name, (error, effect) in result["single"].items():
-        assert error < PARITY, name
-        assert effect > 3 * PARITY, name
+        assert error < RIG_PARITY, name
+        assert effect > 3 * RIG_PARITY, name
 
 
 @pytest.fixture(scope="module", params=["4.5", "5.2"])
@@ -66,7 +66,7 @@ def test_drivers_need_no_scripts(structure):
 
 
 def test_hand_and_slider_add_up(structure):
-    assert structure["added"] < PARITY
+    assert structure["added"] < RIG_PARITY
 
 
 def test_keyed_values_stay_in_range(structure):
@@ -78,35 +78,35 @@ def test_a_nan_control_is_a_message(structure):
     assert "jawOpen" in message
     assert message.count(".") == 1
     assert after == ""
-    assert error < PARITY
+    assert error < RIG_PARITY
 
 
 def test_undo_takes_mesh_and_joints_back(structure):
     undo = structure["undo"]
     assert undo["changed"] > 1e-3
-    assert undo["back"] < PARITY
-    assert undo["parity"] < PARITY
+    assert undo["back"] < RIG_PARITY
+    assert undo["parity"] < RIG_PARITY
 
 
 def test_a_full_duplicate_is_independent(structure):
     full = structure["full"]
     assert full["own_rig"]
     assert full["first"] == 0.0
-    assert full["second"] < PARITY
+    assert full["second"] < RIG_PARITY
     assert full["apart"] > 1e-3
 
 
 def test_a_linked_duplicate_says_what_it_shares(structure):
     linked = structure["linked"]
     assert "make this head independent" in linked["message"]
-    assert linked["first"] < PARITY  # the copy's values do not reach the mesh that they share
+    assert linked["first"] < RIG_PARITY  # the copy's values do not reach the mesh that they share
     assert linked["after"] == ""
-    assert linked["third"] < PARITY
-    assert linked["first_after"] < PARITY
+    assert linked["third"] < RIG_PARITY
+    assert linked["first_after"] < RIG_PARITY
 
 
 def test_deleting_parts(structure):
-    assert structure["deleted"] == {"left": 2, "parity": pytest.approx(0.0, abs=PARITY)}
+    assert structure["deleted"] == {"left": 2, "parity": pytest.approx(0.0, abs=RIG_PARITY)}
     assert "armature is missing" in structure["no_rig"]["message"]
     assert structure["no_rig"]["pose"] == 0.0
 

@@ -9,10 +9,10 @@ from blender_process import RunBlender, find_python
 from flame_files import write_flame_pickle
 from flame_head_files import flame_head_fields
 from performance_files import write_performances
+from tolerances import RIG_PARITY
 
 pytestmark = pytest.mark.blender
 
-PARITY = 1e-5  # metres
 SINGLE = 1e-5  # sums of single-precision codes
 KEY = 2e-4  # rounded to four digits
 
@@ -56,7 +56,7 @@ def test_neutral_calibration(edits):
     # jawOpen, mouthSmileLeft, cheekPuff, neck pitch, jaw pitch
     assert neutral["rest"] == pytest.approx([0.0] * 5, abs=KEY)
     assert neutral["last"] == pytest.approx([1.0, 0.7 / 0.9, 0.0, -0.3, 0.0], abs=KEY)
-    assert neutral["parity"] < PARITY
+    assert neutral["parity"] < RIG_PARITY
     first, last = neutral["frames"]
     assert first[:2] == pytest.approx([0.0, 0.0], abs=KEY)  # never below rest
     assert 0.0 < last[0] <= 1.0
@@ -76,46 +76,46 @@ def test_edits_are_keyed_and_undone(edits):
     assert edits["keys"] == ['["tongueOut"]']
     undo = edits["undo"]
     assert undo["moved"] > 1e-3
-    assert undo["undone"] < PARITY
+    assert undo["undone"] < RIG_PARITY
     assert undo["saved"] is False
-    assert undo["redone"] < PARITY
+    assert undo["redone"] < RIG_PARITY
     assert undo["again"] is True
 
 
 def test_animated_shapes(run_blender: RunBlender, blender_version: str, tmp_path: Path):
     result = run_blender("rig_frames.py", tmp_path, python=blender_version).result
-    assert max(result["frames"]) < PARITY
+    assert max(result["frames"]) < RIG_PARITY
     assert result["waiting"] is True
-    assert max(result["small"]) < PARITY
+    assert max(result["small"]) < RIG_PARITY
     for name in ("copied", "edited", "stored", "saved", "opened"):
-        assert result[name] < PARITY, name
-    assert max(result["layers"]) < PARITY
+        assert result[name] < RIG_PARITY, name
+    assert max(result["layers"]) < RIG_PARITY
     assert result["waiting_for_render"] is True
     assert sorted(result["rendered"]) == ["15", "16", "17", "9"]
-    assert max(result["rendered"].values()) < PARITY
+    assert max(result["rendered"].values()) < RIG_PARITY
 
 
 @pytest.mark.parametrize("version", ["4.5", pytest.param("5.2", marks=pytest.mark.slow)])
 def test_heads_in_a_working_file(run_blender: RunBlender, version: str, tmp_path: Path):
     find_python(version)
     result = run_blender("rig_lifecycle.py", tmp_path, python=version, fresh=True).result
-    assert result["renamed"] == {"parity": pytest.approx(0.0, abs=PARITY), "again": True}
-    assert result["parented"] < PARITY
+    assert result["renamed"] == {"parity": pytest.approx(0.0, abs=RIG_PARITY), "again": True}
+    assert result["parented"] < RIG_PARITY
     assert result["added"][0] == 2
     assert result["added"][1] == 0
     assert result["redo"]["undone"] > 1e-3
-    assert result["redo"]["redone"] < PARITY
-    assert result["redo"]["parity"] < PARITY
-    assert max(result["deleted"]["both"]) < PARITY
+    assert result["redo"]["redone"] < RIG_PARITY
+    assert result["redo"]["parity"] < RIG_PARITY
+    assert max(result["deleted"]["both"]) < RIG_PARITY
     assert result["deleted"]["left"] == ["Ada"]
-    assert result["deleted"]["parity"] < PARITY
-    assert result["saved"]["opened"] < PARITY
-    assert result["saved"]["parity"] < PARITY
+    assert result["deleted"]["parity"] < RIG_PARITY
+    assert result["saved"]["opened"] < RIG_PARITY
+    assert result["saved"]["parity"] < RIG_PARITY
     off = result["off"]
     assert off["gone"]
     assert off["moved"] > 1e-3  # drivers need no extension
     assert off["back"] == ["Ada"]
-    assert off["parity"] < PARITY
+    assert off["parity"] < RIG_PARITY
 
 
 @pytest.mark.parametrize("version", ["4.5", pytest.param("5.2", marks=pytest.mark.slow)])
@@ -130,13 +130,13 @@ def test_a_users_flame_head(run_blender: RunBlender, version: str, tmp_path: Pat
     assert result["counts"] == [5143, 5143, 100]
     assert result["codes"] == []
     assert result["network"] is False
-    assert result["rest"] < PARITY
+    assert result["rest"] < RIG_PARITY
     assert set(result["turning"]) >= {"jaw", "left_eye", "right_eye"}
     for name, (error, effect) in result["single"].items():
-        assert error < PARITY, name
+        assert error < RIG_PARITY, name
         assert effect > 1e-3, name
-    assert max(result["everything"]) < PARITY
-    assert result["reset"] < PARITY
+    assert max(result["everything"]) < RIG_PARITY
+    assert result["reset"] < RIG_PARITY
     assert result["detail_poll"] is False
     assert result["drawn"] == 0
     assert result["masks"] == []
@@ -150,11 +150,11 @@ def test_without_a_runtime(run_blender: RunBlender, tmp_path: Path):
     result = run_blender("no_runtime.py", tmp_path / "speech.json", python="5.2", environment=environment).result
     assert result["available"] is False
     assert "install the runtime" in result["message"]
-    assert result["sliders"] < PARITY
+    assert result["sliders"] < RIG_PARITY
     assert result["panel"] == ""
-    assert max(result["playback"]) < PARITY
+    assert max(result["playback"]) < RIG_PARITY
     assert result["moved"] > 1e-3
-    assert result["edited"] < PARITY
+    assert result["edited"] < RIG_PARITY
     assert "install the runtime" in result["random_person"]
     assert "install the runtime" in result["render"]
     assert result["heavy"] == []

@@ -17,7 +17,7 @@ class Import:
 
     Attributes:
         importer: Module that imports, such as "grmm_core.head.flame".
-        target: What it names: "grmm_core.head.model.HeadModel" for `from .model import HeadModel`.
+        target: What it names: "grmm_core.head.head_model.HeadModel" for `from .model import HeadModel`.
         relative: Written with leading dots.
         line: In the source.
     """

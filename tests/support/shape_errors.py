@@ -13,7 +13,7 @@ import numpy as np
 from grmm_core.errors import ConfigError, NoFaceError
 from grmm_core.fitting.landmark_stage import similarity
 from grmm_core.fitting.track import AnalysedPhoto, analyse_picture, track_photos
-from grmm_core.head.model import HeadModel
+from grmm_core.head.head_model import HeadModel
 
 REGIONS = ("face", "ears")
 _MILLIMETRES = 1000.0

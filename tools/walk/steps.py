@@ -54,8 +54,13 @@ def install(blender: WalkedBlender) -> None:
         raise WalkError("the extension is not enabled after installing")
 
 
+def clear(blender: WalkedBlender) -> None:
+    """Delete the default cube, as nearly everybody does."""
+    blender.run("bpy.data.objects.remove(bpy.data.objects['Cube'])")
+
+
 def add_head(blender: WalkedBlender) -> None:
-    """Add the default head into the default scene."""
+    """Add the default head into the scene."""
     blender.run("bpy.ops.grmm.add_head('INVOKE_DEFAULT')", 120)
     blender.picture("added", 6)
 
@@ -104,6 +109,7 @@ def pose_mode(blender: WalkedBlender) -> None:
 
 def render(blender: WalkedBlender) -> None:
     """F12 with the engine GRMM: a face must be in the picture."""
+    blender.run("bpy.ops.view3d.camera_to_view()")
     blender.run("bpy.context.scene.render.engine = 'GRMM'; bpy.context.scene.render.resolution_percentage = 50")
     blender.move(500, 400)
     blender.key("F12")
@@ -145,7 +151,7 @@ def disable_and_enable(blender: WalkedBlender) -> None:
 
 
 STEPS: tuple[Step, ...] = (
-    start, install, add_head, front_view, sliders, random_expression, reset, orthographic, pose_mode, render, undo,
+    start, install, clear, add_head, front_view, sliders, random_expression, reset, orthographic, pose_mode, render, undo,
     save_and_reopen, disable_and_enable,
 )  # fmt: skip
 

@@ -18,7 +18,7 @@ from ...errors import FileFormatError, ShapeError
 from ...head.flame_align import Correspondence, correspond
 from ...head.flame_file import FLAME_FACES
 from ...head.flame_regions import find_surface
-from ...head.model import HeadModel
+from ...head.head_model import HeadModel
 from ...head.open_head import load_open_head
 from ..splats.cloud import SplatCloud
 from .binding import bind_to_mesh, triangle_frames

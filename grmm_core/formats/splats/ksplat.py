@@ -11,6 +11,7 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -97,7 +98,12 @@ def _decode(
 ) -> tuple[SplatCloud, int]:
     """Splats of a section that begins at a byte, and where the next one begins."""
     terms, real = _SH_TERMS[section.degree], _FLOATS[level]
-    fields = [("position", "<f4" if level == 0 else "<u2", 3), ("scale", real, 3), ("rotation", real, 4), ("rgba", "u1", 4)]
+    fields: list[Any] = [
+        ("position", "<f4" if level == 0 else "<u2", 3),
+        ("scale", real, 3),
+        ("rotation", real, 4),
+        ("rgba", "u1", 4),
+    ]
     fields += [("sh", "u1" if level == 2 else real, (3 * terms,))] if terms else []
     record = np.dtype(fields)
     first = start + 4 * section.partial + section.bucket_bytes * section.bucket_count

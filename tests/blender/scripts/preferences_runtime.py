@@ -50,5 +50,14 @@ report(facts=install.installed_facts(folder), python=host.settings().python, fou
 report(diagnostics=module("grmm_blender.diagnostics").report(), home=str(Path.home()))
 settings.device, settings.threads, settings.runtime = "cpu", 3, "worker"
 report(settings=[host.settings().device, host.settings().threads, host.settings().mode])
+
+overlay, view = module("grmm_blender.viewport.overlay"), module("grmm_blender.engine.view")
+renderer = view.ViewRenderer()
+renderer._error, overlay._viewports[1] = "The model needs torch.", overlay.Viewport()
+settings.worker_python = empty + "/python"
+status = host.runtime_status()
+report(missing=[status.available, status.message], tried_again=[renderer._error, len(overlay._viewports)])
+settings.worker_python = ""
+report(found_again=host.runtime_status().available)
 bpy.ops.grmm.remove_runtime()
 report(after_remove=there(), python_after_remove=host.settings().python)

@@ -13,21 +13,9 @@ from grmm_core.errors import ShapeError
 from grmm_core.fitting import landmark_priors
 from grmm_core.fitting.landmark_priors import FACE_OVAL, landmark_modes
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
-from grmm_core.fitting.point_rig import LandmarkRig
 from grmm_core.geometry.camera import Camera
-from grmm_core.head.open_head import load_open_head
 
 SIZE = 512
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_open_head()
-
-
-@pytest.fixture(scope="module")
-def rig(head):
-    return LandmarkRig(head)
 
 
 def person(seed, count=300):

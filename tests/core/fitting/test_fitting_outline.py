@@ -13,26 +13,14 @@ from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.fitting.light import estimate_light, harmonics
 from grmm_core.fitting.outline import find_outline, skin_map
 from grmm_core.fitting.photometric_stage import Appearance, posed, refine, shape_change
-from grmm_core.fitting.point_rig import LandmarkRig
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.triangles import vertex_normals
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
-from grmm_core.head.open_head import load_open_head
 from grmm_core.pictures.color import linear_to_srgb
 
 SIZE = 320
 SKIN = np.array([0.80, 0.58, 0.47])
 BACKGROUND = np.array([0.20, 0.35, 0.55])
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_open_head()
-
-
-@pytest.fixture(scope="module")
-def rig(head):
-    return LandmarkRig(head)
 
 
 def projected(points, camera):

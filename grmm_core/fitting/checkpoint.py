@@ -62,8 +62,8 @@ def load_codes(folder: Path, key: str, like: Tensor) -> Codes | None:
     if tensors is None:
         return None
     try:
-        names = ("z_id", "z_exp", "photo_z_exp", "maps")
-        return Codes(*(tensors[name] for name in names), PhotoLight(tensors["gain"], tensors["offset"]))
+        z_id, z_exp, photo_z_exp, maps = (tensors[name] for name in ("z_id", "z_exp", "photo_z_exp", "maps"))
+        return Codes(z_id, z_exp, photo_z_exp, maps, PhotoLight(tensors["gain"], tensors["offset"]))
     except KeyError:
         logger.warning("%s is incomplete; the codes are searched anew", folder / CODES_FILE)
         return None

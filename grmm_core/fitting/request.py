@@ -96,8 +96,10 @@ class FitRequest:
         """What parsed arguments of ``grmm fit`` ask for. Raises `ConfigError`."""
         if parsed.output is None:
             raise ConfigError(f"No avatar file is named; add -o NAME{EXTENSION}.")
-        same = {name: getattr(parsed, name) for name in ("output", "preset", "device", "work", "resume", "name")}
-        optional = {name: getattr(parsed, name) or "" for name in ("weights", "head")}
+        same: dict[str, Any] = {
+            name: getattr(parsed, name) for name in ("output", "preset", "device", "work", "resume", "name")
+        }
+        optional: dict[str, Any] = {name: getattr(parsed, name) or "" for name in ("weights", "head")}
         return FitRequest(**_parsed_choice(parsed), **same, **optional, threads=parsed.threads or 0)
 
     def to_json(self) -> dict[str, Any]:

@@ -133,7 +133,8 @@ def load_tracks(path: str | os.PathLike[str]) -> list[PhotoTrack]:
             PhotoTrack(
                 source=metadata[f"{index}.source"],
                 presence=float(tensors[f"{index}.presence"]),
-                **{name: _camera(tensors, f"{index}.{name}") for name in _CAMERAS},
+                camera=_camera(tensors, f"{index}.camera"),
+                photo_camera=_camera(tensors, f"{index}.photo_camera"),
                 **{name: tensors[f"{index}.{name}"] for name in arrays if name != "light"},
                 light=tensors.get(f"{index}.light"),
             )

@@ -19,6 +19,7 @@ from .blur import blur
 
 if TYPE_CHECKING:
     from ..model.grmm import Rendering
+    from ..model.sparse import FixedSparse
 
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for values 0..1
 SCALE_MIN_MM, SCALE_MAX_MM = 0.1, 10.0  # eq. 18
@@ -205,7 +206,7 @@ def code_loss(*codes: Tensor) -> Tensor:
     return torch.stack([code.square().sum(-1).mean() for code in codes]).sum()
 
 
-def vertex_laplacian(faces: Tensor, vertex_count: int) -> Callable[[Tensor], Tensor]:
+def vertex_laplacian(faces: Tensor, vertex_count: int) -> FixedSparse:
     """Uniform Laplacian of a mesh.
 
     Args:
@@ -213,7 +214,7 @@ def vertex_laplacian(faces: Tensor, vertex_count: int) -> Callable[[Tensor], Ten
         vertex_count: V.
 
     Returns:
-        A function from [V, 3] to each vertex minus the mean of its neighbours, [V, 3] (zero for loose vertices).
+        A map from [V, 3] to each vertex minus the mean of its neighbours, [V, 3] (zero for loose vertices).
     """
     import numpy as np
 

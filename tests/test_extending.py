@@ -36,7 +36,11 @@ $ grmm info
 +x = 1
 ```
 """
-FILES = {"How to add a control": 2, "How to add an expression": 1}  # the most that a chapter may change
+FILES = {
+    "How to add a control": 2,
+    "How to add an expression": 1,
+    "How to add a file format": 2,
+}  # the most that a chapter may change
 
 
 @pytest.mark.parametrize("chapter", CHAPTERS, ids=str)

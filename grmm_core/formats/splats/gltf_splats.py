@@ -17,7 +17,7 @@ import numpy as np
 from ...files.format import Format
 from ...geometry.rotations import matrix_to_quaternion, multiply_quaternions, quaternion_to_matrix
 from ..glb import GltfReader, GltfWriter
-from .cloud import MAX_DEGREE, MAX_SPLATS, SplatCloud, exp_scale, finish_reading
+from .cloud import MAX_DEGREE, MAX_SPLATS, SH_C0, SplatCloud, exp_scale, finish_reading
 
 KIND = "glTF splat file"
 EXTENSION = "KHR_gaussian_splatting"
@@ -33,7 +33,7 @@ def read_gltf_splats(path: Path) -> SplatCloud:
         FileAccessError: Missing or unreadable.
     """
     reader = GltfReader(path, kind=KIND)
-    found: list[tuple[dict[str, Any], np.ndarray]] = []  # attributes and placement
+    found: list[tuple[dict[str, Any], np.ndarray, bool]] = []  # attributes, placement, linear colors
     count = 0
     for mesh_index, matrix in _placed_meshes(reader):
         primitives = reader.item("meshes", mesh_index).get("primitives", [])
@@ -41,13 +41,16 @@ def read_gltf_splats(path: Path) -> SplatCloud:
             raise reader.bad("its primitives are malformed")
         for primitive in primitives:
             if isinstance(primitive, dict) and isinstance(primitive.get("attributes"), dict) and _is_splats(primitive):
-                found.append((primitive["attributes"], matrix))
+                found.append((primitive["attributes"], matrix, _is_linear(primitive)))
                 count += reader.integer(reader.item("accessors", primitive["attributes"].get("POSITION")), "count")
                 if count > MAX_SPLATS:  # a file may name one array thousands of times
                     raise reader.bad(f"it has more than {MAX_SPLATS} splats")
     if not found:
         raise reader.bad(f"it has no {EXTENSION} primitive; it may be an ordinary mesh")
-    clouds = [_transform(reader, _read_primitive(reader, attributes), matrix) for attributes, matrix in found]
+    clouds = []
+    for attributes, matrix, linear in found:
+        cloud = _read_primitive(reader, attributes)
+        clouds.append(_transform(reader, _to_display(cloud) if linear else cloud, matrix))
     return finish_reading(path, KIND, _join(clouds))
 
 
@@ -55,6 +58,26 @@ def _is_splats(primitive: dict[str, Any]) -> bool:
     extensions = primitive.get("extensions")
     named = isinstance(extensions, dict) and EXTENSION in extensions
     return named or any(str(name).startswith(EXTENSION) for name in primitive["attributes"])
+
+
+def _is_linear(primitive: dict[str, Any]) -> bool:
+    """Whether the reconstructed colors are linear instead of display sRGB."""
+    extensions = primitive.get("extensions")
+    settings = extensions.get(EXTENSION) if isinstance(extensions, dict) else None
+    return isinstance(settings, dict) and settings.get("colorSpace") == "lin_rec709_display"
+
+
+def _to_display(cloud: SplatCloud) -> SplatCloud:
+    """Take linear colors to display sRGB: the constant ones exactly, what depends on the view by the curve's slope there."""
+    linear = np.clip(cloud.colors(), 1e-4, 1.0)
+    low = linear <= 0.0031308
+    display = np.where(low, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    slope = np.where(low, 12.92, 1.055 / 2.4 * linear ** (1 / 2.4 - 1))
+    cloud.sh = cloud.sh * slope[:, None]
+    cloud.sh[:, 0] = (display - 0.5) / SH_C0
+    cloud.sh = cloud.sh.astype(np.float32)
+    cloud.warnings.append("Its colors are linear and were turned to display colors.")
+    return cloud
 
 
 def _read_primitive(reader: GltfReader, attributes: dict[str, Any]) -> SplatCloud:

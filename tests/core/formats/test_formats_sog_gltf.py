@@ -10,6 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
+from fuzzing import glb_with
 from PIL import Image
 from splat_files import make_cloud
 
@@ -258,3 +259,27 @@ def test_gltf_never_opens_other_files(tmp_path):
     (tmp_path / "a.gltf").write_text(json.dumps(document))
     with pytest.raises(FileFormatError, match="another file"):
         read_splats(tmp_path / "a.gltf")
+
+
+def test_gltf_with_linear_colors_looks_the_same(tmp_path):
+    """`lin_rec709_display` of KHR_gaussian_splatting: colors from every side, brought to what a display is sent."""
+    path, cloud = tmp_path / "a.glb", make_cloud(50, 1)
+    cloud.sh[:, 1:] *= 0.02
+    display = np.clip(cloud.colors(), 0.05, 0.95)
+    linear = np.where(display <= 0.04045, display / 12.92, ((display + 0.055) / 1.055) ** 2.4)
+    slope = 2.4 / 1.055 * ((display + 0.055) / 1.055) ** 1.4
+    written = make_cloud(50, 1)
+    written.sh = (cloud.sh * slope[:, None]).astype(np.float32)
+    written.sh[:, 0] = (linear - 0.5) / 0.28209479
+    write_splats(path, written)
+    data = path.read_bytes()
+    path.write_bytes(data.replace(b"srgb_rec709_display", b"lin_rec709_display "))
+    assert read_splats(path).colors() == pytest.approx(written.colors(), abs=1e-5), "another value is not this one"
+    length = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + length])
+    document["meshes"][0]["primitives"][0]["extensions"]["KHR_gaussian_splatting"]["colorSpace"] = "lin_rec709_display"
+    path.write_bytes(glb_with(data, document))
+    found = read_splats(path)
+    assert found.colors() == pytest.approx(display, abs=1e-5)
+    assert found.sh[:, 1:] == pytest.approx(cloud.sh[:, 1:], abs=1e-5)
+    assert any("colors are linear" in sentence for sentence in found.warnings)

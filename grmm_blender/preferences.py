@@ -88,7 +88,7 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
     )
     flame: StringProperty(
         name="FLAME File",
-        description="Your own FLAME model (generic_model.pkl or flame2023.pkl), for Add > GRMM FLAME Head; none is distributed",
+        description="Your own FLAME model (generic_model.pkl or flame2023.pkl), for Add > GRMM; none is distributed",
         subtype="FILE_PATH",
     )
     install_python: StringProperty(

@@ -55,7 +55,7 @@ def set_up(scene: bpy.types.Scene) -> bpy.types.Scene:
         raise GrmmError("The GRMM engine renders this scene already; choose Cycles or EEVEE to composite with.")
     found = drawn_objects(scene)
     if not found:
-        raise GrmmError("The scene has no GRMM avatar; add one with Add > GRMM Head.")
+        raise GrmmError("The scene has no GRMM avatar; add one with Add > GRMM.")
     linked = [obj.name for obj in found if not obj.is_editable]
     if linked:
         raise GrmmError(f"{linked[0]} is linked; make a library override of it first.")

@@ -31,7 +31,7 @@ _depths = OccluderDepths()
 _has_window = not bpy.app.background
 _before: dict[tuple[str, str], np.ndarray] = {}  # the last picture by view layer and view, in a window
 
-NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > GRMM Head."
+NO_AVATARS = "The scene has no visible GRMM avatar; add one with Add > GRMM."
 
 
 def render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:

@@ -29,12 +29,12 @@ FLAME_SHAPES = 300
 DEFAULT_FPS = 25.0
 _ALIASES = {
     "expr": ("expr", "expression", "exp", "expcode", "expression_params"),
-    "rotation": ("rotation", "global_orient", "global_pose"),
-    "neck_pose": ("neck_pose", "neck"),
-    "jaw_pose": ("jaw_pose", "jaw"),
-    "eyes_pose": ("eyes_pose", "eyes", "eye_pose"),
+    "rotation": ("rotation", "global_orient", "global_pose", "rot"),
+    "neck_pose": ("neck_pose", "neck", "neck_rot"),
+    "jaw_pose": ("jaw_pose", "jaw", "jaw_rot"),
+    "eyes_pose": ("eyes_pose", "eyes", "eye_pose", "eye_rot"),
     "pose": ("pose", "posecode"),
-    "translation": ("translation", "transl"),
+    "translation": ("translation", "transl", "tra"),
     "shape": ("shape", "shapecode", "betas", "shape_params"),
     "static_offset": ("static_offset",),
     "fps": ("fps", "frame_rate", "mocap_frame_rate"),
@@ -68,6 +68,10 @@ def read_flame_npz(path: Path, fps: float | None = None, progress: Share | None 
     if progress:
         progress(0.5)
 
+    if "eye_rot" in arrays and arrays["eye_rot"].shape[-1:] == (3,):  # CAP4D has one rotation for both eyes
+        fields["eyes_pose"] = np.concatenate([arrays["eye_rot"]] * 2, -1)
+    if "tra" in arrays:
+        warnings.append("CAP4D's head rotation and movement are those before its camera, read in FLAME's axes.")
     tracks = {name: _track(path, fields, name, count, width, warnings) for name, width in _TRACKS.items()}
     pose = tracks.pop("pose")
     if pose is not None:

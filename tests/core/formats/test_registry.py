@@ -6,6 +6,7 @@ import importlib
 import os
 import pkgutil
 import threading
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,8 @@ from splat_files import make_cloud
 import grmm_core.formats
 from grmm_core.errors import FileAccessError, FileFormatError
 from grmm_core.files.access import read_bytes
+from grmm_core.files.archive import read_members
+from grmm_core.files.npz import read_npz
 from grmm_core.formats import format_to_read, format_to_write, formats, write_mesh, write_splats
 from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
 from grmm_core.formats.registry import MODULES
@@ -110,3 +113,17 @@ def test_the_limit_holds_whatever_the_file_system_says():
     assert b"Name:" in read_bytes("/proc/self/status", 1 << 16)
     with pytest.raises(FileAccessError, match="more than the 100 bytes"):
         read_bytes("/proc/self/status", 100)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_LZMA, zipfile.ZIP_BZIP2, zipfile.ZIP_DEFLATED])
+def test_damaged_members_of_every_compression_are_one_sentence(tmp_path, method):
+    """LZMA and bzip2 report damage by errors of their own."""
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("expr.npy", np.random.default_rng(0).bytes(5000))
+    good = path.read_bytes()
+    for at in range(60, 4000, 97):
+        path.write_bytes(good[:at] + bytes([good[at] ^ 0xFF]) + good[at + 1 :])
+        for read in (lambda: read_members(path, "test archive", 1 << 20), lambda: read_npz(path)):
+            with pytest.raises(FileFormatError, match="not a readable"):
+                read()

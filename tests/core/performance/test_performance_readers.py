@@ -364,3 +364,20 @@ def test_truncated_real_layouts_never_show_a_traceback(tmp_path):
 def test_ten_minutes_at_sixty_frames_per_second(tmp_path):
     path = write_csv(tmp_path / "a.csv", np.tile(smooth_weights(3600), (10, 1)))
     assert read_performance(path).duration == pytest.approx(600, abs=0.1)
+
+
+def test_cap4d_fits_keep_rotations_and_movement(tmp_path):
+    """Keys as CAP4D's `fit.npz` has them: 150 and 65 coefficients, one rotation for both eyes."""
+    rng = np.random.default_rng(4)
+    arrays = {name: rng.normal(0, 0.2, (7, 3)).astype(np.float32) for name in ("rot", "tra", "eye_rot", "neck_rot", "jaw_rot")}
+    arrays |= {"expr": rng.normal(size=(7, 65)), "shape": rng.normal(size=150), "fx": np.ones((1, 1)), "extr": np.eye(4)[None]}
+    np.savez(tmp_path / "fit.npz", **arrays)
+    found = read_performance(tmp_path / "fit.npz")
+    assert found.expression[:, :65] == pytest.approx(arrays["expr"], abs=1e-6)
+    for name, key in (
+        ("head_rotation", "rot"), ("neck_rotation", "neck_rot"), ("jaw_rotation", "jaw_rot"),
+        ("left_eye_rotation", "eye_rot"), ("right_eye_rotation", "eye_rot"),
+    ):  # fmt: skip
+        assert euler_to_matrix(getattr(found, name)) == pytest.approx(axis_angle_to_matrix(arrays[key]), abs=1e-5)
+    assert found.translation == pytest.approx(arrays["tra"])
+    assert any("CAP4D" in sentence for sentence in found.warnings)

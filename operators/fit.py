@@ -15,7 +15,7 @@ from ..grmm_blender.fitting.provenance import provenance_sentence
 from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.fitting.request import FacesRequest, FitRequest
-from .common import Result, active_avatar, needs_avatar, reports_errors
+from .common import Result, active_avatar, needs_avatar, needs_object_mode, reports_errors
 
 _EXTENSIONS = "*.jpg;*.jpeg;*.png;*.webp;*.tif;*.tiff;*.bmp"
 
@@ -172,10 +172,7 @@ class GRMM_OT_fit_add_to_scene(bpy.types.Operator):
         if not watch.waits_to_be_added():
             cls.poll_message_set("There is no finished avatar that is not in the scene")
             return False
-        if context.mode != "OBJECT":
-            cls.poll_message_set("Go to object mode first")
-            return False
-        return True
+        return needs_object_mode(cls, context)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:

@@ -149,14 +149,14 @@ def test_without_a_runtime(run_blender: RunBlender, tmp_path: Path):
     environment = {"GRMM_WORKER_PYTHON": ""}
     result = run_blender("no_runtime.py", tmp_path / "speech.json", python="5.2", environment=environment).result
     assert result["available"] is False
-    assert "install the runtime" in result["message"]
+    assert "install the one for this platform" in result["message"]
     assert result["sliders"] < RIG_PARITY
     assert result["panel"] == ""
     assert max(result["playback"]) < RIG_PARITY
     assert result["moved"] > 1e-3
     assert result["edited"] < RIG_PARITY
-    assert "install the runtime" in result["random_person"]
-    assert "install the runtime" in result["render"]
+    assert "install the one for this platform" in result["random_person"]
+    assert "install the one for this platform" in result["render"]
     assert result["heavy"] == []
 
 

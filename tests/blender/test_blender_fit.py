@@ -12,6 +12,7 @@ from PIL import Image
 
 from grmm_core.controls.frame import Controls
 from grmm_core.geometry.camera import Camera
+from grmm_core.jobs.stages import FIT
 from grmm_core.pictures.images import encode_png, quantize
 
 pytestmark = pytest.mark.blender
@@ -133,7 +134,9 @@ def test_a_real_photo_is_cancelled_resumed_and_seen_through_its_camera(
     assert cancelled["state"] == "cancelled"
     assert "resumed" in cancelled["message"]
     assert cancelled["growing"]
-    assert cancelled["stages"] == ["load", "analyse", "track", "codes"]
+    places = [FIT.position(stage) for stage in cancelled["stages"]]  # a short one may begin and end between two looks
+    assert places == sorted(places)
+    assert cancelled["stages"][-1] == "codes"
     assert cancelled["faces"] == [1]
     assert cancelled["left"] == ["person.grmm.fit", "photo.png"]
     assert done["resumable"]

@@ -51,6 +51,7 @@ class PlainModel:
         names = {name: f"decoders.{name}." for name in ("transform", "opacity", "appearance")}
         names |= {"refinement": "refinement."} if config.refine else {}
         self._networks = {name: self._network(name, prefix, like) for name, prefix in names.items()}
+        self._sums: dict[str, tuple[bytes, np.ndarray]] = {}  # of basis maps: the last code and what it gave
         self._tables: _Tables = _Tables(file) if like is None else like._tables
 
     def changed(self, deltas: Mapping[str, np.ndarray]) -> PlainModel:
@@ -130,8 +131,13 @@ class PlainModel:
     def _basis(self, name: str, z_id: np.ndarray) -> np.ndarray | None:
         if not self.config.basis_maps or name not in self.config.basis_channels:
             return None
-        weights = self._file.arrays["decoders.basis_weights.weight"] @ z_id
-        return self._weighted(f"decoders.basis.{name}", weights, BASIS_GROUPS[name])
+        # A person's maps stay the same while an expression plays, and adding them up is most of decoding.
+        code = z_id.tobytes()
+        known = self._sums.get(name)
+        if known is None or known[0] != code:
+            weights = self._file.arrays["decoders.basis_weights.weight"] @ z_id
+            known = self._sums[name] = code, self._weighted(f"decoders.basis.{name}", weights, BASIS_GROUPS[name])
+        return known[1]
 
     def _weighted(self, name: str, weights: np.ndarray, channels: int = COLOR_CHANNELS) -> np.ndarray:
         """Sum of the maps of a name, [N, channels]."""

@@ -129,7 +129,7 @@ def fit(folder: Path) -> dict[str, object]:
     chosen = bpy.context.window_manager.grmm_fit
     chosen.output, chosen.preset = str(folder / "person.grmm"), "fast"
     bpy.ops.grmm.fit_photos()
-    head = bpy.context.object
+    head = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).object
     camera = next(item for item in bpy.data.objects if item.type == "CAMERA")
     scene = bpy.context.scene
     # the camera must see the head where the photo shows it: the middle of the eyes in picture coordinates

@@ -48,14 +48,13 @@ def main() -> None:
     begin = time.monotonic()
     bpy.ops.grmm.fit_photos(resume=True)
     watch = module("grmm_blender.fitting.watch")
-    head = bpy.context.object
-    avatar = module("grmm_blender.rig.avatar").avatar_of(head)
+    avatar = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
     camera = scene.camera
     background = camera.data.background_images[0]
     report(
         seconds=time.monotonic() - begin, note=watch.note(), rigged=avatar.armature is not None,
         origin=module("grmm_blender.fitting.provenance").provenance_sentence(avatar.source),
-        preview=list(head.preview_ensure().image_size),
+        preview=list(avatar.object.preview_ensure().image_size),
         background=Path(bpy.path.abspath(background.image.filepath)).name, preview_seen=watch.status().progress.picture,
         seconds_left=watch.status().progress.seconds_left, left=sorted(path.name for path in folder.iterdir()),
     )  # fmt: skip

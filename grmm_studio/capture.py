@@ -46,6 +46,7 @@ ROUND = 4  # shots of everybody before anybody's next ones
 # many people; each takes about 100 MB. A person who comes back must then be prepared again, which takes some seconds.
 PEOPLE_IN_STUDIO = 24
 HELD_OUT_EVERY = 12  # one person of so many is held out
+TWINS_OF = ("", "all", "rest")  # values of `CaptureSettings.bare`
 HELD_OUT_SHOTS = (6, 13)  # numbers modulo 15: expressions that are not trained on
 
 
@@ -62,7 +63,8 @@ class CaptureSettings:
         varied_light: Another light for every shot.
         subsurface: Light scattering in the skin (slower).
         depth: Write depth maps.
-        bare: Render every view without hair as well.
+        bare: Views without hair: "" none, "all" a twin of each view, "rest" a twin of the neutral shot's views, and nothing
+            but the bare head in other shots (what trains the skin, at a third of the cost).
         layers: Write part masks, albedo and normals.
         lights: More lights in which every view is shown: "all" or names of `lights.SETUPS`; empty: none.
     """
@@ -77,7 +79,7 @@ class CaptureSettings:
     varied_light: bool = False
     subsurface: bool = False
     depth: bool = True
-    bare: bool = False
+    bare: str = ""
     layers: bool = False
     lights: str = ""
 
@@ -134,6 +136,8 @@ def check_settings(settings: CaptureSettings, only: Sequence[int] = ()) -> tuple
         raise ConfigError(f"--shots {s.shots} is not possible; use at most {MAX_SHOTS}.")
     if not 1 <= s.views <= MAX_CAMERAS:
         raise ConfigError(f"--cameras {s.views} is not possible; use 1 to {MAX_CAMERAS}.")
+    if s.bare not in TWINS_OF:
+        raise ConfigError(f"--bare {s.bare} is not possible; use all or rest.")
     if s.seed < 0:
         raise ConfigError(f"--seed {s.seed} is not possible; use 0 or more.")
     absent = [index for index in only if not 0 <= index < s.subjects]
@@ -275,7 +279,7 @@ class _Worker:
         self._studio.set_shot(controls.expression, controls.pose, light)
         pictures, views = [], []
         for i, (name, camera) in enumerate(zip(plan.camera_names, plan.cameras, strict=True)):
-            pictures.append(self._picture(camera))
+            pictures.append(self._picture(camera, number))
             views.append(self._view(index, number, i, name, camera))
         shot = Shot(
             self._subject.name, number, plan.kind, controls.aligned, controls.expression, controls.pose, tuple(views),
@@ -284,13 +288,19 @@ class _Worker:
         write_shot(self.folder, shot, pictures)
         return shot_record(self.folder, shot.subject, number).with_name(views[0].image)
 
-    def _picture(self, camera: Camera) -> Picture:
+    def _picture(self, camera: Camera, number: int) -> Picture:
         s, studio = self.settings, self._studio
-        pictures = [studio.render(camera, hair) for hair in ((True, False) if s.bare else (True,))]
-        for hair, picture in zip((True, False), pictures, strict=False):
+        looks = [False] if self._only_bare(number) else [True, False] if s.bare else [True]
+        pictures = []
+        for hair in looks:
+            picture = studio.render(camera, hair)
             for name, light in chosen(s.lights).items():
                 picture.layers[LIGHT_PREFIX + name] = studio.render(camera, hair, light).rgb
-        return replace(pictures[0], depth=pictures[0].depth if s.depth else None, bare=pictures[1] if s.bare else None)
+            pictures.append(replace(picture, depth=picture.depth if s.depth else None))
+        return replace(pictures[0], bare=pictures[-1] if s.bare else None)
+
+    def _only_bare(self, number: int) -> bool:
+        return self.settings.bare == "rest" and number > 0
 
     def close(self) -> None:
         """Remove the studio and its temporary files; the next shot makes another."""
@@ -310,4 +320,5 @@ class _Worker:
             return View(name, camera, f"{stem}.png", f"{stem}_z.png" if s.depth else "", split, layers, bare)
 
         stem = f"{number:04d}_{i:02d}"
-        return files(stem, files(f"{stem}_bare", None) if s.bare else None)
+        bare = files(f"{stem}_bare", None) if s.bare else None
+        return replace(bare, bare=bare) if self._only_bare(number) else files(stem, bare)

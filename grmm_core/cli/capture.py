@@ -42,7 +42,10 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--varied-light", action="store_true", help="another light for every shot instead of the even rig")
     parser.add_argument("--subsurface", action="store_true", help="light scattering in the skin; slower")
     parser.add_argument("--no-depth", action="store_true", help="leave out the depth maps")
-    parser.add_argument("--bare", action="store_true", help="render every view without hair as well")
+    parser.add_argument(
+        "--bare", nargs="?", const="all", default="", metavar="all|rest",
+        help="render every view without hair as well; rest: after the neutral shot nothing but the bare head",
+    )  # fmt: skip
     parser.add_argument("--layers", action="store_true", help="write part masks, albedo and normals")
     parser.add_argument(
         "--lights", default="", metavar="all|NAMES", help="show every view in these lights too, such as key,sunset"

@@ -58,7 +58,8 @@ class View:
         image, depth: File names in the shot's folder; depth may be empty.
         split: One of `SPLITS`.
         layers: File names of further layers, by the names of `layers`.
-        bare: The same view of the same person without any hair, where the source has one.
+        bare: The same view of the same person without any hair, where the source has one; of the same files where the source
+            shows the person in no other way.
     """
 
     name: str
@@ -68,6 +69,11 @@ class View:
     split: str
     layers: dict[str, str] = field(default_factory=dict)
     bare: View | None = None
+
+    @property
+    def only_bare(self) -> bool:
+        """Whether the person's hair is left out of the picture itself."""
+        return self.bare is not None and self.bare.image == self.image
 
 
 @dataclass(frozen=True)
@@ -221,7 +227,7 @@ def _write_view(folder: Path, view: View, picture: Picture) -> None:
         atomic_write_bytes(folder / view.depth, encode_depth(picture.depth))
     for name, file in view.layers.items():
         atomic_write_bytes(folder / file, encode_layer(name, picture.layers[name], picture.mask))
-    if view.bare is not None and picture.bare is not None:
+    if view.bare is not None and picture.bare is not None and not view.only_bare:
         _write_view(folder, view.bare, picture.bare)
 
 

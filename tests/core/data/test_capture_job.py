@@ -294,7 +294,7 @@ def test_contact_sheet(tmp_path):
 
 
 def test_layers_twins_and_lights_are_written_for_every_view(tmp_path):
-    settings = replace(SETTINGS, subjects=1, shots=1, bare=True, layers=True, lights="key,sunset")
+    settings = replace(SETTINGS, subjects=1, shots=1, bare="all", layers=True, lights="key,sunset")
     run_job(tmp_path, settings)
     data = CaptureDataset(tmp_path)
     views = list(data.views())
@@ -307,3 +307,16 @@ def test_layers_twins_and_lights_are_written_for_every_view(tmp_path):
     with pytest.raises(ConfigError, match="'lava'"):
         run_job(tmp_path / "other", replace(settings, lights="lava"))
     assert not (tmp_path / "other").exists()
+
+
+def test_after_the_neutral_shot_nothing_but_the_bare_head_is_rendered_where_that_is_asked_for(tmp_path):
+    run_job(tmp_path, replace(SETTINGS, subjects=1, shots=2, bare="rest"))
+    data = CaptureDataset(tmp_path)
+    views = list(data.views())
+    assert [view.only_bare for _, view in views] == [False, False, True, True]
+    assert not list(tmp_path.rglob("0001_0[01].png"))
+    for shot, view in views[2:]:
+        assert view.bare is not None
+        np.testing.assert_array_equal(data.picture(shot, view).rgb, data.picture(shot, view.bare).rgb)
+    with pytest.raises(ConfigError, match="use all or rest"):
+        run_job(tmp_path / "other", replace(SETTINGS, bare="half"))

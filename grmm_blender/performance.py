@@ -7,7 +7,7 @@ a slot each, so that a performance is one thing in the action editor and can be 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
@@ -24,7 +24,7 @@ from ..grmm_core.performance import CleanOptions, Performance, clean, to_arkit
 from ..grmm_core.performance.closures import LipModel, keep_lips_closed, lip_model
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR, reduce_curves
 from . import session_host
-from .rig.actions import ensure_bag, find_curve, linear_keys, reduced_keys, replace_keys
+from .rig.actions import ensure_bag, find_curve, linear_keys, put_aside, reduced_keys, replace_keys
 from .rig.avatar import Avatar
 from .rig.custom_properties import property_path
 from .rig.identity import load_head
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 EyeSource = Literal["AUTO", "SHAPES", "ROTATIONS"]
 Keys = Literal["FRAMES", "REDUCED", "SAMPLES"]
+Present = Literal["KEEP", "PUSH_DOWN", "WRITE_INTO"]
 _EYE_SHAPES = "eyeLook"
 _EYES = {"left_eye": "left_eye_rotation", "right_eye": "right_eye_rotation"}
 MAX_FRAME = 1_048_574  # Blender's last frame
@@ -69,6 +70,7 @@ class ImportOptions:
         angle_error: Largest deviation of an angle for reduced keys, radians.
         head_joint: Bone that takes the rotation of the head; "" for none.
         eyes: Take the eyes from the eyeLook shapes, from the recorded rotations, or from whichever the file has.
+        present: What becomes of the action that is there: kept unused, pushed down to a track, or written into.
     """
 
     start: float = 1.0
@@ -88,6 +90,7 @@ class ImportOptions:
     angle_error: float = DEFAULT_ANGLE_ERROR
     head_joint: str = "neck"
     eyes: EyeSource = "AUTO"
+    present: Present = "KEEP"
 
 
 @dataclass(frozen=True)
@@ -237,7 +240,7 @@ def _property_channel(name: str, index: int, values: np.ndarray) -> Channel:
 def apply_performance(
     avatar: Avatar | Puppet, performance: Performance, options: ImportOptions, name: str, progress: Share | None = None
 ) -> ImportedRange:
-    """Write a performance as keys; keys of the same curves at other times stay.
+    """Write a performance as keys of a new action, or of the present one, whose keys at other times stay.
 
     Args:
         avatar: Whose rig plays it; channels that it does not have are left out.
@@ -263,12 +266,7 @@ def apply_performance(
     frames = start + seconds * options.fps
     if abs(frames).max() > MAX_FRAME:
         raise ConfigError(f"The performance would end at frame {frames[-1]:.0f}, beyond Blender's last; start it earlier.")
-    head_bag = ensure_bag(avatar.object, name)
-    rig, rig_bag = avatar.armature, None
-    if rig is not None and any(channel.bone for channel in channels):
-        has_own = rig.animation_data is not None and rig.animation_data.action is not None
-        rig_bag = ensure_bag(rig, name, None if has_own else avatar.object.animation_data.action)
-    placed = list(_placed(channels, head_bag, rig_bag))
+    placed = _placed(avatar, channels, options.present, name)
     if options.keys == "REDUCED":
         errors = np.array([options.angle_error if channel.bone else options.max_error for channel, _ in placed])
         values = np.stack([channel.values for channel, _ in placed], 1)
@@ -304,12 +302,22 @@ class ImportedRange:
 
 
 def _placed(
-    channels: list[Channel], head: bpy.types.ActionChannelbag, rig: bpy.types.ActionChannelbag | None
-) -> Iterator[tuple[Channel, bpy.types.ActionChannelbag]]:
-    for channel in channels:
-        bag = rig if channel.bone else head
-        if bag is not None:
-            yield channel, bag
+    avatar: Avatar | Puppet, channels: list[Channel], present: Present, name: str
+) -> list[tuple[Channel, bpy.types.ActionChannelbag]]:
+    """Each channel with where its curve is kept: head and rig share a new action; bones without a rig are left out."""
+    placed: list[tuple[Channel, bpy.types.ActionChannelbag]] = []
+    shared = None
+    for obj, on_bones in ((avatar.object, False), (avatar.armature, True)):
+        own = [channel for channel in channels if bool(channel.bone) == on_bones]
+        if obj is None or not own:
+            continue
+        if present != "WRITE_INTO":
+            put_aside(obj, push_down=present == "PUSH_DOWN")
+        has_own = obj.animation_data is not None and obj.animation_data.action is not None
+        bag = ensure_bag(obj, name, None if has_own else shared)
+        shared = obj.animation_data.action
+        placed += [(channel, bag) for channel in own]
+    return placed
 
 
 def _rotations(performance: Performance, options: ImportOptions, rotate_eyes: bool) -> dict[str, np.ndarray]:

@@ -25,7 +25,7 @@ _HUNDRED = 100
 _READ, _RETARGETED = 0.3, 0.4  # of the progress
 _PANELS = {
     "Time": ("start", "offset", "first", "last", "fps", "set_range"),
-    "Keys": ("keys", "max_error", "angle_error"),
+    "Keys": ("keys", "max_error", "angle_error", "present"),
     "Cleaning": ("neutral", "neutral_frames", "smoothing", "limit", "close_lips"),
     "Strength": ("gain", *(f"gain_{region}" for region in REGIONS), "rotation_gain"),
     "Head and Eyes": ("head", "eyes"),
@@ -69,6 +69,16 @@ class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bp
         ),
         default="FRAMES",
     )
+    present: bpy.props.EnumProperty(
+        name="Present Action",
+        description="What becomes of an animation that the avatar has; the recording gets an action named after the file",
+        items=(
+            ("KEEP", "Keep", "It stays in the file with a fake user, to be chosen again in the action editor"),
+            ("PUSH_DOWN", "Push Down", "It plays on in a track of the nonlinear animation, below the recording"),
+            ("WRITE_INTO", "Write Into", "No new action: the recording replaces its keys from first to last frame"),
+        ),
+        default="KEEP",
+    )
     max_error: bpy.props.FloatProperty(
         name="Largest Error",
         description="How far reduced keys may deviate from the recording",
@@ -106,7 +116,7 @@ class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bp
         name="From", description="First second of the recording that is used", default=0.0, min=0.0, unit="TIME_ABSOLUTE"
     )
     last: bpy.props.FloatProperty(
-        name="To", description="Last second that is used; 0 for all", default=0.0, min=0.0, unit="TIME_ABSOLUTE"
+        name="To (0: End)", description="Last second that is used; 0 for all", default=0.0, min=0.0, unit="TIME_ABSOLUTE"
     )
     gain: _gain("Gain", "Factor of all expression weights")
     gain_brows: _gain("Brows", "Further factor of the brows")
@@ -254,6 +264,7 @@ class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bp
             last=self.last or None,
             head_joint="" if self.head == "NONE" else self.head,
             eyes=self.eyes,
+            present=self.present,
         )
 
 

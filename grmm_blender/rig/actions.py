@@ -58,6 +58,29 @@ def ensure_bag(obj: bpy.types.ID, name: str, action: bpy.types.Action | None = N
     return strip.channelbag(data.action_slot, ensure=True)
 
 
+def put_aside(obj: bpy.types.ID, push_down: bool) -> None:
+    """Take the present action off an object, so that another one can be made; it stays in the file.
+
+    Args:
+        obj: What is animated.
+        push_down: Leave the action playing in a track of the nonlinear animation; else it gets a fake user.
+    """
+    data = obj.animation_data
+    if data is None or data.action is None:
+        return
+    action, slot = data.action, data.action_slot
+    if push_down and slot is not None:
+        first, last = action.frame_range
+        track = data.nla_tracks.new()
+        track.name = action.name
+        strip = track.strips.new(action.name, int(first), action)
+        strip.action_slot = slot
+        strip.frame_start_raw, strip.frame_end_raw = first, max(last, first + 1.0)
+    else:
+        action.use_fake_user = True
+    data.action = None
+
+
 @dataclass(frozen=True)
 class Keys:
     """Keys of one curve.

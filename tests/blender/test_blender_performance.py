@@ -42,6 +42,18 @@ def test_scene_rate_gain_and_a_second_take(imported):
     assert rate["end"] == rate["last"]
 
 
+def test_a_recording_gets_an_action_of_its_own_and_the_present_one_stays(imported):
+    takes = imported["takes"]
+    assert takes["named"] == "speech"
+    assert takes["own"] == [True, 1]
+    assert takes["rig"] == ['pose.bones["neck"].rotation_euler'] * 3  # the file turns no bones: those keys play on
+    assert takes["tracks"] == [[["speech", 1.0]]]
+    assert takes["second"] == "live_link"
+    assert len(takes["rig_tracks"]) == 1
+    assert takes["shared"]
+    assert takes["smile"] == pytest.approx(0.0, abs=1e-4)
+
+
 def test_reduced_keys_keep_to_their_error(imported):
     reduced = imported["reduced"]
     assert reduced["error"] < 0.021

@@ -58,12 +58,38 @@ def rate_and_gain() -> dict:
     scene.frame_set(1 + 48)  # two seconds
     half = float(avatar.controls().aligned[jaw] / recorded.weights[60, jaw])
     last = scene.frame_end
-    bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), start=1001, set_range=False)
+    bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"), start=1001, set_range=False, present="WRITE_INTO")
     scene.frame_set(1 + 48)
     kept = float(avatar.controls().aligned[jaw] / recorded.weights[60, jaw])
     scene.frame_set(1001 + 48)
     full = float(avatar.controls().aligned[jaw] / recorded.weights[60, jaw])
     return {"half": half, "last": last, "kept": kept, "full": full, "end": scene.frame_end}
+
+
+def takes() -> dict:
+    """What becomes of an animation that the avatar has: its own keys, a first recording, a second one."""
+    avatar = new_head()
+    head, rig = avatar.object, avatar.armature
+    head["browInnerUp"] = 0.7
+    head.keyframe_insert('["browInnerUp"]', frame=3)
+    rig.pose.bones["neck"].keyframe_insert("rotation_euler", frame=3)
+    own = head.animation_data.action
+    bpy.ops.grmm.import_performance(filepath=str(folder / "speech.json"))
+    kept = [curve.data_path for curve in actions.action_curves(rig)]
+    first = head.animation_data.action
+    result = {"named": first.name, "own": [own.use_fake_user, len(own.layers[0].strips[0].channelbags[0].fcurves)], "rig": kept}
+    bpy.ops.grmm.import_performance(filepath=str(folder / "live_link.csv"), start=21, present="PUSH_DOWN")
+    tracks = [[(s.action.name, s.frame_start) for s in track.strips] for track in head.animation_data.nla_tracks]
+    scene.frame_set(31)
+    recorded = read_performance(folder / "live_link.csv")
+    smile = float(avatar.controls().aligned[ARKIT.index("mouthSmileLeft")])
+    return result | {
+        "tracks": tracks,
+        "second": head.animation_data.action.name,
+        "rig_tracks": [strip.action.name for track in rig.animation_data.nla_tracks for strip in track.strips],
+        "shared": rig.animation_data.action == head.animation_data.action,
+        "smile": smile - float(recorded.weights[20, ARKIT.index("mouthSmileLeft")].clip(0, 1)),
+    }
 
 
 def reduced() -> dict:
@@ -210,7 +236,7 @@ def edits() -> dict:
     }
 
 
-report(speech=speech(), rate=rate_and_gain())
+report(speech=speech(), rate=rate_and_gain(), takes=takes())
 report(reduced=reduced())
 report(live_link=live_link())
 report(cleaned=cleaned(), flame=flame_on_ours())

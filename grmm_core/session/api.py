@@ -268,7 +268,7 @@ class Session(Protocol):
         Raises:
             FileAccessError, FileFormatError: The file is missing, damaged, newer than this version, or needs weights or a
                 head model that are not installed.
-            SessionError: The worker cannot be started or died.
+            SessionError: The worker cannot be started.
         """
         ...
 
@@ -299,7 +299,7 @@ class Session(Protocol):
 
         Raises:
             ControlError, ShapeError: A control is not finite or too long for this model.
-            SessionError: Unknown id, or the worker died.
+            SessionError: Unknown id.
         """
         ...
 
@@ -352,7 +352,7 @@ class Session(Protocol):
         Raises:
             ControlError, ShapeError: Bad controls.
             CancelledError: `should_cancel` returned True.
-            SessionError: Unknown id, out of memory, time-out, or the worker died (the next call starts a new one).
+            SessionError: Unknown id, out of memory, or several workers in a row ended over it.
         """
         ...
 

@@ -1,21 +1,23 @@
 """`WorkerSession`: the session interface, carried out by a process of its own.
 
 Chosen by `create_session` where this interpreter has no torch (Blender), or where a crash of the model must not end the
-program. A worker that dies costs one `SessionError`; the next call starts another, which opens the avatars again under their
-old ids. Needs numpy only.
+program. A worker that dies costs time: another is started, opens the avatars again under their old ids, and does the same
+work anew, so that an animation rendered over night goes on. Work over which `TRIES` workers end in a row is given up with a
+sentence. Needs numpy only.
 """
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import logging
 import os
 import threading
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
@@ -40,6 +42,9 @@ from .sources import SourceKey, source_key
 
 CLOSE_GRACE = 0.5  # seconds that closing waits for another thread's call
 CALL_TIMEOUT = 600.0  # seconds; a picture of a film's size on an old machine stays below
+TRIES = 3  # workers that may end over the same work before it is given up
+
+Result = TypeVar("Result")
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +112,8 @@ class WorkerSession:
             self._clouds.pop(avatar_id, None)
             remote = self._remote.pop(avatar_id, None)
             if remote is not None and self._worker is not None and self._worker.alive:
-                self._call("release", {"avatar_id": remote})
+                with contextlib.suppress(WorkerDiedError):  # the avatar went with it
+                    self._call("release", {"avatar_id": remote})
 
     def put_cloud(self, name: str, version: str, cloud: CloudArrays) -> int:
         """See `Session.put_cloud`. Sent with the first picture that shows it."""
@@ -143,13 +149,13 @@ class WorkerSession:
     ) -> dict[str, np.ndarray]:
         """See `Session.render`."""
         check_render_size(camera)
-        with self._lock:
-            self._ensure_worker()
-            remote = [
-                dataclasses.replace(item, avatar_id=self._remote_id(item.avatar_id), controls=item.controls.validate())
-                for item in instances
-            ]
+        valid = [dataclasses.replace(item, controls=item.controls.validate()) for item in instances]
+
+        def draw() -> dict[str, np.ndarray]:
+            remote = [dataclasses.replace(item, avatar_id=self._remote_id(item.avatar_id)) for item in valid]
             return self._call("render", {"instances": remote, "camera": camera, "options": options}, should_cancel)
+
+        return self._tried(draw)
 
     def warm_up(self) -> None:
         """See `Session.warm_up`."""
@@ -158,9 +164,7 @@ class WorkerSession:
 
     def _warm_up(self) -> None:
         try:
-            with self._lock:
-                self._ensure_worker()
-                self._call("warm_up", {})
+            self._tried(lambda: self._call("warm_up", {}))
         except GrmmError as error:
             # The next call meets the same difficulty and has somebody to tell.
             _log.info("the model worker could not be warmed up: %s", error)
@@ -205,8 +209,7 @@ class WorkerSession:
             for avatar_id, known in self._sources.items():
                 if known == key:
                     return self._infos[avatar_id]
-            self._ensure_worker()
-            info = self._open_remote(key)
+            info = self._tried(lambda: self._open_remote(key))
             self._next_id += 1
             avatar_id = self._next_id
             self._remote[avatar_id] = info.id
@@ -235,9 +238,27 @@ class WorkerSession:
         return self._remote[avatar_id]
 
     def _call_for(self, avatar_id: int, operation: str, arguments: dict[str, Any]) -> Any:
+        return self._tried(lambda: self._call(operation, {"avatar_id": self._remote_id(avatar_id), **arguments}))
+
+    def _tried(self, work: Callable[[], Result]) -> Result:
+        """Do one piece of work, again with a fresh worker where one ends over it. It must look up remote ids itself.
+
+        Raises:
+            SessionError: `TRIES` workers ended.
+        """
         with self._lock:
-            self._ensure_worker()
-            return self._call(operation, {"avatar_id": self._remote_id(avatar_id), **arguments})
+            tries = 1
+            while True:
+                try:
+                    self._ensure_worker()
+                    return work()
+                except WorkerDiedError as error:
+                    if tries == TRIES:
+                        raise SessionError(
+                            f"The model worker {error.how}, {TRIES} times in a row over the same work; choose a smaller "
+                            "picture or close other programs, and try again."
+                        ) from error
+                    tries += 1
 
     def _call(self, operation: str, arguments: dict[str, Any], should_cancel: CancelCheck | None = None) -> Any:
         """Ask the worker that `_ensure_worker` gave. None is started here: the ids in `arguments` are those of that worker."""

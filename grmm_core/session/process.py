@@ -40,7 +40,16 @@ _log = logging.getLogger(__name__)
 
 
 class WorkerDiedError(SessionError):
-    """The worker process ended; the next call starts another."""
+    """The worker process ended, or was ended because it hung; another one may do better.
+
+    Attributes:
+        how: How it ended, in the words of a sentence about the worker.
+        killed: By another process or the system, and not by itself.
+    """
+
+    def __init__(self, how: str, killed: bool = True) -> None:
+        super().__init__(f"The model worker {how}; try again.")
+        self.how, self.killed = how, killed
 
 
 class WorkerProcess:
@@ -59,6 +68,7 @@ class WorkerProcess:
             settings: Arguments of `make_local_session` there, as JSON values.
 
         Raises:
+            WorkerDiedError: It was killed meanwhile.
             SessionError: It cannot be started or does not answer; the message says which Python and why.
         """
         self._arena = SharedArena()
@@ -91,6 +101,8 @@ class WorkerProcess:
             self._send({"start": settings, "arena": self._arena.spec()}, with_arena=False)
             hello = self._wait(time.monotonic() + START_TIMEOUT)
         except WorkerDiedError as error:
+            if error.killed:
+                raise
             reason = self.last_line() or "no message"
             raise SessionError(f"The model worker did not start with {python}: {reason}; choose another Python.") from error
         if hello is None:
@@ -120,9 +132,8 @@ class WorkerProcess:
             The reply: {"result": ...} or {"error": {...}}.
 
         Raises:
-            WorkerDiedError: The process ended.
+            WorkerDiedError: The process ended, or the time ran out and it has been killed.
             CancelledError: `should_cancel` returned True.
-            SessionError: The time ran out; the process has been killed.
         """
         deadline = time.monotonic() + timeout
         self._finish_abandoned(deadline)
@@ -138,7 +149,7 @@ class WorkerProcess:
                 return unpack(reply, self._arena)
             if time.monotonic() >= deadline:
                 self.kill()
-                raise SessionError(f"The model worker took longer than {timeout:.0f} seconds and was stopped; try again.")
+                raise WorkerDiedError(f"took longer than {timeout:.0f} seconds and was stopped")
 
     def _cancel(self, request: int) -> None:
         """Ask the worker to stop, give it a moment, and return to the caller by `CancelledError` in any case."""
@@ -154,7 +165,7 @@ class WorkerProcess:
             reply = self._wait(deadline)
             if reply is None:
                 self.kill()
-                raise SessionError("The model worker did not stop its cancelled work and was ended; try again.")
+                raise WorkerDiedError("did not stop its cancelled work and was ended")
             if reply.get("id") == self._abandoned:
                 self._abandoned = None
 
@@ -184,10 +195,8 @@ class WorkerProcess:
         code = self._process.returncode
         self.kill()
         if code is not None and code < 0:
-            how = f"was ended by signal {-code}, out of memory is the usual reason"
-        else:
-            how = f"ended with code {code}"
-        return WorkerDiedError(f"The model worker {how}; try again, the next call starts a new one.")
+            return WorkerDiedError(f"was ended by signal {-code} (out of memory is the usual reason)")
+        return WorkerDiedError(f"ended with code {code}", killed=False)
 
     def stop(self) -> None:
         """End the process: it leaves when its input closes, and is killed if it does not."""

@@ -277,6 +277,18 @@ def test_frames_in_any_order_and_process_are_the_same(render_script, blender_ver
     assert len({pictures[name] for name in files if name.startswith("forwards")}) == 4
 
 
+_NIGHT = [pytest.param(engine, 200, 50, marks=pytest.mark.slow) for engine in ("plain", "torch")]
+
+
+@pytest.mark.parametrize(("engine", "frames", "kills"), [("plain", 12, 3), *_NIGHT])
+def test_an_animation_survives_the_deaths_of_its_worker(render_script, engine, frames, kills):
+    """The 4.5 of the tests has both engines, and its worker runs in its own Python."""
+    result = render_script("engine_killed.py", engine, frames, kills, timeout=1500.0)
+    assert (result["kind"], result["engine"], result["kills"]) == ("worker", engine, kills)
+    assert result["restarts"] >= kills
+    assert (result["same"], result["files"]) == (frames, frames)
+
+
 def _pixels(path: Path) -> np.ndarray:
     with Image.open(path) as image:
         return np.asarray(image.convert("RGBA"))

@@ -33,7 +33,9 @@ from .splats.cloud import Cloud, is_cloud, resting_positions, triangles
 from .splats.rigged import PERSON_SHAPE, Puppet, is_puppet
 
 _TINY = 1e-5  # radians or weight: what counts as never moved
-NEEDS_FLAME = "FLAME parameters need your own FLAME file (generic_model.pkl or flame2023.pkl); choose it in the export options."
+_NEEDS_FLAME = (
+    "FLAME parameters need your own FLAME file (generic_model.pkl or flame2023.pkl); choose it in the export options."
+)
 
 
 @dataclass(frozen=True)
@@ -174,14 +176,10 @@ def recorded_flame(avatar: Avatar, controls: list[Controls], frames: list[int], 
     """Return sampled controls as FLAME's parameters.
 
     On a FLAME head these are its own; for a head of ours the ARKit weights are retargeted to the user's FLAME file.
-
-    Raises:
-        FileFormatError: No FLAME file was named, or it is none.
+    Raises `FileFormatError` where that is none; see `check_flame`.
     """
     head = flame_head(avatar)
     if head is None:
-        if not flame:
-            raise FileFormatError(NEEDS_FLAME)
         return to_expression(recorded(avatar, controls, frames, fps), load_flame(bpy.path.abspath(flame)))
     found = [resolve(frame, head) for frame in controls]
     poses = np.stack([frame.pose for frame in found]).astype(np.float64)
@@ -198,6 +196,15 @@ def recorded_flame(avatar: Avatar, controls: list[Controls], frames: list[int], 
         expression=np.stack([frame.expression for frame in found]),
         head_model="flame",
     )
+
+
+def check_flame(performer: Avatar | Puppet, flame: str) -> Avatar:
+    """Return what is to be exported with FLAME's parameters. Raises `FileFormatError` where a file of FLAME is missing."""
+    if not isinstance(performer, Avatar):
+        raise FileFormatError(f"{performer.object.name} has no FLAME parameters; export ARKit weights (.json or .csv).")
+    if flame_head(performer) is None and not flame:
+        raise FileFormatError(_NEEDS_FLAME)
+    return performer
 
 
 def flame_head(avatar: Avatar) -> HeadModel | None:

@@ -28,7 +28,7 @@ def stand_up(avatar: Avatar) -> None:
     mesh = avatar.object.data
     positions = np.empty(len(mesh.vertices) * 3, np.float32)
     mesh.vertices.foreach_get("co", positions)
-    avatar.armature.location.z -= float(positions[2::3].min())
+    avatar.root.location.z -= float(positions[2::3].min())
 
 
 def is_as_started(scene: bpy.types.Scene) -> bool:
@@ -51,7 +51,7 @@ def set_up(context: bpy.types.Context, avatar: Avatar, fresh: bool) -> None:
         avatar: The head.
         fresh: The scene was as Blender starts it: its camera is moved, and a head inside its cube stands upon it.
     """
-    scene, location = context.scene, avatar.armature.location
+    scene, location = context.scene, avatar.root.location
     if (
         fresh
         and max(map(abs, location)) < _CUBE / 2

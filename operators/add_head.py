@@ -15,7 +15,7 @@ from ..grmm_blender.session_host import SAMPLE_PREFIX
 from ..grmm_core.avatar import EXTENSION
 from ..grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_names
 from ..grmm_core.errors import FileAccessError
-from .common import Result, needs_object_mode, reports_errors
+from .common import OperatorMixin, Result, check_object_mode, polls, reports_errors
 from .importing import ImportsFiles, menu_entry, over_viewport
 
 LIBRARY_ITEMS = tuple(
@@ -24,7 +24,7 @@ LIBRARY_ITEMS = tuple(
 _NOT_KEPT = {"SKIP_SAVE"}
 
 
-class PlacesHead:
+class PlacesHead(OperatorMixin):
     """Mixin of operators that add a head: where it stands. For somebody who watches it stands where it can be seen."""
 
     stand: bpy.props.BoolProperty(
@@ -39,7 +39,7 @@ class PlacesHead:
         default=False,
         options=_NOT_KEPT,
     )
-    poll = classmethod(needs_object_mode)
+    poll = polls(check_object_mode)
 
     def watch(self, context: bpy.types.Context) -> None:
         """Choose what suits somebody who looks at the viewport; scripts get what they ask for."""

@@ -100,12 +100,11 @@ class GRMM_OT_calibrate_neutral(Edit, bpy.types.Operator):
         return changed
 
     def _calibrate_bones(self, avatar: Avatar, frames: list[float]) -> list[str]:
-        rig = avatar.armature
-        if rig is None:
+        if avatar.armature is None:
             return []
-        curves = {(curve.data_path, curve.array_index): curve for curve in action_curves(rig)}
+        curves = {(curve.data_path, curve.array_index): curve for curve in action_curves(avatar.armature)}
         changed = []
-        for bone in (rig.pose.bones[joint.name] for joint in JOINTS if joint.axes and joint.name in rig.pose.bones):
+        for bone in (avatar.bones[joint.name] for joint in JOINTS if joint.axes and joint.name in avatar.bones):
             angles = list(bone.rotation_euler)
             animated = False
             for axis, curve in _rotation_curves(bone, curves):

@@ -5,18 +5,18 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import bpy
 
 from ..grmm_blender import preferences
 from ..grmm_blender.exporting import frames_between, performer_of
-from ..grmm_blender.rig.avatar import Avatar, active_object, avatar_of
+from ..grmm_blender.rig.avatar import Avatar, active_object
 from ..grmm_blender.splats.rigged import Puppet
 from ..grmm_core.errors import FileAccessError, GrmmError
 
 Result = set[str]
-_Execute = TypeVar("_Execute", bound=Callable[..., Result])
+_Self = TypeVar("_Self", bound=bpy.types.Operator)
 
 
 class FrameRange:
@@ -30,53 +30,75 @@ class FrameRange:
         return frames_between(self.first or context.scene.frame_start, self.last or context.scene.frame_end)
 
 
-def active_avatar(context: bpy.types.Context) -> Avatar | None:
-    """Return the avatar of the active object (its head or its armature)."""
-    return avatar_of(active_object(context))
+class UnavailableError(GrmmError):
+    """An operator cannot run here; the sentence says what to select or to do first."""
 
 
-def active_performer(context: bpy.types.Context) -> Avatar | Puppet | None:
-    """Return what can play a performance: the active avatar, or an imported one with ARKit controls."""
-    return performer_of(active_object(context))
+class OperatorMixin:
+    """Base of mixins: what they use of Blender's own class."""
+
+    bl_idname: str
+    bl_label: str
+    properties: bpy.types.OperatorProperties
+    report: Callable[[set[str], str], None]
+    execute: Callable[[bpy.types.Context], Result]
 
 
-def needs_performer(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """`poll` of operators that key the active avatar, or an imported one."""
-    performer = active_performer(context)
+def polls(question: Callable[[bpy.types.Context], object]) -> classmethod[Any, [bpy.types.Context], bool]:
+    """Return a `poll` that gives an `UnavailableError` of `question` as the reason why an operator is not available."""
+
+    def poll(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+        try:
+            question(context)
+        except UnavailableError as error:
+            cls.poll_message_set(str(error))
+            return False
+        return True
+
+    return classmethod(poll)
+
+
+def require(condition: object, sentence: str) -> None:
+    """Raise `UnavailableError` unless a condition holds."""
+    if not condition:
+        raise UnavailableError(sentence)
+
+
+def active_performer(context: bpy.types.Context, linked: bool = False) -> Avatar | Puppet:
+    """Return what can play a performance: the active avatar, or an imported one with ARKit controls.
+
+    Args:
+        context: With the head or the armature as its active object.
+        linked: Also one that a library holds and that cannot be changed.
+
+    Raises:
+        UnavailableError: There is none.
+    """
+    performer = performer_of(active_object(context))
     if performer is None:
-        cls.poll_message_set("Select the head or the armature of an avatar")
-        return False
-    if not performer.object.is_editable:
-        cls.poll_message_set("The avatar is linked; make a library override of it first")
-        return False
-    return True
+        raise UnavailableError("Select the head or the armature of an avatar")
+    require(linked or performer.object.is_editable, "The avatar is linked; make a library override of it first")
+    return performer
 
 
-def needs_avatar(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """`poll` of operators that work on the active avatar."""
-    avatar = active_avatar(context)
-    if avatar is None:
-        cls.poll_message_set("Select the head or the armature of a GRMM avatar")
-        return False
-    if not avatar.object.is_editable:
-        cls.poll_message_set("The avatar is linked; make a library override of it first")
-        return False
-    return True
+def active_avatar(context: bpy.types.Context, linked: bool = False) -> Avatar:
+    """Return the active avatar, as `active_performer` does."""
+    performer = active_performer(context, linked)
+    if not isinstance(performer, Avatar):
+        raise UnavailableError("Select the head or the armature of a GRMM avatar")
+    return performer
 
 
-def needs_object_mode(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """`poll` of operators that make new objects."""
-    if context.mode != "OBJECT":
-        cls.poll_message_set("Go to object mode first")
-        return False
-    return True
+def check_object_mode(context: bpy.types.Context) -> None:
+    """Raise `UnavailableError` where no objects can be made or selected: outside of object mode."""
+    require(context.mode == "OBJECT", "Go to object mode first")
 
 
-def reports_errors(execute: _Execute) -> _Execute:
+def reports_errors(execute: Callable[[_Self, bpy.types.Context], Result]) -> Callable[[_Self, bpy.types.Context], Result]:
     """Decorate `execute` so that the core's errors become a report and a cancelled operator; defects of ours stay visible."""
 
     @functools.wraps(execute)
-    def guarded(self: bpy.types.Operator, context: bpy.types.Context) -> Result:
+    def guarded(self: _Self, context: bpy.types.Context) -> Result:
         try:
             return execute(self, context)
         except GrmmError as error:

@@ -8,7 +8,14 @@ import bpy
 
 from ..grmm_blender.composite import scenes
 from ..grmm_blender.engine.settings import ENGINE
-from .common import Result, reports_errors
+from .common import Result, polls, reports_errors, require
+
+
+def _check_scene(context: bpy.types.Context) -> None:
+    """There are avatars, and another engine than GRMM."""
+    already = context.scene.render.engine == ENGINE
+    require(not already, "The GRMM engine renders this scene already; choose Cycles or EEVEE")
+    require(scenes.drawn_objects(context.scene), "The scene has no GRMM avatar")
 
 
 class GRMM_OT_composite_set_up(bpy.types.Operator):
@@ -22,16 +29,7 @@ class GRMM_OT_composite_set_up(bpy.types.Operator):
     )
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only with avatars, and another engine than GRMM."""
-        if context.scene.render.engine == ENGINE:
-            cls.poll_message_set("The GRMM engine renders this scene already; choose Cycles or EEVEE")
-            return False
-        if not scenes.drawn_objects(context.scene):
-            cls.poll_message_set("The scene has no GRMM avatar")
-            return False
-        return True
+    poll = polls(_check_scene)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
@@ -49,13 +47,7 @@ class GRMM_OT_composite_remove(bpy.types.Operator):
     bl_description = "Remove the compositing nodes and the scene that renders the avatars; your own nodes stay"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only where there is one."""
-        if scenes.partner_of(context.scene) is None:
-            cls.poll_message_set("This scene has no composite")
-            return False
-        return True
+    poll = polls(lambda context: require(scenes.partner_of(context.scene), "This scene has no composite"))
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Remove it."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import bpy
@@ -19,11 +21,14 @@ from ..grmm_core.errors import ConfigError
 from ..grmm_core.model.portrait import portrait_camera
 from ..grmm_core.pictures.color import linear_to_srgb
 from ..grmm_core.pictures.images import quantize, write_png
-from .common import Result, active_avatar, needs_avatar, output_path
+from .common import Result, active_avatar, output_path, polls
 from .steps import CancelCheck, Step, SteppedOperator, Steps
 
 ALL = "ALL"
 _MAX_PIXELS = 1 << 27
+
+Tiles = Generator[tuple[str, Step], None, None]
+"""Caption and step of each tile."""
 
 
 class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
@@ -62,7 +67,7 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
         default=(0.94, 0.94, 0.94),
     )  # fmt: skip
 
-    poll = classmethod(needs_avatar)
+    poll = polls(active_avatar)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Ask for the file, or begin once there is one."""
@@ -103,7 +108,7 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
         write_png(path, quantize(grid(tiles, self.columns, self.captions)))
         return f"{path} shows {len(tiles)} pictures"
 
-    def _avatar_steps(self, context: bpy.types.Context):  # noqa: ANN202 - (caption, Step) pairs
+    def _avatar_steps(self, context: bpy.types.Context) -> Tiles:
         avatar = active_avatar(context)
         controls, color = avatar.controls(), tuple(self.background)
         if self._is_expressions():
@@ -116,10 +121,10 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
             return
         for index in range(self.count):
             angle = 360.0 * index / self.count
-            work = portrait(avatar.source, controls, lambda size, yaw=angle: portrait_camera(size, yaw), self.size, color)
+            work = portrait(avatar.source, controls, partial(portrait_camera, yaw=angle), self.size, color)
             yield f"{angle:.0f}°", Step(index / self.count, f"view {index + 1} of {self.count}", work)
 
-    def _frame_steps(self, context: bpy.types.Context):  # noqa: ANN202 - as above
+    def _frame_steps(self, context: bpy.types.Context) -> Tiles:
         """The scene is put on each frame in turn, and back at the end."""
         scene, before = context.scene, context.scene.frame_current_final
         color = np.array(self.background, np.float32)
@@ -133,7 +138,7 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
             scene.frame_set(int(before), subframe=before - int(before))
 
 
-def _scene_picture(context: bpy.types.Context, width: int, background: np.ndarray):  # noqa: ANN202 - a step's work
+def _scene_picture(context: bpy.types.Context, width: int, background: np.ndarray) -> Callable[[CancelCheck], np.ndarray]:
     render = context.scene.render
     aspect = render.resolution_y * render.pixel_aspect_y / (render.resolution_x * render.pixel_aspect_x)
     height = max(1, round(width * aspect))

@@ -23,7 +23,7 @@ from ..grmm_core.controls.control import Control, is_sideways, mirrored, side_of
 from ..grmm_core.controls.table import EXPRESSION, EXPRESSIONS, JOINTS, REGIONS, SECTIONS, SHAPE, Z_ID
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from ..grmm_core.session import AvatarInfo
-from .common import Result, active_avatar, needs_avatar, reports_errors
+from .common import OperatorMixin, Result, active_avatar, polls, reports_errors, require
 
 ALL = "ALL"
 _REGION_ITEMS = ((ALL, "All", "Every region"), *((name, name, f"The region {name.lower()}") for name in REGIONS))
@@ -36,11 +36,11 @@ def _expressions(avatar: Avatar, region: str) -> list[Control]:
     return [control for control in EXPRESSIONS if region in (ALL, control.region) and control.name in avatar.object]
 
 
-class Edit:
+class Edit(OperatorMixin):
     """What operators that change an avatar's controls share."""
 
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
-    poll = classmethod(needs_avatar)
+    poll = polls(active_avatar)
 
     def finish(self, context: bpy.types.Context, avatar: Avatar, names: Iterable[str], bones: Iterable[str] = ()) -> Result:
         """Evaluate again, and key what changed where automatic keying is on."""
@@ -48,12 +48,12 @@ class Edit:
         if context.scene.tool_settings.use_keyframe_insert_auto:
             for name in names:
                 avatar.object.keyframe_insert(property_path(name))
-            for bone in bones if avatar.armature is not None else ():
-                avatar.armature.pose.bones[bone].keyframe_insert("rotation_euler")
+            for bone in bones:
+                avatar.bones[bone].keyframe_insert("rotation_euler")
         return {"FINISHED"}
 
 
-class DrawsAnother:
+class DrawsAnother(OperatorMixin):
     """Mixin of operators that draw at random: from a menu or by a button something new each time."""
 
     seed: bpy.props.IntProperty(name="Seed", description="Equal numbers draw the same", default=1, min=0)
@@ -94,11 +94,9 @@ class GRMM_OT_reset(Edit, bpy.types.Operator):
             put_at_rest(head, control)
             for saved in list(code_properties(head, control.name)) if control.name in CODES else ():
                 del head[saved]
-        bones: list[str] = []
-        if avatar.armature is not None:
-            bones = [joint.name for joint in JOINTS if self._resets(joint) and joint.name in avatar.armature.pose.bones]
+        bones = [joint.name for joint in JOINTS if self._resets(joint) and joint.name in avatar.bones]
         for bone in bones:
-            avatar.armature.pose.bones[bone].rotation_euler = (0.0, 0.0, 0.0)
+            avatar.bones[bone].rotation_euler = (0.0, 0.0, 0.0)
         return self.finish(context, avatar, [control.name for control in controls], bones)
 
     def _resets(self, control: Control) -> bool:
@@ -158,9 +156,7 @@ class GRMM_OT_mirror(Edit, bpy.types.Operator):
 
     def _mirror_bones(self, avatar: Avatar) -> list[str]:
         """A rotation seen in a mirror keeps its pitch and turns its yaw and roll round."""
-        if avatar.armature is None:
-            return []
-        bones = avatar.armature.pose.bones
+        bones = avatar.bones
         shown = [joint.name for joint in JOINTS if joint.axes and joint.name in bones]
         taken = [name for name in shown if self.direction == "SWAP" or self._takes(name)]
         angles = {name: bones[mirrored(name)].rotation_euler.copy() for name in taken}
@@ -251,6 +247,13 @@ class GRMM_OT_random_identity(DrawsAnother, Edit, bpy.types.Operator):
             return None
 
 
+def _follower(context: bpy.types.Context) -> Avatar:
+    """The active avatar, whose mesh is another one's. Raises `UnavailableError`."""
+    avatar = active_avatar(context)
+    require(avatar.mesh_owner not in (None, avatar.object), "This head has a mesh of its own")
+    return avatar
+
+
 class GRMM_OT_make_independent(bpy.types.Operator):
     """Give a linked duplicate of a head its own mesh."""
 
@@ -259,21 +262,12 @@ class GRMM_OT_make_independent(bpy.types.Operator):
     bl_description = "Give this head a mesh of its own, so that its sliders move it and not the head it was duplicated from"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Only for heads that follow another one."""
-        if not needs_avatar(cls, context):
-            return False
-        avatar = active_avatar(context)
-        if avatar.mesh_owner in (None, avatar.object):
-            cls.poll_message_set("This head has a mesh of its own")
-            return False
-        return True
+    poll = polls(_follower)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Copy the mesh."""
-        avatar = active_avatar(context)
+        avatar = _follower(context)
         make_independent(avatar)
         problem = live.limitation(avatar)
         if problem:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import ClassVar
 
@@ -9,10 +10,10 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
-from ..grmm_blender.rig.avatar import Avatar, active_object, avatar_of
-from ..grmm_core.errors import FileAccessError, FileFormatError
+from ..grmm_blender.rig.avatar import Avatar
+from ..grmm_core.errors import FileAccessError
 from ..grmm_core.formats import formats, write_performance
-from .common import FrameRange, Result, active_performer, flame_path, output_path, reports_errors
+from .common import FrameRange, Result, active_avatar, active_performer, flame_path, output_path, polls, reports_errors, require
 from .file_formats import menu_items, write_filter, written_suffixes
 from .steps import Step, SteppedOperator, Steps
 
@@ -47,13 +48,7 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator
         default="",
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With something that performs."""
-        if active_performer(context) is None:
-            cls.poll_message_set("Select the head or the armature of an avatar")
-            return False
-        return True
+    poll = polls(partial(active_performer, linked=True))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a file, or start the steps."""
@@ -71,12 +66,8 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator
     def steps(self, context: bpy.types.Context) -> Steps:
         """Walk through the frames, then write."""
         path = output_path(self.filepath, written_suffixes(PERFORMANCES), self.format)
-        scene, performer = context.scene, active_performer(context)
-        is_flame = path.suffix.lower() == ".npz"
-        if is_flame and not isinstance(performer, Avatar):
-            raise FileFormatError(f"{performer.object.name} has no FLAME parameters; export ARKit weights (.json or .csv).")
-        if is_flame and exporting.flame_head(performer) is None and not flame_path(self.flame_file):
-            raise FileFormatError(exporting.NEEDS_FLAME)
+        scene, performer = context.scene, active_performer(context, linked=True)
+        head = exporting.check_flame(performer, flame_path(self.flame_file)) if path.suffix.lower() == ".npz" else None
         frames = self.frames(context)
         rate = scene.render.fps / scene.render.fps_base
         controls = []
@@ -84,8 +75,8 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator
             for found in exporting.sample_controls(performer, scene, frames):
                 controls.append(found)
                 yield Step(0.95 * len(controls) / len(frames))
-        if is_flame:
-            performance = exporting.recorded_flame(performer, controls, frames, rate, flame_path(self.flame_file))
+        if head is not None:
+            performance = exporting.recorded_flame(head, controls, frames, rate, flame_path(self.flame_file))
         else:
             performance = exporting.recorded(performer, controls, frames, rate)
         if path.suffix.lower() == ".csv" and performance.jaw_rotation is not None:
@@ -94,6 +85,12 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator
         for sentence in performance.warnings:
             self.report({"WARNING"}, sentence)
         return f"Wrote {len(frames)} frames to {path.name}"
+
+
+def _selectable(context: bpy.types.Context) -> Avatar:
+    """The active avatar, in object mode. Raises `UnavailableError`."""
+    require(context.mode == "OBJECT", "Go to object mode first")
+    return active_avatar(context, linked=True)
 
 
 class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):
@@ -111,13 +108,7 @@ class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):
         name="Format", description="File format, where the name does not say", items=CACHES, default=".abc"
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With an avatar, in object mode."""
-        if avatar_of(active_object(context)) is None or context.mode != "OBJECT":
-            cls.poll_message_set("Select the head or the armature of a GRMM avatar, in object mode")
-            return False
-        return True
+    poll = polls(_selectable)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
@@ -125,7 +116,7 @@ class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):
         path = output_path(self.filepath, (".abc", ".usd", ".usdc", ".usda"), self.format)
         frames = self.frames(context)
         first, last = frames[0], frames[-1]
-        scene, avatar = context.scene, avatar_of(context.object)
+        scene, avatar = context.scene, _selectable(context)
         selected, active = list(context.selected_objects), context.view_layer.objects.active
         kept = scene.frame_start, scene.frame_end
         try:

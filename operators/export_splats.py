@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
 from ..grmm_blender.exporting import SplatOptions, splat_target
-from ..grmm_blender.rig.avatar import active_object, avatar_of
+from ..grmm_blender.rig.avatar import Avatar, active_object
 from ..grmm_blender.splats.cloud import Cloud
-from ..grmm_core.errors import FileAccessError, FileFormatError
+from ..grmm_core.errors import FileAccessError
 from ..grmm_core.files.format import Format
 from ..grmm_core.formats import SplatCloud, format_to_write, formats
 from ..grmm_core.formats.avatars.gaussian_avatars import PLY_NAME, TRACK_NAME
 from ..grmm_core.formats.sequence import frame_path
 from ..grmm_core.session.harmonics import DEFAULT_DEGREE, MAX_DEGREE
-from .common import FrameRange, Result, flame_path, output_path, reports_errors
-from .file_formats import draw_options, listed, menu_items, option_mixin, option_values, write_filter, written_suffixes
+from .common import FrameRange, Result, UnavailableError, active_avatar, flame_path, output_path, polls, reports_errors
+from .file_formats import draw_options, has_options, listed, menu_items, option_values, write_filter, written_suffixes
 from .steps import Step, SteppedOperator, Steps
 
 SPLATS = formats("splats", written=True)
@@ -31,7 +32,16 @@ _DEGREE = {
 }  # fmt: skip
 
 
-class GRMM_OT_export_splats(option_mixin(SPLATS, "writing"), SteppedOperator, FrameRange, bpy.types.Operator, ExportHelper):
+def _target(context: bpy.types.Context) -> Avatar | Cloud:
+    """What the active object's splats are exported from. Raises `UnavailableError`."""
+    target = splat_target(active_object(context), context.scene)
+    if target is None:
+        raise UnavailableError("Select an avatar or a splat cloud")
+    return target
+
+
+@has_options(SPLATS, "writing")
+class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, ExportHelper):
     """Write the active avatar, or splat cloud, as splats for other programs."""
 
     bl_idname = "grmm.export_splats"
@@ -40,6 +50,8 @@ class GRMM_OT_export_splats(option_mixin(SPLATS, "writing"), SteppedOperator, Fr
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     filename_ext = ".ply"
+    if TYPE_CHECKING:  # else it would hide `ExportHelper`'s property
+        filepath: str
     check_extension = None  # the format decides; see `check`
     filter_glob: bpy.props.StringProperty(default=write_filter(SPLATS), options={"HIDDEN"})
     format: bpy.props.EnumProperty(name="Format", description="File format", items=menu_items(SPLATS), default=SPLATS[0].suffix)
@@ -58,13 +70,7 @@ class GRMM_OT_export_splats(option_mixin(SPLATS, "writing"), SteppedOperator, Fr
         name="Reduction", description="Each step keeps a quarter of an avatar's Gaussians, larger ones", default=0, min=0, max=3
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With something to export."""
-        if splat_target(active_object(context), context.scene) is None:
-            cls.poll_message_set("Select an avatar or a splat cloud")
-            return False
-        return True
+    poll = polls(_target)
 
     def check(self, context: bpy.types.Context) -> bool:
         """Keep the file's extension that of the format."""
@@ -106,13 +112,14 @@ class GRMM_OT_export_splats(option_mixin(SPLATS, "writing"), SteppedOperator, Fr
     def steps(self, context: bpy.types.Context) -> Steps:
         """Write one file after the other."""
         path = output_path(self.filepath, written_suffixes(SPLATS), self.format)
-        target = splat_target(context.object, context.scene)
+        target = _target(context)
         options = SplatOptions(self.degree, self.lod, self.pose == "CANONICAL")
         scene = context.scene
         if self.pose != "SEQUENCE":
             self._say(self._write(path, exporting.splats_of(target, context.evaluated_depsgraph_get(), options)))
             return f"Wrote {path.name}"
-        frames, lost = self.frames(context), ()
+        frames = self.frames(context)
+        lost: tuple[str, ...] = ()
         with exporting.kept_frame(scene):
             for number, frame in enumerate(frames):
                 scene.frame_set(frame)
@@ -151,20 +158,14 @@ class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
     )
     morphs: bpy.props.BoolProperty(name="ARKit Morph Targets", description="Add the 52 ARKit shapes (glTF only)", default=True)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With an avatar."""
-        if avatar_of(active_object(context)) is None:
-            cls.poll_message_set("Select the head or the armature of a GRMM avatar")
-            return False
-        return True
+    poll = polls(partial(active_avatar, linked=True))
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Write."""
         path = output_path(self.filepath, written_suffixes(MESHES), self.filename_ext)
         depsgraph = context.evaluated_depsgraph_get()
-        count = exporting.write_avatar_mesh(path, avatar_of(context.object), depsgraph, self.canonical, self.morphs)
+        count = exporting.write_avatar_mesh(path, active_avatar(context, linked=True), depsgraph, self.canonical, self.morphs)
         self.report({"INFO"}, f"Wrote {path.name}" + (f" with {count} morph targets" if count else ""))
         return {"FINISHED"}
 
@@ -187,10 +188,7 @@ class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, bpy.types.Oper
     )
     degree: bpy.props.IntProperty(**_DEGREE)
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With an avatar."""
-        return GRMM_OT_export_mesh.poll.__func__(cls, context)
+    poll = polls(partial(active_avatar, linked=True))
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a folder, or start the steps."""
@@ -198,11 +196,10 @@ class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, bpy.types.Oper
 
     def steps(self, context: bpy.types.Context) -> Steps:
         """Sample the animation, then write both files."""
-        scene, avatar = context.scene, avatar_of(context.object)
+        scene, avatar = context.scene, active_avatar(context, linked=True)
         if not self.directory:
             raise FileAccessError("No folder is chosen; choose a folder.")
-        if exporting.flame_head(avatar) is None and not flame_path(self.flame_file):
-            raise FileFormatError(exporting.NEEDS_FLAME)
+        exporting.check_flame(avatar, flame_path(self.flame_file))
         target = splat_target(context.object, scene)
         frames = self.frames(context)
         rate = scene.render.fps / scene.render.fps_base

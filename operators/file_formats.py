@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import bpy
 
 from ..grmm_core.files.format import Format, Option, OptionsOf, options_of_formats
 from ..grmm_core.formats import suffixes
+
+_Operator = TypeVar("_Operator", bound=bpy.types.Operator)
 
 
 def menu_items(found: Iterable[Format]) -> tuple[tuple[str, str, str], ...]:
@@ -42,10 +44,14 @@ def dropped_suffixes(found: Iterable[Format]) -> str:
     return ";".join(suffixes(found, shared=False))
 
 
-def option_mixin(found: Iterable[Format], which: OptionsOf) -> type:
-    """Return a base class of operators that has the formats' options as properties."""
-    properties = {option.identifier: _property(option) for option in options_of_formats(found, which)}
-    return type("FormatOptions", (), {"__annotations__": properties})
+def has_options(found: Iterable[Format], which: OptionsOf) -> Callable[[type[_Operator]], type[_Operator]]:
+    """Return a decorator that gives an operator the formats' options as properties."""
+
+    def decorate(operator: type[_Operator]) -> type[_Operator]:
+        operator.__annotations__ |= {option.identifier: _property(option) for option in options_of_formats(found, which)}
+        return operator
+
+    return decorate
 
 
 def draw_options(layout: bpy.types.UILayout, operator: bpy.types.Operator, found: Format, which: OptionsOf) -> None:

@@ -13,30 +13,39 @@ from ..grmm_blender.fitting.job import FitJob
 from ..grmm_blender.fitting.photo_camera import set_photo_expression
 from ..grmm_blender.fitting.provenance import provenance_sentence
 from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings
+from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.fitting.request import FacesRequest, FitRequest
-from .common import Result, active_avatar, needs_avatar, needs_object_mode, reports_errors
+from .common import Result, active_avatar, check_object_mode, polls, reports_errors, require
+from .importing import ImportsFiles
 
 _EXTENSIONS = "*.jpg;*.jpeg;*.png;*.webp;*.tif;*.tiff;*.bmp"
 
 
-def _idle(cls: type[bpy.types.Operator], _context: bpy.types.Context) -> bool:
-    """`poll`: no fit is running."""
-    if watch.is_running():
-        cls.poll_message_set("A fit is running; wait or cancel it")
-        return False
-    return True
+def _check_idle(_context: bpy.types.Context) -> None:
+    require(not watch.is_running(), "A fit is running; wait or cancel it")
 
 
-def _with_photos(cls: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """`poll`: photos are chosen and no fit is running."""
-    if not photo_paths(settings(context)):
-        cls.poll_message_set("Choose a photo first")
-        return False
-    return _idle(cls, context)
+def _check_photos(context: bpy.types.Context) -> None:
+    """Photos are chosen and no fit is running."""
+    require(photo_paths(settings(context)), "Choose a photo first")
+    _check_idle(context)
 
 
-class GRMM_OT_fit_add_photos(bpy.types.Operator):
+def _check_waiting(context: bpy.types.Context) -> None:
+    """A finished avatar waits; building its rig needs object mode."""
+    require(watch.waits_to_be_added(), "There is no finished avatar that is not in the scene")
+    check_object_mode(context)
+
+
+def _photographed(context: bpy.types.Context) -> Avatar:
+    """The active avatar, whose file was made from photos. Raises `UnavailableError`."""
+    avatar = active_avatar(context)
+    require(provenance_sentence(avatar.source), "Select an avatar that was made from photos")
+    return avatar
+
+
+class GRMM_OT_fit_add_photos(ImportsFiles, bpy.types.Operator):
     """Choose photos of one person."""
 
     bl_idname = "grmm.fit_add_photos"
@@ -48,12 +57,7 @@ class GRMM_OT_fit_add_photos(bpy.types.Operator):
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=_EXTENSIONS, options={"HIDDEN"})
-    poll = classmethod(_idle)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Open the file browser."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+    poll = polls(_check_idle)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Append what was choices."""
@@ -74,7 +78,7 @@ class GRMM_OT_fit_remove_photo(bpy.types.Operator):
     bl_label = "Remove Photo"
     bl_description = "Take the active photo off the list"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
-    poll = classmethod(_with_photos)
+    poll = polls(_check_photos)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Remove it."""
@@ -91,7 +95,7 @@ class GRMM_OT_fit_find_faces(bpy.types.Operator):
     bl_label = "Find Faces"
     bl_description = "Find faces, landmarks and the outline in the photos, to check the choice before fitting"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
-    poll = classmethod(_with_photos)
+    poll = polls(_check_photos)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
@@ -112,7 +116,7 @@ class GRMM_OT_fit_photos(bpy.types.Operator):
     resume: bpy.props.BoolProperty(
         name="Resume", description="Go on with a fit of the same photos that was interrupted", default=False
     )
-    poll = classmethod(_with_photos)
+    poll = polls(_check_photos)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Ask before an avatar that is there already is replaced."""
@@ -147,10 +151,7 @@ class GRMM_OT_fit_cancel(bpy.types.Operator):
     bl_description = "Stop the running fit; what it has done is kept, so that it can be resumed"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """While a fit runs."""
-        return watch.is_running()
+    poll = polls(lambda _context: require(watch.is_running(), "No fit is running"))
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Ask it to end."""
@@ -166,13 +167,7 @@ class GRMM_OT_fit_add_to_scene(bpy.types.Operator):
     bl_description = "Put the finished avatar into the scene, with the camera that took the photo"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """When a finished avatar waits; building its rig needs object mode."""
-        if not watch.waits_to_be_added():
-            cls.poll_message_set("There is no finished avatar that is not in the scene")
-            return False
-        return needs_object_mode(cls, context)
+    poll = polls(_check_waiting)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
@@ -189,20 +184,12 @@ class GRMM_OT_fit_photo_expression(bpy.types.Operator):
     bl_description = "Set expression and pose of an avatar made from photos as the first photo shows them, to compare the two"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """An avatar whose file was made from photos."""
-        if not needs_avatar(cls, context):
-            return False
-        if not provenance_sentence(active_avatar(context).source):
-            cls.poll_message_set("Select an avatar that was made from photos")
-            return False
-        return True
+    poll = polls(_photographed)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Set sliders, learned detail and bones."""
-        avatar = active_avatar(context)
+        avatar = _photographed(context)
         set_photo_expression(avatar)
         avatar.tag_edited()
         return {"FINISHED"}

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import bpy
 
+from ..grmm_blender.exporting import performer_of
 from ..grmm_blender.performance import MAX_FRAME, ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
+from ..grmm_blender.rig.avatar import active_object
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.files.format import options_of_formats
 from ..grmm_core.formats import format_to_read, formats
@@ -16,8 +18,8 @@ from ..grmm_core.head import load_flame
 from ..grmm_core.jobs.progress import within
 from ..grmm_core.performance import REGIONS
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
-from .common import Result, active_performer, flame_path, needs_performer, reports_errors
-from .file_formats import dropped_suffixes, listed, option_mixin, option_values, read_filter
+from .common import Result, active_performer, flame_path, polls, reports_errors
+from .file_formats import dropped_suffixes, has_options, listed, option_values, read_filter
 from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 
 READ = formats("performance", read=True)
@@ -42,7 +44,8 @@ def _gain(name: str, description: str) -> Any:
     return bpy.props.FloatProperty(name=name, description=description, default=1.0, min=0.0, max=4.0, soft_max=2.0)
 
 
-class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bpy.types.Operator):
+@has_options(READ, "reading")
+class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
     """Read a performance and key the active avatar with it."""
 
     bl_idname = "grmm.import_performance"
@@ -189,7 +192,7 @@ class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bp
         name="Set Scene Range", description="Let the scene start and end with the performance", default=True
     )
 
-    poll = classmethod(needs_performer)
+    poll = polls(active_performer)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options in the file browser's side panel, in the groups that Blender's own importers have."""
@@ -245,7 +248,9 @@ class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bp
 
     def _options(self, context: bpy.types.Context) -> ImportOptions:
         render = context.scene.render
-        neutral = {"NONE": None, "AUTO": "auto"}.get(self.neutral, ())
+        neutral: tuple[int, ...] | Literal["auto"] | None = None
+        if self.neutral != "NONE":
+            neutral = "auto" if self.neutral == "AUTO" else parse_frames(self.neutral_frames)
         return ImportOptions(
             start=self.start,
             fps=render.fps / render.fps_base,
@@ -255,7 +260,7 @@ class GRMM_OT_import_performance(option_mixin(READ, "reading"), ImportsFiles, bp
             gain=self.gain,
             region_gains={region: getattr(self, f"gain_{region}") for region in REGIONS},
             rotation_gain=self.rotation_gain,
-            neutral=parse_frames(self.neutral_frames) if neutral == () else neutral,
+            neutral=neutral,
             smoothing=self.smoothing,
             limit=self.limit,
             close_lips=self.close_lips,
@@ -279,7 +284,7 @@ class GRMM_FH_performance(bpy.types.FileHandler):
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
         """Only where an avatar is active."""
-        return over_viewport(context) and active_performer(context) is not None
+        return over_viewport(context) and performer_of(active_object(context)) is not None
 
 
 CLASSES = (GRMM_OT_import_performance, GRMM_FH_performance)

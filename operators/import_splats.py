@@ -8,10 +8,12 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender.performance import ImportOptions, apply_performance
-from ..grmm_blender.splats.rigged import Imported, import_file
+from ..grmm_blender.rig.avatar import Avatar
+from ..grmm_blender.splats.rigged import import_file
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.formats import formats
-from .common import Result, flame_path, needs_object_mode, reports_errors
+from ..grmm_core.performance import Performance
+from .common import Result, check_object_mode, flame_path, polls, reports_errors
 from .file_formats import dropped_suffixes, listed, read_filter
 from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 
@@ -48,7 +50,7 @@ class GRMM_OT_import_splats(ImportsFiles, bpy.types.Operator):
         name="Animation", description="Key the performance that lies beside a GaussianAvatars file", default=True
     )
 
-    poll = classmethod(needs_object_mode)
+    poll = polls(check_object_mode)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
@@ -75,19 +77,19 @@ class GRMM_OT_import_splats(ImportsFiles, bpy.types.Operator):
     def _import(self, context: bpy.types.Context, path: Path) -> None:
         made = import_file(context, path, flame=flame_path(self.flame_file), turned=self.turned)
         warnings = list(made.warnings)
-        if made.track is not None and self.animation:
-            warnings += self._animate(context, made, path)
+        if made.avatar is not None and made.track is not None and self.animation:
+            warnings += self._animate(context, made.avatar, made.track, path)
         self.warn(warnings)
         frames = f", {made.frames} frames" if made.frames else ""
         self.report({"INFO"}, f"Imported {made.objects[0].name}: {made.splats} splats{frames}")
 
-    def _animate(self, context: bpy.types.Context, made: Imported, path: Path) -> list[str]:
+    def _animate(self, context: bpy.types.Context, avatar: Avatar, track: Performance, path: Path) -> list[str]:
         scene = context.scene
         rate = scene.render.fps / scene.render.fps_base
         options = ImportOptions(start=scene.frame_start, fps=rate, head_joint="root", limit=False)
         name = path.name if path.is_dir() else path.parent.name
-        written = apply_performance(made.avatar, made.track, options, f"{name} track")
-        moved = made.track.translation is not None and bool(made.track.translation.any())
+        written = apply_performance(avatar, track, options, f"{name} track")
+        moved = track.translation is not None and bool(track.translation.any())
         return [*written.warnings, *(["The track's movement of the whole head through space was left out."] if moved else [])]
 
 

@@ -7,17 +7,19 @@ from contextlib import contextmanager
 
 import bpy
 
-from .common import Result
+from .common import OperatorMixin, Result
 
 _MAX_WARNINGS = 5
 
 
-class ImportsFiles:
+class ImportsFiles(OperatorMixin):
     """Mixin of operators with a `filepath`, and perhaps `files`."""
+
+    filepath: str
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Open the file browser, unless something was dropped."""
-        if self.filepath or getattr(self, "files", ()):
+        if self.filepath or len(getattr(self, "files", ())):
             return self.execute(context)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}

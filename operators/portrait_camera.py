@@ -7,7 +7,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import staging
-from .common import Result, active_avatar, needs_avatar
+from .common import Result, active_avatar, polls
 
 
 class GRMM_OT_portrait_camera(bpy.types.Operator):
@@ -17,7 +17,7 @@ class GRMM_OT_portrait_camera(bpy.types.Operator):
     bl_label = "Portrait Camera"
     bl_description = "Put a camera before the active avatar, and render through it with GRMM; again: put it there again"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
-    poll = classmethod(needs_avatar)
+    poll = polls(active_avatar)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Place the camera."""

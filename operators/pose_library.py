@@ -9,10 +9,11 @@ import bpy
 
 from ..grmm_blender import poses, session_host
 from ..grmm_blender.portraits import portrait, with_expression
+from ..grmm_blender.rig.avatar import active_object, avatar_of
 from ..grmm_blender.scene.cameras import face_camera
 from ..grmm_core.controls.table import EXPRESSIONS
 from ..grmm_core.errors import FileAccessError, GrmmError
-from .common import Result, active_avatar, needs_avatar, reports_errors
+from .common import Result, active_avatar, polls, reports_errors
 from .edit import Edit
 from .steps import Step, SteppedOperator, Steps
 
@@ -31,7 +32,7 @@ class GRMM_OT_create_pose_library(SteppedOperator, bpy.types.Operator):
     thumbnails: bpy.props.BoolProperty(
         name="Thumbnails", description="Draw each pose with the active avatar; takes a runtime", default=True
     )
-    poll = classmethod(needs_avatar)
+    poll = polls(active_avatar)
 
     def steps(self, context: bpy.types.Context) -> Steps:
         """One thumbnail a step."""
@@ -200,7 +201,7 @@ class GRMM_AST_poses(bpy.types.AssetShelf):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Only with an avatar selected."""
-        return context.mode == "OBJECT" and active_avatar(context) is not None
+        return context.mode == "OBJECT" and avatar_of(active_object(context)) is not None
 
     @classmethod
     def asset_poll(cls, asset: bpy.types.AssetRepresentation) -> bool:

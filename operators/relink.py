@@ -8,14 +8,22 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender.rig import live
-from ..grmm_blender.rig.avatar import stored_path
+from ..grmm_blender.rig.avatar import Avatar, stored_path
 from ..grmm_blender.rig.identity import read_identity
 from ..grmm_core.avatar import EXTENSION
 from ..grmm_core.errors import FileAccessError, FileFormatError
-from .common import Result, active_avatar, needs_avatar, reports_errors
+from .common import Result, active_avatar, polls, reports_errors, require
+from .importing import ImportsFiles
 
 
-class GRMM_OT_relink_avatar(bpy.types.Operator):
+def _relinkable(context: bpy.types.Context) -> Avatar:
+    """The active avatar, which a network draws. Raises `UnavailableError`."""
+    avatar = active_avatar(context)
+    require(avatar.has_network, "This head is a FLAME file's")
+    return avatar
+
+
+class GRMM_OT_relink_avatar(ImportsFiles, bpy.types.Operator):
     """Choose the active avatar's file again."""
 
     bl_idname = "grmm.relink_avatar"
@@ -31,25 +39,12 @@ class GRMM_OT_relink_avatar(bpy.types.Operator):
         name="Relative Path", description="Store the file name relative to the .blend file", default=True
     )
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Needs an avatar that a network draws."""
-        if not needs_avatar(cls, context):
-            return False
-        if not active_avatar(context).has_network:
-            cls.poll_message_set("This head is a FLAME file's")
-            return False
-        return True
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
-        """Open the file browser."""
-        context.window_manager.fileselect_add(self)
-        return {"RUNNING_MODAL"}
+    poll = polls(_relinkable)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Read the file before anything is changed."""
-        avatar = active_avatar(context)
+        avatar = _relinkable(context)
         if not self.filepath:
             raise FileAccessError("No avatar file is chosen; choose a .grmm file.")
         path = Path(bpy.path.abspath(self.filepath))

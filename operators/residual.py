@@ -10,7 +10,7 @@ from ..grmm_blender.rig.components import components
 from ..grmm_blender.rig.custom_properties import add_property, read_array, write_array
 from ..grmm_blender.rig.saved_codes import SLOTS, blend_control, blend_of, code_properties, saved_slots, slot_control
 from ..grmm_core.controls.table import CONTROLS, Z_EXP, Z_ID
-from .common import Result, active_avatar, needs_avatar
+from .common import Result, active_avatar, polls, require
 from .edit import DrawsAnother, Edit
 
 _CODE_ITEMS = (
@@ -26,18 +26,17 @@ def present_code(avatar: Avatar, name: str) -> np.ndarray:
     return values + blend_of(avatar.object, name, values.size)
 
 
+def _drawn_avatar(context: bpy.types.Context) -> Avatar:
+    """The active avatar, which a network draws. Raises `UnavailableError`."""
+    avatar = active_avatar(context)
+    require(Z_EXP in avatar.object, "This head has no learned detail: no network draws it")
+    return avatar
+
+
 class _CodeEdit(Edit):
     """Works on one of the two codes."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Needs an avatar that a network draws."""
-        if not needs_avatar(cls, context):
-            return False
-        if Z_EXP not in active_avatar(context).object:
-            cls.poll_message_set("This head has no learned detail: no network draws it")
-            return False
-        return True
+    poll = polls(_drawn_avatar)
 
 
 class GRMM_OT_save_code(_CodeEdit, bpy.types.Operator):
@@ -52,7 +51,7 @@ class GRMM_OT_save_code(_CodeEdit, bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Keep it. Once both are there the sliders go to zero: the blend says the same, and sliders add to it."""
-        avatar = active_avatar(context)
+        avatar = _drawn_avatar(context)
         head, slot = avatar.object, self.slot.lower()
         present = present_code(avatar, self.code)
         saved = slot_control(self.code, slot)
@@ -80,7 +79,7 @@ class GRMM_OT_apply_blend(_CodeEdit, bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Apply it."""
-        avatar = active_avatar(context)
+        avatar = _drawn_avatar(context)
         write_array(avatar.object, self.code, present_code(avatar, self.code))
         for name in list(code_properties(avatar.object, self.code)):
             del avatar.object[name]
@@ -100,7 +99,7 @@ class GRMM_OT_random_detail(DrawsAnother, _CodeEdit, bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Draw it."""
-        avatar = active_avatar(context)
+        avatar = _drawn_avatar(context)
         size = len(avatar.object[Z_EXP])
         spread = np.ones(size, np.float32)
         for component in components(Z_EXP, size):

@@ -18,7 +18,7 @@ from bpy_extras.io_utils import ExportHelper
 from ..grmm_core.errors import GrmmError
 from ..grmm_core.jobs.progress import Progress, Reporter, duration
 from ..grmm_core.jobs.stages import EXPORT
-from .common import Result
+from .common import OperatorMixin, Result
 
 CancelCheck = Callable[[], bool]
 _INTERVAL = 0.02  # seconds between looks at the work
@@ -77,15 +77,22 @@ class _Work:
             self._thread.join()
 
 
-class SteppedOperator:
+@dataclass
+class _Run:
+    """What is kept of a run that somebody watches; `work` is that of the present step."""
+
+    steps: Steps
+    timer: bpy.types.Timer
+    report: Reporter
+    work: _Work | None = None
+
+
+class SteppedOperator(OperatorMixin):
     """Base of such operators: give it `steps`. One that asks for a file first has an `invoke` of its own, with `ask`."""
 
     running: bpy.props.BoolProperty(default=False, options={"HIDDEN", "SKIP_SAVE"})
     _asked = False
-    _steps: Steps | None = None
-    _work: _Work | None = None
-    _timer: bpy.types.Timer | None = None
-    _report: Reporter | None = None
+    _run: _Run | None = None
 
     def steps(self, context: bpy.types.Context) -> Steps:
         """Make the generator."""
@@ -133,12 +140,11 @@ class SteppedOperator:
         if bpy.app.background or context.window is None:
             return self.execute(context)
         manager = context.window_manager
-        self._steps, self._work = self.steps(context), None
-        self._timer = manager.event_timer_add(_INTERVAL, window=context.window)
+        timer = manager.event_timer_add(_INTERVAL, window=context.window)
         manager.progress_begin(0.0, 1.0)
-        self._report = Reporter(EXPORT, lambda progress: self._show(context, progress))
+        self._run = _Run(self.steps(context), timer, Reporter(EXPORT, lambda progress: self._show(context, progress)))
         manager.modal_handler_add(self)
-        return self._advance(context, None)
+        return self._advance(context, self._run, None)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Look after the work; Escape cancels."""
@@ -146,28 +152,28 @@ class SteppedOperator:
             self.cancel(context)
             self.report({"WARNING"}, f"{self.bl_label}: cancelled; what was finished before stays")
             return {"CANCELLED"}
-        if event.type != "TIMER" or self._work is None or not self._work.done:
+        run = self._run
+        if run is None or run.work is None:
+            return {"PASS_THROUGH"}
+        if event.type != "TIMER" or not run.work.done:
             # What steps on this thread walk through must not be edited meanwhile.
-            return {"PASS_THROUGH"} if self._work is None or self._work.threaded else {"RUNNING_MODAL"}
-        work, self._work = self._work, None
-        return self._advance(context, work)
+            return {"PASS_THROUGH"} if run.work.threaded else {"RUNNING_MODAL"}
+        work, run.work = run.work, None
+        return self._advance(context, run, work)
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Stop the work and let the generator clean up; Blender calls this too when it quits."""
-        if self._work is not None:
-            self._work.cancel()
-            self._work = None
-        if self._steps is not None:
-            self._steps.close()
+        if self._run is not None and self._run.work is not None:
+            self._run.work.cancel()
         self._end(context)
 
-    def _advance(self, context: bpy.types.Context, done: _Work | None) -> Result:
+    def _advance(self, context: bpy.types.Context, run: _Run, done: _Work | None) -> Result:
         """Hand a result to the generator and start the next step."""
         try:
             if done is not None and done.error is not None:
-                step = self._steps.throw(done.error)
+                step = run.steps.throw(done.error)
             else:
-                step = self._steps.send(None if done is None else done.value)
+                step = run.steps.send(None if done is None else done.value)
         except StopIteration as end:
             self._end(context)
             self.report({"INFO"}, str(end.value))
@@ -179,8 +185,8 @@ class SteppedOperator:
         except BaseException:
             self._end(context)
             raise
-        self._work = _Work(step)
-        self._report("write", step.fraction, step.text)
+        run.work = _Work(step)
+        run.report("write", step.fraction, step.text)
         return {"RUNNING_MODAL"}
 
     def _show(self, context: bpy.types.Context, progress: Progress) -> None:
@@ -190,9 +196,10 @@ class SteppedOperator:
         context.workspace.status_text_set(f"{self.bl_label}: {text}({progress.fraction:.0%}{left}). Esc cancels")
 
     def _end(self, context: bpy.types.Context) -> None:
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
+        run, self._run = self._run, None
+        if run is not None:
+            run.steps.close()
+            context.window_manager.event_timer_remove(run.timer)
             context.window_manager.progress_end()
             if context.workspace is not None:
                 context.workspace.status_text_set(None)

@@ -13,7 +13,7 @@ from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.scene.avatars import place_of
 from ..grmm_blender.scene.cameras import fitting_distance
 from ..grmm_blender.staging import LENS, SENSOR
-from .common import Result, active_avatar, needs_avatar
+from .common import Result, active_avatar, polls
 
 PIVOT_TAG = "grmm_turntable"  # custom property of the objects: a second run uses them again
 
@@ -54,7 +54,7 @@ class GRMM_OT_turntable(bpy.types.Operator):
         name="Set Scene Camera", description="Render the turn; off at first where the avatar is animated", default=True
     )
 
-    poll = classmethod(needs_avatar)
+    poll = polls(active_avatar)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Make the camera, or change the one of an earlier run."""

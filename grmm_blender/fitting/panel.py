@@ -10,7 +10,7 @@ from ..progress_bar import draw_progress
 from ..rig.avatar import avatar_of
 from . import watch
 from .provenance import provenance_sentence
-from .settings import GRMM_FitSettings, can_go_on, settings
+from .settings import GRMM_FitPhoto, GRMM_FitSettings, can_go_on, settings
 
 _PICTURE_SCALE = 9.0
 
@@ -20,7 +20,10 @@ class GRMM_UL_fit_photos(bpy.types.UIList):
 
     bl_idname = "GRMM_UL_fit_photos"
 
-    def draw_item(self, _context, layout, _data, item, _icon, _active, _property, *_rest) -> None:  # noqa: ANN001, ANN002
+    def draw_item(
+        self, _context: bpy.types.Context, layout: bpy.types.UILayout, _data: object, item: GRMM_FitPhoto, _icon: int,
+        _active: object, _property: str,
+    ) -> None:  # fmt: skip
         """Draw one photo."""
         row = layout.split(factor=0.7)
         row.label(text=bpy.path.basename(item.path) or "Choose a file", icon="IMAGE_DATA")
@@ -89,7 +92,7 @@ class GRMM_PT_fit(bpy.types.Panel):
             column.operator("grmm.fit_photos", text="Resume", icon="FILE_REFRESH").resume = True
 
     def _progress(self, layout: bpy.types.UILayout) -> None:
-        progress = watch.status().progress
+        progress = watch.job().status.progress
         draw_progress(layout, progress, watch.stages())
         icon = watch.icon_of(progress.picture)
         if icon:

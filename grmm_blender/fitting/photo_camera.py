@@ -37,7 +37,7 @@ def add_photo_camera(context: bpy.types.Context, head: bpy.types.Object, photo: 
     for collection in head.users_collection:
         collection.objects.link(item)
     avatar = avatar_of(head)
-    item.parent = avatar.armature if avatar is not None and avatar.armature is not None else head
+    item.parent = head if avatar is None else avatar.root
     pose = HEAD_TO_BLENDER @ np.linalg.inv(np.asarray(camera.world_to_camera, float)) @ _TO_BLENDER_AXES
     item.matrix_local = Matrix(pose.tolist())
     # The side on which the photo fills the scene's frame gives the angle of view: so the whole photo is seen, and the
@@ -79,9 +79,8 @@ def set_photo_expression(avatar: Avatar, index: int = 0) -> None:
         given = getattr(controls, name)[: len(values)]
         values[: len(given)] = given
         target[name] = values.tolist()
-    rig = avatar.armature
     for joint, angles in zip(JOINT_NAMES, controls.pose, strict=True):
-        bone = None if rig is None else rig.pose.bones.get(joint)
+        bone = avatar.bones.get(joint)
         if bone is not None and bone.parent is not None:
             bone.rotation_mode = "XYZ"
             bone.rotation_euler = angles.tolist()

@@ -64,9 +64,15 @@ def start(job: FitJob, request: FitRequest | FacesRequest) -> None:
         bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS, persistent=True)
 
 
-def job() -> FitJob | None:
-    """The running or last job."""
-    return None if _watched is None else _watched.job
+def _current() -> _Watched:
+    if _watched is None:
+        raise GrmmError("There is no fit; choose photos and make an avatar.")
+    return _watched
+
+
+def job() -> FitJob:
+    """The running or last job. Raises `GrmmError` where there is none."""
+    return _current().job
 
 
 def is_running() -> bool:
@@ -74,14 +80,9 @@ def is_running() -> bool:
     return _watched is not None and _watched.job.running
 
 
-def status() -> FitStatus | None:
-    """Where the running or last job stands."""
-    return None if _watched is None else _watched.job.status
-
-
 def stages() -> JobStages:
-    """Of the running or last job."""
-    return FIND_FACES if _watched is not None and isinstance(_watched.request, FacesRequest) else FIT
+    """Of the running or last job. Raises `GrmmError` where there is none."""
+    return FIND_FACES if isinstance(_current().request, FacesRequest) else FIT
 
 
 def note() -> str:
@@ -91,7 +92,7 @@ def note() -> str:
 
 def finish(context: bpy.types.Context) -> str:
     """Use the result of an ended job; returns one sentence about it, and raises `GrmmError` where there is none."""
-    watched, ended = _watched, _watched.job.status
+    watched, ended = _current(), job().status
     only_faces = isinstance(watched.request, FacesRequest)
     if only_faces:
         _take_faces(context, ended)  # of a wrong choice, too: the picture shows which faces there are
@@ -114,7 +115,7 @@ def waits_to_be_added() -> bool:
 
 def add_to_scene(context: bpy.types.Context) -> str:
     """Put the finished avatar into the scene, as one step to undo; returns one sentence about it. Raises `GrmmError`."""
-    watched = _watched
+    watched = _current()
     path = watched.job.status.avatar
     try:
         if context.mode != "OBJECT":
@@ -180,19 +181,18 @@ def unregister() -> None:
 def _on_load(*_: object) -> None:
     """Another file: what was said about the last job belongs to the file before; a running one goes on."""
     global _watched
-    if not is_running():
-        _watched = None
+    if is_running():
+        _current().is_from_another_file = True
     else:
-        _watched.is_from_another_file = True
+        _watched = None
 
 
 def _stand_beside(avatar: Avatar, others: list[Avatar]) -> bool:
     """Move a new avatar to the side until no other head is in its place; returns whether that was needed."""
-    rig = avatar.armature
-    places = [(other.armature or other.object).matrix_world.translation for other in others]
+    places = [other.root.matrix_world.translation for other in others]
     moved = False
-    while any((place - rig.location).length < _BESIDE / 2 for place in places):
-        rig.location.x += _BESIDE
+    while any((place - avatar.root.location).length < _BESIDE / 2 for place in places):
+        avatar.root.location.x += _BESIDE
         moved = True
     return moved
 

@@ -7,6 +7,7 @@ count as they do for the mesh. Imports no torch.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import bpy
@@ -69,6 +70,16 @@ class Avatar(ObjectWrapper):
             if modifier.type == "ARMATURE" and modifier.object is not None:
                 return modifier.object
         return None
+
+    @property
+    def root(self) -> bpy.types.Object:
+        """What is moved to move the avatar: the armature, or the head where that was removed."""
+        return self.armature or self.object
+
+    @property
+    def bones(self) -> Mapping[str, bpy.types.PoseBone]:
+        """The bones that animators turn, by name; none where the armature was removed."""
+        return {} if self.armature is None else self.armature.pose.bones
 
     @property
     def mesh_owner(self) -> bpy.types.Object | None:

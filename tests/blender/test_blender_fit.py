@@ -94,7 +94,7 @@ def test_a_finished_fit_is_one_step_to_undo_and_asks_before_it_replaces(
     assert not found["can_add"]
     assert found["added_later"] == ["Ada rig"]
     assert found["note_of_before"] == ""
-    assert found["job_of_before"]
+    assert found["no_job"].startswith("There is no fit;")
     assert found["begun_elsewhere"] == "ada.grmm, begun in another file, is finished; press Add to Scene to have it here."
     assert found["not_added"] == {"heads": [], "cameras": []}
     assert found["offered"]

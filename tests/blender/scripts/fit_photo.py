@@ -55,8 +55,8 @@ def main() -> None:
         seconds=time.monotonic() - begin, note=watch.note(), rigged=avatar.armature is not None,
         origin=module("grmm_blender.fitting.provenance").provenance_sentence(avatar.source),
         preview=list(avatar.object.preview_ensure().image_size),
-        background=Path(bpy.path.abspath(background.image.filepath)).name, preview_seen=watch.status().progress.picture,
-        seconds_left=watch.status().progress.seconds_left, left=sorted(path.name for path in folder.iterdir()),
+        background=Path(bpy.path.abspath(background.image.filepath)).name, preview_seen=watch.job().status.progress.picture,
+        seconds_left=watch.job().status.progress.seconds_left, left=sorted(path.name for path in folder.iterdir()),
     )  # fmt: skip
     bpy.ops.grmm.fit_photo_expression()
     scene.render.engine = "GRMM"

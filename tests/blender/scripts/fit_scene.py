@@ -85,7 +85,10 @@ def in_another_file(path: Path) -> None:
     follow(path)
     watch.finish(bpy.context)
     empty_scene()
-    report(note_of_before=watch.note(), job_of_before=watch.job() is None)
+    try:
+        watch.job()
+    except module("grmm_core.errors").GrmmError as error:
+        report(note_of_before=watch.note(), no_job=str(error))
     follow(path, running=True)
     empty_scene()
     watch.job().running = False

@@ -7,10 +7,13 @@ VENV   ?= .venv
 PY      = $(VENV)/bin/python
 PERFORMANCE ?=
 PYTEST_ARGS ?=
+MINUTES ?= 60
+FILES   ?=
+FUZZ_ARGS ?=
 # A file's tests stay in one process, and share what they set up. Torch's threads would only get in each other's way.
 PYTEST = OMP_NUM_THREADS=1 $(PY) -m pytest --numprocesses 2 --dist loadfile
 
-.PHONY: demo test test-all lint extension release open-head help clean
+.PHONY: demo test test-all fuzz lint extension release open-head help clean
 
 help:
 	@sed -n 's/^#: //p' $(MAKEFILE_LIST)
@@ -26,6 +29,10 @@ test: $(VENV)/.ready .venv45/.ready .venv52/.ready lint
 #: make test-all                  run every test
 test-all: $(VENV)/.ready .venv45/.ready .venv52/.ready lint
 	$(PYTEST) $(PYTEST_ARGS)
+
+#: make fuzz [MINUTES=60]          read damaged files of every kind for an hour, or MINUTES; [FILES=N] so many
+fuzz: $(VENV)/.ready
+	OMP_NUM_THREADS=1 $(PY) tests/fuzz.py --minutes $(MINUTES) $(if $(FILES),--files $(FILES)) $(FUZZ_ARGS)
 
 #: make lint                      check the style and the types
 lint: $(VENV)/.ready

@@ -153,7 +153,7 @@ class _Videos:
         if path not in self._open:
             av = _pyav()
             try:
-                self._open[path] = av.open(str(path))
+                self._open[path] = av.open(str(path), metadata_errors="replace")
             except FileNotFoundError as error:
                 raise FileAccessError(f"{path} does not exist; download it.") from error
             except (av.FFmpegError, OSError) as error:

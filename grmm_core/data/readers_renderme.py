@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import re
 from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +31,7 @@ _FRAMES_PER_PART = 100_000
 _OPEN_FILES = 8
 _FLAME_KEYS = ("global_pose", "neck_pose", "jaw_pose", "left_eye_pose", "right_eye_pose", "trans", "shape", "exp")
 _TINY_DISTORTION = 1e-9
+_MAX_ARRAY_BYTES = 256 << 20  # of one picture, or a set of parameters
 
 
 def is_renderme(folder: Path) -> bool:
@@ -59,7 +62,8 @@ class RenderMeDataset(ForeignDataset):
             for place, (part, path) in enumerate(ordered):
                 last = place == len(ordered) - 1 and len(ordered) >= PARTS_BEFORE_HOLDING_OUT
                 split = HELD_OUT_PERSON if actor in self.manifest.held_out_people else HELD_OUT_EXPRESSION if last else ""
-                self._add_part(actor, part, path, split)
+                with _damage(path):
+                    self._add_part(actor, part, path, split)
         if not self.shots:
             raise FileFormatError(f"{self.folder} has no frames with FLAME parameters; download parts e0 to e11.")
 
@@ -115,7 +119,8 @@ class RenderMeDataset(ForeignDataset):
         path = shot.folder
         pixels = []
         for file, kind in ((raw_file(path) or path, "color"), (path, "mask")):
-            data = _array(_group(self._files.get(file), "Camera", file), f"{name}/{kind}/{frame}", file)
+            with _damage(file):
+                data = _array(_group(self._files.get(file), "Camera", file), f"{name}/{kind}/{frame}", file)
             pixels.append(decode(np.ascontiguousarray(data).tobytes(), f"{file}: {name}/{kind}/{frame}"))
         image = pixels[0][..., :3] if pixels[0].ndim == 3 else np.repeat(pixels[0][..., None], 3, 2)
         mask = pixels[1] if pixels[1].ndim == 2 else pixels[1].max(-1)
@@ -192,6 +197,15 @@ def _camera_split(number: int) -> str:
     return HELD_OUT_CAMERA if number % HELD_OUT_CAMERAS == HELD_OUT_CAMERAS // 2 else TRAIN
 
 
+@contextmanager
+def _damage(path: Path) -> Iterator[None]:
+    """Turn what h5py raises into a sentence: HDF5 notices damage at whatever node is walked to, with errors of all kinds."""
+    try:
+        yield
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError, AttributeError, OverflowError, MemoryError) as error:
+        raise FileFormatError(f"{path} is damaged ({type(error).__name__}); download it again.") from error
+
+
 def _group(file: Any, name: str, path: Path) -> Any:
     if name not in file:
         raise FileFormatError(f"{path} has no {name}; download it again.")
@@ -201,10 +215,10 @@ def _group(file: Any, name: str, path: Path) -> Any:
 def _array(group: Any, name: str, path: Path) -> np.ndarray:
     if name not in group:
         raise FileFormatError(f"{path} has no {group.name.strip('/')}/{name}; download it again.")
-    try:
-        return np.asarray(group[name][()])
-    except (OSError, TypeError, ValueError) as error:
-        raise FileFormatError(f"{path}: {name} is damaged; download it again.") from error
+    data = group[name]
+    if data.size * data.dtype.itemsize > _MAX_ARRAY_BYTES:  # before h5py makes room for what a header claims
+        raise FileFormatError(f"{path}: {name} claims {data.size} numbers; download it again.")
+    return np.asarray(data[()])
 
 
 def _turn(values: np.ndarray) -> np.ndarray:

@@ -1,7 +1,8 @@
-"""Damaged files for the readers' tests: deterministic mutations, a memory limit, and a runner that counts what happened.
+"""Damaged files for the readers' tests: deterministic mutations, limits of memory and time, the verdict on what a reader did.
 
-Mutations know containers: members of a zip and the contents of a gzip stream are changed inside, with the checksums made right
-again, since otherwise the checksum alone would refuse nearly all of them.
+Mutations know containers: members of a zip, the contents of a gzip stream and the JSON of a `.glb` are changed inside, with the
+checksums made right again, since otherwise the checksum alone would refuse nearly all of them. Called by the tests of readers
+and by `tests/fuzz.py`, which reads as many as there is time for.
 """
 
 from __future__ import annotations
@@ -12,10 +13,11 @@ import io
 import json
 import random
 import re
+import signal
 import zipfile
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +40,34 @@ _NUMBERS = (
 )
 _ODD_VALUES = (None, True, -1, 1.5, 10**30, "", "x", [], [[]], {}, [None])  # of every type that JSON has
 _WORDS = (0, 1, 0xFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 1 << 20, 10_000_000)
+_PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
+_SLOW_TO_PACK = 1 << 18  # bytes
+EXTRA_MEMORY = 1 << 30  # bytes that reading a file may take beyond what the process had
+SECONDS = 20.0  # for one file; honest readers take milliseconds
+_LONGEST = 700  # characters of a sentence that names two paths
+
+
+@dataclass
+class Good:
+    """A good file, or folder, of one kind.
+
+    Attributes:
+        path: What is read.
+        read: The reader under test, called with `path`.
+        victims: The files that are damaged, one at a time; `path` where there are none.
+    """
+
+    path: Path
+    read: Callable[[Path], object]
+    victims: tuple[Path, ...] = ()
+
+    def contents(self) -> dict[Path, bytes]:
+        """The undamaged victims."""
+        return {path: path.read_bytes() for path in self.victims or (self.path,)}
+
+
+class TookTooLong(BaseException):
+    """A reader did not come back. No `Exception`, so that no reader takes it for damage."""
 
 
 def mutate(data: bytes, rng: random.Random) -> bytes:
@@ -46,7 +76,34 @@ def mutate(data: bytes, rng: random.Random) -> bytes:
         return _mutate_member(data, rng)
     if data[:2] == b"\x1f\x8b" and rng.random() < 0.8:
         return gzip.compress(_mutate_bytes(gzip.decompress(data), rng), 1)
+    if data[:4] == b"glTF" and rng.random() < 0.4:
+        return glb_with(data, _odd_document(glb_document(data), rng))
+    if data[:1] in (b"{", b"[") and rng.random() < 0.4:
+        return json.dumps(_odd_document(json.loads(data), rng)).encode()
     return _mutate_bytes(data, rng)
+
+
+def _odd_document(document: Any, rng: random.Random) -> Any:
+    """A copy of a JSON document with one value left out, doubled or exchanged for one of another type."""
+    changed = copy.deepcopy(document)
+    holder, key = rng.choice(list(_places(changed)))
+    kind = rng.randrange(4)
+    if kind == 0:
+        del holder[key]
+    elif kind == 1 and isinstance(holder, list):
+        holder.extend([holder[key]] * rng.choice((1, 3, 100)))
+    else:
+        holder[key] = rng.choice(_ODD_VALUES)
+    return changed
+
+
+def _places(node: Any) -> Iterator[tuple[Any, Any]]:
+    """Every value below a node, by its holder and key; of long lists some."""
+    keys = list(node) if isinstance(node, dict) else range(min(len(node), 6))
+    for key in keys:
+        yield node, key
+        if isinstance(node[key], (dict, list)):
+            yield from _places(node[key])
 
 
 def _mutate_bytes(data: bytes, rng: random.Random) -> bytes:
@@ -125,7 +182,7 @@ def read_or_refuse(read: Callable[[Path], object], path: Path) -> str:
         read(path)
     except GrmmError as error:
         text = str(error)
-        if "\n" in text or len(text) > 700 or not text.endswith((".", "?")):
+        if "\n" in text or len(text) > _LONGEST or not text.endswith((".", "?")):
             raise AssertionError(f"not one short sentence: {text!r}") from error
         return "refused"
     return "read"
@@ -147,8 +204,9 @@ def _mutate_member(data: bytes, rng: random.Random) -> bytes:
                     name = rng.choice(("../" + name, "/tmp/" + name, "x" * 300, name.upper(), "a\\b"))
                 else:
                     content = _mutate_bytes(content, rng)
-            target.writestr(name, content)
-    return buffer.getvalue()
+            packing = rng.choice(_PACKINGS) if len(content) < _SLOW_TO_PACK else zipfile.ZIP_STORED
+            target.writestr(zipfile.ZipInfo(name), content, packing)  # without the time of day
+    return buffer.getvalue() if rng.random() < 0.8 else _mutate_bytes(buffer.getvalue(), rng)
 
 
 @contextmanager
@@ -165,28 +223,24 @@ def memory_limit(extra: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
-def fuzz(read: Callable[[Path], object], path: Path, count: int, seed: int = 0, extra_memory: int = 1 << 30) -> Counter[str]:
-    """Read `count` damaged copies of a good file.
+@contextmanager
+def time_limit(seconds: float) -> Iterator[None]:
+    """Raise `TookTooLong` in the block after so many seconds, as soon as the interpreter has its turn."""
 
-    Args:
-        read: The reader under test.
-        path: A good file; overwritten with damaged copies and put back in the end.
-        count: How many copies.
-        seed: Of the mutations.
-        extra_memory: Limit while reading, bytes.
+    def stop(*_: object) -> None:
+        raise TookTooLong(f"not read within {seconds:g} seconds")
 
-    Returns:
-        How many were "read" and how many "refused" by a one-sentence error. Every other exception passes through.
-    """
-    good = path.read_bytes()
-    outcomes: Counter[str] = Counter()
-    rng = random.Random(seed)
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
-        read(path)  # imports what is imported lazily, before memory is limited
-        with memory_limit(extra_memory):
-            for _ in range(count):
-                path.write_bytes(mutate(good, rng))
-                outcomes[read_or_refuse(read, path)] += 1
+        yield
     finally:
-        path.write_bytes(good)
-    return outcomes
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def damaged(contents: dict[Path, bytes], kind: str, seed: int, number: int) -> tuple[Path, bytes]:
+    """The damaged copy number `number` of a kind: which file, and what is in it. Equal numbers give equal copies."""
+    rng = random.Random(f"{seed} {kind} {number}")
+    victim = rng.choice(sorted(contents))
+    return victim, mutate(contents[victim], rng)

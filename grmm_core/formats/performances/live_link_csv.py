@@ -47,7 +47,7 @@ _ROTATION_COUNT = 9
 _PARTS = (("Head", "head_rotation"), ("LeftEye", "left_eye_rotation"), ("RightEye", "right_eye_rotation"))
 _SECONDS_PER_DAY = 86400
 _STANDARD_RATES = (24, 25, 30, 48, 50, 60, 100, 120, 240)
-_TIMECODE = re.compile(r"^(\d{1,3}):(\d{1,2}):(\d{1,2})[:;](\d{1,3}(?:\.\d+)?)$")
+_TIMECODE = re.compile(r"^(\d{1,3}):(\d{1,2}):(\d{1,2})[:;](\d{1,3}(?:[.,]\d+)?)$")
 _MAX_RADIANS = 2.0 * np.pi  # larger numbers must be degrees
 
 
@@ -147,7 +147,8 @@ def _times(path: Path, codes: list[str], fps: float | None, warnings: list[str])
     bad = [i for i, match in enumerate(matches) if match is None]
     if len(bad) > len(codes) / 2:
         raise bad_file(path, KIND, f"its time code {codes[bad[0]][:40]!r} is not of the form HH:MM:SS:FF.fff")
-    parts = np.array([match.groups() if match else ("nan",) * 4 for match in matches], np.float64)  # [T, 4]
+    fields = [[part.replace(",", ".") for part in match.groups()] if match else ["nan"] * 4 for match in matches]
+    parts = np.array(fields, np.float64)  # [T, 4]
     good = np.isfinite(parts[:, 0])
     rate = fps or _timecode_rate(parts[good])
     times = parts @ np.array([3600.0, 60.0, 1.0, 1.0 / rate])

@@ -67,6 +67,7 @@ def set_up(context: bpy.types.Context, avatar: Avatar, fresh: bool) -> None:
         view.view_location, view.view_distance = place.centre, _VIEW_RADII * place.radius
         view.view_rotation = Euler((math.pi / 2 - _PITCH, 0.0, place.facing + _YAW)).to_quaternion()
         view.view_perspective = "PERSP"
+        context.space_data.shading.color_type = "TEXTURE"  # the mesh is painted: a face also before there are splats
 
 
 def aim(scene: bpy.types.Scene, avatar: Avatar, camera: bpy.types.Object) -> None:

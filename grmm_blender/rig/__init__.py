@@ -4,7 +4,8 @@
 ``avatar``             an avatar as a Python object: reads its controls and placement
 ``custom_properties``  the controls on the head object, as the core's table of controls has them
 ``identity``           from an avatar's source to its head model and resting shape, with numpy alone
-``mesh``               the head mesh: geometry, UV map, materials, vertex groups, shape keys
+``mesh``               the head mesh: geometry, UV map, vertex groups, shape keys
+``materials``          what the mesh looks like where no splats are drawn
 ``armature``           bones, bone collections, constraints
 ``drivers``            what drives shape keys and bones: SUM drivers only, so files work with auto-run off
 ``build``              puts the above together: `build_avatar`

@@ -36,6 +36,7 @@ class Identity:
         shape: Its own shape coefficients, [<=S]; the rig's resting mesh.
         expression: Its own offset to the expression coefficients, [<=E].
         z_id_size, z_exp_size: Length of the residual codes.
+        painting: The person on the head's UV map, `Avatar.painting`, or None.
         reference: What the rig stores as its head model, for `load_head`; empty for the head's name.
         offset: What the person's resting mesh has beyond the shape coefficients, metres, [V, 3], or None.
     """
@@ -47,6 +48,7 @@ class Identity:
     z_id_size: int = _PAPER_SIZES[0]
     z_exp_size: int = _PAPER_SIZES[1]
     offset: np.ndarray | None = None
+    painting: np.ndarray | None = None
     reference: str = ""
 
     @property
@@ -100,7 +102,9 @@ def read_identity(source: str) -> Identity:
     head = load_head(avatar.head)
     if avatar.shape[head.shape_count :].any() or avatar.expression.size > head.expression_count:
         raise FileFormatError(f"{source} does not fit the head model {head.name!r}; make the avatar anew.")
-    return Identity(avatar.name, head, avatar.shape[: head.shape_count], avatar.expression, avatar.z_id.size, avatar.z_exp.size)
+    painting = avatar.painting if avatar.painting.size else None
+    sizes = avatar.z_id.size, avatar.z_exp.size
+    return Identity(avatar.name, head, avatar.shape[: head.shape_count], avatar.expression, *sizes, painting=painting)
 
 
 def load_head(reference: AssetReference) -> HeadModel:

@@ -13,6 +13,7 @@ from ...grmm_core.controls.names import EXPRESSION_NAMES
 from ...grmm_core.controls.table import SHAPE
 from ...grmm_core.head import HeadModel
 from .identity import Identity
+from .materials import add_materials
 
 BASIS_KEY = "Basis"
 RESIDUAL_KEY = "residual"
@@ -25,14 +26,6 @@ UV_NAME = "UVMap"
 KEY_LIMIT = 10.0  # the most that Blender allows a shape key
 _MIN_WEIGHT = 1e-7
 _SMALLEST = 1e-8  # metres
-# region, color (linear), roughness: what the bare mesh looks like where no splats are drawn
-_MATERIALS = (
-    ("Skin", (), (0.58, 0.34, 0.25, 1.0), 0.5),
-    ("Eyes", ("eye",), (0.75, 0.74, 0.72, 1.0), 0.1),
-    ("Teeth", ("teeth",), (0.72, 0.68, 0.58, 1.0), 0.25),
-    ("Mouth", ("mouth_interior", "tongue"), (0.38, 0.11, 0.1, 1.0), 0.35),
-    ("Hair", ("lash",), (0.03, 0.02, 0.015, 1.0), 0.6),
-)
 
 
 def to_blender(points: np.ndarray) -> np.ndarray:
@@ -71,7 +64,7 @@ def make_mesh(name: str, identity: Identity) -> bpy.types.Mesh:
     mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), bool))
     layer = mesh.uv_layers.new(name=UV_NAME)
     layer.data.foreach_set("uv", np.asarray(head.uv, np.float32)[head.uv_faces.ravel()].ravel())
-    _add_materials(mesh, head)
+    add_materials(mesh, identity)
     mesh.update()
     return mesh
 
@@ -185,32 +178,3 @@ def _add_key(obj: bpy.types.Object, name: str, positions: np.ndarray) -> bpy.typ
     key.value = 0.0
     key.points.foreach_set("co", positions.ravel())
     return key
-
-
-def _add_materials(mesh: bpy.types.Mesh, head: HeadModel) -> None:
-    """Give each part of the head a plain material; a face belongs to a part when all its corners do."""
-    part = np.zeros(len(head.faces), np.int32)
-    for index, (name, words, color, roughness) in enumerate(_MATERIALS):
-        mesh.materials.append(_material(name, color, roughness))
-        inside = np.zeros(head.vertex_count, bool)
-        for region, vertices in head.regions.items():
-            if any(word in region for word in words) and "lid" not in region:
-                inside[vertices] = True
-        part[inside[head.faces].all(1)] = index
-    mesh.polygons.foreach_set("material_index", part)
-
-
-def _material(name: str, color: tuple[float, float, float, float], roughness: float) -> bpy.types.Material:
-    """Return the material of that name that heads share, made on first use."""
-    full_name = f"GRMM {name}"
-    material = bpy.data.materials.get(full_name)
-    if material is not None and material.library is None:
-        return material
-    material = bpy.data.materials.new(full_name)
-    if material.node_tree is None:  # Blender 5 gives every material nodes
-        material.use_nodes = True
-    material.diffuse_color = color
-    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    shader.inputs["Base Color"].default_value = color
-    shader.inputs["Roughness"].default_value = roughness
-    return material

@@ -9,6 +9,7 @@ Layout, version 1. Metadata of the tensor file (all strings):
 
 Tensors, float32: ``z_id`` [Z], ``z_exp`` [Y], ``shape`` [300], ``expression`` [<=100], ``pose`` [5, 3],
 ``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact).
+Uint8, where there is one: ``painting`` [P, P, 3]; what does not know it passes over it.
 
 Called by sessions, fitting, the command line and Blender's panels (`read_avatar_header`). Needs numpy only.
 """
@@ -35,6 +36,7 @@ FORMAT_VERSION = 1
 EXTENSION = ".grmm"
 _TRACKING = "tracking/"
 _DELTA = "delta/"
+_PAINTING = "painting"
 _ARRAYS = ("z_id", "z_exp", "shape", "expression", "pose")
 _HEX_DIGITS = frozenset("0123456789abcdef")
 
@@ -76,6 +78,8 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
     tensors = {name: getattr(avatar, name) for name in _ARRAYS}
     tensors |= {_TRACKING + name: array for name, array in avatar.tracking.items()}
     tensors |= {_DELTA + name: _compact(array) for name, array in avatar.deltas.items()}
+    if avatar.painting.size:
+        tensors[_PAINTING] = avatar.painting
     metadata = {
         "format": FORMAT_NAME,
         "format_version": str(FORMAT_VERSION),
@@ -119,6 +123,7 @@ def load_avatar(path: str | os.PathLike[str]) -> Avatar:
             deltas=_with_prefix(tensors, _DELTA),
             provenance=header.provenance,
             thumbnail=header.thumbnail,
+            **({_PAINTING: tensors[_PAINTING]} if _PAINTING in tensors else {}),
         )
     except ShapeError as error:
         raise _damaged(path, str(error).rstrip(".").replace(";", ",")) from error

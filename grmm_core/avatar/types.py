@@ -20,6 +20,7 @@ SHAPE_SIZE = 300
 JOINT_COUNT = 5
 MAX_CODE_SIZE = 4096  # far above any configuration; refuses absurd files
 MAX_THUMBNAIL_BYTES = 4 << 20
+MAX_PAINTING = 2048  # pixels
 MAX_NAME_LENGTH = 200
 _HALF_MAX = 60000.0
 
@@ -84,6 +85,7 @@ class Avatar:
         deltas: Stage-2 changes of the weights (eq. 20), by parameter name, same shape as the parameter.
         provenance: Where it comes from.
         thumbnail: PNG bytes, or empty.
+        painting: The person on the head's UV map, display sRGB, uint8, [P, P, 3], the row of v = 0 first; [0, 0, 3] for none.
     """
 
     name: str
@@ -99,6 +101,7 @@ class Avatar:
     deltas: Mapping[str, np.ndarray] = field(default_factory=dict)
     provenance: Provenance = field(default_factory=Provenance)
     thumbnail: bytes = b""
+    painting: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
 
     def __post_init__(self) -> None:
         for name in ("z_id", "z_exp", "shape", "expression", "pose"):
@@ -117,9 +120,16 @@ class Avatar:
         if len(self.thumbnail) > MAX_THUMBNAIL_BYTES:
             raise ShapeError(f"The thumbnail has {len(self.thumbnail)} bytes; it may have {MAX_THUMBNAIL_BYTES}.")
 
-    def with_thumbnail(self, png: bytes) -> Avatar:
-        """Return a copy with another thumbnail."""
-        return replace(self, thumbnail=png)
+        painting = self.painting
+        if painting.dtype != np.uint8 or painting.shape != (len(painting), len(painting), 3) or len(painting) > MAX_PAINTING:
+            raise ShapeError(
+                f"Avatar.painting is {painting.dtype} of shape {painting.shape}; it must be uint8, [P, P, 3] with P at most "
+                f"{MAX_PAINTING}."
+            )
+
+    def with_pictures(self, thumbnail: bytes, painting: np.ndarray) -> Avatar:
+        """Return a copy that carries other pictures of itself."""
+        return replace(self, thumbnail=thumbnail, painting=painting)
 
 
 def half_rounded(array: np.ndarray) -> np.ndarray:

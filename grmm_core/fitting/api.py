@@ -118,7 +118,7 @@ def _make(
     report.part("load")(0.0)
 
     from ..compute.devices import choose_device, limit_rasteriser_threads
-    from ..model.portrait import thumbnail
+    from ..model.painting import presented
     from ..model.store import ModelStore
     from ..model.torch_loader import TorchLoader, with_deltas
     from .invert import invert, photo_errors
@@ -144,8 +144,8 @@ def _make(
         avatar,
         provenance=dataclasses.replace(avatar.provenance, photos=job.photos, date=today),
         tracking={**avatar.tracking, **{key: np.array(values, np.float32) for key, values in figures.items()}},
-        thumbnail=thumbnail(person, avatar),
     )
+    avatar = presented(person, avatar)
     report.check()
     return avatar, tracks
 

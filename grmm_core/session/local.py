@@ -10,7 +10,7 @@ import functools
 import os
 import platform
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -26,6 +26,7 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy
 from ..geometry.rotations import euler_to_matrix
 from ..head.skinning import joint_transforms
+from ..model.painting import View, paint
 from ..model.people import default_avatar, sampled_avatar
 from ..model.portrait import THUMBNAIL_PIXELS, portrait_camera
 from ..model.store import LoadedModel
@@ -114,7 +115,16 @@ class LocalSession:
         target = self.target(avatar_id)
         buffers = self.render([Instance(avatar_id)], portrait_camera(THUMBNAIL_PIXELS))
         png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))
-        save_avatar(target.avatar.with_thumbnail(png), path)
+        painting = target.avatar.painting
+        if not painting.size:
+            painting = paint(target.model.head_model, functools.partial(self._view, avatar_id))
+        save_avatar(target.avatar.with_pictures(png, painting), path)
+
+    def _view(self, avatar_id: int, controls: Mapping[str, float], camera: Camera) -> View:
+        """What `paint` asks for."""
+        posed = Controls().set_named(controls)
+        buffers = self.render([Instance(avatar_id, posed)], camera)
+        return View(self.deform(avatar_id, posed).vertices, buffers["rgb"], buffers["alpha"][..., 0])
 
     @_guarded
     def release(self, avatar_id: int) -> None:

@@ -23,7 +23,7 @@ from ..avatar import AssetReference, Avatar, Provenance
 from ..avatar.types import MADE_BY, SHAPE_SIZE, half_rounded
 from ..errors import ConfigError
 from ..model.config import COLOR_CHANNELS
-from ..model.portrait import thumbnail
+from ..model.painting import presented
 from ..model.weights import load_weights
 from ..model.weights_file import read_info, resolve_weights
 from .warm_start import warm_start
@@ -125,7 +125,7 @@ def person_avatar(
             licence=licence,
         ),
     )
-    return avatar.with_thumbnail(thumbnail(model, avatar))
+    return presented(model, avatar)
 
 
 def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:

@@ -59,6 +59,22 @@ def test_a_head_has_named_controls_with_ranges(structure):
     assert found["overridable"]
 
 
+def test_the_mesh_alone_is_painted_as_a_face(structure):
+    first, second = structure["painted"]["first"], structure["painted"]["second"]
+    for look in (first, second):
+        assert {"Skin", "Eyes", "Irises", "Pupils", "Lips", "Hair", "Teeth", "Mouth", "Lashes"} == set(look["parts"])
+        assert look["one_image"]
+        assert look["size"] == [256, 256]
+        assert min(look["faces"].values()) > 4
+        red = {part: color[0] for part, color in look["parts"].items()}
+        assert red["Hair"] < 0.5 * red["Skin"]
+        assert red["Pupils"] < red["Eyes"]
+        reddish = {part: color[0] / color[1] for part, color in look["parts"].items()}
+        assert reddish["Lips"] > 1.2 * reddish["Skin"]
+    assert max(abs(a - b) for a, b in zip(first["pixels"], second["pixels"], strict=True)) > 0.03
+    assert structure["painted"]["kept"] == "of the user"
+
+
 def test_drivers_need_no_scripts(structure):
     assert structure["structure"]["driver_types"] == ["SUM"]
     assert structure["structure"]["valid"]

@@ -26,6 +26,7 @@ def make_avatar(**changes) -> Avatar:
         "provenance": Provenance(
             "grmm 0.1.0", True, (PhotoRecord("me.jpg", "b" * 64), PhotoRecord("ich.png", "")), "2026-11-21", "with consent"
         ),
+        "painting": rng.integers(0, 256, (8, 8, 3), np.uint8),
         "thumbnail": encode_png(np.zeros((4, 4, 3), np.uint8)),
     }
     return Avatar(**(fields | changes))

@@ -16,8 +16,9 @@ def main() -> int:
     parser.add_argument("extension", type=Path, help="zip of the extension")
     parser.add_argument("--output", type=Path, default=Path("out/walk"), help="folder for pictures and the console's text")
     parser.add_argument("--root", type=Path, help="folder of another system, with Blender, Xvfb, openbox and xdotool (chroot)")
+    parser.add_argument("--display", default=":77", help="name for the virtual screen (default: %(default)s)")
     arguments = parser.parse_args()
-    with WalkedBlender(arguments.output, arguments.root) as blender:
+    with WalkedBlender(arguments.output, arguments.root, display=arguments.display) as blender:
         problems = walk(blender, arguments.extension)
     for problem in problems:
         print(problem)

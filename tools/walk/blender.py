@@ -19,7 +19,6 @@ from typing import Any, Self
 
 KEYCODES = {"F3": 69, "F12": 96, "Escape": 9, "Return": 36, "space": 65, "Tab": 23, "Delete": 119, "ctrl": 37, "shift": 50}
 KEYCODES |= {"alt": 64, "a": 38, "g": 42, "n": 57, "z": 52, "s": 39, "r": 27, "x": 53, "0": 90, "1": 87, "5": 84, "period": 91}
-DISPLAY = ":77"
 SIZE = (1600, 1000)
 START_SECONDS = 120.0
 
@@ -35,11 +34,12 @@ class WalkedBlender:
         output: Folder for pictures and the console's text.
         root: Folder of another system in which everything runs, or None for this one.
         home: User folder of Blender, kept between walks where given; else one that starts empty.
+        display: Name of the virtual screen; one that nothing else uses.
     """
 
-    def __init__(self, output: Path, root: Path | None = None, home: Path | None = None) -> None:
+    def __init__(self, output: Path, root: Path | None = None, home: Path | None = None, display: str = ":77") -> None:
         self.output = output
-        self._root = root
+        self._root, self._display = root, display
         shared = (root or Path("/")) / "tmp"
         self.shared = Path(tempfile.mkdtemp(prefix="grmm-walk-", dir=shared))
         self._home = home
@@ -57,7 +57,7 @@ class WalkedBlender:
         snippets = self.shared / "snippets"
         snippets.mkdir()
         width, height = SIZE
-        self._start(["Xvfb", DISPLAY, "-screen", "0", f"{width}x{height}x24", "+extension", "GLX"])
+        self._start(["Xvfb", self._display, "-screen", "0", f"{width}x{height}x24", "+extension", "GLX"])
         time.sleep(1.0)
         self._start(["openbox"])
         begin = [
@@ -164,7 +164,7 @@ class WalkedBlender:
         home = self.inner(self.shared / "home") if self._home is None else str(self._home)
         (self.shared / "home").mkdir(exist_ok=True)
         return {
-            "PATH": "/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME": home, "DISPLAY": DISPLAY,
+            "PATH": "/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME": home, "DISPLAY": self._display,
             "LIBGL_ALWAYS_SOFTWARE": "1", "LANG": "C.UTF-8", "OMP_WAIT_POLICY": "PASSIVE",
         }  # fmt: skip
 

@@ -134,9 +134,38 @@ def elsewhere() -> dict:
     return {"pose_mode": polled, "second": second.object.name in bpy.context.view_layer.objects, "name": second.name}
 
 
+def painted() -> dict:
+    """What the mesh looks like without splats, before and after it becomes another person, and with a user's own material."""
+    avatar = fresh_head()
+    mesh = avatar.object.data
+
+    def look() -> dict:
+        materials = {material["grmm_part"]: material for material in mesh.materials}
+        textures = [node.image for m in materials.values() for node in m.node_tree.nodes if node.type == "TEX_IMAGE"]
+        image = textures[0]
+        return {
+            "parts": {part: [round(value, 3) for value in m.diffuse_color[:3]] for part, m in materials.items()},
+            "one_image": len({texture.name for texture in textures}) == 1 and image.packed_file is not None,
+            "size": list(image.size),
+            "pixels": np.array(image.pixels[:], np.float32).reshape(-1, 4)[:, :3].mean(0).tolist(),
+            "faces": {part: int((index == k).sum()) for k, part in enumerate(materials)},
+        }
+
+    index = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("material_index", index)
+    first = look()
+    bpy.ops.grmm.relink_avatar(filepath=str(module("grmm_core.avatar.library").library_path("beard")))
+    mesh.polygons.foreach_get("material_index", index)
+    second = look()
+    mesh.materials[0] = bpy.data.materials.new("of the user")
+    bpy.ops.grmm.relink_avatar(filepath=str(module("grmm_core.avatar.library").library_path("afro")))
+    return {"first": first, "second": second, "kept": mesh.materials[0].name}
+
+
 avatar = without_detail(fresh_head())
 report(structure=structure(avatar), added=bone_and_slider_add_up(avatar), clamped=clamped(avatar))
 report(nan=not_a_number(avatar))
 report(undo=undone(avatar))
 report(**duplicates())
 report(elsewhere=elsewhere())
+report(painted=painted())

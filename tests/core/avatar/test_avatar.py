@@ -41,6 +41,7 @@ def test_round_trip_keeps_everything(saved):
         assert stored.keys() == made.keys()
         for key in made:
             np.testing.assert_array_equal(stored[key], made[key])
+    np.testing.assert_array_equal(loaded.painting, original.painting)
     np.testing.assert_array_equal(loaded.camera.world_to_camera, original.camera.world_to_camera)
     assert (loaded.camera.fx, loaded.camera.width, loaded.camera.orthographic) == (original.camera.fx, 640, False)
 
@@ -107,6 +108,8 @@ def test_other_tensor_files_are_named_as_such(tmp_path):
         lambda t, m: t.update(pose=np.zeros((4, 3), np.float32)),
         lambda t, m: t.update(z_id=np.zeros((2, 2), np.float32)),
         lambda t, m: t.update(z_id=np.zeros(1 << 13, np.float32)),
+        lambda t, m: t.update(painting=np.zeros((4, 3, 3), np.uint8)),
+        lambda t, m: t.update(painting=np.zeros((4, 4, 3), np.float32)),
         lambda t, m: m.update(format_version="one"),
         lambda t, m: m.update(avatar="{"),
         lambda t, m: m.update(avatar="[]"),

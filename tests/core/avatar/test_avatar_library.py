@@ -28,8 +28,9 @@ def test_the_default_avatar_is_first_and_files_say_what_they_are():
         assert not header.provenance.from_photos
         assert header.name
         assert Image.open(io.BytesIO(header.thumbnail)).mode == "RGBA"
-        deltas = load_avatar(library_path(name)).deltas
-        assert all(np.abs(delta).max() > 0 for delta in deltas.values())
+        avatar = load_avatar(library_path(name))
+        assert all(np.abs(delta).max() > 0 for delta in avatar.deltas.values())
+        assert avatar.painting.std() > 20
 
 
 @pytest.mark.parametrize("name", ["nobody", "../weights/default", "", "DEFAULT", "a" * 200, "default.grmm"])

@@ -83,6 +83,7 @@ def test_a_photo_becomes_a_file_that_says_so(photo, make, tmp_path):
     assert record.sha256 == hashlib.sha256(photo.read_bytes()).hexdigest()
     assert header.thumbnail.startswith(b"\x89PNG")
     assert header.camera.width == 256
+    assert load_avatar(result.path).painting.std() > 1
     check_progress(events, FIT)
     assert list(dict.fromkeys(event.stage for event in events)) == [stage.name for stage in FIT.stages]
     assert events[-1].fraction == 1.0

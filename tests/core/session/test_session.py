@@ -324,6 +324,9 @@ def test_saved_avatars_open_again(session, tmp_path):
     assert opened.id != made.id
     assert opened.name == made.name == "Sample 11"
     assert opened.thumbnail.startswith(b"\x89PNG")
+    painting = load_avatar(path).painting
+    assert painting.shape == (256, 256, 3)
+    assert painting.std() > 1
     np.testing.assert_array_equal(opened.z_id, made.z_id)
     np.testing.assert_array_equal(session.deform(opened.id, Controls()).vertices, session.deform(made.id, Controls()).vertices)
     assert session.open(os.fspath(path)).id == opened.id

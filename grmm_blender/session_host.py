@@ -43,6 +43,7 @@ NO_TORCH = (
     "Avatars from photos need torch, which this Blender does not have; install the runtime, or choose a Python that has torch, "
     "in the preferences of the GRMM extension."
 )
+FIRST_TIME = "the first time after installing takes half a minute"
 CLASSES = ()
 
 Mode = Literal["auto", "local", "worker"]
@@ -86,6 +87,7 @@ _lock = threading.Lock()
 _settings = RuntimeSettings()
 _session: Session | None = None
 _last_error = ""
+_has_drawn = False
 _clouds: set[int] = set()  # ids of splat clouds in the session
 changed: list[Callable[[], None]] = []
 """Called on the main thread when sessions are made otherwise from now on: what met an error then tries again."""
@@ -223,6 +225,17 @@ def runtime_status() -> RuntimeStatus:
     if mode != "local" and (python or has_torch()):
         return RuntimeStatus(True, "The model will run in a worker process.")
     return RuntimeStatus(False, NO_RUNTIME)
+
+
+def loading(text: str) -> str:
+    """Return what is being waited for, and until the model has drawn once in this Blender how long it may take."""
+    return text if _has_drawn else f"{text}; {FIRST_TIME}"
+
+
+def note_drawn() -> None:
+    """The model has drawn: libraries are loaded, kernels compiled."""
+    global _has_drawn
+    _has_drawn = True
 
 
 def memory_megabytes() -> float:

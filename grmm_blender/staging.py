@@ -59,6 +59,8 @@ def set_up(context: bpy.types.Context, avatar: Avatar, fresh: bool) -> None:
     ):
         location.z = _CUBE / 2
         stand_up(avatar)
+    if fresh:
+        scene.view_settings.view_transform = "Standard"  # pictures as solid view shows them; AgX grades them paler
     aim(scene, avatar, (scene.camera if fresh else None) or _portrait_camera(scene))
     scene.render.engine = ENGINE
     view = context.region_data

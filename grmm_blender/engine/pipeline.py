@@ -63,9 +63,9 @@ def frame_values(
     """
     if should_cancel():
         raise CancelledError("The render was cancelled.")
-    progress(0.0, "opening avatars")
+    progress(0.0, session_host.loading("opening avatars"))
     instances = open_instances(frame.scene.avatars)
-    progress(OPENED, f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}")
+    progress(OPENED, session_host.loading(f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}"))
     occluders, world = frame.scene.occluders, frame.scene.world
     hiding = None
     if occluders:
@@ -73,6 +73,7 @@ def frame_values(
     wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if hiding is not None else []))))
     options = RenderOptions(refine=settings.refine, passes=wanted, lod=settings.lod)
     buffers = session_host.get_session().render(instances, frame.camera, options, should_cancel)
+    session_host.note_drawn()
     progress(DRAWN, "putting the scene in front")
     x, y = region.x, frame.camera.height - region.y - region.height  # Blender counts rows from below
     buffers = {name: buffer[y : y + region.height, x : x + region.width] for name, buffer in buffers.items()}

@@ -8,7 +8,7 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty
 from ..scene.walk import drawn_objects
 
 ENGINE = "GRMM"
-MESH_ALONE = "This engine renders the bare mesh; choose the engine GRMM, or Composite Avatars in the sidebar's GRMM tab"
+MESH_ALONE = "This engine renders the painted mesh; for splats choose the engine GRMM, or Composite Avatars in the GRMM tab"
 DETAIL_ITEMS = (
     ("0", "Full", "Every Gaussian"),
     ("1", "Quarter", "A quarter of the Gaussians, larger ones"),

@@ -104,7 +104,7 @@ class ViewRenderer:
         if self._scene is not None and not self._scene.shot.avatars:
             return "No visible avatar"
         if self._picture is None:
-            return "Loading the model"
+            return session_host.loading("Loading the model")
         return "Preview" if self._picture.level == "preview" else ""
 
     def start_again(self) -> None:

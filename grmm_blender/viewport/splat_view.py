@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 
 from ...grmm_core.geometry.camera import Camera
+from .. import session_host
 from ..engine.settings import DETAIL_ITEMS
 from ..scene.cameras import same_camera, view_camera
 from .changes import CHANGES
@@ -63,6 +64,8 @@ class Viewport:
         found = self._drawable
         if found is None or not self._scene.shots:
             return
+        if len(found.order):
+            session_host.note_drawn()
         # Own meshes are those of now: Blender has drawn them in the present pose.
         self._picture.draw(found.packed, found.order, camera, projection, self._scene.meshes)
 
@@ -73,11 +76,12 @@ class Viewport:
             return [*lines, "Mesh only during playback"]
         if not self._scene.shots and not self._scene.message:
             return lines
-        if self._drawable is None:
-            return [*lines, "Loading splats"]
-        lines += dict.fromkeys(self._drawable.messages)
-        if self._drawable.level > self._drawable.request.finest:
-            lines.append(f"{DETAIL_ITEMS[self._drawable.level][1]} detail")
+        found = self._drawable
+        if found is None or not {shot.name for shot in self._scene.shots} <= {shot.name for shot in found.request.scene.shots}:
+            return [*lines, session_host.loading("Loading splats")]
+        lines += dict.fromkeys(found.messages)
+        if found.level > found.request.finest:
+            lines.append(f"{DETAIL_ITEMS[found.level][1]} detail")
         return lines
 
     def fail(self, message: str) -> None:

@@ -25,6 +25,7 @@ def test_a_head_is_seen_moved_opened_and_deleted_as_expected(run_blender: RunBle
     assert found["selected"]
     assert found["stands"] == pytest.approx(1.0, abs=1e-3)
     assert found["engine"] == "GRMM"
+    assert found["graded"] == "Standard"  # as solid view shows it
     assert found["covered"] > 0.1
     assert 0.5 < found["height"] <= 1.0
     assert found["edges"][1] == 0.0

@@ -43,6 +43,7 @@ report(
     selected=sorted(obj.name for obj in bpy.context.selected_objects) == sorted([avatar.name, avatar.armature.name]),
     stands=lowest(),
     engine=scene.render.engine,
+    graded=scene.view_settings.view_transform,
     started_again=staging.is_as_started(scene),
 )
 exact_colors(scene)

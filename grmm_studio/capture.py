@@ -38,7 +38,7 @@ from .lights import RIG, chosen, draw_light
 from .shots import HELD_OUT_CAMERAS, MAX_CAMERAS, expression_pool, make_shot
 from .subjects import Subject, draw_subject
 
-STUDIO = 3  # raise whenever the pictures of a seed change: a capture is not continued with others
+STUDIO = 4  # raise whenever the pictures of a seed change: a capture is not continued with others
 UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
 MAX_SHOTS = 10_000  # their numbers have four digits in file names
 ROUND = 4  # shots of everybody before anybody's next ones

@@ -167,7 +167,7 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     growth = growth_of(s)
     if growth is not None:
         scalp = fields.scalp_density(rest, growth.receding, s.hairline, seed)
-        color = _mix(scalp * (0.35 + 0.35 * smoothstep(0.4, 0.65, pores)), color, hair_dark)
+        color = _mix(scalp * (0.44 + 0.12 * smoothstep(0.4, 0.65, pores)), color, hair_dark)
     else:
         shade = fields.scalp_density(rest, 0.9, s.hairline, seed) * smoothstep(0.35, 0.65, pores) * 0.35 * s.stubble
         color = _mix(shade, color, hair_dark)

@@ -62,7 +62,7 @@ def head_scene(grid: int, features: int = FEATURES, seed: int = 1) -> Gaussians:
 
     head = load_open_head()
     layout = texel_layout(head.uv, head.uv_faces, grid)
-    anchor = TexelAnchor(layout, head.faces, head.uv, head.uv_faces, len(head.v_template))
+    anchor = TexelAnchor(layout, head.faces, head.uv_faces, len(head.v_template))
     random = torch.Generator().manual_seed(seed)
     with torch.no_grad():
         frames = anchor(torch.from_numpy(np.array(head.v_template)))

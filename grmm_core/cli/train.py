@@ -57,7 +57,9 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
 
     settings = ({"refresh_every": FOLLOW_STEPS} if args.follow else {}) | _settings(args.set)
     config = load_config(args.config, settings)
-    source, head = capture_views(args.data, args.follow, load_flame(args.head) if args.head else None, config.person)
+    source, head = capture_views(
+        args.data, args.follow, load_flame(args.head) if args.head else None, config.person, config.bare
+    )
     person = _person(source.people, args.default_person)
     if (Path(args.out) / CHECKPOINT).exists() and not args.resume:
         raise ConfigError(f"{args.out} holds a checkpoint already; add --resume or choose another folder with --out.")

@@ -251,8 +251,8 @@ class _Tables:
         config, head, layout = file.info.config, file.head, file.layout
         side = config.decoder_grid
         self.reader = compressed_rows(map_reader(layout.texel, config.grid, side), (len(layout), side * side))
-        anchor = anchor_tables(layout, head.faces, head.uv, head.uv_faces)
-        self.jacobian = compressed_rows(anchor.jacobian, (2 * len(head.uv), head.vertex_count))
+        anchor = anchor_tables(layout, head.faces, head.uv_faces)
+        self.jacobian = compressed_rows(anchor.jacobian, (2 * len(layout.uv), head.vertex_count))
         self.outward = np.ascontiguousarray(anchor.outward[:, 0])
         self.corner_vertex, self.texel_corners = anchor.corner_vertex, anchor.texel_corners
         self.face_mask = face_mask(head)[:, None]

@@ -40,6 +40,7 @@ class GRMMConfig:
 
     Attributes:
         grid: N_g, texels along a side of the UV square.
+        focus: Spend texels where eyes look (`focus`) instead of evenly over the head's UV map.
         features: Feature channels that each Gaussian carries to the refinement network (paper: 32).
         z_id, z_exp: Length of the residual codes. Without residuals they are the head's shape and expression lengths.
         residuals: False gives the ablation of eq. 21: codes are replaced by shape and expression coefficients.
@@ -68,6 +69,7 @@ class GRMMConfig:
 
     name: str = "paper"
     grid: int = 512
+    focus: bool = False
     features: int = 32
     z_id: int = 512
     z_exp: int = 256

@@ -26,6 +26,7 @@ from ..head.torch_head import TorchHead
 from ..splat import Gaussians, RasterOutput, rasterize
 from .config import METRES_PER_MM, GRMMConfig
 from .decoders import AttributeDecoders
+from .focus import focused_uv
 from .inputs import InputSpace, ModelInputs, expression_code, identity_code
 from .layout import TexelLayout, texel_layout
 from .mesh_decoder import MeshDecoder
@@ -117,7 +118,8 @@ class GRMM(nn.Module):
     Args:
         head: Mesh model.
         config: Sizes.
-        layout: Active texels that trained maps belong to; found on the head's UV map when None.
+        layout: Active texels that trained maps belong to; found when None: on the head's UV map, or on
+            the focused one.
 
     Raises:
         ConfigError: The head lacks what the configuration needs.
@@ -135,10 +137,11 @@ class GRMM(nn.Module):
         # eq. 21: without residuals the coefficients take the codes' places
         self.z_id_size = config.z_id if config.residuals else head.shape_dirs.shape[-1]
         self.z_exp_size = config.z_exp if config.residuals else head.expression_dirs.shape[-1]
-        layout = layout or texel_layout(head.uv, head.uv_faces, config.grid)
+        if layout is None:
+            layout = texel_layout(focused_uv(head) if config.focus else head.uv, head.uv_faces, config.grid)
         if layout.grid != config.grid:
             raise ConfigError(f"The texel layout has a grid of {layout.grid}; the configuration says {config.grid}.")
-        self.anchor = TexelAnchor(layout, head.faces, head.uv, head.uv_faces, vertex_count)
+        self.anchor = TexelAnchor(layout, head.faces, head.uv_faces, vertex_count, config.focus)
         self.mesh_decoder = MeshDecoder(config, self.z_id_size, self.z_exp_size, torch.from_numpy(face_mask(head)))
         self.decoders = AttributeDecoders(config, self.z_id_size, self.z_exp_size, layout.texel)
         self.refinement = RefinementNetwork(config) if config.refine else None
@@ -288,7 +291,9 @@ class GRMM(nn.Module):
         """The paper's d: unit vector from the head's centre to a camera given in head space, [3]."""
         return torch.as_tensor(camera.view_direction(np.array(HEAD_CENTRE)), dtype=self.dtype, device=self.device)
 
-    def draw(self, gaussians: Gaussians, camera: Camera, refine: bool = True, backend: str = "auto") -> Picture:
+    def draw(
+        self, gaussians: Gaussians, camera: Camera, refine: bool = True, backend: str = "auto", limits: Tensor | None = None
+    ) -> Picture:
         """Rasterise and refine one head (eq. 13, 14), over black.
 
         Args:
@@ -296,9 +301,10 @@ class GRMM(nn.Module):
             camera: In head space.
             refine: Run the refinement network; without it `image` is `raw`, and the features are not even drawn.
             backend: Of the rasteriser.
+            limits: See `refine`.
         """
         raster = rasterize(gaussians if refine else replace(gaussians, features=None), camera, backend=backend)
-        return Picture(self.refine(raster) if refine else raster.rgb, raster.rgb, raster.alpha, raster.depth)
+        return Picture(self.refine(raster, limits) if refine else raster.rgb, raster.rgb, raster.alpha, raster.depth)
 
     def refine(self, raster: RasterOutput, limits: Tensor | None = None, coarse: bool = False) -> Tensor:
         """Psi_ref (eq. 14) on a picture that was rasterised over black.
@@ -324,6 +330,7 @@ class GRMM(nn.Module):
         background: Sequence[float] | Tensor | None = None,
         refine: bool = True,
         backend: str = "auto",
+        limits: Tensor | None = None,
     ) -> Rendering:
         """Draw one head, differentiably.
 
@@ -333,6 +340,7 @@ class GRMM(nn.Module):
             background: Display sRGB behind the head, [3]; black when None.
             refine: Run the refinement network.
             backend: Of the rasteriser.
+            limits: See `refine`.
 
         Raises:
             ShapeError: A code has the wrong length.
@@ -344,7 +352,7 @@ class GRMM(nn.Module):
         mesh = self.mesh(inputs)
         attributes = self.attributes(inputs, self.view_direction(camera))
         gaussians = self.gaussians(mesh.vertices, attributes)
-        picture = self.draw(gaussians, camera, refine, backend)
+        picture = self.draw(gaussians, camera, refine, backend, limits)
         if background is not None:
             picture = picture.over(background)
         seen = (picture.image, picture.raw, picture.alpha, picture.depth)

@@ -33,12 +33,14 @@ class TexelLayout:
         texel: Flat index row * grid + column of each active texel, ascending, [N] int32.
         face: Face that holds the texel's centre, [N] int32.
         barycentric: Coordinates in that face, [N, 3] float32, rows sum to 1.
+        uv: Corners of the UV map that the grid lies on, [T, 2].
     """
 
     grid: int
     texel: np.ndarray
     face: np.ndarray
     barycentric: np.ndarray
+    uv: np.ndarray
 
     def __len__(self) -> int:
         return len(self.texel)
@@ -82,7 +84,7 @@ def texel_layout(uv: np.ndarray, uv_faces: np.ndarray, grid: int) -> TexelLayout
         raise ShapeError(f"No texel of a {grid}x{grid} grid lies on the head's UV map; use a finer grid or another head model.")
     barycentric = np.clip(barycentric[first], 0.0, 1.0)
     barycentric /= barycentric.sum(-1, keepdims=True)
-    return TexelLayout(grid, texel.astype(np.int32), face[first].astype(np.int32), barycentric.astype(np.float32))
+    return TexelLayout(grid, texel.astype(np.int32), face[first].astype(np.int32), barycentric.astype(np.float32), uv)
 
 
 @dataclass(frozen=True)
@@ -102,9 +104,9 @@ class AnchorTables:
     texel_corners: np.ndarray
 
 
-def anchor_tables(layout: TexelLayout, faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray) -> AnchorTables:
-    """Return the tables of a layout on a mesh with `faces` [F, 3], `uv` [T, 2] and `uv_faces` [F, 3]."""
-    faces, uv_faces, uv = np.asarray(faces, np.int64), np.asarray(uv_faces, np.int64), np.asarray(uv, np.float64)
+def anchor_tables(layout: TexelLayout, faces: np.ndarray, uv_faces: np.ndarray) -> AnchorTables:
+    """Return the tables of a layout on a mesh with `faces` [F, 3] and `uv_faces` [F, 3]."""
+    faces, uv_faces, uv = np.asarray(faces, np.int64), np.asarray(uv_faces, np.int64), np.asarray(layout.uv, np.float64)
     slopes, weights = _barycentric_slopes(uv, uv_faces)  # [F, 3, 2], [F]
     corner_count = len(uv)
     total = np.zeros(corner_count)

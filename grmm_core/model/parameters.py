@@ -34,6 +34,8 @@ def parameter_shapes(config: GRMMConfig, head: HeadModel, count: int) -> Shapes:
     """Return every parameter and stored buffer of `grmm.GRMM` on a head with N = `count` active texels."""
     z_id, z_exp = code_sizes(config, head)
     shapes: Shapes = {"anchor.texel": (count,), "anchor.face": (count,), "anchor.barycentric": (count, 3)}
+    if config.focus:
+        shapes["anchor.uv"] = head.uv.shape
     if config.residuals:
         shapes["aligned_codes"] = (len(ALIGNED_NAMES), config.z_exp)
     shapes |= _mesh_decoder(config, z_id, z_exp, 3 * len(head.v_template))

@@ -49,9 +49,9 @@ class TexelAnchor(nn.Module):
     Args:
         layout: Active texels.
         faces: Vertex indices, [F, 3].
-        uv: [T, 2].
         uv_faces: [F, 3].
         vertex_count: V.
+        own_uv: Whether the layout's UV map is not the head's, and has to be saved with the weights.
     """
 
     texel: Tensor
@@ -62,16 +62,20 @@ class TexelAnchor(nn.Module):
     texel_corners: Tensor
     used_corners: Tensor
 
-    def __init__(self, layout: TexelLayout, faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray, vertex_count: int) -> None:
+    def __init__(
+        self, layout: TexelLayout, faces: np.ndarray, uv_faces: np.ndarray, vertex_count: int, own_uv: bool = False
+    ) -> None:
         super().__init__()
         self.grid = layout.grid
         self.count = len(layout)
-        tables = anchor_tables(layout, faces, uv, uv_faces)
+        tables = anchor_tables(layout, faces, uv_faces)
         # Saved with the weights: trained maps belong to exactly these texels.
         self.register_buffer("texel", torch.from_numpy(layout.texel.copy()))
         self.register_buffer("face", torch.from_numpy(layout.face.copy()))
         self.register_buffer("barycentric", torch.from_numpy(layout.barycentric.copy()))
-        self.jacobian = FixedSparse(tables.jacobian, (2 * len(uv), vertex_count))
+        if own_uv:
+            self.register_buffer("uv", torch.from_numpy(np.array(layout.uv, np.float32)))
+        self.jacobian = FixedSparse(tables.jacobian, (2 * len(layout.uv), vertex_count))
         self.register_buffer("outward", torch.from_numpy(tables.outward), persistent=False)
         self.register_buffer("corner_vertex", torch.from_numpy(tables.corner_vertex), persistent=False)
         self.register_buffer("texel_corners", torch.from_numpy(tables.texel_corners), persistent=False)

@@ -41,7 +41,7 @@ _MODEL = "model/"
 _EXACT = ("anchor.",)  # parameters and buffers that are not rounded to half precision
 _PACKED = "decoders.basis."
 _SCALES = ".scales"  # after the name of a packed parameter
-_LAYOUT = ("anchor.texel", "anchor.face", "anchor.barycentric")
+_LAYOUT, _LAYOUT_UV = ("anchor.texel", "anchor.face", "anchor.barycentric"), "anchor.uv"
 _TABLES = ("z_id", "shapes", "default_z_id", "default_shape")  # of the training people
 _HALF_MAX = float(np.finfo(np.float16).max)
 
@@ -244,6 +244,7 @@ def _layout(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], conf
     """Check the stored texels, whose indices are used without further checks."""
     try:
         texel, face, barycentric = (arrays[name] for name in _LAYOUT)
+        uv = arrays[_LAYOUT_UV] if config.focus else head.uv
     except KeyError as error:
         raise _damaged(path, f"the parameter {error.args[0]} is missing") from error
     count = len(texel) if texel.ndim == 1 else 0
@@ -254,10 +255,11 @@ def _layout(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], conf
         and texel.min() >= 0 and texel.max() < config.grid**2 and bool((np.diff(texel) > 0).all())
         and face.min() >= 0 and face.max() < len(head.uv_faces)
         and bool(np.isfinite(barycentric).all())
+        and uv.shape == head.uv.shape and uv.dtype.kind == "f" and bool(np.isfinite(uv).all())
     )  # fmt: skip
     if not fits:
         raise _damaged(path, "its texel layout does not fit the head model")
-    return TexelLayout(config.grid, texel, face, barycentric)
+    return TexelLayout(config.grid, texel, face, barycentric, uv)
 
 
 def _with_people(

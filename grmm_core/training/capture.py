@@ -31,6 +31,7 @@ class CapturedViews:
         follow: The captures are still running: count everybody whom they will show, and find new shots at `refresh`.
         cache_bytes: Limit of the memory for pictures.
         only: The one person whose views are used, by name; everybody when empty.
+        bare: Show people without hair, where the data can; views that only show a bare head are left out otherwise.
 
     Raises:
         ConfigError: A folder is given twice.
@@ -39,8 +40,10 @@ class CapturedViews:
     """
 
     def __init__(
-        self, datasets: Sequence[CaptureDataset], follow: bool = False, cache_bytes: int = CACHE_BYTES, only: str = ""
-    ) -> None:
+        self, datasets: Sequence[CaptureDataset], follow: bool = False, cache_bytes: int = CACHE_BYTES, only: str = "",
+        bare: bool = False,
+    ) -> None:  # fmt: skip
+        self._bare = bare
         self._datasets = tuple(datasets)
         self._items: list[tuple[int, CaptureDataset, Shot, CapturedView]] = []
         self._seen: set[tuple[int, str, int]] = set()
@@ -79,7 +82,7 @@ class CapturedViews:
                 number, key = self._numbers.get((place, shot.subject)), (place, shot.subject, shot.number)
                 if number is not None and key not in self._seen:
                     self._seen.add(key)
-                    self._items += [(number, dataset, shot, view) for view in shot.views]
+                    self._items += [(number, dataset, shot, view) for view in self._shown(shot)]
             for name in dataset.subjects:
                 number = self._numbers.get((place, name))
                 if number is None:
@@ -98,6 +101,11 @@ class CapturedViews:
         self.training = np.flatnonzero(splits == TRAIN)
         self.validation = np.flatnonzero(np.isin(splits, VALIDATION_SPLITS))
 
+    def _shown(self, shot: Shot) -> list[CapturedView]:
+        if self._bare:
+            return [view.bare or view for view in shot.views]
+        return [view for view in shot.views if not view.only_bare]
+
     def load(self, index: int) -> View:
         """Return a view. Raises `FileFormatError` or `FileAccessError` naming the picture that cannot be used."""
         cached = self._cache.get(index)
@@ -110,7 +118,17 @@ class CapturedViews:
         image = np.round(picture.over(0.0) * 255.0).astype(np.uint8)
         name = f"{shot.subject} {shot.number} {view.name}"
         loaded = View(
-            person, name, view.camera, image, mask, picture.depth, shot.aligned, shot.expression, shot.pose, view.split
+            person,
+            name,
+            view.camera,
+            image,
+            mask,
+            picture.depth,
+            shot.aligned,
+            shot.expression,
+            shot.pose,
+            view.split,
+            shot.displacement,
         )
         self._keep(index, loaded)
         return loaded
@@ -123,7 +141,11 @@ class CapturedViews:
 
 
 def capture_views(
-    folders: Sequence[str | os.PathLike[str]], follow: bool = False, head: HeadModel | None = None, only: str = ""
+    folders: Sequence[str | os.PathLike[str]],
+    follow: bool = False,
+    head: HeadModel | None = None,
+    only: str = "",
+    bare: bool = False,
 ) -> tuple[CapturedViews, HeadModel]:
     """Open data folders of any known format, and the head model that they were made with.
 
@@ -132,6 +154,7 @@ def capture_views(
         follow: See `CapturedViews`.
         head: The user's FLAME for data with FLAME parameters; the open head when None.
         only: See `CapturedViews`.
+        bare: See `CapturedViews`.
 
     Raises:
         FileAccessError, FileFormatError: A folder is missing or not a capture.
@@ -146,7 +169,7 @@ def capture_views(
     for dataset in datasets:
         if dataset.manifest.head != head.name:
             raise ConfigError(f"{dataset.folder} was made with the head model {dataset.manifest.head!r}, not {head.name!r}.")
-    return CapturedViews(datasets, follow, only=only), head
+    return CapturedViews(datasets, follow, only=only, bare=bare), head
 
 
 def _labels(folders: Sequence[Path]) -> list[str]:

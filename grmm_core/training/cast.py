@@ -36,13 +36,22 @@ class Cast:
         performed = (self.tensor(array) for array in (view.expression, view.pose, view.aligned))
         inputs = self.model.performed(self.codes[view.subject], self.shapes[view.subject], *performed)
         behind = None if background is None else self.tensor(background)
-        return self.model.render(view.camera, inputs, behind, refined, self.backend)
+        limits = None if view.depths is None else self.tensor(view.depths)
+        return self.model.render(view.camera, inputs, behind, refined, self.backend, limits)
 
     def target(self, view: View, background: Sequence[float] | np.ndarray) -> Target:
         """What the rendering over a color [3] should be."""
         mask = self.tensor(view.mask) / 255.0
         image = self.tensor(view.image) / 255.0 + (1.0 - mask)[..., None] * self.tensor(background)
-        return Target(image, mask, None if view.depth is None else self.tensor(view.depth))
+        return Target(image, mask, None if view.depth is None else self.tensor(view.depth), self._vertices(view))
+
+    def _vertices(self, view: View) -> Tensor | None:
+        """Where the posed mesh should be, [V, 3] metres, where the data knows."""
+        if view.displacement is None:
+            return None
+        with torch.no_grad():
+            model = self.model.vertices(self.shapes[view.subject], self.tensor(view.expression), self.tensor(view.pose))
+        return model + self.tensor(view.displacement)
 
     def person(self, index: int) -> Person:
         """One of the people as the portraits take them."""

@@ -52,6 +52,8 @@ class TrainConfig:
         margin: Pixels kept around the person; views are cut to that. 0 keeps them whole.
         crop_share: Share of the steps that use a crop.
         lr_networks, lr_maps, lr_codes: Peak learning rates of convolutions and linear layers, of mean and basis maps, of codes.
+        lr_offsets: Of the mean and basis maps of position, rotation and scale; 0: as the other maps. At the colors' rate
+            Gaussians wander off the surface before the colors have settled.
         lr_end: Factor of the learning rates at the end of the cosine.
         warmup_steps: Steps of linear growth.
         beta1, beta2: Of Adam.
@@ -64,6 +66,7 @@ class TrainConfig:
         evaluate_views: Held-out views in an evaluation.
         threads: Of torch; 0 leaves its choice.
         precision: float32, or bfloat16 for the convolutions, see `precision`.
+        bare: Train on the pictures without hair, where the capture has them.
         person: Name of the one person to train for: only that person's own maps change, see `personal`; needs `init_from`.
         init_from: Weights file or checkpoint whose networks, maps and expression codes a new run starts from, see `warm_start`.
         perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
@@ -86,6 +89,7 @@ class TrainConfig:
     lr_networks: float = 1.5e-3
     lr_maps: float = 5e-3
     lr_codes: float = 3e-3
+    lr_offsets: float = 0.0
     lr_end: float = 0.02
     warmup_steps: int = 50
     beta1: float = 0.9
@@ -101,6 +105,7 @@ class TrainConfig:
     refresh_every: int = 0
     threads: int = 0
     precision: str = "float32"
+    bare: bool = False
     person: str = ""
     init_from: str = ""
     perceptual_network: str = ""

@@ -28,7 +28,7 @@ _MM_PER_METRE = 1e3
 
 TERMS = (
     "raw_l1", "raw_ssim", "raw_perceptual", "image_l1", "image_ssim", "image_perceptual", "depth", "alpha", "scale", "code",
-    "laplacian", "position", "rotation", "log_scale",
+    "laplacian", "position", "rotation", "log_scale", "vertices", "color", "opacity",
 )  # fmt: skip
 """Names of all terms that `total_loss` can return."""
 
@@ -50,6 +50,9 @@ class LossWeights:
         raw: Factor of the whole reconstruction loss of the splatted picture (paper: 1).
         alpha: L1 between the alpha and the mask.
         position, rotation, log_scale: Mean squared decoded offsets.
+        vertices: Mean squared distance of the posed vertices from the true ones, square millimetres, where the data knows them.
+        color: Mean squared excess of the Gaussians' colors beyond 0..1: such colors cancel out here and clip elsewhere.
+        opacity: Mean transparency of the Gaussians, 1 - opacity: keeps a surface from dissolving into fog.
     """
 
     l1: float = 0.8
@@ -64,6 +67,9 @@ class LossWeights:
     position: float = 0.0
     rotation: float = 0.0
     log_scale: float = 0.0
+    vertices: float = 0.0
+    color: float = 0.0
+    opacity: float = 0.0
 
 
 @dataclass
@@ -74,11 +80,13 @@ class Target:
         image: Over the same background as the rendering, [H, W, 3].
         mask: Coverage 0..1, [H, W], or None.
         depth: Metres, 0 where unknown or empty, [H, W], or None.
+        vertices: Of the posed mesh, metres, [V, 3], or None.
     """
 
     image: Tensor
     mask: Tensor | None = None
     depth: Tensor | None = None
+    vertices: Tensor | None = None
 
 
 def total_loss(
@@ -124,6 +132,14 @@ def total_loss(
         factor = getattr(weights, name)
         if factor:
             terms[name] = (factor, rendering.offsets[:, columns].square().mean())
+    if weights.vertices and target.vertices is not None:
+        apart = (rendering.mesh.vertices - target.vertices) * _MM_PER_METRE
+        terms["vertices"] = (weights.vertices, apart.square().sum(-1).mean())
+    if weights.color:
+        colors = rendering.gaussians.colors
+        terms["color"] = (weights.color, (colors - colors.clamp(0, 1)).square().mean())
+    if weights.opacity:
+        terms["opacity"] = (weights.opacity, 1.0 - rendering.gaussians.opacities.mean())
     loss = torch.stack([factor * value for factor, value in terms.values()]).sum()
     return loss, {name: value.detach() for name, (_, value) in terms.items()}
 

@@ -12,19 +12,23 @@ from ..model.grmm import GRMM
 from .config import TrainConfig
 
 _MAP_NAMES = ("_mean", "basis.", "expression.maps")
+_OFFSET_NAMES = ("transform_mean", "basis.position", "basis.rotation", "basis.scale")
 
 
 def parameter_groups(model: GRMM, codes: nn.Parameter, config: TrainConfig) -> list[dict[str, object]]:
-    """Split parameters by learning rate: free maps, codes, and all layers."""
-    maps, networks, code_list = [], [], [codes]
+    """Split parameters by learning rate: free maps of offsets and of the rest, codes, and all layers."""
+    maps, offsets, networks, code_list = [], [], [], [codes]
     for name, parameter in model.named_parameters():
         if name == "aligned_codes":
             code_list.append(parameter)
         elif name.startswith("decoders.") and any(part in name for part in _MAP_NAMES):
-            maps.append(parameter)
+            (offsets if any(part in name for part in _OFFSET_NAMES) else maps).append(parameter)
         else:
             networks.append(parameter)
-    groups = ((networks, config.lr_networks), (maps, config.lr_maps), (code_list, config.lr_codes))
+    groups = (
+        (networks, config.lr_networks), (maps, config.lr_maps), (code_list, config.lr_codes),
+        (offsets, config.lr_offsets or config.lr_maps),
+    )  # fmt: skip
     return [{"params": list(group), "lr": rate, "peak": rate} for group, rate in groups if group]
 
 

@@ -35,6 +35,9 @@ class View:
         expression: Head-model coefficients, [E].
         pose: XYZ Euler angles of the five joints, radians, all parts included, [5, 3].
         split: What the view is for, in the words of the data set.
+        displacement: What was added to the posed vertices of the mesh model, metres, [V, 3], or None where it is not known.
+        depths: Smallest and largest depth of the whole picture, metres: what the refinement network's depth is scaled by when
+            only a part of the picture is drawn, as it is in use. None where it is not known.
     """
 
     subject: int
@@ -47,6 +50,8 @@ class View:
     expression: np.ndarray
     pose: np.ndarray
     split: str = ""
+    displacement: np.ndarray | None = None
+    depths: tuple[float, float] | None = None
 
 
 class ViewSource(Protocol):
@@ -90,11 +95,16 @@ def choose(config: TrainConfig, source: ViewSource, step: int, place: int, progr
     size = config.image_size or max(view.image.shape[:2])
     if progress < config.half_until:
         size = (size + 1) // 2
-    view = crop_to_person(shrink(view, size), config.margin)
+    view = _with_depths(crop_to_person(shrink(view, size), config.margin))
     cropped = config.crop_size > 0 and rng.random() < config.crop_share
     if cropped:
         view = random_crop(view, config.crop_size, rng)
     return view, rng.random(3).astype(np.float32)
+
+
+def _with_depths(view: View) -> View:
+    covered = view.depth[view.depth > 0] if view.depth is not None else np.zeros(0)
+    return replace(view, depths=(float(covered.min()), float(covered.max()))) if len(covered) else view
 
 
 def shrink(view: View, size: int) -> View:

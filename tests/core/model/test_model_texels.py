@@ -50,7 +50,7 @@ def test_frames_of_a_plane_are_exact():
     a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
     faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)]).reshape(-1, 3)
     layout = texel_layout(uv, faces, 8)
-    anchor = TexelAnchor(layout, faces, uv, faces, 20).double()
+    anchor = TexelAnchor(layout, faces, faces, 20).double()
     frames = anchor(torch.from_numpy(vertices))
     expected = np.stack([layout.texel % 8 + 0.5, layout.texel // 8 + 0.5], -1) / 8
     np.testing.assert_allclose(frames.positions.numpy(), expected @ [along, across] + [1, 2, 3], atol=1e-6)
@@ -68,7 +68,7 @@ def test_frames_of_a_plane_are_exact():
 def test_mirrored_islands_keep_the_normal_outside(head):
     mirrored = head.uv * np.array([-1, 1], np.float32) + np.array([1, 0], np.float32)
     layout = texel_layout(mirrored, head.uv_faces, 32)
-    anchor = TexelAnchor(layout, head.faces, mirrored, head.uv_faces, head.vertex_count)
+    anchor = TexelAnchor(layout, head.faces, head.uv_faces, head.vertex_count)
     frames = anchor(torch.from_numpy(head.v_template.copy()))
     assert ((frames.normals * frames.positions).sum(-1) > 0.9 * RADIUS).all()
 

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2  # for values 0..1
 SCALE_MIN_MM, SCALE_MAX_MM = 0.1, 10.0  # eq. 18
+OPAQUE = 0.9
 _SCALE_EPSILON = 1e-7
 _MM_PER_METRE = 1e3
 
@@ -52,7 +53,7 @@ class LossWeights:
         position, rotation, log_scale: Mean squared decoded offsets.
         vertices: Mean squared distance of the posed vertices from the true ones, square millimetres, where the data knows them.
         color: Mean squared excess of the Gaussians' colors beyond 0..1: such colors cancel out here and clip elsewhere.
-        opacity: Mean transparency of the Gaussians, 1 - opacity: keeps a surface from dissolving into fog.
+        opacity: Mean of what the Gaussians' opacities lack to `OPAQUE`: keeps a surface from dissolving into fog.
     """
 
     l1: float = 0.8
@@ -139,7 +140,7 @@ def total_loss(
         colors = rendering.gaussians.colors
         terms["color"] = (weights.color, (colors - colors.clamp(0, 1)).square().mean())
     if weights.opacity:
-        terms["opacity"] = (weights.opacity, 1.0 - rendering.gaussians.opacities.mean())
+        terms["opacity"] = (weights.opacity, (OPAQUE - rendering.gaussians.opacities).clamp(min=0.0).mean())
     loss = torch.stack([factor * value for factor, value in terms.values()]).sum()
     return loss, {name: value.detach() for name, (_, value) in terms.items()}
 

@@ -27,6 +27,7 @@ FORMS = {
     "no maps": {"mean_maps": False, "basis_maps": 0, "expression_maps": 0},
     "unfolded": {"refine_unshuffle": 1, "refine_channels": (6, 8, 10)},
     "early view": {"view_stage": 4},
+    "focused": {"focus": True},
 }
 
 

@@ -165,7 +165,7 @@ def test_parameters_that_are_not_finite_are_not_written(tmp_path, model, info):
 
 
 @pytest.mark.parametrize("preset", sorted(PRESETS))
-@pytest.mark.parametrize("change", [{}, {"residuals": False}, {"refine": False}])
+@pytest.mark.parametrize("change", [{}, {"residuals": False}, {"refine": False}, {"focus": True}])
 def test_the_shapes_of_parameters_are_those_of_the_model(preset, change):
     head, config = small_head(), PRESETS[preset].replace(**change)
     with torch.device("meta"):

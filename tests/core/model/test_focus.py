@@ -30,7 +30,8 @@ def test_no_face_folds_and_no_two_overlap(focused):
     # overlapping faces would need more texels than the square has cells under them
     layout = texel_layout(uv, head.uv_faces, 512)
     assert np.abs(after).sum() / 2 == pytest.approx(len(layout) / 512**2, rel=0.01)
-    assert uv.min() >= 0 and uv.max() <= 1
+    assert uv.min() >= 0
+    assert uv.max() <= 1
 
 
 def test_texels_have_the_wanted_sizes_relative_to_one_another(focused):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from grmm_core.jobs.stages import TRAINING
 from grmm_core.model.weights import load_weights
 from grmm_core.training.checkpoint import load_checkpoint
 from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
-from grmm_core.training.losses import TERMS, total_loss
+from grmm_core.training.losses import OPAQUE, TERMS, LossWeights, total_loss
 from grmm_core.training.metric_plots import COLORS, read_metrics, write_curves
 from grmm_core.training.metric_plots import main as draw_curves
 from grmm_core.training.optimise import MovingAverage, rate_factor
@@ -149,6 +150,51 @@ def test_two_views_average_their_gradients(head, source, tmp_path):
         expected = gradient / 2 if expected is None else expected + gradient / 2
     pair.step()
     torch.testing.assert_close(pair.model.decoders.appearance_mean.grad, expected, atol=1e-7, rtol=1e-4)
+
+
+def test_vertices_colors_and_opacities_are_held_to_the_truth(head, source, tmp_path):
+    pair = Trainer(config(clip_norm=0.0), head, source, tmp_path)
+    pair.start()
+    view, background = choose(pair.config, source, 0, 0, 0.0)
+    moved = np.random.default_rng(0).normal(0, 1e-3, head.v_template.shape).astype(np.float32)
+    view = replace(view, displacement=moved)
+    with torch.no_grad():
+        pair.model.decoders.appearance_mean[:5, :3] = 2.0
+        pair.model.decoders.opacity_mean[7] = -50.0
+    rendering, target = pair.cast.draw(view, background, True), pair.cast.target(view, background)
+    weights = LossWeights(vertices=1.0, color=1.0, opacity=1.0)
+    terms = total_loss(rendering, target, pair.laplacian, weights)[1]
+    plain = pair.model.vertices(*(torch.as_tensor(a) for a in (source.shapes[view.subject], view.expression, view.pose)))
+    apart = (rendering.mesh.vertices - plain).detach().numpy() - moved
+    assert float(terms["vertices"]) == pytest.approx((apart**2).sum(1).mean() * 1e6, rel=1e-3)
+    colors = rendering.gaussians.colors.detach().numpy()
+    assert float(terms["color"]) == pytest.approx(((colors - colors.clip(0, 1)) ** 2).mean(), rel=1e-4)
+    assert float(terms["color"]) > 0
+    lacking = (OPAQUE - rendering.gaussians.opacities.detach().numpy()).clip(0)
+    assert lacking[7] == pytest.approx(OPAQUE)
+    assert float(terms["opacity"]) == pytest.approx(lacking.mean(), rel=1e-4)
+
+
+def test_a_crop_is_refined_by_the_depths_of_its_whole_picture(head, source, tmp_path):
+    settings = {"crop_size": 24, "crop_share": 1.0, "margin": 4}
+    pair = Trainer(config(**settings), head, source, tmp_path)
+    view, _ = choose(pair.config, source, 0, 0, 1.0)
+    whole, _ = choose(config(), source, 0, 0, 1.0)
+    covered = whole.depth[whole.depth > 0]
+    assert view.image.shape != whole.image.shape
+    assert view.depths == pytest.approx((covered.min(), covered.max()), abs=1e-6)
+    with torch.no_grad():
+        pair.model.refinement.exit.weight.normal_(0, 0.1, generator=torch.Generator().manual_seed(0))
+        drawn, alone = (pair.cast.draw(v, np.zeros(3), True).image for v in (view, replace(view, depths=None)))
+    assert (drawn - alone).abs().max() > 1e-4
+
+
+def test_offsets_have_a_rate_of_their_own(head, source, tmp_path):
+    trainer = Trainer(config(lr_offsets=1e-4, lr_maps=2e-3), head, source, tmp_path)
+    rates = {id(parameter): group["peak"] for group in trainer.optimiser.param_groups for parameter in group["params"]}
+    decoders = trainer.model.decoders
+    assert [rates[id(p)] for p in (decoders.transform_mean, decoders.basis["position"])] == [1e-4, 1e-4]
+    assert [rates[id(p)] for p in (decoders.appearance_mean, decoders.basis["colour"])] == [2e-3, 2e-3]
 
 
 def test_a_loss_that_is_not_finite_keeps_the_checkpoint(head, source, tmp_path):

@@ -6,6 +6,7 @@ import pickle
 import socket
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -80,6 +81,24 @@ def test_a_running_capture_is_followed(folder):
     assert source.people[new.subject] == "bo"
     np.testing.assert_array_equal(source.shapes[:, 0], [0.5, -1.0])
     np.testing.assert_array_equal(source.subjects[source.training], [0, 0, 1, 1, 1])
+
+
+def test_people_are_trained_without_hair_where_the_capture_shows_them_so(folder):
+    """One view with a twin, one that only shows the bare head."""
+    rng = np.random.default_rng(5)
+    pictures = [Picture(rng.random((SIZE, SIZE, 3)), np.ones((SIZE, SIZE)), None) for _ in range(2)]
+    for number in (0, 1):
+        bare = View("c00", Camera.orbit(SIZE, SIZE), f"{number:04d}_00_bare.png", "", "train")
+        view = replace(bare, image=f"{number:04d}_00.png" if number == 0 else bare.image, bare=bare)
+        shot = Shot("bo", number, "mix", np.zeros(60), np.zeros(100), np.zeros((5, 3)), (view,), folder / "shots" / "bo")
+        write_subject(folder, "bo", np.zeros(300, np.float32), {})
+        write_shot(folder, shot, [replace(pictures[0], bare=pictures[1]) if number == 0 else pictures[1]])
+    haired, bare = open_views(folder, only="bo"), open_views(folder, only="bo", bare=True)
+    assert (len(haired.training), len(bare.training)) == (1, 2)
+    np.testing.assert_allclose(haired.load(0).image / 255, pictures[0].rgb, atol=0.005)
+    for index in (0, 1):
+        np.testing.assert_allclose(bare.load(index).image / 255, pictures[1].rgb, atol=0.005)
+    assert len(open_views(folder, only="ada", bare=True).training) == 2  # views without a twin stay what they are
 
 
 def test_memory_for_pictures_is_bounded(folder):

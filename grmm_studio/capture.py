@@ -1,12 +1,13 @@
-"""Running a capture job: which person and shot is next, render, write. Several processes can share one folder.
+"""Running a capture job: which person and shot is next, render, write.
 
-The order interleaves people: rounds of a few shots of everybody, so that a capture that is cut short
-still has everybody. Imports bpy through `scene`, with the first shot.
+Several processes of one machine can share a folder, by claims on its pieces; several machines share it as a cluster, whose
+scheduler hands the pieces out. The order interleaves people: rounds of a few shots of everybody, so that a capture that is
+cut short still has everybody. Imports bpy through `scene`, with the first shot.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -29,9 +30,11 @@ from grmm_core.data.dataset import (
 )
 from grmm_core.data.layers import ALBEDO, LIGHT_PREFIX, NORMAL, PART_LAYER
 from grmm_core.errors import ConfigError
+from grmm_core.files.access import TEMPORARY_PATTERN
 from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head, load_people_model
-from grmm_core.jobs.progress import ProgressCallback, Reporter
+from grmm_core.jobs.cluster import Cluster
+from grmm_core.jobs.progress import ProgressCallback, Reporter, Share
 from grmm_core.jobs.stages import CAPTURE
 
 from .lights import RIG, chosen, draw_light
@@ -188,70 +191,162 @@ def subject_name(seed: int, index: int) -> str:
     return f"s{seed:04d}_{index:04d}"
 
 
+@dataclass(frozen=True)
+class Piece:
+    """Some shots of one person.
+
+    Attributes:
+        folder: Of the data set.
+        settings: Of the job.
+        threads: Of the process that renders it.
+        index: Number of the person.
+        numbers: Of the shots.
+    """
+
+    folder: Path
+    settings: CaptureSettings
+    threads: int
+    index: int
+    numbers: range
+
+    @property
+    def name(self) -> str:
+        """Of the person."""
+        return subject_name(self.settings.seed, self.index)
+
+    @property
+    def records(self) -> list[Path]:
+        """Files that are there when the shots are complete."""
+        return [shot_record(self.folder, self.name, number) for number in self.numbers]
+
+    def missing(self) -> Iterator[int]:
+        """Numbers of shots that are not complete when it is their turn."""
+        return (number for number, record in zip(self.numbers, self.records, strict=True) if not record.exists())
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is missing."""
+        return next(self.missing(), None) is None
+
+
 def run_job(
     folder: Path, settings: CaptureSettings, threads: int = 2, progress: ProgressCallback | None = None,
-    only: Sequence[int] = (),
+    only: Sequence[int] = (), cluster: Cluster | None = None,
 ) -> Outcome:  # fmt: skip
     """Render what is missing.
 
     Args:
         folder: Of the data set.
         settings: What to render.
-        threads: Of this process.
-        progress: Called after every shot, with one of its pictures.
+        threads: Of each process.
+        progress: Called after every shot, on a cluster after every piece, with one of its pictures.
         only: Numbers of the people to render now; everybody when empty.
+        cluster: Where to render; None for this process.
 
     Returns:
         What was made, and how the job stands.
 
     Raises:
         ConfigError: Bad settings. FileAccessError: The folder is not writable or the disk is full.
+        SessionError: The cluster failed.
     """
     if threads < 1:
         raise ConfigError("--threads must be at least 1.")
-    pool = check_settings(settings, only)
+    check_settings(settings, only)
     open_job(folder, settings)
-    everything = [piece for piece in job_order(settings.subjects, settings.shots) if not only or piece[0] in only]
-    records = [shot_record(folder, subject_name(settings.seed, index), n) for index, numbers in everything for n in numbers]
+    order = job_order(settings.subjects, settings.shots)
+    pieces = [Piece(folder, settings, threads, index, numbers) for index, numbers in order if not only or index in only]
+    records = [record for piece in pieces for record in piece.records]
+    report = Reporter(CAPTURE, progress)
 
     def complete() -> int:  # by all processes
         return sum(record.exists() for record in records)
 
-    report = Reporter(CAPTURE, progress)
+    def said(what: str, picture: Path) -> None:
+        done = complete()
+        report("shots", done / len(records), f"{done}/{len(records)} {what}", str(picture))
+
     report("shots", complete() / len(records))
-    worker = _Worker(folder, settings, threads, pool)
-    made, before, pieces = 0, -1, everything
+    made = _render_here(pieces, said) if cluster is None else _render_there(pieces, said, cluster)
+    outcome = Outcome(made, complete(), len(records))
+    if not outcome.in_work:
+        _tidy(folder, {piece.name for piece in pieces})
+    return outcome
+
+
+def _render_there(pieces: Sequence[Piece], said: Callable[[str, Path], None], cluster: Cluster) -> int:
+    """Render what is missing on a cluster; returns the number of shots."""
+    made, wanted = 0, [piece for piece in pieces if not piece.complete]
+    for number, pictures in cluster.run(render_piece, wanted):
+        made += len(pictures)
+        for picture in pictures[-1:]:
+            said(f"{wanted[number].name} up to shot {wanted[number].numbers[-1]}", picture)
+    cluster.everywhere(leave_studio)
+    return made
+
+
+def _render_here(pieces: Sequence[Piece], said: Callable[[str, Path], None]) -> int:
+    """Render what no other process of this machine has claimed; returns the number of shots."""
+    made, before = 0, -1
     try:
         # again until nothing more is ours: a process that held a piece may have died in the meantime
         while pieces and made > before:
             before, held = made, []
-            for index, numbers in pieces:
-                name = subject_name(settings.seed, index)
-                if all(shot_record(folder, name, number).exists() for number in numbers):
+            for piece in pieces:
+                if piece.complete:
                     continue
-                with claim(folder / "locks" / f"{name}_{numbers.start:04d}.lock") as mine:
+                with claim(piece.folder / "locks" / f"{piece.name}_{piece.numbers.start:04d}.lock") as mine:
                     if not mine:
-                        held.append((index, numbers))
+                        held.append(piece)
                         continue
-                    for number in numbers:
-                        if shot_record(folder, name, number).exists():
-                            continue
-                        picture = worker.shoot(index, number)
+                    for number in piece.missing():
+                        picture = _studio_for(piece).shoot(piece.index, number)
                         made += 1
-                        done = complete()
-                        said = f"{done}/{len(records)} {name} shot {number}"
-                        report("shots", done / len(records), said, str(picture))
+                        said(f"{piece.name} shot {number}", picture)
             pieces = held
     finally:
-        worker.close()
-    return Outcome(made, complete(), len(records))
+        leave_studio()
+    return made
+
+
+def render_piece(piece: Piece, report: Share) -> list[Path]:
+    """Render the shots of a piece that are missing, on a worker of a cluster; returns a picture of each."""
+    return [_studio_for(piece).shoot(piece.index, number) for number in piece.missing()]
+
+
+_worker: _Worker | None = None  # of this process
+
+
+def _studio_for(piece: Piece) -> _Worker:
+    global _worker
+    job = (piece.folder, piece.settings, piece.threads)
+    if _worker is None or _worker.job != job:
+        leave_studio()
+        _worker = _Worker(*job)
+    return _worker
+
+
+def leave_studio() -> None:
+    """Remove this process's studio and its temporary files."""
+    global _worker
+    if _worker is not None:
+        _worker.close()
+    _worker = None
+
+
+def _tidy(folder: Path, names: Iterable[str]) -> None:
+    """Remove files that killed processes were writing; nobody writes these people any more."""
+    for name in names:
+        for path in (folder / "shots" / name).glob(TEMPORARY_PATTERN):
+            path.unlink(missing_ok=True)
 
 
 class _Worker:
     """The studio of this process, built with the first shot, and anew after many people."""
 
-    def __init__(self, folder: Path, settings: CaptureSettings, threads: int, pool: tuple[str, ...]) -> None:
-        self.folder, self.settings, self.threads, self.pool = folder, settings, threads, pool
+    def __init__(self, folder: Path, settings: CaptureSettings, threads: int) -> None:
+        self.job = self.folder, self.settings, self.threads = folder, settings, threads
+        self.pool = check_settings(settings)
         self.head = load_open_head()
         self.people = load_people_model()
         self._studio = None

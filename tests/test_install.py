@@ -29,6 +29,8 @@ PROBES = {
     "studio": ["-c", STUDIO],
     "train": ["-c", "from torch.utils.tensorboard import SummaryWriter; SummaryWriter('curves').close()"],
     "data": ["-c", "import h5py, av; h5py.File('a.h5', 'w').close()"],
+    "plain": ["-c", "import onnxruntime"],
+    "cluster": ["-c", "import bokeh; from grmm_core.jobs.cluster import open_cluster\nwith open_cluster('local:1'): pass"],
     "dev": ["-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", str(ROOT / "tests" / "core")],
 }
 """What each extra is for; the programs of `tools` and the tests stay in the checkout."""

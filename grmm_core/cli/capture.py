@@ -10,7 +10,7 @@ from typing import Any
 from ..errors import RuntimeMissingError
 from ..jobs.progress import Progress
 from ..jobs.stages import CAPTURE
-from .common import add_events
+from .common import add_cluster, add_events, cluster_of
 
 
 def add_parser(subparsers: Any) -> None:
@@ -18,7 +18,7 @@ def add_parser(subparsers: Any) -> None:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "capture",
         help="render a training set of random people (needs bpy)",
-        description="Render random people with Cycles. Run it again to continue, several times to share the work.",
+        description="Render random people with Cycles. Run it again to continue; --cluster shares the work.",
     )
     parser.add_argument("folder", metavar="DIR", type=Path, help="folder of the data set")
     parser.add_argument("--subjects", type=int, default=24, metavar="N", help="people (default: %(default)s)")
@@ -51,8 +51,9 @@ def add_parser(subparsers: Any) -> None:
         "--lights", default="", metavar="all|NAMES", help="show every view in these lights too, such as key,sunset"
     )
     parser.add_argument(
-        "--threads", type=int, default=2, metavar="N", help="render threads of this process (default: %(default)s)"
+        "--threads", type=int, default=2, metavar="N", help="render threads of each process (default: %(default)s)"
     )
+    add_cluster(parser)
     parser.add_argument("--sheet", type=Path, metavar="FILE", help="only make a contact sheet of what the folder holds")
     add_events(parser)
 
@@ -78,14 +79,14 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         args.subsurface, not args.no_depth, args.bare, args.layers, args.lights,
     )  # fmt: skip
 
-    with args.console.progress(CAPTURE) as show:
+    with cluster_of(args) as cluster, args.console.progress(CAPTURE) as show:
 
         def report(progress: Progress) -> None:
             show(progress)
             if not args.console.draws_bars:
                 args.console.message(progress.text(CAPTURE))
 
-        outcome = run_job(args.folder, settings, args.threads, report, args.only)
+        outcome = run_job(args.folder.absolute(), settings, args.threads, report, args.only, cluster)
     text = f"{outcome.complete} of {outcome.total} shots are complete, {outcome.made} of them made now"
     if outcome.in_work:
         text += f"; other processes hold {outcome.in_work}, run the command again if they end before these are made"

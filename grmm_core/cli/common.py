@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 import signal
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -14,6 +15,7 @@ from ..controls.table import settable
 from ..errors import FileAccessError
 from ..files.format import Format, OptionsOf, options_of_formats
 from ..fitting.request import DEVICES
+from ..jobs.cluster import Cluster, open_cluster
 from .console import Console
 
 
@@ -80,6 +82,23 @@ def options_of(args: argparse.Namespace, found: Format, which: OptionsOf) -> dic
 def add_events(parser: argparse.ArgumentParser) -> None:
     """Add --events, for commands that take a while."""
     parser.add_argument("--events", action="store_true", help="write progress and result as one JSON object a line on stdout")
+
+
+def add_cluster(parser: argparse.ArgumentParser) -> None:
+    """Add --cluster, for commands whose work has pieces."""
+    parser.add_argument(
+        "--cluster", metavar="ADDRESS|local:N",
+        help="do the work on a Dask scheduler's workers, or in N processes of this machine (docs/farm.md)",
+    )  # fmt: skip
+
+
+@contextmanager
+def cluster_of(args: argparse.Namespace) -> Iterator[Cluster | None]:
+    """Connect to the cluster that is named while the block runs, and say what there is. Raises `GrmmError`s."""
+    with open_cluster(args.cluster) as cluster:
+        if cluster is not None:
+            args.console.message(cluster.description)
+        yield cluster
 
 
 def controls_of(args: argparse.Namespace) -> Controls:

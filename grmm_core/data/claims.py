@@ -1,9 +1,8 @@
-"""Sharing a capture between processes: claims on pieces of work by locked files.
+"""Sharing a capture between processes of one machine: claims on pieces of work by locked files.
 
 A claim is the operating system's exclusive lock on a file. The system ends it with the process, however that dies, so no claim
-is ever stale and none must be taken over: a file that is left behind is merely one that nobody has locked. Between computers
-this holds where the shared folder passes locks on (NFS, SMB); where it does not, they may make a piece twice, and the same.
-Needs the standard library only.
+is ever stale and none must be taken over: a file that is left behind is merely one that nobody has locked. Several machines
+share their work through `jobs.cluster`. Needs the standard library only.
 """
 
 from __future__ import annotations

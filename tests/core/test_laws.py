@@ -108,7 +108,9 @@ DISTRIBUTIONS = {"PIL": "pillow", "llvmlite": "numba", "mathutils": "bpy"}
 LEFT_TO_THE_USER = {"gsplat", "zstandard"}  # a faster way on a graphics card; version 4 of SPZ. Both say so when missing.
 
 
-@pytest.mark.parametrize(("package", "extras"), [("grmm_core", ("train", "data", "plain")), ("grmm_studio", ("studio",))])
+@pytest.mark.parametrize(
+    ("package", "extras"), [("grmm_core", ("train", "data", "plain", "cluster")), ("grmm_studio", ("studio",))]
+)
 def test_what_a_package_imports_is_declared(package, extras):
     """Each extra is tried in an environment of its own by `tests/test_install.py`."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.machinery
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -23,6 +24,7 @@ from grmm_core.data.claims import claim
 from grmm_core.data.dataset import CaptureDataset, Picture, read_manifest
 from grmm_core.data.layers import ALBEDO, NORMAL, PART_LAYER, PARTS
 from grmm_core.errors import ConfigError, FileAccessError
+from grmm_core.jobs.cluster import open_cluster
 from grmm_core.jobs.stages import CAPTURE
 from grmm_studio import capture
 from grmm_studio.capture import STUDIO, CaptureSettings, Outcome, check_settings, open_job, run_job
@@ -149,6 +151,49 @@ def test_processes_share_a_job(tmp_path, whole):
     shots = log.read_text().split()
     assert len(shots) == len(set(shots)) == 15
     assert content(folder) == whole
+
+
+STAND_IN = """
+import sys, types
+from pathlib import Path
+import test_capture_job as t
+t.FakeStudio.log, t.FakeStudio.pause = Path({log!r}), 0.1
+sys.modules["grmm_studio.scene"] = types.SimpleNamespace(Studio=t.FakeStudio)
+"""
+
+
+@pytest.fixture
+def two_workers(tmp_path, monkeypatch):
+    """Two processes of a cluster, which draw with the stand-in, also those that come after one is killed."""
+    dask = pytest.importorskip("dask")
+    pytest.importorskip("distributed")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(ROOT / "tests" / "support"), str(Path(__file__).parent)]))
+    preload = STAND_IN.format(log=str(tmp_path / "log"))
+    with dask.config.set({"distributed.worker.preload": [preload]}), open_cluster("local:2") as cluster:
+        yield cluster
+
+
+def test_a_cluster_makes_the_same_capture(tmp_path, whole, two_workers):
+    """One of its workers is killed in the middle; that costs the piece that it was at, which is made again."""
+    folder, killed = tmp_path / "c", []
+
+    def processes():
+        return set(two_workers._client.run(os.getpid).values())
+
+    def kill_one(progress):
+        if progress.fraction > 0.3 and not killed:
+            killed.append(min(processes()))
+            os.kill(killed[0], signal.SIGKILL)
+
+    outcome = run_job(folder, SETTINGS, progress=kill_one, cluster=two_workers)
+    assert killed
+    assert killed[0] not in processes()
+    assert (outcome.complete, outcome.total) == (15, 15)
+    assert content(folder) == whole
+    shots = (tmp_path / "log").read_text().split()
+    assert len(set(shots)) == 15
+    assert len(shots) < 15 + 4  # all but what was lost with the worker were made once
+    assert run_job(folder, SETTINGS, cluster=two_workers) == Outcome(0, 15, 15)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of file sizes")

@@ -220,7 +220,8 @@ class GRMM_OT_cancel_runtime(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Stop it."""
-        _job.cancel()
+        if _job is not None:
+            _job.cancel()
         return {"FINISHED"}
 
 

@@ -14,7 +14,7 @@ from bpy.types import Menu
 
 from ..grmm_core.controls.control import Control
 from ..grmm_core.controls.table import EXPRESSIONS
-from .rig.avatar import Avatar, active_object, avatar_of
+from .rig.avatar import active_object, avatar_of
 from .rig.custom_properties import property_path, put_at_rest
 
 EXPRESSION_FOLDER, RENDER_FOLDER = "grmm/expression", "grmm/render"
@@ -36,9 +36,8 @@ class GRMM_MT_expression_presets(Menu):
     @classmethod
     def reset_cb(cls, context: bpy.types.Context, _filepath: str) -> None:
         """Put everything at rest first."""
-        avatar = avatar_of(context.object)
-        for control in _expressions(avatar):
-            put_at_rest(avatar.object, control)
+        for head, control in _expressions(context):
+            put_at_rest(head, control)
 
     @classmethod
     def post_cb(cls, context: bpy.types.Context, _filepath: str) -> None:
@@ -48,8 +47,8 @@ class GRMM_MT_expression_presets(Menu):
             return
         avatar.tag_edited()
         if context.scene.tool_settings.use_keyframe_insert_auto:
-            for control in _expressions(avatar):
-                avatar.object.keyframe_insert(property_path(control.name))
+            for head, control in _expressions(context):
+                head.keyframe_insert(property_path(control.name))
         _remember(cls.bl_label)
 
 
@@ -67,9 +66,10 @@ class GRMM_MT_render_presets(Menu):
         _remember(cls.bl_label)
 
 
-def _expressions(avatar: Avatar | None) -> list[Control]:
-    """What a preset sets on an avatar."""
-    return [] if avatar is None else [control for control in EXPRESSIONS if control.name in avatar.object]
+def _expressions(context: bpy.types.Context) -> list[tuple[bpy.types.Object, Control]]:
+    """The active avatar's head with each control that a preset sets."""
+    avatar = avatar_of(context.object)
+    return [] if avatar is None else [(avatar.object, control) for control in EXPRESSIONS if control.name in avatar.object]
 
 
 def _remember(name: str) -> None:

@@ -27,6 +27,7 @@ from ..grmm_core.errors import CancelledError, GrmmError, RuntimeMissingError
 from ..grmm_core.files.access import describe_os_error
 from ..grmm_core.jobs.progress import Progress, Reporter
 from ..grmm_core.jobs.stages import INSTALL
+from ..grmm_core.session.process import NO_WINDOW, lines_of
 
 REQUIREMENTS = ("torch>=2.6,<3", "numba>=0.61,<1", "numpy>=1.26,<3", "pillow>=10.3,<14")
 """What the worker imports; the same as the dependencies of the package `grmm-core`."""
@@ -203,21 +204,21 @@ class InstallJob:
             if self._cancelled:
                 raise CancelledError("The installation was cancelled.")
             try:
-                self._process = subprocess.Popen(
+                process = self._process = subprocess.Popen(
                     command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, text=True,
-                    errors="replace", env=tool_environment(self._request), **_hidden_window(),
+                    errors="replace", env=tool_environment(self._request), creationflags=NO_WINDOW,
                 )  # fmt: skip
             except OSError as error:
                 reason = describe_os_error(error)
                 raise RuntimeMissingError(f"The Python {command[0]} cannot be started ({reason}); choose another.") from error
         lines = []
-        for line in self._process.stdout:
+        for line in lines_of(process.stdout):
             lines.append(line)
             with self._lock:
                 self._log.append(line.rstrip())
             if callable(follow):
                 follow(line.strip())
-        code = self._process.wait()
+        code = process.wait()
         with self._lock:
             self._process = None
             cancelled = self._cancelled
@@ -321,7 +322,3 @@ def tool_environment(request: InstallRequest) -> dict[str, str]:
         kept = {name: value for name, value in kept.items() if not name.upper().startswith("PIP_")}
         kept["PIP_CONFIG_FILE"] = os.devnull  # pip's own way to read no file at all
     return kept | {"PYTHONUTF8": "1", "PYTHONNOUSERSITE": "1"}
-
-
-def _hidden_window() -> dict[str, int]:
-    return {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}

@@ -89,7 +89,7 @@ _session: Session | None = None
 _last_error = ""
 _has_drawn = False
 _clouds: set[int] = set()  # ids of splat clouds in the session
-changed: list[Callable[[], None]] = []
+changed: list[Callable[..., object]] = []
 """Called on the main thread when sessions are made otherwise from now on: what met an error then tries again."""
 
 
@@ -203,8 +203,9 @@ def release_clouds() -> None:
     with _lock:
         session, numbers = _session, set(_clouds)
         _clouds.clear()
-    for number in numbers if session is not None else ():
-        session.release(number)
+    if session is not None:
+        for number in numbers:
+            session.release(number)
 
 
 def runtime_status() -> RuntimeStatus:

@@ -36,7 +36,7 @@ def grid(tiles: list[tuple[str, np.ndarray]], columns: int, captions: bool = Tru
         sheet[y + head : y + head + height, x : x + width] = picture
         texts.append((caption, x, y))
     if captions:
-        ink = _write_texts(sheet.shape[:2], texts, width)
+        ink = _write_texts((sheet.shape[0], sheet.shape[1]), texts, width)
         sheet += ink * (_INK - sheet)
     return sheet
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from grmm_core.controls.frame import Controls, resolve
 from grmm_core.data.claims import claim
@@ -40,6 +41,9 @@ from grmm_core.jobs.stages import CAPTURE
 from .lights import RIG, chosen, draw_light
 from .shots import HELD_OUT_CAMERAS, MAX_CAMERAS, expression_pool, make_shot
 from .subjects import Subject, draw_subject
+
+if TYPE_CHECKING:
+    from .scene import Studio
 
 STUDIO = 4  # raise whenever the pictures of a seed change: a capture is not continued with others
 UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
@@ -349,7 +353,7 @@ class _Worker:
         self.pool = check_settings(settings)
         self.head = load_open_head()
         self.people = load_people_model()
-        self._studio = None
+        self._studio: Studio | None = None
         self._subject: Subject | None = None
         self._met: set[int] = set()  # people whom the present studio has prepared
 
@@ -362,29 +366,29 @@ class _Worker:
             self.close()
         if self._studio is None:
             self._studio = Studio(self.head, s.size, s.samples, s.subsurface, s.layers, self.threads)
-        if self._subject is None or self._subject.index != index:
+        studio, subject = self._studio, self._subject
+        if subject is None or subject.index != index:
             self._met.add(index)
-            self._subject = draw_subject(s.seed, index, self.people)
-            self._studio.set_subject(self._subject)
-            name = self._subject.name
-            write_subject(self.folder, name, self._subject.shape, self._subject.to_json(), self._studio.groom)
+            self._subject = subject = draw_subject(s.seed, index, self.people)
+            studio.set_subject(subject)
+            write_subject(self.folder, subject.name, subject.shape, subject.to_json(), studio.groom)
         plan = make_shot(s.seed, index, number, s.views, s.size, self.pool)
         controls = resolve(Controls(aligned=plan.aligned, pose=plan.pose), self.head)
         light = draw_light(s.seed * 1000003 + index * 1009 + number) if s.varied_light else RIG
-        self._studio.set_shot(controls.expression, controls.pose, light)
+        studio.set_shot(controls.expression, controls.pose, light)
         pictures, views = [], []
         for i, (name, camera) in enumerate(zip(plan.camera_names, plan.cameras, strict=True)):
-            pictures.append(self._picture(camera, number))
+            pictures.append(self._picture(studio, camera, number))
             views.append(self._view(index, number, i, name, camera))
         shot = Shot(
-            self._subject.name, number, plan.kind, controls.aligned, controls.expression, controls.pose, tuple(views),
-            self.folder, self._studio.displacement, light.to_json(),
+            subject.name, number, plan.kind, controls.aligned, controls.expression, controls.pose, tuple(views),
+            self.folder, studio.displacement, light.to_json(),
         )  # fmt: skip
         write_shot(self.folder, shot, pictures)
         return shot_record(self.folder, shot.subject, number).with_name(views[0].image)
 
-    def _picture(self, camera: Camera, number: int) -> Picture:
-        s, studio = self.settings, self._studio
+    def _picture(self, studio: Studio, camera: Camera, number: int) -> Picture:
+        s = self.settings
         looks = [False] if self._only_bare(number) else [True, False] if s.bare else [True]
         pictures = []
         for hair in looks:
@@ -415,5 +419,7 @@ class _Worker:
             return View(name, camera, f"{stem}.png", f"{stem}_z.png" if s.depth else "", split, layers, bare)
 
         stem = f"{number:04d}_{i:02d}"
-        bare = files(f"{stem}_bare", None) if s.bare else None
+        if not s.bare:
+            return files(stem, None)
+        bare = files(f"{stem}_bare", None)
         return replace(bare, bare=bare) if self._only_bare(number) else files(stem, bare)

@@ -75,10 +75,9 @@ class Studio:
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         self.scene.collection.objects.link(self._camera)
         self.scene.camera = self._camera
-        self._subject: Subject | None = None
         self._prepared: dict[str, _Prepared] = {}
         self._objects: list[Any] = []
-        self._hair: HairObjects | None = None
+        self._hair: HairObjects
 
     def close(self) -> None:
         """Remove temporary files."""
@@ -90,7 +89,7 @@ class Studio:
             data = item.data
             bpy.data.objects.remove(item)
             bpy.data.meshes.remove(data)
-        if self._hair is not None:
+        if self._objects:
             self._hair.remove()
         for material in list(bpy.data.materials):
             bpy.data.materials.remove(material)
@@ -110,7 +109,7 @@ class Studio:
         self._hair = HairObjects(self.head, self._neutral, prepared.groom, looks, subject.asymmetry)
 
     def _prepare(self, subject: Subject) -> _Prepared:
-        neutral = np.asarray(self.head.vertices(subject.shape, np.zeros(1), np.zeros((5, 3))), float)
+        neutral = np.asarray(self.head.vertices(subject.shape, np.zeros(1), np.zeros((5, 3))), np.float64)
         return _Prepared(
             neutral,
             paint_skin(subject, self._atlas),
@@ -126,7 +125,7 @@ class Studio:
             light: Of the shot.
         """
         subject = self._subject
-        model = np.asarray(self.head.vertices(subject.shape, expression, pose), float)
+        model = np.asarray(self.head.vertices(subject.shape, expression, pose), np.float64)
         self.displacement = self._flesh.displacement(model, self.mesh.normals(model), expression, pose)
         posed = model + self.displacement
         fine = self.mesh.refine(posed)

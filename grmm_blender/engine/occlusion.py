@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...grmm_core.geometry.camera import Camera
+from ...grmm_core.geometry.libraries import present
 from ...grmm_core.geometry.zbuffer import EMPTY, Window, mean_of_samples, triangle_depth
 from ...grmm_core.session import EMPTY_DEPTH
 from ..scene.shot import Occluder, Occluders
@@ -104,7 +105,8 @@ class _Drawn:
 
     @functools.cached_property
     def _uncut(self) -> np.ndarray:
-        cut = (self.holdouts < EMPTY) & (self.holdouts <= self.plain)
+        holdouts = present(self.holdouts)
+        cut = (holdouts < EMPTY) & (holdouts <= self.plain)
         grid = cut.reshape(self._grid.shape)
         return 1.0 - mean_of_samples(lambda row, column: grid[:, row, :, column], self.scene.samples)
 

@@ -137,7 +137,7 @@ def unregister() -> None:
         panel.COMPAT_ENGINES.discard(ENGINE)
 
 
-def _shared_panels() -> list[type]:
+def _shared_panels() -> list[type[bpy.types.Panel]]:
     return [
         panel
         for panel in bpy.types.Panel.__subclasses__()

@@ -72,7 +72,7 @@ class ViewRenderer:
             self.update(depsgraph)
         width, height = context.region.width, context.region.height
         if self._scene is not None:
-            self._request(context)
+            self._request(context, self._scene)
         found = self._jobs.take()
         if found is not None:
             self._picture, self._texture, self._avatars = found, _texture(found.values, "RGBA16F"), None
@@ -137,12 +137,12 @@ class ViewRenderer:
             DrawSettings(refine=settings.use_viewport_refine, samples=_EDGE_SAMPLES),
         )
 
-    def _request(self, context: bpy.types.Context) -> None:
+    def _request(self, context: bpy.types.Context, scene: _Scene) -> None:
         camera = view_camera(context.region, context.region_data)
         # During a final render the model is busy; the viewport keeps its picture.
         if self._is_shown(camera) or bpy.app.is_job_running("RENDER"):
             return
-        self._shown = (self._scene, camera)
+        self._shown = (scene, camera)
         space = context.space_data
         clip, setback = (space.clip_start, space.clip_end), 0.0
         if camera.orthographic:
@@ -151,8 +151,8 @@ class ViewRenderer:
             setback = space.clip_end
             matrix[2, 3] += setback
             camera, clip = replace(camera, world_to_camera=matrix), (clip[0], 2.0 * clip[1])
-        frame = Frame(self._scene.shot, camera, clip)
-        self._jobs.request(ViewRequest(frame, self._scene.preview, self._scene.final, setback))
+        frame = Frame(scene.shot, camera, clip)
+        self._jobs.request(ViewRequest(frame, scene.preview, scene.final, setback))
 
     def _is_shown(self, camera: Camera) -> bool:
         if self._shown is None or self._shown[0] is not self._scene:

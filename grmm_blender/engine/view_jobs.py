@@ -163,8 +163,8 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
         region = Region(0, 0, frame.camera.width, frame.camera.height)
         values = pipeline.frame_values(frame, settings, _PASSES, region, given_up, depths=self._depths)
         avatars = np.concatenate([values["Mask"], values["Depth"]], -1)
-        rows = (picture.blender_rows(part).reshape(part.shape) for part in (values["Combined"], avatars))
-        self._put(ViewPicture(*rows, level, request))
+        colors, cover = (picture.blender_rows(part).reshape(part.shape) for part in (values["Combined"], avatars))
+        self._put(ViewPicture(colors, cover, level, request))
 
 
 _live: weakref.WeakSet[ViewJobs] = weakref.WeakSet()

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import logging
 import subprocess
-import sys
 import threading
 from collections import deque
 from dataclasses import dataclass, field, replace
@@ -19,7 +18,7 @@ from ...grmm_core.errors import RuntimeMissingError
 from ...grmm_core.files.access import describe_os_error
 from ...grmm_core.fitting.request import FacesRequest, FitRequest
 from ...grmm_core.jobs.progress import Progress
-from ...grmm_core.session.process import core_environment, core_folder
+from ...grmm_core.session.process import NO_WINDOW, core_environment, core_folder, lines_of
 
 _LOG_LINES = 100
 _SHOWN_CHARACTERS = 200
@@ -90,12 +89,11 @@ class FitJob:
         Raises:
             RuntimeMissingError: It cannot be started.
         """
-        options: dict[str, Any] = {"creationflags": subprocess.CREATE_NO_WINDOW} if sys.platform == "win32" else {}
         try:
             process = subprocess.Popen(
                 [python, "-m", "grmm_core", "fit", "--events", *request.arguments()],
                 stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8",
-                errors="replace", env=core_environment(python), cwd=core_folder(), **options,
+                errors="replace", env=core_environment(python), cwd=core_folder(), creationflags=NO_WINDOW,
             )  # fmt: skip
         except OSError as error:
             raise RuntimeMissingError(
@@ -135,14 +133,13 @@ class FitJob:
         return self.status
 
     def _read(self) -> None:
-        with self._process.stdout as stream:
-            for line in stream:
-                try:
-                    event = json.loads(line)
-                except ValueError:
-                    continue  # a library wrote to the standard output
-                if isinstance(event, dict):
-                    self._apply(event)
+        for line in lines_of(self._process.stdout):
+            try:
+                event = json.loads(line)
+            except ValueError:
+                continue  # a library wrote to the standard output
+            if isinstance(event, dict):
+                self._apply(event)
         code = self._process.wait()
         self._errors.join(1.0)
         with self._lock:
@@ -174,10 +171,9 @@ class FitJob:
                 _log.warning("the fit wrote an event that makes no sense: %.200r", event)
 
     def _read_log(self) -> None:
-        with self._process.stderr as stream:
-            for line in stream:
-                self._lines.append(line.rstrip())
-                _log.debug("fit %d: %s", self._process.pid, line.rstrip())
+        for line in lines_of(self._process.stderr):
+            self._lines.append(line.rstrip())
+            _log.debug("fit %d: %s", self._process.pid, line.rstrip())
 
 
 def _after(status: FitStatus, event: dict[str, Any]) -> FitStatus:

@@ -28,6 +28,8 @@ class _AvatarPanel:
     """Content of a panel; where it stands is added by `_twins`."""
 
     avatar_only = True
+    bl_label: str
+    layout: bpy.types.UILayout
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

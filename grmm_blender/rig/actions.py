@@ -134,8 +134,8 @@ def replace_keys(curve: bpy.types.FCurve, keys: Keys, span: tuple[float, float])
     for name, values in old.items():
         points.foreach_get(name, values)
     kinds = {name: np.empty(len(points), np.int32) for name in _KINDS}
-    for name, values in kinds.items():
-        points.foreach_get(name, values)
+    for name, numbers in kinds.items():
+        points.foreach_get(name, numbers)
     frames = old["co"][::2]
     outside = (frames < span[0] - _SAME_FRAME) | (frames > span[1] + _SAME_FRAME)
     new = {"co": keys.points, "handle_left": keys.left, "handle_right": keys.right}

@@ -77,7 +77,7 @@ def add_missing_controls(avatar: Avatar) -> None:
     if any(control in EXPRESSIONS for control in missing):
         mesh.add_recipe_keys(obj, head)
         drivers.drive_shape_keys(obj, head)
-        drivers.drive_bones(avatar.armature, obj, head, drivers.resting_pose(avatar.armature))
+        drivers.drive_bones(avatar.armature, obj, head, drivers.resting_pose(avatar.bones))
 
 
 def show_source(avatar: Avatar) -> str:
@@ -111,7 +111,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
         raise FileFormatError(problem)
     mesh.rebase(obj, identity.vertices)
     mesh.add_materials(obj.data, identity)
-    drivers.set_resting_pose(rig, identity.resting_pose)
+    drivers.set_resting_pose(avatar.bones, identity.resting_pose)
     obj.grmm.known_path = known_path(avatar)
     offset = identity.joints - armature.rest_joints(rig)  # [5, 3]
     obj.grmm.joint_offset = offset.ravel().tolist()
@@ -123,8 +123,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
             obj[name] = kept
     live.state_of(avatar).shape_for = None
     live.state_of(avatar).detail_for = None
-    obj.update_tag()
-    rig.update_tag()
+    avatar.tag_edited()
 
 
 def known_path(avatar: Avatar) -> str:

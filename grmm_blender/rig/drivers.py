@@ -6,7 +6,7 @@ properties, each of which is one control times its weight (the weight is the slo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import bpy
 import numpy as np
@@ -89,20 +89,20 @@ def resting_term(axis: int) -> str:
     return f"rest.{_AXES[axis]}"
 
 
-def set_resting_pose(armature: bpy.types.Object, resting: np.ndarray) -> None:
+def set_resting_pose(bones: Mapping[str, bpy.types.PoseBone], resting: np.ndarray) -> None:
     """Change what `drive_bones` was given as `resting`, [5, 3]."""
     for joint, name in enumerate(JOINT_NAMES):
-        bone = armature.pose.bones.get(DRIVEN_PREFIX + name)
+        bone = bones.get(DRIVEN_PREFIX + name)
         if bone is not None:
             for axis in range(3):
                 bone[resting_term(axis)] = float(resting[joint, axis])
 
 
-def resting_pose(armature: bpy.types.Object | None) -> np.ndarray:
+def resting_pose(bones: Mapping[str, bpy.types.PoseBone]) -> np.ndarray:
     """Return what `set_resting_pose` stored, radians, [5, 3]."""
     pose = np.zeros((len(JOINT_NAMES), 3), np.float32)
-    for joint, name in enumerate(JOINT_NAMES if armature is not None else ()):
-        bone = armature.pose.bones.get(DRIVEN_PREFIX + name)
+    for joint, name in enumerate(JOINT_NAMES):
+        bone = bones.get(DRIVEN_PREFIX + name)
         if bone is not None:
             pose[joint] = [bone.get(resting_term(axis), 0.0) for axis in range(3)]
     return pose

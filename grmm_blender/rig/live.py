@@ -321,6 +321,6 @@ def _pose_correctives(avatar: Avatar, head: HeadModel, controls: Controls) -> np
     """FLAME's pose-corrective offsets, head space, metres, [V, 3]; zeros for heads without."""
     if head.posedirs is None:
         return np.zeros((head.vertex_count, 3), np.float32)
-    pose = resolve(controls, head).pose + resting_pose(avatar.armature)
+    pose = resolve(controls, head).pose + resting_pose(avatar.bones)
     feature = (euler_to_matrix(pose)[1:] - np.eye(3, dtype=np.float32)).ravel()
     return head.posedirs @ feature

@@ -74,10 +74,11 @@ class Cloud(ObjectWrapper):
         mesh = self.object.evaluated_get(depsgraph).data
         raw = self._raw(mesh)
         version = _checksum(*raw.values())
-        if self.carrier is None:
+        carrier = self.carrier
+        if carrier is None:
             return CloudShot(self.key, version, _in_head_axes(raw))
-        posed = mesh_positions(self.carrier.evaluated_get(depsgraph).data)
-        placed = self._carried(raw, version, posed)
+        posed = mesh_positions(carrier.evaluated_get(depsgraph).data)
+        placed = self._carried(carrier, raw, version, posed)
         return CloudShot(self.key, version + _checksum(posed), placed)
 
     def placement(self, matrix_world: np.ndarray) -> np.ndarray:
@@ -119,14 +120,12 @@ class Cloud(ObjectWrapper):
             raw[TRIANGLE] = read_attribute(mesh, TRIANGLE).astype(np.int32)
         return raw
 
-    def _carried(self, raw: dict[str, np.ndarray], version: str, posed: np.ndarray) -> CloudArrays:
+    def _carried(self, carrier: bpy.types.Object, raw: dict[str, np.ndarray], version: str, posed: np.ndarray) -> CloudArrays:
         """Move resting splats with the triangles of the carrier, whose posed vertices are `posed` [V, 3] in Blender's axes."""
-        carrier = self.carrier.data
-        resting = resting_positions(carrier)
-        faces = triangles(carrier)
+        resting, faces = resting_positions(carrier.data), triangles(carrier.data)
         if posed.shape != resting.shape or int(raw[TRIANGLE].max(initial=0)) >= len(faces):
             raise FileFormatError(
-                f"{self.carrier.name} has other vertices or triangles than {self.name} was bound to; undo its edits."
+                f"{carrier.name} has other vertices or triangles than {self.name} was bound to; undo its edits."
             )
         key = (self.object.session_uid, version + _checksum(resting))
         local = _resting.get(key)

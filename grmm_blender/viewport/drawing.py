@@ -6,6 +6,8 @@ bits a channel, so that hundreds of thin layers do not lose precision.
 
 from __future__ import annotations
 
+import functools
+
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
@@ -24,17 +26,24 @@ _NOTHING = 1.0e10  # metres; depth where there is no mesh
 _ORTHO_NEAR = -1.0e9  # an orthographic viewport sees what is behind its plane too
 
 
+class _Buffers:
+    """Textures of one size, and the frame buffers that draw into them."""
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        self.size = size
+        self.color = gpu.types.GPUTexture(size, format="RGBA16F")
+        self.moment = gpu.types.GPUTexture(size, format="RGBA16F")
+        self.mesh = gpu.types.GPUTexture(size, format="R32F")
+        self.mesh_depth = gpu.types.GPUTexture(size, format="DEPTH_COMPONENT32F")  # a frame buffer does not keep it alive
+        self.target = gpu.types.GPUFrameBuffer(color_slots=(self.color, self.moment))
+        self.mesh_target = gpu.types.GPUFrameBuffer(depth_slot=self.mesh_depth, color_slots=(self.mesh,))
+
+
 class SplatPicture:
     """Textures and buffers of one viewport."""
 
     def __init__(self) -> None:
-        self._size = (0, 0)
-        self._color: gpu.types.GPUTexture | None = None
-        self._moment: gpu.types.GPUTexture | None = None
-        self._mesh: gpu.types.GPUTexture | None = None
-        self._mesh_depth: gpu.types.GPUTexture | None = None  # a frame buffer does not keep its textures alive
-        self._target: gpu.types.GPUFrameBuffer | None = None
-        self._mesh_target: gpu.types.GPUFrameBuffer | None = None
+        self._buffers: _Buffers | None = None
         self._packed: Packed | None = None
         self._splats: gpu.types.GPUTexture | None = None
         self._ordered: np.ndarray | None = None
@@ -42,7 +51,11 @@ class SplatPicture:
         self._meshes: tuple[np.ndarray, ...] | None = None
         self._mesh_batch: gpu.types.GPUBatch | None = None
         self._mesh_origin = np.zeros(3)
-        self._quad: gpu.types.GPUBatch | None = None
+
+    @functools.cached_property
+    def _quad(self) -> gpu.types.GPUBatch:
+        corners = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]], np.float32)
+        return batch_for_shader(shaders.screen_shader(), "TRI_STRIP", {"corner": corners})
 
     def draw(
         self,
@@ -64,13 +77,13 @@ class SplatPicture:
         if not len(packed):
             return
         self._upload(packed, order, meshes)
-        self._resize(camera.width, camera.height)
+        buffers = self._sized(camera.width, camera.height)
         reference = float(camera.world_to_camera[2, :3] @ packed.origin + camera.world_to_camera[2, 3])
         blend, test, mask = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
         try:
-            self._draw_meshes(camera, projection)
-            self._draw_splats(packed, camera, reference)
-            self._draw_screen(camera, projection, reference)
+            self._draw_meshes(buffers, camera, projection)
+            self._draw_splats(buffers, packed, camera, reference)
+            self._draw_screen(buffers, camera, projection, reference)
         finally:
             gpu.state.blend_set(blend)
             gpu.state.depth_test_set(test)
@@ -78,17 +91,20 @@ class SplatPicture:
 
     def read(self) -> np.ndarray:
         """Return what `draw` blended, premultiplied display RGBA [H, W, 4], top row first; for tests."""
-        with self._target.bind():
+        if self._buffers is None:
+            return np.zeros((0, 0, 4), np.float32)
+        width, height = self._buffers.size
+        with self._buffers.target.bind():
             buffer = gpu.state.active_framebuffer_get()
-            values = np.array(buffer.read_color(0, 0, *self._size, 4, 0, "FLOAT").to_list(), np.float32)
-        return values.reshape(self._size[1], self._size[0], 4)[::-1]
+            values = np.array(buffer.read_color(0, 0, width, height, 4, 0, "FLOAT").to_list(), np.float32)
+        return values.reshape(height, width, 4)[::-1]
 
-    def _draw_splats(self, packed: Packed, camera: Camera, reference: float) -> None:
+    def _draw_splats(self, buffers: _Buffers, packed: Packed, camera: Camera, reference: float) -> None:
         view = View.of(camera)
         shader = shaders.splat_shader()
-        with self._target.bind():
+        with buffers.target.bind():
             # Cleared through the bound buffer: both targets at once.
-            self._target.clear(color=(0.0, 0.0, 0.0, 0.0))
+            buffers.target.clear(color=(0.0, 0.0, 0.0, 0.0))
             gpu.state.depth_test_set("NONE")
             gpu.state.depth_mask_set(False)
             gpu.state.blend_set("ALPHA_PREMULT")
@@ -103,28 +119,28 @@ class SplatPicture:
             shader.uniform_sampler("order", self._order)
             self._quad.draw_instanced(shader, instance_count=len(packed))
 
-    def _draw_meshes(self, camera: Camera, projection: np.ndarray) -> None:
+    def _draw_meshes(self, buffers: _Buffers, camera: Camera, projection: np.ndarray) -> None:
         if self._mesh_batch is None:
             return
         shader = shaders.mesh_shader()
-        with self._mesh_target.bind():
+        with buffers.mesh_target.bind():
             gpu.state.depth_test_set("LESS_EQUAL")
             gpu.state.depth_mask_set(True)  # also what clearing depth needs
-            self._mesh_target.clear(color=(_NOTHING,) * 4, depth=1.0)
+            buffers.mesh_target.clear(color=(_NOTHING,) * 4, depth=1.0)
             gpu.state.blend_set("NONE")
             shader.bind()
             _set_rows(shader, camera, self._mesh_origin)
             shader.uniform_float("projection", Matrix(projection.tolist()))
             self._mesh_batch.draw(shader)
 
-    def _draw_screen(self, camera: Camera, projection: np.ndarray, reference: float) -> None:
+    def _draw_screen(self, buffers: _Buffers, camera: Camera, projection: np.ndarray, reference: float) -> None:
         shader = shaders.screen_shader()
         shader.bind()
         terms = projection[2, 2], projection[2, 3], projection[3, 2], projection[3, 3]
         shader.uniform_float("depth_terms", tuple(float(term) for term in terms))
-        shader.uniform_sampler("colors", self._color)
-        shader.uniform_sampler("moments", self._moment)
-        shader.uniform_sampler("meshes", self._mesh)
+        shader.uniform_sampler("colors", buffers.color)
+        shader.uniform_sampler("moments", buffers.moment)
+        shader.uniform_sampler("meshes", buffers.mesh)
         gpu.state.blend_set("ALPHA_PREMULT")
         gpu.state.depth_test_set("LESS_EQUAL")
         slack = 0.0
@@ -137,9 +153,6 @@ class SplatPicture:
             self._quad.draw(shader)
 
     def _upload(self, packed: Packed, order: np.ndarray, meshes: tuple[np.ndarray, ...]) -> None:
-        if self._quad is None:
-            corners = np.array([[-1, -1], [1, -1], [-1, 1], [1, 1]], np.float32)
-            self._quad = batch_for_shader(shaders.screen_shader(), "TRI_STRIP", {"corner": corners})
         if packed is not self._packed:
             self._packed, self._splats = packed, _texture(packed.texels, "RGBA32F")
         if order is not self._ordered:
@@ -152,16 +165,10 @@ class SplatPicture:
                 positions = (corners - self._mesh_origin).astype(np.float32)
                 self._mesh_batch = batch_for_shader(shaders.mesh_shader(), "TRIS", {"position": positions})
 
-    def _resize(self, width: int, height: int) -> None:
-        if self._size == (width, height):
-            return
-        self._size = (width, height)
-        self._color = gpu.types.GPUTexture(self._size, format="RGBA16F")
-        self._moment = gpu.types.GPUTexture(self._size, format="RGBA16F")
-        self._mesh = gpu.types.GPUTexture(self._size, format="R32F")
-        self._mesh_depth = gpu.types.GPUTexture(self._size, format="DEPTH_COMPONENT32F")
-        self._target = gpu.types.GPUFrameBuffer(color_slots=(self._color, self._moment))
-        self._mesh_target = gpu.types.GPUFrameBuffer(depth_slot=self._mesh_depth, color_slots=(self._mesh,))
+    def _sized(self, width: int, height: int) -> _Buffers:
+        if self._buffers is None or self._buffers.size != (width, height):
+            self._buffers = _Buffers((width, height))
+        return self._buffers
 
 
 def _set_rows(shader: gpu.types.GPUShader, camera: Camera, origin: np.ndarray) -> None:

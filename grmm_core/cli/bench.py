@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from ..controls.frame import Controls
+from ..errors import RuntimeMissingError
 from ..geometry.camera import Camera
 from ..jobs.progress import Reporter
 from ..jobs.stages import BENCHMARK
@@ -21,6 +22,7 @@ from . import bench_model, bench_splat
 from .common import add_events, add_model, positive_int
 
 if TYPE_CHECKING:
+    from ..model.grmm import GRMM
     from ..session.local import LocalSession
 
 REPEATS = 7
@@ -53,7 +55,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         _show(args.console, result)
         return result
     resolutions = RESOLUTIONS[:-1] if args.quick else RESOLUTIONS
-    with make_local_session(args.weights, args.device, args.threads, args.head) as session:
+    with make_local_session(args.weights, args.device, args.threads, args.head, "torch") as session:
         avatar = session.open("default")
         session.warm_up()
         status = session.status()
@@ -79,7 +81,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             result["worker"] = worker(session, args, repeats)
             report("rasteriser", 0.0)
             result["peak memory of frames MiB"] = peak_memory_mib()
-            result |= bench_splat.measure(best_times, repeats, args.quick, session.target(avatar.id).model.device.type)
+            result |= bench_splat.measure(best_times, repeats, args.quick, _model(session, avatar.id).device.type)
     result["peak memory MiB"] = peak_memory_mib()
     result["alternatives"] = bench_splat.alternatives()
     _show(args.console, result)
@@ -99,11 +101,20 @@ def best_times(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[
     return best
 
 
+def _model(session: LocalSession, avatar_id: int) -> GRMM:
+    from ..model.grmm import GRMM
+
+    model = session.target(avatar_id).model
+    if not isinstance(model, GRMM):
+        raise RuntimeMissingError("Only the model of torch is measured; install torch.")
+    return model
+
+
 def stages(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any]:
     """Time the stages of a frame of an avatar in which everything is new."""
     target = session.target(avatar_id)
     inputs = session.evaluator.inputs(target, Controls().set_named({"jawOpen": 0.3}))
-    return bench_model.stages(best_times, target.model, inputs, FRAME_SIZE, repeats)
+    return bench_model.stages(best_times, _model(session, avatar_id), inputs, FRAME_SIZE, repeats)
 
 
 def caching(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from ..geometry.libraries import present
 from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
@@ -215,9 +216,10 @@ class Tuner:
         loss.backward()
         with torch.no_grad():
             for name, value in self.maps.items():
+                gradient = present(value.grad)
                 if name in TRUSTED:  # a grazing view of skin shows what is behind it as well
-                    value.grad *= self.frontal_by[index][:, None]
-                value.grad.addcmul_(self.pulls[name], value, value=2.0 / len(value))  # of the mean of pull * value^2
+                    gradient *= self.frontal_by[index][:, None]
+                gradient.addcmul_(self.pulls[name], value, value=2.0 / len(value))  # of the mean of pull * value^2
         self.optimiser.step()
         self.step_count += 1
         return drawn.detached()
@@ -228,7 +230,7 @@ class Tuner:
         light = self.codes.light
         for turn in range(rounds):
             variant = turn if turn < rounds - 1 else None
-            change, weight = torch.zeros_like(self.tint), 0.0
+            change, weight = torch.zeros_like(self.tint), torch.zeros_like(self.tint[:, :1])
             for index, view in enumerate(self.levels[level]):
                 attributes = self.attributes(index, variant)
                 drawn = draw(self.model, view.camera, self.meshes[index], attributes)
@@ -238,7 +240,7 @@ class Tuner:
                 step = spread_to_colors(self.model, view, self.meshes[index], attributes, both * view.inside[..., None])
                 shown = self.seen_by[index][:, None]
                 change, weight = change + shown * step, weight + shown
-            self.maps["color"] += change / torch.as_tensor(weight).clamp(min=1.0)
+            self.maps["color"] += change / weight.clamp(min=1.0)
 
     @torch.no_grad()
     def look_around(self, level: int) -> None:

@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from ..geometry.camera import Camera
+from ..geometry.libraries import present
 from ..model.grmm import GRMM, Attributes, Picture
 from ..model.inputs import ModelInputs
 from ..splat import rasterize
@@ -82,7 +83,7 @@ def spread_to_colors(model: GRMM, view: FitView, vertices: Tensor, attributes: A
     ones = torch.ones(len(scene), width + 1, dtype=model.dtype, device=model.device, requires_grad=True)
     with torch.enable_grad():
         raster = rasterize(replace(scene, features=ones), view.camera)
-        (gradient,) = torch.autograd.grad((raster.features * packed).sum(), ones)
+        (gradient,) = torch.autograd.grad((present(raster.features) * packed).sum(), ones)
     return gradient[:, :width] / (gradient[:, width:] + _FEW_PIXELS)
 
 

@@ -151,22 +151,26 @@ def fit_view(
     parts = _parts(track, vertices[head.faces], pixels)
     weight = track.valid * (1.0 - parts.body)
     camera = track.camera.crop(left, top, right - left, bottom - top)
-    planes = (track.image, track.mask, weight, parts.empty, parts.hair, parts.clothes)
-    image, mask, *planes = (array[top:bottom, left:right] for array in planes)
     scale = min(1.0, side / max(camera.width, camera.height))
     width, height = (max(_MULTIPLE, round(n * scale / _MULTIPLE) * _MULTIPLE) for n in (camera.width, camera.height))
 
     def resized(array: np.ndarray) -> Tensor:
-        planes = torch.tensor(np.ascontiguousarray(array), dtype=dtype)
+        planes = torch.tensor(np.ascontiguousarray(array[top:bottom, left:right]), dtype=dtype)
         planes = (planes if planes.ndim == 3 else planes[..., None]).permute(2, 0, 1)[None]
         small = functional.interpolate(planes, (height, width), mode="bilinear", antialias=True, align_corners=False)
         return small[0].permute(1, 2, 0).to(device)
 
+    def flags(array: np.ndarray) -> Tensor:
+        return (resized(array)[..., 0] > 0.5).to(dtype)
+
+    def numbers(array: np.ndarray) -> Tensor:
+        return torch.tensor(array, dtype=dtype, device=device)
+
     return FitView(
-        index, camera.resized(width, height), resized(image), resized(mask)[..., 0],
-        *((resized(plane)[..., 0] > 0.5).to(dtype) for plane in planes),
-        *(torch.tensor(a, dtype=dtype, device=device) for a in (track.shape, track.expression, pose)),
-        torch.tensor(aligned_weights(track.expression, head, aligned_count), dtype=dtype, device=device),
+        index, camera.resized(width, height), resized(track.image), resized(track.mask)[..., 0],
+        flags(weight), flags(parts.empty), flags(parts.hair), flags(parts.clothes),
+        numbers(track.shape), numbers(track.expression), numbers(pose),
+        numbers(aligned_weights(track.expression, head, aligned_count)),
     )  # fmt: skip
 
 

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from ..errors import ShapeError
+
 if TYPE_CHECKING:
     import torch
 
@@ -24,6 +26,13 @@ def library_of(array: np.ndarray | torch.Tensor) -> ModuleType:
     """Return torch for a tensor and numpy for anything else, without importing torch."""
     torch = sys.modules.get("torch")
     return torch if torch is not None and isinstance(array, torch.Tensor) else np
+
+
+def present(array: Array | None) -> Array:
+    """Return an array that only other callers leave out. Raises `ShapeError` where it is left out."""
+    if array is None:
+        raise ShapeError("An array that is needed here was left out.")
+    return array
 
 
 def zeros(shape: tuple[int, ...], like: Array) -> Array:

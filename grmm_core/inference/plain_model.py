@@ -218,7 +218,7 @@ class PlainModel:
         uv_corners(*_parts_of(tables.jacobian), vertices, tables.corner_vertex, tables.outward, corners)
         return corners
 
-    def refine(self, raster: RasterOutput, limits: np.ndarray | None = None, coarse: bool = False) -> np.ndarray:
+    def refine(self, raster: RasterOutput[np.ndarray], limits: np.ndarray | None = None, coarse: bool = False) -> np.ndarray:
         """Psi_ref (eq. 14) on a picture that was rasterised over black; see `GRMM.refine`."""
         rgb, alpha, far = np.asarray(raster.rgb), np.asarray(raster.alpha), np.asarray(raster.depth)
         features = np.asarray(raster.features) if self.config.features else np.zeros((*alpha.shape, 0), np.float32)

@@ -306,7 +306,7 @@ class GRMM(nn.Module):
         raster = rasterize(gaussians if refine else replace(gaussians, features=None), camera, backend=backend)
         return Picture(self.refine(raster, limits) if refine else raster.rgb, raster.rgb, raster.alpha, raster.depth)
 
-    def refine(self, raster: RasterOutput, limits: Tensor | None = None, coarse: bool = False) -> Tensor:
+    def refine(self, raster: RasterOutput[Tensor], limits: Tensor | None = None, coarse: bool = False) -> Tensor:
         """Psi_ref (eq. 14) on a picture that was rasterised over black.
 
         Args:

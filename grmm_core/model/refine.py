@@ -92,7 +92,7 @@ class RefinementNetwork(nn.Module):
         residual = nn.functional.pixel_shuffle(self.exit(x), self.fold)[0, :, :height, :width]
         return rgb + alpha[..., None] * residual.permute(1, 2, 0)
 
-    def refined(self, raster: RasterOutput, limits: Tensor | None = None, coarse: bool = False) -> Tensor:
+    def refined(self, raster: RasterOutput[Tensor], limits: Tensor | None = None, coarse: bool = False) -> Tensor:
         """Refine a picture that was rasterised over black; see `GRMM.refine`."""
         if limits is None:
             limits = depth_range(raster.depth, raster.alpha)

@@ -43,9 +43,9 @@ class OpenCloud:
     @staticmethod
     def make(number: int, name: str, version: str, cloud: CloudArrays, engine: Engine) -> OpenCloud:
         """Copy a cloud to where an engine computes."""
-        means = engine.array(cloud.means.copy())
-        parts = [engine.array(part.copy()) for part in (cloud.quats, cloud.scales, cloud.opacities)]
-        gaussians = Gaussians(means, *parts, zeros(cloud.means.shape, means))
+        parts = (cloud.means, cloud.quats, cloud.scales, cloud.opacities)
+        means, quats, scales, opacities = (engine.array(part.copy()) for part in parts)
+        gaussians = Gaussians(means, quats, scales, opacities, zeros(cloud.means.shape, means))
         return OpenCloud(number, name, version, gaussians, engine.array(cloud.harmonics.copy()))
 
     def seen_from(self, camera: Camera, lod: int = 0) -> Gaussians:
@@ -77,7 +77,7 @@ class OpenCloud:
 def _shade(means: Array, harmonics: Array, camera: Camera) -> Array:
     """Colors [N, 3] of Gaussians as a camera sees them: 0.5 + sum_k basis_k(direction) coefficient_k, not below 0."""
     places = to_numpy(means)
-    directions = places - camera.position.astype(np.float32)
+    directions: np.ndarray = places - camera.position.astype(np.float32)
     if camera.orthographic:
         directions = np.broadcast_to(camera.forward.astype(np.float32), places.shape)
     directions = directions / np.maximum(np.linalg.norm(directions, axis=-1, keepdims=True), 1e-12)

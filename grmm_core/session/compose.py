@@ -24,7 +24,7 @@ import numpy as np
 
 from ..errors import CancelledError
 from ..geometry.camera import Camera
-from ..geometry.libraries import Array, as_like, library_of, to_numpy, zeros
+from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
@@ -41,17 +41,29 @@ _MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined
 
 
 @dataclass(frozen=True)
-class Placed:
-    """An instance with what `local` looked up for it; a cloud has no inputs and no model."""
+class PlacedAvatar:
+    """An instance of an avatar, with what `local` looked up for it."""
 
-    target: OpenAvatar | OpenCloud
-    inputs: Inputs | None
+    target: OpenAvatar
+    inputs: Inputs
     instance: Instance
 
     @property
-    def model(self) -> Model | None:
+    def model(self) -> Model:
         """The network that the Gaussians come from."""
-        return self.target.model if isinstance(self.target, OpenAvatar) else None
+        return self.target.model
+
+
+@dataclass(frozen=True)
+class PlacedCloud:
+    """An instance of a cloud, which no network touches."""
+
+    target: OpenCloud
+    instance: Instance
+    model: None = None
+
+
+Placed = PlacedAvatar | PlacedCloud
 
 
 @dataclass(frozen=True)
@@ -134,7 +146,7 @@ def _gaussians(
     """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space."""
     model_to_world = item.instance.model_to_world
     local_camera = camera.transformed(model_to_world)
-    if isinstance(item.target, OpenCloud):
+    if isinstance(item, PlacedCloud):
         own = item.target.seen_from(local_camera, options.lod)
     else:
         direction = local_camera.view_direction(np.array(HEAD_CENTRE))
@@ -147,8 +159,8 @@ def _gaussians(
     else:
         stacked = zeros((len(own), channels.count), own.means)
         if own_slice is not None:
-            stacked[:, own_slice] = own.features
-        if channels.normals is not None and isinstance(item.target, OpenAvatar):
+            stacked[:, own_slice] = present(own.features)
+        if channels.normals is not None and isinstance(item, PlacedAvatar):
             normals = evaluator.normals(item.target, item.inputs, options.lod)
             rotation = _rotation(model_to_world, normals)
             stacked[:, channels.normals] = normals @ rotation.T
@@ -178,10 +190,10 @@ def _at_origin(camera: Camera) -> Camera:
 
 
 def _refine(
-    placed: Sequence[Placed], raster: RasterOutput, channels: _Channels, coarse: bool, check: Callable[[], None]
+    placed: Sequence[Placed], raster: RasterOutput[Any], channels: _Channels, coarse: bool, check: Callable[[], None]
 ) -> Any:
     """Return the refined colors, premultiplied over black, [H, W, 3]."""
-    coverage = None if channels.coverage is None else raster.features[..., channels.coverage]  # [H, W, K]
+    coverage = None if channels.coverage is None else present(raster.features)[..., channels.coverage]  # [H, W, K]
     limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
     result = raster.rgb
     models: dict[int, Model] = {id(item.model): item.model for item in placed if item.model is not None}
@@ -193,7 +205,7 @@ def _refine(
         share = None
         if mixed:
             own = [k for k, item in enumerate(placed) if item.model is model]
-            share = coverage[..., own].sum(-1)  # [H, W]
+            share = present(coverage)[..., own].sum(-1)  # [H, W]
         region = _covered_region(raster.alpha if share is None else share, model.config, coarse)
         if region is None:
             continue
@@ -202,7 +214,7 @@ def _refine(
             rgb=raster.rgb[rows, columns],
             alpha=raster.alpha[rows, columns],
             depth=raster.depth[rows, columns],
-            features=raster.features[rows, columns, channels.features[key]] if model.config.features else None,
+            features=present(raster.features)[rows, columns, channels.features[key]] if model.config.features else None,
         )
         refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns], coarse)
         if result is raster.rgb:
@@ -216,7 +228,7 @@ def _refine(
     return result
 
 
-def _ranges(raster: RasterOutput, coverage: Any) -> Any:
+def _ranges(raster: RasterOutput[Any], coverage: Any) -> Any:
     """Return, at each pixel, the depth range of the avatar that covers most of it, [2, H, W]."""
     owner = coverage.argmax(-1)  # [H, W]
     limits = zeros((2, *owner.shape), raster.depth)
@@ -244,7 +256,7 @@ def _covered_region(cover: Array, config: GRMMConfig, coarse: bool = False) -> t
 
 
 def _buffers(
-    raster: RasterOutput, refined: Any, channels: _Channels, options: RenderOptions, engine: Engine
+    raster: RasterOutput[Any], refined: Any, channels: _Channels, options: RenderOptions, engine: Engine
 ) -> dict[str, np.ndarray]:
     alpha = raster.alpha
     behind: Any = 0.0
@@ -257,9 +269,9 @@ def _buffers(
         "alpha": lambda: alpha[..., None],
         "depth": lambda: library_of(alpha).where(alpha >= MIN_ALPHA, raster.depth, empty)[..., None],
         "raw": lambda: raster.rgb + behind,
-        "normal": lambda: _unit_normals(raster.features[..., channels.normals], alpha),
+        "normal": lambda: _unit_normals(present(raster.features)[..., channels.normals], alpha),
         "features": lambda: _all_features(raster, channels),
-        "mask": lambda: alpha[..., None] if channels.coverage is None else raster.features[..., channels.coverage],
+        "mask": lambda: alpha[..., None] if channels.coverage is None else present(raster.features)[..., channels.coverage],
     }
     return {name: to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
 
@@ -271,12 +283,12 @@ def _unit_normals(summed: Array, alpha: Array) -> Array:
     return library.where(seen, summed / library.clip(length, 1e-12, None), zeros((1,), summed))
 
 
-def _all_features(raster: RasterOutput, channels: _Channels) -> Any:
+def _all_features(raster: RasterOutput[Any], channels: _Channels) -> Any:
     """Return the features of all models, added up where their numbers differ (they cover different pixels)."""
     width = max((part.stop - part.start for part in channels.features.values()), default=0)
     total = zeros((*raster.alpha.shape, width), raster.alpha)
     for part in channels.features.values():
-        total[..., : part.stop - part.start] += raster.features[..., part]
+        total[..., : part.stop - part.start] += present(raster.features)[..., part]
     return total
 
 

@@ -45,7 +45,7 @@ class Engine(Protocol):
         """Numbers as this library has them, float32, on its device."""
         ...
 
-    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput:
+    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput[Any]:
         """Draw over black."""
         ...
 

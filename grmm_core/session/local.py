@@ -23,7 +23,7 @@ from ..compute.memory import resident_memory
 from ..controls.frame import Controls
 from ..errors import SessionError, ShapeError
 from ..geometry.camera import Camera
-from ..geometry.libraries import to_numpy
+from ..geometry.libraries import present, to_numpy
 from ..geometry.rotations import euler_to_matrix
 from ..head.skinning import joint_transforms
 from ..model.painting import View, paint
@@ -45,7 +45,7 @@ from .api import (
     check_render_size,
 )
 from .clouds import OpenCloud
-from .compose import Placed, compose
+from .compose import PlacedAvatar, PlacedCloud, compose
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .sources import SourceKey, source_key
@@ -64,7 +64,7 @@ def _guarded(
     """Let one call through at a time, and turn an exhausted memory into one sentence."""
 
     @functools.wraps(method)
-    def call(self: LocalSession, *args: P.args, **kwargs: P.kwargs) -> R:
+    def call(self: LocalSession, /, *args: P.args, **kwargs: P.kwargs) -> R:
         with self._lock:
             if self._closed:
                 raise SessionError("The session is closed; open a new one.")
@@ -167,10 +167,8 @@ class LocalSession:
             raise ShapeError("The view direction must be a unit vector of three numbers.")
         inputs = self.evaluator.inputs(target, controls)
         found = self.evaluator.gaussians(target, inputs, direction, lod)
-        extra = to_numpy(found.features) if features else np.zeros((len(found), 0), np.float32)
-        return GaussianArrays(
-            *(to_numpy(part) for part in (found.means, found.quats, found.scales, found.opacities, found.colors)), extra
-        )
+        extra = present(found.features)[:, : None if features else 0]
+        return GaussianArrays(*map(to_numpy, (found.means, found.quats, found.scales, found.opacities, found.colors, extra)))
 
     @_guarded
     def render(
@@ -182,13 +180,13 @@ class LocalSession:
     ) -> dict[str, np.ndarray]:
         """See `Session.render`."""
         check_render_size(camera)
-        placed = []
+        placed: list[PlacedAvatar | PlacedCloud] = []
         for instance in instances:
             if instance.avatar_id in self._clouds:
-                placed.append(Placed(self._clouds[instance.avatar_id], None, instance))
+                placed.append(PlacedCloud(self._clouds[instance.avatar_id], instance))
                 continue
             target = self.target(instance.avatar_id)
-            placed.append(Placed(target, self.evaluator.inputs(target, instance.controls), instance))
+            placed.append(PlacedAvatar(target, self.evaluator.inputs(target, instance.controls), instance))
         return compose(placed, self.evaluator, camera, options, should_cancel)
 
     @_guarded
@@ -289,5 +287,5 @@ def _joints(target: OpenAvatar, inputs: Inputs) -> np.ndarray:
     """Return posed joint positions, [5, 3]."""
     head = target.model.head_model
     rest = np.asarray(head.joints(inputs.shape), np.float32)
-    transforms = joint_transforms(euler_to_matrix(inputs.pose), rest, head.parents)  # [5, 3, 4]
+    transforms = joint_transforms(euler_to_matrix(inputs.pose), rest, head.parents.tolist())  # [5, 3, 4]
     return ((transforms[..., :3] @ rest[..., None])[..., 0] + transforms[..., 3]).astype(np.float32)

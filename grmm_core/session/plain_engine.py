@@ -51,7 +51,7 @@ class PlainEngine:
         """See `Engine.array`."""
         return np.ascontiguousarray(values, np.float32)
 
-    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput:
+    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput[np.ndarray]:
         """See `Engine.rasterize`."""
         own = gaussians
         features = np.zeros((len(own), 0), np.float32) if own.features is None else own.features

@@ -17,8 +17,9 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import IO, Any, BinaryIO, cast
 
 from ..errors import CancelledError, SessionError
 from ..files.access import describe_os_error
@@ -33,6 +34,7 @@ CANCEL_POLL = 0.03  # seconds between two questions to `should_cancel`
 LOG_LINES = 200
 PROTOCOL = 1
 WORKER_MODULE = "grmm_core.session.worker"
+NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # `creationflags` that keep Windows from opening a console
 LIBRARIES = ("numpy", "numba", "onnxruntime")
 _PARENTS_PYTHON = ("PYTHONHOME", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "__PYVENV_LAUNCHER__")
 
@@ -266,6 +268,12 @@ def _library_folders() -> list[str]:
     return list(dict.fromkeys(folders))
 
 
+def lines_of(pipe: IO[str] | None) -> Iterator[str]:
+    """Yield what a process writes into a pipe, line by line, and close it at its end."""
+    with pipe or contextlib.nullcontext(()) as lines:
+        yield from lines
+
+
 def core_folder() -> Path:
     """Folder from which `python -m grmm_core` works."""
     return Path(__file__).resolve().parents[2]
@@ -274,7 +282,7 @@ def core_folder() -> Path:
 def _launch(python: str, arena: SharedArena) -> subprocess.Popen[bytes]:
     options: dict[str, Any] = {}
     if sys.platform == "win32":
-        options["creationflags"] = subprocess.CREATE_NO_WINDOW
+        options["creationflags"] = NO_WINDOW
     else:
         options["pass_fds"] = (arena.descriptor,)
     return subprocess.Popen(

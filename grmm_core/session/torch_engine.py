@@ -33,7 +33,7 @@ class TorchEngine:
     """
 
     name = "torch"
-    torch = torch.__version__
+    torch = str(torch.__version__)
 
     def __init__(
         self,
@@ -42,21 +42,12 @@ class TorchEngine:
         threads: int | None = None,
         head: str | os.PathLike[str] | None = None,
     ) -> None:
-        self._device = choose_device(device)
-        self._threads = threads
+        self._device, self._threads = choose_device(device), threads
+        self.device = describe_device(self._device)
+        self.threads = threads or torch.get_num_threads()
         if threads is not None:
             limit_rasteriser_threads(threads)
         self.store: ModelStore[GRMM] = ModelStore(weights, TorchLoader(self._device), head)
-
-    @property
-    def device(self) -> str:
-        """See `Engine`."""
-        return describe_device(self._device)
-
-    @property
-    def threads(self) -> int:
-        """See `Engine`."""
-        return self._threads or torch.get_num_threads()
 
     @contextmanager
     def calling(self) -> Iterator[None]:
@@ -80,7 +71,7 @@ class TorchEngine:
         """See `Engine.array`."""
         return torch.as_tensor(values, dtype=torch.float32, device=self._device)
 
-    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput:
+    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput[Tensor]:
         """See `Engine.rasterize`."""
         return rasterize(gaussians, camera)
 

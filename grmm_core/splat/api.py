@@ -45,7 +45,7 @@ def rasterize(
     antialiased: bool = False,
     frame: Camera | None = None,
     motion: Tensor | None = None,
-) -> RasterOutput:
+) -> RasterOutput[Tensor]:
     """Draw Gaussians: color, cover, expected depth and features in one pass, differentiable in all of their parameters.
 
     Exact 3DGS rules (`rules.py`): perspective expanded within 1.3 times the field of view, 0.3 px^2 dilation, Gaussians
@@ -116,7 +116,7 @@ def rasterize_batch(
     background: Tensor | Sequence[float] | None = None,
     backend: str = "auto",
     antialiased: bool = False,
-) -> list[RasterOutput]:
+) -> list[RasterOutput[Tensor]]:
     """Draw several pictures, one per camera; each call uses all cores.
 
     Args:

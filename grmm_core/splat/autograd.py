@@ -66,7 +66,7 @@ class _Rasterize(torch.autograd.Function):
 
 def rasterize_with(
     engine: Engine, gaussians: Gaussians, view: View, background: Tensor | None = None, antialiased: bool = False
-) -> RasterOutput:
+) -> RasterOutput[Tensor]:
     """Draw Gaussians with an engine; the other arguments as in `reference.rasterize_reference`, computed in float32."""
     means = gaussians.means
     features = means.new_empty(len(gaussians), 0) if gaussians.features is None else gaussians.features

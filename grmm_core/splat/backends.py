@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from .rules import View
     from .types import Gaussians, RasterOutput
 
-    Draw = Callable[[Gaussians, View, Tensor | None, bool], RasterOutput]
+    Draw = Callable[[Gaussians, View, Tensor | None, bool], RasterOutput[Tensor]]
 
 CUDA_TOLERANCE = 2e-3  # relative, float32 against float32: what `available_backends` accepts of a graphics card
 

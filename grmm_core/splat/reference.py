@@ -141,7 +141,7 @@ def blend(pixels: Tensor, centres: Tensor, conics: Tensor, opacities: Tensor, ch
 
 def rasterize_reference(
     gaussians: Gaussians, view: View, background: Tensor | None = None, antialiased: bool = False
-) -> RasterOutput:
+) -> RasterOutput[Tensor]:
     """Draw Gaussians.
 
     Args:

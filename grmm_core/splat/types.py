@@ -7,12 +7,12 @@ Imports torch only for annotations, so that the package can be imported where to
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Generic, NamedTuple
 
 import numpy as np
 
 from ..errors import ShapeError
-from ..geometry.libraries import library_of
+from ..geometry.libraries import Array, library_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -95,8 +95,8 @@ class Gaussians:
 
 
 @dataclass
-class RasterOutput:
-    """The picture of a scene.
+class RasterOutput(Generic[Array]):
+    """The picture of a scene, as tensors or arrays.
 
     Attributes:
         rgb: [H, W, 3] colors, premultiplied, over the background.
@@ -105,10 +105,10 @@ class RasterOutput:
         features: [H, W, C] blended features (premultiplied, over zero), or None.
     """
 
-    rgb: Tensor
-    alpha: Tensor
-    depth: Tensor
-    features: Tensor | None = None
+    rgb: Array
+    alpha: Array
+    depth: Array
+    features: Array | None = None
 
 
 class GaussianArrays(NamedTuple):

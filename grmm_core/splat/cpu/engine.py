@@ -38,7 +38,7 @@ class CpuEngine:
         return [torch.from_numpy(array) for array in gradients]
 
 
-def rasterize_cpu(gaussians: Gaussians, view: View, background: Tensor | None, antialiased: bool) -> RasterOutput:
+def rasterize_cpu(gaussians: Gaussians, view: View, background: Tensor | None, antialiased: bool) -> RasterOutput[Tensor]:
     """Draw Gaussians with the compiled kernels; arguments as in `reference.rasterize_reference`, computed in float32.
 
     Raises:

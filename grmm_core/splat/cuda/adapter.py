@@ -40,7 +40,7 @@ def gsplat_usable() -> bool:
 
 def rasterize_cuda(
     gaussians: Gaussians, view: View, background: Tensor | None = None, antialiased: bool = False
-) -> RasterOutput:
+) -> RasterOutput[Tensor]:
     """Draw Gaussians on a CUDA device; arguments as in `reference.rasterize_reference`.
 
     Raises:
@@ -79,7 +79,7 @@ def check_device(device: torch.device) -> float:
     return max(float((a - b).abs().max() / b.abs().max()) for b, a in zip(*results, strict=True))
 
 
-def _rasterize_gsplat(gaussians: Gaussians, view: View, background: Tensor | None, antialiased: bool) -> RasterOutput:
+def _rasterize_gsplat(gaussians: Gaussians, view: View, background: Tensor | None, antialiased: bool) -> RasterOutput[Tensor]:
     from gsplat import rasterization
 
     device = gaussians.means.device

@@ -17,7 +17,9 @@ _OFFSET_NAMES = ("transform_mean", "basis.position", "basis.rotation", "basis.sc
 
 def parameter_groups(model: GRMM, codes: nn.Parameter, config: TrainConfig) -> list[dict[str, object]]:
     """Split parameters by learning rate: free maps of offsets and of the rest, codes, and all layers."""
-    maps, offsets, networks, code_list = [], [], [], [codes]
+    maps: list[nn.Parameter] = []
+    offsets: list[nn.Parameter] = []
+    networks, code_list = [], [codes]
     for name, parameter in model.named_parameters():
         if name == "aligned_codes":
             code_list.append(parameter)

@@ -17,7 +17,7 @@ from grmm_core.pictures.images import encode_png, quantize
 
 pytestmark = pytest.mark.blender
 PHOTO_SIDE = 320
-MOST_ERROR = 0.08  # of 0..1; a person of other weights, or a camera that is off by a few pixels, is beyond it
+MOST_ERROR = 0.06  # of 0..1; a person of other weights, or a camera that is off by a few pixels, is beyond it
 
 
 @pytest.fixture(scope="module")
@@ -157,8 +157,8 @@ def test_a_real_photo_is_cancelled_resumed_and_seen_through_its_camera(
         drawn = np.asarray(shown.convert("RGBA"), np.float32) / 255.0
     mask = person_mask(found.photo.pixels, face.box) > 0.9
     rows = np.arange(PHOTO_SIDE)[:, None]
-    head = mask & (rows < face.landmarks[152, 1])  # down to the chin: clothes are not the model's
-    assert drawn[..., 3][head].mean() > 0.95
+    head = mask & (rows < face.landmarks[17, 1])  # down to the lower lip: the suit's collar stands higher than the chin
+    assert drawn[..., 3][head].mean() > 0.98
     straight = drawn[..., :3] * drawn[..., 3:] + (1.0 - drawn[..., 3:]) * 0.5
     error = float(np.sqrt(np.square(straight - found.photo.pixels)[head].mean()))
     grey = float(np.sqrt(np.square(found.photo.pixels - found.photo.pixels[head].mean(0))[head].mean()))

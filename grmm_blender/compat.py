@@ -13,14 +13,6 @@ def depth_pass_name() -> str:
     return "Z"
 
 
-def set_multilayer_exr(settings: bpy.types.ImageFormatSettings) -> None:
-    """Choose 32-bit multilayer OpenEXR; 5.x wants the kind of media first."""
-    if hasattr(settings, "media_type"):
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format = "OPEN_EXR_MULTILAYER"
-    settings.color_depth = "32"
-
-
 def bone_state(bone: bpy.types.PoseBone) -> tuple[bool, bool]:
     """Return whether a posed bone is hidden, and whether it is selected; 5.x keeps both with the pose."""
     hidden, selected = (getattr(bone if hasattr(bone, name) else bone.bone, name) for name in ("hide", "select"))

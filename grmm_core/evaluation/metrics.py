@@ -76,8 +76,3 @@ def errors_of(
             chosen = squared[torch.from_numpy(np.ascontiguousarray(pixels)).to(squared.device)]
             result.regions[name] = (float(chosen.double().sum()), 3 * count)
     return result
-
-
-def psnr_of(mean_squared: float) -> float:
-    """PSNR in dB of a mean squared error of values 0..1; infinite for zero."""
-    return math.inf if mean_squared == 0.0 else -10.0 * math.log10(mean_squared)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..training.losses import psnr_of
 from .regions import REGIONS
 
 if TYPE_CHECKING:
@@ -163,8 +164,7 @@ def _pooled(errors: Iterable[Errors]) -> dict[str, dict[str, float]]:
         parts = [e.regions[name] for e in every if name in e.regions]
         if parts:
             mean = sum(p[0] for p in parts) / sum(p[1] for p in parts)
-            psnr = math.inf if mean == 0.0 else -10.0 * math.log10(mean)
-            result[name] = {"views": len(parts), "psnr": psnr, "rmse": math.sqrt(mean)}
+            result[name] = {"views": len(parts), "psnr": psnr_of(mean), "rmse": math.sqrt(mean)}
     return result
 
 

@@ -10,7 +10,6 @@ import logging
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -65,11 +64,6 @@ def analyse_photo(source: str | os.PathLike[str] | PhotoFile) -> AnalysedPhoto:
     photo = (source if isinstance(source, PhotoFile) else PhotoFile(source)).load()
     focal = photo.focal_35mm
     return _with_faces(photo, None if focal is None else focal / FULL_FRAME * max(photo.pixels.shape[:2]))
-
-
-def analyse_picture(pixels: np.ndarray, name: str = "picture") -> AnalysedPhoto:
-    """Find the faces of a picture in memory, display sRGB 0..1, [H, W, 3]. Raises `NoFaceError`."""
-    return _with_faces(Photo(Path(name), np.asarray(pixels, np.float32), None, 1.0), None)
 
 
 def _with_faces(photo: Photo, focal: float | None) -> AnalysedPhoto:

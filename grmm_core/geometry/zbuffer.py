@@ -59,22 +59,6 @@ def triangle_depth(
     return depth
 
 
-def visible_fraction(depth: np.ndarray, occluders: np.ndarray, samples: int) -> np.ndarray:
-    """Return which part of each pixel no occluder covers.
-
-    Args:
-        depth: Camera z of what may be hidden, [H, W].
-        occluders: Result of `triangle_depth`, [H * samples, W * samples].
-        samples: As given there.
-
-    Returns:
-        0..1, [H, W] float32.
-    """
-    height, width = depth.shape
-    grid = occluders.reshape(height, samples, width, samples)
-    return mean_of_samples(lambda row, column: grid[:, row, :, column] > depth, samples)
-
-
 def mean_of_samples(flags: Callable[[int, int], np.ndarray], samples: int) -> np.ndarray:
     """Return the mean over the samples of each pixel, [H, W] float32.
 

@@ -56,11 +56,6 @@ class PeopleModel:
             values[self.names.index(name)] = value
         return ((values - self.mean) @ self.macro_to_shape).astype(np.float32)
 
-    def sample_shape(self, macros: Mapping[str, float], generator: np.random.Generator, variety: float = 1.0) -> np.ndarray:
-        """Shape coefficients of a random person with these macros, [S]; `variety` scales the individual part."""
-        individual = generator.standard_normal(len(self.residual_std)) * self.residual_std * variety
-        return (self.expected_shape(macros) + individual).astype(np.float32)
-
 
 @functools.lru_cache(maxsize=1)
 def load_open_head() -> HeadModel:

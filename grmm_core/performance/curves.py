@@ -12,7 +12,6 @@ once a step and not once a curve. Needs numpy only.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -279,13 +278,3 @@ def _assemble(
     right[:-1] += np.stack([third, slopes[:, 0] * third], 1)
     left[1:] -= np.stack([third, slopes[:, 1] * third], 1)
     return ReducedCurve(key_times, key_values, left, right, interpolation)
-
-
-def largest_errors(times: np.ndarray, values: np.ndarray, curves: list[ReducedCurve]) -> np.ndarray:
-    """Largest deviation of each reduced curve from its frames [T, N], [N]."""
-    return np.array([np.abs(curve.evaluate(times) - values[:, k]).max() for k, curve in enumerate(curves)])
-
-
-def key_count(curves: Mapping[str, ReducedCurve]) -> int:
-    """Number of keys of all curves together."""
-    return sum(curve.times.size for curve in curves.values())

@@ -21,7 +21,6 @@ _RIDGE = 1e-4  # relative to the mean diagonal: keeps nearly parallel shapes fro
 _MAX_ITERATIONS = 2000
 _TOLERANCE = 1e-5
 _CHUNK = 4096
-_NEAREST_CHUNK = 512
 
 
 class ExpressionModel(Protocol):
@@ -60,28 +59,6 @@ def _arkit_pose(head: ExpressionModel) -> np.ndarray:
 def _turn_weight(coordinates: int) -> float:
     """Weight of a radian: a twentieth of the vertices moves with the lever."""
     return _LEVER * (coordinates / 3 / 20) ** 0.5
-
-
-def arkit_to_expression_map(arkit_moves: np.ndarray, basis: np.ndarray, ridge: float = _RIDGE) -> np.ndarray:
-    """Coefficients that reproduce each ARKit shape in another model.
-
-    Args:
-        arkit_moves: What each ARKit shape moves, [52, F] (vertices flattened, in the correspondence of `basis`).
-        basis: What a unit of each coefficient moves, [E, F].
-        ridge: Regularisation relative to the mean diagonal of the normal matrix.
-
-    Returns:
-        [52, E], to be multiplied from the left by weights [T, 52].
-
-    Raises:
-        ShapeError: Shapes that do not fit.
-    """
-    arkit_moves, basis = np.asarray(arkit_moves, np.float64), np.asarray(basis, np.float64)
-    if arkit_moves.ndim != 2 or basis.ndim != 2 or arkit_moves.shape[1] != basis.shape[1]:
-        raise ShapeError(f"Retargeting compares movements of equal length; got {arkit_moves.shape} and {basis.shape}.")
-    normal = basis @ basis.T
-    normal += np.eye(normal.shape[0]) * ridge * max(float(np.trace(normal)) / normal.shape[0], 1e-30)
-    return np.linalg.solve(normal, basis @ arkit_moves.T).T
 
 
 def to_expression(performance: Performance, head: ExpressionModel, keep_weights: bool = False) -> Performance:
@@ -202,26 +179,3 @@ def bounded_least_squares(gram: np.ndarray, targets: np.ndarray, progress: Share
         if progress:
             progress(min(1.0, (start + _CHUNK) / targets.shape[0]))
     return result
-
-
-def nearest_vertices(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """For each target vertex the index of the nearest source vertex, after both are centred and scaled alike.
-
-    Args:
-        source: [V, 3].
-        target: [W, 3].
-
-    Returns:
-        [W]: `source_moves[:, index]` is then in the target's correspondence.
-    """
-
-    def normalised(points: np.ndarray) -> np.ndarray:
-        centred = np.asarray(points, np.float64) - np.mean(points, axis=0)
-        return centred / max(float(np.sqrt((centred**2).sum(1).mean())), 1e-12)
-
-    a, b = normalised(source), normalised(target)
-    squares = (a * a).sum(1)
-    return np.concatenate([
-        np.argmin(squares - 2.0 * b[start : start + _NEAREST_CHUNK] @ a.T, axis=1)
-        for start in range(0, b.shape[0], _NEAREST_CHUNK)
-    ])  # fmt: skip

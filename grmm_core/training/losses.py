@@ -253,8 +253,12 @@ def psnr(a: Tensor, b: Tensor, mask: Tensor | None = None) -> float:
     error = (a - b).square().mean(-1)
     if mask is not None:
         error = error[mask > 0.5]
-    mean = float(error.mean()) if error.numel() else math.nan
-    return math.inf if mean == 0.0 else -10.0 * math.log10(mean)
+    return psnr_of(float(error.mean()) if error.numel() else math.nan)
+
+
+def psnr_of(mean_squared: float) -> float:
+    """PSNR in dB of a mean squared error of values 0..1; infinite for zero."""
+    return math.inf if mean_squared == 0.0 else -10.0 * math.log10(mean_squared)
 
 
 def weights_from(values: dict[str, float]) -> LossWeights:

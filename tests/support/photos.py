@@ -1,12 +1,24 @@
-"""A picture with two people, put together from the two portraits of `tests/data/photos`."""
+"""Pictures in memory as photos; one with two people, put together from the two portraits of `tests/data/photos`."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
+
+from grmm_core.fitting.track import AnalysedPhoto, analyse_photo
+from grmm_core.pictures.images import encode_png, quantize
+
+
+def analyse_picture(pixels: np.ndarray) -> AnalysedPhoto:
+    """The faces of display sRGB 0..1, [H, W, 3]. Raises `NoFaceError`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "picture.png"
+        path.write_bytes(encode_png(quantize(pixels)))
+        return analyse_photo(path)
 
 
 def two_people(photo_file: Callable[[str], Path]) -> np.ndarray:

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from photos import analyse_picture
 
 from grmm_core.errors import ConfigError, NoFaceError
 from grmm_core.fitting.landmark_stage import similarity
-from grmm_core.fitting.track import AnalysedPhoto, analyse_picture, track_photos
+from grmm_core.fitting.track import AnalysedPhoto, track_photos
 from grmm_core.head.head_model import HeadModel
 
 REGIONS = ("face", "ears")

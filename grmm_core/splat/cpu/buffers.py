@@ -44,9 +44,3 @@ def _give_back(memory: np.ndarray) -> None:
         total = sum(one.nbytes for one in _free)
         while total > KEPT_BYTES:
             total -= _free.pop(0).nbytes
-
-
-def kept_bytes() -> int:
-    """Return how much memory is kept that nobody holds."""
-    with _lock:
-        return sum(one.nbytes for one in _free)

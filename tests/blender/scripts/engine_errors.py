@@ -10,7 +10,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bpy
-from render_support import difference, expected, expected_png, full_camera, heads, load_png, new_scene, render
+from render_support import (
+    difference,
+    expected,
+    expected_png,
+    full_camera,
+    heads,
+    load_png,
+    new_scene,
+    render,
+    set_multilayer_exr,
+)
 from support import module, report
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
@@ -61,7 +71,7 @@ attempt("animation", animation=True)
 (folder / "broken.grmm").write_bytes(b"not an avatar")
 head.grmm.source = str(folder / "broken.grmm")
 attempt("broken_file")
-module("grmm_blender.compat").set_multilayer_exr(scene.render.image_settings)
+set_multilayer_exr(scene.render.image_settings)
 attempt("broken_file_exr")
 if hasattr(scene.render.image_settings, "media_type"):
     scene.render.image_settings.media_type = "IMAGE"

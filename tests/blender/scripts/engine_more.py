@@ -7,7 +7,17 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from render_support import difference, expected, expected_png, full_camera, heads, load_png, new_scene, render
+from render_support import (
+    difference,
+    expected,
+    expected_png,
+    full_camera,
+    heads,
+    load_png,
+    new_scene,
+    render,
+    set_multilayer_exr,
+)
 from support import module, report
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
@@ -56,7 +66,7 @@ overlap = (alone[0][..., 3] > 250) & (alone[1][..., 3] > 250)
 cut = shots[2][..., 3]
 for layer in layers:
     layer.use = True
-module("grmm_blender.compat").set_multilayer_exr(scene.render.image_settings)
+set_multilayer_exr(scene.render.image_settings)
 scene.render.image_settings.exr_codec = "NONE"
 scene.render.filepath = str(folder / "layers.exr")
 bpy.ops.render.render(write_still=True)

@@ -178,7 +178,7 @@ for trial in range(24):
     found = scene_depths.visibility(depth, (x, y), film)
     plain, cut = (zbuffer.triangle_depth(each.placed(), view, 3, 0.1, 100.0) for each in part)
     box = slice(3 * y, 3 * (y + height)), slice(3 * x, 3 * (x + width))
-    wanted = zbuffer.visible_fraction(depth, np.minimum(plain, cut)[box], 3)
+    wanted = (np.minimum(plain, cut)[box].reshape(height, 3, width, 3) > depth[:, None, :, None]).mean(axis=(1, 3))
     seen = np.ones_like(wanted) if found.avatars is None else found.avatars[..., 0]
     there = depth < 1e10
     errors.append(float(np.abs(seen - wanted)[there].max(initial=0.0)))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from render_support import expected, full_camera, heads, new_scene
+from render_support import expected, full_camera, heads, new_scene, set_multilayer_exr
 from support import module, report
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
@@ -19,7 +19,7 @@ layer.use_pass_z = True
 extra = layer.grmm_passes
 extra.use_mask = extra.use_raw = extra.use_normal = extra.use_features = True
 settings = scene.render.image_settings
-module("grmm_blender.compat").set_multilayer_exr(settings)
+set_multilayer_exr(settings)
 settings.exr_codec = "NONE"
 scene.render.use_border = len(sys.argv) > 3
 if scene.render.use_border:

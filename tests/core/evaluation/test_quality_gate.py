@@ -19,7 +19,6 @@ from grmm_core.avatar.library import library_file
 from grmm_core.cli import main
 from grmm_core.controls.frame import Controls
 from grmm_core.data.dataset import CaptureDataset
-from grmm_core.evaluation.metrics import psnr_of
 from grmm_core.evaluation.protocols import EXPRESSION, Evaluation, Settings
 from grmm_core.evaluation.regions import REGIONS, region_pixels, triangle_groups
 from grmm_core.evaluation.scene import Scene
@@ -29,6 +28,7 @@ from grmm_core.head import load_open_head
 from grmm_core.model.weights_file import resolve_weights
 from grmm_core.session import create_session
 from grmm_core.splat import Gaussians, rasterize
+from grmm_core.training.losses import psnr_of
 
 WEIGHTS = resolve_weights("default")
 # PSNR in dB over black at 256 pixels: means over views, and of all pixels of a region; of avatars, on their own person.

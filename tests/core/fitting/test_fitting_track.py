@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from photos import two_people
+from photos import analyse_picture, two_people
 from PIL import Image
 from shape_errors import measure_shapes
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, NoFaceError, ShapeError
-from grmm_core.fitting.track import AnalysedPhoto, analyse_photo, analyse_picture, cut_square, frame_of, track_photos
+from grmm_core.fitting.track import AnalysedPhoto, analyse_photo, cut_square, frame_of, track_photos
 from grmm_core.head.open_head import load_open_head
 
 SIZE = 256

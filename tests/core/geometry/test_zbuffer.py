@@ -14,7 +14,7 @@ import pytest
 from grmm_core.errors import ShapeError
 from grmm_core.geometry import zbuffer, zbuffer_numpy
 from grmm_core.geometry.camera import Camera
-from grmm_core.geometry.zbuffer import EMPTY, triangle_depth, visible_fraction
+from grmm_core.geometry.zbuffer import EMPTY, mean_of_samples, triangle_depth
 
 
 def choose_form(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,13 +88,14 @@ def test_shared_edges_leave_no_gap():
     np.testing.assert_allclose(depth, 2.0, rtol=1e-5)
 
 
-def test_visible_fraction_softens_the_edge():
+def test_the_mean_of_the_samples_softens_the_edge():
     camera = Camera(np.eye(4), 10.0, 10.0, 8.0, 8.0, 16, 16)
     left_half = np.array([[[-9, -9, 1], [0.05, -9, 1], [0.05, 9, 1]], [[-9, -9, 1], [0.05, 9, 1], [-9, 9, 1]]], float)
     occluders = triangle_depth(left_half, camera, samples=4)
-    visible = visible_fraction(np.full((16, 16), 2.0, np.float32), occluders, 4)
+    grid = occluders.reshape(16, 4, 16, 4)
+    visible = mean_of_samples(lambda row, column: grid[:, row, :, column] > 2.0, 4)
     np.testing.assert_array_equal(visible[5], [0] * 8 + [0.5] + [1] * 7)
-    in_front = visible_fraction(np.full((16, 16), 0.5, np.float32), occluders, 4)
+    in_front = mean_of_samples(lambda row, column: grid[:, row, :, column] > 0.5, 4)
     assert (in_front == 1).all()
 
 

@@ -11,11 +11,11 @@ from types import SimpleNamespace
 from typing import ClassVar
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..grmm_core.errors import GrmmError
 from ..grmm_core.jobs.stages import INSTALL
 from . import compat, diagnostics, runtime_install, session_host, windows
+from .declare import choice, flag, text, whole
 from .progress_bar import draw_progress
 
 _POLL_SECONDS = 0.25
@@ -45,67 +45,47 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
 
     bl_idname = compat.ROOT_PACKAGE
 
-    runtime: EnumProperty(
-        name="Run the Model",
-        description="Where the neural model runs",
-        items=(
-            ("auto", "Automatic", "In Blender where its Python has torch, else in a worker process"),
-            ("local", "In Blender", "In Blender's own Python, which needs torch"),
-            ("worker", "In a Worker", "In a process of its own: a crash or lack of memory there does not take Blender down"),
-        ),
-        default="auto",
+    runtime: choice(
+        "Run the Model",
+        "Where the neural model runs",
+        ("auto", "Automatic", "In Blender where its Python has torch, else in a worker process"),
+        ("local", "In Blender", "In Blender's own Python, which needs torch"),
+        ("worker", "In a Worker", "In a process of its own: a crash or lack of memory there does not take Blender down"),
         update=_on_edit,
     )
-    worker_python: StringProperty(
-        name="Worker's Python",
-        description="Python executable with torch and numba for the worker; empty for the installed runtime",
+    worker_python: text(
+        "Worker's Python",
+        "Python executable with torch and numba for the worker; empty for the installed runtime",
         subtype="FILE_PATH",
         update=_on_edit,
     )
-    device: EnumProperty(
-        name="Device",
-        description="What the model computes on",
-        items=(
-            ("auto", "Automatic", "CUDA where it works, else the processor"),
-            ("cpu", "Processor", "All machines"),
-            ("cuda", "CUDA", "NVIDIA graphics card"),
-            ("mps", "Metal", "Apple graphics"),
-        ),
-        default="auto",
+    device: choice(
+        "Device",
+        "What the model computes on",
+        ("auto", "Automatic", "CUDA where it works, else the processor"),
+        ("cpu", "Processor", "All machines"),
+        ("cuda", "CUDA", "NVIDIA graphics card"),
+        ("mps", "Metal", "Apple graphics"),
         update=_on_edit,
     )
-    threads: IntProperty(
-        name="Threads",
-        description="Processor threads for the model; 0 uses all",
-        default=0, min=0, max=1024,
-        update=_on_edit,
-    )  # fmt: skip
-    weights: StringProperty(
-        name="Weights",
-        description="Trained weights for the default avatar and random people; empty for those that come with the extension",
+    threads: whole("Threads", "Processor threads for the model; 0 uses all", min=0, max=1024, update=_on_edit)
+    weights: text(
+        "Weights",
+        "Trained weights for the default avatar and random people; empty for those that come with the extension",
         subtype="FILE_PATH",
         update=_on_edit,
     )
-    flame: StringProperty(
-        name="FLAME File",
-        description="Your own FLAME model (generic_model.pkl or flame2023.pkl), for Add > GRMM; none is distributed",
+    flame: text(
+        "FLAME File",
+        "Your own FLAME model (generic_model.pkl or flame2023.pkl), for Add > GRMM; none is distributed",
         subtype="FILE_PATH",
     )
-    install_python: StringProperty(
-        name="Base Python",
-        description="Python that the runtime is built upon; empty for Blender's own",
-        subtype="FILE_PATH",
+    install_python: text("Base Python", "Python that the runtime is built upon; empty for Blender's own", subtype="FILE_PATH")
+    wheels: text("Wheels", "Folder of wheels to install from without network; empty to fetch packages", subtype="DIR_PATH")
+    index: text(
+        "Package Index", "Address of a package index, for example one with smaller builds without CUDA; empty for the usual one"
     )
-    wheels: StringProperty(
-        name="Wheels",
-        description="Folder of wheels to install from without network; empty to fetch packages",
-        subtype="DIR_PATH",
-    )
-    index: StringProperty(
-        name="Package Index",
-        description="Address of a package index, for example one with smaller builds without CUDA; empty for the usual one",
-    )
-    show_install_options: BoolProperty(name="Options", description="Show where the runtime is installed from", default=False)
+    show_install_options: flag("Options", "Show where the runtime is installed from")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the preferences."""
@@ -168,7 +148,7 @@ class GRMM_OT_install_runtime(bpy.types.Operator):
     bl_description = "Install torch and what else the model needs into a folder of the extension's own; Blender stays usable"
     bl_options: ClassVar[set[str]] = {"REGISTER", "INTERNAL"}
 
-    wait: BoolProperty(name="Wait", description="Return when it is done, for scripts", default=False, options={"SKIP_SAVE"})
+    wait: flag("Wait", "Return when it is done, for scripts", options={"SKIP_SAVE"})
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

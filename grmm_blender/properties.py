@@ -8,6 +8,7 @@ from __future__ import annotations
 import bpy
 
 from ..grmm_core.controls.names import JOINT_NAMES
+from .declare import flag, text
 from .rig.avatar import Avatar, is_avatar
 from .rig.build import add_missing_controls, show_source
 from .rig.identity import DEFAULT_SOURCE
@@ -35,48 +36,36 @@ def _source_changed(self: bpy.types.PropertyGroup, context: bpy.types.Context) -
 class GRMM_PG_avatar(bpy.types.PropertyGroup):
     """Settings of a head object."""
 
-    is_avatar: bpy.props.BoolProperty(
-        name="Avatar",
-        description="This mesh is the head of a GRMM avatar",
-        default=False,
-        options={"HIDDEN"},
-    )
-    source: bpy.props.StringProperty(
-        name="Source",
-        description='The avatar that is drawn: "default", "sample:NUMBER", or a .grmm file',
+    is_avatar: flag("Avatar", "This mesh is the head of a GRMM avatar", options={"HIDDEN"})
+    source: text(
+        "Source",
+        'The avatar that is drawn: "default", "sample:NUMBER", or a .grmm file',
         default=DEFAULT_SOURCE,
         subtype="FILE_PATH",
         update=_source_changed,
     )
-    known_path: bpy.props.StringProperty(
-        name="Known Path",
-        description="Where the source was when it was last read; found there again after the object was appended elsewhere",
-        default="",
+    known_path: text(
+        "Known Path",
+        "Where the source was when it was last read; found there again after the object was appended elsewhere",
         options={"HIDDEN"},
     )
-    head_name: bpy.props.StringProperty(
-        name="Head model",
-        description="Head model that the rig was built from",
-        default="",
-        options={"HIDDEN"},
-    )
+    head_name: text("Head model", "Head model that the rig was built from", options={"HIDDEN"})
     joint_offset: bpy.props.FloatVectorProperty(
         name="Joint Offset",
         description="From the joints that the armature was built with to those of the avatar, head axes, metres",
         size=3 * len(JOINT_NAMES),
         options={"HIDDEN"},
     )
-    live_detail: bpy.props.BoolProperty(
-        name="Learned Detail on Mesh",
-        description="Keep the residual shape key up to date with the model, so that the mesh shows the learned displacement",
+    live_detail: flag(
+        "Learned Detail on Mesh",
+        "Keep the residual shape key up to date with the model, so that the mesh shows the learned displacement",
         default=True,
         override={"LIBRARY_OVERRIDABLE"},
         update=_changed,
     )
-    detail_in_playback: bpy.props.BoolProperty(
-        name="Also During Playback",
-        description="Update the learned detail on every frame of playback; slower. Renders always have it",
-        default=False,
+    detail_in_playback: flag(
+        "Also During Playback",
+        "Update the learned detail on every frame of playback; slower. Renders always have it",
         override={"LIBRARY_OVERRIDABLE"},
     )
 

@@ -11,6 +11,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import preferences
+from ..grmm_blender.declare import text
 from ..grmm_blender.rig.identity import FLAME_PREFIX
 from ..grmm_core.errors import FileAccessError
 from .add_head import PlacesHead
@@ -28,9 +29,9 @@ class GRMM_OT_add_flame_head(PlacesHead, bpy.types.Operator):
     )
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    filepath: bpy.props.StringProperty(
-        name="FLAME File",
-        description="generic_model.pkl, flame2023.pkl, or an npz with the same arrays; empty for the one of the preferences",
+    filepath: text(
+        "FLAME File",
+        "generic_model.pkl, flame2023.pkl, or an npz with the same arrays; empty for the one of the preferences",
         subtype="FILE_PATH",
         options={"SKIP_SAVE"},
     )

@@ -8,6 +8,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import staging
+from ..grmm_blender.declare import choice, flag, text, whole
 from ..grmm_blender.rig.avatar import stored_path
 from ..grmm_blender.rig.build import build_avatar
 from ..grmm_blender.rig.identity import DEFAULT_SOURCE, read_identity
@@ -27,16 +28,14 @@ _NOT_KEPT = {"SKIP_SAVE"}
 class PlacesHead(OperatorMixin):
     """Mixin of operators that add a head: where it stands. For somebody who watches it stands where it can be seen."""
 
-    stand: bpy.props.BoolProperty(
-        name="Stand on Cursor",
-        description="Put the lower edge, not the middle of the head, at the 3D cursor, so that no floor runs through the face",
-        default=False,
+    stand: flag(
+        "Stand on Cursor",
+        "Put the lower edge, not the middle of the head, at the 3D cursor, so that no floor runs through the face",
         options=_NOT_KEPT,
     )
-    set_up: bpy.props.BoolProperty(
-        name="Set Up Scene",
-        description="Put camera and viewport before the head and render with GRMM; on at first in Blender's startup scene",
-        default=False,
+    set_up: flag(
+        "Set Up Scene",
+        "Put camera and viewport before the head and render with GRMM; on at first in Blender's startup scene",
         options=_NOT_KEPT,
     )
     poll = polls(check_object_mode)
@@ -74,23 +73,18 @@ class GRMM_OT_add_head(PlacesHead, bpy.types.Operator):
     bl_description = "Add an animatable GRMM head with its rig at the 3D cursor"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    person: bpy.props.EnumProperty(
-        name="Person",
-        description="Who the head is",
-        items=(
-            ("DEFAULT", "Default", "The avatar that comes with the weights"),
-            ("LIBRARY", "Library", "One of the avatars that come with the extension"),
-            ("RANDOM", "Random Person", "A person drawn from the model"),
-            ("FILE", "File", "An avatar file"),
-        ),
-        default="DEFAULT",
+    person: choice(
+        "Person",
+        "Who the head is",
+        ("DEFAULT", "Default", "The avatar that comes with the weights"),
+        ("LIBRARY", "Library", "One of the avatars that come with the extension"),
+        ("RANDOM", "Random Person", "A person drawn from the model"),
+        ("FILE", "File", "An avatar file"),
     )
-    library: bpy.props.EnumProperty(name="Avatar", description="Which avatar of the library", items=LIBRARY_ITEMS)
-    seed: bpy.props.IntProperty(name="Seed", description="Number of the random person", default=1, min=0)
-    filepath: bpy.props.StringProperty(name="File", description="Avatar file (.grmm)", subtype="FILE_PATH", default="")
-    relative_path: bpy.props.BoolProperty(
-        name="Relative Path", description="Store the file name relative to the .blend file", default=True
-    )
+    library: choice("Avatar", "Which avatar of the library", *LIBRARY_ITEMS)
+    seed: whole("Seed", "Number of the random person", default=1, min=0)
+    filepath: text("File", "Avatar file (.grmm)", subtype="FILE_PATH")
+    relative_path: flag("Relative Path", "Store the file name relative to the .blend file", default=True)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Draw another person each time that a random one is asked for without a seed."""
@@ -133,9 +127,7 @@ class GRMM_OT_open_avatar(PlacesHead, ImportsFiles, bpy.types.Operator):
     bl_description = "Choose an avatar file and add it to the scene"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    filepath: bpy.props.StringProperty(
-        name="File", description="Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"}
-    )
+    filepath: text("File", "Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=f"*{EXTENSION}", options={"HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import bpy
 import numpy as np
 
+from ..grmm_blender.declare import choice, flag, text
 from ..grmm_blender.performance import parse_frames
 from ..grmm_blender.rig.actions import action_curves
 from ..grmm_blender.rig.avatar import Avatar
@@ -36,20 +37,15 @@ class GRMM_OT_calibrate_neutral(Edit, bpy.types.Operator):
         "relative to it, in the whole animation"
     )
 
-    source: bpy.props.EnumProperty(
-        name="Neutral",
-        description="Which face becomes the neutral one",
-        items=(
-            ("PRESENT", "Present Pose", "The avatar as it is now"),
-            ("FRAMES", "Frames", "The mean of frames of the animation in which the actor rests"),
-        ),
-        default="PRESENT",
+    source: choice(
+        "Neutral",
+        "Which face becomes the neutral one",
+        ("PRESENT", "Present Pose", "The avatar as it is now"),
+        ("FRAMES", "Frames", "The mean of frames of the animation in which the actor rests"),
     )
-    frames: bpy.props.StringProperty(
-        name="Frames", description="Scene frames in which the actor rests, such as 1, 12-20", default="1"
-    )
-    expression: bpy.props.BoolProperty(name="Expression", description="Calibrate expressions", default=True)
-    rotation: bpy.props.BoolProperty(name="Rotation", description="Calibrate neck, jaw and eyes", default=True)
+    frames: text("Frames", "Scene frames in which the actor rests, such as 1, 12-20", default="1")
+    expression: flag("Expression", "Calibrate expressions", default=True)
+    rotation: flag("Rotation", "Calibrate neck, jaw and eyes", default=True)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Show the frames only where they matter."""

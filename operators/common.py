@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import bpy
 
 from ..grmm_blender import preferences
+from ..grmm_blender.declare import whole
 from ..grmm_blender.exporting import frames_between, performer_of
 from ..grmm_blender.rig.avatar import Avatar, active_object
 from ..grmm_blender.splats.rigged import Puppet
@@ -22,8 +23,8 @@ _Self = TypeVar("_Self", bound=bpy.types.Operator)
 class FrameRange:
     """Mixin: first and last frame of an export; zero means the scene's."""
 
-    first: bpy.props.IntProperty(name="First Frame", description="First frame; 0 for the scene's", default=0, min=0)
-    last: bpy.props.IntProperty(name="Last Frame", description="Last frame; 0 for the scene's", default=0, min=0)
+    first: whole("First Frame", "First frame; 0 for the scene's", min=0)
+    last: whole("Last Frame", "Last frame; 0 for the scene's", min=0)
 
     def frames(self, context: bpy.types.Context) -> list[int]:
         """Return the frame numbers. Raises `ConfigError` when there are none."""

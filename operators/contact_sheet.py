@@ -10,6 +10,7 @@ from typing import ClassVar
 import bpy
 import numpy as np
 
+from ..grmm_blender.declare import choice, flag, text, whole
 from ..grmm_blender.engine import passes, pipeline
 from ..grmm_blender.portraits import portrait, with_expression
 from ..grmm_blender.scene.cameras import face_camera
@@ -39,29 +40,26 @@ class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
     bl_description = "Draw expressions or views of the active avatar, or frames of the scene, in a grid into one PNG file"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    filepath: bpy.props.StringProperty(name="File", description="PNG file to write", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filepath: text("File", "PNG file to write", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default="*.png", options={"HIDDEN"})
     check_existing: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
-    content: bpy.props.EnumProperty(
-        name="Content",
-        description="What the tiles show",
-        items=(
-            ("EXPRESSIONS", "Expressions", "The named expressions, each at full strength"),
-            ("VIEWS", "Views", "The avatar as it is, from all around"),
-            ("FRAMES", "Frames", "Frames of the scene, spread over its range, through its camera"),
-        ),
-        default="EXPRESSIONS",
+    content: choice(
+        "Content",
+        "What the tiles show",
+        ("EXPRESSIONS", "Expressions", "The named expressions, each at full strength"),
+        ("VIEWS", "Views", "The avatar as it is, from all around"),
+        ("FRAMES", "Frames", "Frames of the scene, spread over its range, through its camera"),
     )
-    region: bpy.props.EnumProperty(
-        name="Region",
-        description="Expressions of one region only",
-        items=((ALL, "All", "Every region"), *((name, name, f"The region {name.lower()}") for name in REGIONS)),
-        default=ALL,
+    region: choice(
+        "Region",
+        "Expressions of one region only",
+        (ALL, "All", "Every region"),
+        *((name, name, f"The region {name.lower()}") for name in REGIONS),
     )
-    count: bpy.props.IntProperty(name="Tiles", description="How many views or frames", default=12, min=1, max=1000)
-    columns: bpy.props.IntProperty(name="Columns", description="Tiles in a row", default=6, min=1, max=100)
-    size: bpy.props.IntProperty(name="Tile Size", description="Width of a tile", default=256, min=16, max=4096, subtype="PIXEL")
-    captions: bpy.props.BoolProperty(name="Captions", description="Write what a tile shows above it", default=True)
+    count: whole("Tiles", "How many views or frames", default=12, min=1, max=1000)
+    columns: whole("Columns", "Tiles in a row", default=6, min=1, max=100)
+    size: whole("Tile Size", "Width of a tile", default=256, min=16, max=4096, subtype="PIXEL")
+    captions: flag("Captions", "Write what a tile shows above it", default=True)
     background: bpy.props.FloatVectorProperty(
         name="Background", description="Color behind the avatar", subtype="COLOR_GAMMA", size=3, min=0.0, max=1.0,
         default=(0.94, 0.94, 0.94),

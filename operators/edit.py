@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 
 from ..grmm_blender import session_host
+from ..grmm_blender.declare import choice, number, whole
 from ..grmm_blender.rig import live
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.rig.build import make_independent
@@ -56,7 +57,7 @@ class Edit(OperatorMixin):
 class DrawsAnother(OperatorMixin):
     """Mixin of operators that draw at random: from a menu or by a button something new each time."""
 
-    seed: bpy.props.IntProperty(name="Seed", description="Equal numbers draw the same", default=1, min=0)
+    seed: whole("Seed", "Equal numbers draw the same", default=1, min=0)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Take another seed, unless one is given."""
@@ -72,18 +73,13 @@ class GRMM_OT_reset(Edit, bpy.types.Operator):
     bl_label = "Reset Controls"
     bl_description = "Set controls of the active avatar back to rest"
 
-    what: bpy.props.EnumProperty(
-        name="Controls",
-        description="Which controls to reset",
-        items=(
-            (ALL, "All", "Every control"),
-            *((section.key, section.label, section.description) for section in SECTIONS),
-        ),
-        default=ALL,
+    what: choice(
+        "Controls",
+        "Which controls to reset",
+        (ALL, "All", "Every control"),
+        *((section.key, section.label, section.description) for section in SECTIONS),
     )
-    region: bpy.props.EnumProperty(
-        name="Region", description="Reset the named expressions of one region only", items=_REGION_ITEMS, default=ALL
-    )
+    region: choice("Region", "Reset the named expressions of one region only", *_REGION_ITEMS, default=ALL)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Reset."""
@@ -113,17 +109,14 @@ class GRMM_OT_mirror(Edit, bpy.types.Operator):
     bl_label = "Mirror Expression"
     bl_description = "Swap the sides of the active avatar's expression, or copy one side to the other"
 
-    direction: bpy.props.EnumProperty(
-        name="Direction",
-        description="What to mirror; left and right are the subject's",
-        items=(
-            ("SWAP", "Swap", "Exchange both sides; sideways movements turn round"),
-            ("LEFT", "Left to Right", "Copy the subject's left side to the right"),
-            ("RIGHT", "Right to Left", "Copy the subject's right side to the left"),
-        ),
-        default="SWAP",
+    direction: choice(
+        "Direction",
+        "What to mirror; left and right are the subject's",
+        ("SWAP", "Swap", "Exchange both sides; sideways movements turn round"),
+        ("LEFT", "Left to Right", "Copy the subject's left side to the right"),
+        ("RIGHT", "Right to Left", "Copy the subject's right side to the left"),
     )
-    region: bpy.props.EnumProperty(name="Region", description="Mirror one region only", items=_REGION_ITEMS, default=ALL)
+    region: choice("Region", "Mirror one region only", *_REGION_ITEMS, default=ALL)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Mirror."""
@@ -172,13 +165,9 @@ class GRMM_OT_random_expression(DrawsAnother, Edit, bpy.types.Operator):
     bl_label = "Random Expression"
     bl_description = "Give the active avatar a random expression, or one region of it"
 
-    amount: bpy.props.FloatProperty(
-        name="Amount", description="Largest weight of an expression", default=0.7, min=0.0, max=1.0, subtype="FACTOR"
-    )
-    share: bpy.props.FloatProperty(
-        name="Share", description="Share of the expressions that move", default=0.15, min=0.0, max=1.0, subtype="FACTOR"
-    )
-    region: bpy.props.EnumProperty(name="Region", description="Change one region only", items=_REGION_ITEMS, default=ALL)
+    amount: number("Amount", "Largest weight of an expression", default=0.7, min=0.0, max=1.0, subtype="FACTOR")
+    share: number("Share", "Share of the expressions that move", default=0.15, min=0.0, max=1.0, subtype="FACTOR")
+    region: choice("Region", "Change one region only", *_REGION_ITEMS, default=ALL)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Draw an expression."""
@@ -208,14 +197,7 @@ class GRMM_OT_random_identity(DrawsAnother, Edit, bpy.types.Operator):
         "runtime"
     )
 
-    amount: bpy.props.FloatProperty(
-        name="Amount",
-        description="0 is the avatar itself, 1 the random person",
-        default=1.0,
-        min=0.0,
-        max=1.5,
-        subtype="FACTOR",
-    )
+    amount: number("Amount", "0 is the avatar itself, 1 the random person", default=1.0, min=0.0, max=1.5, subtype="FACTOR")
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:

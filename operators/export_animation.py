@@ -10,6 +10,7 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
+from ..grmm_blender.declare import choice, text
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.formats import formats, write_performance
@@ -35,18 +36,10 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator
     filename_ext = PERFORMANCES[0].suffix
     check_extension = None
     filter_glob: bpy.props.StringProperty(default=write_filter(PERFORMANCES), options={"HIDDEN"})
-    format: bpy.props.EnumProperty(
-        name="Format",
-        description="File format, where the name does not say",
-        items=menu_items(PERFORMANCES),
-        default=PERFORMANCES[0].suffix,
+    format: choice(
+        "Format", "File format, where the name does not say", *menu_items(PERFORMANCES), default=PERFORMANCES[0].suffix
     )
-    flame_file: bpy.props.StringProperty(
-        name="FLAME File",
-        description="Your own FLAME model, for .npz files of an avatar of the open head",
-        subtype="FILE_PATH",
-        default="",
-    )
+    flame_file: text("FLAME File", "Your own FLAME model, for .npz files of an avatar of the open head", subtype="FILE_PATH")
 
     poll = polls(partial(active_performer, linked=True))
 
@@ -104,9 +97,7 @@ class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):
     filename_ext = ".abc"
     check_extension = None
     filter_glob: bpy.props.StringProperty(default="*.abc;*.usd;*.usdc;*.usda", options={"HIDDEN"})
-    format: bpy.props.EnumProperty(
-        name="Format", description="File format, where the name does not say", items=CACHES, default=".abc"
-    )
+    format: choice("Format", "File format, where the name does not say", *CACHES, default=".abc")
 
     poll = polls(_selectable)
 

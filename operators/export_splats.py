@@ -10,6 +10,7 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
+from ..grmm_blender.declare import choice, flag, text, whole
 from ..grmm_blender.exporting import SplatOptions, splat_target
 from ..grmm_blender.rig.avatar import Avatar, active_object
 from ..grmm_blender.splats.cloud import Cloud
@@ -54,21 +55,16 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, Exp
         filepath: str
     check_extension = None  # the format decides; see `check`
     filter_glob: bpy.props.StringProperty(default=write_filter(SPLATS), options={"HIDDEN"})
-    format: bpy.props.EnumProperty(name="Format", description="File format", items=menu_items(SPLATS), default=SPLATS[0].suffix)
-    pose: bpy.props.EnumProperty(
-        name="Pose",
-        description="What is written",
-        items=(
-            ("FRAME", "This Frame", "Pose and expression of the scene's frame"),
-            ("CANONICAL", "At Rest", "The neutral face, not turned"),
-            ("SEQUENCE", "Sequence", "A file for every frame, numbered; #### in the name is where the number goes"),
-        ),
-        default="FRAME",
+    format: choice("Format", "File format", *menu_items(SPLATS), default=SPLATS[0].suffix)
+    pose: choice(
+        "Pose",
+        "What is written",
+        ("FRAME", "This Frame", "Pose and expression of the scene's frame"),
+        ("CANONICAL", "At Rest", "The neutral face, not turned"),
+        ("SEQUENCE", "Sequence", "A file for every frame, numbered; #### in the name is where the number goes"),
     )
     degree: bpy.props.IntProperty(**_DEGREE)
-    lod: bpy.props.IntProperty(
-        name="Reduction", description="Each step keeps a quarter of an avatar's Gaussians, larger ones", default=0, min=0, max=3
-    )
+    lod: whole("Reduction", "Each step keeps a quarter of an avatar's Gaussians, larger ones", min=0, max=3)
 
     poll = polls(_target)
 
@@ -153,10 +149,8 @@ class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
     filename_ext = MESHES[0].suffix
     check_extension = None
     filter_glob: bpy.props.StringProperty(default=write_filter(MESHES), options={"HIDDEN"})
-    canonical: bpy.props.BoolProperty(
-        name="At Rest", description="The neutral face, not turned, instead of the scene's frame", default=True
-    )
-    morphs: bpy.props.BoolProperty(name="ARKit Morph Targets", description="Add the 52 ARKit shapes (glTF only)", default=True)
+    canonical: flag("At Rest", "The neutral face, not turned, instead of the scene's frame", default=True)
+    morphs: flag("ARKit Morph Targets", "Add the 52 ARKit shapes (glTF only)", default=True)
 
     poll = polls(partial(active_avatar, linked=True))
 
@@ -178,13 +172,12 @@ class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, bpy.types.Oper
     bl_description = f"Write {PLY_NAME} (splats bound to FLAME's triangles) and {TRACK_NAME} (the animation) into a folder"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    directory: bpy.props.StringProperty(name="Folder", description="Folder for the two files", subtype="DIR_PATH")
+    directory: text("Folder", "Folder for the two files", subtype="DIR_PATH")
     filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN"})
-    flame_file: bpy.props.StringProperty(
-        name="FLAME File",
-        description="Your own FLAME model (generic_model.pkl or flame2023.pkl), which an avatar of the open head is moved to",
+    flame_file: text(
+        "FLAME File",
+        "Your own FLAME model (generic_model.pkl or flame2023.pkl), which an avatar of the open head is moved to",
         subtype="FILE_PATH",
-        default="",
     )
     degree: bpy.props.IntProperty(**_DEGREE)
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import session_host
+from ..grmm_blender.declare import flag
 from ..grmm_blender.fitting import watch
 from ..grmm_blender.fitting.job import FitJob
 from ..grmm_blender.fitting.photo_camera import set_photo_expression
@@ -113,9 +114,7 @@ class GRMM_OT_fit_photos(bpy.types.Operator):
     bl_description = "Make an avatar of the person in the photos, in a process of its own, and add it to the scene"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    resume: bpy.props.BoolProperty(
-        name="Resume", description="Go on with a fit of the same photos that was interrupted", default=False
-    )
+    resume: flag("Resume", "Go on with a fit of the same photos that was interrupted")
     poll = polls(_check_photos)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import bpy
 
+from ..grmm_blender.declare import choice, flag, number, text
 from ..grmm_blender.exporting import performer_of
 from ..grmm_blender.performance import MAX_FRAME, ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
 from ..grmm_blender.rig.avatar import active_object
@@ -41,7 +42,7 @@ _ONLY_FOR = {  # shown where another option has a value
 
 
 def _gain(name: str, description: str) -> Any:
-    return bpy.props.FloatProperty(name=name, description=description, default=1.0, min=0.0, max=4.0, soft_max=2.0)
+    return number(name, description, default=1.0, min=0.0, max=4.0, soft_max=2.0)
 
 
 @has_options(READ, "reading")
@@ -53,61 +54,36 @@ class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
     bl_description = "Key the active avatar with a recorded performance (ARKit JSON, Live Link Face CSV, FLAME npz)"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    filepath: bpy.props.StringProperty(name="File", description="Performance file", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filepath: text("File", "Performance file", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=read_filter(READ), options={"HIDDEN"})
-    start: bpy.props.FloatProperty(
-        name="Start Frame",
-        description="Scene frame on which the recording starts",
-        default=1.0,
-        min=-MAX_FRAME,
-        max=MAX_FRAME,
+    start: number("Start Frame", "Scene frame on which the recording starts", default=1.0, min=-MAX_FRAME, max=MAX_FRAME)
+    keys: choice(
+        "Keys",
+        "Where keys are set",
+        ("FRAMES", "Every Frame", "One key on each scene frame; peaks between two frames move to the nearer one"),
+        ("REDUCED", "Reduced", "As few keys as the largest error allows, with handles: easy to edit"),
+        ("SAMPLES", "Every Sample", "One key for each recorded sample, also between frames"),
     )
-    keys: bpy.props.EnumProperty(
-        name="Keys",
-        description="Where keys are set",
-        items=(
-            ("FRAMES", "Every Frame", "One key on each scene frame; peaks between two frames move to the nearer one"),
-            ("REDUCED", "Reduced", "As few keys as the largest error allows, with handles: easy to edit"),
-            ("SAMPLES", "Every Sample", "One key for each recorded sample, also between frames"),
-        ),
-        default="FRAMES",
+    present: choice(
+        "Present Action",
+        "What becomes of an animation that the avatar has; the recording gets an action named after the file",
+        ("KEEP", "Keep", "It stays in the file with a fake user, to be chosen again in the action editor"),
+        ("PUSH_DOWN", "Push Down", "It plays on in a track of the nonlinear animation, below the recording"),
+        ("WRITE_INTO", "Write Into", "No new action: the recording replaces its keys from first to last frame"),
     )
-    present: bpy.props.EnumProperty(
-        name="Present Action",
-        description="What becomes of an animation that the avatar has; the recording gets an action named after the file",
-        items=(
-            ("KEEP", "Keep", "It stays in the file with a fake user, to be chosen again in the action editor"),
-            ("PUSH_DOWN", "Push Down", "It plays on in a track of the nonlinear animation, below the recording"),
-            ("WRITE_INTO", "Write Into", "No new action: the recording replaces its keys from first to last frame"),
-        ),
-        default="KEEP",
-    )
-    max_error: bpy.props.FloatProperty(
-        name="Largest Error",
-        description="How far reduced keys may deviate from the recording",
-        default=0.01,
-        min=0.0005,
-        max=0.2,
-    )
-    fps: bpy.props.FloatProperty(
-        name="Recorded Rate",
-        description="Frames per second of the recording; 0 takes what the file says",
-        default=0.0,
-        min=0.0,
-        max=1000.0,
-    )
-    angle_error: bpy.props.FloatProperty(
-        name="Largest Angle Error",
-        description="How far reduced keys of rotations may deviate from the recording",
+    max_error: number("Largest Error", "How far reduced keys may deviate from the recording", default=0.01, min=0.0005, max=0.2)
+    fps: number("Recorded Rate", "Frames per second of the recording; 0 takes what the file says", min=0.0, max=1000.0)
+    angle_error: number(
+        "Largest Angle Error",
+        "How far reduced keys of rotations may deviate from the recording",
         default=DEFAULT_ANGLE_ERROR,
         min=0.0005,
         max=0.2,
         subtype="ANGLE",
     )
-    offset: bpy.props.FloatProperty(
-        name="Time Offset",
-        description="Seconds by which the recording is moved against the start frame, to bring it in step with sound",
-        default=0.0,
+    offset: number(
+        "Time Offset",
+        "Seconds by which the recording is moved against the start frame, to bring it in step with sound",
         min=-86_400.0,
         max=86_400.0,
         soft_min=-2.0,
@@ -115,12 +91,8 @@ class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
         subtype="TIME_ABSOLUTE",
         unit="TIME_ABSOLUTE",
     )
-    first: bpy.props.FloatProperty(
-        name="From", description="First second of the recording that is used", default=0.0, min=0.0, unit="TIME_ABSOLUTE"
-    )
-    last: bpy.props.FloatProperty(
-        name="To (0: End)", description="Last second that is used; 0 for all", default=0.0, min=0.0, unit="TIME_ABSOLUTE"
-    )
+    first: number("From", "First second of the recording that is used", min=0.0, unit="TIME_ABSOLUTE")
+    last: number("To (0: End)", "Last second that is used; 0 for all", min=0.0, unit="TIME_ABSOLUTE")
     gain: _gain("Gain", "Factor of all expression weights")
     gain_brows: _gain("Brows", "Further factor of the brows")
     gain_eyelids: _gain("Eyelids", "Further factor of blinks, squints and wide eyes")
@@ -130,67 +102,44 @@ class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
     gain_jaw: _gain("Jaw", "Further factor of the jaw")
     gain_mouth: _gain("Mouth", "Further factor of the mouth")
     gain_tongue: _gain("Tongue", "Further factor of the tongue")
-    rotation_gain: bpy.props.FloatProperty(
-        name="Rotation Gain", description="Factor of head and eye rotations", default=1.0, min=-4.0, max=4.0, soft_min=0.0
+    rotation_gain: number("Rotation Gain", "Factor of head and eye rotations", default=1.0, min=-4.0, max=4.0, soft_min=0.0)
+    neutral: choice(
+        "Neutral Face",
+        "The actor's resting face, which becomes the avatar's neutral one",
+        ("NONE", "As Recorded", "Take nothing off"),
+        ("AUTO", "Find It", "Find the calmest frames of the recording"),
+        ("FRAMES", "From Frames", "Frames of the recording that you name"),
     )
-    neutral: bpy.props.EnumProperty(
-        name="Neutral Face",
-        description="The actor's resting face, which becomes the avatar's neutral one",
-        items=(
-            ("NONE", "As Recorded", "Take nothing off"),
-            ("AUTO", "Find It", "Find the calmest frames of the recording"),
-            ("FRAMES", "From Frames", "Frames of the recording that you name"),
-        ),
-        default="NONE",
+    neutral_frames: text(
+        "Frames", "Frames of the recording in which the actor rests, counted from 0, such as 0, 12-15", default="0"
     )
-    neutral_frames: bpy.props.StringProperty(
-        name="Frames",
-        description="Frames of the recording in which the actor rests, counted from 0, such as 0, 12-15",
-        default="0",
-    )
-    smoothing: bpy.props.FloatProperty(
-        name="Smoothing",
-        description="Remove tracking noise and keep blinks and closed lips",
-        default=0.0,
-        min=0.0,
-        max=1.0,
-        subtype="FACTOR",
-    )
-    limit: bpy.props.BoolProperty(name="Limit", description="Keep expression weights within 0 and 1", default=True)
-    close_lips: bpy.props.BoolProperty(
-        name="Keep Lips Closed",
-        description="Close the avatar's lips wherever the recording closes them, also after calibration, gain and smoothing",
+    smoothing: number("Smoothing", "Remove tracking noise and keep blinks and closed lips", min=0.0, max=1.0, subtype="FACTOR")
+    limit: flag("Limit", "Keep expression weights within 0 and 1", default=True)
+    close_lips: flag(
+        "Keep Lips Closed",
+        "Close the avatar's lips wherever the recording closes them, also after calibration, gain and smoothing",
         default=True,
     )
-    head: bpy.props.EnumProperty(
-        name="Head Rotation",
-        description="Which bone takes the recorded rotation of the head",
-        items=(
-            ("neck", "Neck", "The neck bone: the shoulders stay"),
-            ("root", "Root", "The root bone: everything turns"),
-            ("NONE", "None", "Leave the head where it is"),
-        ),
-        default="neck",
+    head: choice(
+        "Head Rotation",
+        "Which bone takes the recorded rotation of the head",
+        ("neck", "Neck", "The neck bone: the shoulders stay"),
+        ("root", "Root", "The root bone: everything turns"),
+        ("NONE", "None", "Leave the head where it is"),
     )
-    eyes: bpy.props.EnumProperty(
-        name="Eyes",
-        description="What turns the eyes; recordings often say the same thing twice",
-        items=(
-            ("AUTO", "Automatic", "The eyeLook shapes where the file has them, else the recorded rotations"),
-            ("SHAPES", "eyeLook Shapes", "The eyeLook shapes; lids follow"),
-            ("ROTATIONS", "Rotations", "The recorded rotations on the eye bones"),
-        ),
-        default="AUTO",
+    eyes: choice(
+        "Eyes",
+        "What turns the eyes; recordings often say the same thing twice",
+        ("AUTO", "Automatic", "The eyeLook shapes where the file has them, else the recorded rotations"),
+        ("SHAPES", "eyeLook Shapes", "The eyeLook shapes; lids follow"),
+        ("ROTATIONS", "Rotations", "The recorded rotations on the eye bones"),
     )
-    flame_file: bpy.props.StringProperty(
-        name="FLAME File",
-        description="Your own FLAME model, which says what the coefficients of a FLAME performance mean on another head",
+    flame_file: text(
+        "FLAME File",
+        "Your own FLAME model, which says what the coefficients of a FLAME performance mean on another head",
         subtype="FILE_PATH",
-        default="",
     )
-    set_range: bpy.props.BoolProperty(
-        name="Set Scene Range", description="Let the scene start and end with the performance", default=True
-    )
+    set_range: flag("Set Scene Range", "Let the scene start and end with the performance", default=True)
 
     poll = polls(active_performer)
 

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import bpy
 
+from ..grmm_blender.declare import flag, text
 from ..grmm_blender.performance import ImportOptions, apply_performance
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.splats.rigged import import_file
@@ -31,24 +32,17 @@ class GRMM_OT_import_splats(ImportsFiles, bpy.types.Operator):
     )
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    filepath: bpy.props.StringProperty(name="File", description="Splat file", subtype="FILE_PATH", options={"SKIP_SAVE"})
+    filepath: text("File", "Splat file", subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"SKIP_SAVE", "HIDDEN"})
     filter_glob: bpy.props.StringProperty(default=read_filter(READ), options={"HIDDEN"})
-    turned: bpy.props.BoolProperty(
-        name="Turn Upside Down",
-        description="Turn plain splats by half a turn: for files that were written with the other axis up",
-        default=False,
-    )
-    flame_file: bpy.props.StringProperty(
-        name="FLAME File",
-        description="Your own FLAME model (generic_model.pkl or flame2023.pkl), which carries GaussianAvatars' splats",
+    turned: flag("Turn Upside Down", "Turn plain splats by half a turn: for files that were written with the other axis up")
+    flame_file: text(
+        "FLAME File",
+        "Your own FLAME model (generic_model.pkl or flame2023.pkl), which carries GaussianAvatars' splats",
         subtype="FILE_PATH",
-        default="",
     )
-    animation: bpy.props.BoolProperty(
-        name="Animation", description="Key the performance that lies beside a GaussianAvatars file", default=True
-    )
+    animation: flag("Animation", "Key the performance that lies beside a GaussianAvatars file", default=True)
 
     poll = polls(check_object_mode)
 

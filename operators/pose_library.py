@@ -8,6 +8,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import poses, session_host
+from ..grmm_blender.declare import flag, number, text
 from ..grmm_blender.portraits import portrait, with_expression
 from ..grmm_blender.rig.avatar import active_object, avatar_of
 from ..grmm_blender.scene.cameras import face_camera
@@ -29,9 +30,7 @@ class GRMM_OT_create_pose_library(SteppedOperator, bpy.types.Operator):
     )
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    thumbnails: bpy.props.BoolProperty(
-        name="Thumbnails", description="Draw each pose with the active avatar; takes a runtime", default=True
-    )
+    thumbnails: flag("Thumbnails", "Draw each pose with the active avatar; takes a runtime", default=True)
     poll = polls(active_avatar)
 
     def steps(self, context: bpy.types.Context) -> Steps:
@@ -61,7 +60,7 @@ class GRMM_OT_save_pose(Edit, bpy.types.Operator):
     bl_label = "Save Expression as Pose"
     bl_description = "Save the active avatar's present expression as a pose asset of this file"
 
-    name: bpy.props.StringProperty(name="Name", description="Name of the pose", default="Expression", maxlen=60)
+    name: text("Name", "Name of the pose", default="Expression", maxlen=60)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Ask for the name."""
@@ -112,13 +111,9 @@ class GRMM_OT_apply_pose(Edit, bpy.types.Operator):
     asset_library_type: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
     asset_library_identifier: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
     relative_asset_identifier: bpy.props.StringProperty(options={"HIDDEN", "SKIP_SAVE"})
-    amount: bpy.props.FloatProperty(
-        name="Amount", description="0 leaves the expression, 1 is the pose", default=1.0, min=0.0, max=1.0, subtype="FACTOR"
-    )
-    add: bpy.props.BoolProperty(
-        name="Add", description="Add the pose to the present expression instead of replacing it", default=False
-    )
-    flip: bpy.props.BoolProperty(name="Flip", description="Exchange the sides of the pose", default=False)
+    amount: number("Amount", "0 leaves the expression, 1 is the pose", default=1.0, min=0.0, max=1.0, subtype="FACTOR")
+    add: flag("Add", "Add the pose to the present expression instead of replacing it")
+    flip: flag("Flip", "Exchange the sides of the pose")
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Search for a pose, unless one was clicked."""

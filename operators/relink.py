@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import bpy
 
+from ..grmm_blender.declare import flag, text
 from ..grmm_blender.rig import live
 from ..grmm_blender.rig.avatar import Avatar, stored_path
 from ..grmm_blender.rig.identity import read_identity
@@ -31,13 +32,9 @@ class GRMM_OT_relink_avatar(ImportsFiles, bpy.types.Operator):
     bl_description = "Choose the active avatar's file, after a move or to show another person; controls and keys stay"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    filepath: bpy.props.StringProperty(
-        name="File", description="Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"}
-    )
+    filepath: text("File", "Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=f"*{EXTENSION}", options={"HIDDEN"})
-    relative_path: bpy.props.BoolProperty(
-        name="Relative Path", description="Store the file name relative to the .blend file", default=True
-    )
+    relative_path: flag("Relative Path", "Store the file name relative to the .blend file", default=True)
 
     poll = polls(_relinkable)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ..grmm_blender.declare import choice, number
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.rig.components import components
 from ..grmm_blender.rig.custom_properties import add_property, read_array, write_array
@@ -46,8 +47,8 @@ class GRMM_OT_save_code(_CodeEdit, bpy.types.Operator):
     bl_label = "Save Learned Detail"
     bl_description = "Keep the present learned detail of the active avatar as A or B; with both saved, a slider blends them"
 
-    code: bpy.props.EnumProperty(name="Code", description="Which code to keep", items=_CODE_ITEMS, default=Z_EXP)
-    slot: bpy.props.EnumProperty(name="Slot", description="Where to keep it", items=_SLOT_ITEMS, default="A")
+    code: choice("Code", "Which code to keep", *_CODE_ITEMS, default=Z_EXP)
+    slot: choice("Slot", "Where to keep it", *_SLOT_ITEMS, default="A")
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Keep it. Once both are there the sliders go to zero: the blend says the same, and sliders add to it."""
@@ -75,7 +76,7 @@ class GRMM_OT_apply_blend(_CodeEdit, bpy.types.Operator):
     bl_label = "Apply Blend"
     bl_description = "Put the present blend of A and B into the sliders, so that nothing changes, and forget A and B"
 
-    code: bpy.props.EnumProperty(name="Code", description="Which code's blend to apply", items=_CODE_ITEMS, default=Z_EXP)
+    code: choice("Code", "Which code's blend to apply", *_CODE_ITEMS, default=Z_EXP)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Apply it."""
@@ -93,9 +94,7 @@ class GRMM_OT_random_detail(DrawsAnother, _CodeEdit, bpy.types.Operator):
     bl_label = "Random Detail"
     bl_description = "Draw the active avatar's residual expression at random, spread as in the trained expressions"
 
-    amount: bpy.props.FloatProperty(
-        name="Amount", description="1 is as strong as trained expressions are", default=1.0, min=0.0, soft_max=2.0, max=4.0
-    )
+    amount: number("Amount", "1 is as strong as trained expressions are", default=1.0, min=0.0, soft_max=2.0, max=4.0)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Draw it."""

@@ -8,6 +8,7 @@ from typing import ClassVar
 import bpy
 from mathutils import Matrix
 
+from ..grmm_blender.declare import flag, number, whole
 from ..grmm_blender.rig.actions import action_curves
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.scene.avatars import place_of
@@ -26,33 +27,29 @@ class GRMM_OT_turntable(bpy.types.Operator):
     bl_description = "Add a camera that walks around the active avatar, keyed over a number of frames; again: change it"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
-    frames: bpy.props.IntProperty(name="Frames", description="Length of one turn", default=96, min=2, max=10000)
-    start: bpy.props.IntProperty(name="Start Frame", description="First frame of the turn", default=1, min=0)
-    angle: bpy.props.FloatProperty(
-        name="Angle",
-        description="How far the camera walks; a full turn ends one step before its start, so that it loops",
-        default=2 * math.pi, min=-20 * math.pi, max=20 * math.pi, subtype="ANGLE",
-    )  # fmt: skip
-    first: bpy.props.FloatProperty(
-        name="First Angle", description="Where it starts; 0 looks at the face", default=0.0, subtype="ANGLE",
-        min=-2 * math.pi, max=2 * math.pi,
-    )  # fmt: skip
-    elevation: bpy.props.FloatProperty(
-        name="Elevation", description="Angle from which the camera looks down", default=math.radians(4.0), subtype="ANGLE",
-        min=-math.radians(85.0), max=math.radians(85.0),
-    )  # fmt: skip
-    lens: bpy.props.FloatProperty(
-        name="Focal Length", description="Millimetres", default=LENS, min=10.0, max=500.0, subtype="DISTANCE_CAMERA"
+    frames: whole("Frames", "Length of one turn", default=96, min=2, max=10000)
+    start: whole("Start Frame", "First frame of the turn", default=1, min=0)
+    angle: number(
+        "Angle",
+        "How far the camera walks; a full turn ends one step before its start, so that it loops",
+        default=2 * math.pi,
+        min=-20 * math.pi,
+        max=20 * math.pi,
+        subtype="ANGLE",
     )
-    margin: bpy.props.FloatProperty(name="Margin", description="Room around the head", default=0.1, min=0.0, max=2.0)
-    set_range: bpy.props.BoolProperty(
-        name="Set Scene Range",
-        description="Let the scene play the turn; off at first where the avatar is animated",
-        default=True,
+    first: number("First Angle", "Where it starts; 0 looks at the face", subtype="ANGLE", min=-2 * math.pi, max=2 * math.pi)
+    elevation: number(
+        "Elevation",
+        "Angle from which the camera looks down",
+        default=math.radians(4.0),
+        subtype="ANGLE",
+        min=-math.radians(85.0),
+        max=math.radians(85.0),
     )
-    set_camera: bpy.props.BoolProperty(
-        name="Set Scene Camera", description="Render the turn; off at first where the avatar is animated", default=True
-    )
+    lens: number("Focal Length", "Millimetres", default=LENS, min=10.0, max=500.0, subtype="DISTANCE_CAMERA")
+    margin: number("Margin", "Room around the head", default=0.1, min=0.0, max=2.0)
+    set_range: flag("Set Scene Range", "Let the scene play the turn; off at first where the avatar is animated", default=True)
+    set_camera: flag("Set Scene Camera", "Render the turn; off at first where the avatar is animated", default=True)
 
     poll = polls(active_avatar)
 

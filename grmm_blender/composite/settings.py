@@ -5,6 +5,8 @@ from __future__ import annotations
 import bpy
 from bpy.props import BoolProperty, PointerProperty
 
+from ..declare import flag
+
 
 class GRMM_CompositeSettings(bpy.types.PropertyGroup):
     """How two scenes make one picture."""
@@ -19,11 +21,7 @@ class GRMM_CompositeSettings(bpy.types.PropertyGroup):
         name="Main Scene",
         description="Scene whose avatars this scene renders",
     )
-    made_tree: BoolProperty(
-        name="Made Compositing Tree",
-        description="The main scene had no compositing nodes before",
-        options={"HIDDEN"},
-    )
+    made_tree: flag("Made Compositing Tree", "The main scene had no compositing nodes before", options={"HIDDEN"})
 
 
 CLASSES = (GRMM_CompositeSettings,)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, IntProperty, PointerProperty
+from bpy.props import PointerProperty
 
+from ..declare import choice, flag, whole
 from ..scene.walk import drawn_objects
 
 ENGINE = "GRMM"
@@ -20,41 +21,25 @@ DETAIL_ITEMS = (
 class GRMM_RenderSettings(bpy.types.PropertyGroup):
     """How the GRMM engine makes pictures of a scene."""
 
-    use_refine: BoolProperty(
-        name="Refine",
-        description="Run the refinement network over the splatted picture",
-        default=True,
+    use_refine: flag("Refine", "Run the refinement network over the splatted picture", default=True)
+    detail: choice("Detail", "How many of the avatars' Gaussians are drawn in final renders", *DETAIL_ITEMS, default="0")
+    use_occlusion: flag("Scene Occludes", "Meshes of the scene hide the avatars behind them", default=True)
+    occlusion_samples: whole(
+        "Edge Samples",
+        "Samples per pixel and direction along the edges of occluding meshes",
+        default=3,
+        min=1,
+        max=8,
+        soft_max=4,
     )
-    detail: EnumProperty(
-        name="Detail",
-        description="How many of the avatars' Gaussians are drawn in final renders",
-        items=DETAIL_ITEMS,
-        default="0",
+    motion_steps: whole(
+        "Motion Steps", "Pictures averaged over the shutter time when Motion Blur is on", default=8, min=2, max=128, soft_max=32
     )
-    use_occlusion: BoolProperty(
-        name="Scene Occludes",
-        description="Meshes of the scene hide the avatars behind them",
-        default=True,
-    )
-    occlusion_samples: IntProperty(
-        name="Edge Samples",
-        description="Samples per pixel and direction along the edges of occluding meshes",
-        default=3, min=1, max=8, soft_max=4,
-    )  # fmt: skip
-    motion_steps: IntProperty(
-        name="Motion Steps",
-        description="Pictures averaged over the shutter time when Motion Blur is on",
-        default=8, min=2, max=128, soft_max=32,
-    )  # fmt: skip
-    use_viewport_refine: BoolProperty(
-        name="Refine",
-        description="Run the refinement network in the rendered viewport once the view rests",
-        default=True,
-    )
-    viewport_detail: EnumProperty(
-        name="Detail",
-        description="How many of the avatars' Gaussians are drawn in the viewport while the view or the pose changes",
-        items=DETAIL_ITEMS,
+    use_viewport_refine: flag("Refine", "Run the refinement network in the rendered viewport once the view rests", default=True)
+    viewport_detail: choice(
+        "Detail",
+        "How many of the avatars' Gaussians are drawn in the viewport while the view or the pose changes",
+        *DETAIL_ITEMS,
         default="1",
     )
 
@@ -67,25 +52,11 @@ def _update_passes(_settings: GRMM_PassSettings, context: bpy.types.Context) -> 
 class GRMM_PassSettings(bpy.types.PropertyGroup):
     """Passes of one view layer beyond Blender's own."""
 
-    use_mask: BoolProperty(
-        name="Mask",
-        description="Coverage of all avatars together, and of each avatar in a pass of its own",
-        update=_update_passes,
-    )
-    use_raw: BoolProperty(
-        name="Raw",
-        description="The splatted picture before the refinement network",
-        update=_update_passes,
-    )
-    use_normal: BoolProperty(
-        name="Normal",
-        description="Normals of the head meshes in world space",
-        update=_update_passes,
-    )
-    use_features: BoolProperty(
-        name="Features",
-        description="The feature channels that the refinement network reads, four in a pass",
-        update=_update_passes,
+    use_mask: flag("Mask", "Coverage of all avatars together, and of each avatar in a pass of its own", update=_update_passes)
+    use_raw: flag("Raw", "The splatted picture before the refinement network", update=_update_passes)
+    use_normal: flag("Normal", "Normals of the head meshes in world space", update=_update_passes)
+    use_features: flag(
+        "Features", "The feature channels that the refinement network reads, four in a pass", update=_update_passes
     )
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import bpy
-from bpy.props import CollectionProperty, EnumProperty, IntProperty, PointerProperty, StringProperty
+from bpy.props import CollectionProperty, PointerProperty
 
 from ...grmm_core.avatar import EXTENSION
 from ...grmm_core.fitting.folder import can_resume
 from ...grmm_core.fitting.request import work_folder
+from ..declare import choice, text, whole
 
 PROPERTY = "grmm_fit"
 PRESET_ITEMS = (
@@ -22,31 +23,24 @@ PRESET_ITEMS = (
 class GRMM_FitPhoto(bpy.types.PropertyGroup):
     """One photo."""
 
-    path: StringProperty(name="Photo", description="Photo of the person; the first one gives the light", subtype="FILE_PATH")
-    mask: StringProperty(
-        name="Outline",
-        description="Picture of the person's outline, white on black, where the one that was found is wrong; empty uses that",
+    path: text("Photo", "Photo of the person; the first one gives the light", subtype="FILE_PATH")
+    mask: text(
+        "Outline",
+        "Picture of the person's outline, white on black, where the one that was found is wrong; empty uses that",
         subtype="FILE_PATH",
     )
-    faces: IntProperty(name="Faces", description="Faces found in this photo; 0 before it was looked at", default=0, min=0)
-    faces_picture: StringProperty(name="Faces", description="Picture of the faces that were found", options={"HIDDEN"})
+    faces: whole("Faces", "Faces found in this photo; 0 before it was looked at", min=0)
+    faces_picture: text("Faces", "Picture of the faces that were found", options={"HIDDEN"})
 
 
 class GRMM_FitSettings(bpy.types.PropertyGroup):
     """Choices of the fit panel."""
 
     photos: CollectionProperty(name="Photos", description="Photos of one person", type=GRMM_FitPhoto)
-    active: IntProperty(name="Photo", description="Photo that is shown", default=0, min=0)
-    face: IntProperty(
-        name="Face", description="Which face, where a photo shows several; the largest is 1", default=1, min=1, max=99
-    )
-    preset: EnumProperty(name="Preset", description="Amount of work", items=PRESET_ITEMS, default="standard")
-    output: StringProperty(
-        name="Avatar File",
-        description="File of the finished avatar; empty writes beside the first photo",
-        subtype="FILE_PATH",
-        default="",
-    )
+    active: whole("Photo", "Photo that is shown", min=0)
+    face: whole("Face", "Which face, where a photo shows several; the largest is 1", default=1, min=1, max=99)
+    preset: choice("Preset", "Amount of work", *PRESET_ITEMS, default="standard")
+    output: text("Avatar File", "File of the finished avatar; empty writes beside the first photo", subtype="FILE_PATH")
 
 
 def settings(context: bpy.types.Context) -> GRMM_FitSettings:

@@ -6,6 +6,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from .. import session_host
+from ..declare import flag, text
 from . import cloud
 
 
@@ -16,31 +17,18 @@ def _is_mesh(self: bpy.types.PropertyGroup, obj: bpy.types.Object) -> bool:
 class GRMM_PG_cloud(bpy.types.PropertyGroup):
     """Settings of a splat cloud."""
 
-    is_cloud: bpy.props.BoolProperty(
-        name="Splat Cloud",
-        description="The points of this mesh are Gaussians that the GRMM engine draws",
-        default=False,
-        options={"HIDDEN"},
+    is_cloud: flag("Splat Cloud", "The points of this mesh are Gaussians that the GRMM engine draws", options={"HIDDEN"})
+    source: text(
+        "Source", "File that the splats were read from; the splats themselves are part of the .blend file", subtype="FILE_PATH"
     )
-    source: bpy.props.StringProperty(
-        name="Source",
-        description="File that the splats were read from; the splats themselves are part of the .blend file",
-        default="",
-        subtype="FILE_PATH",
-    )
-    kind: bpy.props.StringProperty(name="Kind", description="What the file holds", default="", options={"HIDDEN"})
+    kind: text("Kind", "What the file holds", options={"HIDDEN"})
     carrier: bpy.props.PointerProperty(
         name="Carrier",
         description="Mesh whose triangles move the splats; none for splats that move by themselves",
         type=bpy.types.Object,
         poll=_is_mesh,
     )
-    carries: bpy.props.BoolProperty(
-        name="Carries Splats",
-        description="This mesh moves splats and is not drawn itself by the GRMM engine",
-        default=False,
-        options={"HIDDEN"},
-    )
+    carries: flag("Carries Splats", "This mesh moves splats and is not drawn itself by the GRMM engine", options={"HIDDEN"})
 
 
 @persistent

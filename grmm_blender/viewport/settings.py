@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, PointerProperty
+from bpy.props import PointerProperty
 
+from ..declare import choice, flag
 from ..engine.settings import DETAIL_ITEMS
 from ..windows import redraw_viewports
 from .changes import CHANGES
@@ -27,28 +28,19 @@ def _redraw(_settings: GRMM_ViewportSettings, context: bpy.types.Context) -> Non
 class GRMM_ViewportSettings(bpy.types.PropertyGroup):
     """How splats are shown in the 3D viewports of a scene."""
 
-    use_splats: BoolProperty(
-        name="Splats",
-        description="Draw avatars and splat clouds as Gaussians in solid and material preview viewports, not refined",
+    use_splats: flag(
+        "Splats",
+        "Draw avatars and splat clouds as Gaussians in solid and material preview viewports, not refined",
         default=True,
         update=_redraw,
     )
-    detail: EnumProperty(
-        name="Detail",
-        description="How many of the Gaussians are drawn when nothing moves",
-        items=DETAIL_ITEMS,
-        default="0",
-        update=_redraw,
+    detail: choice(
+        "Detail", "How many of the Gaussians are drawn when nothing moves", *DETAIL_ITEMS, default="0", update=_redraw
     )
-    playback: EnumProperty(
-        name="Playback",
-        description="What is shown while an animation plays",
-        items=PLAYBACK_ITEMS,
-        default=HOLD_RATE,
-    )
-    use_status: BoolProperty(
-        name="Status Text",
-        description="Say in the viewport's corner when something else than the full detail is shown, and why",
+    playback: choice("Playback", "What is shown while an animation plays", *PLAYBACK_ITEMS, default=HOLD_RATE)
+    use_status: flag(
+        "Status Text",
+        "Say in the viewport's corner when something else than the full detail is shown, and why",
         default=True,
         update=_redraw,
     )

@@ -17,6 +17,7 @@ MODULES = (
     ".grmm_blender.preferences",
     ".grmm_blender.properties",
     ".grmm_blender.splats.properties",
+    ".grmm_blender.motion",
     ".grmm_blender.composite",
     ".operators",
     ".grmm_blender.engine",

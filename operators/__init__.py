@@ -13,6 +13,7 @@
 ``steps``               long work with progress and cancel
 ``edit``                reset, mirror, random expression and identity, independent copies
 ``residual``            random learned detail, saved codes and their blend
+``motion``              face bones, Look At, blinking, breathing
 ``calibrate``           make the face of chosen frames the neutral one
 ``relink``              choose an avatar's file again
 ``composite``           Cycles or EEVEE scenes with their avatars
@@ -39,6 +40,7 @@ from . import (
     fit,
     import_performance,
     import_splats,
+    motion,
     portrait_camera,
     pose_library,
     relink,
@@ -55,6 +57,7 @@ _TOPICS = (
     export_animation,
     edit,
     residual,
+    motion,
     calibrate,
     relink,
     fit,

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..grmm_blender import session_host
 from ..grmm_blender.declare import choice, number, whole
+from ..grmm_blender.motion import face_bones
 from ..grmm_blender.rig import live
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.rig.build import make_independent
@@ -43,14 +44,23 @@ class Edit(OperatorMixin):
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
     poll = polls(active_avatar)
 
-    def finish(self, context: bpy.types.Context, avatar: Avatar, names: Iterable[str], bones: Iterable[str] = ()) -> Result:
-        """Evaluate again, and key what changed where automatic keying is on."""
+    def finish(
+        self,
+        context: bpy.types.Context,
+        avatar: Avatar,
+        names: Iterable[str],
+        bones: Iterable[str] = (),
+        moved: Iterable[bpy.types.PoseBone] = (),
+    ) -> Result:
+        """Evaluate again, and key what changed (properties, turned bones, moved bones) where automatic keying is on."""
         avatar.tag_edited()
         if context.scene.tool_settings.use_keyframe_insert_auto:
             for name in names:
                 avatar.object.keyframe_insert(property_path(name))
             for bone in bones:
                 avatar.bones[bone].keyframe_insert("rotation_euler")
+            for moved_bone in moved:
+                moved_bone.keyframe_insert("location")
         return {"FINISHED"}
 
 
@@ -93,7 +103,11 @@ class GRMM_OT_reset(Edit, bpy.types.Operator):
         bones = [joint.name for joint in JOINTS if self._resets(joint) and joint.name in avatar.bones]
         for bone in bones:
             avatar.bones[bone].rotation_euler = (0.0, 0.0, 0.0)
-        return self.finish(context, avatar, [control.name for control in controls], bones)
+        names = [control.name for control in controls]
+        moved = face_bones.controls(avatar, set(names))
+        for face_bone in moved:
+            face_bone.location = (0.0, 0.0, 0.0)
+        return self.finish(context, avatar, names, bones, moved)
 
     def _resets(self, control: Control) -> bool:
         """Whether a control is meant; a region means its expressions, and leaves what belongs to none."""
@@ -127,11 +141,12 @@ class GRMM_OT_mirror(Edit, bpy.types.Operator):
         for name, value in values.items():
             head[name] = value
         bones: list[str] = []
+        moved = face_bones.mirror(avatar, set(names), self.direction)
         if self.region == ALL:
             self._mirror_coefficients(avatar)
             names.append(EXPRESSION)
             bones = self._mirror_bones(avatar)
-        return self.finish(context, avatar, names, bones)
+        return self.finish(context, avatar, names, bones, moved)
 
     def _takes(self, name: str) -> bool:
         """Whether a control gets its partner's value."""

@@ -11,6 +11,7 @@
 ``build``              puts the above together: `build_avatar`
 ``actions``            curves of an object's action, and many keys at once
 ``saved_codes``        saved residual codes and the blend between them
+``layers``             what adds to named expressions beside their sliders
 ``components``         what single components of the residual codes do, in words
 ``weighted_sums``      sums of hundreds of small shape components, quick from frame to frame
 ``left_rigs``          rigs whose heads were deleted

@@ -53,9 +53,14 @@ def ensure_bag(obj: bpy.types.ID, name: str, action: bpy.types.Action | None = N
         data.action_slot = next(
             (slot for slot in action.slots if slot.target_id_type == obj.id_type and slot.name_display == obj.name), None
         ) or action.slots.new(obj.id_type, obj.name)
+    return slot_bag(action, data.action_slot)
+
+
+def slot_bag(action: bpy.types.Action, slot: bpy.types.ActionSlot) -> bpy.types.ActionChannelbag:
+    """Return where a slot's curves are kept in an action, making layer and strip where they are missing."""
     layer = action.layers[0] if action.layers else action.layers.new(_LAYER)
     strip = layer.strips[0] if layer.strips else layer.strips.new(type="KEYFRAME")
-    return strip.channelbag(data.action_slot, ensure=True)
+    return strip.channelbag(slot, ensure=True)
 
 
 def put_aside(obj: bpy.types.ID, push_down: bool) -> None:

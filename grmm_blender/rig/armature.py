@@ -18,6 +18,8 @@ SHIFT_PREFIX = "MCH-"
 DRIVEN_PREFIX = "DRV-"
 CONSTRAINT_NAME = "Expression"
 ROOT = JOINT_NAMES[0]
+EXTRA = "grmm_motion"
+"""Custom property of bones and other data that `motion` added to a head; its value says for which of its features."""
 CONTROLS_COLLECTION, MECHANISM_COLLECTION = "Controls", "Mechanism"
 REST_AXES = Matrix(((1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)))
 """A bone's rest orientation in the armature: its columns are the head's axes in Blender's."""
@@ -68,10 +70,10 @@ def make_armature(context: bpy.types.Context, name: str, head: HeadModel, joints
 
 
 def is_head_rig(obj: bpy.types.Object) -> bool:
-    """Whether an object is an armature with the bones of `make_armature` and no others."""
+    """Whether an object is an armature with the bones of `make_armature` and of `motion`, and no others."""
     prefixes = ("", SHIFT_PREFIX, DRIVEN_PREFIX, DEFORM_PREFIX)
     ours = {prefix + name for prefix in prefixes for name in JOINT_NAMES}
-    return obj.type == "ARMATURE" and {bone.name for bone in obj.data.bones} <= ours
+    return obj.type == "ARMATURE" and {bone.name for bone in obj.data.bones if EXTRA not in bone} <= ours
 
 
 def rest_joints(obj: bpy.types.Object) -> np.ndarray:

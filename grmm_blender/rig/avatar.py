@@ -25,6 +25,7 @@ from ..wrapper import ObjectWrapper
 from .armature import DRIVEN_PREFIX, ROOT, local_rotation, root_offset
 from .custom_properties import read_array
 from .identity import DEFAULT_SOURCE, FLAME_PREFIX
+from .layers import added_weights
 from .saved_codes import CODES, blend_of
 
 
@@ -103,7 +104,9 @@ class Avatar(ObjectWrapper):
         depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
         obj = self.object.evaluated_get(depsgraph)
         result = Controls()
-        result.aligned = np.array([obj.get(control.name, control.rest) for control in EXPRESSIONS], np.float32)
+        added = added_weights(obj)
+        weights = [obj.get(control.name, control.rest) + added.get(control.name, 0.0) for control in EXPRESSIONS]
+        result.aligned = np.array(weights, np.float32)
         for control in ARRAYS:
             array = read_array(obj, control.name)
             blended = control.name in CODES

@@ -9,6 +9,7 @@ import bpy
 from ...grmm_core.avatar import AssetReference
 from ...grmm_core.controls.table import ARRAYS, CONTROLS, EXPRESSIONS, SLIDERS, Z_EXP, Z_ID
 from ...grmm_core.errors import FileFormatError, GrmmError
+from ...grmm_core.head import HeadModel
 from . import armature, drivers, live, mesh
 from .avatar import Avatar
 from .custom_properties import add_property
@@ -76,8 +77,13 @@ def add_missing_controls(avatar: Avatar) -> None:
         add_property(obj, control)
     if any(control in EXPRESSIONS for control in missing):
         mesh.add_recipe_keys(obj, head)
-        drivers.drive_shape_keys(obj, head)
-        drivers.drive_bones(avatar.armature, obj, head, drivers.resting_pose(avatar.bones))
+        drive_again(avatar, head)
+
+
+def drive_again(avatar: Avatar, head: HeadModel) -> None:
+    """Drive mesh and joints of a rig by the controls and layers that its head object has now."""
+    drivers.drive_shape_keys(avatar.object, head)
+    drivers.drive_bones(avatar.armature, avatar.object, head, drivers.resting_pose(avatar.bones))
 
 
 def show_source(avatar: Avatar) -> str:

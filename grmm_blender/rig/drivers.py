@@ -17,14 +17,19 @@ from ...grmm_core.controls.table import EXPRESSION, SHAPE
 from ...grmm_core.head import HeadModel
 from .armature import DRIVEN_PREFIX, driven_joints
 from .custom_properties import property_path
+from .layers import input_paths
 from .mesh import component_of, expression_rows, leading_shapes, recipe_key_name, shape_key_name
 
 _AXES = "xyz"
 _MIN_ANGLE = 1e-7  # radians per unit; smaller ones do not move a vertex by 1e-7 m
 
 
-def expression_inputs(head: HeadModel) -> tuple[list[list[str]], dict[str, np.ndarray]]:
+def expression_inputs(head: HeadModel, obj: bpy.types.Object) -> tuple[list[list[str]], dict[str, np.ndarray]]:
     """Sort the named expressions into those that are one component of the head and those with a key of their own.
+
+    Args:
+        head: Its model.
+        obj: Head object, whose layers count.
 
     Returns:
         For each component the data paths that add up to it, [E]; and name to coefficients [E] of all others.
@@ -36,20 +41,20 @@ def expression_inputs(head: HeadModel) -> tuple[list[list[str]], dict[str, np.nd
         if component is None:
             others[name] = row
         else:
-            inputs[component].append(property_path(name))
+            inputs[component] += input_paths(obj, name)
     return inputs, others
 
 
 def drive_shape_keys(obj: bpy.types.Object, head: HeadModel) -> None:
     """Drive all keys of a head object by its own properties."""
     keys = obj.data.shape_keys.key_blocks
-    inputs, others = expression_inputs(head)
+    inputs, others = expression_inputs(head, obj)
     for k in range(leading_shapes(head)):
         drive_sum(keys[shape_key_name(k)], "value", -1, obj, [property_path(SHAPE, k)])
     for name, paths in zip(head.expression_names, inputs, strict=True):
         drive_sum(keys[name], "value", -1, obj, paths)
     for name in others:
-        drive_sum(keys[recipe_key_name(name, head)], "value", -1, obj, [property_path(name)])
+        drive_sum(keys[recipe_key_name(name, head)], "value", -1, obj, input_paths(obj, name))
 
 
 def drive_bones(armature: bpy.types.Object, obj: bpy.types.Object, head: HeadModel, resting: np.ndarray) -> None:
@@ -61,12 +66,12 @@ def drive_bones(armature: bpy.types.Object, obj: bpy.types.Object, head: HeadMod
         head: Says how far each component turns each joint.
         resting: Euler angles in radians that the avatar's own expression adds, [5, 3].
     """
-    inputs, others = expression_inputs(head)
+    inputs, others = expression_inputs(head, obj)
     poses = np.asarray(head.expression_pose)  # [E, 5, 3]
     sources = [(name, inputs[k], poses[k]) for k, name in enumerate(head.expression_names)]
-    sources += [(f"{name}.recipe", [property_path(name)], np.einsum("e,ejk->jk", row, poses)) for name, row in others.items()]
+    sources += [(f"{name}.recipe", input_paths(obj, name), np.einsum("e,ejk->jk", row, poses)) for name, row in others.items()]
     own = np.einsum("ma,ajk->mjk", EXPRESSIONS_TO_ARKIT, head.arkit_pose)  # [K, 5, 3]; FLAME's shapes turn joints themselves
-    sources += [(f"{name}.own", [property_path(name)], own[k]) for k, name in enumerate(EXPRESSION_NAMES)]
+    sources += [(f"{name}.own", input_paths(obj, name), own[k]) for k, name in enumerate(EXPRESSION_NAMES)]
     for joint in driven_joints(head):
         bone = armature.pose.bones[DRIVEN_PREFIX + JOINT_NAMES[joint]]
         for axis in range(3):

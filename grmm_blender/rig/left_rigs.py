@@ -1,10 +1,10 @@
-"""Rigs whose heads were deleted: Blender deletes the object that is selected, and the rig of a head is another one."""
+"""What deleted heads leave: Blender deletes the object that is selected, and the rig of a head is another one."""
 
 from __future__ import annotations
 
 import bpy
 
-from .armature import is_head_rig
+from .armature import EXTRA, is_head_rig
 from .avatar import Avatar, is_avatar
 
 
@@ -16,9 +16,10 @@ class LeftRigs:
         self._count = -1  # of objects: looking is only worth it after it has changed
         self._rig_of: dict[int, int] = {}  # by head; both by `session_uid`
         self._left: set[int] = set()
+        self._gone = False  # heads are, whatever became of their rigs
 
     def look(self) -> bool:
-        """Compare with what there was at the last look; returns whether there are rigs to remove."""
+        """Compare with what there was at the last look; returns whether there is something to remove."""
         if len(bpy.data.objects) != self._count:
             self._count = len(bpy.data.objects)
             present, known, self._rig_of = {obj.session_uid for obj in bpy.data.objects}, self._rig_of, {}
@@ -26,11 +27,16 @@ class LeftRigs:
                 rig = Avatar(obj).armature if is_avatar(obj) else None
                 if rig is not None:
                     self._rig_of[obj.session_uid] = rig.session_uid
-            self._left |= {rig for head, rig in known.items() if head not in present} - set(self._rig_of.values())
-        return bool(self._left)
+            gone = {rig for head, rig in known.items() if head not in present}
+            self._left |= gone - set(self._rig_of.values())
+            self._gone = self._gone or bool(gone)
+        return self._gone
 
     def remove(self) -> None:
-        """Remove the rigs; linked ones stay, and those that something else hangs on, or that have other bones than ours."""
+        """Remove the rigs, and what `motion` made for them.
+
+        Linked rigs stay, and those that something else hangs on, or that have other bones than ours.
+        """
         for obj in list(bpy.data.objects):
             if obj.session_uid in self._left and obj.library is None and not obj.children and is_head_rig(obj):
                 armature = obj.data
@@ -38,8 +44,20 @@ class LeftRigs:
                 if not armature.users:
                     bpy.data.armatures.remove(armature)
         self._left.clear()
+        self._gone = False
+        remove_unused()
         self._count = len(bpy.data.objects)
 
     def forget(self) -> None:
         """Begin anew: another file, or another point of the undo history, is there now."""
-        self._count, self._rig_of, self._left = -1, {}, set()
+        self._count, self._rig_of, self._left, self._gone = -1, {}, set(), False
+
+
+def remove_unused() -> None:
+    """Remove actions, custom shapes and Look At targets that `motion` made and nothing uses; a scene is no use."""
+    for kind in (bpy.data.actions, bpy.data.objects, bpy.data.meshes):
+        made = [found for found in kind if found.get(EXTRA) and found.library is None and not found.use_fake_user]
+        users = bpy.data.user_map(subset=made) if made else {}
+        for found in made:
+            if not any(user.id_type not in ("COLLECTION", "SCENE") for user in users[found]):
+                kind.remove(found)

@@ -44,7 +44,7 @@ def draw_bones(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> No
 
 
 def posed_bones(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> Iterator[Line]:
-    """Yield the visible bones of avatars' rigs in pose mode: both ends in the world, and the color of their selection."""
+    """Yield the lines of the visible bones of avatars' rigs in pose mode: both ends in the world, color of their selection."""
     theme = context.preferences.themes[0]
     for obj in context.view_layer.objects:
         if obj.type != "ARMATURE" or obj.mode != "POSE" or not obj.visible_get() or avatar_of(obj) is None:
@@ -54,9 +54,19 @@ def posed_bones(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> I
             hidden, selected = compat.bone_state(bone)
             if hidden or not any(collection.is_visible_effectively for collection in bone.bone.collections):
                 continue
-            ends = (posed.matrix_world @ end for end in (posed.pose.bones[bone.name].head, posed.pose.bones[bone.name].tail))
             state = "active" if selected and obj.data.bones.active == bone.bone else "select" if selected else "normal"
-            yield *ends, _color(theme, bone.bone.color.palette, state)
+            color = _color(theme, bone.bone.color.palette, state)
+            for start, tip in _segments(posed.pose.bones[bone.name], bone.custom_shape):
+                yield posed.matrix_world @ start, posed.matrix_world @ tip, color
+
+
+def _segments(bone: bpy.types.PoseBone, shape: bpy.types.Object | None) -> list[tuple[Vector, Vector]]:
+    """The lines of a bone in its armature: those of its custom shape, where it has one."""
+    if shape is None or shape.type != "MESH":
+        return [(bone.head, bone.tail)]
+    size = bone.custom_shape_scale_xyz * (bone.length if bone.use_custom_shape_bone_size else 1.0)
+    places = [bone.matrix @ (vertex.co * size) for vertex in shape.data.vertices]
+    return [(places[first], places[second]) for first, second in (edge.vertices for edge in shape.data.edges)]
 
 
 def _color(theme: bpy.types.Theme, palette: str, state: str) -> tuple[float, float, float, float]:

@@ -1,0 +1,85 @@
+"""Face bones, Look At, blinking and breathing: add, remove, bake to keys."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import bpy
+
+from ..grmm_blender.motion.bake import bake
+from ..grmm_blender.motion.features import FEATURES
+from ..grmm_blender.rig.avatar import Avatar
+from ..grmm_core.errors import GrmmError
+from .common import Result, active_avatar, needs_avatar, reports_errors
+
+
+class _Change:
+    """What the three operators share."""
+
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+    poll = classmethod(needs_avatar)
+
+    feature: bpy.props.EnumProperty(
+        name="Feature",
+        description="What the avatar gets or loses",
+        items=tuple((key, feature.label, feature.description) for key, feature in FEATURES.items()),
+    )
+
+    @classmethod
+    def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """Say what the button is about."""
+        return f"{cls.bl_description}. {FEATURES[properties.feature].description}"
+
+    @reports_errors
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Change the active avatar."""
+        avatar, feature = active_avatar(context), FEATURES[self.feature]
+        if feature.is_present(avatar) == self.adds:
+            raise GrmmError(f"{avatar.object.name} has {'already' if self.adds else 'no'} {feature.label}.")
+        self.change(context, avatar)
+        avatar.tag_edited()
+        return {"FINISHED"}
+
+
+class GRMM_OT_add_motion(_Change, bpy.types.Operator):
+    """Give the active avatar face bones, a Look At target, blinking or breathing."""
+
+    bl_idname = "grmm.add_motion"
+    bl_label = "Add to Rig"
+    bl_description = "Give it to the active avatar; sliders and keys stay as they are"
+    adds = True
+
+    def change(self, context: bpy.types.Context, avatar: Avatar) -> None:
+        """Add it."""
+        FEATURES[self.feature].add(context, avatar)
+
+
+class GRMM_OT_remove_motion(_Change, bpy.types.Operator):
+    """Take one of them away."""
+
+    bl_idname = "grmm.remove_motion"
+    bl_label = "Remove from Rig"
+    bl_description = "Take it from the active avatar; sliders and keys stay as they are"
+    adds = False
+
+    def change(self, context: bpy.types.Context, avatar: Avatar) -> None:
+        """Remove it."""
+        FEATURES[self.feature].remove(context, avatar)
+
+
+class GRMM_OT_bake_motion(_Change, bpy.types.Operator):
+    """Make keys of what one of them does, and take it away."""
+
+    bl_idname = "grmm.bake_motion"
+    bl_label = "Bake to Keys"
+    bl_description = "Key what it does in the frames of the scene on sliders and bones, and take it away"
+    adds = False
+
+    def change(self, context: bpy.types.Context, avatar: Avatar) -> None:
+        """Bake and remove."""
+        count = bake(context, avatar, self.feature)
+        FEATURES[self.feature].remove(context, avatar)
+        self.report({"INFO"}, f"{FEATURES[self.feature].label} is keyed on {count} curves")
+
+
+CLASSES = (GRMM_OT_add_motion, GRMM_OT_remove_motion, GRMM_OT_bake_motion)

@@ -30,7 +30,7 @@ _LIMIT = "Range"
 _X, _Y, _Z = 0, 1, 2  # the subject's left, up, forward
 _LENGTH = 0.008  # metres
 _SIDES = {"LEFT": ".R", "RIGHT": ".L"}  # those that get the other side's place
-_MIRRORED = {22: 21, 23: 20, 24: 19, 43: 38, 44: 37, 46: 41, 47: 40, 54: 48, 52: 50, 56: 58}  # iBUG landmarks
+_MIRRORED = {22: 21, 23: 20, 24: 19, 43: 38, 44: 37, 46: 41, 47: 40, 54: 48, 53: 49, 55: 59}  # iBUG landmarks
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ FACE_BONES: tuple[FaceBone, ...] = (
         "diamond",
         0.005,
     ),
-    *_pair("lip_upper", (52,), {(_Y, 0.008): "mouthUpperUp"}, "arc", 0.005),
-    *_pair("lip_lower", (56,), {(_Y, -0.008): "mouthLowerDown"}, "bow", 0.005),
+    *_pair("lip_upper", (53,), {(_Y, 0.008): "mouthUpperUp"}, "arc", 0.005),
+    *_pair("lip_lower", (55,), {(_Y, -0.008): "mouthLowerDown"}, "bow", 0.005),
     FaceBone(
         "mouth",
         (51, 57),

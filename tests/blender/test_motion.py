@@ -118,6 +118,6 @@ def test_it_is_rendered_in_background_and_undone(run_blender: RunBlender, blende
     assert done["moved"] > 0.1
     assert done["same"] < 2.0 / 255.0
     assert done["parity"] < RIG_PARITY
-    assert done["bones"] == 17  # those of a head without face bones
+    assert done["bones"] == 18  # those of a head without face bones
     assert done["tracks"] == 0
     assert done["undone"] < 1.0 / 255.0

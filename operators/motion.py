@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import ClassVar
 
 import bpy
@@ -10,14 +11,17 @@ from ..grmm_blender.motion.bake import bake
 from ..grmm_blender.motion.features import FEATURES
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_core.errors import GrmmError
-from .common import Result, active_avatar, needs_avatar, reports_errors
+from .common import OperatorMixin, Result, active_avatar, polls, reports_errors
 
 
-class _Change:
+class _Change(OperatorMixin):
     """What the three operators share."""
 
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
-    poll = classmethod(needs_avatar)
+    bl_description: str
+    adds: bool
+    change: Callable[[bpy.types.Context, Avatar], None]
+    poll = polls(active_avatar)
 
     feature: bpy.props.EnumProperty(
         name="Feature",

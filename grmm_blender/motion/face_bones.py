@@ -149,9 +149,7 @@ def remove(context: bpy.types.Context, avatar: Avatar) -> None:
 
 def controls(avatar: Avatar, expressions: set[str]) -> list[bpy.types.PoseBone]:
     """Posed bones that drive any of some expressions; none where the head has no such bones."""
-    if avatar.armature is None:
-        return []
-    bones = avatar.armature.pose.bones
+    bones = avatar.bones
     return [bones[b.name] for b in FACE_BONES if b.name in bones and any(expressions & set(names) for *_, names in b.drives)]
 
 
@@ -164,7 +162,7 @@ def mirror(avatar: Avatar, expressions: set[str], direction: str) -> list[bpy.ty
         direction: "SWAP", or the side that is copied: "LEFT" or "RIGHT".
     """
     taken = [bone for bone in controls(avatar, expressions) if direction == "SWAP" or bone.name.endswith(_SIDES[direction])]
-    places = {bone.name: avatar.armature.pose.bones[_partner(bone.name)].location.copy() for bone in taken}
+    places = {bone.name: avatar.bones[_partner(bone.name)].location.copy() for bone in taken}
     for bone in taken:
         x, y, z = places[bone.name]
         bone.location = (-x, y, z)

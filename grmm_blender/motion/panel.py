@@ -19,7 +19,7 @@ class GRMM_PT_motion(bpy.types.Panel):
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "GRMM"
-    bl_order = 35
+    bl_order = 10
     bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
 
     @classmethod

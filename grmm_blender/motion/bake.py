@@ -16,6 +16,7 @@ from ..rig.armature import ROOT, root_offset
 from ..rig.avatar import Avatar
 from ..rig.custom_properties import property_path
 from ..rig.layers import layer_name, layer_properties
+from . import parts
 
 _FINER = 0.1  # of the errors that recordings are reduced with: a blink is short, and breathing small
 
@@ -37,16 +38,16 @@ def bake(context: bpy.types.Context, avatar: Avatar, feature: str) -> int:
     Returns:
         Number of curves.
     """
-    scene, shown = context.scene, context.scene.frame_current_final
+    scene, shown, rig = context.scene, context.scene.frame_current_final, parts.rig_of(avatar)
     names = [name for name, layer in layer_properties(avatar.object) if layer == feature]
     joints = {"look": ("neck", "left_eye", "right_eye"), "breath": ("neck",)}.get(feature, ())
     channels = [_expression(avatar, CONTROLS[name]) for name in names]
     for joint in joints:
-        path = avatar.armature.pose.bones[joint].path_from_id("rotation_euler")
-        channels += [_Channel(avatar.armature, path, axis, CONTROLS[joint].group, DEFAULT_ANGLE_ERROR) for axis in range(3)]
+        path = rig.pose.bones[joint].path_from_id("rotation_euler")
+        channels += [_Channel(rig, path, axis, CONTROLS[joint].group, DEFAULT_ANGLE_ERROR) for axis in range(3)]
     if feature == "breath":
-        path = avatar.armature.pose.bones[ROOT].path_from_id("location")
-        channels += [_Channel(avatar.armature, path, axis, CONTROLS[ROOT].group, DEFAULT_DISTANCE_ERROR) for axis in range(3)]
+        path = rig.pose.bones[ROOT].path_from_id("location")
+        channels += [_Channel(rig, path, axis, CONTROLS[ROOT].group, DEFAULT_DISTANCE_ERROR) for axis in range(3)]
     frames = np.arange(scene.frame_start, scene.frame_end + 1)
     rows = []
     for frame in frames.tolist():
@@ -72,7 +73,7 @@ def _values(
     depsgraph: bpy.types.Depsgraph, avatar: Avatar, feature: str, names: list[str], joints: tuple[str, ...]
 ) -> list[float]:
     """Present values of the channels with the feature's part, without that of others."""
-    head, rig = avatar.object.evaluated_get(depsgraph), avatar.armature.evaluated_get(depsgraph)
+    head, rig = avatar.object.evaluated_get(depsgraph), parts.rig_of(avatar).evaluated_get(depsgraph)
     found = [float(head[name]) + float(head[layer_name(name, feature)]) for name in names]
     chest = rig.pose.bones.get("MCH-breath")
     breath = np.zeros((2, 3)) if chest is None else np.array([chest.rotation_euler, chest.location])

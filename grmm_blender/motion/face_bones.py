@@ -180,7 +180,7 @@ def _landmarks(avatar: Avatar, head: HeadModel) -> np.ndarray:
     x, y, z = read_key(avatar.object.data.shape_keys.key_blocks[BASIS_KEY]).reshape(-1, 3).T
     shape = avatar.array(SHAPE)[: head.shape_count]
     vertices = np.stack([x, z, -y], 1) + head.shape_dirs[:, :, : shape.size] @ shape
-    neck = avatar.armature.pose.bones.get(f"{SHIFT_PREFIX}neck")
+    neck = avatar.bones.get(f"{SHIFT_PREFIX}neck")
     return head.landmark_positions(vertices) - np.array(neck.location if neck is not None else (0.0, 0.0, 0.0))
 
 

@@ -93,7 +93,7 @@ def remove(context: bpy.types.Context, avatar: Avatar, feature: str) -> None:
 def generate(scene: bpy.types.Scene, avatar: Avatar, feature: str) -> None:
     """Make a motion's action as the avatar's settings say, on its track; a strip keeps its place and influence."""
     settings, fps = avatar.object.grmm_motion, scene.render.fps / scene.render.fps_base
-    owner = avatar.object if feature == BLINK else avatar.armature
+    owner = avatar.object if feature == BLINK else parts.rig_of(avatar)
     action = bpy.data.actions.new(f"{avatar.object.name} {_TRACKS[feature].removeprefix('GRMM ')}")
     action[EXTRA] = feature
     slot = action.slots.new(owner.id_type, owner.name)

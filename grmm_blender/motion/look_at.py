@@ -99,13 +99,13 @@ def may_be_target(avatar: Avatar, obj: bpy.types.Object) -> bool:
 
 def follow(avatar: Avatar, target: bpy.types.Object | None) -> None:
     """Aim at an object; at the face of a head, where it is one."""
-    rig, other = avatar.armature, avatar_of(target)
+    other = avatar_of(target)
     bone = ""
     if other is not None and other.armature is not None:
         target = other.armature
         bone = FACE if FACE in target.pose.bones else "left_eye"
     for name in _RANGES if is_present(avatar) else ():
-        constraint = rig.pose.bones[name].constraints[_NAME]
+        constraint = avatar.bones[name].constraints[_NAME]
         constraint.target, constraint.subtarget = target, bone
 
 
@@ -133,7 +133,7 @@ def _aim(rig: bpy.types.Object, obj: bpy.types.Object, name: str, pitch: tuple[f
 
 def _new_target(avatar: Avatar) -> bpy.types.Object:
     """Return a new empty before the eyes, beside the rig in its collections."""
-    rig = avatar.armature
+    rig = parts.rig_of(avatar)
     target = bpy.data.objects.new(f"{avatar.object.name} Look At", None)
     target.empty_display_type, target.empty_display_size = "SPHERE", 0.03
     target[EXTRA] = LAYER

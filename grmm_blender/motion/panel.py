@@ -30,6 +30,8 @@ class GRMM_PT_motion(bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw each feature: a button, or its settings."""
         avatar = avatar_of(active_object(context))
+        if avatar is None:
+            return
         for key, feature in FEATURES.items():
             if not feature.is_present(avatar):
                 self.layout.operator("grmm.add_motion", text=feature.label, icon=feature.icon).feature = key

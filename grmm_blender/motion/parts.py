@@ -49,6 +49,8 @@ def rig_of(avatar: Avatar) -> bpy.types.Object:
     if problem:
         raise GrmmError(problem)
     rig = avatar.armature
+    if rig is None:
+        raise GrmmError("The armature is missing; add the head again.")
     if rig.data.library is not None or rig.data.override_library is not None:
         raise GrmmError("The armature is linked; append the avatar to add bones to it.")
     if rig.data.users > 1:
@@ -115,8 +117,8 @@ def remove_bones(context: bpy.types.Context, rig: bpy.types.Object, feature: str
         return
     paths = tuple(rig.pose.bones[name].path_from_id() + "." for name in names)
     collections = {group.name for name in names for group in rig.data.bones[name].collections}
-    drivers = rig.animation_data.drivers if rig.animation_data is not None else ()
-    for curves in (action_fcurves(rig) or (), drivers):
+    drivers = rig.animation_data.drivers if rig.animation_data is not None else None
+    for curves in filter(None, (action_fcurves(rig), drivers)):
         for curve in [curve for curve in curves if curve.data_path.startswith(paths)]:
             curves.remove(curve)
     with _editing(context, rig) as edit_bones:

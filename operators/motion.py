@@ -7,6 +7,7 @@ from typing import ClassVar
 
 import bpy
 
+from ..grmm_blender.declare import choice
 from ..grmm_blender.motion.bake import bake
 from ..grmm_blender.motion.features import FEATURES
 from ..grmm_blender.rig.avatar import Avatar
@@ -23,10 +24,10 @@ class _Change(OperatorMixin):
     change: Callable[[bpy.types.Context, Avatar], None]
     poll = polls(active_avatar)
 
-    feature: bpy.props.EnumProperty(
-        name="Feature",
-        description="What the avatar gets or loses",
-        items=tuple((key, feature.label, feature.description) for key, feature in FEATURES.items()),
+    feature: choice(
+        "Feature",
+        "What the avatar gets or loses",
+        *((key, feature.label, feature.description) for key, feature in FEATURES.items()),
     )
 
     @classmethod

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..declare import number, whole
 from ..rig.avatar import Avatar, is_avatar
 from . import idle, look_at
 
@@ -34,25 +35,19 @@ class GRMM_PG_motion(bpy.types.PropertyGroup):
         poll=_may_be_target,
         update=_target_changed,
     )
-    blink_rate: bpy.props.FloatProperty(
-        name="Blinks per Minute", description="Blinks a minute, on average", default=15.0, min=1.0, max=60.0, precision=1,
-        update=_idle_changed,
-    )  # fmt: skip
-    breath_rate: bpy.props.FloatProperty(
-        name="Breaths per Minute", description="Breaths a minute", default=14.0, min=2.0, max=60.0, precision=1,
-        update=_idle_changed,
-    )  # fmt: skip
-    blink_strength: bpy.props.FloatProperty(
-        name="Blink Strength", description="How far the lids close; the strip's influence takes keys", default=1.0, min=0.0,
-        max=1.0, subtype="FACTOR", update=_idle_changed,
-    )  # fmt: skip
-    breath_strength: bpy.props.FloatProperty(
-        name="Breath Strength", description="How deep the breaths are; the strip's influence takes keys", default=1.0, min=0.0,
-        soft_max=2.0, max=5.0, subtype="FACTOR", update=_idle_changed,
-    )  # fmt: skip
-    seed: bpy.props.IntProperty(
-        name="Seed", description="Equal numbers blink and breathe alike", default=1, min=0, update=_idle_changed
+    blink_rate: number(
+        "Blinks per Minute", "Blinks a minute, on average", default=15.0, min=1.0, max=60.0, update=_idle_changed
     )
+    breath_rate: number("Breaths per Minute", "Breaths on average", default=14.0, min=2.0, max=60.0, update=_idle_changed)
+    blink_strength: number(
+        "Blink Strength", "How far the lids close; the strip's influence takes keys", default=1.0, min=0.0, max=1.0,
+        subtype="FACTOR", update=_idle_changed,
+    )  # fmt: skip
+    breath_strength: number(
+        "Breath Strength", "How deep the breaths are; the strip's influence takes keys", default=1.0, min=0.0, soft_max=2.0,
+        max=5.0, subtype="FACTOR", update=_idle_changed,
+    )  # fmt: skip
+    seed: whole("Seed", "Equal numbers blink and breathe alike", default=1, min=0, update=_idle_changed)
 
 
 CLASSES = (GRMM_PG_motion,)

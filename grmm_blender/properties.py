@@ -42,6 +42,7 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
         'The avatar that is drawn: "default", "sample:NUMBER", or a .grmm file',
         default=DEFAULT_SOURCE,
         subtype="FILE_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
         update=_source_changed,
     )
     known_path: text(

@@ -19,7 +19,10 @@ class GRMM_PG_cloud(bpy.types.PropertyGroup):
 
     is_cloud: flag("Splat Cloud", "The points of this mesh are Gaussians that the GRMM engine draws", options={"HIDDEN"})
     source: text(
-        "Source", "File that the splats were read from; the splats themselves are part of the .blend file", subtype="FILE_PATH"
+        "Source",
+        "File that the splats were read from; the splats themselves are part of the .blend file",
+        subtype="FILE_PATH",
+        options={"PATH_SUPPORTS_BLEND_RELATIVE"},
     )
     kind: text("Kind", "What the file holds", options={"HIDDEN"})
     carrier: bpy.props.PointerProperty(

@@ -17,7 +17,7 @@ from ..errors import RuntimeMissingError
 from ..geometry.camera import Camera
 from ..jobs.progress import Reporter
 from ..jobs.stages import BENCHMARK
-from ..session import Instance, RenderOptions, create_session, make_local_session
+from ..session import EngineName, Instance, RenderOptions, create_session, has_plain_engine, has_torch, make_local_session
 from . import bench_model, bench_splat
 from .common import add_events, add_model, positive_int
 
@@ -42,6 +42,10 @@ def add_parser(subparsers: Any) -> None:
         "--config", choices=CONFIGURATIONS, help="only the stages of this configuration at its full size, with random weights"
     )
     parser.add_argument("--size", type=positive_int, default=CONFIGURATION_SIZE, help="pixels of --config (%(default)s)")
+    parser.add_argument(
+        "--engine", choices=("torch", "plain"), default="torch" if has_torch() else "plain",
+        help="what draws: torch, or numpy, numba and onnxruntime (default: %(default)s)",
+    )  # fmt: skip
     add_model(parser)
     add_events(parser)
 
@@ -55,7 +59,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         _show(args.console, result)
         return result
     resolutions = RESOLUTIONS[:-1] if args.quick else RESOLUTIONS
-    with make_local_session(args.weights, args.device, args.threads, args.head, "torch") as session:
+    with make_local_session(args.weights, args.device, args.threads, args.head, args.engine) as session:
         avatar = session.open("default")
         session.warm_up()
         status = session.status()
@@ -63,11 +67,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             "weights": avatar.weights_name,
             "gaussians": avatar.gaussian_count,
             "channels": 3 + avatar.feature_count,
+            "engine": status.engine,
             "device": status.device,
             "threads": status.threads,
         }
         sections: dict[str, Callable[[], dict[str, Any]]] = {
-            "stages": lambda: stages(session, avatar.id, repeats),
+            **({"stages": lambda: stages(session, avatar.id, repeats)} if args.engine == "torch" else {}),
+            **({"engines": lambda: engines(session, args, repeats)} if has_torch() and has_plain_engine() else {}),
             "caching": lambda: caching(session, avatar.id, repeats),
             "resolution": lambda: scaling(session, avatar.id, repeats, resolutions, "size"),
             "detail": lambda: scaling(session, avatar.id, repeats, LODS, "lod"),
@@ -81,7 +87,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             result["worker"] = worker(session, args, repeats)
             report("rasteriser", 0.0)
             result["peak memory of frames MiB"] = peak_memory_mib()
-            result |= bench_splat.measure(best_times, repeats, args.quick, _model(session, avatar.id).device.type)
+            if args.engine == "torch":
+                result |= bench_splat.measure(best_times, repeats, args.quick, _model(session, avatar.id).device.type)
     result["peak memory MiB"] = peak_memory_mib()
     result["alternatives"] = bench_splat.alternatives()
     _show(args.console, result)
@@ -119,6 +126,24 @@ def stages(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any
 
 def caching(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any]:
     """Compare frames in which everything, the expression, the camera, or nothing has changed."""
+    times = best_times(frames(session, avatar_id), repeats)
+    return {name: {"ratio": s / times["everything"], "ms": 1e3 * s} for name, s in times.items()}
+
+
+def engines(session: LocalSession, args: argparse.Namespace, repeats: int) -> dict[str, Any]:
+    """Compare the engine without torch with torch's, on the same frames in turns: the ratio is its time over torch's."""
+    another: EngineName = "plain" if session.engine.name == "torch" else "torch"
+    with make_local_session(args.weights, args.device, args.threads, args.head, another) as other:
+        calls = {each.engine.name: frames(each, each.open("default").id) for each in (session, other)}
+        times = best_times({f"{name} {what}": call for name, of in calls.items() for what, call in of.items()}, repeats)
+    return {
+        what: {"ratio": times[f"plain {what}"] / times[f"torch {what}"], "ms": 1e3 * times[f"plain {what}"]}
+        for what in calls["plain"]
+    }
+
+
+def frames(session: LocalSession, avatar_id: int) -> dict[str, Callable[[], object]]:
+    """Calls that draw a frame in which nothing, the camera, the expression, or everything has changed."""
     step = iter(range(1 << 30))
 
     def frame(name: str) -> Callable[[], object]:
@@ -133,8 +158,7 @@ def caching(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, An
 
         return draw
 
-    times = best_times({name: frame(name) for name in ("nothing", "camera", "expression", "everything")}, repeats)
-    return {name: {"ratio": s / times["everything"], "ms": 1e3 * s} for name, s in times.items()}
+    return {name: frame(name) for name in ("nothing", "camera", "expression", "everything")}
 
 
 def scaling(session: LocalSession, avatar_id: int, repeats: int, values: tuple[int, ...], what: str) -> dict[str, Any]:
@@ -159,7 +183,8 @@ def scaling(session: LocalSession, avatar_id: int, repeats: int, values: tuple[i
 def worker(session: LocalSession, args: argparse.Namespace, repeats: int) -> dict[str, Any]:
     """Compare the worker process with this one: what crossing the boundary costs."""
     camera = Camera.orbit(FRAME_SIZE, FRAME_SIZE)
-    with create_session("worker", sys.executable, args.weights, args.device, args.threads, args.head) as other:
+    settings = (args.weights, args.device, args.threads, args.head, args.engine)
+    with create_session("worker", sys.executable, *settings) as other:
         sessions = {"local": session, "worker": other}
         ids = {name: each.open("default").id for name, each in sessions.items()}
         calls = {

@@ -137,7 +137,7 @@ def grids(best_times: BestTimes, scenes: Mapping[int, Gaussians], size: int, rep
 def threads(best_times: BestTimes, scene: Gaussians, size: int, repeats: int) -> dict[str, Any]:
     """Compare numbers of threads, forward and with gradients."""
     from ..compute.devices import limit_rasteriser_threads
-    from ..splat.cpu.threads import thread_count
+    from ..compute.threads import thread_count
 
     before = thread_count()
     most = os.cpu_count() or 1

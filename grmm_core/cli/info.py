@@ -12,7 +12,7 @@ from typing import Any
 
 from .. import __version__
 from ..avatar import EXTENSION, AvatarHeader, load_avatar, read_avatar_header
-from ..avatar.library import LIBRARY_PREFIX, library_file, library_names
+from ..avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_file, library_names, library_path
 from ..errors import ConfigError, GrmmError
 from ..files.tensorfile import read_metadata
 from ..formats import Format, format_to_read, formats, suffixes
@@ -20,7 +20,7 @@ from ..formats.performances.flame_npz import is_track
 from ..head import FLAME_SUFFIXES
 from ..head.flame import describe_flame
 
-LIBRARIES = ("numpy", "torch", "numba", "pillow", "bpy", "gsplat")
+LIBRARIES = ("numpy", "torch", "numba", "onnxruntime", "pillow", "bpy", "gsplat")
 ASSETS = Path(__file__).resolve().parent.parent / "assets"
 HASH_DIGITS = 12
 
@@ -30,14 +30,23 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "info", help="what is installed, or what is in a file", description="Show what is installed, or what is in a file."
     )
-    parser.add_argument("avatar", metavar="AVATAR", nargs="?", type=Path, help="any file that is read here, or library:NAME")
+    parser.add_argument(
+        "avatar", metavar="AVATAR", nargs="?", type=Path, help="any file that is read here, default, or library:NAME"
+    )
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Show the facts and return them."""
-    facts = installation() if args.avatar is None else describe_file(library_file(str(args.avatar)) or args.avatar)
+    facts = installation() if args.avatar is None else describe_file(_file_of(args.avatar))
     _show(args.console, facts)
     return facts
+
+
+def _file_of(given: Path) -> Path:
+    """The file that an argument names; a file called "default" is meant where there is one."""
+    if str(given) == DEFAULT_NAME and not given.exists():
+        return library_path(DEFAULT_NAME)
+    return library_file(str(given)) or given
 
 
 def installation() -> dict[str, Any]:
@@ -84,6 +93,7 @@ def describe_file(path: Path) -> dict[str, Any]:
         "z_id": avatar.z_id.size,
         "z_exp": avatar.z_exp.size,
         "changed parameters": sorted(avatar.deltas),
+        "painted": bool(avatar.painting.size),
         "tracking": sorted(avatar.tracking),
         "photos": [{"name": photo.name, "sha256": photo.sha256} for photo in header.provenance.photos],
     }

@@ -4,4 +4,5 @@
 ``graphs``    small networks on a graphics card as CUDA graphs (imports torch)
 ``kernels``   how compiled kernels are cached (loads numba)
 ``memory``    memory that this process holds
+``threads``   one pool for kernels that run without the interpreter lock (loads numba)
 """

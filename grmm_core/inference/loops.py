@@ -1,14 +1,14 @@
 """Compiled loops of the model that are neither convolutions nor the rasteriser; importing this module loads numba.
 
 Twins of the torch code in `model`: `CompressedRows` products of `model.sparse`, packed basis maps of `model.packing`, the UV
-corners of `model.texels`. All arrays are contiguous; sizes as in the argument lists.
+corners of `model.texels`. All arrays are contiguous; sizes as in the argument lists. Each does the rows from
+`first` to `last` - 1: see `compute.threads.for_rows`.
 """
 
 from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from ..compute.kernels import compiled
@@ -21,43 +21,42 @@ _TINY = np.float32(1e-9)  # metres per unit of UV; keeps frames of degenerate tr
 _TINY_NORM = np.float32(1e-20)
 
 
-@compiled(parallel=True, **_OPTIONS)
-def add_product(starts: np.ndarray, columns: np.ndarray, values: np.ndarray, x: np.ndarray, out: np.ndarray) -> None:
-    """Add A x [R, C] to `out`, for a sparse matrix A by rows and x [K, C]."""
-    for row in numba.prange(len(out)):
+@compiled(nogil=True, **_OPTIONS)
+def add_product(
+    starts: np.ndarray, columns: np.ndarray, values: np.ndarray, x: np.ndarray, out: np.ndarray, first: int, last: int
+) -> None:
+    """Add A x [R, C] to `out`, for a sparse matrix A by rows and x [K, C]; rows of A."""
+    for row in range(first, last):
         for entry in range(starts[row], starts[row + 1]):
             value, source = values[entry], columns[entry]
             for channel in range(x.shape[1]):
                 out[row, channel] += value * x[source, channel]
 
 
-@compiled(parallel=True, **_OPTIONS)
-def add_packed_maps(weights: np.ndarray, whole: np.ndarray, scales: np.ndarray, out: np.ndarray) -> None:
-    """Add the weighted sum of packed rows to `out` [M]: weights [K], whole numbers [K, M] int8, scales [K, B] float32."""
-    for block in numba.prange(scales.shape[1]):
-        first = block * BLOCK
-        last = min(first + BLOCK, len(out))
+@compiled(nogil=True, **_OPTIONS)
+def add_packed_maps(weights: np.ndarray, whole: np.ndarray, scales: np.ndarray, out: np.ndarray, first: int, last: int) -> None:
+    """Add the weighted sum of packed maps to `out` [M]: weights [K], whole numbers [K, M], scales [K, B]; rows of `out`."""
+    for block in range(first // BLOCK, (last + BLOCK - 1) // BLOCK):
+        low, high = max(first, block * BLOCK), min(last, (block + 1) * BLOCK)
         for k in range(len(weights)):
             factor = weights[k] * scales[k, block]
-            for m in range(first, last):
+            for m in range(low, high):
                 out[m] += factor * np.float32(whole[k, m])
 
 
-@compiled(parallel=True, **_OPTIONS)
-def add_maps(weights: np.ndarray, maps: np.ndarray, out: np.ndarray) -> None:
-    """Add the weighted sum of rows to `out` [M]: weights [K], maps [K, M]."""
-    for block in numba.prange((len(out) + BLOCK - 1) // BLOCK):
-        first = block * BLOCK
-        last = min(first + BLOCK, len(out))
+@compiled(nogil=True, **_OPTIONS)
+def add_maps(weights: np.ndarray, maps: np.ndarray, out: np.ndarray, first: int, last: int) -> None:
+    """Add the weighted sum of maps to `out` [M]: weights [K], maps [K, M]; rows of `out`."""
+    for low in range(first, last, BLOCK):
         for k in range(len(weights)):
-            for m in range(first, last):
+            for m in range(low, min(low + BLOCK, last)):
                 out[m] += weights[k] * maps[k, m]
 
 
-@compiled(parallel=True, **_OPTIONS)
+@compiled(nogil=True, **_OPTIONS)
 def uv_corners(
     starts: np.ndarray, columns: np.ndarray, values: np.ndarray, vertices: np.ndarray, corner_vertex: np.ndarray,
-    outward: np.ndarray, out: np.ndarray,
+    outward: np.ndarray, out: np.ndarray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Position, |dP/du|, |dP/dv| across it, and quaternion wxyz of the tangent frame at the UV corners.
 
@@ -69,9 +68,11 @@ def uv_corners(
         corner_vertex: [T].
         outward: 1 or -1, [T].
         out: Written, [T, CORNER_VALUES] of `placing`.
+        first: Row of `out`.
+        last: The row after the last.
     """
     count = len(corner_vertex)
-    for t in numba.prange(count):
+    for t in range(first, last):
         ux, uy, uz = _TINY, np.float32(0.0), np.float32(0.0)
         for entry in range(starts[t], starts[t + 1]):
             value, v = values[entry], columns[entry]

@@ -120,12 +120,13 @@ class PlainModel:
         return self._weighted("decoders.expression.maps", (arrays["decoders.expression.weights.weight"] @ z_exp) * gains)
 
     def _decode(self, name: str, channels: int, *inputs: np.ndarray) -> np.ndarray:
+        from ..compute.threads import for_rows
         from .loops import add_product
 
         mean = self._file.arrays.get(f"decoders.{name}_mean")
         values = np.zeros((len(self.layout), channels), np.float32) if mean is None else mean.copy()
         decoded = self._networks[name](*(np.ascontiguousarray(part, np.float32) for part in inputs))
-        add_product(*_parts_of(self._tables.reader), decoded, values)
+        for_rows(add_product, len(values), *_parts_of(self._tables.reader), decoded, values)
         return values
 
     def _basis(self, name: str, z_id: np.ndarray) -> np.ndarray | None:
@@ -141,14 +142,15 @@ class PlainModel:
 
     def _weighted(self, name: str, weights: np.ndarray, channels: int = COLOR_CHANNELS) -> np.ndarray:
         """Sum of the maps of a name, [N, channels]."""
+        from ..compute.threads import for_rows
         from .loops import add_maps, add_packed_maps
 
         result = np.zeros(len(self.layout) * channels, np.float32)
         weights = weights.astype(np.float32)
         if name in self._file.packed:
-            add_packed_maps(weights, *self._file.packed[name], result)
+            for_rows(add_packed_maps, len(result), weights, *self._file.packed[name], result)
         else:
-            add_maps(weights, self._file.arrays[name], result)
+            for_rows(add_maps, len(result), weights, self._file.arrays[name], result)
         return result.reshape(-1, channels)
 
     # --- mesh ------------------------------------------------------------------------------------------------------
@@ -196,11 +198,13 @@ class PlainModel:
 
     def geometry(self, vertices: np.ndarray, offsets: np.ndarray) -> Geometry[np.ndarray]:
         """Place the Gaussians on posed vertices [V, 3] with offsets [N, 10] (eq. 12)."""
+        from ..compute.threads import for_rows
         from ..model.placing import place_forward
 
         placed = Geometry(*(np.empty((len(offsets), width), np.float32) for width in (3, 4, 3)))
         tables = self._tables
-        place_forward(self._corners(vertices), tables.texel_corners, self.layout.barycentric, offsets, tables.placing, *placed)
+        where = (self._corners(vertices), tables.texel_corners, self.layout.barycentric)
+        for_rows(place_forward, len(offsets), *where, offsets, tables.placing, *placed)
         return placed
 
     def normals(self, vertices: np.ndarray) -> np.ndarray:
@@ -210,12 +214,14 @@ class PlainModel:
         return np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], -1)
 
     def _corners(self, vertices: np.ndarray) -> np.ndarray:
+        from ..compute.threads import for_rows
         from .loops import uv_corners
 
         tables = self._tables
         corners = np.empty((len(tables.corner_vertex), 9), np.float32)
         vertices = np.ascontiguousarray(vertices, np.float32)
-        uv_corners(*_parts_of(tables.jacobian), vertices, tables.corner_vertex, tables.outward, corners)
+        where = (vertices, tables.corner_vertex, tables.outward)
+        for_rows(uv_corners, len(corners), *_parts_of(tables.jacobian), *where, corners)
         return corners
 
     def refine(self, raster: RasterOutput[np.ndarray], limits: np.ndarray | None = None, coarse: bool = False) -> np.ndarray:

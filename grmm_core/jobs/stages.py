@@ -103,6 +103,7 @@ BENCHMARK = JobStages(
     "benchmark",
     (
         Stage("stages", "Stages of a frame"),
+        Stage("engines", "With torch and without"),
         Stage("caching", "What is kept"),
         Stage("resolution", "Sizes"),
         Stage("detail", "Levels of detail"),

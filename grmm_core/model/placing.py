@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
 from ..compute.kernels import compiled
@@ -95,12 +94,12 @@ def _turned_frame(w: Any, x: Any, y: Any, z: Any, offsets: np.ndarray, i: int) -
     return a * inverse, b * inverse, c * inverse, d * inverse, inverse
 
 
-@compiled(parallel=True, **_OPTIONS)
+@compiled(nogil=True, **_OPTIONS)
 def place_forward(
     corners: np.ndarray, corner: np.ndarray, barycentric: np.ndarray, offsets: np.ndarray, settings: Settings,
-    means: np.ndarray, quats: np.ndarray, scales: np.ndarray,
+    means: np.ndarray, quats: np.ndarray, scales: np.ndarray, first: int, last: int,
 ) -> None:  # fmt: skip
-    """Place every Gaussian.
+    """Place the Gaussians `first` to `last` - 1; see `compute.threads.for_rows`.
 
     Args:
         corners: Values at the corners of the UV map, [T, CORNER_VALUES] float32.
@@ -111,10 +110,12 @@ def place_forward(
         means: Written, [N, 3].
         quats: Written, [N, 4].
         scales: Written, [N, 3].
+        first: Row.
+        last: The row after the last.
     """
     unit, _, _, texel_scale, normal_scale = settings
     bound, log_bound = _limits(settings)
-    for i in numba.prange(len(corner)):
+    for i in range(first, last):
         px, py, pz, width, height, w, x, y, z, _ = _frame(corners, corner, barycentric, i)
         mx = unit * offsets[i, DX] * _bend(offsets[i, DX] * bound)
         my = unit * offsets[i, DY] * _bend(offsets[i, DY] * bound)
@@ -129,10 +130,11 @@ def place_forward(
         scales[i, 2] = thick * math.exp(offsets[i, LOG_NORMAL] * _bend(offsets[i, LOG_NORMAL] * log_bound))
 
 
-@compiled(parallel=True, **_OPTIONS)
+@compiled(nogil=True, **_OPTIONS)
 def place_backward(
     corners: np.ndarray, corner: np.ndarray, barycentric: np.ndarray, offsets: np.ndarray, settings: Settings,
     g_means: np.ndarray, g_quats: np.ndarray, g_scales: np.ndarray, g_offsets: np.ndarray, g_texels: np.ndarray,
+    first: int, last: int,
 ) -> None:  # fmt: skip
     """Gradients of `place_forward`.
 
@@ -147,10 +149,12 @@ def place_backward(
         g_scales: Of the scales, [N, 3].
         g_offsets: Written, [N, 10].
         g_texels: Written: of the interpolated corner values, [N, CORNER_VALUES], for `scatter`.
+        first: As there.
+        last: As there.
     """
     unit, _, _, texel_scale, normal_scale = settings
     bound, log_bound = _limits(settings)
-    for i in numba.prange(len(corner)):
+    for i in range(first, last):
         _, _, _, width, height, w, x, y, z, inverse = _frame(corners, corner, barycentric, i)
         sx, sy, sz = _bend(offsets[i, DX] * bound), _bend(offsets[i, DY] * bound), _bend(offsets[i, DZ] * bound)
         mx, my, mz = unit * offsets[i, DX] * sx, unit * offsets[i, DY] * sy, unit * offsets[i, DZ] * sz

@@ -147,23 +147,27 @@ class _Place(torch.autograd.Function):
     def forward(
         ctx: Any, corners: Tensor, offsets: Tensor, layout: tuple[np.ndarray, np.ndarray], settings: tuple[np.float32, ...]
     ) -> tuple[Tensor, Tensor, Tensor]:
+        from ..compute.threads import for_rows
         from .placing import place_forward
 
         corners, offsets = corners.detach().contiguous(), offsets.detach().contiguous()
         ctx.save_for_backward(corners, offsets)
         ctx.layout, ctx.settings = layout, settings
         means, quats, scales = (torch.empty((len(offsets), width)) for width in (3, 4, 3))
-        place_forward(corners.numpy(), *layout, offsets.numpy(), settings, means.numpy(), quats.numpy(), scales.numpy())
+        placed = (means.numpy(), quats.numpy(), scales.numpy())
+        for_rows(place_forward, len(offsets), corners.numpy(), *layout, offsets.numpy(), settings, *placed)
         return means, quats, scales
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        from ..compute.threads import for_rows
         from .placing import place_backward, scatter
 
         corners, offsets = (saved.numpy() for saved in ctx.saved_tensors)
         g_offsets, g_texels = torch.empty((len(offsets), 10)), np.empty((len(offsets), corners.shape[1]), np.float32)
         given = (gradient.contiguous().numpy() for gradient in gradients)
-        place_backward(corners, *ctx.layout, offsets, ctx.settings, *given, g_offsets.numpy(), g_texels)
+        found = (g_offsets.numpy(), g_texels)
+        for_rows(place_backward, len(offsets), corners, *ctx.layout, offsets, ctx.settings, *given, *found)
         if not ctx.needs_input_grad[0]:
             return None, g_offsets, None, None
         g_corners = torch.zeros(corners.shape)

@@ -155,6 +155,10 @@ class WalkedBlender:
         """Copy a file to where Blender can read it."""
         return Path(shutil.copy(path, self.shared / name))
 
+    def note(self, text: str) -> None:
+        """Say something about a step, such as how long it took."""
+        print(text, flush=True)
+
     def keep(self, path: Path, title: str) -> None:
         """Copy a file that Blender wrote beside the pictures."""
         self._pictures += 1

@@ -6,34 +6,30 @@ in the console), and leaves the rest to whoever looks at the pictures.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
+
+from tools.demo.performance import write_performance
 
 from .blender import WalkedBlender, WalkError
 
 Step = Callable[[WalkedBlender], None]
-PERFORMANCE_FRAMES = 48
 SPLASH_CLOSE = (40, 700)  # pixels: outside the splash, over the timeline's left end
-_SNIPPETS = {
-    "view head": """
+MIDDLE = (500, 400)  # pixels: in the viewport, beside its panels
+PHOTO = Path(__file__).resolve().parents[2] / "tests" / "data" / "photos" / "astronaut.jpg"
+RENDER_SECONDS, POSES_SECONDS = 180.0, 400.0
+_HEAD = "head = next((o for o in bpy.context.scene.objects if 'jawOpen' in o.keys()), None)\n"
+_SELECT = """
 rig = next(o for o in bpy.context.scene.objects if o.type == "ARMATURE")
 bpy.ops.object.select_all(action="DESELECT")
 rig.select_set(True)
 bpy.context.view_layer.objects.active = rig
-bpy.ops.view3d.view_axis(type="FRONT")
-bpy.ops.view3d.view_selected()
-result = rig.name
-""",
-    "sidebar": """
-area.spaces.active.show_region_ui = True
-panel = next(part for part in area.regions if part.type == "UI")
-try:
-    panel.active_panel_category = "GRMM"
-except (AttributeError, TypeError):
-    pass
-result = panel.width
-""",
-}
+"""
+_DRAWN = """
+image = bpy.data.images.get("Render Result")
+result = bool(image and image.has_data) and not bpy.app.is_job_running("RENDER")
+"""
 
 
 def start(blender: WalkedBlender) -> None:
@@ -46,85 +42,151 @@ def start(blender: WalkedBlender) -> None:
 def install(blender: WalkedBlender) -> None:
     """Install the zip from disk."""
     path = blender.inner(blender.shared / "grmm.zip")
-    install = f"bpy.ops.extensions.package_install_files(filepath={path!r}, repo='user_default', enable_on_install=True)"
+    begin = time.monotonic()
     found = blender.run(
-        f"{install}\nresult = [name for name in bpy.context.preferences.addons.keys() if name.endswith('grmm')]", 300
+        f"bpy.ops.extensions.package_install_files(filepath={path!r}, repo='user_default', enable_on_install=True)\n"
+        "result = [name for name in bpy.context.preferences.addons.keys() if name.endswith('grmm')]",
+        300,
     )
     if not found:
         raise WalkError("the extension is not enabled after installing")
-
-
-def clear(blender: WalkedBlender) -> None:
-    """Delete the default cube, as nearly everybody does."""
-    blender.run("bpy.data.objects.remove(bpy.data.objects['Cube'])")
+    blender.note(f"installing took {time.monotonic() - begin:.1f} s")
+    blender.picture("installed")
 
 
 def add_head(blender: WalkedBlender) -> None:
-    """Add the default head into the scene."""
+    """Add the default head into the startup scene."""
     blender.run("bpy.ops.grmm.add_head('INVOKE_DEFAULT')", 120)
-    blender.picture("added", 6)
+    blender.picture("added", 5)
 
 
-def front_view(blender: WalkedBlender) -> None:
-    """Look at it from the front, and open the sidebar."""
-    blender.run(_SNIPPETS["view head"])
-    blender.run(_SNIPPETS["sidebar"])
-    blender.picture("front", 6)
+def first_render(blender: WalkedBlender) -> None:
+    """F12 and nothing else: how long the first picture takes, and a second one with everything loaded."""
+    for title in ("first_render", "second_render"):
+        blender.note(f"from F12 to the picture: {_f12(blender):.1f} s ({title})")
+        blender.picture(title, 1)
+        saved = blender.shared / f"{title}.png"
+        blender.run(f"bpy.data.images['Render Result'].save_render({blender.inner(saved)!r})")
+        blender.keep(saved, f"{title}_result")
+        _close_windows(blender)
+    colors = blender.run(
+        f"image = bpy.data.images.load({blender.inner(saved)!r})\nwidth, height = image.size\n"
+        "at = 4 * (width * (height // 2) + width // 2)\nresult = list(image.pixels[at:at + 3])"
+    )
+    if not colors[0] > colors[2] > 0.05:
+        raise WalkError(f"there is no face in the middle of the picture: {colors}")
+
+
+def _close_windows(blender: WalkedBlender) -> None:
+    """Close the render's window."""
+    blender.run(
+        "for other in list(bpy.context.window_manager.windows)[1:]:\n"
+        "    with bpy.context.temp_override(window=other):\n        bpy.ops.wm.window_close()"
+    )
+
+
+def _f12(blender: WalkedBlender) -> float:
+    """Press F12 over the viewport, wait for the picture, and return the seconds."""
+    blender.move(*MIDDLE)
+    begin = time.monotonic()
+    blender.key("F12")
+    time.sleep(0.5)
+    while not blender.run(_DRAWN, RENDER_SECONDS):
+        if time.monotonic() - begin > RENDER_SECONDS:
+            raise WalkError("F12 gives no picture")
+        time.sleep(0.1)
+    return time.monotonic() - begin
+
+
+def panels(blender: WalkedBlender) -> None:
+    """Look at the head from the front, with the sidebar's GRMM tab open."""
+    blender.run(_SELECT + "bpy.ops.view3d.view_axis(type='FRONT')\nbpy.ops.view3d.view_selected()")
+    blender.run("area.spaces.active.region_3d.view_distance *= 1.5\narea.spaces.active.show_region_ui = True")
+    blender.picture("sidebar", 3)
+    blender.run("next(part for part in area.regions if part.type == 'UI').active_panel_category = 'GRMM'\narea.tag_redraw()")
+    blender.picture("panels", 3)
 
 
 def sliders(blender: WalkedBlender) -> None:
     """Set sliders, as dragging them does."""
-    blender.run(
-        "head = next(o for o in bpy.context.scene.objects if 'jawOpen' in o.keys())\n"
-        "head['jawOpen'] = 0.6; head['mouthSmileLeft'] = 0.8; head.update_tag(); area.tag_redraw()"
-    )
+    blender.run(_HEAD + "head['jawOpen'] = 0.6; head['mouthSmileLeft'] = 0.8; head.update_tag(); area.tag_redraw()")
     blender.picture("sliders", 5)
 
 
-def random_expression(blender: WalkedBlender) -> None:
-    """Press Random: the viewport must follow by itself."""
-    blender.run("bpy.ops.grmm.random_expression('INVOKE_DEFAULT')")
-    blender.picture("random", 5)
+def random_and_reset(blender: WalkedBlender) -> None:
+    """Press Random, then Reset: the viewport must follow by itself."""
+    for name in ("random_expression", "reset"):
+        blender.run(f"bpy.ops.grmm.{name}('INVOKE_DEFAULT')")
+        blender.picture(name, 5)
 
 
-def reset(blender: WalkedBlender) -> None:
-    """Press Reset."""
-    blender.run("bpy.ops.grmm.reset('INVOKE_DEFAULT')")
-    blender.picture("reset", 5)
+def poses(blender: WalkedBlender) -> None:
+    """Make the pose library beside Blender, then apply a pose."""
+    blender.run("bpy.ops.grmm.create_pose_library('INVOKE_DEFAULT')")
+    blender.picture("poses_being_made", 4)
+    deadline = time.monotonic() + POSES_SECONDS
+    while blender.run("result = any(o.bl_idname == 'GRMM_OT_create_pose_library' for o in window.modal_operators)"):
+        if time.monotonic() > deadline:
+            blender.key("Escape")
+            raise WalkError("the pose library is not finished")
+        time.sleep(1.0)
+    blender.run("bpy.ops.grmm.apply_pose(pose='Laugh')\narea.spaces.active.show_region_asset_shelf = True")
+    blender.picture("pose_laugh", 5)
+    blender.run("area.spaces.active.show_region_asset_shelf = False\nbpy.ops.grmm.reset('INVOKE_DEFAULT')")
 
 
-def orthographic(blender: WalkedBlender) -> None:
-    """Orthographic view: no mesh through the splats."""
+def views(blender: WalkedBlender) -> None:
+    """Orthographic view, pose mode, rendered view."""
     blender.run("area.spaces.active.region_3d.view_perspective = 'ORTHO'")
     blender.picture("orthographic", 4)
-    blender.run("area.spaces.active.region_3d.view_perspective = 'PERSP'")
-
-
-def pose_mode(blender: WalkedBlender) -> None:
-    """Pose mode: the bones must be seen."""
-    blender.run("bpy.ops.object.mode_set(mode='POSE')")
+    blender.run("area.spaces.active.region_3d.view_perspective = 'PERSP'\nbpy.ops.object.mode_set(mode='POSE')")
     blender.picture("pose_mode", 4)
-    blender.run("bpy.ops.object.mode_set(mode='OBJECT')")
+    blender.run("bpy.ops.object.mode_set(mode='OBJECT')\narea.spaces.active.shading.type = 'RENDERED'")
+    blender.picture("rendered_view", 6)
+    blender.run("area.spaces.active.shading.type = 'SOLID'")
 
 
-def render(blender: WalkedBlender) -> None:
-    """F12 with the engine GRMM: a face must be in the picture."""
-    blender.run("bpy.ops.view3d.camera_to_view()")
-    blender.run("bpy.context.scene.render.engine = 'GRMM'; bpy.context.scene.render.resolution_percentage = 50")
-    blender.move(500, 400)
-    blender.key("F12")
-    blender.picture("render", 25)
-    saved = blender.shared / "render.png"
-    blender.run(
-        f"image = bpy.data.images['Render Result']\nimage.save_render({blender.inner(saved)!r})\nresult = list(image.size)"
-    )
-    blender.keep(saved, "render_result")
+def performance(blender: WalkedBlender) -> None:
+    """Drop a recording on the viewport, as its file handler takes it, and play it."""
+    path = blender.shared / "performance.json"
+    write_performance(path)
+    blender.run(_SELECT + f"bpy.ops.grmm.import_performance(filepath={blender.inner(path)!r})")
+    blender.run("bpy.context.scene.frame_set(26)")
+    blender.picture("performance", 4)
+    blender.run("bpy.ops.screen.animation_play()")
+    blender.picture("playing", 6)
+    blender.run("bpy.ops.screen.animation_cancel(restore_frame=False)")
+    blender.picture("stopped", 4)
+
+
+def escape(blender: WalkedBlender) -> None:
+    """Ctrl-F12, then Escape: the render stops and the last picture stays."""
+    folder = blender.inner(blender.shared / "frames_")
+    blender.run(f"bpy.context.scene.render.filepath = {folder!r}\nbpy.context.scene.render.resolution_percentage = 50")
+    blender.move(*MIDDLE)
+    blender.key("ctrl", "F12")
+    blender.picture("animation", 8)
     blender.key("Escape")
+    blender.picture("escaped", 3)
+    if blender.run("result = bpy.app.is_job_running('RENDER')"):
+        raise WalkError("Escape does not stop the render")
+    _close_windows(blender)
+
+
+def photos(blender: WalkedBlender) -> None:
+    """Choose a photo: without torch one sentence says what is needed."""
+    path = blender.inner(blender.bring(PHOTO, PHOTO.name))
+    blender.run(f"bpy.ops.grmm.fit_add_photos(filepath={path!r})")
+    try:
+        blender.run("bpy.ops.grmm.fit_photos('EXEC_DEFAULT')")
+    except WalkError as error:
+        blender.note(f"Make Avatar says: {str(error).strip().splitlines()[-1]}")
+    blender.picture("photos", 3)
 
 
 def undo(blender: WalkedBlender) -> None:
     """Ctrl-Z twice, then Ctrl-Shift-Z."""
-    blender.move(500, 400)
+    blender.move(*MIDDLE)
     blender.key("ctrl", "z")
     blender.key("ctrl", "z")
     blender.picture("undone", 4)
@@ -137,8 +199,33 @@ def save_and_reopen(blender: WalkedBlender) -> None:
     path = blender.inner(blender.shared / "walk.blend")
     blender.run(f"bpy.ops.wm.save_as_mainfile(filepath={path!r})")
     blender.run(f"bpy.ops.wm.open_mainfile(filepath={path!r})")
-    blender.run("bpy.context.scene.frame_set(bpy.context.scene.frame_current)")
-    blender.picture("reopened", 6)
+    blender.picture("reopened", 8)
+
+
+def eevee(blender: WalkedBlender) -> None:
+    """Another engine: the painted mesh, and a word about it."""
+    blender.run("bpy.context.scene.render.engine = 'BLENDER_EEVEE'\narea.spaces.active.shading.type = 'RENDERED'")
+    blender.picture("eevee", 25)
+    blender.run("bpy.context.scene.render.engine = 'GRMM'\narea.spaces.active.shading.type = 'SOLID'")
+
+
+def drop(blender: WalkedBlender) -> None:
+    """Drop another avatar's file into the viewport, as its file handler takes it."""
+    path = blender.run("import importlib, sys\nname = next(n for n in sys.modules if n.endswith('grmm_core.avatar.library'))\n"
+                       "result = str(sys.modules[name].library_path('beard'))")  # fmt: skip
+    blender.run(f"bpy.context.scene.cursor.location.x = 0.4\nbpy.ops.grmm.open_avatar('INVOKE_DEFAULT', filepath={path!r})")
+    blender.run("bpy.ops.view3d.view_all()")
+    blender.picture("dropped", 8)
+
+
+def delete(blender: WalkedBlender) -> None:
+    """Delete the head that was added last: its rig goes with it."""
+    blender.move(*MIDDLE)
+    blender.key("Delete")
+    blender.picture("deleted", 4)
+    left = blender.run("result = [o.name for o in bpy.context.scene.objects if o.type in ('ARMATURE', 'MESH')]")
+    if any("Bearded" in name for name in left):
+        raise WalkError(f"after deleting these are left: {left}")
 
 
 def disable_and_enable(blender: WalkedBlender) -> None:
@@ -147,12 +234,12 @@ def disable_and_enable(blender: WalkedBlender) -> None:
     blender.run(f"bpy.ops.preferences.addon_disable(module={name!r})")
     blender.picture("disabled", 2)
     blender.run(f"bpy.ops.preferences.addon_enable(module={name!r})")
-    blender.picture("enabled", 5)
+    blender.picture("enabled", 8)
 
 
 STEPS: tuple[Step, ...] = (
-    start, install, clear, add_head, front_view, sliders, random_expression, reset, orthographic, pose_mode, render, undo,
-    save_and_reopen, disable_and_enable,
+    start, install, add_head, first_render, panels, sliders, random_and_reset, poses, views, performance, escape, photos, undo,
+    save_and_reopen, eevee, drop, delete, disable_and_enable,
 )  # fmt: skip
 
 

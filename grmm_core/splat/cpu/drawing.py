@@ -10,13 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...compute.threads import TASKS, for_each, pieces, thread_count
 from ...errors import BackendError
 from ..rules import TILE, View
 from ..types import GaussianArrays, PictureArrays
 from . import backward, binning, blocks, buffers, forward, projection, records, tiling
-from .threads import for_each, thread_count
 
-TASKS = 16  # parallel tasks per thread, so that threads end together
 CHUNK_MIN, TILES_MIN = 2048, 4  # smallest task
 CHUNKS_MAX = 64  # chunks of Gaussians; each counts every tile
 MAX_INSTANCES = 2**28  # pairs of a Gaussian and a tile: 1 GiB of numbers; a head has a million
@@ -34,12 +33,6 @@ class Drawing:
     starts: np.ndarray
     ends: np.ndarray
     gaussian: np.ndarray
-
-
-def _pieces(count: int, smallest: int, most: int) -> list[tuple[int, int]]:
-    """Split range(count) into at most `most` ranges of at least `smallest`, for parallel tasks."""
-    size = max(smallest, -(-count // most), 1)
-    return [(low, min(low + size, count)) for low in range(0, count, size)]
 
 
 def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialiased: bool) -> tuple[PictureArrays, Drawing]:
@@ -68,7 +61,7 @@ def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialia
     whole = geometry.view(np.int32)
     threads = thread_count()
 
-    chunks = _pieces(count, CHUNK_MIN, min(TASKS * threads, CHUNKS_MAX))
+    chunks = pieces(count, CHUNK_MIN, min(TASKS * threads, CHUNKS_MAX))
     histogram = np.zeros((len(chunks), tiles), np.int32)
     touched = np.zeros(len(chunks), np.int64)
     starts = np.empty(tiles + 1, np.int64)
@@ -91,7 +84,7 @@ def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialia
         features=buffers.empty((height, width, gaussians.features.shape[1])),
     )
     ends = np.empty(tiles, np.int64)
-    groups = _pieces(tiles, TILES_MIN, TASKS * threads)
+    groups = pieces(tiles, TILES_MIN, TASKS * threads)
     for_each(
         len(groups),
         lambda k: forward.draw(
@@ -123,7 +116,7 @@ def differentiate(
     gradients = GaussianArrays(*(np.zeros_like(array) for array in gaussians))
     geometry, whole = drawing.geometry, drawing.whole
     scene = (drawing.gaussian, geometry, whole, gaussians.features)
-    groups = _pieces(len(drawing.ends), TILES_MIN, TASKS * thread_count())
+    groups = pieces(len(drawing.ends), TILES_MIN, TASKS * thread_count())
     for_each(
         len(groups),
         lambda k: backward.replay(
@@ -131,7 +124,7 @@ def differentiate(
             blocks.CONSTANTS, tuple(pictures), tuple(d_pictures), rows,
         ),
     )  # fmt: skip
-    chunks = _pieces(len(gaussians.means), CHUNK_MIN, TASKS * thread_count())
+    chunks = pieces(len(gaussians.means), CHUNK_MIN, TASKS * thread_count())
     for_each(
         len(chunks),
         lambda k: backward.collect(*chunks[k], rows, tuple(gaussians), drawing.camera, geometry, whole, tuple(gradients)),

@@ -162,6 +162,11 @@ def test_sample_makes_an_avatar_that_renders(grmm, render, weights, tmp_path):
     assert json.loads(out)["from photos"] is False
 
 
+def test_info_describes_the_default_avatar(grmm):
+    facts = json.loads(grmm("info", "default", "--json")[1])
+    assert (facts["name"], facts["kind"], facts["painted"]) == ("Default head", "grmm-avatar", True)
+
+
 def test_info_describes_weights(grmm, weights):
     code, out, _ = grmm("info", weights, "--json")
     assert code == 0
@@ -391,6 +396,7 @@ def test_bench_measures_ratios(grmm, weights):
     assert code == 0
     assert sum(stage["share"] for stage in figures["stages"].values()) == pytest.approx(1.0)
     assert figures["caching"]["everything"]["ratio"] == 1.0
+    assert figures["engines"]["expression"]["ratio"] > 0
     assert figures["rasteriser against plain torch"]["forward"]["times faster"] > 1
     assert figures["rasteriser by N_g"]["N_g 128"]["ratio"] == 1.0
     assert figures["rasteriser by threads"]["1 threads"]["speed forward"] == 1.0

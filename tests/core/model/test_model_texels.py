@@ -132,11 +132,13 @@ def test_gaussians_are_placed_where_torch_is_missing(model, tmp_path):
     np.savez(tmp_path / "inputs.npz", *(tensor.numpy() for tensor in inputs))
     script = """
         import numpy as np
+        from grmm_core.compute.threads import for_rows
         from grmm_core.model.placing import place_forward
         inputs = np.load("inputs.npz")
         arrays = [inputs[name] for name in inputs.files]
         placed = [np.empty((len(arrays[-1]), size), np.float32) for size in (3, 4, 3)]
-        place_forward(*arrays, tuple(map(np.float32, (0.01, 0.2, 1.6, 0.6 / GRID, 0.35 / GRID))), *placed)
+        settings = tuple(map(np.float32, (0.01, 0.2, 1.6, 0.6 / GRID, 0.35 / GRID)))
+        for_rows(place_forward, len(arrays[-1]), *arrays, settings, *placed)
         np.savez("placed.npz", *placed)
     """
     run_without_torch(script.replace("GRID", str(model.anchor.grid)), tmp_path)

@@ -13,10 +13,11 @@ from splat_scenes import NAMES, OUTPUTS, leaves_of, orbit, pulled, scene
 from tolerances import SPLAT_PICTURE
 from without_torch import run_without_torch
 
+from grmm_core.compute import threads
 from grmm_core.errors import BackendError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.splat import GaussianArrays, Gaussians, rasterize, rasterize_arrays
-from grmm_core.splat.cpu import jit, threads
+from grmm_core.splat.cpu import jit
 
 
 def test_the_picture_does_not_depend_on_gradients_threads_or_layout(monkeypatch):

@@ -2,7 +2,7 @@
 
 Plain threads instead of numba's own parallel loops: these take seconds to compile, and some of numba's thread layers end the
 process when two threads enter them at a time (Blender renders and draws its viewport from different ones) or after a fork.
-Used by `drawing.py`.
+The rasteriser and the model's own loops share the pool.
 """
 
 from __future__ import annotations
@@ -15,6 +15,9 @@ from typing import Any
 
 import numba
 
+TASKS = 16  # parallel tasks per thread, so that threads end together
+ROWS_MIN = 4096  # of a task of light rows
+
 _pool: ThreadPoolExecutor | None = None
 _pool_owner = 0  # process that started the pool; a forked child has no threads of its parent
 _pool_size = 0
@@ -24,6 +27,18 @@ def thread_count() -> int:
     """Return the number of threads to use: the processors this process may run on, or NUMBA_NUM_THREADS when set."""
     config: Any = numba.config  # the settings are put there at run time
     return max(1, int(config.NUMBA_NUM_THREADS))
+
+
+def pieces(count: int, smallest: int, most: int) -> list[tuple[int, int]]:
+    """Split range(count) into at most `most` ranges of at least `smallest`, for parallel tasks."""
+    size = max(smallest, -(-count // most), 1)
+    return [(low, min(low + size, count)) for low in range(0, count, size)]
+
+
+def for_rows(kernel: Callable[..., object], count: int, *arguments: object) -> None:
+    """Call a kernel that takes `arguments`, a first row and the one after the last for all of `count` rows, on all threads."""
+    ranges = pieces(count, ROWS_MIN, TASKS * thread_count())
+    for_each(len(ranges), lambda task: kernel(*arguments, *ranges[task]))
 
 
 def for_each(tasks: int, call: Callable[[int], object]) -> None:

@@ -52,7 +52,7 @@ def _on_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
 def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     if _busy or _is_playing():
         return
-    if _left_rigs.look() and not bpy.app.background:
+    if _left_rigs.notice_deleted() and not bpy.app.background:
         events.later(_remove_left_rigs, 0.0)  # not while the edit is being reported
     for avatar in _touched(depsgraph.updates):
         _update(avatar, depsgraph)
@@ -63,7 +63,7 @@ def _on_other_state(*_: object) -> None:
     """Another file, point of the undo history, or runtime: what was written last says nothing about it."""
     live.forget()
     _left_rigs.forget()
-    _left_rigs.look()
+    _left_rigs.notice_deleted()
     if not bpy.app.background:
         events.later(_catch_up, _CATCH_UP_SECONDS)
 

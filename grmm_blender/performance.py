@@ -137,7 +137,7 @@ def prepare(performance: Performance, options: ImportOptions, progress: Share | 
 def closed_lips(avatar: Avatar, prepared: Performance, performance: Performance, options: ImportOptions) -> Performance:
     """Return prepared frames whose lips touch wherever the recording lets this avatar's lips touch."""
     as_recorded = replace(options, neutral=None, gain=1.0, region_gains={}, smoothing=0.0)
-    if not performance.found or as_recorded == options:
+    if not performance.recorded_shapes or as_recorded == options:
         return prepared
     try:
         head = load_head(AssetReference(avatar.object.grmm.head_name))
@@ -213,12 +213,12 @@ def channels_of(performance: Performance, options: ImportOptions, flame_head: bo
     """
     if performance.expression is not None and not flame_head:
         raise FileFormatError(NEEDS_FLAME)
-    has_shapes = any(name.startswith(_EYE_SHAPES) for name in performance.found)
+    has_shapes = any(name.startswith(_EYE_SHAPES) for name in performance.recorded_shapes)
     has_rotations = performance.left_eye_rotation is not None or performance.right_eye_rotation is not None
     rotate_eyes = has_rotations and (options.eyes == "ROTATIONS" or (options.eyes == "AUTO" and not has_shapes))
     result: list[Channel] = []
     for k, name in enumerate(ARKIT_NAMES):
-        if name in performance.found and not (rotate_eyes and name.startswith(_EYE_SHAPES)):
+        if name in performance.recorded_shapes and not (rotate_eyes and name.startswith(_EYE_SHAPES)):
             result.append(_property_channel(name, 0, performance.weights[:, k]))
     if performance.expression is not None:
         for k, values in enumerate(performance.expression.T):

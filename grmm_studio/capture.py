@@ -38,7 +38,7 @@ from grmm_core.jobs.cluster import Cluster
 from grmm_core.jobs.progress import ProgressCallback, Reporter, Share
 from grmm_core.jobs.stages import CAPTURE
 
-from .lights import RIG, chosen, draw_light
+from .lights import RIG, draw_light, lights_named
 from .shots import HELD_OUT_CAMERAS, MAX_CAMERAS, expression_pool, make_shot
 from .subjects import Subject, draw_subject
 
@@ -150,7 +150,7 @@ def check_settings(settings: CaptureSettings, only: Sequence[int] = ()) -> tuple
     absent = [index for index in only if not 0 <= index < s.subjects]
     if absent:
         raise ConfigError(f"There is no person {absent[0]} for --only; choose from 0 to {s.subjects - 1}.")
-    chosen(s.lights)
+    lights_named(s.lights)
     return expression_pool(s.expressions)
 
 
@@ -393,7 +393,7 @@ class _Worker:
         pictures = []
         for hair in looks:
             picture = studio.render(camera, hair)
-            for name, light in chosen(s.lights).items():
+            for name, light in lights_named(s.lights).items():
                 picture.layers[LIGHT_PREFIX + name] = studio.render(camera, hair, light).rgb
             pictures.append(replace(picture, depth=picture.depth if s.depth else None))
         return replace(pictures[0], bare=pictures[-1] if s.bare else None)
@@ -410,7 +410,7 @@ class _Worker:
 
     def _view(self, index: int, number: int, i: int, name: str, camera: Camera) -> View:
         s, split = self.settings, view_split(index, number, name)
-        names = [LIGHT_PREFIX + light for light in chosen(s.lights)]
+        names = [LIGHT_PREFIX + light for light in lights_named(s.lights)]
         if s.layers:
             names += [PART_LAYER, ALBEDO, NORMAL]
 

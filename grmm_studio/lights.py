@@ -83,7 +83,7 @@ SETUPS: dict[str, Light] = {
 }  # fmt: skip
 
 
-def chosen(names: str) -> dict[str, Light]:
+def lights_named(names: str) -> dict[str, Light]:
     """Setups of a comma-separated list; "all" are all of them. Raises `ConfigError` for an unknown name."""
     if names == "all":
         return dict(SETUPS)

@@ -152,7 +152,7 @@ def with_extension(call: Callable[[], dict[str, Any]]) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Command line entry."""
+    """Measure and print; returns the exit code."""
     parser = argparse.ArgumentParser(description="Measure a frame change in Blender with every control animated.")
     parser.add_argument("--frames", type=int, default=60, help="frames for each figure (default: 60)")
     parser.add_argument("--output", type=Path, help="write the figures as JSON")

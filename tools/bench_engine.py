@@ -121,7 +121,7 @@ def _timing(function: Callable[..., Any], seconds: list[tuple[float, float]]) ->
 
 
 def main() -> int:
-    """Command line entry."""
+    """Measure and print; returns the exit code."""
     parser = argparse.ArgumentParser(description="Measure what the render engine adds to the core's own time.")
     parser.add_argument("--frames", type=int, default=12, help="frames for each figure (default: 12)")
     parser.add_argument("--size", type=int, default=SIZE, help=f"pixels of a side (default: {SIZE})")

@@ -63,7 +63,7 @@ def _run(resources: Path, *arguments: str) -> None:
 
 
 def main() -> int:
-    """Command line entry."""
+    """Build what the arguments ask for and print its paths; returns the exit code."""
     parser = argparse.ArgumentParser(description="Validate and build the Blender extension.")
     parser.add_argument("--output", type=Path, default=Path("dist"), help="folder for the zip (default: dist)")
     arguments = parser.parse_args()

@@ -30,7 +30,7 @@ _COLORS = ((170, 170, 170), (200, 60, 30))
 
 
 def main() -> int:
-    """Run; returns the exit code."""
+    """Play the recording, write curves, figures and pictures, and return the exit code."""
     parser = argparse.ArgumentParser(description="Play a recording in Blender, measure it, render a contact sheet.")
     parser.add_argument("recording", type=Path, help="ARKit JSON, Live Link Face CSV")
     parser.add_argument("--out", type=Path, default=Path("out/performance"))

@@ -64,7 +64,7 @@ def errors_of(folder: Path, head: HeadModel) -> np.ndarray:
 
 
 def main() -> None:
-    """Command line."""
+    """Measure the landmarks on a capture and write the noise model."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path)
     parser.add_argument("--modes", type=int, default=16)

@@ -98,7 +98,7 @@ def _performances(folder: Path) -> None:
         name: rng.uniform(-0.5, 0.5, (FRAMES, 3)) for name in ("head_rotation", "left_eye_rotation", "right_eye_rotation")
     }
     recorded = Performance(
-        np.arange(FRAMES) / 60, rng.uniform(0, 1, (FRAMES, 52)).astype(np.float32), 60.0, found=ARKIT_NAMES, **angles
+        np.arange(FRAMES) / 60, rng.uniform(0, 1, (FRAMES, 52)).astype(np.float32), 60.0, recorded_shapes=ARKIT_NAMES, **angles
     )
     coefficients = rng.normal(size=(FRAMES, 100)).astype(np.float32)
     flame = replace(recorded, expression=coefficients, head_model="flame")

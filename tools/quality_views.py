@@ -35,7 +35,7 @@ class Settings:
 
 
 def cameras(size: int) -> dict[str, Camera]:
-    """The views of every shot."""
+    """The views of every shot by name: the face close by, and a camera that was held out."""
     face = Camera.orbit(size, size, -20.0, 6.0, DISTANCE, CLOSE_FOV, (0.0, 0.008, 0.055))
     return {"face": face, f"c{HELD_OUT_CAMERAS[0]:02d}": ring_camera(HELD_OUT_CAMERAS[0], size)}
 

@@ -111,7 +111,7 @@ def _pin(wheel: Path) -> str:
 
 
 def main() -> int:
-    """Command line entry."""
+    """Build what the arguments ask for and print its paths; returns the exit code."""
     parser = argparse.ArgumentParser(description="Build and validate every zip of a release.")
     parser.add_argument("--output", type=Path, default=Path("dist"), help="folder for the zips (default: dist)")
     parser.add_argument("--wheels", type=Path, default=Path("build/wheels"), help="kept downloads (default: build/wheels)")

@@ -18,8 +18,8 @@ class LeftRigs:
         self._left: set[int] = set()
         self._gone = False  # heads are, whatever became of their rigs
 
-    def look(self) -> bool:
-        """Compare with what there was at the last look; returns whether there is something to remove."""
+    def notice_deleted(self) -> bool:
+        """Compare the objects with those of the last call; returns whether deleted heads left something to `remove`."""
         if len(bpy.data.objects) != self._count:
             self._count = len(bpy.data.objects)
             present, known, self._rig_of = {obj.session_uid for obj in bpy.data.objects}, self._rig_of, {}

@@ -147,7 +147,7 @@ class Manifest:
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Write `dataset.json`. Raises `FileAccessError`."""
+    """Write a data set's `dataset.json`, making the folder where it is missing. Raises `FileAccessError`."""
     make_folder(folder)
     values = {"format": FORMAT, "version": VERSION, **manifest.__dict__}
     atomic_write_bytes(folder / "dataset.json", json.dumps(values, indent=1).encode())
@@ -256,7 +256,7 @@ def _npz(**arrays: np.ndarray) -> bytes:
 
 
 def camera_to_json(camera: Camera) -> dict[str, Any]:
-    """Plain values of a camera."""
+    """A camera as JSON values: the matrix [4, 4] as lists (metres), intrinsics and size in pixels."""
     names = ("fx", "fy", "cx", "cy", "width", "height", "orthographic")
     return {"world_to_camera": camera.world_to_camera.tolist(), **{name: getattr(camera, name) for name in names}}
 

@@ -72,7 +72,7 @@ class ForeignDataset(CaptureDataset):
         self.refresh()
 
     def shape(self, subject: str) -> np.ndarray:
-        """Shape coefficients of a person, [S]."""
+        """A person's shape coefficients in the user's FLAME space, [S]. Raises KeyError for somebody else."""
         return self.shapes[subject]
 
     def facts(self, subject: str) -> dict[str, object]:
@@ -80,7 +80,7 @@ class ForeignDataset(CaptureDataset):
         return {"name": subject}
 
     def add_person(self, name: str, shape: np.ndarray) -> None:
-        """Register a person with coefficients [<=S]."""
+        """Take a person in, or change one's coefficients: [<= S], filled up with zeros. Raises `FileFormatError`."""
         if name not in self.shapes:
             self.manifest.subjects.append(name)
         self.shapes[name] = padded(shape, self.head.shape_count, self.folder, "shape")

@@ -46,7 +46,7 @@ class NersembleDataset(ForeignDataset):
     kind = "NeRSemble data set"
 
     def refresh(self) -> None:
-        """Read calibrations and tracking anew."""
+        """Read people, calibrations and tracking anew. Raises `FileFormatError`, `FileAccessError`."""
         self._videos = _Videos()
         self.manifest.subjects.clear()
         self.shapes.clear()

@@ -45,7 +45,7 @@ class RenderMeDataset(ForeignDataset):
     kind = "RenderMe-360 data set"
 
     def refresh(self) -> None:
-        """Read calibrations and FLAME parameters anew."""
+        """Read people, calibrations and FLAME parameters anew. Raises `FileFormatError`, `FileAccessError`."""
         self._files = _Files()
         self._distortion: dict[tuple[Path, str], np.ndarray] = {}
         self.manifest.subjects.clear()

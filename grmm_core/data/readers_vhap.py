@@ -39,7 +39,7 @@ class VhapDataset(ForeignDataset):
     kind = "VHAP export"
 
     def refresh(self) -> None:
-        """Read the frames anew."""
+        """Read the lists of frames of all splits anew. Raises `FileFormatError`, `FileAccessError`."""
         present = {name: split for name, split in FILES.items() if (self.folder / name).is_file()}
         frames: dict[int, list[tuple[dict[str, Any], str]]] = {}
         for name, split in (present or {ALL: TRAIN}).items():

@@ -49,7 +49,7 @@ def decoders_key(codes: str, preset: Preset, locality: float) -> str:
 
 
 def save_codes(folder: Path, key: str, codes: Codes) -> None:
-    """Write stage 1's result. Raises `FileAccessError`."""
+    """Write stage 1's result, to be found by `load_codes` with the same key. Raises `FileAccessError`."""
     _write(folder / CODES_FILE, key, {
         "z_id": codes.z_id, "z_exp": codes.z_exp, "photo_z_exp": codes.photo_z_exp, "maps": codes.maps,
         "gain": codes.light.gain, "offset": codes.light.offset,
@@ -70,7 +70,7 @@ def load_codes(folder: Path, key: str, like: Tensor) -> Codes | None:
 
 
 def save_tuner(folder: Path, key: str, tuner: Tuner) -> None:
-    """Write stage 2's state. Raises `FileAccessError`."""
+    """Write stage 2's maps, networks and optimiser, for `resume_tuner` with the same key. Raises `FileAccessError`."""
     _write(folder / DECODERS_FILE, key, tuner.state())
 
 

@@ -54,7 +54,7 @@ class CodePrior:
     people: Tensor
 
     def code(self, w: Tensor) -> Tensor:
-        """z_id of w [R]: [Z]."""
+        """z_id [Z] of a person who is w [R] standard deviations along the principal directions."""
         return self.mean + w @ self.directions
 
 
@@ -91,7 +91,7 @@ class Codes:
     light: PhotoLight
 
     def inputs(self, model: GRMM, view: FitView) -> ModelInputs[Tensor]:
-        """Inputs that draw a photo."""
+        """The model's inputs for a photo: its tracked frame with the shared identity code and its own expression code."""
         return photo_inputs(model, view, self.z_id, self.z_exp + self.photo_z_exp[view.index])
 
 

@@ -118,11 +118,11 @@ class Tuner:
 
     @property
     def total(self) -> int:
-        """Steps of all levels."""
+        """Steps of all resolutions together; `step_count` ends there."""
         return sum(steps for _, steps in self.settings.levels)
 
     def network_parameters(self) -> list[Tensor]:
-        """Parameters of the tuned networks."""
+        """Parameters of those decoders that may change, `NETWORKS`; the others stay as they were trained."""
         return [p for name in NETWORKS for p in getattr(self.tuned.decoders, name).parameters()]
 
     def _variants(self, like: Tensor) -> list[list[tuple[Tensor, Tensor]]]:
@@ -155,7 +155,7 @@ class Tuner:
         return self.changed(base)
 
     def blended(self) -> dict[str, Tensor]:
-        """The maps as they are added."""
+        """The maps as they are added to attributes, [N, C]: averaged over neighbours (`BLENDS`), positions in metres."""
         result = {**self.maps, "position": self.maps["position"] * self.strides}
         for turn in range(max(BLENDS.values())):
             names = [name for name in result if BLENDS[name] > turn]
@@ -166,7 +166,7 @@ class Tuner:
         return result
 
     def changed(self, base: Attributes) -> Attributes:
-        """Add the maps to decoded attributes."""
+        """Decoded attributes plus the maps, so that what the photos show follows every expression."""
         maps = self.blended()
         zero = torch.zeros_like(base.offsets[:, 3:7])
         return Attributes(
@@ -295,7 +295,7 @@ class Tuner:
     # --- state -----------------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Tensor]:
-        """Everything that resuming needs, by name."""
+        """Step, what the photos show, parameters and moments of the optimiser, by name: what `restore` takes."""
         tensors = {"step": torch.tensor([self.step_count]), "seen": self.seen, "seen_shape": self.seen_shape}
         tensors |= {"seen_by": torch.stack(self.seen_by), "frontal_by": torch.stack(self.frontal_by)}
         for number, parameter in enumerate(self._parameters()):

@@ -33,7 +33,7 @@ class Job:
     head: str = ""
 
     def to_json(self) -> bytes:
-        """The contents of `JOB_FILE`."""
+        """The contents of `JOB_FILE`: JSON with sorted keys, so that equal jobs are equal files."""
         return json.dumps(dataclasses.asdict(self), sort_keys=True).encode()
 
 

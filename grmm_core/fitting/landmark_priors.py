@@ -126,7 +126,7 @@ class Priors:
         return float((a * self.focal + b * (self.distance - magnification)) / (a + b))
 
     def value(self, view: View) -> float:
-        """Sum of squared standard scores."""
+        """Twice the negative logarithm of the prior density up to a constant: the sum of squared standard scores."""
         free = self.pose_sigma > 0.0
         return float(
             (((view.expression - self.expression_mean) / self.expression_sigma) ** 2).sum()

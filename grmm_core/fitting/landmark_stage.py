@@ -63,12 +63,12 @@ class LandmarkFit:
 
     @property
     def shape(self) -> np.ndarray:
-        """Shared shape coefficients, [S]."""
+        """Shape coefficients that all photos share, [S]."""
         return self.solution.shape
 
     @property
     def views(self) -> tuple[View, ...]:
-        """Unknowns of each photo."""
+        """Each photo's expression, pose and camera, in the order of the photos."""
         return self.solution.views
 
 

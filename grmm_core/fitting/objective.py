@@ -33,7 +33,7 @@ def photo_inputs(model: GRMM, view: FitView, z_id: Tensor, offset: Tensor) -> Mo
 
 
 def decode(model: GRMM, inputs: ModelInputs[Tensor], camera: Camera) -> Attributes:
-    """Attributes as a camera sees them."""
+    """Attributes of all Gaussians with the colors that a camera's view direction gives them."""
     return model.attributes(inputs, model.view_direction(camera))
 
 

@@ -77,7 +77,7 @@ PRESETS: dict[str, Preset] = {
 
 
 def preset_named(name: str) -> Preset:
-    """Return a preset. Raises `ConfigError`."""
+    """Return a preset of `PRESETS`. Raises `ConfigError` for an unknown name."""
     if name not in PRESETS:
         raise ConfigError(f"There is no preset {name!r}; use {', '.join(PRESETS)}.")
     return PRESETS[name]

@@ -46,7 +46,7 @@ class PhotoLight:
 
     @staticmethod
     def even(count: int, like: Tensor) -> PhotoLight:
-        """No difference between `count` photos."""
+        """The exposure of `count` photos that do not differ: gain 1, offset 0."""
         return PhotoLight(like.new_ones((count, 3)), like.new_zeros((count, 3)))
 
 

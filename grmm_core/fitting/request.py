@@ -72,7 +72,7 @@ class FitRequest:
 
     @property
     def work_folder(self) -> Path:
-        """Where the state is kept."""
+        """Folder of the state that a resume goes on from: `work`, else the one beside the output."""
         return self.work if self.work is not None else work_folder(self.output)
 
     def check_output(self) -> None:
@@ -103,7 +103,7 @@ class FitRequest:
         return FitRequest(**_parsed_choice(parsed), **same, **optional, threads=parsed.threads or 0)
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON values."""
+        """The request as JSON values, paths as text; `from_json` reads them."""
         values = dataclasses.asdict(self) | {"output": str(self.output), "work": None if self.work is None else str(self.work)}
         return values | {name: [str(path) for path in values[name]] for name in ("photos", "masks")} | {"faces": [*self.faces]}
 

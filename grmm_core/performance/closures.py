@@ -117,8 +117,8 @@ def keep_lips_closed(cleaned: Performance, recorded: Performance, lips: LipModel
         added[:-shift] = np.maximum(added[:-shift], share * missing[shift:])
     weights = cleaned.weights.copy()
     weights[:, MOUTH_CLOSE] = np.minimum(weights[:, MOUTH_CLOSE] + added, 1.0)
-    found = cleaned.found if ARKIT_NAMES[MOUTH_CLOSE] in cleaned.found else (*cleaned.found, ARKIT_NAMES[MOUTH_CLOSE])
-    return replace(cleaned, weights=weights, found=found)
+    shapes = tuple(dict.fromkeys((*cleaned.recorded_shapes, ARKIT_NAMES[MOUTH_CLOSE])))
+    return replace(cleaned, weights=weights, recorded_shapes=shapes)
 
 
 def _apart(head: LipHead, vertices: np.ndarray) -> float:

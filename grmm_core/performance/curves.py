@@ -88,7 +88,7 @@ def reduce_performance(
     for name in performance.channel_names():
         values = np.asarray(getattr(performance, name), np.float64)
         if name == "weights":
-            found = performance.found or tuple(n for n in ARKIT_NAMES if performance.head_model == "arkit")
+            found = performance.recorded_shapes or tuple(n for n in ARKIT_NAMES if performance.head_model == "arkit")
             groups |= {arkit: (values[:, ARKIT_NAMES.index(arkit)], max_error) for arkit in found}
         elif name == "expression":
             groups |= {f"expression.{i}": (values[:, i], max_error) for i in range(values.shape[1]) if values[:, i].any()}

@@ -86,7 +86,7 @@ def to_expression(performance: Performance, head: ExpressionModel, keep_weights:
         weights=weights,
         expression=expression.astype(np.float32),
         head_model="flame",
-        found=performance.found if keep_weights else (),
+        recorded_shapes=performance.recorded_shapes if keep_weights else (),
         **changes,
     )
 
@@ -132,7 +132,7 @@ def to_arkit(performance: Performance, head: ExpressionModel, progress: Share | 
     return replace(
         performance,
         weights=weights.astype(np.float32),
-        found=ARKIT_NAMES,
+        recorded_shapes=ARKIT_NAMES,
         expression=None,
         jaw_rotation=None,
         head_model="arkit",

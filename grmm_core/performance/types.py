@@ -25,7 +25,7 @@ class Performance:
         weights: ARKit weights in the order of `expressions.ARKIT_NAMES`, [T, 52] float32, nominally 0..1.
         fps: Frames per second of the recording; the median rate where frames are irregular.
         source: Format that it came from: "arkit-json", "live-link-csv" or "flame-npz".
-        found: ARKit names that the file had; the others are zero.
+        recorded_shapes: ARKit names that the file had; the others are zero.
         head_rotation: Rotation of the whole head, [T, 3], or None.
         neck_rotation, jaw_rotation: Joint rotations of a FLAME track, [T, 3], or None.
         left_eye_rotation, right_eye_rotation: Eye rotations relative to the head, [T, 3], or None. Where `weights` has eyeLook*
@@ -43,7 +43,7 @@ class Performance:
     weights: np.ndarray
     fps: float
     source: str = ""
-    found: tuple[str, ...] = ()
+    recorded_shapes: tuple[str, ...] = ()
     head_rotation: np.ndarray | None = None
     neck_rotation: np.ndarray | None = None
     jaw_rotation: np.ndarray | None = None
@@ -87,7 +87,7 @@ class Performance:
             "frames": self.frame_count,
             "seconds": round(self.duration, 3),
             "frames a second": round(self.fps, 3),
-            "ARKit shapes": len(self.found),
+            "ARKit shapes": len(self.recorded_shapes),
             "expression coefficients": width,
             "rotations": [name.removesuffix("_rotation") for name in self.rotation_names()],
         }
@@ -115,7 +115,7 @@ class Performance:
         result.aligned[: len(ARKIT_NAMES)] = self.weights[frame]
         pose = result.pose
         targets = {"head_rotation": head_joint, "neck_rotation": "neck", "jaw_rotation": "jaw"}
-        if not any(name.startswith("eyeLook") for name in self.found):
+        if not any(name.startswith("eyeLook") for name in self.recorded_shapes):
             targets |= {"left_eye_rotation": "left_eye", "right_eye_rotation": "right_eye"}
         for name, joint in targets.items():
             angles = getattr(self, name)

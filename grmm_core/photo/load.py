@@ -96,7 +96,7 @@ class PhotoFile:
         self._opened.close()
 
     def sha256(self) -> str:
-        """Hash of the file's bytes, hexadecimal."""
+        """SHA-256 of the file's bytes as they are on disk, 64 hexadecimal digits. Raises `FileAccessError`."""
         with _one_sentence(self.path):
             position = self._stream.tell()
             self._stream.seek(0)

@@ -15,6 +15,7 @@ The map:
 ``checkpoint``    whole-or-nothing checkpoints as tensor files
 ``trainer``       `Trainer`: the loop
 ``preview``       picture sheets
+``metrics_log``   the numbers of every step, as lines of JSON and for TensorBoard
 ``metric_plots``  the logged numbers as a picture
 
 Uses `model`, `splat`, `data`. Called by the command line (`grmm train`). Everything but `config` imports torch.

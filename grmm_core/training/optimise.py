@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 import torch
 from torch import Tensor, nn
@@ -65,9 +66,17 @@ class MovingAverage:
         decay = min(self.decay**self.every, (1.0 + step / self.every) / (10.0 + step / self.every))
         torch._foreach_lerp_(self.values, self.parameters, 1.0 - decay)
 
+    @contextmanager
+    def swapped(self) -> Iterator[None]:
+        """Context in which the parameters hold their averages."""
+        self._swap()
+        try:
+            yield
+        finally:
+            self._swap()
+
     @torch.no_grad()
-    def swap(self) -> None:
-        """Exchange parameters and averages; calling it twice restores both."""
+    def _swap(self) -> None:
         for parameter, value in zip(self.parameters, self.values, strict=True):
             kept = parameter.detach().clone()
             parameter.copy_(value)

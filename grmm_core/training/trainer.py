@@ -15,13 +15,12 @@ Used by the command line.
 
 from __future__ import annotations
 
-import dataclasses
-import json
 import logging
 import math
 import os
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,8 +28,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..errors import CancelledError, ConfigError, FileAccessError, RuntimeMissingError, TrainingError
-from ..files.access import describe_os_error, make_folder
+from ..errors import CancelledError, ConfigError, TrainingError
+from ..files.access import make_folder
 from ..jobs.progress import ProgressCallback, Reporter
 from ..jobs.stages import TRAINING
 from ..model.grmm import GRMM
@@ -41,6 +40,7 @@ from .checkpoint import load_checkpoint, save_checkpoint, tidy
 from .config import TrainConfig, changed_settings
 from .initialise import initialise_colors
 from .losses import TERMS, psnr, ssim, total_loss, vertex_laplacian, weights_from
+from .metrics_log import METRICS, MetricsLog
 from .optimise import MovingAverage, parameter_groups, rate_factor
 from .perceptual import load_perceptual
 from .personal import begin, of_the_weights, person_avatar
@@ -56,7 +56,6 @@ if TYPE_CHECKING:
 logger = logging.getLogger(__name__)
 
 CHECKPOINT = "checkpoint.safetensors"
-METRICS = "metrics.jsonl"
 CURVES = "curves.png"
 _COLOR_VIEWS = 48
 _RANDOM_CODE_INIT = 10_007  # keeps the stream of the codes apart from the model's
@@ -97,9 +96,7 @@ class Trainer:
             raise ConfigError("Several processes cannot follow the clock; set steps, and minutes to 0.")
         if self.world > 1 and config.refresh_every:
             raise ConfigError("Several processes cannot follow a capture; wait until it is complete and leave out --follow.")
-        self.curves: Any = None  # opened with the first numbers, when it is known after which step they are written
-        if config.tensorboard:
-            _tensorboard()
+        self.log = MetricsLog(self.folder, config.tensorboard)
         torch.manual_seed(config.seed)
         self.model = GRMM(head, config.model).to(device)
         use_precision(self.model, config.precision)
@@ -153,9 +150,7 @@ class Trainer:
         try:
             self._run(Reporter(TRAINING, progress, cancelled))
         finally:
-            if self.curves is not None:
-                self.curves.close()
-                self.curves = None
+            self.log.close()
 
     def _run(self, report: Reporter) -> None:
         report("prepare", 0.0)
@@ -172,7 +167,8 @@ class Trainer:
             if c.evaluate_every and (n % c.evaluate_every == 0 or ends):
                 metrics |= self.evaluate(c.evaluate_views)
                 logger.info("step %d: %s", n, {k: round(v, 4) for k, v in metrics.items()})
-            self._log(metrics)
+            if self.rank == 0:
+                self.log.write(n, metrics)
             if self.rank == 0 and c.preview_every and (n % c.preview_every == 0 or ends):
                 self._preview()
             stopped = anybody(report.wants_to_stop, self.model.device)
@@ -269,9 +265,9 @@ class Trainer:
         names = sorted({name for row in rows for name in row})
         return {f"val_{name}": float(np.mean([row[name] for row in rows if name in row])) for name in names}
 
-    def averaged(self) -> _Averaged:
+    def averaged(self) -> AbstractContextManager[None]:
         """Context in which the model holds the moving average of its parameters."""
-        return _Averaged(self.average)
+        return self.average.swapped() if self.average else nullcontext()
 
     def _sized(self, view: View) -> View:
         return shrink(view, self.config.image_size) if self.config.image_size else view
@@ -287,7 +283,7 @@ class Trainer:
         with self.averaged():
             write_preview(self.cast, views, path)
         self.sheet = str(path)
-        write_curves([read_metrics(self.folder / METRICS)], self.folder / CURVES)
+        write_curves([read_metrics(self.log.path)], self.folder / CURVES)
 
     # --- files -----------------------------------------------------------------------------------------------------
 
@@ -367,48 +363,8 @@ class Trainer:
                 changes = {key: value - self.base[key] for key, value in self.parameters.items()}
             return person_avatar(self.config.init_from, self.model, self.cast.person(0), changes, name, licence)
 
-    def _log(self, metrics: dict[str, float]) -> None:
-        if self.rank:
-            return
-        if self.config.tensorboard:
-            if self.curves is None:  # what an earlier process wrote of the steps from here on is done again
-                self.curves = _tensorboard()(str(self.folder), purge_step=self.step_count)
-            for name, value in metrics.items():
-                self.curves.add_scalar(name, value, self.step_count)
-        try:
-            with (self.folder / METRICS).open("a", encoding="utf-8") as file:
-                file.write(json.dumps({k: round(v, 6) for k, v in metrics.items()}) + "\n")
-        except OSError as error:
-            raise FileAccessError(
-                f"Cannot write {self.folder / METRICS}: {describe_os_error(error)}; free some space."
-            ) from error
-
 
 def _differences(state: dict[str, Any], config: TrainConfig, views: int) -> list[str]:
     known = state.get("views", views)
     more = [f"{views} training views instead of {known}, in another order"] if known != views else []
     return changed_settings(state.get("config"), config, ("training", "losses")) + more
-
-
-@dataclasses.dataclass
-class _Averaged:
-    average: MovingAverage | None
-
-    def __enter__(self) -> None:
-        if self.average:
-            self.average.swap()
-
-    def __exit__(self, *_: object) -> None:
-        if self.average:
-            self.average.swap()
-
-
-def _tensorboard() -> Any:
-    """The class that writes TensorBoard files. Raises `RuntimeMissingError` where the package is missing."""
-    try:
-        from torch.utils.tensorboard import SummaryWriter
-    except ImportError as error:
-        raise RuntimeMissingError(
-            "TensorBoard is not installed or not complete; run pip install tensorboard, or switch the setting off."
-        ) from error
-    return SummaryWriter

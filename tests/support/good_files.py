@@ -109,7 +109,7 @@ def _lam(folder: Path) -> Good:
 def _recorded(name: str) -> Maker:
     def make(folder: Path) -> Good:
         turns = {part: np.full((20, 3), 0.1) for part in ("head_rotation", "left_eye_rotation", "right_eye_rotation")}
-        performance = Performance(np.arange(20) / 30, np.full((20, 52), 0.25), 30.0, found=ARKIT_NAMES, **turns)
+        performance = Performance(np.arange(20) / 30, np.full((20, 52), 0.25), 30.0, recorded_shapes=ARKIT_NAMES, **turns)
         write_performance(folder / name, performance)
         return Good(folder / name, read_performance)
 

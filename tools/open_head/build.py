@@ -130,7 +130,7 @@ def write_hashes(path: Path, source: Source) -> None:
 
 
 def main() -> None:
-    """Command line."""
+    """Build the open head from its source data and write it where the arguments say."""
     parser = argparse.ArgumentParser(prog="python -m tools.open_head", description=build.__doc__)
     parser.add_argument("-o", "--output", type=Path, default=ASSET, help="file to write (default: the package's asset)")
     build(parser.parse_args().output)

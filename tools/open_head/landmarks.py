@@ -57,7 +57,7 @@ class FrontView:
         self.barycentric[view][seen] = weights[seen]
 
     def pixel(self, x: float, y: float) -> tuple[int, int]:
-        """Row and column of a point."""
+        """Row and column of the pixel that shows a point (metres, head axes, orthographic)."""
         return round((y - self._window[2]) / self._pixel - 0.5), round((x - self._window[0]) / self._pixel - 0.5)
 
     def at(self, row: int, column: int) -> tuple[int, np.ndarray]:

@@ -11,7 +11,7 @@ from .steps import walk
 
 
 def main() -> int:
-    """Command line entry."""
+    """Walk through all steps in a window; returns the exit code."""
     parser = argparse.ArgumentParser(description="Walk through a real Blender with a window, with a built extension.")
     parser.add_argument("extension", type=Path, help="zip of the extension")
     parser.add_argument("--output", type=Path, default=Path("out/walk"), help="folder for pictures and the console's text")

@@ -118,7 +118,7 @@ class WalkedBlender:
         time.sleep(0.3)
 
     def type(self, text: str) -> None:
-        """Type text."""
+        """Type text into what has the focus."""
         self._command(["xdotool", "type", "--delay", "30", text])
         time.sleep(0.3)
 
@@ -128,7 +128,7 @@ class WalkedBlender:
         time.sleep(0.2)
 
     def click(self, x: int, y: int, button: int = 1) -> None:
-        """Click there."""
+        """Click at pixels from the upper left corner of the screen."""
         self.move(x, y)
         self._command(["xdotool", "click", str(button)])
         time.sleep(0.3)

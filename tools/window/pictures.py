@@ -156,7 +156,7 @@ def show_panels(*names: str) -> None:
 
 
 def shot(name: str) -> None:
-    """Save the window."""
+    """Save the window as a PNG of this name in `FOLDER`."""
     window = bpy.context.window_manager.windows[0]
     with bpy.context.temp_override(window=window):
         bpy.ops.screen.screenshot(filepath=str(FOLDER / name))

@@ -50,7 +50,7 @@ class FlameFit:
         scale, shift: FLAME's coordinates = scale * the open head's + shift.
         resting: The avatar's mesh at rest in FLAME's coordinates, [V_open, 3].
         skin: Vertices of FLAME's skin, [M].
-        found: FLAME's skin in terms of the open head.
+        correspondence: FLAME's skin in terms of the open head.
     """
 
     offset: np.ndarray
@@ -59,7 +59,7 @@ class FlameFit:
     shift: np.ndarray
     resting: np.ndarray
     skin: np.ndarray
-    found: Correspondence
+    correspondence: Correspondence
 
     def posed(self, vertices: np.ndarray, flame: HeadModel) -> np.ndarray:
         """Return FLAME's mesh on the avatar in another pose, [V, 3]; the teeth stay.
@@ -71,7 +71,7 @@ class FlameFit:
         head = load_open_head()
         target = self.scale * np.asarray(vertices, np.float64) + self.shift
         result = self.vertices.astype(np.float64)
-        result[self.skin] += self.found.carry(target - self.resting)
+        result[self.skin] += self.correspondence.carry(target - self.resting)
         own = [np.flatnonzero(flame.weights[:, 3 + side] > _FOLLOWS) for side in range(2)]
         for side, moved in zip(_SIDES, own, strict=True):
             part = head.regions[f"{side}_eyeball"]

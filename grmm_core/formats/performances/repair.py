@@ -46,7 +46,7 @@ def arkit_weights(
         FileFormatError: No name is known, or more than half of the frames are unreadable.
     """
     shapes = map_shapes(names)
-    if not shapes.found:
+    if not shapes.arkit_indices:
         raise bad_file(path, kind, "none of its names is an ARKit shape")
     weights = fill_missing(path, kind, shapes.weights(values), "weights", warnings)
     warnings.extend(shapes.warnings)
@@ -54,7 +54,7 @@ def arkit_weights(
     if weights.max() <= _MOST_PERCENT and (highest > _TOO_MUCH).mean() > _PERCENT_SHARE:
         weights /= 100.0
         warnings.append("The weights go up to 100 and were read as percentages.")
-    return weights, shapes.found
+    return weights, shapes.arkit_indices
 
 
 def scale_times(times: np.ndarray, fps: float, warnings: list[str]) -> np.ndarray:

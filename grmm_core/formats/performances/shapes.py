@@ -49,13 +49,13 @@ class ShapeMap:
     Attributes:
         matrix: [columns, 52]; weights = values @ matrix.
         used: Columns that count, [K].
-        found: Indices of the ARKit shapes that they give.
+        arkit_indices: Of the ARKit shapes that they give.
         warnings: A sentence where the file has another rig's names.
     """
 
     matrix: np.ndarray
     used: np.ndarray
-    found: frozenset[int]
+    arkit_indices: frozenset[int]
     warnings: tuple[str, ...] = ()
 
     def weights(self, values: np.ndarray) -> np.ndarray:

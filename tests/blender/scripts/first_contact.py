@@ -97,9 +97,9 @@ def after_deleting(name: str, hat: bool = False, other_bone: bool = False) -> li
     if other_bone:
         rig.data.bones["neck"].name = "Chest"
     left_rigs.forget()
-    before = left_rigs.look()
+    before = left_rigs.notice_deleted()
     bpy.data.objects.remove(avatar.object if name == "head" else bpy.data.objects["Cube"])
-    noticed = left_rigs.look()
+    noticed = left_rigs.notice_deleted()
     left_rigs.remove()
     return [before, noticed, any(obj.type == "ARMATURE" for obj in bpy.data.objects)]
 

@@ -152,7 +152,7 @@ def test_exported_folders_move_in_the_loader_of_gaussian_avatars(flame, tmp_path
     recorded = np.zeros((1, 52), np.float32)
     for name, weight in weights.items():
         recorded[0, ARKIT_NAMES.index(name)] = weight
-    track = to_expression(Performance([0.0], recorded, 25.0, found=ARKIT_NAMES), flame)
+    track = to_expression(Performance([0.0], recorded, 25.0, recorded_shapes=ARKIT_NAMES), flame)
     write_gaussian_avatar(tmp_path, GaussianAvatar(bound, replace(track, static_offset=fit.offset)))
     resting = fit.scale * person.pose({})[0] + fit.shift
     wanted = fit.scale * (person.pose(weights)[0] - person.pose({})[0])

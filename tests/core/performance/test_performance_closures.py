@@ -22,7 +22,7 @@ def speech() -> Performance:
     weights[:, JAW] = 0.15
     weights[40:44, JAW] = 0.015
     weights[70:101, JAW] = 0.0
-    return Performance(np.arange(120) / 30, weights, 30.0, found=ARKIT_NAMES)
+    return Performance(np.arange(120) / 30, weights, 30.0, recorded_shapes=ARKIT_NAMES)
 
 
 @pytest.fixture(scope="module")

@@ -348,7 +348,7 @@ def test_bounded_least_squares_matches_an_independent_solver():
 @pytest.mark.slow
 def test_ten_minutes_at_sixty_frames_per_second_are_read_cleaned_and_reduced(tmp_path):
     part = talk(60, 60)
-    long = Performance(np.arange(36000) / 60, np.tile(part.weights, (10, 1)), 60, found=ARKIT_NAMES)
+    long = Performance(np.arange(36000) / 60, np.tile(part.weights, (10, 1)), 60, recorded_shapes=ARKIT_NAMES)
     long.weights += np.random.default_rng(11).normal(0, 0.002, long.weights.shape).astype(np.float32)
     write_performance(tmp_path / "a.csv", long)
     seen = []

@@ -60,7 +60,7 @@ def test_arkit_json_with_times_keeps_order_of_names(tmp_path):
     assert performance.fps == 24
     assert performance.times == pytest.approx(np.arange(30) / 24)
     assert performance.warnings == []
-    assert len(performance.found) == 52
+    assert len(performance.recorded_shapes) == 52
 
 
 @pytest.mark.parametrize("layout", ["maps", "audio2face", "list", "rows"])
@@ -86,7 +86,7 @@ def test_arkit_json_underscored_and_missing_names_are_said(tmp_path):
     path.write_text(json.dumps({"fps": 30, "names": ["eyeBlink_L", "_neutral", "jawOpen"], "frames": [[0.5, 1, 1.5]] * 4}))
     performance = read_performance(path)
     assert performance.weights[0, ARKIT_NAMES.index("eyeBlinkLeft")] == 0.5
-    assert performance.found == ("eyeBlinkLeft", "jawOpen")
+    assert performance.recorded_shapes == ("eyeBlinkLeft", "jawOpen")
     assert any("browDownLeft" in w and "stay at zero" in w for w in performance.warnings)
     assert any("jawOpen (1.50 to 1.50)" in w for w in performance.warnings)
 

@@ -19,9 +19,10 @@ from grmm_core.training.config import CONFIG_FOLDER, load_config, train_config
 from grmm_core.training.losses import OPAQUE, TERMS, LossWeights, total_loss
 from grmm_core.training.metric_plots import COLORS, read_metrics, write_curves
 from grmm_core.training.metric_plots import main as draw_curves
+from grmm_core.training.metrics_log import METRICS
 from grmm_core.training.optimise import MovingAverage, rate_factor
 from grmm_core.training.processes import mean_terms
-from grmm_core.training.trainer import CHECKPOINT, METRICS, Trainer
+from grmm_core.training.trainer import CHECKPOINT, Trainer
 from grmm_core.training.views import choose, crop_to_person, random_crop, shrink
 
 QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
@@ -299,7 +300,7 @@ def test_curves_for_tensorboard(head, source, tmp_path, monkeypatch):
     second = Trainer(config(tensorboard=True, steps=4), head, source, tmp_path)
     assert second.resume()
     second.run()
-    assert second.curves is None  # closed
+    assert second.log.writer is None  # closed
     assert scalars(tmp_path, "loss") == [1, 2, 3, 4]
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)  # not installed, or without what it needs
     with pytest.raises(RuntimeMissingError, match="pip install tensorboard"):
@@ -386,10 +387,8 @@ def test_moving_average_and_rates():
     for step in range(2, 200, 2):
         average.update(step)
     assert float(average.values[0][0]) == pytest.approx(1.0, abs=1e-4)
-    average.swap()
-    with torch.no_grad():
+    with average.swapped(), torch.no_grad():
         p.mul_(5)
-    average.swap()
     assert float(p[0]) == 1.0
     c = config(warmup_steps=10)
     assert rate_factor(c, 0, 0.0) == pytest.approx(0.1)

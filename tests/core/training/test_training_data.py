@@ -22,8 +22,9 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.training.capture import CapturedViews, capture_views
 from grmm_core.training.config import load_config, train_config
 from grmm_core.training.losses import weights_from
+from grmm_core.training.metrics_log import METRICS
 from grmm_core.training.perceptual import MobileNetFeatures, VGG19Features, load_perceptual
-from grmm_core.training.trainer import METRICS, Trainer
+from grmm_core.training.trainer import Trainer
 
 SIZE = 24
 

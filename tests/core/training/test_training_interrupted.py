@@ -22,7 +22,8 @@ from grmm_core.data.dataset import CaptureDataset, Manifest, Picture, Shot, View
 from grmm_core.errors import ConfigError, FileAccessError
 from grmm_core.training.checkpoint import tidy
 from grmm_core.training.config import train_config
-from grmm_core.training.trainer import CHECKPOINT, METRICS, Trainer
+from grmm_core.training.metrics_log import METRICS
+from grmm_core.training.trainer import CHECKPOINT, Trainer
 
 SCRIPT_PATHS = [
     str(Path(__file__).parents[2] / "support"),

@@ -8,11 +8,6 @@ ROOT_PACKAGE = __package__.rpartition(".")[0]
 """The extension's module, such as `bl_ext.user_default.grmm`: what preferences and user folders are named after."""
 
 
-def depth_pass_name() -> str:
-    """Return the name of the depth pass in render results."""
-    return "Z"
-
-
 def bone_state(bone: bpy.types.PoseBone) -> tuple[bool, bool]:
     """Return whether a posed bone is hidden, and whether it is selected; 5.x keeps both with the pose."""
     hidden, selected = (getattr(bone if hasattr(bone, name) else bone.bone, name) for name in ("hide", "select"))

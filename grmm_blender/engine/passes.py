@@ -10,8 +10,6 @@ from typing import Literal
 
 import bpy
 
-from .. import compat
-
 COMBINED = "Combined"
 MAX_NAME = 60  # characters; Blender cuts longer pass names
 FEATURES_IN_A_PASS = 4
@@ -62,7 +60,7 @@ def layer_passes(view_layer: bpy.types.ViewLayer, avatar_names: list[str]) -> li
     """
     passes = [RenderPass("combined", COMBINED, "RGBA", "COLOR")]
     if view_layer.use_pass_z:
-        passes.append(RenderPass("depth", compat.depth_pass_name(), "Z", "VALUE"))
+        passes.append(RenderPass("depth", "Z", "Z", "VALUE"))
     extra = view_layer.grmm_passes
     if view_layer.use_pass_normal or extra.use_normal:
         passes.append(RenderPass("normal", "Normal", "XYZ", "VECTOR"))

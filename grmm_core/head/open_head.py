@@ -10,13 +10,12 @@ from __future__ import annotations
 import functools
 import json
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import ControlError, FileFormatError, ShapeError
+from ..errors import FileFormatError, ShapeError
 from ..files.tensorfile import read_tensors
 from .head_model import HeadModel
 
@@ -42,19 +41,6 @@ class PeopleModel:
     std: np.ndarray
     macro_to_shape: np.ndarray
     residual_std: np.ndarray
-
-    def expected_shape(self, macros: Mapping[str, float]) -> np.ndarray:
-        """Mean shape coefficients of people with these macros, [S]; macros that are not named are average.
-
-        Raises:
-            ControlError: Unknown macro, or a value that is not a finite number.
-        """
-        values = self.mean.astype(np.float32).copy()
-        for name, value in macros.items():
-            if name not in self.names or not np.isfinite(value):
-                raise ControlError(f"{name}={value} is not a macro of the open head; use {', '.join(self.names)} with numbers.")
-            values[self.names.index(name)] = value
-        return ((values - self.mean) @ self.macro_to_shape).astype(np.float32)
 
 
 @functools.lru_cache(maxsize=1)

@@ -6,19 +6,19 @@
 `editing`          `apply_gain`, `find_neutral_frames`, `calibrate_neutral`, `clamp`, `REGIONS`
 `smoothing`        `smooth`
 `closures`         `lip_model`, `keep_lips_closed`
-`curves`           `reduce_performance`: keys to a stated error
+`curves`           `reduce_curves`: keys to a stated error
 `retarget`         `to_expression`, `to_arkit`
 `pipeline`         `clean`: all of the cleaning in one call
 =================  =====================================================================================
 
 Called by the Blender importer and exporter and by the command line. Needs numpy only.
 
-A usual import: `formats.read_performance`, `clean`, `reduce_performance`.
+A usual import: `formats.read_performance`, `clean`, `reduce_curves`.
 """
 
 from __future__ import annotations
 
-from .curves import ReducedCurve, reduce_performance
+from .curves import ReducedCurve, reduce_curves
 from .editing import REGIONS, apply_gain, calibrate_neutral, clamp, find_neutral_frames
 from .pipeline import CleanOptions, clean
 from .retarget import to_arkit, to_expression
@@ -36,7 +36,7 @@ __all__ = [
     "clamp",
     "clean",
     "find_neutral_frames",
-    "reduce_performance",
+    "reduce_curves",
     "resample",
     "shift",
     "smooth",

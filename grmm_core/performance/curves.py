@@ -17,16 +17,13 @@ from typing import Literal
 
 import numpy as np
 
-from ..controls.names import ARKIT_NAMES
 from ..errors import ShapeError
 from ..jobs.progress import Share
-from .types import Performance
 
 Interpolation = Literal["linear", "bezier"]
 
 DEFAULT_ERROR = 0.01  # of an ARKit weight
 DEFAULT_ANGLE_ERROR = 0.005  # radians, about 0.3 degrees
-DEFAULT_DISTANCE_ERROR = 0.0005  # metres
 _MAX_SEGMENT = 96  # frames; longer Bezier segments gain nothing on recorded faces
 _SAFETY = 0.999  # part of the allowed error that is used, so that single precision does not exceed it
 _RIDGE = 1e-6
@@ -63,44 +60,6 @@ class ReducedCurve:
         v = 1.0 - u
         points = (self.values[segment], self.right[segment, 1], self.left[segment + 1, 1], self.values[segment + 1])
         return v**3 * points[0] + 3 * v * v * u * points[1] + 3 * v * u * u * points[2] + u**3 * points[3]
-
-
-def reduce_performance(
-    performance: Performance,
-    max_error: float = DEFAULT_ERROR,
-    angle_error: float = DEFAULT_ANGLE_ERROR,
-    interpolation: Interpolation = "bezier",
-    progress: Share | None = None,
-) -> dict[str, ReducedCurve]:
-    """Reduce every curve of a performance to keys.
-
-    Args:
-        performance: Any.
-        max_error: Largest deviation of an ARKit weight or expression coefficient at any frame.
-        angle_error: Largest deviation of an angle, radians.
-        interpolation: Kind of keys.
-        progress: Called with the fraction done.
-
-    Returns:
-        Curves by name: ARKit names (those that the file had), `head_rotation.x`, `expression.0`, `translation.z` ...
-    """
-    groups: dict[str, tuple[np.ndarray, float]] = {}
-    for name in performance.channel_names():
-        values = np.asarray(getattr(performance, name), np.float64)
-        if name == "weights":
-            found = performance.recorded_shapes or tuple(n for n in ARKIT_NAMES if performance.head_model == "arkit")
-            groups |= {arkit: (values[:, ARKIT_NAMES.index(arkit)], max_error) for arkit in found}
-        elif name == "expression":
-            groups |= {f"expression.{i}": (values[:, i], max_error) for i in range(values.shape[1]) if values[:, i].any()}
-        else:
-            error = DEFAULT_DISTANCE_ERROR if name == "translation" else angle_error
-            groups |= {f"{name}.{axis}": (values[:, i], error) for i, axis in enumerate("xyz")}
-    if not groups:
-        return {}
-    values = np.stack([curve for curve, _ in groups.values()], 1)
-    errors = np.array([error for _, error in groups.values()])
-    curves = reduce_curves(performance.times, values, errors, interpolation, progress)
-    return dict(zip(groups, curves, strict=True))
 
 
 def reduce_curves(

@@ -23,7 +23,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType, TracebackType
-from typing import Literal, Protocol, Self, runtime_checkable
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 
@@ -31,7 +31,6 @@ from ..controls.frame import Controls
 from ..errors import ConfigError, ShapeError
 from ..geometry.camera import Camera
 
-PassName = Literal["rgb", "alpha", "depth", "raw", "normal", "features", "mask"]
 PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask")
 LINEAR_PASS = "linear"
 """A further pass, for hosts that work in linear light: "rgb" and "alpha" as `color.scene_linear_premultiplied` has them."""

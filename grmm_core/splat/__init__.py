@@ -4,7 +4,7 @@
     rasterize_arrays(gaussians, camera) -> PictureArrays(rgb, alpha, depth, features)   arrays, without torch
 
 Map:
-    api.py        checks, `rasterize`, `rasterize_batch`, `rasterize_arrays`
+    api.py        checks, `rasterize`, `rasterize_arrays`
     backends.py   the table of backends, `available_backends`, `register_backend`
     types.py      `Gaussians` in, `RasterOutput` out; the same as arrays
     rules.py      the constants of 3DGS that all backends share, and a camera's numbers (`View`)
@@ -34,7 +34,7 @@ renderer, training, fitting, sessions. It knows nothing of heads.
 
 from __future__ import annotations
 
-from .api import rasterize, rasterize_arrays, rasterize_batch
+from .api import rasterize, rasterize_arrays
 from .backends import Backend, BackendInfo, available_backends, choose_backend, register_backend
 from .types import GaussianArrays, Gaussians, PictureArrays, RasterOutput
 
@@ -49,6 +49,5 @@ __all__ = [
     "choose_backend",
     "rasterize",
     "rasterize_arrays",
-    "rasterize_batch",
     "register_backend",
 ]

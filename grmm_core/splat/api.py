@@ -108,28 +108,3 @@ def rasterize_arrays(
     _check_background(ground.shape, camera)
     ground = ground.reshape(1, 1, 3) if ground.ndim == 1 else ground
     return draw(gaussians.prepared(), ground, View.of(camera, frame), antialiased)[0]
-
-
-def rasterize_batch(
-    gaussians: Gaussians | Sequence[Gaussians],
-    cameras: Sequence[Camera],
-    background: Tensor | Sequence[float] | None = None,
-    backend: str = "auto",
-    antialiased: bool = False,
-) -> list[RasterOutput[Tensor]]:
-    """Draw several pictures, one per camera; each call uses all cores.
-
-    Args:
-        gaussians: One scene seen by all cameras, or one per camera.
-        cameras: The cameras; sizes may differ.
-        background: As in `rasterize`, the same for all.
-        backend: As in `rasterize`.
-        antialiased: As in `rasterize`.
-
-    Raises:
-        ShapeError: The numbers of scenes and cameras differ, or a scene does not fit.
-    """
-    scenes = [gaussians] * len(cameras) if isinstance(gaussians, Gaussians) else list(gaussians)
-    if len(scenes) != len(cameras):
-        raise ShapeError(f"{len(scenes)} sets of Gaussians were given for {len(cameras)} cameras.")
-    return [rasterize(scene, camera, background, backend, antialiased) for scene, camera in zip(scenes, cameras, strict=True)]

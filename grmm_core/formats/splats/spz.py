@@ -45,7 +45,6 @@ _SH_COUNTS = (0, 3, 8, 15, 24)
 _COLOR_SCALE = 0.15  # range of the 8-bit colors: wider than 0..1, since higher harmonics can bring them back
 _FLAG_ANTIALIASED = 1
 _MAX_FRACTIONAL_BITS = 23
-_FRACTIONAL_BITS = 12  # a quarter of a millimetre, the format's usual value
 _SH_BITS = (5, 4)  # bits kept of the harmonics of degree 1 and of the others, so that they compress
 _MAX_FILE_BYTES = 1 << 30
 _DEFLATE_RATIO = 1032  # the most that deflate can expand

@@ -21,7 +21,6 @@ from grmm_core.performance import (
     clamp,
     clean,
     find_neutral_frames,
-    reduce_performance,
     resample,
     shift,
     smooth,
@@ -40,8 +39,9 @@ def largest_error(times, values, curves):
     return max(np.abs(curve.evaluate(times) - values[:, k]).max() for k, curve in enumerate(curves))
 
 
-def key_count(curves):
-    return sum(curve.times.size for curve in curves.values())
+def key_count(performance, interpolation="bezier"):
+    curves = reduce_curves(performance.times, performance.weights, 0.01, interpolation)
+    return sum(curve.times.size for curve in curves)
 
 
 def talk(fps=60.0, seconds=10.0, seed=0):
@@ -227,20 +227,19 @@ def test_reduction_on_uneven_frames_and_short_ones():
 
 
 def test_handles_lie_at_thirds_so_that_time_is_linear_along_a_segment():
-    curve = reduce_performance(talk(30))["jawOpen"]
+    performance = talk(30)
+    (curve,) = reduce_curves(performance.times, performance.weights[:, [ARKIT_NAMES.index("jawOpen")]], 0.01)
     third = np.diff(curve.times) / 3
     assert curve.right[:-1, 0] - curve.times[:-1] == pytest.approx(third)
     assert curve.times[1:] - curve.left[1:, 0] == pytest.approx(third)
 
 
-def test_reduction_saves_keys_and_names_curves():
+def test_reduction_saves_keys():
     performance = talk(60)
-    curves = reduce_performance(performance, 0.01)
-    assert set(curves) == {*ARKIT_NAMES, "head_rotation.x", "head_rotation.y", "head_rotation.z"}
-    assert key_count(curves) < 0.1 * performance.frame_count * len(curves)
-    assert key_count(curves) < 0.6 * key_count(reduce_performance(performance, 0.01, interpolation="linear"))
+    assert key_count(performance) < 0.1 * performance.weights.size
+    assert key_count(performance) < 0.6 * key_count(performance, "linear")
     with pytest.raises(ShapeError, match="positive error"):
-        reduce_performance(performance, 0.0)
+        reduce_curves(performance.times, performance.weights, 0.0)
 
 
 @pytest.mark.parametrize("extension", [".json", ".csv"])
@@ -355,6 +354,6 @@ def test_ten_minutes_at_sixty_frames_per_second_are_read_cleaned_and_reduced(tmp
     performance = read_performance(tmp_path / "a.csv", progress=seen.append)
     performance = calibrate_neutral(performance, find_neutral_frames(performance))
     performance = resample(smooth(performance), 24)
-    curves = reduce_performance(performance, progress=seen.append)
-    assert len(curves) >= 52
+    curves = reduce_curves(performance.times, performance.weights, 0.01, progress=seen.append)
+    assert len(curves) == 52
     assert len(seen) > 10

@@ -12,7 +12,7 @@ from splat_scenes import OUTPUTS, SCENES, assert_parity, leaves_of, orbit, pulle
 
 from grmm_core.errors import BackendError, ShapeError
 from grmm_core.geometry.camera import Camera
-from grmm_core.splat import Gaussians, available_backends, rasterize, rasterize_batch
+from grmm_core.splat import Gaussians, available_backends, rasterize
 
 BACKENDS = [info.name for info in available_backends() if info.available and info.name != "cuda"]
 each_backend = pytest.mark.parametrize("backend", BACKENDS)
@@ -189,17 +189,6 @@ def test_background_gradients_are_what_shines_through(backend):
     out = rasterize(ball(), CAMERA, background=image, backend=backend)
     out.rgb.sum().backward()
     torch.testing.assert_close(image.grad, (1 - out.alpha)[..., None].expand(13, 17, 3), rtol=1e-5, atol=1e-6)
-
-
-@each_backend
-def test_a_batch_equals_single_pictures(backend):
-    scenes, cameras = [scene(30, seed=k) for k in range(2)], [orbit(20, 30), orbit(33, 17, yaw=-40.0)]
-    for out, one, camera in zip(rasterize_batch(scenes, cameras, backend=backend), scenes, cameras, strict=True):
-        torch.testing.assert_close(out.rgb, rasterize(one, camera, backend=backend).rgb)
-    shared = rasterize_batch(scenes[0], cameras, backend=backend)
-    assert [tuple(out.alpha.shape) for out in shared] == [(30, 20), (17, 33)]
-    with pytest.raises(ShapeError, match="3 cameras"):
-        rasterize_batch(scenes, [*cameras, cameras[0]], backend=backend)
 
 
 @pytest.mark.parametrize(

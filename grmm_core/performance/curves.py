@@ -24,6 +24,7 @@ Interpolation = Literal["linear", "bezier"]
 
 DEFAULT_ERROR = 0.01  # of an ARKit weight
 DEFAULT_ANGLE_ERROR = 0.005  # radians, about 0.3 degrees
+DEFAULT_DISTANCE_ERROR = 0.0005  # metres
 _MAX_SEGMENT = 96  # frames; longer Bezier segments gain nothing on recorded faces
 _SAFETY = 0.999  # part of the allowed error that is used, so that single precision does not exceed it
 _RIDGE = 1e-6

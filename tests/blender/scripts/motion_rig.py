@@ -285,11 +285,11 @@ def several() -> dict:
 def deleted(heads: dict) -> list:
     """What is left after one head after another was deleted."""
     watcher = left_rigs.LeftRigs()
-    watcher.look()
+    watcher.notice_deleted()
     found = []
     for name in sorted(heads):
         bpy.data.objects.remove(bpy.data.objects[name])
-        assert watcher.look()
+        assert watcher.notice_deleted()
         watcher.remove()
         found.append([sorted(o.type for o in bpy.data.objects), len(bpy.data.actions), len(bpy.data.armatures)])
     return [*found, len(bpy.data.meshes)]

@@ -241,12 +241,20 @@ def _view_to_json(view: View) -> dict[str, Any]:
 
 
 def _view_from_json(values: dict[str, Any]) -> View:
-    camera, bare = camera_from_json(values["camera"]), None
-    if "bare" in values:
-        own = values["bare"]
-        bare = View(values["name"], camera, own["image"], own["depth"], values["split"], dict(own["layers"]))
-    layers = {str(name): str(file) for name, file in values.get("layers", {}).items()}
-    return View(values["name"], camera, values["image"], values["depth"], values["split"], layers, bare)
+    name, split, camera = str(values["name"]), str(values["split"]), camera_from_json(values["camera"])
+
+    def view(own: dict[str, Any], bare: View | None = None) -> View:
+        layers = {str(layer): _file(file) for layer, file in own.get("layers", {}).items()}
+        return View(name, camera, _file(own["image"]), _file(own["depth"]), split, layers, bare)
+
+    return view(values, view(values["bare"]) if "bare" in values else None)
+
+
+def _file(name: Any) -> str:
+    """A file's name in the record's own folder, "" for none. Raises `ValueError` for anything else."""
+    if not isinstance(name, str) or Path(name).is_absolute() or ".." in Path(name).parts or "\0" in name:
+        raise ValueError(f"{str(name)[:60]!r} is no file beside it")
+    return name
 
 
 def _npz(**arrays: np.ndarray) -> bytes:
@@ -398,8 +406,8 @@ def _read_shot(path: Path) -> Shot:
                 raise ShapeError(f"displacement has the size {_size(moved)}")
         views = tuple(_view_from_json(v) for v in values["views"])
         return Shot(
-            values["subject"], int(values["number"]), values["kind"], aligned, expression, pose, views, path.parent, moved,
-            dict(values.get("light", {})),
+            str(values["subject"]), int(values["number"]), str(values["kind"]), aligned, expression, pose, views, path.parent,
+            moved, dict(values.get("light", {})),
         )  # fmt: skip
     except FileAccessError:
         raise

@@ -158,7 +158,9 @@ class _Videos:
                 raise FileAccessError(f"{path} does not exist; download it.") from error
             except (av.FFmpegError, OSError) as error:
                 raise FileFormatError(f"{path} is not a readable video; download it again.") from error
-            if not self._open[path].streams.video:
+            streams = self._open[path].streams.video
+            if not streams or streams[0].codec_context is None:  # none for a codec that a damaged header names
+                del self._open[path]
                 raise FileFormatError(f"{path} has no pictures; download it again.")
             if len(self._open) > _OPEN_VIDEOS:
                 self._open.popitem(last=False)[1].close()

@@ -86,9 +86,14 @@ class Format:
     needs: dict[str, str] = field(default_factory=dict)
 
     @property
+    def written_suffixes(self) -> tuple[str, ...]:
+        """Endings of names that ask for this format; none for a folder."""
+        return () if self.folder or self.writer is None else self.suffixes or self.shared_suffixes
+
+    @property
     def suffix(self) -> str:
         """The ending that is written, "" for a folder."""
-        return self.suffixes[0] if self.suffixes else ""
+        return next(iter(self.written_suffixes), "")
 
     def read(self, path: Path, **options: Any) -> Any:
         """Call the reader. Raises `FileFormatError` where there is none, and as the reader."""

@@ -12,6 +12,7 @@ import binascii
 import json
 import os
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -189,16 +190,18 @@ class GltfWriter:
         return self.add("bufferViews", view)
 
     def add_array(self, array: np.ndarray, target: int | None = ARRAY_BUFFER, bounds: bool = False) -> int:
-        """Append an array [N] or [N, width] of float32 or uint32 as an accessor and return its index."""
+        """Append an array [N] or [N, width] of float32, uint32 or uint8 as an accessor and return its index."""
         array = np.asarray(array)
         code, dtype = (UINT32, "<u4") if array.dtype.kind in "iu" else (FLOAT, "<f4")
+        if array.dtype == np.uint8:
+            code, dtype = UINT8, "<u1"
         array = np.ascontiguousarray(array, dtype)
         width = 1 if array.ndim == 1 else array.shape[1]
         entry: dict[str, Any] = {
             "bufferView": self.add_bytes(array.tobytes(), target),
             "componentType": code,
             "count": int(array.shape[0]),
-            "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[width],
+            "type": {count: name for name, count in _WIDTHS.items()}[width],
         }
         if bounds:
             rows = array.reshape(array.shape[0], width)
@@ -207,12 +210,15 @@ class GltfWriter:
 
     def write(self, path: str | os.PathLike[str]) -> None:
         """Write the file, whole or not at all. Raises `FileAccessError`."""
+        with atomic_write(path) as file:
+            file.writelines(self.parts())
+
+    def parts(self) -> Iterator[bytes]:
+        """The bytes of the file, part by part."""
         self.document["buffers"] = [{"byteLength": self._size}]
         text = json.dumps(self.document, separators=(",", ":"), ensure_ascii=False).encode()
         text += b" " * (-len(text) % 4)
-        with atomic_write(path) as file:
-            file.write(struct.pack("<III", _MAGIC, 2, 12 + 8 + len(text) + 8 + self._size))
-            file.write(struct.pack("<II", len(text), _JSON) + text)
-            file.write(struct.pack("<II", self._size, _BIN))
-            for chunk in self._chunks:
-                file.write(chunk)
+        yield struct.pack("<III", _MAGIC, 2, 12 + 8 + len(text) + 8 + self._size)
+        yield struct.pack("<II", len(text), _JSON) + text
+        yield struct.pack("<II", self._size, _BIN)
+        yield from self._chunks

@@ -101,9 +101,11 @@ def format_to_write(path: Path, holds: Kinds) -> Format:
     """Return the format that a file name asks for. Raises `FileFormatError` where there is none."""
     known = formats(holds, written=True)
     for one in known:
-        if one.suffixes and path.name.lower().endswith(one.suffixes):
+        if path.name.lower().endswith(one.written_suffixes):
             return one
-    listed = ", ".join(suffixes(known, shared=False))
+        if one.folder and not path.suffix:
+            return one
+    listed = ", ".join(dict.fromkeys(suffix for one in known for suffix in one.written_suffixes))
     what = _NAMES[holds if isinstance(holds, str) else holds[0]][1]
     raise FileFormatError(f"{what} cannot be written as {path.suffix!r}; choose one of {listed}.")
 

@@ -1,4 +1,4 @@
-"""What exporters take from a session: an avatar's splats with view dependence, and the ARKit shapes as morph targets.
+"""What exporters take from a session: splats with view dependence, ARKit shapes as morph targets, avatars for other projects.
 
 Called by `grmm export` and by Blender's exporters. Exported colors are those that look right alone, without the refinement
 network. Needs numpy only.
@@ -6,7 +6,7 @@ network. Needs numpy only.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +15,8 @@ from ..controls.frame import Controls
 from ..controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from ..formats import SplatCloud
 from ..formats.avatars.gaussian_avatars import GaussianAvatar
+from ..formats.avatars.lam import LamAvatar, vertex_triangles
+from ..formats.meshes.mesh import Mesh
 from ..head import HeadModel
 from ..jobs.progress import Share, nobody
 from ..performance import Performance
@@ -66,6 +68,21 @@ def flame_avatar(
     return GaussianAvatar(bound, replace(track, static_offset=fit.offset))
 
 
+def lam_avatar(session: Session, avatar_id: int, controls: Controls, lod: int = 0, report: Share = nobody) -> LamAvatar:
+    """Return an avatar as LAM's viewer shows it: splats that the ARKit shapes move.
+
+    Args:
+        session: Where the avatar is open.
+        avatar_id: The avatar.
+        controls: The person at rest.
+        lod: As `Session.gaussians`.
+        report: Hears how much is done.
+    """
+    cloud = splat_cloud(session, avatar_id, controls, 0, lod)
+    morphs = _moved(lambda raised: session.gaussians(avatar_id, raised, lod=lod).means, controls, ARKIT_NAMES, report)
+    return LamAvatar(Mesh(cloud.means, vertex_triangles(cloud.count), morphs=morphs), cloud)
+
+
 def morph_targets(
     session: Session,
     avatar_id: int,
@@ -82,12 +99,19 @@ def morph_targets(
         names: Which of the 60; the 52 ARKit shapes, of which the others are mixtures, unless told.
         report: Hears how much is done.
     """
-    resting = session.deform(avatar_id, controls).vertices
+    return _moved(lambda raised: session.deform(avatar_id, raised).vertices, controls, names, report)
+
+
+def _moved(
+    positions: Callable[[Controls], np.ndarray], controls: Controls, names: Sequence[str], report: Share
+) -> dict[str, np.ndarray]:
+    """How far positions [N, 3] go as each of the aligned expressions is raised by 1."""
+    resting = positions(controls)
     morphs: dict[str, np.ndarray] = {}
     for number, name in enumerate(names):
         report(number / len(names), name)
         raised = controls.copy()
         raised.aligned[ALIGNED_NAMES.index(name)] += 1.0
-        morphs[name] = session.deform(avatar_id, raised).vertices - resting
+        morphs[name] = positions(raised) - resting
     report(1.0)
     return morphs

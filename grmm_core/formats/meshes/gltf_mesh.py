@@ -40,7 +40,7 @@ def write_gltf_mesh(path: str | os.PathLike[str], mesh: Mesh, name: str = "head"
         attributes["TEXCOORD_0"] = writer.add_array(mesh.uv * [1, -1] + [0, 1])  # glTF's v points down
     entry: dict[str, Any] = {"primitives": [primitive], "name": name}
     if mesh.morphs:
-        primitive["targets"] = [{"POSITION": _add_sparse(writer, delta)} for delta in mesh.morphs.values()]
+        primitive["targets"] = [{"POSITION": add_morph_target(writer, delta)} for delta in mesh.morphs.values()]
         entry["weights"] = [0.0] * len(mesh.morphs)
         entry["extras"] = {"targetNames": list(mesh.morphs)}
     primitive["material"] = writer.add(
@@ -52,9 +52,9 @@ def write_gltf_mesh(path: str | os.PathLike[str], mesh: Mesh, name: str = "head"
     writer.write(path)
 
 
-def _add_sparse(writer: GltfWriter, delta: np.ndarray) -> int:
-    """A morph target as a sparse accessor over zeros."""
-    rows = np.flatnonzero((np.abs(delta) > _SPARSE_THRESHOLD).any(1))
+def add_morph_target(writer: GltfWriter, delta: np.ndarray, threshold: float = _SPARSE_THRESHOLD) -> int:
+    """Add a morph target [V, 3] as a sparse accessor over zeros, without moves below a threshold, and return its index."""
+    rows = np.flatnonzero((np.abs(delta) > threshold).any(1))
     if rows.size == 0:
         rows = np.zeros(1, np.int64)  # a sparse accessor may not be empty
     full = np.zeros_like(delta)

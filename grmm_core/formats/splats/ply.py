@@ -13,6 +13,7 @@ from __future__ import annotations
 import io
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BufferedIOBase
 from pathlib import Path
@@ -287,30 +288,34 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, axes: str = "file
     """
     cloud = cloud.validated()
     y_down = axes == "y_down" or (axes == "file" and cloud.binding is None)
-    cloud = cloud.flipped() if y_down else cloud
+    comment = "" if cloud.binding is not None else f"comment {_Y_DOWN_COMMENT if y_down else _Y_UP_COMMENT}\n"
+    with atomic_write(path) as file:
+        file.writelines(ply_parts(cloud.flipped() if y_down else cloud, comment))
+
+
+def ply_parts(cloud: SplatCloud, comment: str = "") -> Iterator[bytes]:
+    """The bytes of a 3DGS PLY, part by part: the cloud's numbers as they are, behind a header with a line of comment."""
     rest = cloud.sh.shape[1] - 1
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
     names += [f"f_rest_{i}" for i in range(3 * rest)]
     names += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
     names += ["binding_0"] if cloud.binding is not None else []
-    comment = "" if cloud.binding is not None else f"comment {_Y_DOWN_COMMENT if y_down else _Y_UP_COMMENT}\n"
     header = f"ply\nformat binary_little_endian 1.0\n{comment}element vertex {cloud.count}\n"
     header += "".join(f"property float {name}\n" for name in names) + "end_header\n"
-    with atomic_write(path) as file:
-        file.write(header.encode("ascii"))
-        for start in range(0, cloud.count, _WRITE_CHUNK):
-            part = cloud.select(slice(start, start + _WRITE_CHUNK))
-            rows = np.zeros((part.count, len(names)), "<f4")
-            rows[:, 0:3] = part.means
-            rows[:, 6:9] = part.sh[:, 0]
-            rows[:, 9 : 9 + 3 * rest] = part.sh[:, 1:].transpose(0, 2, 1).reshape(part.count, -1)
-            at = 9 + 3 * rest
-            rows[:, at] = logit(part.opacities)
-            rows[:, at + 1 : at + 4] = log_scale(part.scales)
-            rows[:, at + 4 : at + 8] = part.quats
-            if part.binding is not None:
-                rows[:, at + 8] = part.binding
-            file.write(rows.tobytes())
+    yield header.encode("ascii")
+    for start in range(0, cloud.count, _WRITE_CHUNK):
+        part = cloud.select(slice(start, start + _WRITE_CHUNK))
+        rows = np.zeros((part.count, len(names)), "<f4")
+        rows[:, 0:3] = part.means
+        rows[:, 6:9] = part.sh[:, 0]
+        rows[:, 9 : 9 + 3 * rest] = part.sh[:, 1:].transpose(0, 2, 1).reshape(part.count, -1)
+        at = 9 + 3 * rest
+        rows[:, at] = logit(part.opacities)
+        rows[:, at + 1 : at + 4] = log_scale(part.scales)
+        rows[:, at + 4 : at + 8] = part.quats
+        if part.binding is not None:
+            rows[:, at + 8] = part.binding
+        yield rows.tobytes()
 
 
 FORMAT = Format(

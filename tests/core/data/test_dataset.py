@@ -168,6 +168,17 @@ def test_damaged_json(tmp_path, name, text, words):
         CaptureDataset(tmp_path)
 
 
+@pytest.mark.parametrize("name", [["a.png"], 3, None, "../a.png", "/etc/passwd", "a\0b"])
+def test_pictures_of_a_record_lie_beside_it(tmp_path, name):
+    _capture(tmp_path)
+    path = tmp_path / "shots" / "anna" / "0002.json"
+    values = json.loads(path.read_text())
+    values["views"][0]["depth"] = name
+    path.write_text(json.dumps(values))
+    with pytest.raises(FileFormatError, match=r"0002\.json is damaged"):
+        CaptureDataset(tmp_path)
+
+
 def test_a_person_who_is_listed_twice_is_an_error(tmp_path):
     write_manifest(tmp_path, Manifest("open_head", ["anna", "bert", "anna"]))
     with pytest.raises(FileFormatError, match="listed twice"):

@@ -15,16 +15,17 @@ import bpy
 import numpy as np
 
 from ..grmm_core.avatar import AssetReference
-from ..grmm_core.controls.frame import Controls, arkit_weights, resolve
-from ..grmm_core.controls.names import ARKIT_NAMES, JOINT_NAMES
+from ..grmm_core.controls.frame import Controls, resolve
+from ..grmm_core.controls.names import ARKIT_NAMES
 from ..grmm_core.errors import ConfigError, FileAccessError, FileFormatError
 from ..grmm_core.formats import SplatCloud, write_mesh
 from ..grmm_core.formats.avatars.binding import bind_to_mesh
 from ..grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
-from ..grmm_core.geometry.rotations import euler_to_matrix, matrix_to_euler, unwrap_euler
+from ..grmm_core.formats.avatars.lam import LamAvatar
 from ..grmm_core.head import HeadModel, load_flame
 from ..grmm_core.performance import Performance, to_expression
-from ..grmm_core.session.exporting import flame_avatar, morph_targets, splat_cloud
+from ..grmm_core.performance.recording import record, record_expression
+from ..grmm_core.session.exporting import flame_avatar, lam_avatar, morph_targets, splat_cloud
 from . import session_host
 from .rig.avatar import Avatar, avatar_of
 from .rig.identity import FLAME_PREFIX, load_head
@@ -32,7 +33,6 @@ from .scene.clouds import clouds_in
 from .splats.cloud import Cloud, is_cloud, resting_positions, triangles
 from .splats.rigged import PERSON_SHAPE, Puppet, is_puppet
 
-_TINY = 1e-5  # radians or weight: what counts as never moved
 _NEEDS_FLAME = (
     "FLAME parameters need your own FLAME file (generic_model.pkl or flame2023.pkl); choose it in the export options."
 )
@@ -75,6 +75,14 @@ def splats_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: S
     info = session_host.open_avatar(target.source)
     controls = _controls(target, depsgraph, options.canonical)
     return splat_cloud(session_host.get_session(), info.id, controls, options.degree, options.lod)
+
+
+def lam_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: SplatOptions) -> LamAvatar:
+    """Return an avatar as LAM's viewer shows it, in the pose of the depsgraph's moment. Raises as `splats_of`."""
+    if isinstance(target, Cloud):
+        raise FileFormatError("LAM files are of avatars that the ARKit shapes move; select a GRMM avatar.")
+    controls = _controls(target, depsgraph, options.canonical)
+    return lam_avatar(session_host.get_session(), session_host.open_avatar(target.source).id, controls, options.lod)
 
 
 def write_avatar_mesh(path: Path, avatar: Avatar, depsgraph: bpy.types.Depsgraph, canonical: bool, morphs: bool) -> int:
@@ -137,39 +145,9 @@ def sample_controls(avatar: Avatar | Puppet, scene: bpy.types.Scene, frames: lis
 
 
 def recorded(avatar: Avatar | Puppet, controls: list[Controls], frames: list[int], fps: float) -> Performance:
-    """Return sampled controls as ARKit weights with head, jaw and eye rotations.
-
-    Mixtures become the ARKit shapes that they are made of. The eyes' rotations are whole: bones and eyeLook shapes together, as
-    Live Link Face records them. What the format cannot hold is a warning.
-    """
-    weights = np.stack([arkit_weights(frame) for frame in controls])
-    poses = np.stack([frame.pose for frame in controls]).astype(np.float64)  # [T, 5, 3]
-    warnings = []
-    if any(frame.expression.size and np.abs(frame.expression).max() > _TINY for frame in controls):
-        warnings.append("Raw expression coefficients are animated; ARKit weights cannot hold them and they were left out.")
-    whole_eyes = poses[:, 3:]
-    if isinstance(avatar, Avatar):
-        head = load_head(AssetReference(avatar.object.grmm.head_name))
-        whole_eyes = np.stack([resolve(frame, head).pose[3:] for frame in controls])
-        if np.abs(poses[:, 3:]).max() > _TINY and np.abs(weights[:, _EYE_LOOKS]).max() > _TINY:
-            warnings.append("Eye bones and eyeLook shapes are both animated; import the file with the eyes from its rotations.")
-    moved = {name: np.abs(poses[:, joint]).max() > _TINY for joint, name in enumerate(JOINT_NAMES)}
-    turned = None
-    if moved["root"] or moved["neck"]:
-        turned = unwrap_euler(matrix_to_euler(euler_to_matrix(poses[:, 0]) @ euler_to_matrix(poses[:, 1])))
-    eyes = [whole_eyes[:, side] if np.abs(whole_eyes[:, side]).max() > _TINY else None for side in (0, 1)]
-    return Performance(
-        (np.array(frames) - frames[0]) / fps,
-        weights,
-        fps,
-        "scene",
-        ARKIT_NAMES,
-        head_rotation=turned,
-        jaw_rotation=poses[:, 2] if moved["jaw"] else None,
-        left_eye_rotation=eyes[0],
-        right_eye_rotation=eyes[1],
-        warnings=warnings,
-    )
+    """Return sampled controls as ARKit weights with head, jaw and eye rotations, see `performance.recording.record`."""
+    head = load_head(AssetReference(avatar.object.grmm.head_name)) if isinstance(avatar, Avatar) else None
+    return record(controls, (np.array(frames) - frames[0]) / fps, fps, head)
 
 
 def recorded_flame(avatar: Avatar, controls: list[Controls], frames: list[int], fps: float, flame: str) -> Performance:
@@ -179,23 +157,9 @@ def recorded_flame(avatar: Avatar, controls: list[Controls], frames: list[int], 
     Raises `FileFormatError` where that is none; see `check_flame`.
     """
     head = flame_head(avatar)
-    if head is None:
-        return to_expression(recorded(avatar, controls, frames, fps), load_flame(bpy.path.abspath(flame)))
-    found = [resolve(frame, head) for frame in controls]
-    poses = np.stack([frame.pose for frame in found]).astype(np.float64)
-    return Performance(
-        (np.array(frames) - frames[0]) / fps,
-        np.zeros((len(frames), len(ARKIT_NAMES)), np.float32),
-        fps,
-        "scene",
-        head_rotation=poses[:, 0],
-        neck_rotation=poses[:, 1],
-        jaw_rotation=poses[:, 2],
-        left_eye_rotation=poses[:, 3],
-        right_eye_rotation=poses[:, 4],
-        expression=np.stack([frame.expression for frame in found]),
-        head_model="flame",
-    )
+    if head is not None:
+        return record_expression(controls, (np.array(frames) - frames[0]) / fps, fps, head)
+    return to_expression(recorded(avatar, controls, frames, fps), load_flame(bpy.path.abspath(flame)))
 
 
 def check_flame(performer: Avatar | Puppet, flame: str) -> Avatar:
@@ -264,9 +228,6 @@ def carried_person(avatar: Avatar, head: HeadModel) -> tuple[np.ndarray, np.ndar
 def performer_of(obj: bpy.types.Object | None) -> Avatar | Puppet | None:
     """Return what plays a performance: an avatar, or an imported one with ARKit controls."""
     return avatar_of(obj) or (Puppet(obj) if is_puppet(obj) else None)
-
-
-_EYE_LOOKS = [k for k, name in enumerate(ARKIT_NAMES) if name.startswith("eyeLook")]
 
 
 def _controls(avatar: Avatar, depsgraph: bpy.types.Depsgraph, canonical: bool) -> Controls:

@@ -24,7 +24,7 @@ from .common import FrameRange, Result, UnavailableError, active_avatar, flame_p
 from .file_formats import draw_options, has_options, listed, menu_items, option_values, write_filter, written_suffixes
 from .steps import Step, SteppedOperator, Steps
 
-SPLATS = formats("splats", written=True)
+SPLATS = (*formats("splats", written=True), *(one for one in formats("avatar", written=True) if not one.folder))
 MESHES = formats("mesh", written=True)
 _DEGREE = {
     "name": "View Dependence",
@@ -111,6 +111,10 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, Exp
         target = _target(context)
         options = SplatOptions(self.degree, self.lod, self.pose == "CANONICAL")
         scene = context.scene
+        if self._format(path).holds == "avatar":
+            avatar = exporting.lam_of(target, context.evaluated_depsgraph_get(), options)
+            self._say(self._format(path).write(path, avatar))
+            return f"Wrote {path.name}"
         if self.pose != "SEQUENCE":
             self._say(self._write(path, exporting.splats_of(target, context.evaluated_depsgraph_get(), options)))
             return f"Wrote {path.name}"
@@ -127,7 +131,7 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, Exp
 
     @staticmethod
     def _format(path: Path) -> Format:
-        return format_to_write(path if path.suffix else Path(f"a{path}"), "splats")
+        return format_to_write(path if path.suffix else Path(f"a{path}"), ("splats", "avatar"))
 
     def _write(self, path: Path, cloud: SplatCloud) -> tuple[str, ...]:
         found = self._format(path)

@@ -1,6 +1,6 @@
 """`python -m tools.measure_formats`: round trips through every format that is read and written, as tables with their errors.
 
-Prints the tables of docs/formats.md. SPZ 4 and SOG need zstandard and Pillow (`pip install -e .[dev]`).
+Prints the tables of docs/formats.md. SPZ 4 needs zstandard, reading SOG Pillow (`pip install -e .[dev]`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,9 @@ import numpy as np
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.formats import SplatCloud, read_performance, read_splats, write_mesh, write_performance, write_splats
 from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, read_gaussian_avatar, write_gaussian_avatar
+from grmm_core.formats.avatars.lam import LamAvatar, read_lam, write_lam
 from grmm_core.formats.meshes.gltf_mesh import read_gltf_mesh
+from grmm_core.formats.meshes.mesh import Mesh
 from grmm_core.formats.splats.cloud import SH_C0
 from grmm_core.geometry.rotations import euler_to_matrix
 from grmm_core.performance import Performance
@@ -43,6 +45,9 @@ def main() -> int:
     found = read_gaussian_avatar(folder).cloud
     size = (folder / "point_cloud.ply").stat().st_size / COUNT
     print(f"| GaussianAvatars | {size:.1f} | {_row(bound, found, 'a.ply')} |")
+    write_lam(folder / "a.zip", LamAvatar(Mesh(cloud.means, None), cloud))
+    size = (folder / "a.zip").stat().st_size / COUNT
+    print(f"| LAM, without its shapes | {size:.1f} | {_row(cloud, read_lam(folder / 'a.zip').cloud, 'a.zip')} |")
     _meshes(folder)
     _performances(folder)
     return 0

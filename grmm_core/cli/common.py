@@ -62,7 +62,7 @@ class _ListControls(argparse.Action):
         parser.exit()
 
 
-def add_format_options(parser: argparse.ArgumentParser, known: Iterable[Format], which: OptionsOf) -> None:
+def add_format_options(parser: argparse._ActionsContainer, known: Iterable[Format], which: OptionsOf) -> None:
     """Add the options of formats, each once, as flags: --spz-version for an option `spz_version`."""
     for option in options_of_formats(known, which):
         flag = f"--{option.identifier.replace('_', '-')}"

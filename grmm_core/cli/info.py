@@ -19,6 +19,7 @@ from ..formats import Format, format_to_read, formats, suffixes
 from ..formats.performances.flame_npz import is_track
 from ..head import FLAME_SUFFIXES
 from ..head.flame import describe_flame
+from .common import add_format_options, options_of
 
 LIBRARIES = ("numpy", "torch", "numba", "onnxruntime", "pillow", "bpy", "gsplat")
 ASSETS = Path(__file__).resolve().parent.parent / "assets"
@@ -33,11 +34,12 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "avatar", metavar="AVATAR", nargs="?", type=Path, help="any file that is read here, default, or library:NAME"
     )
+    add_format_options(parser, formats("performance", read=True), "reading")
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Show the facts and return them."""
-    facts = installation() if args.avatar is None else describe_file(_file_of(args.avatar))
+    facts = installation() if args.avatar is None else describe_file(_file_of(args.avatar), args)
     _show(args.console, facts)
     return facts
 
@@ -74,8 +76,12 @@ def installation() -> dict[str, Any]:
     return facts
 
 
-def describe_file(path: Path) -> dict[str, Any]:
-    """Return what is in an avatar, weights or head file.
+def describe_file(path: Path, options: argparse.Namespace | None = None) -> dict[str, Any]:
+    """Return what is in a file that is read here.
+
+    Args:
+        path: The file.
+        options: Options of performance formats, by their names.
 
     Raises:
         FileAccessError, FileFormatError: It cannot be read.
@@ -86,7 +92,7 @@ def describe_file(path: Path) -> dict[str, Any]:
     if path.suffix.lower() in FLAME_SUFFIXES and not is_track(path):
         return describe_flame(path)
     if path.suffix != EXTENSION:
-        return _describe_foreign(path)
+        return _describe_foreign(path, options)
     header = read_avatar_header(path)
     avatar = load_avatar(path)
     return _header_facts(path, header) | {
@@ -99,7 +105,7 @@ def describe_file(path: Path) -> dict[str, Any]:
     }
 
 
-def _describe_foreign(path: Path) -> dict[str, Any]:
+def _describe_foreign(path: Path, options: argparse.Namespace | None) -> dict[str, Any]:
     """Read a file of another program and say what it holds."""
     known = formats(read=True)
     if not path.is_dir() and not any(one.fits(path) for one in known):
@@ -108,7 +114,7 @@ def _describe_foreign(path: Path) -> dict[str, Any]:
             f"nor of another format that is read ({', '.join(suffixes(known))}); give one of these."
         )
     found = format_to_read(path)
-    content = found.read(path)
+    content = found.read(path, **(options_of(options, found, "reading") if options and found.holds == "performance" else {}))
     warnings = getattr(content, "warnings", None) or getattr(getattr(content, "cloud", None), "warnings", [])
     return {"file": str(path), "kind": found.label, **content.summary(), "warnings": warnings}
 

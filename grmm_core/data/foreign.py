@@ -157,7 +157,8 @@ def padded(values: np.ndarray, count: int, where: Path, what: str) -> np.ndarray
 
 def vector3(values: np.ndarray, where: Path, what: str) -> np.ndarray:
     """Three finite numbers, [3] float64; a rotation matrix is not one. Raises `FileFormatError`."""
-    flat = np.asarray(values, np.float64).reshape(-1)
+    numbers = np.asarray(values)
+    flat = numbers.astype(np.float64).reshape(-1) if numbers.dtype.kind in "fiu" else np.zeros(0)
     if flat.shape != (3,) or not np.isfinite(flat).all():
         raise FileFormatError(f"{where}: {what} is not three finite numbers; export or track it again.")
     return flat
@@ -169,8 +170,8 @@ def intrinsic_camera(
     """A camera of matrices [4, 4] and [3, 3]. Raises `FileFormatError` naming what is wrong."""
     from ..errors import ShapeError
 
-    k = np.asarray(intrinsics, np.float64)
     try:
+        k = np.asarray(intrinsics, np.float64)
         if k.shape != (3, 3):
             raise ShapeError("its intrinsics are not 3x3")
         fx, fy, cx, cy = (float(v) for v in (k[0, 0], k[1, 1], k[0, 2], k[1, 2]))

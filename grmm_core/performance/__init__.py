@@ -8,6 +8,7 @@
 `closures`         `lip_model`, `keep_lips_closed`
 `curves`           `reduce_curves`: keys to a stated error
 `retarget`         `to_expression`, `to_arkit`
+`recording`        `record`, `record_expression`: controls of frames become a performance
 `pipeline`         `clean`: all of the cleaning in one call
 =================  =====================================================================================
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import hashlib
+import io
 import os
 import warnings
 from collections.abc import Iterator
@@ -18,13 +19,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..errors import FileAccessError, FileFormatError, GrmmError, ShapeError
-from ..files.access import describe_os_error
+from ..errors import FileFormatError, GrmmError, ShapeError
+from ..files.access import read_bytes
 
 if TYPE_CHECKING:
     from PIL import Image
 
 MAX_PIXELS = 300_000_000  # far above any camera; refuses pictures made to exhaust memory
+MAX_FILE_BYTES = 1 << 30
 MAX_SIDE = 4096  # larger photos are reduced: a face is never fitted at more
 MIN_SIDE = 64
 MASK_TOLERANCE = 0.02  # relative difference of proportions
@@ -75,8 +77,9 @@ class PhotoFile:
 
         self.path = Path(path)
         with _one_sentence(self.path), contextlib.ExitStack() as opened:
-            self._stream = opened.enter_context(self.path.open("rb"))
-            self._image = opened.enter_context(contextlib.closing(Image.open(self._stream)))
+            # In memory, since Pillow makes room for whatever length a chunk of a file claims before it reads on.
+            self._data = read_bytes(self.path, MAX_FILE_BYTES)
+            self._image = opened.enter_context(contextlib.closing(Image.open(io.BytesIO(self._data))))
             self._size = self._image.size
             _check_size(self.path, *self._size)
             exif = self._image.getexif()  # of a PNG it may stand behind the pixels, which are then decoded here, and kept
@@ -96,13 +99,8 @@ class PhotoFile:
         self._opened.close()
 
     def sha256(self) -> str:
-        """SHA-256 of the file's bytes as they are on disk, 64 hexadecimal digits. Raises `FileAccessError`."""
-        with _one_sentence(self.path):
-            position = self._stream.tell()
-            self._stream.seek(0)
-            digest = hashlib.file_digest(self._stream, "sha256").hexdigest()
-            self._stream.seek(position)  # where the decoder goes on
-            return digest
+        """SHA-256 of the file's bytes as they are on disk, 64 hexadecimal digits."""
+        return hashlib.sha256(self._data).hexdigest()
 
     def load(self, max_side: int = MAX_SIDE) -> Photo:
         """Decode the pixels, upright, at most `max_side` on the longer side; once, and the file is closed."""
@@ -140,10 +138,6 @@ def _one_sentence(path: Path) -> Iterator[None]:
             # Pillow's own bomb warning has another limit; ours is checked before anything is decoded.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             yield
-    except (FileNotFoundError, IsADirectoryError) as error:
-        raise FileAccessError(f"{path} does not exist or is a folder; choose a photo.") from error
-    except PermissionError as error:
-        raise FileAccessError(f"Cannot read {path}: {describe_os_error(error)}; change its permissions or copy it.") from error
     except UnidentifiedImageError as error:
         hint = "save it as JPEG or PNG first" if path.suffix.lower() in _HEIC_SUFFIXES else "choose a JPEG or PNG photo"
         raise FileFormatError(f"{path.name} is not a picture that can be read here; {hint}.") from error

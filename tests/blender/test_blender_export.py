@@ -22,6 +22,7 @@ from grmm_core.formats import read_performance, read_splats, write_splats
 from grmm_core.formats.avatars.binding import place_on_mesh
 from grmm_core.formats.avatars.flame_transfer import fit_flame
 from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, read_gaussian_avatar, write_gaussian_avatar
+from grmm_core.formats.avatars.lam import read_lam
 from grmm_core.formats.meshes.gltf_mesh import read_gltf_mesh
 from grmm_core.head import load_flame, load_open_head
 
@@ -78,6 +79,16 @@ def test_rest_and_sequence(exported):
     assert "is not a folder" in said["files"]["missing_folder"]
     assert "choose a file name" in said["files"]["no_name"]
     assert "no frame from 20 to 10" in said["files"]["no_frames"]
+
+
+def test_lam_avatars(exported):
+    """The neutral face, brought down again by our reader, with the ARKit shapes; clouds have no shapes."""
+    said, folder = exported
+    avatar, rest = read_lam(folder / "person.zip"), read_splats(folder / "rest.ply")
+    assert avatar.cloud.means == pytest.approx(rest.means, abs=1e-5)
+    assert list(avatar.mesh.morphs) == list(ARKIT_NAMES)
+    assert np.abs(avatar.mesh.morphs["jawOpen"]).max() > 0.01
+    assert "select a GRMM avatar" in said["clouds"]["lam"]
 
 
 def test_splats_in_other_readers(exported):

@@ -52,6 +52,7 @@ def splat_files() -> dict:
         bpy.ops.grmm.export_splats(filepath=str(folder / f"frame{extension}"), format=extension, degree=1)
     bpy.ops.grmm.export_splats(filepath=str(folder / "rest"), pose="CANONICAL", degree=0, lod=1)
     bpy.ops.grmm.export_splats(filepath=str(folder / "walk_###.ply"), pose="SEQUENCE", degree=0, lod=2, first=12, last=14)
+    bpy.ops.grmm.export_splats(filepath=str(folder / "person.zip"), format=".zip", pose="CANONICAL", lod=1)
     frame = bpy.context.scene.frame_current
     info = host.open_avatar(avatar.source)
     controls = avatar.controls(bpy.context.evaluated_depsgraph_get())
@@ -141,9 +142,10 @@ def clouds() -> dict:
     bpy.ops.grmm.import_splats(filepath=str(folder / "cloud.ply"))
     bpy.context.object.location.x = 3.0  # placement is not part of the file
     bpy.ops.grmm.export_splats(filepath=str(folder / "cloud_again.ply"))
+    lam = message(lambda: bpy.ops.grmm.export_splats(filepath=str(folder / "cloud.zip"), format=".zip"))
     bpy.context.object.select_set(False)
     bpy.context.view_layer.objects.active = None
-    return {"polls": [getattr(bpy.ops.grmm, name).poll() for name in (
+    return {"lam": lam, "polls": [getattr(bpy.ops.grmm, name).poll() for name in (
         "export_splats", "export_mesh", "export_performance", "export_cache", "export_gaussian_avatar")]}  # fmt: skip
 
 

@@ -415,3 +415,106 @@ def test_bench_measures_a_configuration(grmm):
     assert sum(stage["share"] for stage in figures["stages"].values()) == pytest.approx(1.0)
     rates = figures["frames a second"]
     assert rates["animated expression"]["per second"] > rates["everything new"]["per second"] > 0
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    """Three frames of a Live Link Face file: a jaw that opens and a head that turns."""
+    from grmm_core.controls.names import ARKIT_NAMES
+    from grmm_core.formats import write_performance
+    from grmm_core.performance import Performance
+
+    weights = np.zeros((3, 52), np.float32)
+    weights[:, ARKIT_NAMES.index("jawOpen")] = (0.0, 0.4, 0.8)
+    path = tmp_path_factory.mktemp("recording") / "take.csv"
+    turned = np.array([[0, 0, 0], [0.1, 0.2, 0.3], [0.2, 0.4, 0.5]])
+    write_performance(path, Performance(np.arange(3) / 30, weights, 30.0, found=ARKIT_NAMES, head_rotation=turned))
+    return path
+
+
+@pytest.mark.parametrize(("name", "options"), [("h_##.ply", ()), ("h.obj", ("--set", "mouthSmileLeft=0.5"))])
+def test_a_recording_becomes_a_file_for_each_frame(export, recording, tmp_path, name, options):
+    code, out, err = export("-o", tmp_path / name, "--performance", recording, "--lod", "2", "--json", *options)
+    assert code == 0, err
+    facts = json.loads(out)
+    assert facts["frames"] == 3
+    files = sorted(tmp_path.iterdir())
+    assert list(map(str, files)) == facts["files"]
+    stem, suffix = ("h_0", ".ply") if "#" in name else ("h_000", ".obj")
+    assert [file.name for file in files] == [f"{stem}{frame}{suffix}" for frame in range(3)]
+    assert len({file.read_bytes() for file in files}) == 3
+    code, out, _ = export("-o", tmp_path / name, "--performance", recording, "--lod", "2", "--json", "--fps", "60", *options)
+    assert json.loads(out)["frames"] == 5
+
+
+def test_recordings_are_converted_and_each_axis_of_the_head_can_be_flipped(grmm, recording, tmp_path):
+    from grmm_core.formats import read_performance
+    from grmm_core.formats.performances.turns import from_euler
+
+    plain = from_euler(read_performance(recording).head_rotation)
+    for axis, name in enumerate(("pitch", "yaw", "roll")):
+        code, _, err = grmm("export", "default", "-o", tmp_path / "x.json", "--performance", recording, f"--flip-{name}")
+        assert code == 0, err
+        found = read_performance(tmp_path / "x.json")
+        signs = np.where(np.arange(3) == axis, -1.0, 1.0)
+        assert from_euler(found.head_rotation) == pytest.approx(plain * signs, abs=1e-5)
+        assert found.weights == pytest.approx(read_performance(recording).weights, abs=1e-5)
+    assert grmm("export", "default", "-o", tmp_path / "y.json", "--performance", recording, "--landscape")[0] == 0
+    assert from_euler(read_performance(tmp_path / "y.json").head_rotation) == pytest.approx(plain * [-1, -1, 1], abs=1e-5)
+    facts = json.loads(grmm("info", recording, "--flip-yaw", "--json")[1])
+    assert facts["frames"] == 3
+    assert json.loads(grmm("info", "default", "--json")[1])["kind"] == "grmm-avatar"
+
+
+def test_a_gaussian_avatars_folder_from_the_command_line(grmm, export, recording, tmp_path):
+    from flame_files import write_flame_pickle
+    from flame_head_files import flame_head_fields
+
+    from grmm_core.formats.avatars.gaussian_avatars import read_gaussian_avatar
+
+    code, _, err = export("-o", tmp_path / "folder", "--performance", recording)
+    assert code == 1
+    assert "--flame" in err
+    assert not (tmp_path / "folder").exists()
+    write_flame_pickle(tmp_path / "flame.pkl", flame_head_fields())
+    options = ("--flame", tmp_path / "flame.pkl", "--lod", "1", "--sh-degree", "0", "--json")
+    code, out, err = export("-o", tmp_path / "folder", "--performance", recording, *options)
+    assert code == 0, err
+    found = read_gaussian_avatar(tmp_path / "folder")
+    assert (found.track.frame_count, found.cloud.count) == (3, json.loads(out)["gaussians"])
+    assert np.ptp(found.track.jaw_rotation[:, 0]) > 0.05
+    assert found.track.head_rotation[2] == pytest.approx([0.2, 0.4, 0.5], abs=1e-4)
+    assert export("-o", tmp_path / "still", "--set", "jawOpen=0.8", *options)[0] == 0
+    still = read_gaussian_avatar(tmp_path / "still").track
+    assert still.frame_count == 1
+    assert still.jaw_rotation[0] == pytest.approx(found.track.jaw_rotation[2], abs=1e-4)
+    track = tmp_path / "track.npz"
+    assert grmm("export", "default", "-o", track, "--performance", recording, "--flame", tmp_path / "flame.pkl")[0] == 0
+    assert json.loads(grmm("info", track, "--json")[1])["expression coefficients"] == 100
+    code, _, err = grmm("export", "default", "-o", tmp_path / "x.json", "--performance", track)
+    assert code == 1
+    assert "has FLAME's coefficients and needs your own FLAME file" in err
+
+
+def test_a_lam_avatar_from_the_command_line(grmm, export, recording, tmp_path):
+    code, out, err = export("-o", tmp_path / "a.zip", "--lod", "2", "--json")
+    assert code == 0, err
+    facts = json.loads(grmm("info", tmp_path / "a.zip", "--json")[1])
+    assert facts["splats"] == json.loads(out)["gaussians"]
+    assert len(facts["morph targets"]) == 52
+    code, _, err = export("-o", tmp_path / "b.zip", "--performance", recording)
+    assert code == 1
+    assert "hold no performance" in err
+
+
+def test_every_format_that_blender_writes_is_written_here(grmm):
+    """Alembic and USD are Blender's own exporters; everything else has a name that `grmm export` takes."""
+    from grmm_core.formats import format_to_write
+
+    kinds = ("splats", "mesh", "avatar", "arrays", "performance")
+    written = formats(kinds, written=True)
+    for one in written:
+        name = Path("folder" if one.folder else f"a{one.suffix}")
+        assert format_to_write(name, one.holds) is one
+    text = grmm("export", "--help")[1]
+    assert all(one.suffix in text for one in written)

@@ -19,6 +19,8 @@ from mesh_files import seamed_mesh
 from splat_files import make_cloud
 
 from grmm_core.formats import read_splats, write_mesh, write_splats
+from grmm_core.formats.avatars.lam import LamAvatar, write_lam
+from grmm_core.formats.meshes.mesh import Mesh
 from grmm_core.formats.splats.cloud import SH_C0
 
 NODE_MODULES = Path(os.environ.get("GRMM_NODE_MODULES", "none"))
@@ -104,12 +106,16 @@ def test_khronos_validator_accepts_our_gltf(tmp_path):
         pytest.skip("gltf-validator is not installed")
     write_mesh(tmp_path / "mesh.glb", *seamed_mesh())
     write_splats(tmp_path / "splats.glb", make_cloud(20, 1))
+    cloud = make_cloud(20)
+    shapes = {"jawOpen": np.full((20, 3), 0.01), "still": np.zeros((20, 3))}
+    write_lam(tmp_path / "lam.zip", LamAvatar(Mesh(cloud.means, None, morphs=shapes), cloud))
+    shutil.unpack_archive(tmp_path / "lam.zip", tmp_path)
     script = tmp_path / "check.cjs"
     script.write_text(
         f"const v = require({json.dumps(str(NODE_MODULES / 'gltf-validator'))}); const fs = require('fs');"
         "v.validateBytes(new Uint8Array(fs.readFileSync(process.argv[2]))).then(r => console.log(JSON.stringify(r.issues)));"
     )
-    for name in ("mesh.glb", "splats.glb"):
+    for name in ("mesh.glb", "splats.glb", "avatar/skin.glb", "avatar/animation.glb"):
         output = subprocess.run(["node", script, tmp_path / name], capture_output=True, text=True, timeout=120, check=True)
         errors = [m for m in json.loads(output.stdout)["messages"] if m["severity"] < 2]
         # The validator does not know the splat extension yet and calls its attributes' names invalid; nothing else is wrong.

@@ -46,6 +46,7 @@ from .common import (
 
 _STILL: Kinds = ("splats", "mesh", "avatar", "arrays")
 _PLAYED: Kinds = ("splats", "mesh", "avatar", "performance")
+_PERFORMANCE_ONLY = (".csv", ".json")
 _STILL_RATE = 25.0  # frames a second that a track of one frame states
 _NEEDS_FLAME = "{what} needs your own FLAME file (generic_model.pkl or flame2023.pkl); name it with --flame."
 
@@ -82,6 +83,8 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Evaluate the avatar and write the files."""
     path: Path = args.output
+    if args.performance is None and path.suffix.lower() in _PERFORMANCE_ONLY:
+        raise ConfigError(f"{path} would hold a performance; name one with --performance.")
     target = format_to_write(path, "mesh" if args.mesh else _PLAYED if args.performance else _STILL)
     if not target.folder:
         check_folder(path)
@@ -154,7 +157,7 @@ def _write_folder(
     args: argparse.Namespace,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a GaussianAvatars folder: the person at rest on the user's FLAME, moved by the recording or by --set."""
-    flame = _flame(args, f"{args.output} is a GaussianAvatars folder, which")
+    flame = _flame(args, f"{args.output} has no ending: it is a GaussianAvatars folder, which")
     if played is None:
         played = record([controls], np.zeros(1), _STILL_RATE, load_open_head())
     track = played if played.expression is not None else to_expression(played, flame)

@@ -419,7 +419,7 @@ def test_bench_measures_a_configuration(grmm):
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """Three frames of a Live Link Face file: a jaw that opens and a head that turns."""
+    """Three frames of a Live Link Face file, 60 a second: a jaw that opens and a head that turns."""
     from grmm_core.controls.names import ARKIT_NAMES
     from grmm_core.formats import write_performance
     from grmm_core.performance import Performance
@@ -428,7 +428,7 @@ def recording(tmp_path_factory):
     weights[:, ARKIT_NAMES.index("jawOpen")] = (0.0, 0.4, 0.8)
     path = tmp_path_factory.mktemp("recording") / "take.csv"
     turned = np.array([[0, 0, 0], [0.1, 0.2, 0.3], [0.2, 0.4, 0.5]])
-    write_performance(path, Performance(np.arange(3) / 30, weights, 30.0, found=ARKIT_NAMES, head_rotation=turned))
+    write_performance(path, Performance(np.arange(3) / 60, weights, 60.0, found=ARKIT_NAMES, head_rotation=turned))
     return path
 
 
@@ -443,7 +443,7 @@ def test_a_recording_becomes_a_file_for_each_frame(export, recording, tmp_path, 
     stem, suffix = ("h_0", ".ply") if "#" in name else ("h_000", ".obj")
     assert [file.name for file in files] == [f"{stem}{frame}{suffix}" for frame in range(3)]
     assert len({file.read_bytes() for file in files}) == 3
-    code, out, _ = export("-o", tmp_path / name, "--performance", recording, "--lod", "2", "--json", "--fps", "60", *options)
+    code, out, _ = export("-o", tmp_path / name, "--performance", recording, "--lod", "2", "--json", "--fps", "120", *options)
     assert json.loads(out)["frames"] == 5
 
 
@@ -505,6 +505,9 @@ def test_a_lam_avatar_from_the_command_line(grmm, export, recording, tmp_path):
     code, _, err = export("-o", tmp_path / "b.zip", "--performance", recording)
     assert code == 1
     assert "hold no performance" in err
+    code, _, err = export("-o", tmp_path / "b.csv")
+    assert code == 1
+    assert "name one with --performance" in err
 
 
 def test_every_format_that_blender_writes_is_written_here(grmm):

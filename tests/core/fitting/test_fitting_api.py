@@ -8,9 +8,14 @@ import io
 import json
 import math
 import os
+import re
+import shutil
+import threading
 
 import numpy as np
 import pytest
+from dask_workers import address, kill_once_there_is, two_workers
+from PIL import Image
 from progress_checks import check_progress
 from tiny_model import write_tiny_weights
 
@@ -37,8 +42,6 @@ def weights(tmp_path_factory):
 @pytest.fixture(scope="module")
 def photo(tmp_path_factory):
     """A picture of the embedded avatar: a face that nobody owns, found by the same networks as a real one."""
-    from PIL import Image
-
     from grmm_core.geometry.camera import Camera
     from grmm_core.session import create_session
     from grmm_core.session.api import Instance, RenderOptions
@@ -346,3 +349,75 @@ def test_a_folder_of_photos_is_fitted_and_measured(photo, weights, tmp_path, cap
     assert "wall.png" in (out / "evaluation.md").read_text()
     assert cli.main(arguments) == 1
     assert "--output" in capsys.readouterr().err
+
+
+# --- a folder of people ------------------------------------------------------------------------------------------------
+
+PREPARE = """
+import test_fitting_api
+test_fitting_api.presets.PRESETS["fast"] = test_fitting_api.QUICK
+"""
+
+
+@pytest.fixture
+def people(photo, tmp_path):
+    """Two with a face, one of them in a folder, and one without."""
+    folder = tmp_path / "people"
+    (folder / "bob").mkdir(parents=True)
+    shutil.copy(photo, folder / "anna.png")
+    shutil.copy(photo, folder / "bob" / "one.png")
+    Image.new("RGB", (200, 200), (90, 120, 90)).save(folder / "nobody.jpg")
+    (folder / "notes.txt").write_text("no photo")
+    return folder
+
+
+def fit_folder(people, output, weights, capsys, *options):
+    command = ["fit", people, "-o", output, "--preset", "fast", "--weights", weights, "--device", "cpu", "--threads", "1"]
+    code = cli.main([str(word) for word in (*command, "--json", *options)])
+    out, err = capsys.readouterr()
+    return code, json.loads(out) if out else {}, err
+
+
+def test_a_folder_of_people_here_and_on_a_cluster(people, weights, tmp_path, capsys):
+    code, result, _ = fit_folder(people, tmp_path / "here", weights, capsys)
+    assert code == 1
+    assert (result["fitted"], list(result["people"])) == (2, ["anna", "bob", "nobody"])
+    assert "face" in result["people"]["nobody"]["error"]
+    files = {path.name: path.read_bytes() for path in (tmp_path / "here").iterdir()}
+    assert set(files) == {"anna.grmm", "bob.grmm"}
+    with two_workers(PREPARE) as cluster:
+        kill = kill_once_there_is("anna.grmm.fit/*.safetensors", tmp_path / "there", cluster)
+        watching = threading.Event()
+
+        def watch():
+            while not watching.wait(0.02):
+                kill()
+
+        thread = threading.Thread(target=watch)
+        thread.start()
+        try:
+            code, result, _ = fit_folder(people, tmp_path / "there", weights, capsys, "--cluster", address(cluster))
+        finally:
+            watching.set()
+            thread.join()
+        assert kill.killed
+    assert (code, result["fitted"], list(result["people"])) == (1, 2, ["anna", "bob", "nobody"])
+    assert {path.name: path.read_bytes() for path in (tmp_path / "there").iterdir()} == files
+    (people / "nobody.jpg").unlink()
+    code, result, _ = fit_folder(people, tmp_path / "here", weights, capsys, "--resume")
+    assert (code, [person["seconds"] for person in result["people"].values()]) == (0, [0.0, 0.0])
+
+
+def test_what_cannot_be_fitted_as_a_folder_is_explained(people, photo, weights, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    shutil.copy(photo, people / "bob.jpg")
+    for folder, options, words in (
+        (people, [], "Two people in .* are called bob; rename one"),
+        (people, ["--name", "x"], "are for the photos of one person"),
+        (tmp_path / "empty", [], "holds neither photos nor folders of photos"),
+        (people / "anna.png", ["--cluster", "local:2"], "A cluster is for a folder of people"),
+    ):
+        code, _, err = fit_folder(folder, tmp_path / "out", weights, capsys, *options)
+        assert code == 1
+        assert re.search(words, err)
+    assert not (tmp_path / "out").exists()

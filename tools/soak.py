@@ -196,7 +196,8 @@ def _parent(process: Path) -> int:
 def soak(minutes: float, engine: str, folder: Path) -> dict[str, Any]:
     """Run for so many minutes; returns the rows and what is wrong."""
     use = Soak(folder, engine)
-    begin, rows = time.monotonic(), []
+    begin = time.monotonic()
+    rows: list[dict[str, Any]] = []
     while not rows or time.monotonic() - begin < 60.0 * minutes:
         use.round()
         rows.append({"minutes": round((time.monotonic() - begin) / 60.0, 1), **use.left()})

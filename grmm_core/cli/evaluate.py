@@ -147,7 +147,7 @@ def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:
     """The monocular protocol on folders of real photos: figures in the photos' views, avatars and sheets."""
     from ..evaluation.identity import load_identity
     from ..evaluation.photo_fits import evaluate_photos, photos_table
-    from ..fitting.people import photos_in
+    from ..fitting.batch import photos_in
 
     if args.output is None:
         raise ConfigError("Photos are judged by looking at their sheets; give a folder for them with --output.")

@@ -110,7 +110,7 @@ def _find_faces(request: FacesRequest, console: Console, stop: StopOnSignal) -> 
 
 def _fit_people(args: argparse.Namespace, stop: StopOnSignal) -> dict[str, Any] | int:
     """Make an avatar of everybody in a folder; 1 where somebody has none."""
-    from ..fitting.people import fit_people
+    from ..fitting.batch import fit_people
 
     if args.faces or args.masks or args.work or args.name:
         raise ConfigError("--face, --mask, --work and --name are for the photos of one person; leave them out for a folder.")

@@ -21,8 +21,8 @@ import torch
 from ..avatar import Avatar
 from ..errors import GrmmError
 from ..fitting.api import fit
+from ..fitting.batch import photos_in
 from ..fitting.invert import invert, photo_pictures
-from ..fitting.people import photos_in
 from ..fitting.presets import Preset
 from ..fitting.request import FitRequest
 from ..fitting.types import PhotoTrack

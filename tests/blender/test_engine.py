@@ -29,8 +29,8 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def render_script(run_blender: RunBlender, weights: Path, tmp_path: Path):
     """Run a script of `tests/blender/scripts/` as SCRIPT WEIGHTS FOLDER ... and return what it reported."""
 
-    def run(script: str, *arguments: object, python: str = "4.5", **options):
-        environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
+    def run(script: str, *arguments: object, python: str = "4.5", threads: int = 1, **options):
+        environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1", "GRMM_TEST_THREADS": str(threads)}
         return run_blender(script, weights, tmp_path, *arguments, python=python, environment=environment, **options).result
 
     return run
@@ -275,6 +275,31 @@ def test_frames_in_any_order_and_process_are_the_same(render_script, blender_ver
         frame = name.rpartition("_")[2]
         np.testing.assert_array_equal(_pixels(tmp_path / name), _pixels(tmp_path / f"forwards_{frame}"), err_msg=name)
     assert len({pictures[name] for name in files if name.startswith("forwards")}) == 4
+
+
+def test_two_machines_of_a_farm_render_what_one_does(render_script, blender_version, tmp_path):
+    """Odd and even frames in two processes, one of them from the last to the first; a third draws what a lost one left."""
+    render_script("engine_farm.py", "make", python=blender_version)
+    whole = render_script("engine_farm.py", "render", "one", python=blender_version)
+    assert whole["drawn"] == list(range(1, 9))
+    odd = render_script("engine_farm.py", "render", "two", 1, 3, 5, 7, python=blender_version)
+    even = render_script("engine_farm.py", "render", "two", 8, 6, 4, 2, python=blender_version)
+    assert odd["drawn"] + even["drawn"] == [1, 3, 5, 7, 8, 6, 4, 2]
+    (tmp_path / "two" / "frame_0004.png").unlink()
+    assert render_script("engine_farm.py", "render", "two", python=blender_version)["drawn"] == [4]
+    for number in range(1, 9):
+        name = f"frame_{number:04d}.png"
+        np.testing.assert_array_equal(_pixels(tmp_path / "two" / name), _pixels(tmp_path / "one" / name), err_msg=name)
+    assert len(list((tmp_path / "two").iterdir())) == 8
+
+
+def test_frames_are_the_same_on_one_and_two_threads(render_script, tmp_path):
+    pictures = {}
+    render_script("engine_farm.py", "make")
+    for threads in (1, 2):
+        render_script("engine_farm.py", "render", f"threads{threads}", 2, 7, threads=threads)
+        pictures[threads] = [_pixels(tmp_path / f"threads{threads}" / f"frame_000{number}.png") for number in (2, 7)]
+    np.testing.assert_array_equal(pictures[1], pictures[2])
 
 
 _NIGHT = [pytest.param(engine, 200, 50, marks=pytest.mark.slow) for engine in ("plain", "torch")]

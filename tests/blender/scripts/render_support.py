@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ SEED = 3  # of the random person that the tests look at
 def use_weights(path: str) -> None:
     """Run the model with the given weights: in this process where there is torch, else in a worker."""
     host = module("grmm_blender.session_host")
-    host.configure(host.RuntimeSettings(weights=path, device="cpu", threads=1))
+    threads = int(os.environ.get("GRMM_TEST_THREADS", "1"))
+    host.configure(host.RuntimeSettings(weights=path, device="cpu", threads=threads))
 
 
 def new_scene(weights: str, heads: int = 1, size: tuple[int, int] = (96, 80)) -> bpy.types.Scene:

@@ -353,6 +353,7 @@ def test_a_folder_of_photos_is_fitted_and_measured(photo, weights, tmp_path, cap
 
 # --- a folder of people ------------------------------------------------------------------------------------------------
 
+SAME = 1e-2  # other processes add with other numbers of threads, and a search carries that on
 PREPARE = """
 import test_fitting_api
 test_fitting_api.presets.PRESETS["fast"] = test_fitting_api.QUICK
@@ -378,13 +379,14 @@ def fit_folder(people, output, weights, capsys, *options):
     return code, json.loads(out) if out else {}, err
 
 
+@pytest.mark.slow
 def test_a_folder_of_people_here_and_on_a_cluster(people, weights, tmp_path, capsys):
     code, result, _ = fit_folder(people, tmp_path / "here", weights, capsys)
     assert code == 1
     assert (result["fitted"], list(result["people"])) == (2, ["anna", "bob", "nobody"])
     assert "face" in result["people"]["nobody"]["error"]
-    files = {path.name: path.read_bytes() for path in (tmp_path / "here").iterdir()}
-    assert set(files) == {"anna.grmm", "bob.grmm"}
+    here = [load_avatar(tmp_path / "here" / name) for name in ("anna.grmm", "bob.grmm")]
+    assert len(list((tmp_path / "here").iterdir())) == 2
     with two_workers(PREPARE) as cluster:
         kill = kill_once_there_is("anna.grmm.fit/*.safetensors", tmp_path / "there", cluster)
         watching = threading.Event()
@@ -402,7 +404,12 @@ def test_a_folder_of_people_here_and_on_a_cluster(people, weights, tmp_path, cap
             thread.join()
         assert kill.killed
     assert (code, result["fitted"], list(result["people"])) == (1, 2, ["anna", "bob", "nobody"])
-    assert {path.name: path.read_bytes() for path in (tmp_path / "there").iterdir()} == files
+    assert {path.name for path in (tmp_path / "there").iterdir()} == {"anna.grmm", "bob.grmm"}
+    for one in here:
+        other = load_avatar(tmp_path / "there" / f"{one.name}.grmm")
+        for name in ("z_id", "z_exp", "shape", "expression"):
+            np.testing.assert_allclose(getattr(other, name), getattr(one, name), atol=SAME, err_msg=f"{one.name} {name}")
+        assert other.provenance.photos == one.provenance.photos
     (people / "nobody.jpg").unlink()
     code, result, _ = fit_folder(people, tmp_path / "here", weights, capsys, "--resume")
     assert (code, [person["seconds"] for person in result["people"].values()]) == (0, [0.0, 0.0])

@@ -49,7 +49,7 @@ def people_in(folder: Path) -> dict[str, tuple[Path, ...]]:
     Raises:
         ConfigError: There is nobody, or two have one name.
     """
-    found = [(path.stem, (path,)) for path in photos_in(folder)]
+    found: list[tuple[str, tuple[Path, ...]]] = [(path.stem, (path,)) for path in photos_in(folder)]
     found += [(path.name, tuple(photos)) for path in sorted(folder.iterdir()) if (photos := photos_in(path))]
     people = dict(found)
     if not people:

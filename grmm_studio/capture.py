@@ -14,22 +14,9 @@ from typing import TYPE_CHECKING
 
 from grmm_core.controls.frame import Controls, resolve
 from grmm_core.data.claims import claim
-from grmm_core.data.dataset import (
-    HELD_OUT_CAMERA,
-    HELD_OUT_EXPRESSION,
-    HELD_OUT_PERSON,
-    TRAIN,
-    Manifest,
-    Picture,
-    Shot,
-    View,
-    read_manifest,
-    shot_record,
-    write_manifest,
-    write_shot,
-    write_subject,
-)
+from grmm_core.data.dataset import read_manifest, shot_record, write_manifest, write_shot, write_subject
 from grmm_core.data.layers import ALBEDO, LIGHT_PREFIX, NORMAL, PART_LAYER
+from grmm_core.data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Manifest, Picture, Shot, View
 from grmm_core.errors import ConfigError
 from grmm_core.files.access import TEMPORARY_PATTERN
 from grmm_core.geometry.camera import Camera

@@ -14,8 +14,8 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from grmm_core.data.dataset import Picture
 from grmm_core.data.layers import ALBEDO, NORMAL, PART_LAYER, PARTS
+from grmm_core.data.types import Picture
 from grmm_core.pictures.color import linear_to_srgb
 
 PART_OUTPUTS = tuple(f"parts{i}" for i in range((len(PARTS) + 2) // 3))

@@ -14,7 +14,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from grmm_core.data.dataset import Picture
+from grmm_core.data.types import Picture
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair.groom import Groom
 from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP

@@ -12,7 +12,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from grmm_core.controls.frame import Controls, resolve
-from grmm_core.data.dataset import HELD_OUT_EXPRESSION, Manifest, Shot, View, write_manifest, write_shot, write_subject
+from grmm_core.data.dataset import write_manifest, write_shot, write_subject
+from grmm_core.data.types import HELD_OUT_EXPRESSION, Manifest, Shot, View
 from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head, load_people_model
 from grmm_studio.capture import STUDIO

@@ -20,7 +20,8 @@ from ..errors import ConfigError, FileFormatError
 from ..geometry.camera import Camera
 from ..geometry.rotations import axis_angle_to_matrix, matrix_to_euler
 from ..head import HeadModel
-from .dataset import CaptureDataset, Manifest, Shot, View
+from .dataset import CaptureDataset
+from .types import Manifest, Shot, View
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 HELD_OUT_EVERY = 12  # one person of so many is held out where the source does not say

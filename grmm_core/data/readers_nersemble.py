@@ -22,8 +22,8 @@ import numpy as np
 from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
 from ..files.access import read_bytes
 from ..files.npz import read_npz
-from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 from .foreign import FlameFrame, ForeignDataset, held_out_people, intrinsic_camera, vector3
+from .types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 
 CALIBRATION = Path("calibration") / "camera_params.json"
 TRACKING = Path("tracking") / "flame2023_tracking.npz"

@@ -21,8 +21,8 @@ from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
 from ..geometry.camera import Camera
 from ..geometry.rotations import matrix_to_axis_angle
 from ..pictures.sampling import bilinear
-from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 from .foreign import FlameFrame, ForeignDataset, decode, held_out_people, intrinsic_camera, root_transform, vector3
+from .types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 
 ANNOTATION = re.compile(r"^(?P<actor>[^_]+)_(?P<part>e\d+)_anno\.smc$")
 HELD_OUT_CAMERAS = 10  # every tenth camera, from the sixth

@@ -17,8 +17,8 @@ from ..errors import FileAccessError, FileFormatError
 from ..files.access import read_bytes
 from ..files.npz import read_npz
 from ..geometry.camera import Camera
-from .dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, Picture, Shot, View
 from .foreign import OPENGL_TO_OPENCV, FlameFrame, ForeignDataset, decode, intrinsic_camera, root_transform, vector3
+from .types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, Picture, Shot, View
 
 ALL = "transforms.json"
 FILES = {"transforms_train.json": TRAIN, "transforms_val.json": HELD_OUT_CAMERA, "transforms_test.json": HELD_OUT_EXPRESSION}

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from ..controls.frame import ALIGNED_TO_ARKIT
-from ..data.dataset import Shot
+from ..data.types import Shot
 from ..fitting.types import LANDMARK_COUNT, PhotoTrack
 from ..geometry.camera import Camera
 from ..head import HeadModel

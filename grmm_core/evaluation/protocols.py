@@ -19,7 +19,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, CaptureDataset
+from ..data.dataset import CaptureDataset
+from ..data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN
 from ..errors import ConfigError, NoFaceError
 from ..jobs.progress import Share, nobody, within
 from ..pictures.images import quantize

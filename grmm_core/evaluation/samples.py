@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..data.dataset import CaptureDataset, Shot, View
+from ..data.dataset import CaptureDataset
+from ..data.types import Shot, View
 from ..errors import ConfigError
 from ..geometry.camera import Camera
 

@@ -23,7 +23,8 @@ from ..model.weights_file import WeightsInfo
 
 if TYPE_CHECKING:
     from ..avatar import Avatar
-    from ..data.dataset import CaptureDataset, Shot
+    from ..data.dataset import CaptureDataset
+    from ..data.types import Shot
     from ..head import HeadModel
 
 FULL, NO_EXPRESSION_CODE, MEAN_CODES = "full", "z_exp off", "z_id mean, z_exp off"

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..data.dataset import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, CaptureDataset, Shot
-from ..data.dataset import View as CapturedView
+from ..data.dataset import CaptureDataset
+from ..data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, Shot
+from ..data.types import View as CapturedView
 from ..errors import ConfigError, FileFormatError, TrainingError
 from .views import View
 

@@ -15,6 +15,7 @@ LIST = ROOT / "tests" / "data" / "public_names.txt"
 ENTRIES = (
     "controls.frame",
     "data.dataset",
+    "data.types",
     "errors",
     "evaluation.protocols",
     "fitting.api",

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from grmm_core.controls.frame import Controls, resolve
-from grmm_core.data.dataset import Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
+from grmm_core.data.dataset import write_manifest, write_shot, write_subject
+from grmm_core.data.types import Manifest, Picture, Shot, View
 from grmm_core.geometry.camera import Camera
 
 SIZE = 48

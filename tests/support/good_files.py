@@ -29,8 +29,9 @@ from splat_files import make_cloud, ply_bytes, splat_rows
 from grmm_core.avatar import load_avatar, save_avatar
 from grmm_core.cli import main
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.data.dataset import CaptureDataset, Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
+from grmm_core.data.dataset import CaptureDataset, write_manifest, write_shot, write_subject
 from grmm_core.data.readers import open_dataset
+from grmm_core.data.types import Manifest, Picture, Shot, View
 from grmm_core.errors import GrmmError
 from grmm_core.fitting.folder import REQUEST_FILE, interrupted_request
 from grmm_core.fitting.request import FitRequest

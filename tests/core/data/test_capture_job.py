@@ -21,8 +21,9 @@ from progress_checks import check_progress
 
 from grmm_core.cli import main
 from grmm_core.data.claims import claim
-from grmm_core.data.dataset import CaptureDataset, Picture, read_manifest
+from grmm_core.data.dataset import CaptureDataset, read_manifest
 from grmm_core.data.layers import ALBEDO, NORMAL, PART_LAYER, PARTS
+from grmm_core.data.types import Picture
 from grmm_core.errors import ConfigError, FileAccessError
 from grmm_core.jobs.stages import CAPTURE
 from grmm_studio import capture

@@ -13,18 +13,9 @@ import numpy as np
 import pytest
 
 from grmm_core.data.claims import claim
-from grmm_core.data.dataset import (
-    CaptureDataset,
-    Manifest,
-    Picture,
-    Shot,
-    View,
-    shot_record,
-    write_manifest,
-    write_shot,
-    write_subject,
-)
+from grmm_core.data.dataset import CaptureDataset, shot_record, write_manifest, write_shot, write_subject
 from grmm_core.data.layers import DEPTH_UNIT, NORMAL, PART_LAYER, PARTS
+from grmm_core.data.types import Manifest, Picture, Shot, View
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair.groom import Groom

@@ -330,7 +330,8 @@ def test_lpips_from_a_users_file(tmp_path):
 def test_everybody_whom_the_weights_do_not_know_is_held_out(scene, folder, tmp_path):
     from evaluation_data import write_person
 
-    from grmm_core.data.dataset import Manifest, write_manifest
+    from grmm_core.data.dataset import write_manifest
+    from grmm_core.data.types import Manifest
 
     write_manifest(tmp_path, Manifest("open_head", ["s0009_0000", "person 2"], {}, []))
     for name in ("s0009_0000", "person 2"):

@@ -15,7 +15,8 @@ import torch
 from model_fixtures import ColoredSpheres, small_head
 
 from grmm_core.cli import main
-from grmm_core.data.dataset import Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
+from grmm_core.data.dataset import write_manifest, write_shot, write_subject
+from grmm_core.data.types import Manifest, Picture, Shot, View
 from grmm_core.errors import ConfigError, FileFormatError, TrainingError
 from grmm_core.files.tensorfile import write_tensors
 from grmm_core.geometry.camera import Camera

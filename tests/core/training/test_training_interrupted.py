@@ -18,7 +18,8 @@ import torch
 from model_fixtures import ColoredSpheres, small_head
 
 from grmm_core.cli import main
-from grmm_core.data.dataset import CaptureDataset, Manifest, Picture, Shot, View, write_manifest, write_shot, write_subject
+from grmm_core.data.dataset import CaptureDataset, write_manifest, write_shot, write_subject
+from grmm_core.data.types import Manifest, Picture, Shot, View
 from grmm_core.errors import ConfigError, FileAccessError
 from grmm_core.training.checkpoint import tidy
 from grmm_core.training.config import train_config

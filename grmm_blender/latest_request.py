@@ -78,6 +78,7 @@ class LatestRequestThread(Generic[Request, Result]):
     def _put(self, result: Result) -> None:
         with self._changed:
             self._result = result
+            self._changed.notify_all()
 
     def _wait_a_moment(self, is_outdated: Callable[[], bool]) -> None:
         with self._changed:

@@ -21,6 +21,30 @@ _BITS = 16  # sorted at once: numpy sorts 16-bit integers by radix
 
 
 @dataclass(frozen=True)
+class Picture:
+    """What the CPU rasteriser made for a viewport, smaller than it.
+
+    Attributes:
+        color: Display RGBA, premultiplied, [H, W, 4] float32, top row first.
+        depth: Camera z in metres, 0 where nothing is, [H, W] float32.
+    """
+
+    color: np.ndarray
+    depth: np.ndarray
+
+    @property
+    def part(self) -> tuple[float, float, float, float]:
+        """Where something is: left, lower, right and upper edge as shares of width and height, a pixel wider."""
+        rows, columns = (np.flatnonzero(self.depth.any(axis)) for axis in (1, 0))
+        if not rows.size:
+            return 0.0, 0.0, 0.0, 0.0
+        height, width = self.depth.shape
+        edges = (columns[0] - 1) / width, 1.0 - (rows[-1] + 2) / height, (columns[-1] + 2) / width, 1.0 - (rows[0] - 1) / height
+        left, lower, right, upper = (float(min(max(edge, 0.0), 1.0)) for edge in edges)
+        return left, lower, right, upper
+
+
+@dataclass(frozen=True)
 class WorldGaussians:
     """Gaussians in the world.
 

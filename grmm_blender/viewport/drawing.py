@@ -7,6 +7,8 @@ bits a channel, so that hundreds of thin layers do not lose precision.
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import gpu
 import numpy as np
@@ -16,9 +18,10 @@ from mathutils import Matrix
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.splat.rules import NEAR, View
 from . import shaders
-from .arrays import TEXTURE_WIDTH, Packed
+from .arrays import TEXTURE_WIDTH, Packed, Picture
 
 DEPTH_COVER = 0.5  # from this cover on, splats hide what Blender draws later
+PICTURE_SLACK = 0.05  # metres
 SHOWN_COVER = 1.0 / 510.0
 MESH_SLACK = 0.004  # of the distance: splats stay this much before the avatar's own mesh, whose pixels Blender jitters
 ORTHO_SLACK = 0.006  # of the width that is seen: about as many pixels in a view without distances
@@ -44,6 +47,8 @@ class SplatPicture:
 
     def __init__(self) -> None:
         self._buffers: _Buffers | None = None
+        self._shown: Picture | None = None
+        self._small_textures: tuple[gpu.types.GPUTexture, ...] = ()
         self._packed: Packed | None = None
         self._splats: gpu.types.GPUTexture | None = None
         self._ordered: np.ndarray | None = None
@@ -79,15 +84,28 @@ class SplatPicture:
         self._upload(packed, order, meshes)
         buffers = self._sized(camera.width, camera.height)
         reference = float(camera.world_to_camera[2, :3] @ packed.origin + camera.world_to_camera[2, 3])
-        blend, test, mask = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
-        try:
+        with _kept_state():
             self._draw_meshes(buffers, camera, projection)
             self._draw_splats(buffers, packed, camera, reference)
-            self._draw_screen(buffers, camera, projection, reference)
-        finally:
-            gpu.state.blend_set(blend)
-            gpu.state.depth_test_set(test)
-            gpu.state.depth_mask_set(mask)
+            self._draw_screen((buffers.color, buffers.moment, buffers.mesh), camera, projection, reference)
+
+    def draw_picture(self, picture: Picture, camera: Camera, projection: np.ndarray) -> None:
+        """Draw what the CPU rasteriser made for the same camera, stretched, in the place of Gaussians; else as `draw`.
+
+        It stands `PICTURE_SLACK` before the avatars' own meshes, which are not drawn a second time.
+        """
+        if picture is not self._shown:
+            self._shown = picture
+            cover = picture.color[..., 3:]
+            depth = (picture.depth[..., None] - PICTURE_SLACK) * cover
+            moment = np.concatenate([depth, 0.0 * picture.color[..., :2], cover], -1)
+            self._small_textures = tuple(_pixels(values[::-1]) for values in (picture.color, moment))
+        with _kept_state():
+            self._draw_screen(self._small_textures, camera, projection, 0.0, picture.part)
+
+    def finish(self) -> None:
+        """Wait until the graphics card has drawn everything so far, so that times can be measured."""
+        gpu.state.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, "FLOAT")
 
     def read(self) -> np.ndarray:
         """Return what `draw` blended, premultiplied display RGBA [H, W, 4], top row first; for tests."""
@@ -133,18 +151,27 @@ class SplatPicture:
             shader.uniform_float("projection", Matrix(projection.tolist()))
             self._mesh_batch.draw(shader)
 
-    def _draw_screen(self, buffers: _Buffers, camera: Camera, projection: np.ndarray, reference: float) -> None:
+    def _draw_screen(
+        self,
+        textures: tuple[gpu.types.GPUTexture, ...],
+        camera: Camera,
+        projection: np.ndarray,
+        reference: float,
+        part: tuple[float, float, float, float] | None = None,
+    ) -> None:
+        """Put color and moment into the viewport, before meshes if their depth is given; `part` of it, stretched, if any."""
         shader = shaders.screen_shader()
         shader.bind()
         terms = projection[2, 2], projection[2, 3], projection[3, 2], projection[3, 3]
         shader.uniform_float("depth_terms", tuple(float(term) for term in terms))
-        shader.uniform_sampler("colors", buffers.color)
-        shader.uniform_sampler("moments", buffers.moment)
-        shader.uniform_sampler("meshes", buffers.mesh)
+        shader.uniform_float("part", part or (0.0, 0.0, 1.0, 1.0))
+        shader.uniform_bool("stretched", [part is not None])
+        for name, texture in zip(("colors", "moments", "meshes"), (*textures, textures[0]), strict=False):
+            shader.uniform_sampler(name, texture)
         gpu.state.blend_set("ALPHA_PREMULT")
         gpu.state.depth_test_set("LESS_EQUAL")
         slack = 0.0
-        if self._mesh_batch is not None:
+        if self._mesh_batch is not None and part is None:
             slack = ORTHO_SLACK * camera.width / camera.fx if camera.orthographic else MESH_SLACK
         # Thin cover must not hide what other tools draw behind it, so it writes no depth.
         for low, high, writes in ((SHOWN_COVER, DEPTH_COVER, False), (DEPTH_COVER, 2.0, True)):
@@ -169,6 +196,25 @@ class SplatPicture:
         if self._buffers is None or self._buffers.size != (width, height):
             self._buffers = _Buffers((width, height))
         return self._buffers
+
+
+@contextmanager
+def _kept_state() -> Iterator[None]:
+    """Blending and depth as they were, afterwards."""
+    blend, test, mask = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get()
+    try:
+        yield
+    finally:
+        gpu.state.blend_set(blend)
+        gpu.state.depth_test_set(test)
+        gpu.state.depth_mask_set(mask)
+
+
+def _pixels(values: np.ndarray) -> gpu.types.GPUTexture:
+    """Return a picture [H, W, 4], bottom row first, as a texture."""
+    data = np.ascontiguousarray(values, np.float32)
+    height, width, _ = data.shape
+    return gpu.types.GPUTexture((width, height), format="RGBA32F", data=gpu.types.Buffer("FLOAT", data.size, data.reshape(-1)))
 
 
 def _set_rows(shader: gpu.types.GPUShader, camera: Camera, origin: np.ndarray) -> None:

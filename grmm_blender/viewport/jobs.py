@@ -7,6 +7,7 @@ when there is nothing left to do. Touches none of Blender's data.
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import time
 from collections.abc import Callable
@@ -19,8 +20,8 @@ from ...grmm_core.geometry.camera import Camera
 from ..latest_request import LatestRequestThread, WaitForRest
 from ..scene.shot import AvatarShot
 from . import arrays, sources
-from .arrays import Packed
-from .pace import Pace
+from .arrays import Packed, Picture
+from .pace import PICTURE, Pace
 from .sources import ViewportShot
 
 REST_SECONDS = 0.2  # without a newer request before full detail is made
@@ -37,14 +38,16 @@ class SplatRequest:
     Attributes:
         scene: Avatars and clouds; its `shots` are the same object as long as nothing changed.
         camera: Of the viewport.
-        level: Level of detail while something changes.
+        level: Level of detail while something changes, or `pace.PICTURE`.
         finest: Level of detail when nothing does.
+        playing: The scene is a frame of playback: nothing better is made of it, the next frame follows.
     """
 
     scene: ViewportShot
     camera: Camera
     level: int
     finest: int
+    playing: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class Drawable:
         request: What was asked for.
         level: Level of detail.
         messages: What cannot be shown, a sentence each.
+        picture: What is drawn in the place of Gaussians, if anything.
     """
 
     packed: Packed
@@ -64,6 +68,7 @@ class Drawable:
     request: SplatRequest
     level: int
     messages: tuple[str, ...]
+    picture: Picture | None = None
 
 
 @dataclass(frozen=True)
@@ -100,17 +105,28 @@ class SplatJobs(LatestRequestThread[SplatRequest, Drawable]):
         self._made: _Made | None = None  # of the thread
         self._parts: dict[int, tuple[AvatarShot, int, np.ndarray, arrays.WorldGaussians]] = {}  # of the thread
 
+    def of(self, request: SplatRequest, seconds: float) -> Drawable | None:
+        """Take the newest, after waiting for what a request asks for; that may be another's where it does not come in time."""
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self._thread is None or (self._result is not None and self._result.request is request), seconds
+            )
+        return self.take()
+
     def _failed(self, request: SplatRequest, error: Exception) -> None:
         _log.error("The viewport's splats failed.", exc_info=error)
-        empty = arrays.pack(arrays.WorldGaussians.concatenate([]))
-        text = f"Splats cannot be shown ({type(error).__name__}: {error})."
-        self._put(Drawable(empty, arrays.depth_order(empty, request.camera), request, request.level, (text,)))
+        self._put(_nothing(request, f"Splats cannot be shown ({type(error).__name__}: {error})."))
 
     def _serve(self, request: SplatRequest) -> bool:
+        if request.level == PICTURE:
+            self._put(self._picture(request))
+            return True
         made = self._made
         if made is None or not self._serves(made, request, request.level, MOVING_DEGREES):
             made = self._make(request, request.level)
         self._show(made, request)
+        if request.playing:
+            return True
         self._wait_for_rest(lambda: self._wanted is not request)
         if self._wanted is request and not self._serves(made, request, request.finest, RESTING_DEGREES, exact=True):
             self._show(self._make(request, request.finest), request)
@@ -148,9 +164,25 @@ class SplatJobs(LatestRequestThread[SplatRequest, Drawable]):
         self._made = _Made(request.scene, level, directions, packed, tuple(messages))
         return self._made
 
+    def _picture(self, request: SplatRequest) -> Drawable:
+        started = self._clock()
+        try:
+            picture = sources.small_picture(request.scene.shots, request.camera)
+        except GrmmError as error:
+            return _nothing(request, str(error))
+        self.pace.record(PICTURE, self._clock() - started)
+        return dataclasses.replace(_nothing(request, request.scene.message), picture=picture)
+
     def _show(self, made: _Made, request: SplatRequest) -> None:
         order = arrays.depth_order(made.packed, request.camera)
         self._put(Drawable(made.packed, order, request, made.level, made.messages))
+
+
+def _nothing(request: SplatRequest, message: str) -> Drawable:
+    """What is drawn where there are no Gaussians."""
+    empty = arrays.pack(arrays.WorldGaussians.concatenate([]))
+    messages = (message,) if message else ()
+    return Drawable(empty, arrays.depth_order(empty, request.camera), request, request.level, messages)
 
 
 def _angle(one: np.ndarray, other: np.ndarray) -> float:

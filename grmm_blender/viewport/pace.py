@@ -1,45 +1,84 @@
-"""Which level of detail holds the frame rate. Plain Python; the clock is the caller's.
+"""How splats are shown so that the frame rate holds. Plain Python; the clock is the caller's.
 
-The time from a changed scene to new Gaussians is measured for each level. While something moves, the finest level within the
-time of a frame is used; if none is, the mesh alone is shown, which Blender moves by itself.
+There are several ways to show a scene: Gaussians in levels of detail, a small picture of the CPU rasteriser (`PICTURE`), which
+a slow graphics card only has to stretch, and the mesh alone, which Blender moves by itself. What each costs is measured, in
+making and in drawing. While something moves, the finest way within the time of a frame is used. Where Blender alone takes
+longer than that, a way may take `SHARE` of Blender's own time, so that splats never cost more of the rate than that.
 """
 
 from __future__ import annotations
 
 from ...grmm_core.session import MAX_LOD
 
+PICTURE = MAX_LOD + 1
+"""The way after the coarsest Gaussians."""
+SHARE = 0.2
 _SMOOTHING = 0.5  # weight of the newest measurement
-_SLACK = 1.2  # a level that takes this much longer than a frame still counts as keeping up
+_FEWER = 4.0  # Gaussians of a level over those of the next
+_FORGIVEN = 0.5  # of a measured time, with each beginning and end of a playback
+_SLACK = 1.2  # a way that takes this much longer than a frame still counts as keeping up
 
 
 class Pace:
     """Measured times of one viewport."""
 
     def __init__(self) -> None:
-        self._seconds: dict[int, float] = {}
+        self._made: dict[int, float] = {}
+        self._shown: dict[int, float] = {}
+        self._others: float | None = None
         self._warm = False
 
-    def record(self, level: int, seconds: float) -> None:
-        """Note how long Gaussians of a level took. The very first time is left out: it includes loading the model."""
+    def record(self, way: int, seconds: float) -> None:
+        """Note how long making took. The very first time is left out: it includes loading the model."""
         if not self._warm:
             self._warm = True
             return
-        known = self._seconds.get(level, seconds)
-        self._seconds[level] = known + _SMOOTHING * (seconds - known)
+        self._made[way] = _smoothed(self._made.get(way), seconds)
+
+    def record_frame(self, way: int | None, seconds: float, others: float) -> None:
+        """Note a frame of playback.
+
+        Args:
+            way: How it was shown, None for the mesh alone.
+            seconds: What that took of the frame: waiting for what was made, and drawing to its end.
+            others: What everything else took since the frame before.
+        """
+        if way is not None:
+            self._shown[way] = _smoothed(self._shown.get(way), seconds)
+        self._others = _smoothed(self._others, others)
 
     def level(self, finest: int, budget: float) -> int | None:
-        """Return the level of detail for something that moves, None for the mesh alone.
+        """Return the level of detail for an edit, None where none is made in time.
+
+        Args:
+            finest: The level that the user chose.
+            budget: Seconds that it may take.
+        """
+        return next((level for level in range(finest, PICTURE) if self._made.get(level, 0.0) <= budget * _SLACK), None)
+
+    def way(self, finest: int, budget: float) -> int | None:
+        """Return how to show a frame of playback, None for the mesh alone.
+
+        What was never tried is tried, unless a finer level took so long that a quarter of it is too much.
 
         Args:
             finest: The level that the user chose.
             budget: Seconds that a frame may take.
         """
-        for level in range(finest, MAX_LOD + 1):
-            # What was never tried is tried.
-            if self._seconds.get(level, 0.0) <= budget * _SLACK:
-                return level
+        others, least = self._others or 0.0, 0.0
+        allowed = max(budget * _SLACK - others, SHARE * others)
+        for way in range(finest, PICTURE + 1):
+            least = 0.0 if way == PICTURE else least / _FEWER
+            if max(least, self._shown.get(way, self._made.get(way, 0.0))) <= allowed:
+                return way
+            least = max(least, self._shown.get(way, 0.0))
         return None
 
     def forget(self) -> None:
-        """Try everything again: other avatars are shown, or a new playback begins."""
-        self._seconds.clear()
+        """A playback begins or ends: try again what was a little too slow, but not what a card cannot do at all."""
+        self._made.clear()
+        self._shown = {way: seconds * _FORGIVEN for way, seconds in self._shown.items()}
+
+
+def _smoothed(known: float | None, seconds: float) -> float:
+    return seconds if known is None else known + _SMOOTHING * (seconds - known)

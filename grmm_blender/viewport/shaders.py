@@ -123,8 +123,8 @@ void main()
 _SCREEN_VERTEX = """
 void main()
 {
-  uv = 0.5 * corner + 0.5;
-  gl_Position = vec4(corner, 0.0, 1.0);
+  uv = mix(part.xy, part.zw, 0.5 * corner + 0.5);
+  gl_Position = vec4(2.0 * uv - 1.0, 0.0, 1.0);
 }
 """
 
@@ -136,15 +136,29 @@ vec3 to_linear(vec3 value)
   return mix(c / 12.92, pow((c + 0.055) / 1.055, vec3(2.4)), step(vec3(0.04045), c));
 }
 
+vec4 between(sampler2D pixels, vec2 at, ivec2 size)
+{
+  ivec2 low = ivec2(floor(at));
+  vec2 share = at - vec2(low);
+  ivec2 last = size - 1;
+  vec4 below = mix(texelFetch(pixels, clamp(low, ivec2(0), last), 0),
+                   texelFetch(pixels, clamp(low + ivec2(1, 0), ivec2(0), last), 0), share.x);
+  vec4 above = mix(texelFetch(pixels, clamp(low + ivec2(0, 1), ivec2(0), last), 0),
+                   texelFetch(pixels, clamp(low + ivec2(1, 1), ivec2(0), last), 0), share.x);
+  return mix(below, above, share.y);
+}
+
 void main()
 {
   ivec2 size = textureSize(colors, 0);
   ivec2 place = min(ivec2(uv * vec2(size)), size - 1);
-  vec4 found = texelFetch(colors, place, 0);
+  vec2 at = uv * vec2(size) - 0.5;
+  vec4 found = stretched ? between(colors, at, size) : texelFetch(colors, place, 0);
   if (found.a < range.x || found.a >= range.y) {
     discard;
   }
-  float z = range.z + texelFetch(moments, place, 0).r / found.a;
+  vec4 moment = stretched ? between(moments, at, size) : texelFetch(moments, place, 0);
+  float z = range.z + moment.r / found.a;
   if (range.w > 0.0) {
     // Under perspective a share of the distance, else metres.
     bool is_ortho = depth_terms.z == 0.0;
@@ -207,6 +221,8 @@ def screen_shader() -> gpu.types.GPUShader:
     info = _info(
         ("VEC4", "depth_terms"),  # of the projection matrix: [2][2], [2][3], [3][2], [3][3]
         ("VEC4", "range"),  # lowest and highest cover that is drawn, reference depth, slack (0: none)
+        ("VEC4", "part"),  # of the viewport that is drawn: lower left and upper right corner, 0 to 1
+        ("BOOL", "stretched"),  # the picture is smaller than the viewport
         ("BOOL", "srgbTarget"),  # set by Blender: whether the viewport's buffer turns linear values into sRGB
     )
     info.sampler(0, "FLOAT_2D", "colors")

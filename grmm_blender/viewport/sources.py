@@ -1,6 +1,6 @@
 """What a viewport shows as Gaussians: avatars and splat clouds as plain values, and their Gaussians in the world.
 
-`DrawnScene` is used on the main thread, `world_gaussians` on any.
+`DrawnScene` is used on the main thread, `world_gaussians` and `small_picture` on any.
 """
 
 from __future__ import annotations
@@ -12,15 +12,17 @@ import numpy as np
 
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
-from ...grmm_core.session import CloudArrays
+from ...grmm_core.session import CloudArrays, RenderOptions
 from ...grmm_core.session.harmonics import harmonic_basis
 from .. import session_host
+from ..engine.pipeline import open_instances
 from ..scene.meshes import drawn_triangles
 from ..scene.shot import AvatarShot
 from ..scene.walk import Drawn, walk
-from .arrays import WorldGaussians
+from .arrays import Picture, WorldGaussians
 
 HEAD_CENTRE = np.zeros(3)  # what a view direction points from, head space
+PICTURE_PIXELS, PICTURE_LEVEL = 320 * 240, 1  # of small pictures, and their level of detail
 _EDIT_MODES = {"EDIT", "SCULPT", "VERTEX_PAINT", "WEIGHT_PAINT", "TEXTURE_PAINT"}
 _CHUNK = 1 << 17  # Gaussians whose harmonics are evaluated at once: bounds memory
 
@@ -50,8 +52,8 @@ class DrawnScene:
         self._shots: dict[Drawn, AvatarShot | GrmmError] = {}
         self._triangles: dict[bpy.types.Object, tuple[np.ndarray, ...]] = {}
 
-    def in_viewport(self, space: bpy.types.SpaceView3D) -> ViewportShot:
-        """Return what a viewport shows. Objects that are being edited are left as meshes."""
+    def in_viewport(self, space: bpy.types.SpaceView3D, use_meshes: bool = True) -> ViewportShot:
+        """Return what a viewport shows, with or without meshes. Objects that are being edited are left as meshes."""
         shots: list[AvatarShot] = []
         meshes: dict[bpy.types.Object, tuple[np.ndarray, ...]] = {}
         message = ""
@@ -63,7 +65,8 @@ class DrawnScene:
                 message = str(shot)
                 continue
             shots.append(shot)
-            meshes |= {mesh: self._surface(mesh) for mesh in drawn.meshes if _is_visible(mesh, space)}
+            if use_meshes:
+                meshes |= {mesh: self._surface(mesh) for mesh in drawn.meshes if _is_visible(mesh, space)}
         return ViewportShot(tuple(shots), tuple(part for parts in meshes.values() for part in parts), message)
 
     def _shot(self, drawn: Drawn) -> AvatarShot | GrmmError:
@@ -101,6 +104,20 @@ def world_gaussians(shot: AvatarShot, camera: Camera, lod: int) -> WorldGaussian
     direction = view_direction(shot, camera)
     found = session_host.get_session().gaussians(info.id, shot.controls.validate(), direction, lod)
     return WorldGaussians.place(found.means, found.quats, found.scales, found.opacities, found.colors, shot.model_to_world)
+
+
+def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:
+    """Return what the rasteriser makes of all of them together for a camera, in `PICTURE_PIXELS`.
+
+    Raises:
+        GrmmError: An avatar or the session cannot be used.
+    """
+    scale = min(1.0, (PICTURE_PIXELS / (camera.width * camera.height)) ** 0.5)
+    small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    options = RenderOptions(refine=False, passes=("raw", "alpha", "depth"), lod=PICTURE_LEVEL)
+    found = session_host.get_session().render(open_instances(shots), small, options)
+    color = np.concatenate([found["raw"], found["alpha"]], -1)
+    return Picture(color, np.where(found["alpha"] > 0.0, found["depth"], 0.0)[..., 0].astype(np.float32))
 
 
 def _thinned(arrays: CloudArrays, lod: int) -> CloudArrays:

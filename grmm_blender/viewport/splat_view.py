@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import bpy
@@ -14,27 +16,32 @@ from ..scene.cameras import same_camera, view_camera
 from .changes import CHANGES
 from .drawing import SplatPicture
 from .jobs import Drawable, SplatJobs, SplatRequest, same_shot
-from .settings import HOLD_RATE, MESH
+from .pace import PICTURE
+from .settings import FULL, HOLD_RATE, MESH
 from .sources import DrawnScene, ViewportShot
 
 EDIT_SECONDS = 0.1  # that an edit may take before a lower level of detail is used
+WAIT_SECONDS = 0.5  # that a frame of playback waits for its own splats, so that they, bones and mesh are of one frame
 
 
 class Viewport:
     """What one 3D region needs between two draws."""
 
-    def __init__(self, jobs: SplatJobs | None = None) -> None:
-        """Prepare; `jobs` makes the Gaussians (its own when None)."""
+    def __init__(self, jobs: SplatJobs | None = None, clock: Callable[[], float] = time.perf_counter) -> None:
+        """Prepare; `jobs` makes the Gaussians (its own when None), `clock` tells seconds."""
         self.jobs = jobs or SplatJobs()
+        self._clock = clock
+        self._ended: float | None = None  # when the last frame of playback was drawn
         self._picture = SplatPicture()
         self._scene = ViewportShot()
-        self._version = -1
+        self._version = (-1, True)  # of the scene, and whether its meshes were read
         self._asked: SplatRequest | None = None
         self._drawable: Drawable | None = None
         self._failure = ""
         self._failed_with = CHANGES.settings
         self._mesh_only = False
         self._playing = False
+        self._finest = 0
 
     def draw(
         self,
@@ -42,32 +49,57 @@ class Viewport:
         depsgraph: bpy.types.Depsgraph,
         playing: bool,
     ) -> None:
-        """Draw the newest splats, and ask for newer ones where something changed."""
+        """Draw the newest splats, and ask for newer ones where something changed; a frame of playback shows its own or none."""
         self._failure = ""
         region, view = context.region, context.region_data
         projection = np.array(view.window_matrix, np.float64)
         camera = view_camera(region, view)
         settings = context.scene.grmm_viewport
+        if playing:
+            self._picture.finish()  # what Blender has drawn until here is not the splats' time
+        started = self._clock()
         if playing != self._playing:
             self._playing = playing
+            self._ended = None
             self.jobs.pace.forget()
+        self._finest = int(settings.detail)
         level = self._level(settings, context.scene, playing)
         self._mesh_only = level is None
         if level is None:
             self.jobs.request(None)
+            self._note_frame(None, started)
             return
-        if self._version != CHANGES.scene:
-            self._version = CHANGES.scene
-            self._scene = _kept_shots(_drawn_scene(depsgraph).in_viewport(context.space_data), self._scene)
-        self._ask(camera, level, int(settings.detail))
-        self._drawable = self.jobs.take() or self._drawable
+        version = CHANGES.scene, level != PICTURE
+        if self._version != version:
+            self._version = version
+            found_scene = _drawn_scene(depsgraph).in_viewport(context.space_data, use_meshes=version[1])
+            self._scene = _kept_shots(found_scene, self._scene)
+        self._ask(camera, level, level if playing else self._finest, playing)
+        self._drawable = self._newest(playing) or self._drawable
         found = self._drawable
         if found is None or not self._scene.shots:
             return
-        if len(found.order):
+        if found.picture is not None or len(found.order):
             session_host.note_drawn()
+        if found.request is self._asked or not playing or settings.playback == FULL:
+            self._show(found, camera, projection)
+        if playing:
+            self._picture.finish()
+            self._note_frame(level, started)
+
+    def _note_frame(self, way: int | None, started: float) -> None:
+        """Measure a frame of playback that ends now; the first one says nothing of what else takes time."""
+        ended = self._clock()
+        if self._ended is not None:
+            self.jobs.pace.record_frame(way, ended - started, started - self._ended)
+        self._ended = ended
+
+    def _show(self, found: Drawable, camera: Camera, projection: np.ndarray) -> None:
         # Own meshes are those of now: Blender has drawn them in the present pose.
-        self._picture.draw(found.packed, found.order, camera, projection, self._scene.meshes)
+        if found.picture is None:
+            self._picture.draw(found.packed, found.order, camera, projection, self._scene.meshes)
+        else:
+            self._picture.draw_picture(found.picture, camera, projection)
 
     def status(self) -> list[str]:
         """Return what the viewport's corner says: nothing while the full detail is shown."""
@@ -80,7 +112,9 @@ class Viewport:
         if found is None or not {shot.name for shot in self._scene.shots} <= {shot.name for shot in found.request.scene.shots}:
             return [*lines, session_host.loading("Loading splats")]
         lines += dict.fromkeys(found.messages)
-        if found.level > found.request.finest:
+        if found.level == PICTURE:
+            lines.append("Small picture during playback")
+        elif found.level > self._finest:
             lines.append(f"{DETAIL_ITEMS[found.level][1]} detail")
         return lines
 
@@ -95,24 +129,34 @@ class Viewport:
         return bool(self._failure) and self._failed_with == CHANGES.settings
 
     def _level(self, settings: bpy.types.PropertyGroup, scene: bpy.types.Scene, playing: bool) -> int | None:
-        finest = int(settings.detail)
         if not playing:
-            level = self.jobs.pace.level(finest, EDIT_SECONDS)
+            level = self.jobs.pace.level(self._finest, EDIT_SECONDS)
             return int(DETAIL_ITEMS[-1][0]) if level is None else level
         if settings.playback == MESH:
             return None
         if settings.playback == HOLD_RATE:
-            return self.jobs.pace.level(finest, scene.render.fps_base / scene.render.fps)
-        return finest
+            return self.jobs.pace.way(self._finest, scene.render.fps_base / scene.render.fps)
+        return self._finest
 
-    def _ask(self, camera: Camera, level: int, finest: int) -> None:
+    def _newest(self, playing: bool) -> Drawable | None:
+        """What has come; while playing, what was asked for last is waited for."""
+        if not playing or self._asked is None or (self._drawable is not None and self._drawable.request is self._asked):
+            return self.jobs.take()
+        return self.jobs.of(self._asked, WAIT_SECONDS)
+
+    def _ask(self, camera: Camera, level: int, finest: int, playing: bool) -> None:
         asked = self._asked
-        if asked is not None and asked.scene is self._scene and asked.finest == finest and same_camera(asked.camera, camera):
+        if (
+            asked is not None
+            and asked.scene is self._scene
+            and (asked.finest, asked.playing) == (finest, playing)
+            and same_camera(asked.camera, camera)
+        ):
             return
         # During a final render the model is busy; the viewport keeps its splats.
         if bpy.app.is_job_running("RENDER"):
             return
-        self._asked = SplatRequest(self._scene, camera, level, finest)
+        self._asked = SplatRequest(self._scene, camera, level, finest, playing)
         self.jobs.request(self._asked)
 
 

@@ -241,9 +241,33 @@ settings.playback = "MESH"
 report(mesh=[float(in_buffer(lambda: draw(playing=True)).max()), viewport.status()])
 settings.playback = "HOLD_RATE"
 in_buffer(lambda: draw(playing=True))
-for level in range(4):
-    viewport.jobs.pace.record(level, 60.0)
+for level in range(5):
+    viewport.jobs.pace.record_frame(level, 60.0, 0.01)
 report(too_slow=[float(in_buffer(lambda: draw(playing=True)).max()), viewport.status()])
+viewport._clock = lambda: 0.0  # so that nothing here depends on the machine's pace
+overlay.splat_view.WAIT_SECONDS = 60.0
+settings.detail = "1"  # what small pictures are made of
+overlay._on_change()
+settle()
+stored["level"] = in_buffer(draw)
+viewport.jobs.pace = type(viewport.jobs.pace)()
+for level in range(4):
+    viewport.jobs.pace.record_frame(level, 60.0, 0.01)
+small = in_buffer(lambda: draw(playing=True))
+stored["small"] = small
+report(small=[float(small[..., 3].max()), viewport.status(), viewport._drawable.picture is not None])
+# Each frame of playback shows its own splats.
+viewport.jobs.pace = type(viewport.jobs.pace)()
+settings.detail = "0"
+asked = []
+for value in (0.0, 0.5, 1.0):
+    head["jawOpen"] = value
+    head.update_tag()
+    bpy.context.view_layer.update()
+    overlay._on_change()
+    in_buffer(lambda: draw(playing=True))
+    asked.append(viewport._drawable.request is viewport._asked)
+report(own=asked, played=viewport._drawable.level)
 settings.playback = "FULL"
 report(full=float(in_buffer(lambda: draw(playing=True))[..., 3].max()), after=viewport.status())
 

@@ -3,8 +3,8 @@
 Blender imports this module from the installed extension. Everything else is imported inside the functions, because Python
 tools that walk the repository import this file where there is no bpy.
 
-A module of the table exports `CLASSES` (Blender's classes in registration order) and may have `register()` and `unregister()`
-for everything else.
+A module of the table exports `CLASSES` (Blender's classes in registration order). For everything else it may have `register()`
+and `unregister()`; a package names its modules that have them in `PARTS`, in the order of registration.
 """
 
 from __future__ import annotations
@@ -57,10 +57,15 @@ def unregister() -> None:
     atexit.unregister(unregister)
     while _registered:
         module, classes = _registered.pop()
-        if hasattr(module, "unregister"):
-            module.unregister()
+        for part in reversed(_parts(module)):
+            if hasattr(part, "unregister"):
+                part.unregister()
         for cls in reversed(classes):
             bpy.utils.unregister_class(cls)
+
+
+def _parts(module: ModuleType) -> tuple[ModuleType, ...]:
+    return getattr(module, "PARTS", (module,))
 
 
 def _register_module(module: ModuleType) -> None:
@@ -71,8 +76,9 @@ def _register_module(module: ModuleType) -> None:
         for cls in module.CLASSES:
             bpy.utils.register_class(cls)
             done.append(cls)
-        if hasattr(module, "register"):
-            module.register()
+        for part in _parts(module):
+            if hasattr(part, "register"):
+                part.register()
     except BaseException:
         for cls in reversed(done):
             bpy.utils.unregister_class(cls)

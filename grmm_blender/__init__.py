@@ -4,7 +4,7 @@ From the ground up; each room uses only those above it. `grmm_core` is reached b
 imports torch or numba, or knows the operators. What is registered stands in the table of the extension's entry point.
 
 ``compat`` ``windows`` ``events``        differences between Blender versions, found by feature; redrawing; Blender's events
-``declare``                             Blender's properties, by name and description
+``declare``                             Blender's properties and operators by what users see of them
 ``wrapper``                             Python objects that stand for one object of Blender's
 ``progress_bar``                        a progress bar in a panel, for all work that takes a while
 ``latest_request``                      work on a thread for the latest of many requests

@@ -1,12 +1,14 @@
-"""Blender's properties as annotations that read like a table: a name, a description, and what differs from the usual.
+"""Blender's properties and operators, declared so that they read like a table.
 
-What a user sees of a property comes first and cannot be left out; everything else is passed to `bpy.props` as it is.
+What a user sees of a property comes first and cannot be left out: ``use_mask: flag("Mask", "Coverage of all avatars")``. What
+differs from the usual is passed to `bpy.props` as it is.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
+import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 
@@ -33,3 +35,19 @@ def text(name: str, description: str, **options: Any) -> Any:
 def choice(name: str, description: str, *items: tuple[str, str, str], **options: Any) -> Any:
     """One of several, each with identifier, name and description; the first one at first."""
     return EnumProperty(name=name, description=description, items=items, **options)
+
+
+class Operator(bpy.types.Operator):
+    """Base of operators: what they are called comes from the name of the class, the tooltip from its docstring.
+
+    A tooltip that is longer than a line stands in `bl_description`.
+    """
+
+    bl_idname: str
+    bl_description: str
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls.bl_idname = f"grmm.{cls.__name__.removeprefix('GRMM_OT_')}"
+        if "bl_description" not in vars(cls):
+            cls.bl_description = (cls.__doc__ or "").removesuffix(".")

@@ -15,7 +15,7 @@ import bpy
 from ..grmm_core.errors import GrmmError
 from ..grmm_core.jobs.stages import INSTALL
 from . import compat, diagnostics, runtime_install, session_host, windows
-from .declare import choice, flag, text, whole
+from .declare import Operator, choice, flag, text, whole
 from .progress_bar import draw_progress
 
 _POLL_SECONDS = 0.25
@@ -140,12 +140,10 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
             layout.prop(self, "index")
 
 
-class GRMM_OT_install_runtime(bpy.types.Operator):
-    """Install torch and what else the model needs into a folder of the extension's own."""
+class GRMM_OT_install_runtime(Operator):
+    """Install torch and what else the model needs into a folder of the extension's own; Blender stays usable."""
 
-    bl_idname = "grmm.install_runtime"
     bl_label = "Install Runtime"
-    bl_description = "Install torch and what else the model needs into a folder of the extension's own; Blender stays usable"
     bl_options: ClassVar[set[str]] = {"REGISTER", "INTERNAL"}
 
     wait: flag("Wait", "Return when it is done, for scripts", options={"SKIP_SAVE"})
@@ -185,12 +183,10 @@ class GRMM_OT_install_runtime(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_cancel_runtime(bpy.types.Operator):
-    """Stop the installation."""
+class GRMM_OT_cancel_runtime(Operator):
+    """Stop the installation and remove what it fetched so far."""
 
-    bl_idname = "grmm.cancel_runtime"
     bl_label = "Cancel"
-    bl_description = "Stop the installation and remove what it fetched so far"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
     @classmethod
@@ -205,12 +201,10 @@ class GRMM_OT_cancel_runtime(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_remove_runtime(bpy.types.Operator):
-    """Delete the installed runtime."""
+class GRMM_OT_remove_runtime(Operator):
+    """Delete the installed runtime; avatars keep their rigs and can be rendered after another installation."""
 
-    bl_idname = "grmm.remove_runtime"
     bl_label = "Remove"
-    bl_description = "Delete the installed runtime; avatars keep their rigs and can be rendered after another installation"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
     @classmethod
@@ -234,12 +228,10 @@ class GRMM_OT_remove_runtime(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_copy_diagnostics(bpy.types.Operator):
-    """Copy a text about versions, devices and the runtime, for a bug report."""
+class GRMM_OT_copy_diagnostics(Operator):
+    """Copy a text about versions, devices and the runtime to the clipboard, for a bug report."""
 
-    bl_idname = "grmm.copy_diagnostics"
     bl_label = "Copy Diagnostics"
-    bl_description = "Copy a text about versions, devices and the runtime to the clipboard, for a bug report"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:

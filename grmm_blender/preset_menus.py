@@ -14,6 +14,7 @@ from bpy.types import Menu
 
 from ..grmm_core.controls.control import Control
 from ..grmm_core.controls.table import EXPRESSIONS
+from .declare import Operator
 from .rig.avatar import active_object, avatar_of
 from .rig.custom_properties import property_path, put_at_rest
 
@@ -77,12 +78,10 @@ def _remember(name: str) -> None:
         bpy.ops.ed.undo_push(message=f"Preset {name}")
 
 
-class GRMM_OT_expression_preset_add(AddPresetBase, bpy.types.Operator):
+class GRMM_OT_expression_preset_add(AddPresetBase, Operator):
     """Keep the active avatar's expression as a preset, or remove a preset."""
 
-    bl_idname = "grmm.expression_preset_add"
     bl_label = "Add Expression Preset"
-    bl_description = "Keep the active avatar's expression as a preset, or remove a preset"
     preset_menu = "GRMM_MT_expression_presets"
     preset_subdir = EXPRESSION_FOLDER
     preset_defines = (FIND_HEAD,)
@@ -94,12 +93,10 @@ class GRMM_OT_expression_preset_add(AddPresetBase, bpy.types.Operator):
         return avatar_of(active_object(context)) is not None
 
 
-class GRMM_OT_render_preset_add(AddPresetBase, bpy.types.Operator):
+class GRMM_OT_render_preset_add(AddPresetBase, Operator):
     """Keep the GRMM render settings as a preset, or remove a preset."""
 
-    bl_idname = "grmm.render_preset_add"
     bl_label = "Add Render Preset"
-    bl_description = "Keep the GRMM render settings as a preset, or remove a preset"
     preset_menu = "GRMM_MT_render_presets"
     preset_subdir = RENDER_FOLDER
     preset_defines = ("settings = bpy.context.scene.grmm_render",)

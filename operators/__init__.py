@@ -48,7 +48,7 @@ from . import (
     turntable,
 )
 
-_TOPICS = (
+PARTS = (
     add_head,
     add_flame,
     import_performance,
@@ -68,18 +68,4 @@ _TOPICS = (
     contact_sheet,
 )
 
-CLASSES = tuple(cls for topic in _TOPICS for cls in topic.CLASSES)
-
-
-def register() -> None:
-    """Run the topics' own `register`, such as menu entries."""
-    for topic in _TOPICS:
-        if hasattr(topic, "register"):
-            topic.register()
-
-
-def unregister() -> None:
-    """Take back `register`."""
-    for topic in reversed(_TOPICS):
-        if hasattr(topic, "unregister"):
-            topic.unregister()
+CLASSES = tuple(cls for topic in PARTS for cls in topic.CLASSES)

@@ -11,17 +11,16 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import preferences
-from ..grmm_blender.declare import text
+from ..grmm_blender.declare import Operator, text
 from ..grmm_blender.rig.identity import FLAME_PREFIX
 from ..grmm_core.errors import FileAccessError
 from .add_head import PlacesHead
 from .common import Result, reports_errors
 
 
-class GRMM_OT_add_flame_head(PlacesHead, bpy.types.Operator):
+class GRMM_OT_add_flame_head(PlacesHead, Operator):
     """Add the head of your own FLAME file with an ARKit rig."""
 
-    bl_idname = "grmm.add_flame_head"
     bl_label = "Add FLAME Head"
     bl_description = (
         "Add the head of your own FLAME file with bones, ARKit sliders and FLAME's coefficients; the file can be named once in "

@@ -8,7 +8,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import staging
-from ..grmm_blender.declare import choice, flag, text, whole
+from ..grmm_blender.declare import Operator, choice, flag, text, whole
 from ..grmm_blender.rig.avatar import stored_path
 from ..grmm_blender.rig.build import build_avatar
 from ..grmm_blender.rig.identity import DEFAULT_SOURCE, read_identity
@@ -65,12 +65,10 @@ class PlacesHead(OperatorMixin):
             staging.set_up(context, avatar, fresh)
 
 
-class GRMM_OT_add_head(PlacesHead, bpy.types.Operator):
+class GRMM_OT_add_head(PlacesHead, Operator):
     """Add an animatable GRMM head with its rig at the 3D cursor."""
 
-    bl_idname = "grmm.add_head"
     bl_label = "Add GRMM Head"
-    bl_description = "Add an animatable GRMM head with its rig at the 3D cursor"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     person: choice(
@@ -119,12 +117,10 @@ class GRMM_OT_add_head(PlacesHead, bpy.types.Operator):
         return file_source(self.filepath, self.relative_path)
 
 
-class GRMM_OT_open_avatar(PlacesHead, ImportsFiles, bpy.types.Operator):
+class GRMM_OT_open_avatar(PlacesHead, ImportsFiles, Operator):
     """Choose an avatar file and add it to the scene."""
 
-    bl_idname = "grmm.open_avatar"
     bl_label = "Open GRMM Avatar"
-    bl_description = "Choose an avatar file and add it to the scene"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: text("File", "Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"})

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import bpy
 import numpy as np
 
-from ..grmm_blender.declare import choice, flag, text
+from ..grmm_blender.declare import Operator, choice, flag, text
 from ..grmm_blender.performance import parse_frames
 from ..grmm_blender.rig.actions import action_curves
 from ..grmm_blender.rig.avatar import Avatar
@@ -27,10 +27,9 @@ _MAX_FRAMES = 10_000
 _COORDINATES = ("co", "handle_left", "handle_right")
 
 
-class GRMM_OT_calibrate_neutral(Edit, bpy.types.Operator):
+class GRMM_OT_calibrate_neutral(Edit, Operator):
     """Make the face of the present or of chosen frames the neutral one."""
 
-    bl_idname = "grmm.calibrate_neutral"
     bl_label = "Calibrate Neutral"
     bl_description = (
         "Make the face of the present frame, or the mean of chosen frames, the neutral one: expressions and rotations become "

@@ -7,6 +7,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender.composite import scenes
+from ..grmm_blender.declare import Operator
 from ..grmm_blender.engine.settings import ENGINE
 from .common import Result, polls, reports_errors, require
 
@@ -18,10 +19,9 @@ def _check_scene(context: bpy.types.Context) -> None:
     require(scenes.drawn_objects(context.scene), "The scene has no GRMM avatar")
 
 
-class GRMM_OT_composite_set_up(bpy.types.Operator):
+class GRMM_OT_composite_set_up(Operator):
     """Render the avatars with GRMM and everything else with the scene's engine, put together by the compositor."""
 
-    bl_idname = "grmm.composite_set_up"
     bl_label = "Composite Avatars"
     bl_description = (
         "Render the avatars with GRMM in a scene of their own and everything else with this scene's engine, "
@@ -39,12 +39,10 @@ class GRMM_OT_composite_set_up(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_composite_remove(bpy.types.Operator):
-    """Remove the composite: its nodes and the avatars' scene."""
+class GRMM_OT_composite_remove(Operator):
+    """Remove the compositing nodes and the scene that renders the avatars; your own nodes stay."""
 
-    bl_idname = "grmm.composite_remove"
     bl_label = "Remove Composite"
-    bl_description = "Remove the compositing nodes and the scene that renders the avatars; your own nodes stay"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     poll = polls(lambda context: require(scenes.partner_of(context.scene), "This scene has no composite"))

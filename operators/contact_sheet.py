@@ -10,7 +10,7 @@ from typing import ClassVar
 import bpy
 import numpy as np
 
-from ..grmm_blender.declare import choice, flag, text, whole
+from ..grmm_blender.declare import Operator, choice, flag, text, whole
 from ..grmm_blender.engine import passes, pipeline
 from ..grmm_blender.portraits import portrait, with_expression
 from ..grmm_blender.scene.cameras import face_camera
@@ -32,12 +32,10 @@ Tiles = Generator[tuple[str, Step], None, None]
 """Caption and step of each tile."""
 
 
-class GRMM_OT_contact_sheet(SteppedOperator, bpy.types.Operator):
-    """Draw a grid of small pictures of the active avatar into one PNG file."""
+class GRMM_OT_contact_sheet(SteppedOperator, Operator):
+    """Draw expressions or views of the active avatar, or frames of the scene, in a grid into one PNG file."""
 
-    bl_idname = "grmm.contact_sheet"
     bl_label = "Contact Sheet"
-    bl_description = "Draw expressions or views of the active avatar, or frames of the scene, in a grid into one PNG file"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     filepath: text("File", "PNG file to write", subtype="FILE_PATH", options={"SKIP_SAVE"})

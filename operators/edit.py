@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from ..grmm_blender import session_host
-from ..grmm_blender.declare import choice, number, whole
+from ..grmm_blender.declare import Operator, choice, number, whole
 from ..grmm_blender.motion import face_bones
 from ..grmm_blender.rig import live
 from ..grmm_blender.rig.avatar import Avatar
@@ -76,12 +76,10 @@ class DrawsAnother(OperatorMixin):
         return self.execute(context)
 
 
-class GRMM_OT_reset(Edit, bpy.types.Operator):
+class GRMM_OT_reset(Edit, Operator):
     """Set controls of the active avatar back to rest."""
 
-    bl_idname = "grmm.reset"
     bl_label = "Reset Controls"
-    bl_description = "Set controls of the active avatar back to rest"
 
     what: choice(
         "Controls",
@@ -116,12 +114,10 @@ class GRMM_OT_reset(Edit, bpy.types.Operator):
         return control.section != "EXPRESSION" or self.region in (ALL, control.region)
 
 
-class GRMM_OT_mirror(Edit, bpy.types.Operator):
-    """Mirror the expression, jaw, neck and eyes of the active avatar."""
+class GRMM_OT_mirror(Edit, Operator):
+    """Swap the sides of the active avatar's expression, or copy one side to the other."""
 
-    bl_idname = "grmm.mirror"
     bl_label = "Mirror Expression"
-    bl_description = "Swap the sides of the active avatar's expression, or copy one side to the other"
 
     direction: choice(
         "Direction",
@@ -173,12 +169,10 @@ class GRMM_OT_mirror(Edit, bpy.types.Operator):
         return taken
 
 
-class GRMM_OT_random_expression(DrawsAnother, Edit, bpy.types.Operator):
-    """Give the active avatar a random expression."""
+class GRMM_OT_random_expression(DrawsAnother, Edit, Operator):
+    """Give the active avatar a random expression, or one region of it."""
 
-    bl_idname = "grmm.random_expression"
     bl_label = "Random Expression"
-    bl_description = "Give the active avatar a random expression, or one region of it"
 
     amount: number("Amount", "Largest weight of an expression", default=0.7, min=0.0, max=1.0, subtype="FACTOR")
     share: number("Share", "Share of the expressions that move", default=0.15, min=0.0, max=1.0, subtype="FACTOR")
@@ -202,10 +196,9 @@ class GRMM_OT_random_expression(DrawsAnother, Edit, bpy.types.Operator):
         return self.finish(context, avatar, names)
 
 
-class GRMM_OT_random_identity(DrawsAnother, Edit, bpy.types.Operator):
+class GRMM_OT_random_identity(DrawsAnother, Edit, Operator):
     """Give the active avatar another face by its identity controls."""
 
-    bl_idname = "grmm.random_identity"
     bl_label = "Random Identity"
     bl_description = (
         "Move the active avatar's identity controls towards a random person: shape, and residual identity where there is a "
@@ -251,12 +244,10 @@ def _follower(context: bpy.types.Context) -> Avatar:
     return avatar
 
 
-class GRMM_OT_make_independent(bpy.types.Operator):
-    """Give a linked duplicate of a head its own mesh."""
+class GRMM_OT_make_independent(Operator):
+    """Give this head a mesh of its own, so that its sliders move it and not the head it was duplicated from."""
 
-    bl_idname = "grmm.make_independent"
     bl_label = "Make Independent"
-    bl_description = "Give this head a mesh of its own, so that its sliders move it and not the head it was duplicated from"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     poll = polls(_follower)

@@ -10,7 +10,7 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
-from ..grmm_blender.declare import choice, text
+from ..grmm_blender.declare import Operator, choice, text
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.formats import formats, write_performance
@@ -25,12 +25,10 @@ CACHES = (
 )
 
 
-class GRMM_OT_export_performance(SteppedOperator, FrameRange, bpy.types.Operator, ExportHelper):
-    """Write the animation of the active avatar as a performance file."""
+class GRMM_OT_export_performance(SteppedOperator, FrameRange, Operator, ExportHelper):
+    """Write the animation of the active avatar, as the scene plays it, as a performance file."""
 
-    bl_idname = "grmm.export_performance"
     bl_label = "Export Performance"
-    bl_description = "Write the animation of the active avatar, as the scene plays it, as a performance file"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     filename_ext = PERFORMANCES[0].suffix
@@ -86,12 +84,10 @@ def _selectable(context: bpy.types.Context) -> Avatar:
     return active_avatar(context, linked=True)
 
 
-class GRMM_OT_export_cache(FrameRange, bpy.types.Operator, ExportHelper):
-    """Write the active avatar's moving mesh through Blender's own Alembic or USD exporter."""
+class GRMM_OT_export_cache(FrameRange, Operator, ExportHelper):
+    """Write the active avatar's moving mesh, with its learned displacement, as Alembic or USD."""
 
-    bl_idname = "grmm.export_cache"
     bl_label = "Export Mesh Cache"
-    bl_description = "Write the active avatar's moving mesh, with its learned displacement, as Alembic or USD"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     filename_ext = ".abc"

@@ -10,7 +10,7 @@ import bpy
 from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
-from ..grmm_blender.declare import choice, flag, text, whole
+from ..grmm_blender.declare import Operator, choice, flag, text, whole
 from ..grmm_blender.exporting import SplatOptions, splat_target
 from ..grmm_blender.rig.avatar import Avatar, active_object
 from ..grmm_blender.splats.cloud import Cloud
@@ -42,12 +42,10 @@ def _target(context: bpy.types.Context) -> Avatar | Cloud:
 
 
 @has_options(SPLATS, "writing")
-class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, ExportHelper):
-    """Write the active avatar, or splat cloud, as splats for other programs."""
+class GRMM_OT_export_splats(SteppedOperator, FrameRange, Operator, ExportHelper):
+    """Write the active avatar or splat cloud as Gaussians for other programs."""
 
-    bl_idname = "grmm.export_splats"
     bl_label = "Export Splats"
-    bl_description = "Write the active avatar or splat cloud as Gaussians for other programs"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     filename_ext = ".ply"
@@ -142,12 +140,10 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, bpy.types.Operator, Exp
             self.report({"WARNING"}, sentence)
 
 
-class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
-    """Write the active avatar's mesh, with the learned displacement and ARKit morph targets."""
+class GRMM_OT_export_mesh(Operator, ExportHelper):
+    """Write the active avatar's mesh with its learned displacement and, in glTF, ARKit morph targets."""
 
-    bl_idname = "grmm.export_mesh"
     bl_label = "Export Head Mesh"
-    bl_description = "Write the active avatar's mesh with its learned displacement and, in glTF, ARKit morph targets"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     filename_ext = MESHES[0].suffix
@@ -168,10 +164,9 @@ class GRMM_OT_export_mesh(bpy.types.Operator, ExportHelper):
         return {"FINISHED"}
 
 
-class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, bpy.types.Operator):
+class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, Operator):
     """Write the active avatar and its animation as GaussianAvatars store them."""
 
-    bl_idname = "grmm.export_gaussian_avatar"
     bl_label = "Export GaussianAvatars Folder"
     bl_description = f"Write {PLY_NAME} (splats bound to FLAME's triangles) and {TRACK_NAME} (the animation) into a folder"
     bl_options: ClassVar[set[str]] = {"REGISTER"}

@@ -8,7 +8,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import session_host
-from ..grmm_blender.declare import flag
+from ..grmm_blender.declare import Operator, flag
 from ..grmm_blender.fitting import watch
 from ..grmm_blender.fitting.job import FitJob
 from ..grmm_blender.fitting.photo_camera import set_photo_expression
@@ -46,12 +46,10 @@ def _photographed(context: bpy.types.Context) -> Avatar:
     return avatar
 
 
-class GRMM_OT_fit_add_photos(ImportsFiles, bpy.types.Operator):
-    """Choose photos of one person."""
+class GRMM_OT_fit_add_photos(ImportsFiles, Operator):
+    """Choose one or several photos of one person, who has agreed."""
 
-    bl_idname = "grmm.fit_add_photos"
     bl_label = "Add Photos"
-    bl_description = "Choose one or several photos of one person, who has agreed"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
@@ -72,12 +70,10 @@ class GRMM_OT_fit_add_photos(ImportsFiles, bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_fit_remove_photo(bpy.types.Operator):
+class GRMM_OT_fit_remove_photo(Operator):
     """Take the active photo off the list."""
 
-    bl_idname = "grmm.fit_remove_photo"
     bl_label = "Remove Photo"
-    bl_description = "Take the active photo off the list"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
     poll = polls(_check_photos)
 
@@ -89,12 +85,10 @@ class GRMM_OT_fit_remove_photo(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_fit_find_faces(bpy.types.Operator):
-    """Find faces, landmarks and outline, and show them."""
+class GRMM_OT_fit_find_faces(Operator):
+    """Find faces, landmarks and the outline in the photos, to check the choice before fitting."""
 
-    bl_idname = "grmm.fit_find_faces"
     bl_label = "Find Faces"
-    bl_description = "Find faces, landmarks and the outline in the photos, to check the choice before fitting"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
     poll = polls(_check_photos)
 
@@ -106,12 +100,10 @@ class GRMM_OT_fit_find_faces(bpy.types.Operator):
         return _run(self, context, FacesRequest(photo_paths(choices), folder, (choices.face - 1,), mask_paths(choices)))
 
 
-class GRMM_OT_fit_photos(bpy.types.Operator):
-    """Make an avatar of the person in the photos and add it to the scene."""
+class GRMM_OT_fit_photos(Operator):
+    """Make an avatar of the person in the photos, in a process of its own, and add it to the scene."""
 
-    bl_idname = "grmm.fit_photos"
     bl_label = "Make Avatar"
-    bl_description = "Make an avatar of the person in the photos, in a process of its own, and add it to the scene"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
     resume: flag("Resume", "Go on with a fit of the same photos that was interrupted")
@@ -142,12 +134,10 @@ class GRMM_OT_fit_photos(bpy.types.Operator):
         return _run(self, context, request)
 
 
-class GRMM_OT_fit_cancel(bpy.types.Operator):
-    """Stop the running fit; its state is kept for a resume."""
+class GRMM_OT_fit_cancel(Operator):
+    """Stop the running fit; what it has done is kept, so that it can be resumed."""
 
-    bl_idname = "grmm.fit_cancel"
     bl_label = "Cancel"
-    bl_description = "Stop the running fit; what it has done is kept, so that it can be resumed"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
     poll = polls(lambda _context: require(watch.is_running(), "No fit is running"))
@@ -158,12 +148,10 @@ class GRMM_OT_fit_cancel(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_fit_add_to_scene(bpy.types.Operator):
-    """Put the finished avatar into the scene, where that did not work at once."""
+class GRMM_OT_fit_add_to_scene(Operator):
+    """Put the finished avatar into the scene, with the camera that took the photo."""
 
-    bl_idname = "grmm.fit_add_to_scene"
     bl_label = "Add to Scene"
-    bl_description = "Put the finished avatar into the scene, with the camera that took the photo"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
     poll = polls(_check_waiting)
@@ -175,12 +163,10 @@ class GRMM_OT_fit_add_to_scene(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GRMM_OT_fit_photo_expression(bpy.types.Operator):
-    """Set expression and pose as the avatar's photo shows them."""
+class GRMM_OT_fit_photo_expression(Operator):
+    """Set expression and pose of an avatar made from photos as the first photo shows them, to compare the two."""
 
-    bl_idname = "grmm.fit_photo_expression"
     bl_label = "Photo's Expression"
-    bl_description = "Set expression and pose of an avatar made from photos as the first photo shows them, to compare the two"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     poll = polls(_photographed)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal
 
 import bpy
 
-from ..grmm_blender.declare import choice, flag, number, text
+from ..grmm_blender.declare import Operator, choice, flag, number, text
 from ..grmm_blender.exporting import performer_of
 from ..grmm_blender.performance import MAX_FRAME, ImportedRange, ImportOptions, apply_performance, for_head, parse_frames
 from ..grmm_blender.rig.avatar import active_object
@@ -46,12 +46,10 @@ def _gain(name: str, description: str) -> Any:
 
 
 @has_options(READ, "reading")
-class GRMM_OT_import_performance(ImportsFiles, bpy.types.Operator):
-    """Read a performance and key the active avatar with it."""
+class GRMM_OT_import_performance(ImportsFiles, Operator):
+    """Key the active avatar with a recorded performance (ARKit JSON, Live Link Face CSV, FLAME npz)."""
 
-    bl_idname = "grmm.import_performance"
     bl_label = "Import Performance"
-    bl_description = "Key the active avatar with a recorded performance (ARKit JSON, Live Link Face CSV, FLAME npz)"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: text("File", "Performance file", subtype="FILE_PATH", options={"SKIP_SAVE"})

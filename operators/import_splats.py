@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..grmm_blender.declare import flag, text
+from ..grmm_blender.declare import Operator, flag, text
 from ..grmm_blender.performance import ImportOptions, apply_performance
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.splats.rigged import import_file
@@ -21,10 +21,9 @@ from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
 READ = formats(("splats", "avatar", "sequence"), read=True)
 
 
-class GRMM_OT_import_splats(ImportsFiles, bpy.types.Operator):
+class GRMM_OT_import_splats(ImportsFiles, Operator):
     """Add the Gaussians of splat files, or avatars of other projects, to the scene."""
 
-    bl_idname = "grmm.import_splats"
     bl_label = "Import Splats"
     bl_description = (
         "Add the Gaussians of splat files (3DGS, .splat, SPZ, SOG, glTF) "

@@ -7,15 +7,14 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import staging
+from ..grmm_blender.declare import Operator
 from .common import Result, active_avatar, polls
 
 
-class GRMM_OT_portrait_camera(bpy.types.Operator):
-    """Render the active avatar as a portrait."""
+class GRMM_OT_portrait_camera(Operator):
+    """Put a camera before the active avatar, and render through it with GRMM; again: put it there again."""
 
-    bl_idname = "grmm.portrait_camera"
     bl_label = "Portrait Camera"
-    bl_description = "Put a camera before the active avatar, and render through it with GRMM; again: put it there again"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
     poll = polls(active_avatar)
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 import bpy
 
 from ..grmm_blender import poses, session_host
-from ..grmm_blender.declare import flag, number, text
+from ..grmm_blender.declare import Operator, flag, number, text
 from ..grmm_blender.portraits import portrait, with_expression
 from ..grmm_blender.rig.avatar import active_object, avatar_of
 from ..grmm_blender.scene.cameras import face_camera
@@ -19,10 +19,9 @@ from .edit import Edit
 from .steps import Step, SteppedOperator, Steps
 
 
-class GRMM_OT_create_pose_library(SteppedOperator, bpy.types.Operator):
+class GRMM_OT_create_pose_library(SteppedOperator, Operator):
     """Make a pose asset with a thumbnail for each named expression of the active avatar."""
 
-    bl_idname = "grmm.create_pose_library"
     bl_label = "Create Pose Library"
     bl_description = (
         "Make a pose asset for each named expression, with a thumbnail of the active avatar; "
@@ -53,12 +52,10 @@ class GRMM_OT_create_pose_library(SteppedOperator, bpy.types.Operator):
         return f"The pose library has {len(EXPRESSIONS)} poses{_write_catalogues()}"
 
 
-class GRMM_OT_save_pose(Edit, bpy.types.Operator):
-    """Save the active avatar's expression as a pose asset."""
+class GRMM_OT_save_pose(Edit, Operator):
+    """Save the active avatar's present expression as a pose asset of this file."""
 
-    bl_idname = "grmm.save_pose"
     bl_label = "Save Expression as Pose"
-    bl_description = "Save the active avatar's present expression as a pose asset of this file"
 
     name: text("Name", "Name of the pose", default="Expression", maxlen=60)
 
@@ -96,12 +93,10 @@ def _pose_items(_self: bpy.types.Operator, _context: bpy.types.Context | None) -
     return _items
 
 
-class GRMM_OT_apply_pose(Edit, bpy.types.Operator):
-    """Apply a pose asset to the active avatar."""
+class GRMM_OT_apply_pose(Edit, Operator):
+    """Apply an expression of the pose library to the active avatar."""
 
-    bl_idname = "grmm.apply_pose"
     bl_label = "Apply Pose"
-    bl_description = "Apply an expression of the pose library to the active avatar"
     bl_property = "pose"
 
     pose: bpy.props.EnumProperty(

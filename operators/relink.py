@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..grmm_blender.declare import flag, text
+from ..grmm_blender.declare import Operator, flag, text
 from ..grmm_blender.rig import live
 from ..grmm_blender.rig.avatar import Avatar, stored_path
 from ..grmm_blender.rig.identity import read_identity
@@ -24,12 +24,10 @@ def _relinkable(context: bpy.types.Context) -> Avatar:
     return avatar
 
 
-class GRMM_OT_relink_avatar(ImportsFiles, bpy.types.Operator):
-    """Choose the active avatar's file again."""
+class GRMM_OT_relink_avatar(ImportsFiles, Operator):
+    """Choose the active avatar's file, after a move or to show another person; controls and keys stay."""
 
-    bl_idname = "grmm.relink_avatar"
     bl_label = "Relink Avatar"
-    bl_description = "Choose the active avatar's file, after a move or to show another person; controls and keys stay"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: text("File", "Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"})

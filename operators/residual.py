@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ..grmm_blender.declare import choice, number
+from ..grmm_blender.declare import Operator, choice, number
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.rig.components import components
 from ..grmm_blender.rig.custom_properties import add_property, read_array, write_array
@@ -40,12 +40,10 @@ class _CodeEdit(Edit):
     poll = polls(_drawn_avatar)
 
 
-class GRMM_OT_save_code(_CodeEdit, bpy.types.Operator):
-    """Keep the present learned detail as A or B."""
+class GRMM_OT_save_code(_CodeEdit, Operator):
+    """Keep the present learned detail of the active avatar as A or B; with both saved, a slider blends them."""
 
-    bl_idname = "grmm.save_code"
     bl_label = "Save Learned Detail"
-    bl_description = "Keep the present learned detail of the active avatar as A or B; with both saved, a slider blends them"
 
     code: choice("Code", "Which code to keep", *_CODE_ITEMS, default=Z_EXP)
     slot: choice("Slot", "Where to keep it", *_SLOT_ITEMS, default="A")
@@ -69,12 +67,10 @@ class GRMM_OT_save_code(_CodeEdit, bpy.types.Operator):
         return self.finish(context, avatar, changed)
 
 
-class GRMM_OT_apply_blend(_CodeEdit, bpy.types.Operator):
-    """Put the blend of saved codes into the sliders and forget what was saved."""
+class GRMM_OT_apply_blend(_CodeEdit, Operator):
+    """Put the present blend of A and B into the sliders, so that nothing changes, and forget A and B."""
 
-    bl_idname = "grmm.apply_blend"
     bl_label = "Apply Blend"
-    bl_description = "Put the present blend of A and B into the sliders, so that nothing changes, and forget A and B"
 
     code: choice("Code", "Which code's blend to apply", *_CODE_ITEMS, default=Z_EXP)
 
@@ -87,12 +83,10 @@ class GRMM_OT_apply_blend(_CodeEdit, bpy.types.Operator):
         return self.finish(context, avatar, [self.code])
 
 
-class GRMM_OT_random_detail(DrawsAnother, _CodeEdit, bpy.types.Operator):
-    """Give the active avatar a random learned detail."""
+class GRMM_OT_random_detail(DrawsAnother, _CodeEdit, Operator):
+    """Draw the active avatar's residual expression at random, spread as in the trained expressions."""
 
-    bl_idname = "grmm.random_detail"
     bl_label = "Random Detail"
-    bl_description = "Draw the active avatar's residual expression at random, spread as in the trained expressions"
 
     amount: number("Amount", "1 is as strong as trained expressions are", default=1.0, min=0.0, soft_max=2.0, max=4.0)
 

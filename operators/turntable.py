@@ -8,7 +8,7 @@ from typing import ClassVar
 import bpy
 from mathutils import Matrix
 
-from ..grmm_blender.declare import flag, number, whole
+from ..grmm_blender.declare import Operator, flag, number, whole
 from ..grmm_blender.rig.actions import action_curves
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.scene.avatars import place_of
@@ -19,12 +19,10 @@ from .common import Result, active_avatar, polls
 PIVOT_TAG = "grmm_turntable"  # custom property of the objects: a second run uses them again
 
 
-class GRMM_OT_turntable(bpy.types.Operator):
-    """Add a camera that walks around the active avatar."""
+class GRMM_OT_turntable(Operator):
+    """Add a camera that walks around the active avatar, keyed over a number of frames; again: change it."""
 
-    bl_idname = "grmm.turntable"
     bl_label = "Turntable"
-    bl_description = "Add a camera that walks around the active avatar, keyed over a number of frames; again: change it"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     frames: whole("Frames", "Length of one turn", default=96, min=2, max=10000)

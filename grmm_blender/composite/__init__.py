@@ -19,15 +19,4 @@ from __future__ import annotations
 from . import scenes, settings
 
 CLASSES = settings.CLASSES
-
-
-def register() -> None:
-    """Attach the settings and follow edits."""
-    settings.register()
-    scenes.register()
-
-
-def unregister() -> None:
-    """Take back `register`."""
-    scenes.unregister()
-    settings.unregister()
+PARTS = (settings, scenes)

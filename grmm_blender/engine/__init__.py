@@ -21,19 +21,4 @@ from __future__ import annotations
 from . import final, render_engine, settings, ui, view
 
 CLASSES = (*settings.CLASSES, *render_engine.CLASSES, *ui.CLASSES)
-
-
-def register() -> None:
-    """Attach settings and panels."""
-    settings.register()
-    ui.register()
-    final.register()
-    view.register()
-
-
-def unregister() -> None:
-    """Take back `register`."""
-    view.unregister()
-    final.unregister()
-    ui.unregister()
-    settings.unregister()
+PARTS = (settings, ui, final, view)

@@ -19,6 +19,8 @@ _EXCLUDED = {
 class _EnginePanel:
     bl_space_type = "PROPERTIES"
     bl_region_type = "WINDOW"
+    bl_context = "render"
+    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
     COMPAT_ENGINES: ClassVar[set[str]] = {ENGINE}
 
     @classmethod
@@ -31,7 +33,7 @@ class GRMM_PT_render(_EnginePanel, bpy.types.Panel):
     """How final pictures are made."""
 
     bl_label = "Avatars"
-    bl_context = "render"
+    bl_options: ClassVar[set[str]] = set()
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -52,8 +54,6 @@ class GRMM_PT_viewport(_EnginePanel, bpy.types.Panel):
     """How the rendered viewport is made."""
 
     bl_label = "Viewport"
-    bl_context = "render"
-    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -69,8 +69,6 @@ class GRMM_PT_film(_EnginePanel, bpy.types.Panel):
     """Background."""
 
     bl_label = "Film"
-    bl_context = "render"
-    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -83,8 +81,6 @@ class GRMM_PT_motion_blur(_EnginePanel, bpy.types.Panel):
     """Motion blur by averaging pictures within the shutter time."""
 
     bl_label = "Motion Blur"
-    bl_context = "render"
-    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
 
     def draw_header(self, context: bpy.types.Context) -> None:
         """Draw the switch."""
@@ -106,6 +102,7 @@ class GRMM_PT_passes(_EnginePanel, bpy.types.Panel):
 
     bl_label = "Passes"
     bl_context = "view_layer"
+    bl_options: ClassVar[set[str]] = set()
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

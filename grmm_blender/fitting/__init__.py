@@ -12,18 +12,4 @@ from __future__ import annotations
 from . import panel, settings, watch
 
 CLASSES = (*settings.CLASSES, *panel.CLASSES)
-
-
-def register() -> None:
-    """Make the settings reachable, and hear of other files."""
-    settings.register()
-    watch.register()
-
-
-def unregister() -> None:
-    """End a running job; what it has done is kept for a resume."""
-    watch.unregister()
-    settings.unregister()
-
-
-__all__ = ["CLASSES", "register", "unregister"]
+PARTS = (settings, watch)

@@ -28,15 +28,4 @@ from __future__ import annotations
 from . import overlay, panel, settings
 
 CLASSES = (*settings.CLASSES, *panel.CLASSES)
-
-
-def register() -> None:
-    """Attach the settings and start drawing."""
-    settings.register()
-    overlay.register()
-
-
-def unregister() -> None:
-    """Take back `register`."""
-    overlay.unregister()
-    settings.unregister()
+PARTS = (settings, overlay)

@@ -26,22 +26,11 @@ from grmm_studio.capture import CaptureSettings, held_out, job_order, open_job, 
 from grmm_studio.grooming import make_groom, scalp_hairs
 from grmm_studio.grooms import growth_of
 from grmm_studio.lashes import lash_edges
-from grmm_studio.mesh import RenderMesh
 from grmm_studio.shots import expression_pool, make_shot
 from grmm_studio.styles import HAIR_STYLES
 from grmm_studio.subjects import draw_subject, skin_albedo
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_open_head()
-
-
-@pytest.fixture(scope="module")
-def render_mesh(head):
-    return RenderMesh.build(head)
 
 
 def test_a_person_depends_on_seed_and_number_only():

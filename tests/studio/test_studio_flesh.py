@@ -8,22 +8,12 @@ import numpy as np
 import pytest
 
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.head.open_head import load_open_head, load_people_model
+from grmm_core.head.open_head import load_people_model
 from grmm_studio.flesh import Flesh
-from grmm_studio.mesh import RenderMesh, region_vertices
+from grmm_studio.mesh import region_vertices
 from grmm_studio.subjects import Subject, draw_subject
 
 POSE = np.zeros((5, 3))
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_open_head()
-
-
-@pytest.fixture(scope="module")
-def render_mesh(head):
-    return RenderMesh.build(head)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.hair.roots import LASHES
-from grmm_core.head.open_head import load_open_head, load_people_model
+from grmm_core.head.open_head import load_people_model
 from grmm_studio.fields import bump
 from grmm_studio.grooming import make_groom
 from grmm_studio.lashes import Lashes
@@ -16,11 +16,6 @@ from grmm_studio.subjects import draw_subject
 from grmm_studio.wrinkles import DRIVERS, LineField, line_depth, paint_lines
 
 OLD, YOUNG = 0, 20  # people of seed 5, aged 55 and 26
-
-
-@pytest.fixture(scope="module")
-def head():
-    return load_open_head()
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import torch
 
@@ -10,6 +12,8 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.head import HeadModel
 from grmm_core.model.grmm import GRMM
 from grmm_core.model.inputs import ModelInputs
+from grmm_core.training.config import TrainConfig
+from grmm_core.training.trainer import Trainer
 from grmm_core.training.views import View
 
 ROWS, COLUMNS = 10, 16
@@ -100,3 +104,12 @@ def inputs(model: GRMM, seed: int = 2) -> ModelInputs[torch.Tensor]:
 
     shape, expression, pose = normal(SHAPES), 0.3 * normal(52), 0.1 * normal(5, 3)
     return ModelInputs(normal(model.z_id_size), normal(model.z_exp_size), shape, expression, pose)
+
+
+def train_spheres(config: TrainConfig, head: HeadModel, folder: Path) -> Trainer:
+    """Train both people briefly; checkpoint and weights `w.safetensors` are in the folder."""
+    trainer = Trainer(config, head, ColoredSpheres(), folder)
+    trainer.run()
+    trainer.save()
+    trainer.save_weights(folder / "w.safetensors", {})
+    return trainer

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
 from ...controls.names import ARKIT_NAMES
 from ...files.access import bad_file
 from ...files.format import Format
 from ...jobs.progress import Share
 from ...performance.editing import range_warnings
 from ...performance.types import Performance
-from .repair import arkit_weights, clean_times, fill_missing, median_rate, missing_warning, scale_times
+from .repair import arkit_weights, fill_missing, missing_warning, times_of_stamps
 from .text_table import read_table, start_text, to_floats
 
 KIND = "Audio2Face-3D CSV"
@@ -43,17 +41,12 @@ def read_audio2face_csv(path: Path, fps: float | None = None, progress: Share | 
     columns = [k for k, name in enumerate(table.names) if name.lower().startswith(_PREFIX)]
     weights, found = arkit_weights(path, KIND, [table.names[k] for k in columns], table.values[:, columns], warnings)
     stamps = fill_missing(path, KIND, to_floats([[text] for text in table.texts]), "time stamp", warnings)[:, 0]
-    if fps is None and np.ptp(stamps) > 0:
-        times, order = clean_times(scale_times(stamps, DEFAULT_FPS, warnings), warnings)
-        weights, rate = weights[order], median_rate(times, DEFAULT_FPS)
-    else:
-        rate = fps or DEFAULT_FPS
-        times = np.arange(len(stamps)) / rate
-    warnings += missing_warning(set(found)) + range_warnings(weights)
+    times, order, rate = times_of_stamps(stamps, fps, DEFAULT_FPS, warnings)
+    warnings += missing_warning(set(found)) + range_warnings(weights[order])
     if progress:
         progress(1.0)
     names = tuple(ARKIT_NAMES[i] for i in sorted(found))
-    return Performance(times, weights, rate, "audio2face-csv", names, warnings=warnings)
+    return Performance(times, weights[order], rate, "audio2face-csv", names, warnings=warnings)
 
 
 FORMAT = Format(

@@ -19,16 +19,7 @@ from ...geometry.rotations import unwrap_euler
 from ...jobs.progress import Share
 from ...performance.editing import range_warnings
 from ...performance.types import Performance
-from .repair import (
-    MAX_FILE_BYTES,
-    MAX_FRAMES,
-    arkit_weights,
-    clean_times,
-    fill_missing,
-    median_rate,
-    missing_warning,
-    scale_times,
-)
+from .repair import MAX_FILE_BYTES, MAX_FRAMES, arkit_weights, fill_missing, missing_warning, times_of_stamps
 from .text_table import decode_text, split_rows, start_text, to_floats
 from .turns import FLIPS
 
@@ -81,17 +72,12 @@ def read_face_cap(
     turns = fill_missing(path, KIND, np.deg2rad(values[:, _ROTATION]), "head rotation", warnings)
     turns = unwrap_euler(turns * np.where([flip_pitch, flip_yaw, flip_roll], -1.0, 1.0))
     stamps = fill_missing(path, KIND, values[:, :1], "time stamp", warnings)[:, 0]
-    if fps is None and np.ptp(stamps) > 0:
-        times, order = clean_times(scale_times(stamps, DEFAULT_FPS, []), warnings)
-        weights, turns, rate = weights[order], turns[order], median_rate(times, DEFAULT_FPS)
-    else:
-        rate = fps or DEFAULT_FPS
-        times = np.arange(len(stamps)) / rate
-    warnings += missing_warning(set(found)) + range_warnings(weights)
+    times, order, rate = times_of_stamps(stamps, fps, DEFAULT_FPS, warnings, say_unit=False)
+    warnings += missing_warning(set(found)) + range_warnings(weights[order])
     if progress:
         progress(1.0)
     used = tuple(ARKIT_NAMES[i] for i in sorted(found))
-    return Performance(times, weights, rate, "face-cap", used, head_rotation=turns, warnings=warnings)
+    return Performance(times, weights[order], rate, "face-cap", used, head_rotation=turns[order], warnings=warnings)
 
 
 def _recognises(path: Path, start: bytes) -> bool:

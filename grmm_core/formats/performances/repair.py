@@ -82,6 +82,28 @@ def scale_times(times: np.ndarray, fps: float, warnings: list[str]) -> np.ndarra
     return times
 
 
+def times_of_stamps(
+    stamps: np.ndarray, fps: float | None, default: float, warnings: list[str], say_unit: bool = True
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """The time line of frames with time stamps [T] in any unit.
+
+    Args:
+        stamps: As the file has them, finite.
+        fps: A frame rate that is over them, if any.
+        default: Frame rate where they say nothing.
+        warnings: Sentences about the unit and about repeated, reordered and missing frames are appended.
+        say_unit: Off where the program's unit is known.
+
+    Returns:
+        Times [K], the indices [K] of the frames that are kept, and the frame rate.
+    """
+    if fps is None and np.ptp(stamps) > 0:
+        times, order = clean_times(scale_times(stamps, default, warnings if say_unit else []), warnings)
+        return times, order, median_rate(times, default)
+    rate = fps or default
+    return np.arange(len(stamps)) / rate, np.arange(len(stamps)), rate
+
+
 def fill_missing(path: Path, kind: str, values: np.ndarray, what: str, warnings: list[str]) -> np.ndarray:
     """Interpolate rows with NaN or infinite values from their neighbours in place, [T, N], and say so.
 

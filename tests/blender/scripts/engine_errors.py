@@ -10,18 +10,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import bpy
-from render_support import (
-    difference,
-    expected,
-    expected_png,
-    full_camera,
-    heads,
-    load_png,
-    new_scene,
-    render,
-    set_multilayer_exr,
-)
-from support import module, report
+from render_support import difference, expected, expected_png, full_camera, heads, load_png, new_scene, render
+from support import module, report, set_multilayer_exr
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
 scene = new_scene(weights)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from render_support import expected, full_camera, heads, new_scene, set_multilayer_exr
-from support import module, report
+from render_support import expected, full_camera, heads, new_scene
+from support import module, report, set_multilayer_exr
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
 scene = new_scene(weights, heads=2)

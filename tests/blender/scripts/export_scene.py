@@ -46,7 +46,7 @@ def world_vertices(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.
     return np.array([evaluated.matrix_world @ vertex.co for vertex in evaluated.data.vertices])
 
 
-def splat_files() -> dict:
+def files() -> dict:
     avatar = posed_head()
     for extension in (".ply", ".spz", ".splat", ".glb"):
         bpy.ops.grmm.export_splats(filepath=str(folder / f"frame{extension}"), format=extension, degree=1)
@@ -111,7 +111,7 @@ def performances() -> dict:
     return {"needs": needs, "detail": avatar.object.grmm.live_detail, "frame": scene.frame_current}
 
 
-def gaussian_avatars() -> dict:
+def gaussian() -> dict:
     avatar = posed_head()
     needs = message(lambda: bpy.ops.grmm.export_gaussian_avatar(directory=str(folder / "ours")))
     flame = str(folder / "flame2023.pkl")
@@ -149,9 +149,5 @@ def clouds() -> dict:
         "export_splats", "export_mesh", "export_performance", "export_cache", "export_gaussian_avatar")]}  # fmt: skip
 
 
-report(files=splat_files())
-report(meshes=meshes())
-report(caches=caches())
-report(performances=performances())
-report(gaussian=gaussian_avatars())
-report(clouds=clouds())
+for part in (files, meshes, caches, performances, gaussian, clouds):
+    report(**{part.__name__: part()})

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from rig_support import core_mesh, largest, mesh_of, update
+from rig_support import core_mesh, each_alone, largest, mesh_of, update
 from support import empty_scene, module, report
 
 path = Path(sys.argv[1])
@@ -40,14 +40,8 @@ report(
 )
 # the jaw is turned by ARKit's shapes, not by FLAME's own components
 generator = np.random.default_rng(0)
-single = {}
 neutral = mesh_of(avatar)
-for name in ("jawOpen", "eyeLookInLeft", "scream", "mouthSmileLeft"):
-    avatar.object[name] = 1.0
-    update(avatar)
-    single[name] = [largest(mesh_of(avatar) - core_mesh(avatar)), largest(mesh_of(avatar) - neutral)]
-    avatar.object[name] = 0.0
-report(single=single)
+report(single=each_alone(avatar, ("jawOpen", "eyeLookInLeft", "scream", "mouthSmileLeft")))
 everything = []
 for _ in range(2):
     for name in module("grmm_core.controls.names").ALIGNED_NAMES:

@@ -46,14 +46,6 @@ def exact_colors(scene: bpy.types.Scene) -> None:
     scene.render.image_settings.color_mode = "RGBA"
 
 
-def set_multilayer_exr(settings: bpy.types.ImageFormatSettings) -> None:
-    """Choose 32-bit multilayer OpenEXR; 5.x wants the kind of media first."""
-    if hasattr(settings, "media_type"):
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format = "OPEN_EXR_MULTILAYER"
-    settings.color_depth = "32"
-
-
 def add_camera(scene: bpy.types.Scene, location: tuple[float, float, float] = (0.1, -1.1, 0.02)) -> bpy.types.Object:
     """Add a camera that looks at the first head, and make it the scene's."""
     camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))

@@ -6,7 +6,7 @@ import sys
 
 import bpy
 import numpy as np
-from rig_support import core_mesh, fresh_head, largest, mesh_of, model_mesh, randomise, update, without_detail
+from rig_support import core_mesh, each_alone, fresh_head, largest, mesh_of, model_mesh, randomise, update, without_detail
 from support import module, report
 
 generator = np.random.default_rng(7)
@@ -40,17 +40,12 @@ for _ in range(4):
     results["head"].append(largest(mesh_of(avatar) - core_mesh(avatar)))
 
 # each component by itself, at a large value: a wrong key or weight cannot hide among the others
-single = {}
 for name in ("shape", "expression"):
     avatar.object[name] = [0.0] * len(avatar.object[name])
 for name in module("grmm_core.controls.names").ALIGNED_NAMES:
     avatar.object[name] = 0.0
 neutral = mesh_of(avatar)
-for name in ("jawOpen", "eyeLookInLeft", "scream", "tongueOut"):
-    avatar.object[name] = 1.0
-    update(avatar)
-    single[name] = [largest(mesh_of(avatar) - core_mesh(avatar)), largest(mesh_of(avatar) - neutral)]
-    avatar.object[name] = 0.0
+single = each_alone(avatar, ("jawOpen", "eyeLookInLeft", "scream", "tongueOut"))
 for name, index in (("shape", 0), ("shape", 49), ("shape", 50), ("shape", 299), ("expression", 24), ("expression", 99)):
     avatar.object[name][index] = 3.0
     update(avatar)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import bpy
@@ -87,3 +88,14 @@ def model_mesh(avatar: Any, controls: Any = None) -> np.ndarray:
 def largest(difference: np.ndarray) -> float:
     """Largest absolute value, NaN if there is one, as a number that JSON takes."""
     return float(np.abs(difference).max())
+
+
+def each_alone(avatar: Any, names: Iterable[str]) -> dict[str, list[float]]:
+    """Set one control after the other to 1: by how much the mesh is off, and by how much it moves, metres."""
+    found, neutral = {}, mesh_of(avatar)
+    for name in names:
+        avatar.object[name] = 1.0
+        update(avatar)
+        found[name] = [largest(mesh_of(avatar) - core_mesh(avatar)), largest(mesh_of(avatar) - neutral)]
+        avatar.object[name] = 0.0
+    return found

@@ -47,6 +47,14 @@ def empty_scene() -> bpy.types.Scene:
     return bpy.context.scene
 
 
+def set_multilayer_exr(settings: bpy.types.ImageFormatSettings) -> None:
+    """Choose 32-bit multilayer OpenEXR; 5.x wants the kind of media first."""
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    settings.color_depth = "32"
+
+
 def heavy_modules() -> list[str]:
     """Modules that must not be loaded by registering."""
     return [name for name in ("torch", "numba", "scipy", "PIL") if name in sys.modules]

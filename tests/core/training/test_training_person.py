@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from model_fixtures import SHAPES, TEETH, ColoredSpheres, small_head
+from model_fixtures import SHAPES, TEETH, ColoredSpheres, small_head, train_spheres
 
 from grmm_core.errors import ConfigError, FileFormatError
 from grmm_core.model.torch_loader import with_deltas
@@ -40,12 +40,7 @@ def head():
 @pytest.fixture(scope="module")
 def folder(head, tmp_path_factory):
     """Briefly trained weights of both people, and a checkpoint of them."""
-    folder = tmp_path_factory.mktemp("trained")
-    trainer = Trainer(config(steps=30, ema=0.5), head, ColoredSpheres(), folder)
-    trainer.run()
-    trainer.save()
-    trainer.save_weights(folder / "w.safetensors", {})
-    return folder
+    return train_spheres(config(steps=30, ema=0.5), head, tmp_path_factory.mktemp("trained")).folder
 
 
 def run(folder, head, target, **settings):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from model_fixtures import SHAPES, ColoredSpheres, small_head
+from model_fixtures import SHAPES, ColoredSpheres, small_head, train_spheres
 
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError
 from grmm_core.files.tensorfile import write_tensors
@@ -34,12 +34,7 @@ def head():
 
 @pytest.fixture(scope="module")
 def trained(head, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("trained")
-    trainer = Trainer(config(steps=60, ema=0.5), head, ColoredSpheres(), folder)
-    trainer.run()
-    trainer.save()
-    trainer.save_weights(folder / "w.safetensors", {})
-    return trainer
+    return train_spheres(config(steps=60, ema=0.5), head, tmp_path_factory.mktemp("trained"))
 
 
 @pytest.mark.parametrize(("name", "tolerance"), [(CHECKPOINT, 0.0), ("w.safetensors", 2e-3)])

@@ -6,7 +6,7 @@ differs from the usual is passed to `bpy.props` as it is.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
@@ -40,11 +40,12 @@ def choice(name: str, description: str, *items: tuple[str, str, str], **options:
 class Operator(bpy.types.Operator):
     """Base of operators: what they are called comes from the name of the class, the tooltip from its docstring.
 
-    A tooltip that is longer than a line stands in `bl_description`.
+    A tooltip that is longer than a line stands in `bl_description`. What does not change the file says so in `bl_options`.
     """
 
     bl_idname: str
     bl_description: str
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()

@@ -6,7 +6,6 @@ FLAME is licence-gated and nothing of it is in the extension: the user names a f
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
 
 import bpy
 
@@ -26,7 +25,6 @@ class GRMM_OT_add_flame_head(PlacesHead, Operator):
         "Add the head of your own FLAME file with bones, ARKit sliders and FLAME's coefficients; the file can be named once in "
         "the extension's preferences"
     )
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: text(
         "FLAME File",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-from typing import ClassVar
 
 import bpy
 
@@ -16,8 +15,8 @@ from ..grmm_blender.session_host import SAMPLE_PREFIX
 from ..grmm_core.avatar import EXTENSION
 from ..grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_names
 from ..grmm_core.errors import FileAccessError
-from .common import OperatorMixin, Result, check_object_mode, polls, reports_errors
-from .importing import ImportsFiles, menu_entry, over_viewport
+from .common import OperatorMixin, Result, check_object_mode, menu_entries, polls, reports_errors
+from .importing import ImportsFiles, TakesDrops
 
 LIBRARY_ITEMS = tuple(
     (name, name.replace("_", " ").capitalize(), f"The avatar {name} of the library") for name in library_names()
@@ -69,7 +68,6 @@ class GRMM_OT_add_head(PlacesHead, Operator):
     """Add an animatable GRMM head with its rig at the 3D cursor."""
 
     bl_label = "Add GRMM Head"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     person: choice(
         "Person",
@@ -121,7 +119,6 @@ class GRMM_OT_open_avatar(PlacesHead, ImportsFiles, Operator):
     """Choose an avatar file and add it to the scene."""
 
     bl_label = "Open GRMM Avatar"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: text("File", "Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=f"*{EXTENSION}", options={"HIDDEN"})
@@ -146,18 +143,13 @@ def file_source(filepath: str, relative: bool = True) -> tuple[str, str]:
     return stored_path(absolute, relative), absolute
 
 
-class GRMM_FH_avatar(bpy.types.FileHandler):
+class GRMM_FH_avatar(TakesDrops, bpy.types.FileHandler):
     """Take avatar files that are dropped into the 3D viewport."""
 
     bl_idname = "GRMM_FH_avatar"
     bl_label = "GRMM Avatar"
     bl_import_operator = GRMM_OT_open_avatar.bl_idname
     bl_file_extensions = EXTENSION
-
-    @classmethod
-    def poll_drop(cls, context: bpy.types.Context) -> bool:
-        """Only in 3D viewports."""
-        return over_viewport(context)
 
 
 class GRMM_MT_add(bpy.types.Menu):
@@ -187,7 +179,7 @@ def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
 
 
 CLASSES = (GRMM_OT_add_head, GRMM_OT_open_avatar, GRMM_FH_avatar, GRMM_MT_add)
-_add_import, _remove_import = menu_entry(GRMM_OT_open_avatar, f"GRMM Avatar ({EXTENSION})")
+_add_import, _remove_import = menu_entries(bpy.types.TOPBAR_MT_file_import, (GRMM_OT_open_avatar, f"GRMM Avatar ({EXTENSION})"))
 
 
 def register() -> None:

@@ -129,3 +129,13 @@ def flame_path(chosen: str) -> str:
     """Return the FLAME file that an operator's option names, else that of the preferences, absolute, or ""."""
     named = chosen or preferences.get().flame
     return bpy.path.abspath(named) if named else ""
+
+
+def menu_entries(menu: Any, *entries: tuple[type[bpy.types.Operator], str]) -> tuple[Callable[[], None], Callable[[], None]]:
+    """Return what adds operators, each with its text, to a menu of Blender's, and what removes them."""
+
+    def draw(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+        for operator, text in entries:
+            self.layout.operator(operator.bl_idname, text=text)
+
+    return lambda: menu.append(draw), lambda: menu.remove(draw)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import bpy
 
 from ..grmm_blender.composite import scenes
@@ -27,7 +25,6 @@ class GRMM_OT_composite_set_up(Operator):
         "Render the avatars with GRMM in a scene of their own and everything else with this scene's engine, "
         "put together by the compositor; again: put it right"
     )
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     poll = polls(_check_scene)
 
@@ -43,7 +40,6 @@ class GRMM_OT_composite_remove(Operator):
     """Remove the compositing nodes and the scene that renders the avatars; your own nodes stay."""
 
     bl_label = "Remove Composite"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     poll = polls(lambda context: require(scenes.partner_of(context.scene), "This scene has no composite"))
 

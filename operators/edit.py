@@ -248,7 +248,6 @@ class GRMM_OT_make_independent(Operator):
     """Give this head a mesh of its own, so that its sliders move it and not the head it was duplicated from."""
 
     bl_label = "Make Independent"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     poll = polls(_follower)
 

@@ -14,7 +14,18 @@ from ..grmm_blender.declare import Operator, choice, text
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.formats import formats, write_performance
-from .common import FrameRange, Result, active_avatar, active_performer, flame_path, output_path, polls, reports_errors, require
+from .common import (
+    FrameRange,
+    Result,
+    active_avatar,
+    active_performer,
+    flame_path,
+    menu_entries,
+    output_path,
+    polls,
+    reports_errors,
+    require,
+)
 from .file_formats import menu_items, write_filter, written_suffixes
 from .steps import Step, SteppedOperator, Steps
 
@@ -142,22 +153,9 @@ class GRMM_OT_export_cache(FrameRange, Operator, ExportHelper):
             )  # fmt: skip
 
 
-def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    layout = self.layout
-    layout.operator(
-        GRMM_OT_export_performance.bl_idname, text=f"GRMM Performance ({', '.join(written_suffixes(PERFORMANCES))})"
-    )
-    layout.operator(GRMM_OT_export_cache.bl_idname, text="GRMM Mesh Cache (.abc, .usdc)")
-
-
 CLASSES = (GRMM_OT_export_performance, GRMM_OT_export_cache)
-
-
-def register() -> None:
-    """Add the menu entries."""
-    bpy.types.TOPBAR_MT_file_export.append(_menu)
-
-
-def unregister() -> None:
-    """Remove the menu entries."""
-    bpy.types.TOPBAR_MT_file_export.remove(_menu)
+register, unregister = menu_entries(
+    bpy.types.TOPBAR_MT_file_export,
+    (GRMM_OT_export_performance, f"GRMM Performance ({', '.join(written_suffixes(PERFORMANCES))})"),
+    (GRMM_OT_export_cache, "GRMM Mesh Cache (.abc, .usdc)"),
+)

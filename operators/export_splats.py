@@ -20,7 +20,17 @@ from ..grmm_core.formats import SplatCloud, format_to_write, formats
 from ..grmm_core.formats.avatars.gaussian_avatars import PLY_NAME, TRACK_NAME
 from ..grmm_core.formats.sequence import frame_path
 from ..grmm_core.session.harmonics import DEFAULT_DEGREE, MAX_DEGREE
-from .common import FrameRange, Result, UnavailableError, active_avatar, flame_path, output_path, polls, reports_errors
+from .common import (
+    FrameRange,
+    Result,
+    UnavailableError,
+    active_avatar,
+    flame_path,
+    menu_entries,
+    output_path,
+    polls,
+    reports_errors,
+)
 from .file_formats import draw_options, has_options, listed, menu_items, option_values, write_filter, written_suffixes
 from .steps import Step, SteppedOperator, Steps
 
@@ -208,21 +218,10 @@ class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, Operator):
         return f"Wrote {made.cloud.count} splats and {len(frames)} frames to {folder}"
 
 
-def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-    layout = self.layout
-    layout.operator(GRMM_OT_export_splats.bl_idname, text=f"GRMM Splats ({listed(SPLATS, False)})")
-    layout.operator(GRMM_OT_export_mesh.bl_idname, text=f"GRMM Head Mesh ({listed(MESHES, False)})")
-    layout.operator(GRMM_OT_export_gaussian_avatar.bl_idname, text="GRMM GaussianAvatars Folder")
-
-
 CLASSES = (GRMM_OT_export_splats, GRMM_OT_export_mesh, GRMM_OT_export_gaussian_avatar)
-
-
-def register() -> None:
-    """Add the menu entries."""
-    bpy.types.TOPBAR_MT_file_export.append(_menu)
-
-
-def unregister() -> None:
-    """Remove the menu entries."""
-    bpy.types.TOPBAR_MT_file_export.remove(_menu)
+register, unregister = menu_entries(
+    bpy.types.TOPBAR_MT_file_export,
+    (GRMM_OT_export_splats, f"GRMM Splats ({listed(SPLATS, False)})"),
+    (GRMM_OT_export_mesh, f"GRMM Head Mesh ({listed(MESHES, False)})"),
+    (GRMM_OT_export_gaussian_avatar, "GRMM GaussianAvatars Folder"),
+)

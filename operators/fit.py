@@ -167,7 +167,6 @@ class GRMM_OT_fit_photo_expression(Operator):
     """Set expression and pose of an avatar made from photos as the first photo shows them, to compare the two."""
 
     bl_label = "Photo's Expression"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     poll = polls(_photographed)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 import bpy
 
@@ -19,9 +19,9 @@ from ..grmm_core.head import load_flame
 from ..grmm_core.jobs.progress import within
 from ..grmm_core.performance import REGIONS
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
-from .common import Result, active_performer, flame_path, polls, reports_errors
+from .common import Result, active_performer, flame_path, menu_entries, polls, reports_errors
 from .file_formats import dropped_suffixes, has_options, listed, option_values, read_filter
-from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
+from .importing import ImportsFiles, over_viewport, pointer_progress
 
 READ = formats("performance", read=True)
 _HUNDRED = 100
@@ -50,7 +50,6 @@ class GRMM_OT_import_performance(ImportsFiles, Operator):
     """Key the active avatar with a recorded performance (ARKit JSON, Live Link Face CSV, FLAME npz)."""
 
     bl_label = "Import Performance"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: text("File", "Performance file", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=read_filter(READ), options={"HIDDEN"})
@@ -235,4 +234,6 @@ class GRMM_FH_performance(bpy.types.FileHandler):
 
 
 CLASSES = (GRMM_OT_import_performance, GRMM_FH_performance)
-register, unregister = menu_entry(GRMM_OT_import_performance, f"GRMM Performance ({listed(READ)})")
+register, unregister = menu_entries(
+    bpy.types.TOPBAR_MT_file_import, (GRMM_OT_import_performance, f"GRMM Performance ({listed(READ)})")
+)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
 
 import bpy
 
@@ -14,9 +13,9 @@ from ..grmm_blender.splats.rigged import import_file
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.formats import formats
 from ..grmm_core.performance import Performance
-from .common import Result, check_object_mode, flame_path, polls, reports_errors
+from .common import Result, check_object_mode, flame_path, menu_entries, polls, reports_errors
 from .file_formats import dropped_suffixes, listed, read_filter
-from .importing import ImportsFiles, menu_entry, over_viewport, pointer_progress
+from .importing import ImportsFiles, TakesDrops, pointer_progress
 
 READ = formats(("splats", "avatar", "sequence"), read=True)
 
@@ -29,7 +28,6 @@ class GRMM_OT_import_splats(ImportsFiles, Operator):
         "Add the Gaussians of splat files (3DGS, .splat, SPZ, SOG, glTF) "
         "or avatars of other projects (GaussianAvatars, LAM, CAP4D)"
     )
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: text("File", "Splat file", subtype="FILE_PATH", options={"SKIP_SAVE"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"SKIP_SAVE", "HIDDEN"})
@@ -86,7 +84,7 @@ class GRMM_OT_import_splats(ImportsFiles, Operator):
         return [*written.warnings, *(["The track's movement of the whole head through space was left out."] if moved else [])]
 
 
-class GRMM_FH_splats(bpy.types.FileHandler):
+class GRMM_FH_splats(TakesDrops, bpy.types.FileHandler):
     """Take splat files that are dropped into the 3D viewport."""
 
     bl_idname = "GRMM_FH_splats"
@@ -94,11 +92,8 @@ class GRMM_FH_splats(bpy.types.FileHandler):
     bl_import_operator = GRMM_OT_import_splats.bl_idname
     bl_file_extensions = dropped_suffixes(READ)
 
-    @classmethod
-    def poll_drop(cls, context: bpy.types.Context) -> bool:
-        """Only in 3D viewports."""
-        return over_viewport(context)
-
 
 CLASSES = (GRMM_OT_import_splats, GRMM_FH_splats)
-register, unregister = menu_entry(GRMM_OT_import_splats, f"GRMM Splats and Avatars ({listed(READ)})")
+register, unregister = menu_entries(
+    bpy.types.TOPBAR_MT_file_import, (GRMM_OT_import_splats, f"GRMM Splats and Avatars ({listed(READ)})")
+)

@@ -46,11 +46,10 @@ def over_viewport(context: bpy.types.Context) -> bool:
     return context.area is not None and context.area.type == "VIEW_3D"
 
 
-def menu_entry(operator: type[bpy.types.Operator], text: str) -> tuple[Callable[[], None], Callable[[], None]]:
-    """Return what adds an operator to *File > Import*, and what removes it."""
+class TakesDrops:
+    """Mixin of file handlers: files that are dropped into a 3D viewport."""
 
-    def draw(self: bpy.types.Menu, context: bpy.types.Context) -> None:
-        self.layout.operator(operator.bl_idname, text=text)
-
-    menu = bpy.types.TOPBAR_MT_file_import
-    return lambda: menu.append(draw), lambda: menu.remove(draw)
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Only in 3D viewports."""
+        return over_viewport(context)

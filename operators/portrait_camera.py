@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import bpy
 
 from ..grmm_blender import staging
@@ -15,7 +13,6 @@ class GRMM_OT_portrait_camera(Operator):
     """Put a camera before the active avatar, and render through it with GRMM; again: put it there again."""
 
     bl_label = "Portrait Camera"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
     poll = polls(active_avatar)
 
     def execute(self, context: bpy.types.Context) -> Result:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
 
 import bpy
 
@@ -27,7 +26,6 @@ class GRMM_OT_create_pose_library(SteppedOperator, Operator):
         "Make a pose asset for each named expression, with a thumbnail of the active avatar; "
         "poses that are there get new thumbnails"
     )
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     thumbnails: flag("Thumbnails", "Draw each pose with the active avatar; takes a runtime", default=True)
     poll = polls(active_avatar)

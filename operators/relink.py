@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import ClassVar
 
 import bpy
 
@@ -28,7 +27,6 @@ class GRMM_OT_relink_avatar(ImportsFiles, Operator):
     """Choose the active avatar's file, after a move or to show another person; controls and keys stay."""
 
     bl_label = "Relink Avatar"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filepath: text("File", "Avatar file (.grmm)", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=f"*{EXTENSION}", options={"HIDDEN"})

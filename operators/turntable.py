@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import bpy
 from mathutils import Matrix
@@ -23,7 +22,6 @@ class GRMM_OT_turntable(Operator):
     """Add a camera that walks around the active avatar, keyed over a number of frames; again: change it."""
 
     bl_label = "Turntable"
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     frames: whole("Frames", "Length of one turn", default=96, min=2, max=10000)
     start: whole("Start Frame", "First frame of the turn", default=1, min=0)

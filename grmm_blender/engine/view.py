@@ -161,7 +161,6 @@ class ViewRenderer:
 
 
 _viewports: weakref.WeakSet[ViewRenderer] = weakref.WeakSet()
-_callbacks: list[object] = []
 
 
 def _poll() -> float | None:
@@ -208,19 +207,16 @@ _EVENTS = (
     (bpy.app.handlers.render_pre, _give_way),
     (session_host.changed, _on_runtime),
 )
+_DRAWING = ((_hide_overlays, "POST_VIEW"),)
 
 
 def register() -> None:
     """Follow Blender's events; without windows there are no overlays."""
-    events.follow(_EVENTS)
-    if not bpy.app.background:
-        _callbacks.append(bpy.types.SpaceView3D.draw_handler_add(_hide_overlays, (), "WINDOW", "POST_VIEW"))
+    events.follow(_EVENTS, _DRAWING)
 
 
 def unregister() -> None:
     """Take back `register`, and end what is being drawn."""
-    events.stop(_EVENTS, [_poll])
-    while _callbacks:
-        bpy.types.SpaceView3D.draw_handler_remove(_callbacks.pop(), "WINDOW")
+    events.stop(_EVENTS, [_poll], _DRAWING)
     view_jobs.close_all()
     overlays.forget()

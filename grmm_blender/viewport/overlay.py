@@ -27,7 +27,6 @@ _log = logging.getLogger(__name__)
 
 
 _viewports: dict[int, Viewport] = {}
-_callbacks: list[object] = []
 
 
 def statuses() -> list[str]:
@@ -141,22 +140,16 @@ _EVENTS = (
     (bpy.app.handlers.load_post, _on_load),
     (session_host.changed, _on_runtime),
 )
+_DRAWING = ((_draw_splats, "POST_VIEW"), (_draw_bones, "POST_VIEW"), (_draw_status, "POST_PIXEL"))
 
 
 def register() -> None:
     """Start drawing; without windows there is nothing to draw."""
-    events.follow(_EVENTS)
-    if not bpy.app.background:
-        add = bpy.types.SpaceView3D.draw_handler_add
-        _callbacks.append(add(_draw_splats, (), "WINDOW", "POST_VIEW"))
-        _callbacks.append(add(_draw_bones, (), "WINDOW", "POST_VIEW"))
-        _callbacks.append(add(_draw_status, (), "WINDOW", "POST_PIXEL"))
+    events.follow(_EVENTS, _DRAWING)
 
 
 def unregister() -> None:
     """Take back `register`."""
-    while _callbacks:
-        bpy.types.SpaceView3D.draw_handler_remove(_callbacks.pop(), "WINDOW")
-    events.stop(_EVENTS, [_poll])
+    events.stop(_EVENTS, [_poll], _DRAWING)
     _on_load()
     shaders.forget()

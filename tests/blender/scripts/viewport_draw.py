@@ -292,6 +292,6 @@ report(cloud=[float(value) for value in middle], error=viewport.status())
 report(shot_names=[shot.name for shot in viewport._scene.shots])
 
 # A panel for all of it is registered, and drawing callbacks are not: there are no windows here.
-report(panel=hasattr(bpy.types, "GRMM_PT_splat_viewport"), callbacks=len(overlay._callbacks))
+report(panel=hasattr(bpy.types, "GRMM_PT_splat_viewport"), callbacks=len(module("grmm_blender.events")._drawing))
 np.savez(folder / "viewport.npz", **stored)
 viewport.jobs.request(None)

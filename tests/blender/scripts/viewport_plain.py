@@ -32,7 +32,7 @@ bpy.context.view_layer.objects.active = rig
 looked_at = len(list(bones.posed_bones(bpy.context, bpy.context.evaluated_depsgraph_get())))
 bpy.ops.object.mode_set(mode="POSE")
 report(bones=[looked_at, len(list(bones.posed_bones(bpy.context, bpy.context.evaluated_depsgraph_get())))])
-report(callbacks=len(overlay._callbacks), rendered=True)
+report(callbacks=len(module("grmm_blender.events")._drawing), rendered=True)
 
 # The level of detail follows measured times; the first one is that of loading.
 pace = pace_class()

@@ -30,6 +30,7 @@ import numpy as np
 from ..controls.frame import Controls
 from ..errors import ConfigError, ShapeError
 from ..geometry.camera import Camera
+from ..splat.types import GaussianArrays
 
 PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask")
 LINEAR_PASS = "linear"
@@ -105,27 +106,6 @@ class Deformation:
     vertices: np.ndarray
     displacement: np.ndarray
     joints: np.ndarray
-
-
-@dataclass(frozen=True)
-class GaussianArrays:
-    """An avatar's Gaussians in head space, for viewports and exporters.
-
-    Attributes:
-        means: Centres in metres, [N, 3].
-        quats: Unit quaternions wxyz, [N, 4].
-        scales: Standard deviations in metres along the local axes, [N, 3].
-        opacities: 0..1, [N].
-        colors: Display sRGB 0..1 as seen along the view direction, not refined, [N, 3].
-        features: Input of the refinement network, [N, F], or [N, 0] when not asked for.
-    """
-
-    means: np.ndarray
-    quats: np.ndarray
-    scales: np.ndarray
-    opacities: np.ndarray
-    colors: np.ndarray
-    features: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -312,7 +292,10 @@ class Session(Protocol):
             controls: Expression and pose.
             view_direction: Unit vector from the head towards the camera in head space, [3]; from the front when None.
             lod: As `RenderOptions.lod`.
-            features: Also return the feature channels.
+            features: Also return the feature channels; without them there are 0.
+
+        Returns:
+            Metres; colors as seen along the view direction, not refined.
         """
         ...
 

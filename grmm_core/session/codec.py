@@ -1,7 +1,7 @@
 """Messages between a session and its worker: JSON behind a length, arrays in the shared arena. No pickle.
 
 A message is four bytes (little-endian length) and a JSON object in UTF-8. Arrays inside it are replaced by a description of
-their place in the arena, the interface's own dataclasses by their fields. Decoding builds only the types listed here.
+their place in the arena, the interface's own classes by their fields. Decoding builds only the types listed here.
 
 Used by `client` and `worker`. Needs numpy only.
 """
@@ -92,8 +92,9 @@ def _pack(value: Any, arrays: list[np.ndarray]) -> Any:
     if isinstance(value, np.ndarray):
         arrays.append(np.ascontiguousarray(value))
         return {"$array": len(arrays) - 1}
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {f.name: _pack(getattr(value, f.name), arrays) for f in dataclasses.fields(value)}
+    if type(value) in _TYPES.values():
+        names = value._fields if isinstance(value, tuple) else [field.name for field in dataclasses.fields(value)]
+        fields = {name: _pack(getattr(value, name), arrays) for name in names}
         return {"$type": type(value).__name__, "fields": fields}
     if isinstance(value, bytes):
         return {"$bytes": base64.b64encode(value).decode("ascii")}

@@ -16,7 +16,6 @@ camera_class = module("grmm_core.geometry.camera").Camera
 controls_class = module("grmm_core.controls.frame").Controls
 errors = module("grmm_core.errors")
 jobs_module = module("grmm_blender.viewport.jobs")
-overlay = module("grmm_blender.viewport.overlay")
 pace_class = module("grmm_blender.viewport.pace").Pace
 shot_class = module("grmm_blender.scene.shot").AvatarShot
 sources = module("grmm_blender.viewport.sources")

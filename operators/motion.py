@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import bpy
 
-from ..grmm_blender.declare import choice
+from ..grmm_blender.declare import Operator, choice
 from ..grmm_blender.motion.bake import bake
 from ..grmm_blender.motion.features import FEATURES
 from ..grmm_blender.rig.avatar import Avatar
@@ -46,12 +46,10 @@ class _Change(OperatorMixin):
         return {"FINISHED"}
 
 
-class GRMM_OT_add_motion(_Change, bpy.types.Operator):
-    """Give the active avatar face bones, a Look At target, blinking or breathing."""
+class GRMM_OT_add_motion(_Change, Operator):
+    """Give it to the active avatar; sliders and keys stay as they are."""
 
-    bl_idname = "grmm.add_motion"
     bl_label = "Add to Rig"
-    bl_description = "Give it to the active avatar; sliders and keys stay as they are"
     adds = True
 
     def change(self, context: bpy.types.Context, avatar: Avatar) -> None:
@@ -59,12 +57,10 @@ class GRMM_OT_add_motion(_Change, bpy.types.Operator):
         FEATURES[self.feature].add(context, avatar)
 
 
-class GRMM_OT_remove_motion(_Change, bpy.types.Operator):
-    """Take one of them away."""
+class GRMM_OT_remove_motion(_Change, Operator):
+    """Take it from the active avatar; sliders and keys stay as they are."""
 
-    bl_idname = "grmm.remove_motion"
     bl_label = "Remove from Rig"
-    bl_description = "Take it from the active avatar; sliders and keys stay as they are"
     adds = False
 
     def change(self, context: bpy.types.Context, avatar: Avatar) -> None:
@@ -72,12 +68,10 @@ class GRMM_OT_remove_motion(_Change, bpy.types.Operator):
         FEATURES[self.feature].remove(context, avatar)
 
 
-class GRMM_OT_bake_motion(_Change, bpy.types.Operator):
-    """Make keys of what one of them does, and take it away."""
+class GRMM_OT_bake_motion(_Change, Operator):
+    """Key what it does in the frames of the scene on sliders and bones, and take it away."""
 
-    bl_idname = "grmm.bake_motion"
     bl_label = "Bake to Keys"
-    bl_description = "Key what it does in the frames of the scene on sliders and bones, and take it away"
     adds = False
 
     def change(self, context: bpy.types.Context, avatar: Avatar) -> None:

@@ -96,10 +96,3 @@ def savitzky_golay(values: np.ndarray, half: int) -> np.ndarray:
     for weight, k in zip(kernel, range(2 * half + 1), strict=True):
         result += weight * padded[k : k + values.shape[0]]
     return result
-
-
-def jitter(values: np.ndarray) -> np.ndarray:
-    """Root mean square of the second difference of curves [T, N]: what the eye sees as trembling, [N]."""
-    if values.shape[0] < 3:
-        return np.zeros(values.shape[1])
-    return np.sqrt(np.mean(np.diff(values.astype(np.float64), 2, axis=0) ** 2, axis=0))

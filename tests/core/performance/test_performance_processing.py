@@ -30,13 +30,18 @@ from grmm_core.performance import (
 )
 from grmm_core.performance.curves import reduce_curves
 from grmm_core.performance.retarget import bounded_least_squares
-from grmm_core.performance.smoothing import jitter, noise_level, smooth_curves
+from grmm_core.performance.smoothing import noise_level, smooth_curves
 
 BLINK, JAW = ARKIT_NAMES.index("eyeBlinkLeft"), ARKIT_NAMES.index("jawOpen")
 
 
 def largest_error(times, values, curves):
     return max(np.abs(curve.evaluate(times) - values[:, k]).max() for k, curve in enumerate(curves))
+
+
+def jitter(values):
+    """Root mean square of the second difference of curves [T, N]: what the eye sees as trembling, [N]."""
+    return np.sqrt(np.mean(np.diff(values.astype(np.float64), 2, axis=0) ** 2, axis=0))
 
 
 def key_count(performance, interpolation="bezier"):

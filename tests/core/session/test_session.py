@@ -294,7 +294,7 @@ def test_gaussians_draw_the_raw_picture(session, avatar):
     controls = Controls().set_named({"jawOpen": 0.4})
     found = session.gaussians(avatar.id, controls, CAMERA.view_direction(np.zeros(3)), features=True)
     assert found.features.shape == (avatar.gaussian_count, avatar.feature_count)
-    parts = [torch.from_numpy(getattr(found, f.name)) for f in dataclasses.fields(found)]
+    parts = [torch.from_numpy(array) for array in found]
     drawn = rasterize(Gaussians(*parts), CAMERA, backend="torch")
     passes = all_passes(session, [Instance(avatar.id, controls)])
     np.testing.assert_allclose(passes["raw"], drawn.rgb.numpy(), **MOVED)

@@ -93,7 +93,7 @@ def _pack(value: Any, arrays: list[np.ndarray]) -> Any:
         arrays.append(np.ascontiguousarray(value))
         return {"$array": len(arrays) - 1}
     if type(value) in _TYPES.values():
-        names = value._fields if isinstance(value, tuple) else [field.name for field in dataclasses.fields(value)]
+        names = value._fields if isinstance(value, GaussianArrays) else [field.name for field in dataclasses.fields(value)]
         fields = {name: _pack(getattr(value, name), arrays) for name in names}
         return {"$type": type(value).__name__, "fields": fields}
     if isinstance(value, bytes):

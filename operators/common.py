@@ -125,9 +125,9 @@ def output_path(filepath: str, extensions: tuple[str, ...], default: str) -> Pat
     return path
 
 
-def flame_path(chosen: str) -> str:
+def flame_path(option: str) -> str:
     """Return the FLAME file that an operator's option names, else that of the preferences, absolute, or ""."""
-    named = chosen or preferences.get().flame
+    named = option or preferences.get().flame
     return bpy.path.abspath(named) if named else ""
 
 

@@ -62,21 +62,21 @@ def _cloud() -> SplatCloud:
     return SplatCloud(means, rng.normal(size=(COUNT, 4)), scales, rng.uniform(0.01, 0.99, COUNT), sh).validated()
 
 
-def _row(wanted: SplatCloud, found: SplatCloud, name: str) -> str:
+def _row(wanted: SplatCloud, reread: SplatCloud, name: str) -> str:
     if name.endswith(".splat"):  # the most visible first
         wanted = wanted.select(np.argsort(-wanted.scales.astype(np.float64).prod(1) * wanted.opacities, kind="stable"))
-    sign = np.sign((wanted.quats * found.quats).sum(1, keepdims=True))
-    apart = np.linalg.norm(wanted.quats.astype(np.float64) - sign * found.quats, axis=1)
+    sign = np.sign((wanted.quats * reread.quats).sum(1, keepdims=True))
+    apart = np.linalg.norm(wanted.quats.astype(np.float64) - sign * reread.quats, axis=1)
     turn = 4.0 * np.arcsin(np.clip(apart / 2.0, 0.0, 1.0)) * _DEGREES
-    terms = min(wanted.sh.shape[1], found.sh.shape[1])
-    rest = "not kept" if terms == 1 else f"{np.abs(wanted.sh[:, 1:terms] - found.sh[:, 1:terms]).max():.2g}"
+    terms = min(wanted.sh.shape[1], reread.sh.shape[1])
+    rest = "not kept" if terms == 1 else f"{np.abs(wanted.sh[:, 1:terms] - reread.sh[:, 1:terms]).max():.2g}"
     return " | ".join(
         [
-            f"{np.abs(wanted.means - found.means).max() * 1e6:.2g} µm",
+            f"{np.abs(wanted.means - reread.means).max() * 1e6:.2g} µm",
             f"{turn.max():.2g}°",
-            f"{np.abs(found.scales / wanted.scales - 1).max() * 100:.2g} %",
-            f"{np.abs(wanted.opacities - found.opacities).max():.2g}",
-            f"{np.abs(wanted.colors() - found.colors()).max():.2g}",
+            f"{np.abs(reread.scales / wanted.scales - 1).max() * 100:.2g} %",
+            f"{np.abs(wanted.opacities - reread.opacities).max():.2g}",
+            f"{np.abs(wanted.colors() - reread.colors()).max():.2g}",
             rest,
         ]
     )

@@ -177,7 +177,7 @@ def forget() -> None:
     _walked = None
 
 
-def _kept_shots(found: ViewportShot, before: ViewportShot) -> ViewportShot:
+def _kept_shots(shot: ViewportShot, before: ViewportShot) -> ViewportShot:
     """Return what was found, with the shots of before where these say the same: then there is nothing to make."""
-    same = len(found.shots) == len(before.shots) and all(map(same_shot, found.shots, before.shots))
-    return replace(found, shots=before.shots) if same else found
+    same = len(shot.shots) == len(before.shots) and all(map(same_shot, shot.shots, before.shots))
+    return replace(shot, shots=before.shots) if same else shot

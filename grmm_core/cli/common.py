@@ -74,9 +74,9 @@ def add_format_options(parser: argparse._ActionsContainer, known: Iterable[Forma
             parser.add_argument(flag, type=type(option.default), choices=choices, default=option.default, help=text)
 
 
-def options_of(args: argparse.Namespace, found: Format, which: OptionsOf) -> dict[str, Any]:
+def options_of(args: argparse.Namespace, entry: Format, which: OptionsOf) -> dict[str, Any]:
     """Return a format's options as the flags set them, by the names that its reader or writer has for them."""
-    return {option.name: getattr(args, option.identifier) for option in getattr(found, which)}
+    return {option.name: getattr(args, option.identifier) for option in getattr(entry, which)}
 
 
 def add_events(parser: argparse.ArgumentParser) -> None:

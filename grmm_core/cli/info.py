@@ -162,10 +162,10 @@ def _header_facts(path: Path, header: AvatarHeader) -> dict[str, Any]:
     }
 
 
-def _ways(found: Format) -> str:
+def _ways(entry: Format) -> str:
     """Whether a format is read and written here, and which packages something about it lacks."""
-    ways = [way for way, able in (("read", found.reader), ("written", found.writer)) if able is not None]
-    lacking = [f"{what} needs {name}" for name, what in found.needs.items() if importlib.util.find_spec(name) is None]
+    ways = [way for way, able in (("read", entry.reader), ("written", entry.writer)) if able is not None]
+    lacking = [f"{what} needs {name}" for name, what in entry.needs.items() if importlib.util.find_spec(name) is None]
     return "; ".join([" and ".join(ways), *lacking])
 
 

@@ -195,7 +195,7 @@ def _over_grey(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def compare_counts(
-    scene: Scene, sources: Sequence[Sample], unseen: Sequence[Sample], preset: str | Preset = "standard", size: int = 384,
+    scene: Scene, sources: Sequence[Sample], held_out: Sequence[Sample], preset: str | Preset = "standard", size: int = 384,
     counts: Sequence[int] = COUNTS,
 ) -> dict[int, float]:  # fmt: skip
     """PSNR inside the mask in unseen views by the number of photos, exact tracking. Arguments as `compare_stages`."""
@@ -205,7 +205,7 @@ def compare_counts(
         shape = chosen[0].dataset.shape(chosen[0].shot.subject)
         tracks = [exact_track(scene.head, sample, load(sample, size), shape) for sample in chosen]
         person = scene.from_avatar(invert(tracks, scene.model, scene.head, preset, info=scene.info))
-        results[count] = psnr_of_views(scene, person, unseen, size)
+        results[count] = psnr_of_views(scene, person, held_out, size)
     return results
 
 

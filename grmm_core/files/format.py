@@ -116,6 +116,6 @@ class Format:
         return name in self.file_names or name.endswith((*self.suffixes, *self.shared_suffixes))
 
 
-def options_of_formats(found: Iterable[Format], which: OptionsOf) -> list[Option]:
+def options_of_formats(entries: Iterable[Format], which: OptionsOf) -> list[Option]:
     """Options of formats, each once."""
-    return list({option.identifier: option for one in found for option in getattr(one, which)}.values())
+    return list({option.identifier: option for one in entries for option in getattr(one, which)}.values())

@@ -140,16 +140,16 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
     return problem, Solution(shape, tuple(views)), tuple(units)
 
 
-def similarity(model: np.ndarray, found: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
+def similarity(model: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
     """Rotation, scale and shift with found = scale rotation model + shift in least squares (Umeyama 1991).
 
     Args:
         model: [N, 3].
-        found: [N, 3], x right, y down, z forward.
+        landmarks: [N, 3], x right, y down, z forward.
     """
-    a, b = model - model.mean(0), found - found.mean(0)
+    a, b = model - model.mean(0), landmarks - landmarks.mean(0)
     u, values, vt = np.linalg.svd(b.T @ a)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = (u * sign) @ vt
     scale = float((values * sign).sum() / max((a * a).sum(), 1e-30))
-    return rotation, scale, found.mean(0) - scale * rotation @ model.mean(0)
+    return rotation, scale, landmarks.mean(0) - scale * rotation @ model.mean(0)

@@ -64,9 +64,9 @@ def formats(holds: Kinds | None = None, *, read: bool = False, written: bool = F
     )
 
 
-def suffixes(found: Iterable[Format], shared: bool = True) -> tuple[str, ...]:
+def suffixes(entries: Iterable[Format], shared: bool = True) -> tuple[str, ...]:
     """Endings of formats, each once; without `shared` only those that are theirs alone."""
-    return tuple(dict.fromkeys(s for one in found for s in (*one.suffixes, *(one.shared_suffixes if shared else ()))))
+    return tuple(dict.fromkeys(s for one in entries for s in (*one.suffixes, *(one.shared_suffixes if shared else ()))))
 
 
 def format_to_read(path: Path, holds: Kinds | None = None) -> Format:

@@ -186,15 +186,15 @@ def _arrays(flame: FlameArrays, teeth: Teeth) -> dict[str, object]:
 
 
 def _regions(
-    surface: FlameSurface, found: Correspondence, head: HeadModel, masks: Mapping[str, np.ndarray] | None
+    surface: FlameSurface, correspondence: Correspondence, head: HeadModel, masks: Mapping[str, np.ndarray] | None
 ) -> dict[str, np.ndarray]:
-    near = found.distance < _REGION_DISTANCE
+    near = correspondence.distance < _REGION_DISTANCE
     labels = {}
     for name in _REGIONS:
         mark = np.zeros(head.vertex_count, bool)
         mark[head.regions[name]] = True
         labels[name] = np.zeros(len(surface.vertices), bool)
-        labels[name][surface.skin] = (found.carry(mark.astype(float)) > 0.5) & near
+        labels[name][surface.skin] = (correspondence.carry(mark.astype(float)) > 0.5) & near
     first = len(surface.vertices)
     teeth = {
         name: np.sort(np.concatenate([first + row * ROW + np.arange(ROW) for row in rows]))
@@ -203,10 +203,10 @@ def _regions(
     return name_regions(surface, labels, masks, teeth)
 
 
-def _landmarks(surface: FlameSurface, found: Correspondence, head: HeadModel) -> tuple[np.ndarray, np.ndarray] | None:
+def _landmarks(surface: FlameSurface, correspondence: Correspondence, head: HeadModel) -> tuple[np.ndarray, np.ndarray] | None:
     """The open head's 68 landmarks where the warp puts them; None where that is not credible."""
     skin = np.flatnonzero(np.isin(surface.faces[:, 0], surface.skin))
-    points = head.landmark_positions(found.warped)
+    points = head.landmark_positions(correspondence.warped)
     triangles, coordinates, gaps = closest_on_surface(points, surface.vertices, surface.faces[skin])
     if np.median(gaps) > _LANDMARK_MEDIAN or gaps.max() > _LANDMARK_MOST:
         _log.warning("The 68 landmarks could not be found on this FLAME mesh; give a landmark embedding file.")

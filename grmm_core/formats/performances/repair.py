@@ -166,9 +166,9 @@ def median_rate(times: np.ndarray, default: float) -> float:
     return float(nearest) if nearest and abs(rate - nearest) < 0.01 * nearest else rate
 
 
-def missing_warning(found: set[int]) -> list[str]:
+def missing_warning(recorded: set[int]) -> list[str]:
     """One sentence about ARKit names that a file does not have."""
-    missing = [name for i, name in enumerate(ARKIT_NAMES) if i not in found]
+    missing = [name for i, name in enumerate(ARKIT_NAMES) if i not in recorded]
     if not missing:
         return []
     more = f" and {len(missing) - _MAX_LISTED} more" if len(missing) > _MAX_LISTED else ""

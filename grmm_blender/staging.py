@@ -79,6 +79,7 @@ def aim(scene: bpy.types.Scene, avatar: Avatar, camera: bpy.types.Object) -> Non
     distance = fitting_distance(scene.render, LENS, SENSOR, place.radius * (1 + _MARGIN))
     turned = Matrix.Rotation(place.facing + _YAW, 4, "Z") @ Matrix.Rotation(math.pi / 2 - _PITCH, 4, "X")
     camera.matrix_world = Matrix.Translation(place.centre) @ turned @ Matrix.Translation((0.0, 0.0, distance))
+    camera.data.display_size = min(camera.data.display_size, distance / 8)  # else its frame is larger than the head
     camera.data.clip_start = min(camera.data.clip_start, distance / 10)
     scene.camera = camera
 

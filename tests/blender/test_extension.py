@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import tomllib
 import zipfile
 
 import pytest
 from blender_process import RunBlender, extension_zip
+
+import grmm_core
 
 pytestmark = pytest.mark.blender
 
@@ -17,6 +20,14 @@ def test_zip_holds_the_extension_and_nothing_else():
     top = {name.split("/")[0] for name in names}
     assert top <= {"blender_manifest.toml", "__init__.py", "LICENSE", "grmm_core", "grmm_blender", "operators"}
     assert not [n for n in names if "__pycache__" in n or n.endswith((".pyc", ".tmp")) or "/." in n]
+
+
+def test_the_manifest_has_the_package_s_version_and_reasons_that_fit(repository):
+    manifest = tomllib.loads((repository / "blender_manifest.toml").read_text("utf-8"))
+    assert manifest["version"] == grmm_core.__version__
+    for text in (manifest["tagline"], *manifest["permissions"].values()):
+        assert len(text) <= 64  # Blender's limit
+        assert not text.endswith(".")
 
 
 def test_lifecycle(run_blender: RunBlender, blender_version: str):

@@ -3,4 +3,5 @@
 ``blender``   starts Blender on a virtual screen, presses keys, moves the mouse, runs snippets inside, takes pictures
 ``inside``    what runs inside that Blender: snippets out of a folder, by a timer
 ``steps``     the walk: each step does something and is a picture
+``pictures``  the documents' pictures of a window
 """

@@ -17,8 +17,14 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=Path("out/walk"), help="folder for pictures and the console's text")
     parser.add_argument("--root", type=Path, help="folder of another system, with Blender, Xvfb, openbox and xdotool (chroot)")
     parser.add_argument("--display", default=":77", help="name for the virtual screen (default: %(default)s)")
+    parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="make the documents' pictures there instead of walking")
     arguments = parser.parse_args()
     with WalkedBlender(arguments.output, arguments.root, display=arguments.display) as blender:
+        if arguments.pictures is not None:
+            from .pictures import take
+
+            take(blender, arguments.extension, arguments.pictures)
+            return 0
         problems = walk(blender, arguments.extension)
     for problem in problems:
         print(problem)

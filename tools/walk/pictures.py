@@ -1,0 +1,72 @@
+"""The documents' pictures of a window: `python -m tools.walk ZIP --pictures docs/images`.
+
+Installs, adds a head, lets it smile, and cuts what is shown out of the screen. Needs Pillow, as the development set-up has it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PIL import Image
+
+from .blender import WalkedBlender
+from .steps import add_head, install, start
+
+WAIT = 60.0  # seconds for splats, the first time
+SCROLLS = 14  # clicks of the wheel from the upper panels to the lower ones
+_SMILE = """
+head = next(o for o in bpy.context.scene.objects if "jawOpen" in o.keys())
+for name, value in {"mouthSmile": 0.65, "cheekSquint": 0.4}.items():
+    head[f"{name}Left"] = head[f"{name}Right"] = value
+head.update_tag()
+"""
+_SIDEBAR = "next(part for part in area.regions if part.type == 'UI')"
+_PLACE = """
+part = next(part for part in area.regions if part.type == {kind!r})
+result = [part.x, window.height - part.y - part.height, part.x + part.width, window.height - part.y]
+"""
+_CUBES = """
+from mathutils import Vector
+area.spaces.active.region_3d.view_distance *= 0.8
+cube, place = bpy.data.objects["Cube"], next(o.location for o in bpy.data.objects if o.type == "ARMATURE")
+cube.dimensions = (0.1, 0.1, 0.1)
+cube.location = place + Vector((-0.08, -0.2, -0.12))
+other = cube.copy()
+other.location = place + Vector((0.1, 0.3, 0.1))
+bpy.context.collection.objects.link(other)
+"""
+
+
+def take(blender: WalkedBlender, extension: Path, output: Path) -> None:
+    """Make all pictures of a built extension in a folder."""
+    blender.bring(extension, "grmm.zip")
+    start(blender)
+    blender.run("bpy.ops.wm.window_fullscreen_toggle()")
+    install(blender)
+    add_head(blender)
+    blender.run("bpy.context.scene.objects['Cube'].location.x = 9.0")
+    blender.run(_SMILE)
+    blender.run("area.spaces.active.show_region_ui = True")
+    blender.picture("sidebar", 3)
+    blender.run(f"{_SIDEBAR}.active_panel_category = 'GRMM'\narea.tag_redraw()")
+    _cut(blender, output / "window_rig.png", None, WAIT)
+    _cut(blender, output / "panel_expression.png", "UI", 2)
+    left, top, right, bottom = _place(blender, "UI")
+    for _ in range(SCROLLS):
+        blender.click((left + right) // 2, (top + bottom) // 2, 5)
+    _cut(blender, output / "panel_detail.png", "UI", 2)
+    blender.run("area.spaces.active.show_region_ui = False\nbpy.ops.object.select_all(action='DESELECT')\n" + _CUBES)
+    _cut(blender, output / "viewport_solid.png", "WINDOW", 10)
+
+
+def _place(blender: WalkedBlender, kind: str) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom edge of a region of the viewport, pixels of the screen."""
+    left, top, right, bottom = blender.run(_PLACE.format(kind=kind))
+    return left, top, right, bottom
+
+
+def _cut(blender: WalkedBlender, path: Path, kind: str | None, wait: float) -> None:
+    """Save what a region of the viewport shows, or the whole window where it is None."""
+    shot = Image.open(blender.picture(path.stem, wait)).convert("RGB")
+    part = shot if kind is None else shot.crop(_place(blender, kind))
+    part.quantize(256, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True)

@@ -6,7 +6,7 @@ imports torch or numba, or knows the operators. What is registered stands in the
 ``compat`` ``windows`` ``events``        differences between Blender versions, found by feature; redrawing; Blender's events
 ``declare``                             Blender's properties and operators by what users see of them
 ``wrapper``                             Python objects that stand for one object of Blender's
-``progress_bar``                        a progress bar in a panel, for all work that takes a while
+``progress_bar`` ``width``              progress bars in panels; sentences in lines that fit a panel
 ``latest_request``                      work on a thread for the latest of many requests
 ``session_host``                        the one model session of this process (in-process, or a worker interpreter)
 ``rig``                                 the avatar as a Python object; head mesh, armature, shape keys, drivers, controls

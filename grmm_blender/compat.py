@@ -14,6 +14,11 @@ def bone_state(bone: bpy.types.PoseBone) -> tuple[bool, bool]:
     return hidden, selected
 
 
+def select_bone(bone: bpy.types.PoseBone) -> None:
+    """Select a posed bone."""
+    (bone if hasattr(bone, "select") else bone.bone).select = True
+
+
 def user_folder(name: str, create: bool = False) -> str:
     """Return a folder of the extension's own under Blender's user files.
 

@@ -16,6 +16,7 @@ from ..grmm_core.errors import GrmmError
 from . import events, session_host
 from .rig import live
 from .rig.avatar import Avatar, avatar_of
+from .rig.channel_groups import group_channels
 from .rig.left_rigs import LeftRigs
 from .scene.avatars import avatars_in
 
@@ -54,6 +55,9 @@ def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         return
     if _left_rigs.notice_deleted() and not bpy.app.background:
         events.later(_remove_left_rigs, 0.0)  # not while the edit is being reported
+    if any(isinstance(update.id, bpy.types.Action) for update in depsgraph.updates):
+        for avatar in avatars_in(scene):
+            group_channels(avatar)
     for avatar in _touched(depsgraph.updates):
         _update(avatar, depsgraph)
 

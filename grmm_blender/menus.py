@@ -9,7 +9,7 @@ import bpy
 
 _SECTIONS = (
     ("add_head", "open_avatar"),
-    ("random_expression", "mirror", "reset", "random_identity", "make_independent"),
+    ("random_expression", "mirror", "reset", "random_identity", "make_independent", "select_controls"),
     ("apply_pose", "save_pose", "create_pose_library"),
     ("import_performance",),
     ("composite_set_up", "composite_remove", "portrait_camera", "turntable", "contact_sheet"),
@@ -37,7 +37,7 @@ class GRMM_MT_more(bpy.types.Menu):
     """Operators that have their place in a panel or in Blender's own menus."""
 
     bl_idname = "GRMM_MT_more"
-    bl_label = "More"
+    bl_label = "Other GRMM Operators"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw them by name."""

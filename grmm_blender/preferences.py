@@ -17,8 +17,10 @@ from ..grmm_core.jobs.stages import INSTALL
 from . import compat, diagnostics, runtime_install, session_host, windows
 from .declare import Operator, choice, flag, text, whole
 from .progress_bar import draw_progress
+from .width import draw_text
 
 _POLL_SECONDS = 0.25
+OFFLINE = "Online access is off in Preferences > System; a folder of wheels needs none"
 
 _job: runtime_install.InstallJob | None = None
 
@@ -85,6 +87,7 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
     index: text(
         "Package Index", "Address of a package index, for example one with smaller builds without CUDA; empty for the usual one"
     )
+    favourites: text("Favourites", "Names of the controls that have a star", options={"HIDDEN"})
     show_install_options: flag("Options", "Show where the runtime is installed from")
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -93,7 +96,7 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
         layout.use_property_split = True
         layout.use_property_decorate = False
         status = session_host.runtime_status()
-        layout.label(text=status.message, icon="CHECKMARK" if status.available else "ERROR")
+        draw_text(layout, status.message, context, icon="CHECKMARK" if status.available else "ERROR")
         column = layout.column()
         column.prop(self, "runtime")
         row = column.row()
@@ -103,10 +106,10 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
         column.prop(self, "threads")
         column.prop(self, "weights")
         column.prop(self, "flame")
-        self._draw_installation(layout.box())
+        self._draw_installation(layout.box(), context)
         layout.operator(GRMM_OT_copy_diagnostics.bl_idname, icon="COPYDOWN")
 
-    def _draw_installation(self, layout: bpy.types.UILayout) -> None:
+    def _draw_installation(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         facts = runtime_install.installed_facts(_folder())
         machine = runtime_install.detect_machine()
         layout.label(text=f"This machine: {machine.system}, {machine.accelerator or 'no accelerator found'}")
@@ -119,11 +122,11 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
             layout.label(text=f"Installed runtime: {versions}")
         else:
             layout.label(text="No runtime installed")
-            layout.label(text=machine.advice)
+            draw_text(layout, machine.advice, context)
             if not bpy.app.online_access and not self.wheels:
-                layout.label(text="Online access is off in Preferences > System; a folder of wheels needs none", icon="INFO")
+                draw_text(layout, OFFLINE, context, icon="INFO")
         if _job is not None and _job.error:
-            layout.label(text=_job.error, icon="ERROR")
+            draw_text(layout, _job.error, context, icon="ERROR")
         row = layout.row()
         row.operator(
             GRMM_OT_install_runtime.bl_idname,
@@ -260,6 +263,11 @@ def get() -> GRMM_AddonPreferences | SimpleNamespace:
         return found.preferences
     declared = GRMM_AddonPreferences.bl_rna.properties
     return SimpleNamespace(**{name: declared[name].default for name in GRMM_AddonPreferences.__annotations__})
+
+
+def are_kept() -> bool:
+    """Whether there are preferences to write into."""
+    return compat.ROOT_PACKAGE in bpy.context.preferences.addons
 
 
 def register() -> None:

@@ -1,8 +1,7 @@
 """Translations of labels into German, French, Spanish, Simplified Chinese and Japanese.
 
 `translations.json` has one row for each message of panels and operators, in the order of its `locales`; Blender shows the
-column of the user's language and the English text where a message is missing. Names of expressions stay English, as ARKit has
-them.
+column of the user's language and the English text where a message is missing. Names of expressions stay English.
 """
 
 from __future__ import annotations

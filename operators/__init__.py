@@ -11,6 +11,8 @@
 ``export_animation``    performance files; caches through Blender's Alembic and USD exporters
 ``fit``                 avatars from photos
 ``steps``               long work with progress and cancel
+``drag_face``           handles of the face in the viewport
+``keying``              the keying set of all controls
 ``edit``                reset, mirror, random expression and identity, independent copies
 ``residual``            random learned detail, saved codes and their blend
 ``motion``              face bones, Look At, blinking, breathing
@@ -34,12 +36,14 @@ from . import (
     calibrate,
     composite,
     contact_sheet,
+    drag_face,
     edit,
     export_animation,
     export_splats,
     fit,
     import_performance,
     import_splats,
+    keying,
     motion,
     portrait_camera,
     pose_library,
@@ -56,6 +60,8 @@ PARTS = (
     export_splats,
     export_animation,
     edit,
+    drag_face,
+    keying,
     residual,
     motion,
     calibrate,

@@ -64,6 +64,24 @@ class Edit(OperatorMixin):
         return {"FINISHED"}
 
 
+class RegionEdit(Edit):
+    """Edits of named expressions, of all or of one region, which the tooltip names."""
+
+    bl_description: str
+    region: choice("Region", "Work on one region only", *_REGION_ITEMS, default=ALL)
+
+    @classmethod
+    def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """Say what is done, and to which region."""
+        what = cls.told(properties)
+        return what if properties.region == ALL else f"{what}: {properties.region.lower()} only"
+
+    @classmethod
+    def told(cls, properties: bpy.types.OperatorProperties) -> str:
+        """What is done, whatever the region."""
+        return cls.bl_description
+
+
 class DrawsAnother(OperatorMixin):
     """Mixin of operators that draw at random: from a menu or by a button something new each time."""
 
@@ -76,7 +94,7 @@ class DrawsAnother(OperatorMixin):
         return self.execute(context)
 
 
-class GRMM_OT_reset(Edit, Operator):
+class GRMM_OT_reset(RegionEdit, Operator):
     """Set controls of the active avatar back to rest."""
 
     bl_label = "Reset Controls"
@@ -87,7 +105,6 @@ class GRMM_OT_reset(Edit, Operator):
         (ALL, "All", "Every control"),
         *((section.key, section.label, section.description) for section in SECTIONS),
     )
-    region: choice("Region", "Reset the named expressions of one region only", *_REGION_ITEMS, default=ALL)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Reset."""
@@ -114,7 +131,7 @@ class GRMM_OT_reset(Edit, Operator):
         return control.section != "EXPRESSION" or self.region in (ALL, control.region)
 
 
-class GRMM_OT_mirror(Edit, Operator):
+class GRMM_OT_mirror(RegionEdit, Operator):
     """Swap the sides of the active avatar's expression, or copy one side to the other."""
 
     bl_label = "Mirror Expression"
@@ -126,7 +143,11 @@ class GRMM_OT_mirror(Edit, Operator):
         ("LEFT", "Left to Right", "Copy the subject's left side to the right"),
         ("RIGHT", "Right to Left", "Copy the subject's right side to the left"),
     )
-    region: choice("Region", "Mirror one region only", *_REGION_ITEMS, default=ALL)
+
+    @classmethod
+    def told(cls, properties: bpy.types.OperatorProperties) -> str:
+        """The direction says it."""
+        return properties.bl_rna.properties["direction"].enum_items[properties.direction].description
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Mirror."""
@@ -169,14 +190,13 @@ class GRMM_OT_mirror(Edit, Operator):
         return taken
 
 
-class GRMM_OT_random_expression(DrawsAnother, Edit, Operator):
+class GRMM_OT_random_expression(DrawsAnother, RegionEdit, Operator):
     """Give the active avatar a random expression, or one region of it."""
 
     bl_label = "Random Expression"
 
     amount: number("Amount", "Largest weight of an expression", default=0.7, min=0.0, max=1.0, subtype="FACTOR")
     share: number("Share", "Share of the expressions that move", default=0.15, min=0.0, max=1.0, subtype="FACTOR")
-    region: choice("Region", "Change one region only", *_REGION_ITEMS, default=ALL)
 
     def execute(self, context: bpy.types.Context) -> Result:
         """Draw an expression."""

@@ -10,7 +10,7 @@ from ..grmm_blender import poses, session_host
 from ..grmm_blender.declare import Operator, flag, number, text
 from ..grmm_blender.portraits import portrait, with_expression
 from ..grmm_blender.rig.avatar import active_object, avatar_of
-from ..grmm_blender.scene.cameras import face_camera
+from ..grmm_blender.scene.cameras import close_camera
 from ..grmm_core.controls.table import EXPRESSIONS
 from ..grmm_core.errors import FileAccessError, GrmmError
 from .common import Result, active_avatar, polls, reports_errors
@@ -41,7 +41,7 @@ class GRMM_OT_create_pose_library(SteppedOperator, Operator):
         pictures = {}  # all of them first: a cancelled run changes nothing
         for index, expression in enumerate(EXPRESSIONS if draw else ()):
             shown = with_expression(controls, {expression.name: 1.0})
-            work = portrait(source, shown, face_camera, poses.THUMBNAIL, None)
+            work = portrait(source, shown, close_camera, poses.THUMBNAIL, None)
             pictures[expression.name] = yield Step(index / len(EXPRESSIONS), expression.label, work)
         for expression in EXPRESSIONS:
             action = poses.make_pose(expression.label, poses.expression_values(expression.name), key=expression.name)
@@ -69,7 +69,7 @@ class GRMM_OT_save_pose(Edit, Operator):
         avatar = active_avatar(context)
         action = poses.make_pose(self.name.strip(), poses.present_values(avatar))
         if session_host.runtime_status().available:
-            work = portrait(avatar.source, avatar.controls(), face_camera, poses.THUMBNAIL, None)
+            work = portrait(avatar.source, avatar.controls(), close_camera, poses.THUMBNAIL, None)
             poses.set_thumbnail(action, work(lambda: False))
         self.report({"INFO"}, f"Saved the pose {action.name}{_write_catalogues()}")
         return {"FINISHED"}

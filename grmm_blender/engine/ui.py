@@ -6,8 +6,11 @@ from typing import ClassVar
 
 import bpy
 
+from ..width import draw_text
 from .settings import ENGINE
 
+DISPLAY_TRANSFORM = "Standard"
+GRADED = "{} grades the avatar like the rest of the scene: paler than in solid view. Standard shows the model's own colors."
 # Blender's panels for engines without lights, materials and sampling of their own.
 _EXCLUDED = {
     "DATA_PT_falloff_curve", "DATA_PT_light", "DATA_PT_preview", "DATA_PT_spot", "DATA_PT_camera_dof",
@@ -48,6 +51,10 @@ class GRMM_PT_render(_EnginePanel, bpy.types.Panel):
         row = column.row()
         row.active = settings.use_occlusion
         row.prop(settings, "occlusion_samples")
+        view = context.scene.view_settings
+        if view.view_transform != DISPLAY_TRANSFORM:
+            draw_text(layout, GRADED.format(view.view_transform), context, icon="INFO")
+            layout.prop(view, "view_transform")
 
 
 class GRMM_PT_viewport(_EnginePanel, bpy.types.Panel):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import bpy
 
-from ..panels.avatar_panels import CATEGORY
-from ..panels.width import draw_text, is_narrow
+from ..panels.twins import CATEGORY
 from ..progress_bar import draw_progress
 from ..rig.avatar import avatar_of
+from ..width import draw_text, is_narrow
 from . import watch
 from .provenance import provenance_sentence
 from .settings import GRMM_FitPhoto, GRMM_FitSettings, can_go_on, settings

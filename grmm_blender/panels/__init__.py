@@ -1,17 +1,22 @@
 """Panels: the sidebar tab "GRMM" and the object data tab.
 
-``avatar_panels``  the selected avatar: source, sliders, pose, identity, learned detail
-``sliders``        rows of sliders that both draw
-``splat_panels``   the selected splat cloud
-``picture_panels`` poses and presets, composite, turntable, contact sheet; presets above the engine's settings
+``avatar_panels``      the selected avatar: source, pose, identity, learned detail
+``expression_panels``  the named expressions by region: search, favourites, edits
+``favourites``         controls with a star
+``sliders``            rows of controls, which both draw
+``twins``              one content, two places
+``splat_panels``       the selected splat cloud
+``picture_panels``     pose library and presets, composite, turntable, contact sheet; presets above the engine's settings
 """
 
 from __future__ import annotations
 
-from . import avatar_panels, picture_panels, splat_panels
+from . import avatar_panels, expression_panels, picture_panels, splat_panels
 
-CLASSES = (*avatar_panels.CLASSES, *splat_panels.CLASSES, *picture_panels.CLASSES)
+CLASSES = (
+    *avatar_panels.AVATAR, *splat_panels.CLASSES, *expression_panels.CLASSES, *avatar_panels.SECTION_PANELS,
+    *picture_panels.CLASSES,
+)  # fmt: skip
 
-register, unregister = picture_panels.register, picture_panels.unregister
 
-__all__ = ["CLASSES", "register", "unregister"]
+PARTS = (expression_panels, picture_panels)

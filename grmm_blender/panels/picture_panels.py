@@ -18,8 +18,8 @@ from ..preset_menus import (
 )
 from ..rig.avatar import avatar_of
 from ..scene.avatars import avatars_in
-from .avatar_panels import CATEGORY
-from .width import draw_text
+from ..width import draw_text
+from .twins import CATEGORY
 
 
 class _SidebarPanel:
@@ -32,7 +32,7 @@ class _SidebarPanel:
 class GRMM_PT_poses(_SidebarPanel, bpy.types.Panel):
     """Presets and the pose library."""
 
-    bl_label = "Poses"
+    bl_label = "Pose Library"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -48,8 +48,8 @@ class GRMM_PT_poses(_SidebarPanel, bpy.types.Panel):
             column.operator("grmm.create_pose_library", icon="ASSET_MANAGER")
         else:
             column.operator_context = "INVOKE_DEFAULT"
-            if hasattr(column, "template_asset_shelf_popover"):
-                column.template_asset_shelf_popover("GRMM_AST_poses", name="Pose Library", icon="ASSET_MANAGER")
+            if context.space_data is not None:  # Blender's own popover of a shelf is a dark box six rows high
+                column.prop(context.space_data, "show_region_asset_shelf", text="Show Poses", icon="ASSET_MANAGER", toggle=True)
             column.operator("grmm.apply_pose", text="Apply Pose by Name...", icon="VIEWZOOM")
             column.operator("grmm.create_pose_library", text="Draw Thumbnails Again", icon="FILE_REFRESH")
         column.operator_context = "INVOKE_DEFAULT"

@@ -1,67 +1,90 @@
-"""Sliders of controls, drawn as the core's table has them; those of both sides of the face stand beside each other."""
+"""Rows of controls, drawn as the core's table has them: a name, then the subject's right and left side, or one slider."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
 
 import bpy
 
-from ...grmm_core.controls.table import CONTROLS, REGIONS, SLIDERS
+from ...grmm_core.controls.control import Control
+from ...grmm_core.controls.table import CONTROLS, SLIDERS
+from ..rig.avatar import Avatar
 from ..rig.custom_properties import property_path
+from . import favourites
 
-SHORT_NAME = 15  # characters that a slider shows beside its value while the sidebar has its first width
-LETTERS = {"Right": "R", "Left": "L"}
+if TYPE_CHECKING:
+    from ..splats.rigged import Puppet
+
+_NAME_SHARE = 0.45  # of a row's width, for the name
 
 
-def draw_expressions(
-    layout: bpy.types.UILayout,
-    obj: bpy.types.Object,
-    narrow: bool,
-    draw_heading: Callable[[bpy.types.UILayout, str], None] | None = None,
+def rows(names: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """Yield the controls of each row: both sides in one, the subject's right first, as on the face that looks at one."""
+    drawn: set[str] = set()
+    for name in names:
+        if name not in drawn:
+            pair = (CONTROLS[name].partner, name) if name.endswith("Left") else (name, CONTROLS[name].partner)
+            row = tuple(dict.fromkeys(pair)) if CONTROLS[name].source == "property" else (name,)
+            drawn.update(row)
+            yield row
+
+
+def draw_controls(
+    layout: bpy.types.UILayout, performer: Avatar | Puppet | None, names: Iterable[str], context: bpy.types.Context
 ) -> None:
-    """Draw the named expressions that an object has, one box for each region.
+    """Draw the controls of these names that an avatar has, those of both sides beside each other.
 
     Args:
-        layout: Gets the boxes.
-        obj: Carries the properties.
-        narrow: There is no room for two sliders in a row.
-        draw_heading: Adds to the heading of a region, which it is told.
+        layout: Gets the rows.
+        performer: Whose controls they are; nothing is drawn for None.
+        names: Of the core's table: single numbers, and joints.
+        context: Tells whether the rows have stars.
     """
-    for region, names in REGIONS.items():
-        present = [name for name in names if name in obj]
-        if not present:
-            continue
-        box = layout.box().column(align=True)
-        heading = box.row(align=True)
-        heading.label(text=region)
-        if draw_heading is not None:
-            draw_heading(heading, region)
-        drawn: set[str] = set()
-        for name in present:
-            if name in drawn:
-                continue
-            # The subject's right side stands on the left, as it does on the face that looks at the animator.
-            pair = (CONTROLS[name].partner, name) if name.endswith("Left") else (name,)
-            row = box.column(align=True) if narrow else box.row(align=True)
-            for member in dict.fromkeys(pair):
-                if member in present:
-                    label = CONTROLS[member].label
-                    row.prop(obj, property_path(member), text=_short(label, region) if narrow else label, slider=True)
-            drawn.update(pair)
-
-
-def draw_sliders(layout: bpy.types.UILayout, obj: bpy.types.Object, section: str) -> None:
-    """Draw the single sliders of a section that a head has."""
+    if performer is None:
+        return
+    head, bones = performer.object, performer.bones
+    layout.use_property_split = False
     column = layout.column(align=True)
-    for control in SLIDERS:
-        if control.section == section and control.name in obj:
-            column.prop(obj, property_path(control.name), text=control.label, slider=True)
+    found = [row for row in rows(names) if row[0] in head or row[0] in bones]
+    if any(len(row) > 1 for row in found):
+        _, cells = _split(column, "")
+        for side in ("Right", "Left"):
+            cells.label(text=side)
+    for members in found:
+        control = CONTROLS[members[0]]
+        if control.source == "bone":
+            for axis, angle in enumerate(control.axes):
+                draw_named(column, f"{control.label} {angle}", bones[control.name], "rotation_euler", axis)
+            continue
+        row, cells = _split(column, control.both or control.label)
+        for name in members:
+            cells.prop(head, property_path(name), text="", slider=True)
+        if context.window_manager.grmm_panels.show_stars:
+            icon = "SOLO_ON" if members[0] in favourites.names() else "SOLO_OFF"
+            row.operator("grmm.favourite", text="", icon=icon, emboss=False).control = members[0]
 
 
-def _short(text: str, region: str) -> str:
-    """Shorten the sides, and leave out the region where even then the end, which tells the sides apart, would be cut off."""
-    for word, letter in LETTERS.items():
-        if text.endswith(f" {word}"):
-            text = text[: -len(word)] + letter
-    first, _, rest = text.partition(" ")
-    return rest if len(text) > SHORT_NAME and region.startswith(first) else text
+def draw_named(column: bpy.types.UILayout, text: str, owner: bpy.types.bpy_struct, path: str, index: int) -> None:
+    """Draw one value of an array behind its name."""
+    _, cells = _split(column, text)
+    cells.prop(owner, path, index=index, text="", slider=True)
+
+
+def draw_sliders(layout: bpy.types.UILayout, avatar: Avatar, section: str, context: bpy.types.Context) -> None:
+    """Draw the single sliders of a section."""
+    draw_controls(layout, avatar, [control.name for control in SLIDERS if control.section == section], context)
+
+
+def matches(control: Control, text: str) -> bool:
+    """Whether a control is meant by a search: each word is in its label, its name or its region."""
+    found = f"{control.label} {control.name} {control.region}".lower()
+    return all(word in found for word in text.lower().split())
+
+
+def _split(column: bpy.types.UILayout, text: str) -> tuple[bpy.types.UILayout, bpy.types.UILayout]:
+    """A row that begins with a name; returns the row and its cells."""
+    row = column.row(align=True)
+    split = row.split(factor=_NAME_SHARE, align=True)
+    split.label(text=text)
+    return row, split.row(align=True)

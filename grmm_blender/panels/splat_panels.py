@@ -1,18 +1,15 @@
-"""The panel of imported splat clouds: where they come from, what moves them, sliders where they have ARKit shapes.
+"""The panel of imported splat clouds: where they come from, what moves them.
 
 Stands in the sidebar's GRMM tab while a splat cloud is selected.
 """
 
 from __future__ import annotations
 
-from typing import ClassVar
-
 import bpy
 
 from ..splats.cloud import Cloud, is_cloud
 from ..splats.rigged import is_puppet
-from .avatar_panels import CATEGORY
-from .sliders import draw_expressions
+from .twins import CATEGORY
 
 
 class GRMM_PT_splats(bpy.types.Panel):
@@ -46,23 +43,4 @@ class GRMM_PT_splats(bpy.types.Panel):
         column.operator("grmm.export_splats", icon="EXPORT")
 
 
-class GRMM_PT_splat_expression(bpy.types.Panel):
-    """ARKit sliders of an imported avatar, by region."""
-
-    bl_label = "Expression"
-    bl_space_type = "VIEW_3D"
-    bl_region_type = "UI"
-    bl_category = CATEGORY
-    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """With an imported avatar that has ARKit shapes."""
-        return is_puppet(context.object)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """One box for each region."""
-        draw_expressions(self.layout, context.object, narrow=False)
-
-
-CLASSES = (GRMM_PT_splats, GRMM_PT_splat_expression)
+CLASSES = (GRMM_PT_splats,)

@@ -28,11 +28,16 @@ def action_curves(obj: bpy.types.ID) -> Iterator[bpy.types.FCurve]:
 
 def action_fcurves(obj: bpy.types.ID) -> bpy.types.ActionChannelbagFCurves | None:
     """Return the collection of the curves that an object's own action holds for it, or None where it has no action."""
+    bag = action_bag(obj)
+    return None if bag is None else bag.fcurves
+
+
+def action_bag(obj: bpy.types.ID) -> bpy.types.ActionChannelbag | None:
+    """Return where an object's own action keeps its curves, or None where it has none."""
     data = obj.animation_data
     if data is None or data.action is None or data.action_slot is None:
         return None
-    bag = _bag(data.action, data.action_slot)
-    return None if bag is None else bag.fcurves
+    return _bag(data.action, data.action_slot)
 
 
 def ensure_bag(obj: bpy.types.ID, name: str, action: bpy.types.Action | None = None) -> bpy.types.ActionChannelbag:

@@ -3,8 +3,8 @@
 The codes are learned, so nobody has named their components. This moves each by one standard deviation about the default
 person at rest, sees which part of the mesh moves and which way, and which part's color changes, and sorts by what is seen
 most. It evaluates the mesh decoder (eq. 5-11) and the linear color maps with numpy, from the arrays of the weights file: some
-tenths of a second, once for each file, without a runtime. Components of the expression code that move the mesh by less than
-can be seen change the Gaussians only; they are named after the trained expression that uses them most.
+tenths of a second, once for each file, without a runtime. Components that move the mesh by less than can be seen change the
+Gaussians only, and have no name. Components of a head model's shape are named in the same way, by the head model alone.
 Used by panels and operators; imports neither bpy nor torch.
 """
 
@@ -18,8 +18,6 @@ from pathlib import Path
 
 import numpy as np
 
-from ...grmm_core.controls.control import in_words
-from ...grmm_core.controls.names import ALIGNED_NAMES
 from ...grmm_core.controls.table import Z_EXP, Z_ID
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.head import HeadModel
@@ -114,11 +112,22 @@ def _tables(path: Path, stamp: int) -> dict[str, tuple[Component, ...]]:
                 tint, change = _describe_color({part: each[k] for part, each in colors.items()})
                 if change / _SEEN_COLOR > effect:
                     label, effect = tint, change / _SEEN_COLOR
-            if name == Z_EXP and effect < 1.0:
-                label = _user_of(codes[:, k])
+            if effect < 1.0:
+                label = ""  # it moves the mesh by less than can be seen, and no mean color
             made.append(Component(k, label, effect, float(spread[k])))
         found[name] = tuple(sorted(made, key=lambda item: (-item.effect if item.effect >= 1.0 else 0.0, -item.spread)))
     return found
+
+
+@functools.lru_cache(maxsize=2)
+def shape_labels(head: HeadModel, count: int) -> tuple[str, ...]:
+    """Return in words what the leading shape components of a head model do to the head, beside moving all of the face."""
+    parts = {
+        name: vertices for name, vertices in face_parts(head).items() if name != "Neck"
+    }  # which moves most, and is seen least
+    motions = 1000.0 * head.shape_dirs[:, :, :count]
+    motions = motions - motions[np.asarray(head.regions["face"])].mean(0)
+    return tuple(describe(motions[:, :, k], head, parts)[0] for k in range(motions.shape[2]))
 
 
 def face_parts(head: HeadModel) -> dict[str, np.ndarray]:
@@ -200,12 +209,6 @@ def _describe_color(changes: dict[str, np.ndarray]) -> tuple[str, float]:
         return f"{name} {'lighter' if common > 0 else 'darker'}", size
     channel = int(np.abs(change - common).argmax())
     return f"{name} {_TINTS[channel][int(change[channel] < common)]}", size
-
-
-def _user_of(column: np.ndarray) -> str:
-    """Name the expression whose trained code has most of a component, from its values in all codes [60]."""
-    row = int(np.abs(column).argmax())
-    return f"{'Detail of' if column[row] > 0 else 'Against'} {in_words(ALIGNED_NAMES[row])}"
 
 
 def _spread(codes: np.ndarray, size: int) -> np.ndarray:

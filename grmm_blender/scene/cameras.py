@@ -14,7 +14,7 @@ from .shot import Region
 
 SUPPORTED_CAMERAS = ("PERSP", "ORTHO")
 FACE = (0.0, -0.01, 0.08)  # a point between nose and mouth, head space, metres
-FACE_FOV = 15.0  # degrees; shows the face from chin to forehead
+FACE_FOV, CLOSE_FOV = 15.0, 9.4  # degrees; show the head, and the face from chin to forehead
 
 
 @dataclass(frozen=True)
@@ -124,13 +124,18 @@ def view_camera(region: bpy.types.Region, region_data: bpy.types.RegionView3D) -
 
 
 def face_camera(size: int, yaw: float = 12.0) -> Camera:
-    """Return a camera in head space that shows the face.
+    """Return a camera in head space that shows the head.
 
     Args:
         size: Pixels of the square picture.
         yaw: Degrees to the subject's left.
     """
     return Camera.orbit(size, size, yaw=yaw, distance=1.0, fov=FACE_FOV, target=FACE)
+
+
+def close_camera(size: int) -> Camera:
+    """Return a camera in head space that shows the face alone, from the front: what tells small pictures apart."""
+    return Camera.orbit(size, size, distance=1.0, fov=CLOSE_FOV, target=FACE)
 
 
 def same_camera(one: Camera, other: Camera) -> bool:

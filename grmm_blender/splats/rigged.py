@@ -7,6 +7,7 @@ ours: armature, ARKit properties, FLAME's expression coefficients.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -69,11 +70,12 @@ class Puppet:
 
     Attributes:
         object: Carries the properties.
-        armature: None.
+        armature, bones: None, and none.
     """
 
     object: bpy.types.Object
     armature: None = None
+    bones: Mapping[str, bpy.types.PoseBone] = field(default_factory=dict, compare=False)
 
 
 def is_puppet(obj: bpy.types.Object | None) -> bool:

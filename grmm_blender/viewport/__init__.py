@@ -11,6 +11,7 @@ the viewport with one depth for each pixel, so that it hides objects and is hidd
 ``overlay``    Blender's drawing callbacks and events
 ``splat_view`` what one region needs between two draws
 ``bones``      bones that are being posed
+``handles``    points of the face that are dragged
 ``drawing``    textures, batches, draw calls
 ``shaders``    the GLSL
 ``jobs``       the thread
@@ -25,7 +26,7 @@ The rendered viewport is the engine's (`engine.view`).
 
 from __future__ import annotations
 
-from . import overlay, panel, settings
+from . import handles, overlay, panel, settings
 
-CLASSES = (*settings.CLASSES, *panel.CLASSES)
+CLASSES = (*settings.CLASSES, *panel.CLASSES, *handles.CLASSES)
 PARTS = (settings, overlay)

@@ -7,9 +7,8 @@ from typing import ClassVar
 import bpy
 
 from ..rig.avatar import avatar_of
+from ..width import draw_text
 from . import overlay
-
-_WRAP = 48  # characters of a line in the sidebar
 
 
 class GRMM_PT_splat_viewport(bpy.types.Panel):
@@ -37,26 +36,14 @@ class GRMM_PT_splat_viewport(bpy.types.Panel):
         column.prop(settings, "detail")
         column.prop(settings, "playback")
         column.prop(settings, "use_status")
+        layout.prop(settings, "use_handles")
         avatar = avatar_of(context.object)
         if avatar is not None:
             # Bounds hide the mesh, so that only splats are seen.
             layout.prop(avatar.object, "display_type", text="Mesh")
         if settings.use_splats:
             for line in overlay.statuses():
-                _draw_text(layout, line)
-
-
-def _draw_text(layout: bpy.types.UILayout, text: str) -> None:
-    """Draw a sentence over as many lines as it needs."""
-    column = layout.column(align=True)
-    line = ""
-    for word in text.split():
-        if line and len(line) + 1 + len(word) > _WRAP:
-            column.label(text=line)
-            line = word
-        else:
-            line = f"{line} {word}".strip()
-    column.label(text=line)
+                draw_text(layout, line, context)
 
 
 CLASSES = (GRMM_PT_splat_viewport,)

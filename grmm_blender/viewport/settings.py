@@ -38,6 +38,11 @@ class GRMM_ViewportSettings(bpy.types.PropertyGroup):
         "Detail", "How many of the Gaussians are drawn when nothing moves", *DETAIL_ITEMS, default="0", update=_redraw
     )
     playback: choice("Playback", "What is shown while an animation plays", *PLAYBACK_ITEMS, default=HOLD_RATE)
+    use_handles: flag(
+        "Face Handles",
+        "Show points on the active avatar's face to drag: brows, lids, cheeks, nose, lips, corners, jaw, gaze",
+        update=_redraw,
+    )
     use_status: flag(
         "Status Text",
         "Say in the viewport's corner when something else than the full detail is shown, and why",

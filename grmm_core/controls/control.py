@@ -59,6 +59,7 @@ class Control:
         source: Where Blender keeps it: a custom property of the head object, or the rotation of a bone of the armature.
         in_poses: It is part of what the face does, and so of pose assets; other controls say who it is and how it is drawn.
         axes: Names of the angles that panels show of a rotation.
+        both: Label of the row in which the controls of both sides stand beside each other; empty for `label`.
     """
 
     name: str
@@ -75,6 +76,7 @@ class Control:
     source: Source = "property"
     in_poses: bool = False
     axes: tuple[str, ...] = ()
+    both: str = ""
 
     @property
     def partner(self) -> str:
@@ -104,6 +106,11 @@ def mirrored(name: str) -> str:
 def is_sideways(name: str) -> bool:
     """Whether an expression is a movement to a side, not of a side: mirrored it turns round, and no side is its source."""
     return name in _SIDEWAYS
+
+
+def without_side(name: str) -> str:
+    """Return what the controls of both sides have in common: "mouthSmile", and "jaw" of "jawLeft"."""
+    return _SIDES.sub("", name)
 
 
 def side_of(name: str) -> Literal["left", "right", ""]:

@@ -24,6 +24,22 @@ ARKIT_NAMES: tuple[str, ...] = (
 )  # fmt: skip
 
 
+WORDS: MappingProxyType[str, str] = MappingProxyType({
+    "browDown": "Brow Down", "browInnerUp": "Inner Brows Up", "browOuterUp": "Outer Brow Up",
+    "cheekPuff": "Puff Cheeks", "cheekSquint": "Raise Cheek",
+    "eyeBlink": "Close Lid", "eyeSquint": "Squint", "eyeWide": "Open Wide",
+    "eyeLookDown": "Look Down", "eyeLookIn": "Look In", "eyeLookOut": "Look Out", "eyeLookUp": "Look Up",
+    "jaw": "Jaw", "jawForward": "Jaw Forward", "jawOpen": "Open Jaw",
+    "mouth": "Mouth", "mouthClose": "Close Lips", "mouthDimple": "Dimple", "mouthFrown": "Frown", "mouthFunnel": "Funnel Lips",
+    "mouthLowerDown": "Lower Lip Down", "mouthPress": "Press Lips", "mouthPucker": "Pucker Lips",
+    "mouthRollLower": "Roll Lower Lip", "mouthRollUpper": "Roll Upper Lip",
+    "mouthShrugLower": "Push Lower Lip", "mouthShrugUpper": "Push Upper Lip",
+    "mouthSmile": "Smile", "mouthStretch": "Stretch Corner", "mouthUpperUp": "Upper Lip Up",
+    "noseSneer": "Sneer", "tongueOut": "Tongue Out",
+})  # fmt: skip
+"""What each ARKit shape does, without its side: ARKit's own names say where it is, and not always what happens."""
+
+
 def _both(name: str, weight: float) -> dict[str, float]:
     return {f"{name}Left": weight, f"{name}Right": weight}
 

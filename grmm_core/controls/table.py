@@ -26,12 +26,12 @@ from typing import Any
 import numpy as np
 
 from ..errors import ControlError, ShapeError
-from .control import Control, Limits, Section, Unit, in_words
-from .names import ALIGNED_NAMES, COMPOUNDS, EXPRESSION_NAMES, JOINT_NAMES, MIXTURES
+from .control import Control, Limits, Section, Unit, in_words, is_sideways, without_side
+from .names import ALIGNED_NAMES, COMPOUNDS, EXPRESSION_NAMES, JOINT_NAMES, MIXTURES, WORDS
 
 SECTIONS: tuple[Section, ...] = (
     Section("EXPRESSION", "Expression", "Named expressions and expression coefficients"),
-    Section("POSE", "Pose", "Neck, jaw, eyes and root"),
+    Section("POSE", "Head, Jaw and Eyes", "Neck, jaw, eyes and root"),
     Section("IDENTITY", "Identity", "Shape and residual identity"),
     Section("DETAIL", "Learned Detail", "Residual expression, its saved codes, and strength"),
 )
@@ -40,14 +40,17 @@ EXPRESSION_LIMITS = Limits(-1.0, 2.0, 0.0, 1.0)
 _CODE_LIMITS = Limits(-20.0, 20.0, -3.0, 3.0)
 _TURN = Limits(-math.pi, math.pi, -math.pi / 2, math.pi / 2)
 _AXES = {"x": 0, "y": 1, "z": 2}
-_REGION_PREFIXES = {
+_REGION_PREFIXES: dict[str, tuple[str, ...]] = {
     "Brows": ("brow",),
-    "Eyes": ("eye",),
-    "Cheeks and nose": ("cheek", "nose"),
+    "Eyelids": ("eyeBlink", "eyeSquint", "eyeWide"),
+    "Gaze": ("eyeLook",),
+    "Cheeks": ("cheek",),
+    "Nose": ("nose",),
     "Jaw": ("jaw",),
-    "Mouth": ("mouth",),
+    "Lips": tuple(f"mouth{word}" for word in ("Close", "Funnel", "Lower", "Press", "Pucker", "Roll", "Shrug", "Upper")),
+    "Mouth": ("mouth",),  # what is left: corners, and the whole mouth to a side
     "Tongue": ("tongue",),
-}
+}  # the first that fits
 _RECIPES = "Mixtures"  # the region of expressions that are made of others
 _ROTATION = "x pitch, positive looks down; y yaw, positive to the subject's left; z roll; expressions add to it"
 _THREE, _TWO = ("Pitch", "Yaw", "Roll"), ("Pitch", "Yaw")
@@ -183,17 +186,19 @@ class Controls:
 
 def _expression(index: int, name: str) -> Control:
     recipe = MIXTURES.get(name) or COMPOUNDS.get(name)
-    label = in_words(name)
+    stem = without_side(name)
+    both = WORDS.get(stem) or in_words(stem)
+    label = f"{both} {in_words(name.removeprefix(stem))}" if name != stem else both
     if recipe is None:
         region = next(region for region, prefixes in _REGION_PREFIXES.items() if name.startswith(prefixes))
-        what = "ARKit shape, moves the head and its learned detail; 0 is rest, 1 the full expression"
+        what = f"ARKit shape {name}, moves the head and its learned detail; 0 is rest, 1 the full expression"
     else:
         region = _RECIPES
         parts = ", ".join(f"{part} {weight:g}" for part, weight in recipe.items())
         what = f"{'mixture with a learned detail of its own' if name in MIXTURES else 'the sum of its parts'} ({parts})"
     return Control(
         name, label, f"{label}: {what}", "EXPRESSION", EXPRESSION_LIMITS, "weight", region=region, field="aligned",
-        index=index, in_poses=True,
+        index=index, in_poses=True, both=f"{both} to Side" if is_sideways(name) else both,
     )  # fmt: skip
 
 

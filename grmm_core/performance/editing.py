@@ -5,7 +5,7 @@ Called by the importer. Needs numpy only.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
@@ -13,26 +13,22 @@ from typing import Any
 import numpy as np
 
 from ..controls.names import ARKIT_NAMES
+from ..controls.table import REGIONS as FACE_REGIONS
 from ..errors import ShapeError
 from ..geometry.rotations import euler_to_matrix, matrix_to_euler, unwrap_euler
 from .types import Performance
 
-_PREFIXES = {
-    "brows": ("brow",),
-    "eyelids": ("eyeBlink", "eyeSquint", "eyeWide"),
-    "gaze": ("eyeLook",),
-    "cheeks": ("cheek",),
-    "nose": ("nose",),
-    "jaw": ("jaw",),
-    "mouth": ("mouth",),
-    "tongue": ("tongue",),
-}
-REGIONS: MappingProxyType[str, tuple[int, ...]] = MappingProxyType(
-    {
-        region: tuple(i for i, name in enumerate(ARKIT_NAMES) if name.startswith(prefixes))
-        for region, prefixes in _PREFIXES.items()
-    }
-)
+_TOGETHER = {"Lips": "mouth"}  # a recording's gain takes lips and corners together
+
+
+def _regions() -> Iterator[tuple[str, tuple[int, ...]]]:
+    names = [_TOGETHER.get(region, region.lower()) for region in FACE_REGIONS]
+    for name in dict.fromkeys(names):
+        inside = [n for own, found in zip(names, FACE_REGIONS.values(), strict=True) if own == name for n in found]
+        yield name, tuple(index for index, shape in enumerate(ARKIT_NAMES) if shape in inside)
+
+
+REGIONS: MappingProxyType[str, tuple[int, ...]] = MappingProxyType({name: found for name, found in _regions() if found})
 """Region name to indices of its ARKit shapes; every shape is in one region."""
 
 HEAD_REGION = "head"

@@ -28,7 +28,7 @@ def test_every_frame_is_what_was_recorded(imported):
     assert speech["error"] < SINGLE
     assert speech["parity"] < RIG_PARITY
     assert speech["range"] == [5, 245]
-    assert speech["groups"] == ["Brows", "Cheeks and nose", "Eyes", "Jaw", "Mouth", "Tongue"]
+    assert speech["groups"] == ["Brows", "Cheeks", "Eyelids", "Gaze", "Jaw", "Lips", "Mouth", "Nose", "Tongue"]
     assert speech["curves"] == 52
     assert speech["action"] == "speech"
 

@@ -11,6 +11,8 @@ from flame_head_files import flame_head_fields
 from performance_files import write_performances
 from tolerances import RIG_PARITY
 
+from grmm_core.controls.names import EXPRESSION_NAMES
+
 pytestmark = pytest.mark.blender
 
 SINGLE = 1e-5  # sums of single-precision codes
@@ -44,7 +46,11 @@ def test_random_detail_is_that_of_its_seed(edits):
 def test_components_are_named(edits):
     names = edits["names"]
     assert names["indices"] == {"z_id": True, "z_exp": True}
-    assert all(label for labels in names["labels"].values() for label in labels)
+    assert all(names["labels"]["z_id"])
+    assert not any("Against" in label for label in names["labels"]["z_exp"])  # one that is seen in no part has no name
+    assert len(names["shape"]) == 8
+    assert len(set(names["shape"])) > 4
+    assert all(len(label.split()) in (2, 3) for label in names["shape"])  # such as "Jaw wider"
     # Of hair and skin one standard deviation changes the color, of the scalp the shape, by a few times what can be seen.
     assert {label.split()[0] for label in names["labels"]["z_id"]} >= {"Hair", "Skin", "Scalp"}
     assert 1.0 < max(names["effects"]) < 20.0
@@ -170,3 +176,14 @@ def test_everything_registered_is_described(run_blender: RunBlender, blender_ver
     assert panels["head"] == panels["armature"]
     assert "GRMM_PT_expression" in panels["head"]
     assert "GRMM_PT_expression" not in panels["empty"]
+
+
+def test_all_controls_are_keyed_at_once_in_groups(run_blender: RunBlender, blender_version: str):
+    result = run_blender("keying.py", python=blender_version).result
+    assert result["selected"] == [["head", "rig"], ["jaw", "left_eye", "neck", "right_eye", "root"], "GRMM Controls"]
+    assert result["paths"] == len(EXPRESSION_NAMES) + 1 + 5 + 1  # the strength, the bones' rotations, the root's place
+    assert result["keyed"] == [len(EXPRESSION_NAMES) + 1, 18]
+    assert result["with_face_bones"] > result["paths"]
+    assert set(result["groups"]) >= {"Brows", "Eyelids", "Lips", "Mouth", "Mixtures"}
+    assert result["by_hand"] == {"jawOpen": "Jaw", "noseSneerLeft": "Nose", "own": None}
+    assert result["automatic"] == {"mouthSmileLeft": "Mouth"}

@@ -19,7 +19,7 @@ class Recorder:
         if "index" in options:
             value[options["index"]]
         if path.startswith('["') and "index" not in options:
-            self.notes["names"].append(options["text"])
+            self.notes["names"].append(options["text"] or self.notes["labels"][-1])
         self.notes["properties"].append(path if "index" not in options else f"{path}[{options['index']}]")
 
     def operator(self, name: str, **_: object) -> object:
@@ -39,10 +39,16 @@ class Recorder:
     def row(self, **_: object) -> Recorder:
         return Recorder(self.notes)
 
-    column = box = row
+    column = box = split = row
 
     def menu(self, name: str, **_: object) -> None:
         assert hasattr(bpy.types, name), name
+
+    def menu_contents(self, name: str) -> None:
+        drawn(getattr(bpy.types, name), self).draw(bpy.context)
+
+    def separator(self) -> None:
+        pass
 
 
 class Narrow:
@@ -54,14 +60,27 @@ class Narrow:
         return getattr(bpy.context, name)
 
 
+def panels() -> list[type]:
+    """The panels of the sidebar and of the data tab."""
+    return [cls for cls in module("grmm_blender.panels").CLASSES if issubclass(cls, bpy.types.Panel)]
+
+
+def drawn(cls: type, layout: Recorder) -> object:
+    """A stand-in for what Blender alone can make instances of, with the functions of the class and of its plain content."""
+    functions = {name: value for name, value in vars(cls).items() if isinstance(value, FunctionType)}
+    content = [base for base in cls.__mro__[1:2] if not issubclass(base, bpy.types.bpy_struct)]
+    instance = type("Drawn", tuple(content), functions)()
+    instance.layout, instance.bl_label = layout, cls.bl_label
+    return instance
+
+
 def draw_all(context: object = bpy.context) -> dict[str, list[str]]:
     notes: dict[str, list[str]] = {"properties": [], "operators": [], "labels": [], "panels": [], "names": []}
-    for panel in module("grmm_blender.panels").CLASSES:
+    for panel in panels():
         if panel.poll(context):
             notes["panels"].append(panel.__name__)
-            # Blender alone can make instances of a panel's class; its content class is plain Python.
-            drawing = {name: value for name, value in vars(panel).items() if isinstance(value, FunctionType)}
-            instance = type("Drawn", panel.__mro__[1:2], drawing)()
-            instance.layout = Recorder(notes)
+            instance = drawn(panel, Recorder(notes))
+            if hasattr(instance, "draw_header_preset"):
+                instance.draw_header_preset(context)
             instance.draw(context)
     return notes

@@ -18,7 +18,7 @@ bpy.ops.wm.save_as_mainfile(filepath=str(folder / "poses.blend"))
 (folder / poses.CATALOGUE_FILE).write_text("VERSION 1\n\n11111111-2222-3333-4444-555555555555:Mine:Mine\n", "utf-8")
 report(done=bpy.ops.grmm.create_pose_library() == {"FINISHED"})
 first = sorted(action.name for action in poses.local_poses())
-smile = bpy.data.actions["Mouth Smile Left"]
+smile = bpy.data.actions["Smile Left"]
 
 
 def thumbnail(name: str) -> np.ndarray:
@@ -28,30 +28,30 @@ def thumbnail(name: str) -> np.ndarray:
     return pixels.reshape(*reversed(preview.image_size), 4)
 
 
-pictures = {name: thumbnail(name) for name in ("Mouth Smile Left", "Jaw Open")}
+pictures = {name: thumbnail(name) for name in ("Smile Left", "Open Jaw")}
 report(
     count=len(first),
     sizes=[list(picture.shape) for picture in pictures.values()],
     covered=[float((picture[..., 3] > 0.9).mean()) for picture in pictures.values()],
-    differ=float(np.abs(pictures["Mouth Smile Left"] - pictures["Jaw Open"]).max()),
+    differ=float(np.abs(pictures["Smile Left"] - pictures["Open Jaw"]).max()),
     tags=sorted(tag.name for tag in smile.asset_data.tags),
     catalogues=(folder / poses.CATALOGUE_FILE).read_text("utf-8"),
     catalogue=smile.asset_data.catalog_id,
     description=smile.asset_data.description,
 )
 bpy.ops.grmm.create_pose_library(thumbnails=False)
-report(again=sorted(action.name for action in poses.local_poses()) == first, kept=thumbnail("Jaw Open").shape[0])
+report(again=sorted(action.name for action in poses.local_poses()) == first, kept=thumbnail("Open Jaw").shape[0])
 
 head = avatar.object
 shown = lambda: {n: round(head[n], 4) for n in expressions.ALIGNED_NAMES if abs(head[n]) > 1e-6}  # noqa: E731
 head["jawOpen"] = 0.5
-bpy.ops.grmm.apply_pose(pose="Mouth Smile Left")
+bpy.ops.grmm.apply_pose(pose="Smile Left")
 report(replaced=shown())
-bpy.ops.grmm.apply_pose(pose="Jaw Open", amount=0.25, add=True)
+bpy.ops.grmm.apply_pose(pose="Open Jaw", amount=0.25, add=True)
 report(added=shown())
-bpy.ops.grmm.apply_pose(pose="Mouth Smile Left", flip=True)
+bpy.ops.grmm.apply_pose(pose="Smile Left", flip=True)
 report(flipped=shown())
-bpy.ops.grmm.apply_pose(relative_asset_identifier="Action/Cheek Puff", asset_library_type="LOCAL")
+bpy.ops.grmm.apply_pose(relative_asset_identifier="Action/Puff Cheeks", asset_library_type="LOCAL")
 report(clicked=shown())
 
 # The user's own pose, with a coefficient of the residual code; applied from another file.
@@ -82,6 +82,6 @@ report(messages=messages)
 bpy.context.scene.tool_settings.use_keyframe_insert_auto = True
 head["jawOpen"] = 0.0
 bpy.ops.grmm.create_pose_library(thumbnails=False)
-bpy.ops.grmm.apply_pose(pose="Jaw Open")
+bpy.ops.grmm.apply_pose(pose="Open Jaw")
 curves = list(module("grmm_blender.rig.actions").action_curves(head))
 report(keyed=len(curves))

@@ -77,6 +77,7 @@ def names() -> dict:
         },
         "labels": {name: [c.label for c in each[:8]] for name, each in found.items()},
         "effects": [c.effect for c in found["z_id"]],
+        "shape": components.shape_labels(module("grmm_core.head").load_open_head(), 8),
         "foreign": [c.label for c in components.components("z_exp", 7)],
     }
 
@@ -122,7 +123,7 @@ def regions() -> dict:
     head["mouthSmileLeft"], head["browDownLeft"], head["eyeBlinkRight"] = 0.7, 0.5, 0.4
     bpy.ops.grmm.mirror(direction="LEFT", region="Mouth")
     mirrored = [round(head[n], 3) for n in ("mouthSmileRight", "browDownRight", "eyeBlinkLeft")]
-    bpy.ops.grmm.mirror(direction="SWAP", region="Eyes")
+    bpy.ops.grmm.mirror(direction="SWAP", region="Eyelids")
     swapped = [round(head[n], 3) for n in ("eyeBlinkLeft", "eyeBlinkRight", "browDownLeft")]
     bpy.ops.grmm.random_expression(seed=4, region="Brows", amount=0.5, share=1.0)
     brows = [head[n] for n in module("grmm_core.controls.table").REGIONS["Brows"]]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 
 import bpy
+from panel_recorder import panels
 from support import MODULE, empty_scene, module, report
 
 NUMBERS = ("INT", "FLOAT")
@@ -74,9 +75,9 @@ undoing = sorted(cls.__name__ for cls in operators if "UNDO" in getattr(cls, "bl
 problems = [problem for cls in operators for problem in operator_problems(cls)]
 groups = [*ours(bpy.types.PropertyGroup), *ours(bpy.types.AddonPreferences)]
 problems += [problem for cls in groups for problem in property_problems(cls.__name__, cls)]
-panels = ours(bpy.types.Panel)
-problems += [f"{cls.__name__} has no label" for cls in panels if not cls.bl_label and "HIDE_HEADER" not in cls.bl_options]
-problems += [f"{cls.__name__} is not named GRMM_PT_*" for cls in panels if not cls.__name__.startswith("GRMM_PT_")]
+registered = ours(bpy.types.Panel)
+problems += [f"{cls.__name__} has no label" for cls in registered if not cls.bl_label and "HIDE_HEADER" not in cls.bl_options]
+problems += [f"{cls.__name__} is not named GRMM_PT_*" for cls in registered if not cls.__name__.startswith("GRMM_PT_")]
 
 bpy.ops.grmm.add_head()
 head = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).object
@@ -107,7 +108,7 @@ asked = [
 ]
 
 # panels follow the selection: head and armature show the same, another object shows none of an avatar's
-contents = [cls for cls in module("grmm_blender.panels").CLASSES if cls.bl_space_type == "VIEW_3D"]
+contents = [cls for cls in panels() if cls.bl_space_type == "VIEW_3D"]
 
 
 def shown() -> list[str]:

@@ -1,4 +1,4 @@
-"""How much room a panel has: the sidebar is narrow until somebody widens it. Used by the panels' draw functions."""
+"""How much room a panel has: the sidebar is narrow until somebody widens it. Used by what draws panels and preferences."""
 
 from __future__ import annotations
 

@@ -69,6 +69,7 @@ class SplatPicture:
         camera: Camera,
         projection: np.ndarray,
         meshes: tuple[np.ndarray, ...] = (),
+        moved: np.ndarray | None = None,
     ) -> None:
         """Draw into the buffer that is bound, of the camera's size, between the objects that are there already.
 
@@ -78,15 +79,17 @@ class SplatPicture:
             camera: Of the viewport.
             projection: OpenGL projection matrix of the viewport, [4, 4]: its depth is compared and written.
             meshes: World triangles [T, 3, 3] that the splats replace and Blender has drawn.
+            moved: Rigid movement of the Gaussians since they were made, [4, 4] in the world; None for none.
         """
         if not len(packed):
             return
         self._upload(packed, order, meshes)
         buffers = self._sized(camera.width, camera.height)
-        reference = float(camera.world_to_camera[2, :3] @ packed.origin + camera.world_to_camera[2, 3])
+        seen = camera if moved is None else camera.transformed(moved)
+        reference = float(seen.world_to_camera[2, :3] @ packed.origin + seen.world_to_camera[2, 3])
         with _kept_state():
             self._draw_meshes(buffers, camera, projection)
-            self._draw_splats(buffers, packed, camera, reference)
+            self._draw_splats(buffers, packed, seen, reference)
             self._draw_screen((buffers.color, buffers.moment, buffers.mesh), camera, projection, reference)
 
     def draw_picture(self, picture: Picture, camera: Camera, projection: np.ndarray) -> None:

@@ -24,6 +24,7 @@ from .arrays import Picture, WorldGaussians
 HEAD_CENTRE = np.zeros(3)  # what a view direction points from, head space
 PICTURE_PIXELS, PICTURE_LEVEL = 320 * 240, 1  # of small pictures, and their level of detail
 _EDIT_MODES = {"EDIT", "SCULPT", "VERTEX_PAINT", "WEIGHT_PAINT", "TEXTURE_PAINT"}
+_SAME_STEP = 1e-5  # metres, and of the axes of a rotation
 _CHUNK = 1 << 17  # Gaussians whose harmonics are evaluated at once: bounds memory
 
 
@@ -83,6 +84,20 @@ class DrawnScene:
             found = drawn_triangles(mesh, self._depsgraph)
             self._triangles[mesh] = () if found is None else (found.placed(np.float64),)
         return self._triangles[mesh]
+
+
+def moved_since(then: ViewportShot, now: ViewportShot) -> np.ndarray | None:
+    """Return how everything that is shown has moved as one rigid body, [4, 4] in the world, such as a rig that is dragged.
+
+    None where nothing has moved, where things moved apart, and where they were scaled: then only new Gaussians show it.
+    """
+    if then.shots is now.shots or [shot.name for shot in then.shots] != [shot.name for shot in now.shots]:
+        return None
+    steps = [b.model_to_world @ np.linalg.inv(a.model_to_world) for a, b in zip(then.shots, now.shots, strict=True)]
+    if not steps or not all(np.allclose(step, steps[0], atol=_SAME_STEP) for step in steps):
+        return None
+    turned = steps[0][:3, :3]
+    return steps[0] if np.allclose(turned @ turned.T, np.eye(3), atol=_SAME_STEP) else None
 
 
 def view_direction(shot: AvatarShot, camera: Camera) -> np.ndarray:

@@ -18,7 +18,7 @@ from .drawing import SplatPicture
 from .jobs import Drawable, SplatJobs, SplatRequest, same_shot
 from .pace import PICTURE
 from .settings import FULL, HOLD_RATE, MESH
-from .sources import DrawnScene, ViewportShot
+from .sources import DrawnScene, ViewportShot, moved_since
 
 EDIT_SECONDS = 0.1  # that an edit may take before a lower level of detail is used
 WAIT_SECONDS = 0.5  # that a frame of playback waits for its own splats, so that they, bones and mesh are of one frame
@@ -95,9 +95,10 @@ class Viewport:
         self._ended = ended
 
     def _show(self, found: Drawable, camera: Camera, projection: np.ndarray) -> None:
-        # Own meshes are those of now: Blender has drawn them in the present pose.
+        # Own meshes are those of now: Blender has drawn them in the present pose. Splats of a moment ago go along.
         if found.picture is None:
-            self._picture.draw(found.packed, found.order, camera, projection, self._scene.meshes)
+            moved = moved_since(found.request.scene, self._scene)
+            self._picture.draw(found.packed, found.order, camera, projection, self._scene.meshes, moved)
         else:
             self._picture.draw_picture(found.picture, camera, projection)
 

@@ -105,6 +105,14 @@ def test_only_what_changed_is_made_anew(drawn):
     assert found["pose_changed"] > 0.001
 
 
+def test_splats_go_along_with_a_rig_that_is_dragged(drawn):
+    found, _ = drawn
+    old_ones, late, moved = found["dragged"]
+    assert old_ones
+    assert moved > 0.01
+    assert late < 0.1 * moved
+
+
 def test_playback_falls_back_to_the_mesh_and_says_so(drawn):
     found, _ = drawn
     mesh_only = [0.0, ["Mesh only during playback"]]

@@ -228,6 +228,22 @@ before = viewport._drawable.packed
 overlay._on_change()
 settle()
 report(nothing_changed=viewport._drawable.packed is before)
+
+# A rig that is dragged and turned takes its splats along at once; new ones come a moment later.
+standing = in_buffer(draw)
+rig.location.x, rig.rotation_euler = 0.05, (0.0, 0.1, 0.05)
+bpy.context.view_layer.update()
+overlay._on_change()
+along = in_buffer(draw)
+went_along = viewport._drawable.packed is before
+settle()
+newest = in_buffer(draw)
+rig.location.x, rig.rotation_euler = 0.0, (0.0, 0.0, 0.0)
+bpy.context.view_layer.update()
+overlay._on_change()
+settle()
+report(dragged=[went_along, float(np.abs(along - newest).mean()), float(np.abs(standing - newest).mean())])
+
 head["jawOpen"] = 1.0
 head.update_tag()
 bpy.context.view_layer.update()

@@ -358,3 +358,14 @@ def test_unknown_folders_are_explained(tmp_path, capsys):
     assert main(["train", "small", "--data", str(tmp_path), "--out", str(out)]) == 1
     assert "no data set that is known here" in capsys.readouterr().err
     assert not out.exists()
+
+
+@pytest.mark.parametrize("value", ["x", "", {}, None])
+def test_a_camera_matrix_that_is_no_number_is_named(head, tmp_path, value):
+    folder = write_nersemble(tmp_path / "data", frames=1)
+    path = folder / "mono_flame_avatar" / "393" / "calibration" / "camera_params.json"
+    values = json.loads(path.read_text())
+    values["intrinsics"][SERIALS[0]][0][0] = value
+    path.write_text(json.dumps(values))
+    with pytest.raises(FileFormatError, match=r"camera|camera_params"):
+        open_dataset(folder, head)

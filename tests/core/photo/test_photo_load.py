@@ -7,6 +7,7 @@ import os
 import numpy as np
 import pytest
 import torch
+from fuzzing import memory_limit
 from PIL import Image
 
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError
@@ -141,3 +142,21 @@ def test_the_mask_covers_the_face_and_leaves_the_corners(photo_file):
     assert mask[y, x].mean() > 0.98
     assert mask[:60, :60].max() < 0.2
     assert mask[:60, -60:].max() < 0.2
+
+
+def test_a_chunk_that_claims_gigabytes_takes_no_memory(tmp_path, gradient):
+    path = tmp_path / "a.png"
+    Image.fromarray(gradient).save(path)
+    load_photo(path)
+    data = bytearray(path.read_bytes())
+    at = data.index(b"IDAT") - 4
+    data[at : at + 4] = (0x7FFFFFF0).to_bytes(4, "big")
+    path.write_bytes(data)
+    with memory_limit(1 << 29):  # all pixels are there; only what follows them is missing
+        assert load_photo(path).pixels.shape == gradient.shape
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "a.jpg")
+    with pytest.raises(FileAccessError, match="a device or a pipe"):
+        load_photo(tmp_path / "a.jpg")

@@ -428,7 +428,7 @@ def recording(tmp_path_factory):
     weights[:, ARKIT_NAMES.index("jawOpen")] = (0.0, 0.4, 0.8)
     path = tmp_path_factory.mktemp("recording") / "take.csv"
     turned = np.array([[0, 0, 0], [0.1, 0.2, 0.3], [0.2, 0.4, 0.5]])
-    write_performance(path, Performance(np.arange(3) / 60, weights, 60.0, found=ARKIT_NAMES, head_rotation=turned))
+    write_performance(path, Performance(np.arange(3) / 60, weights, 60.0, recorded_shapes=ARKIT_NAMES, head_rotation=turned))
     return path
 
 

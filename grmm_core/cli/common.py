@@ -101,6 +101,18 @@ def cluster_of(args: argparse.Namespace) -> Iterator[Cluster | None]:
         yield cluster
 
 
+def make_absolute(args: argparse.Namespace, *options: str) -> None:
+    """Name the files that options name from the root: workers of a cluster have other working folders."""
+
+    def absolute(value: Any) -> Any:
+        if isinstance(value, list):
+            return [absolute(one) for one in value]
+        return type(value)(Path(value).absolute()) if value and Path(value).exists() else value  # else a name of ours
+
+    for option in options:
+        setattr(args, option, absolute(getattr(args, option)))
+
+
 def controls_of(args: argparse.Namespace) -> Controls:
     """Return the controls that --set asks for. Raises `ControlError`."""
     return Controls().set_named(parse_assignments(args.assignments))

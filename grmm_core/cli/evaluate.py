@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,9 +13,10 @@ from ..avatar import EXTENSION, load_avatar
 from ..avatar.library import library_file
 from ..errors import ConfigError
 from ..files.access import atomic_write_bytes, make_folder
+from ..jobs.cluster import Cluster, run_pieces
 from ..jobs.progress import Reporter, Share, within
-from ..jobs.stages import EVALUATION
-from .common import DEVICES, add_events, count, positive_int
+from ..jobs.stages import EVALUATION, PIECES, JobStages
+from .common import DEVICES, add_cluster, add_events, cluster_of, count, make_absolute, positive_int
 from .console import plain
 
 if TYPE_CHECKING:
@@ -24,6 +26,7 @@ if TYPE_CHECKING:
 
 PROTOCOLS = ("reconstruction", "novel-view", "expression", "person", "monocular", "transfer")
 CODES, ALL, MONOCULAR = "codes", "all", "monocular"
+SHARE_FITS = ("person", "transfer")  # measured by one process of a cluster, which fits each person once
 METHODS = ("codes", "fast", "standard", "high")
 DEFAULT_LIMIT = 60
 TRANSFER_PEOPLE = 6  # in a sheet
@@ -72,15 +75,50 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--seed", type=count, default=0, help="of the choice of views (default: %(default)s)")
     parser.add_argument("--device", choices=DEVICES, default="auto", help="where the model runs (default: %(default)s)")
     parser.add_argument("--threads", type=positive_int, metavar="N", help="CPU threads (default: all)")
+    add_cluster(parser)
     add_events(parser)
 
 
 def run(args: argparse.Namespace) -> dict[str, Any]:
     """Evaluate, write the files, and return the figures without those of single views."""
+    from ..data.readers import is_dataset
+
+    if args.output is not None:
+        make_folder(args.output)
+    if args.cluster:
+        make_absolute(args, "weights", "data", "head", "output", "ablation", "lpips", "identity")
+    stages = EVALUATION.only(_protocols(args.protocol))
+    with cluster_of(args) as cluster:
+        args.threads = args.threads or (cluster.threads if cluster is not None else None)
+        if MONOCULAR in args.protocol and not any(is_dataset(folder) for folder in args.data):
+            return _photos(args, cluster)
+        evaluation = _open(args)
+        facts, summaries = _facts(args, evaluation.scene, evaluation.ablation), {}
+        for name, found in _measured(evaluation, args, stages, cluster):
+            if "skipped" in found:  # the data holds no views for it
+                facts.setdefault("skipped", {})[name] = found["skipped"]
+                args.console.message(f"{name}: skipped. {found['skipped']}")
+                continue
+            if name == CODES:
+                facts[CODES] = found
+            else:
+                summaries[name] = found
+                args.console.message(f"{name}: {found['views']} views, {found['refined']['psnr_mask']:.2f} dB in the mask")
+                summaries = {stage.name: summaries[stage.name] for stage in stages.stages if stage.name in summaries}
+            if args.output is not None:  # after each protocol: what is measured is not lost when a later one fails
+                _write(args.output, {**facts, "protocols": summaries}, _text(facts, summaries))
+    args.console.line(_text(facts, summaries))
+    if args.output is not None:
+        args.console.line(f"Wrote {args.output / RESULT}, {TABLE} and pictures.")
+    short = {name: {k: v for k, v in values.items() if k != "rows"} for name, values in summaries.items()}
+    return {**facts, "protocols": short}
+
+
+def _open(args: argparse.Namespace) -> Evaluation:
+    """Model, data and settings."""
     import torch
 
-    from ..data.readers import is_dataset, open_dataset
-    from ..evaluation import report
+    from ..data.readers import open_dataset
     from ..evaluation.protocols import Evaluation, Settings
     from ..evaluation.scene import Scene
     from ..head import load_flame
@@ -89,12 +127,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
 
     if args.threads:
         torch.set_num_threads(args.threads)
-    if args.output is not None:
-        make_folder(args.output)
     device = _device(args.device)
-    names = _protocols(args.protocol)
-    if MONOCULAR in args.protocol and not any(is_dataset(folder) for folder in args.data):
-        return _photos(args, device)
     settings = Settings(
         args.limit, args.people, args.size or 0, args.fit, not args.no_ablations, not args.no_regions,
         _distances(args, device), args.seed,
@@ -105,36 +138,54 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     weights = args.weights if avatar is None else avatar.weights.name
     scene = Scene(resolve_weights(weights), device, head=head, avatar=avatar)
     ablation = Scene(resolve_weights(args.ablation), device, head=head) if args.ablation else None
-    facts = _facts(args, scene, ablation)
-    summaries: dict[str, Any] = {}
-    stages = EVALUATION.only(names)
-    with args.console.progress(stages) as show:
-        reporter = Reporter(stages, show)
-        evaluation = Evaluation(scene, datasets, settings, ablation)
-        for name in (stage.name for stage in stages.stages):
-            if name == CODES:
-                facts[CODES] = _codes(scene, args.output, reporter.part(CODES))
-            else:
-                try:
-                    result = evaluation.run(name, reporter.part(name))
-                except ConfigError as error:
-                    if ALL not in args.protocol:
-                        raise
-                    facts.setdefault("skipped", {})[name] = str(error)  # the data holds no views for it
-                    args.console.message(f"{name}: skipped. {error}")
-                    continue
-                summaries[name] = report.summary(result)
-                found = summaries[name]["refined"]
-                args.console.message(f"{name}: {len(result.rows)} views, {found['psnr_mask']:.2f} dB in the mask")
-                if args.output is not None:
-                    _write_pictures(evaluation, result, args.output)
-            if args.output is not None:  # after each protocol: what is measured is not lost when a later one fails
-                _write(args.output, {**facts, "protocols": summaries}, _text(facts, summaries))
-    args.console.line(_text(facts, summaries))
+    return Evaluation(scene, datasets, settings, ablation)
+
+
+def _measured(
+    evaluation: Evaluation, args: argparse.Namespace, stages: JobStages, cluster: Cluster | None
+) -> Iterator[tuple[str, dict[str, Any]]]:  # fmt: skip
+    """Every protocol's name and what it gave, here in the order of the stages, on a cluster as they are done."""
+    names = [stage.name for stage in stages.stages]
+    if cluster is None:
+        with args.console.progress(stages) as show:
+            reporter = Reporter(stages, show)
+            for name in names:
+                yield name, _measure(evaluation, args, name, reporter.part(name))
+        return
+    groups = [[name for name in names if name in SHARE_FITS], *([name] for name in names if name not in SHARE_FITS)]
+    pieces = [(_portable(args), group) for group in groups if group]
+    with args.console.progress(PIECES) as show:
+        for _, found in cluster.run(measure_protocols, pieces, Reporter(PIECES, show).part("pieces")):
+            yield from found.items()
+
+
+def measure_protocols(piece: tuple[dict[str, Any], list[str]], report: Share) -> dict[str, dict[str, Any]]:
+    """Measure protocols on a worker, from the command's arguments."""
+    args = argparse.Namespace(**piece[0])
+    evaluation = _open(args)
+    return {name: _measure(evaluation, args, name, report) for name in piece[1]}
+
+
+def _portable(args: argparse.Namespace) -> dict[str, Any]:
+    """The arguments as they travel to other processes."""
+    return {name: value for name, value in vars(args).items() if name != "console"}
+
+
+def _measure(evaluation: Evaluation, args: argparse.Namespace, name: str, share: Share) -> dict[str, Any]:
+    """Figures of one protocol, whose pictures are written; or why it is skipped."""
+    from ..evaluation import report
+
+    if name == CODES:
+        return _codes(evaluation.scene, args.output, share)
+    try:
+        result = evaluation.run(name, share)
+    except ConfigError as error:
+        if ALL not in args.protocol:
+            raise
+        return {"skipped": str(error)}
     if args.output is not None:
-        args.console.line(f"Wrote {args.output / RESULT}, {TABLE} and pictures.")
-    short = {name: {k: v for k, v in values.items() if k != "rows"} for name, values in summaries.items()}
-    return {**facts, "protocols": short}
+        _write_pictures(evaluation, result, args.output)
+    return report.summary(result)
 
 
 def _avatar(source: str) -> Avatar | None:
@@ -143,31 +194,52 @@ def _avatar(source: str) -> Avatar | None:
     return None if path is None else load_avatar(path)
 
 
-def _photos(args: argparse.Namespace, device: str) -> dict[str, Any]:
+def _photos(args: argparse.Namespace, cluster: Cluster | None) -> dict[str, Any]:
     """The monocular protocol on folders of real photos: figures in the photos' views, avatars and sheets."""
-    from ..evaluation.identity import load_identity
-    from ..evaluation.photo_fits import evaluate_photos, photos_table
+    from ..evaluation.photo_fits import photos_result, photos_table
     from ..fitting.batch import photos_in
 
     if args.output is None:
         raise ConfigError("Photos are judged by looking at their sheets; give a folder for them with --output.")
-    preset = args.fit if args.fit != CODES else "fast"
-    identity = load_identity(args.identity) if args.identity else None
-    results = {}
+    photos: dict[str, list[Path]] = {}
     for folder in args.data:
-        if not photos_in(folder):
+        photos[Path(folder).name] = photos_in(folder)
+        if not photos[Path(folder).name]:
             raise ConfigError(f"{folder} holds neither a data set nor photos; choose another folder.")
-        out = args.output if len(args.data) == 1 else args.output / Path(folder).name
-        stages = EVALUATION.only((MONOCULAR,))
-        with args.console.progress(stages) as show:
-            results[Path(folder).name] = evaluate_photos(
-                folder, args.weights, out, preset, device=device, distances=_distances(args, device), identity=identity,
-                report=Reporter(stages, show).part(MONOCULAR),
-            )  # fmt: skip
+        make_folder(args.output if len(args.data) == 1 else args.output / Path(folder).name)
+    places = [(name, photo) for name, paths in photos.items() for photo in paths]
+    pieces = [(_portable(args), photo, args.output if len(photos) == 1 else args.output / name) for name, photo in places]
+    rows: dict[str, dict[str, dict[str, Any]]] = {name: {path.name: {} for path in paths} for name, paths in photos.items()}
+    stages = EVALUATION.only((MONOCULAR,))
+    with args.console.progress(stages) as show:
+        for number, row in run_pieces(measure_photo, pieces, Reporter(stages, show).part(MONOCULAR), cluster):
+            name, photo = places[number]
+            rows[name][photo.name] = row
+    results = {name: photos_result(found, _preset(args)) for name, found in rows.items()}
     text = "\n".join(photos_table(result) for result in results.values())
     _write(args.output, {"weights": args.weights, "monocular": results}, text)
     args.console.line(text)
     return results
+
+
+def measure_photo(piece: tuple[dict[str, Any], Path, Path], report: Share) -> dict[str, Any]:
+    """Fit and measure one photo from the command's arguments, here or on a worker."""
+    from ..evaluation.identity import load_identity
+    from ..evaluation.photo_fits import evaluate_photo
+    from ..evaluation.scene import Scene
+    from ..model.weights_file import resolve_weights
+    from .train import _device
+
+    args, device = argparse.Namespace(**piece[0]), _device(piece[0]["device"])
+    return evaluate_photo(
+        piece[1], Scene(resolve_weights(args.weights), device), args.weights, piece[2], _preset(args), device=device,
+        threads=args.threads or 0, distances=_distances(args, device),
+        identity=load_identity(args.identity) if args.identity else None, report=report,
+    )  # fmt: skip
+
+
+def _preset(args: argparse.Namespace) -> str:
+    return str(args.fit if args.fit != CODES else "fast")
 
 
 def _protocols(names: list[str]) -> list[str]:

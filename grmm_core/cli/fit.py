@@ -18,7 +18,7 @@ from ..fitting.presets import PRESETS
 from ..fitting.request import FacesRequest, FitRequest, faces_by_photo
 from ..jobs.progress import Reporter
 from ..jobs.stages import FIND_FACES, FIT, PEOPLE
-from .common import StopOnSignal, add_cluster, add_events, add_model, add_output, cluster_of, positive_int
+from .common import StopOnSignal, add_cluster, add_events, add_model, add_output, cluster_of, make_absolute, positive_int
 from .console import Console
 
 CONSENT = "Make avatars only of people who have agreed; the file says that it was made from photos."
@@ -118,9 +118,7 @@ def _fit_people(args: argparse.Namespace, stop: StopOnSignal) -> dict[str, Any] 
         raise ConfigError("No folder for the avatars is named; add -o DIR.")
     folder, output = args.photos[0], args.output
     args.output = output / f"NAME{EXTENSION}"
-    for option in ("weights", "head"):  # other machines have other working folders
-        if getattr(args, option) and Path(getattr(args, option)).exists():
-            setattr(args, option, str(Path(getattr(args, option)).absolute()))
+    make_absolute(args, "weights", "head")
     people: dict[str, Any] = {}
     with cluster_of(args) as cluster, args.console.progress(PEOPLE) as show:
         args.threads = args.threads or (cluster.threads if cluster is not None else None)

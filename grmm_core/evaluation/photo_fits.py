@@ -1,6 +1,6 @@
 """How good fits are: real photos with sheets to look at, and what the stages do to synthetic people whose truth is known.
 
-``evaluate_photos``   a folder of photos, fitted as users do: errors in the photo's view, a sheet each
+``evaluate_photo``    a photo, fitted as users do: errors in its view, a sheet
 ``compare_stages``    stage 2 off, on, and on without locality: the input view against other views and other expressions
 ``compare_counts``    one, two and four photos: new views
 
@@ -21,17 +21,15 @@ import torch
 from ..avatar import Avatar
 from ..errors import GrmmError
 from ..fitting.api import fit
-from ..fitting.batch import photos_in
 from ..fitting.invert import invert, photo_pictures
 from ..fitting.presets import Preset
 from ..fitting.request import FitRequest
 from ..fitting.types import PhotoTrack
 from ..geometry.camera import Camera
-from ..jobs.progress import Progress, Share, nobody, within
+from ..jobs.progress import Progress, Share, nobody
 from ..model.grmm import GRMM
 from ..model.portrait import portrait
 from ..model.torch_loader import with_deltas
-from ..model.weights_file import resolve_weights
 from ..pictures.images import write_png
 from .identity import Identity
 from .metrics import Distance, errors_of
@@ -59,56 +57,56 @@ _GREY = 0.5
 _DISTANCE, _FOV = 1.1, 20.0
 
 
-def evaluate_photos(
-    folder: str | Path, weights: str | Path | None, out: str | Path, preset: str = "standard", *, device: str = "auto",
-    distances: Mapping[str, Distance] | None = None, identity: Identity | None = None, report: Share = nobody,
+def evaluate_photo(
+    photo: Path, scene: Scene, weights: str | Path | None, out: Path, preset: str = "standard", *, device: str = "auto",
+    threads: int = 0, distances: Mapping[str, Distance] | None = None, identity: Identity | None = None, report: Share = nobody,
 ) -> dict[str, Any]:  # fmt: skip
-    """Fit every photo of a folder without hand work, measure it in its own view, and write avatars and sheets.
+    """Fit one photo without hand work, measure it in its own view, and write avatar and sheet.
 
     Args:
-        folder: Photos of people who agreed.
+        photo: Of a person who agreed.
+        scene: Model of the weights.
         weights: Name of installed weights, or a file; None for the embedded ones.
         out: Folder for NAME.grmm and NAME.png.
         preset: Of the fit.
         device: Where the model runs.
+        threads: CPU threads; 0 leaves it to the libraries.
         distances: Perceptual networks by name.
         identity: Distance by a face-recognition network (`identity.load_identity`), or None.
         report: Hears how much is done.
 
     Returns:
-        Figures of each photo by file name (or the sentence why there is no avatar), and their means.
+        Figures of the photo, or the sentence why there is no avatar.
     """
-    out = Path(out)
-    out.mkdir(parents=True, exist_ok=True)
-    photos = photos_in(folder)
-    rows: dict[str, dict[str, Any]] = {}
-    scene = Scene(resolve_weights(weights), "cpu" if device == "auto" else device)
-    for number, photo in enumerate(photos):
-        part = within(report, number / len(photos), (number + 1) / len(photos))
 
-        def show(progress: Progress, part: Share = part, name: str = photo.name) -> None:
-            part(progress.fraction, name)
+    def show(progress: Progress) -> None:
+        report(progress.fraction, photo.name)
 
-        request = FitRequest(
-            (photo,), out / f"{photo.stem}.grmm", preset, weights="" if weights is None else str(weights), device=device
-        )
-        try:
-            result = fit(request, progress=show)
-        except GrmmError as error:
-            rows[photo.name] = {"error": str(error)}
-            continue
-        model = with_deltas(scene.model, result.avatar.deltas, result.path)
-        rows[photo.name] = photo_figures(model, result.avatar, result.tracks, distances, identity)
-        rows[photo.name]["seconds"] = round(result.seconds, 1)
-        write_png(out / f"{photo.stem}.png", photo_sheet(model, result.avatar, result.tracks[0]))
+    request = FitRequest(
+        (photo,), out / f"{photo.stem}.grmm", preset, weights="" if weights is None else str(weights), device=device,
+        threads=threads,
+    )  # fmt: skip
+    try:
+        result = fit(request, progress=show)
+    except GrmmError as error:
+        return {"error": str(error)}
+    model = with_deltas(scene.model, result.avatar.deltas, result.path)
+    write_png(out / f"{photo.stem}.png", photo_sheet(model, result.avatar, result.tracks[0]))
+    return {
+        **photo_figures(model, result.avatar, result.tracks, distances, identity), "seconds": round(result.seconds, 1),
+    }  # fmt: skip
+
+
+def photos_result(rows: Mapping[str, dict[str, Any]], preset: str) -> dict[str, Any]:
+    """Figures of each photo by file name, and their means."""
     fitted = [row for row in rows.values() if "error" not in row]
     names = sorted({name for row in fitted for name, value in row.items() if isinstance(value, float)})
     means = {name: float(np.mean([row[name] for row in fitted if name in row])) for name in names}
-    return {"preset": preset, "photos": rows, "mean": means, "fitted": len(fitted)}
+    return {"preset": preset, "photos": dict(rows), "mean": means, "fitted": len(fitted)}
 
 
 def photos_table(result: Mapping[str, Any]) -> str:
-    """The figures of `evaluate_photos` as Markdown."""
+    """The figures of `photos_result` as Markdown."""
     names = [name for name in ("rmse", "psnr", "ssim", "landmark_error") if name in result["mean"]]
     names += [name for name in result["mean"] if name not in (*names, "seconds")]
     lines = ["| photo | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from dask_workers import address, two_workers
 from evaluation_data import HELD_OUT, write_own_pictures
 from tiny_model import write_tiny_weights
 
@@ -248,6 +249,22 @@ def test_command(weights, folder, tmp_path, capsys):
     (broken / "shots" / "person 1" / "0000_00.png").write_bytes(b"none")
     assert main(["evaluate", str(weights), "--data", str(broken), "--protocol", "reconstruction"]) == 1
     assert "0000_00.png is a damaged picture" in capsys.readouterr().err
+
+
+def test_command_on_a_cluster(weights, folder, tmp_path, capsys):
+    """Every protocol is a piece of work; figures and files are those of one process."""
+    command = ["evaluate", str(weights), "--data", str(folder), "--protocol", "expression", "reconstruction"]
+    figures, files = [], []
+    with two_workers("import torch") as cluster:
+        for name, options in (("here", ["--threads", "1"]), ("there", ["--cluster", address(cluster)])):
+            assert main([*command, "--limit", "2", "-o", str(tmp_path / name), "--json", *options]) == 0
+            figures.append(json.loads(capsys.readouterr().out))
+            files.append(sorted(path.name for path in (tmp_path / name).iterdir()))
+    here, there = figures
+    assert files[0] == files[1]
+    assert list(here["protocols"]) == list(there["protocols"]) == ["reconstruction", "expression"]
+    for name, values in here["protocols"].items():
+        assert there["protocols"][name]["refined"]["psnr_mask"] == pytest.approx(values["refined"]["psnr_mask"], abs=0.01)
 
 
 def test_sheets_show_the_best_and_the_worst():

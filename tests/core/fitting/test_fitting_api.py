@@ -331,8 +331,6 @@ def test_a_mask_replaces_the_outline_that_would_be_found(photo, make, tmp_path):
 
 @pytest.mark.slow
 def test_a_folder_of_photos_is_fitted_and_measured(photo, weights, tmp_path, capsys):
-    from PIL import Image
-
     folder, out = tmp_path / "photos", tmp_path / "out"
     folder.mkdir()
     (folder / "face.png").write_bytes(photo.read_bytes())
@@ -347,6 +345,13 @@ def test_a_folder_of_photos_is_fitted_and_measured(photo, weights, tmp_path, cap
     assert "No face" in result["wall.png"]["error"]
     assert {path.name for path in out.iterdir()} == {"face.grmm", "face.png", "evaluation.json", "evaluation.md"}
     assert "wall.png" in (out / "evaluation.md").read_text()
+    with two_workers(PREPARE) as cluster:
+        options = ["-o", str(tmp_path / "there"), "--device", "cpu", "--json", "--cluster", address(cluster)]
+        assert cli.main([*arguments, *options]) == 0
+    there = json.loads(capsys.readouterr().out)["photos"]["photos"]
+    assert there["face.png"]["rmse"] == pytest.approx(result["face.png"]["rmse"], abs=0.01)
+    assert there["wall.png"] == result["wall.png"]
+    assert {path.name for path in (tmp_path / "there").iterdir()} == {path.name for path in out.iterdir()}
     assert cli.main(arguments) == 1
     assert "--output" in capsys.readouterr().err
 

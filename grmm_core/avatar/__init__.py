@@ -6,7 +6,7 @@ Used by sessions, fitting, the command line and Blender. Needs numpy only.
 from __future__ import annotations
 
 from .file import EXTENSION, FORMAT_VERSION, AvatarHeader, load_avatar, read_avatar_header, save_avatar
-from .types import AssetReference, Avatar, PhotoRecord, Provenance
+from .types import AssetReference, Avatar, Hair, PhotoRecord, Provenance
 
 __all__ = [
     "EXTENSION",
@@ -14,6 +14,7 @@ __all__ = [
     "AssetReference",
     "Avatar",
     "AvatarHeader",
+    "Hair",
     "PhotoRecord",
     "Provenance",
     "load_avatar",

@@ -1,14 +1,16 @@
 """`.grmm` files: one avatar as a safetensors file with a JSON description. Nothing in it is ever executed.
 
-Layout, version 1. Metadata of the tensor file (all strings):
+Layout, versions 1 and 2. Metadata of the tensor file (all strings):
 
 ``format``          "grmm-avatar"
-``format_version``  "1"
+``format_version``  "2" for an avatar with hair of its own, else "1", which older readers know
 ``avatar``          JSON object: name, head {name, sha256}, weights {name, sha256}, provenance {made_by, from_photos,
-                    photos [{name, sha256}], date, licence}, camera or null, thumbnail (PNG, base64)
+                    photos [{name, sha256}], date, licence}, camera or null, thumbnail (PNG, base64),
+                    from version 2 on hair: {settings {name: number}} or null
 
 Tensors, float32: ``z_id`` [Z], ``z_exp`` [Y], ``shape`` [300], ``expression`` [<=100], ``pose`` [5, 3],
-``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact).
+``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact),
+``hair/NAME`` the strands as `hair.compact` has them, at most 1 MB; without them an avatar with hair settings is bald.
 Uint8, where there is one: ``painting`` [P, P, 3]; what does not know it passes over it.
 
 Called by sessions, fitting, the command line and Blender's panels (`read_avatar_header`). Needs numpy only.
@@ -29,14 +31,18 @@ import numpy as np
 from ..errors import FileFormatError, GrmmError, ShapeError
 from ..files.tensorfile import read_metadata, read_tensors, write_tensors
 from ..geometry.camera import Camera
-from .types import MAX_NAME_LENGTH, AssetReference, Avatar, PhotoRecord, Provenance
+from ..hair.compact import compact, restored
+from ..hair.groom import Groom
+from ..hair.settings import HairSettings
+from .types import MAX_NAME_LENGTH, AssetReference, Avatar, Hair, PhotoRecord, Provenance
 
 FORMAT_NAME = "grmm-avatar"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 EXTENSION = ".grmm"
 _TRACKING = "tracking/"
 _DELTA = "delta/"
 _PAINTING = "painting"
+_HAIR = "hair/"
 _ARRAYS = ("z_id", "z_exp", "shape", "expression", "pose")
 _HEX_DIGITS = frozenset("0123456789abcdef")
 
@@ -48,6 +54,7 @@ class AvatarHeader:
     Attributes:
         format_version: Version of the file's layout.
         name, head, weights, camera, provenance, thumbnail: As in `Avatar`.
+        hair: Settings of the avatar's own strands, or None.
     """
 
     format_version: int
@@ -57,6 +64,7 @@ class AvatarHeader:
     camera: Camera | None
     provenance: Provenance
     thumbnail: bytes
+    hair: HairSettings | None
 
 
 def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
@@ -75,14 +83,19 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
         },
         "thumbnail": base64.b64encode(avatar.thumbnail).decode("ascii"),
     }
+    hair = avatar.hair
+    if hair is not None:
+        description["hair"] = {"settings": hair.settings.to_json()}
     tensors = {name: getattr(avatar, name) for name in _ARRAYS}
     tensors |= {_TRACKING + name: array for name, array in avatar.tracking.items()}
     tensors |= {_DELTA + name: _compact(array) for name, array in avatar.deltas.items()}
     if avatar.painting.size:
         tensors[_PAINTING] = avatar.painting
+    if hair is not None and hair.groom is not None:
+        tensors |= {_HAIR + name: array for name, array in compact(hair.groom).items()}
     metadata = {
         "format": FORMAT_NAME,
-        "format_version": str(FORMAT_VERSION),
+        "format_version": "1" if hair is None else str(FORMAT_VERSION),
         "avatar": json.dumps(description, ensure_ascii=False, allow_nan=False),
     }
     write_tensors(path, tensors, metadata)
@@ -123,6 +136,7 @@ def load_avatar(path: str | os.PathLike[str]) -> Avatar:
             deltas=_with_prefix(tensors, _DELTA),
             provenance=header.provenance,
             thumbnail=header.thumbnail,
+            hair=None if header.hair is None else Hair(_groom(tensors), header.hair),
             **({_PAINTING: tensors[_PAINTING]} if _PAINTING in tensors else {}),
         )
     except ShapeError as error:
@@ -149,6 +163,7 @@ def _parse_header(path: Path, metadata: dict[str, str]) -> AvatarHeader:
             camera=_camera_from_json(description["camera"]),
             provenance=_provenance_from_json(description["provenance"]),
             thumbnail=base64.b64decode(_text(description["thumbnail"]), validate=True),
+            hair=_settings(description.get("hair")),
         )
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError, binascii.Error, GrmmError) as error:
         raise _damaged(path, "its description is malformed") from error
@@ -192,6 +207,19 @@ def _camera_from_json(value: Any) -> Camera | None:
     fx, fy, cx, cy = (float(value[name]) for name in ("fx", "fy", "cx", "cy"))
     matrix = np.array(value["world_to_camera"], np.float64)
     return Camera(matrix, fx, fy, cx, cy, value["width"], value["height"], bool(value["orthographic"]))
+
+
+def _settings(value: Any) -> HairSettings | None:
+    return (
+        None
+        if value is None
+        else HairSettings().changed(**{_text(name): float(number) for name, number in value["settings"].items()})
+    )
+
+
+def _groom(tensors: dict[str, np.ndarray]) -> Groom | None:
+    arrays = _with_prefix(tensors, _HAIR)
+    return restored(arrays) if arrays else None
 
 
 def _compact(array: np.ndarray) -> np.ndarray:

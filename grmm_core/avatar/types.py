@@ -14,6 +14,8 @@ import numpy as np
 from .. import __version__
 from ..errors import ShapeError
 from ..geometry.camera import Camera
+from ..hair.groom import Groom
+from ..hair.settings import HairSettings
 
 MADE_BY = f"grmm {__version__}"
 SHAPE_SIZE = 300
@@ -66,6 +68,19 @@ class Provenance:
 
 
 @dataclass(frozen=True)
+class Hair:
+    """The strands of a person.
+
+    Attributes:
+        groom: On the head model; None for a person who is bald, whatever the Gaussians were trained with.
+        settings: Length, color and so on.
+    """
+
+    groom: Groom | None
+    settings: HairSettings = field(default_factory=HairSettings)
+
+
+@dataclass(frozen=True)
 class Avatar:
     """One person of the model.
 
@@ -86,6 +101,7 @@ class Avatar:
         provenance: Where it comes from.
         thumbnail: PNG bytes, or empty.
         painting: The person on the head's UV map, display sRGB, uint8, [P, P, 3], the row of v = 0 first; [0, 0, 3] for none.
+        hair: Strands; None where hair is only in the Gaussians.
     """
 
     name: str
@@ -102,6 +118,7 @@ class Avatar:
     provenance: Provenance = field(default_factory=Provenance)
     thumbnail: bytes = b""
     painting: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.uint8))
+    hair: Hair | None = None
 
     def __post_init__(self) -> None:
         for name in ("z_id", "z_exp", "shape", "expression", "pose"):

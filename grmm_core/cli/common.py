@@ -15,7 +15,9 @@ from ..controls.table import settable
 from ..errors import FileAccessError
 from ..files.format import Format, OptionsOf, options_of_formats
 from ..fitting.request import DEVICES
+from ..hair import SETTINGS, HairSettings, groom_names
 from ..jobs.cluster import Cluster, open_cluster
+from ..session.wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, HairUse
 from .console import Console
 
 
@@ -77,6 +79,23 @@ def add_format_options(parser: argparse._ActionsContainer, known: Iterable[Forma
 def options_of(args: argparse.Namespace, entry: Format, which: OptionsOf) -> dict[str, Any]:
     """Return a format's options as the flags set them, by the names that its reader or writer has for them."""
     return {option.name: getattr(args, option.identifier) for option in getattr(entry, which)}
+
+
+def add_hair(parser: argparse.ArgumentParser) -> None:
+    """Add --hair and --hair-set."""
+    parser.add_argument(
+        "--hair", metavar="NAME", default=OWN_HAIR,
+        help=f"what the avatar wears: own (default), none, or one of {', '.join(groom_names())}",
+    )  # fmt: skip
+    names = ", ".join(f"{row.name} ({row.low:g} to {row.high:g})" for row in SETTINGS)
+    parser.add_argument("--hair-set", action="extend", nargs="+", default=[], metavar="NAME=VALUE", help=f"strands: {names}")
+
+
+def hair_of(args: argparse.Namespace) -> HairUse:
+    """Return the hair that --hair and --hair-set ask for. Raises `ControlError`."""
+    values = parse_assignments(args.hair_set)
+    groom = args.hair if args.hair in (OWN_HAIR, NO_HAIR) else GROOM_PREFIX + args.hair.removeprefix(GROOM_PREFIX)
+    return HairUse(groom, HairSettings().changed(**values) if values else None)
 
 
 def add_events(parser: argparse.ArgumentParser) -> None:

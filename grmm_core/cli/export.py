@@ -37,10 +37,12 @@ from .common import (
     add_controls,
     add_events,
     add_format_options,
+    add_hair,
     add_model,
     add_output,
     check_folder,
     controls_of,
+    hair_of,
     options_of,
 )
 
@@ -64,6 +66,7 @@ def add_parser(subparsers: Any) -> None:
     names = dict.fromkeys(suffix for one in known for suffix in one.written_suffixes)
     add_output(parser, f"what to write: a file ({', '.join(names)}), or a folder for GaussianAvatars")
     add_controls(parser)
+    add_hair(parser)
     parser.add_argument("--mesh", action="store_true", help="write the mesh with morph targets into a .glb")
     parser.add_argument(
         "--sh-degree", type=int, choices=range(MAX_DEGREE + 1), default=DEFAULT_DEGREE,
@@ -202,7 +205,7 @@ def _content(
         made = lam_avatar(session, avatar.id, controls, args.lod, report)
         return made, {"gaussians": made.cloud.count, "morphs": len(made.mesh.morphs)}
     if target.holds == "splats":
-        cloud = splat_cloud(session, avatar.id, controls, args.sh_degree, args.lod)
+        cloud = splat_cloud(session, avatar.id, controls, args.sh_degree, args.lod, hair_of(args))
         return cloud, {"gaussians": cloud.count}
     head = _head(avatar)
     mesh = session.deform(avatar.id, controls)
@@ -210,7 +213,7 @@ def _content(
         morphs = morph_targets(session, avatar.id, controls, report=report) if target.morphs else {}
         count = {"vertices": len(mesh.vertices), "faces": len(head.faces), **({"morphs": len(morphs)} if morphs else {})}
         return Mesh(mesh.vertices, head.faces, head.uv, head.uv_faces, morphs), count
-    cloud = splat_cloud(session, avatar.id, controls, args.sh_degree, args.lod)
+    cloud = splat_cloud(session, avatar.id, controls, args.sh_degree, args.lod, hair_of(args))
     arrays = {
         "vertices": mesh.vertices, "displacement": mesh.displacement, "joints": mesh.joints,
         "faces": head.faces, "uv": head.uv, "uv_faces": head.uv_faces,

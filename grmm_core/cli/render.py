@@ -9,6 +9,7 @@ out.depth.npy  camera depth in metres, float32 [H, W]; 1e10 where nothing is
 out.raw.png    before the refinement network, straight alpha
 out.normal.png world-space normals as 0.5 + 0.5 n, 16-bit
 out.mask.png   coverage of the avatar, 16-bit grey
+out.hair.png   coverage of its strands, 16-bit grey
 out.features.npy  feature channels, float32 [H, W, F], premultiplied
 =============  ===========================================================================
 """
@@ -30,7 +31,7 @@ from ..model.portrait import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from ..pictures.color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from ..pictures.images import quantize, write_exr, write_png
 from ..session import MAX_LOD, PASS_NAMES, Instance, RenderOptions, create_session
-from .common import add_avatar, add_controls, add_model, add_output, check_folder, controls_of, picture_size
+from .common import add_avatar, add_controls, add_hair, add_model, add_output, check_folder, controls_of, hair_of, picture_size
 
 SUFFIXES = (".png", ".exr", ".npz")
 
@@ -48,6 +49,7 @@ def add_parser(subparsers: Any) -> None:
     add_output(parser, "the picture to write: .png, .exr or .npz")
     parser.add_argument("--size", type=picture_size, default=(512, 512), metavar="512|WxH", help="pixels (default: 512)")
     add_controls(parser)
+    add_hair(parser)
     parser.add_argument("--yaw", type=float, default=0.0, help="camera angle to the subject's left, degrees (default: 0)")
     parser.add_argument("--pitch", type=float, default=0.0, help="camera angle upwards, degrees (default: 0)")
     parser.add_argument("--distance", type=float, default=PORTRAIT_DISTANCE, help="metres from the head (default: %(default)s)")
@@ -68,7 +70,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; choose one of these formats.")
     check_folder(path)
-    controls = controls_of(args)
+    controls, hair = controls_of(args), hair_of(args)
     width, height = args.size
     camera = Camera.orbit(width, height, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
@@ -76,7 +78,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.open(args.avatar)
         start = time.perf_counter()
-        buffers = session.render([Instance(avatar.id, controls)], camera, options)
+        buffers = session.render([Instance(avatar.id, controls, hair=hair)], camera, options)
         seconds = time.perf_counter() - start
     files = write_buffers(path, buffers, args.passes, args.background is not None)
     for file in files.values():

@@ -30,9 +30,12 @@ import numpy as np
 from ..controls.frame import Controls
 from ..errors import ConfigError, ShapeError
 from ..geometry.camera import Camera
+from ..hair.groom import Groom
+from ..hair.settings import HairSettings
 from ..splat.types import GaussianArrays
+from .wearing import HairUse
 
-PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask")
+PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask", "hair")
 LINEAR_PASS = "linear"
 """A further pass, for hosts that work in linear light: "rgb" and "alpha" as `color.scene_linear_premultiplied` has them."""
 EMPTY_DEPTH = 1.0e10
@@ -70,6 +73,7 @@ class AvatarInfo:
         aligned_code_norms: Length of the residual code of each aligned expression, [60].
         provenance: Where the avatar comes from (keys of `avatar.Provenance`).
         thumbnail: PNG bytes, or empty.
+        hair: Settings of the strands that the avatar has of its own; None where its hair is in its Gaussians only.
     """
 
     id: int
@@ -90,6 +94,7 @@ class AvatarInfo:
     aligned_code_norms: np.ndarray
     provenance: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     thumbnail: bytes = b""
+    hair: HairSettings | None = None
 
 
 @dataclass(frozen=True)
@@ -149,11 +154,13 @@ class Instance:
         controls: Its expression and pose.
         model_to_world: Head space to world, [4, 4]: rotation, translation, one uniform scale. The camera of `render` is in
             the same world. From a Blender matrix M of the head object: M @ HEAD_TO_BLENDER.
+        hair: What it wears.
     """
 
     avatar_id: int
     controls: Controls = field(default_factory=Controls)
     model_to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
+    hair: HairUse = field(default_factory=HairUse)
 
     def __post_init__(self) -> None:
         matrix = np.array(self.model_to_world, np.float64)
@@ -255,8 +262,12 @@ class Session(Protocol):
         """Open a new person drawn from the Gaussian fitted to the training identities; equal seeds give equal people."""
         ...
 
-    def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
-        """Write an opened avatar as a `.grmm` file with a fresh thumbnail. Raises `FileAccessError`."""
+    def save(self, avatar_id: int, path: str | os.PathLike[str], hair: HairUse | None = None) -> None:
+        """Write an opened avatar, with the hair that it wears if `hair` is given, as a `.grmm` file with a fresh thumbnail.
+
+        Raises:
+            FileAccessError: The file cannot be written.
+        """
         ...
 
     def release(self, avatar_id: int) -> None:
@@ -273,6 +284,16 @@ class Session(Protocol):
         """
         ...
 
+    def put_groom(self, name: str, version: str, groom: Groom) -> str:
+        """Keep strands, to be worn as `HairUse(groom=what is returned)` by any avatar of the head that they stand on.
+
+        Args:
+            name: Whose strands these are. A groom put under the same name before is replaced.
+            version: Changes whenever the groom does; with the version that is already there nothing is copied.
+            groom: The strands, see `hair.groom` and `hair.attach`.
+        """
+        ...
+
     def deform(self, avatar_id: int, controls: Controls) -> Deformation:
         """Return the deformed mesh.
 
@@ -283,16 +304,23 @@ class Session(Protocol):
         ...
 
     def gaussians(
-        self, avatar_id: int, controls: Controls, view_direction: np.ndarray | None = None, lod: int = 0, features: bool = False
+        self,
+        avatar_id: int,
+        controls: Controls,
+        view_direction: np.ndarray | None = None,
+        lod: int = 0,
+        features: bool = False,
+        hair: HairUse = ...,
     ) -> GaussianArrays:
-        """Return the Gaussians in head space.
+        """Return the Gaussians in head space, those of the hair last.
 
         Args:
             avatar_id: The avatar.
             controls: Expression and pose.
             view_direction: Unit vector from the head towards the camera in head space, [3]; from the front when None.
             lod: As `RenderOptions.lod`.
-            features: Also return the feature channels; without them there are 0.
+            features: Also return the feature channels; without them there are 0; those of strands are zero.
+            hair: What the avatar wears.
 
         Returns:
             Metres; colors as seen along the view direction, not refined.
@@ -327,6 +355,7 @@ class Session(Protocol):
             normal    3   mesh normals in world axes, unit length; zero where nothing is
             features  F   splatted feature channels, premultiplied by alpha
             mask      K   coverage of each of the K instances, after mutual occlusion; sums to alpha
+            hair      1   coverage of the strands of all instances, part of alpha
             ========  ==  ===========================================================================================
 
             `grmm_core.pictures.color` converts rgb to scene-linear premultiplied (Blender) or straight alpha (PNG).

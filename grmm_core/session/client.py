@@ -26,12 +26,14 @@ from ..compute.memory import resident_memory
 from ..controls.frame import Controls
 from ..errors import GrmmError, SessionError
 from ..geometry.camera import Camera
+from ..hair.groom import Groom
 from .api import (
     AvatarInfo,
     CancelCheck,
     CloudArrays,
     Deformation,
     GaussianArrays,
+    HairUse,
     Instance,
     RenderOptions,
     SessionStatus,
@@ -39,6 +41,7 @@ from .api import (
 )
 from .process import WorkerDiedError, WorkerProcess
 from .sources import SourceKey, source_key
+from .wearing import PUT_PREFIX
 
 CLOSE_GRACE = 0.5  # seconds that closing waits for another thread's call
 CALL_TIMEOUT = 600.0  # seconds; a picture of a film's size on an old machine stays below
@@ -89,6 +92,8 @@ class WorkerSession:
         self._infos: dict[int, AvatarInfo] = {}
         self._clouds: dict[int, tuple[str, str, CloudArrays]] = {}  # name, version, Gaussians; kept for a restart too
         self._stale: set[int] = set()  # clouds that the running worker has in an older version
+        self._grooms: dict[str, tuple[str, Groom]] = {}  # by name: version and strands, likewise
+        self._worn: dict[str, str] = {}  # by name: the version that the running worker has
         self._remote: dict[int, int] = {}  # our ids to those of the running worker
         self._finalizer: weakref.finalize | None = None
 
@@ -100,9 +105,10 @@ class WorkerSession:
         """See `Session.sample`."""
         return self._open(SourceKey("sample", str(int(seed))))
 
-    def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
+    def save(self, avatar_id: int, path: str | os.PathLike[str], hair: HairUse | None = None) -> None:
         """See `Session.save`."""
-        self._call_for(avatar_id, "save", {"path": os.path.abspath(path)})  # noqa: PTH100 - bytes and str alike
+        absolute = os.path.abspath(path)  # noqa: PTH100 - bytes and str alike
+        self._call_for(avatar_id, "save", {"path": absolute, "hair": hair})
 
     def release(self, avatar_id: int) -> None:
         """See `Session.release`."""
@@ -128,16 +134,36 @@ class WorkerSession:
                 self._stale.add(number)
             return number
 
+    def put_groom(self, name: str, version: str, groom: Groom) -> str:
+        """See `Session.put_groom`. Sent with the first picture that shows it."""
+        with self._lock:
+            self._check_open()
+            if name not in self._grooms or self._grooms[name][0] != version:
+                self._grooms[name] = (version, groom)
+            return PUT_PREFIX + name
+
     def deform(self, avatar_id: int, controls: Controls) -> Deformation:
         """See `Session.deform`."""
         return self._call_for(avatar_id, "deform", {"controls": controls.validate()})
 
     def gaussians(
-        self, avatar_id: int, controls: Controls, view_direction: np.ndarray | None = None, lod: int = 0, features: bool = False
+        self,
+        avatar_id: int,
+        controls: Controls,
+        view_direction: np.ndarray | None = None,
+        lod: int = 0,
+        features: bool = False,
+        hair: HairUse = HairUse(),  # noqa: B008 - frozen
     ) -> GaussianArrays:
         """See `Session.gaussians`."""
         direction = None if view_direction is None else np.asarray(view_direction, np.float64)
-        arguments = {"controls": controls.validate(), "view_direction": direction, "lod": lod, "features": features}
+        arguments = {
+            "controls": controls.validate(),
+            "view_direction": direction,
+            "lod": lod,
+            "features": features,
+            "hair": hair,
+        }
         return self._call_for(avatar_id, "gaussians", arguments)
 
     def render(
@@ -153,6 +179,8 @@ class WorkerSession:
 
         def draw() -> dict[str, np.ndarray]:
             remote = [dataclasses.replace(item, avatar_id=self._remote_id(item.avatar_id)) for item in valid]
+            for item in valid:
+                self._send_groom(item.hair)
             return self._call("render", {"instances": remote, "camera": camera, "options": options}, should_cancel)
 
         return self._tried(draw)
@@ -237,8 +265,20 @@ class WorkerSession:
             self._remote[avatar_id] = self._open_remote(self._sources[avatar_id]).id
         return self._remote[avatar_id]
 
+    def _send_groom(self, use: HairUse | None) -> None:
+        """Bring a groom that was put here to the worker, if this worker does not have it."""
+        name = None if use is None or not use.groom.startswith(PUT_PREFIX) else use.groom.removeprefix(PUT_PREFIX)
+        if name is not None and name in self._grooms and self._worn.get(name) != self._grooms[name][0]:
+            version, groom = self._grooms[name]
+            self._call("put_groom", {"name": name, "version": version, "groom": groom})
+            self._worn[name] = version
+
     def _call_for(self, avatar_id: int, operation: str, arguments: dict[str, Any]) -> Any:
-        return self._tried(lambda: self._call(operation, {"avatar_id": self._remote_id(avatar_id), **arguments}))
+        def work() -> Any:
+            self._send_groom(arguments.get("hair"))
+            return self._call(operation, {"avatar_id": self._remote_id(avatar_id), **arguments})
+
+        return self._tried(work)
 
     def _tried(self, work: Callable[[], Result]) -> Result:
         """Do one piece of work, again with a fresh worker where one ends over it. It must look up remote ids itself.
@@ -288,6 +328,7 @@ class WorkerSession:
         if self._finalizer is not None:
             self._finalizer.detach()
         self._remote.clear()
+        self._worn.clear()
         self._facts = None
         self._starts += 1
         worker = WorkerProcess(self._python, self._settings)

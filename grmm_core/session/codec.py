@@ -20,14 +20,29 @@ import numpy as np
 from ..controls.frame import Controls
 from ..errors import SessionError
 from ..geometry.camera import Camera
-from .api import AvatarInfo, CloudArrays, Deformation, GaussianArrays, Instance, RenderOptions, SessionStatus
+from ..hair.groom import Groom
+from ..hair.settings import HairSettings
+from .api import AvatarInfo, CloudArrays, Deformation, GaussianArrays, HairUse, Instance, RenderOptions, SessionStatus
 from .arena import SharedArena
 
 MAX_MESSAGE_BYTES = 16 << 20
 _LENGTH = struct.Struct("<I")
 _TYPES = {
     kind.__name__: kind
-    for kind in (Camera, Controls, AvatarInfo, CloudArrays, Deformation, GaussianArrays, Instance, RenderOptions, SessionStatus)
+    for kind in (
+        Camera,
+        Controls,
+        AvatarInfo,
+        CloudArrays,
+        Deformation,
+        GaussianArrays,
+        Groom,
+        HairSettings,
+        HairUse,
+        Instance,
+        RenderOptions,
+        SessionStatus,
+    )
 }
 _DTYPES = frozenset({"<f4", "<f8", "<i4", "<i8", "|u1", "|b1"})
 

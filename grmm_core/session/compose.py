@@ -16,6 +16,7 @@ One text for every engine: its arrays are numpy's or torch's. Called by `local`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -35,18 +36,21 @@ from .api import EMPTY_DEPTH, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
+from .hair import Wardrobe, Worn
 
 NORMAL_CHANNELS = 3
 _MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined
+_MIN_SKIN = 2e-3  # cover of skin between strands that is not worth refining
 
 
 @dataclass(frozen=True)
 class PlacedAvatar:
-    """An instance of an avatar, with what `local` looked up for it."""
+    """An instance of an avatar, with what `local` looked up for it; `worn` is None where its hair is in its Gaussians."""
 
     target: OpenAvatar
     inputs: Inputs
     instance: Instance
+    worn: Worn | None = None
 
     @property
     def model(self) -> Model:
@@ -74,17 +78,24 @@ class _Channels:
         features: Slice of each model's features, by the identity of the model.
         normals: Slice of the normals, or None.
         coverage: Slice of the coverages, one channel an instance, or None for a single instance.
+        hair: Number of the channel that is 1 on strands, or None where nobody has any or nobody asks.
         count: All channels.
     """
 
     features: dict[int, slice]
     normals: slice | None
     coverage: slice | None
+    hair: int | None
     count: int
 
 
 def compose(
-    placed: Sequence[Placed], evaluator: Evaluator, camera: Camera, options: RenderOptions, should_cancel: CancelCheck | None
+    placed: Sequence[Placed],
+    evaluator: Evaluator,
+    wardrobe: Wardrobe,
+    camera: Camera,
+    options: RenderOptions,
+    should_cancel: CancelCheck | None,
 ) -> dict[str, np.ndarray]:
     """Draw instances; see `api.Session.render` for the result. Call within `Engine.calling`."""
     check = _canceller(should_cancel)
@@ -94,7 +105,7 @@ def compose(
     channels = _plan(placed, options)
     parts = []
     for index, item in enumerate(placed):
-        parts.append(_gaussians(item, index, evaluator, camera, options, channels, single=len(placed) == 1))
+        parts.append(_gaussians(item, index, evaluator, wardrobe, camera, options, channels, single=len(placed) == 1))
         check()
     if len(placed) == 1:
         # In head space as it is: the placement goes into the camera (eq. 2) and no Gaussian is moved.
@@ -137,35 +148,53 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
     if len(placed) > 1 and (wants_features or "mask" in options.passes):
         coverage = slice(count, count + len(placed))
         count = coverage.stop
-    return _Channels(features, normals, coverage, count)
+    hair = None
+    worn = [item.worn for item in placed if isinstance(item, PlacedAvatar)]
+    strands = any(one is not None and one.groom is not None for one in worn)
+    if strands and (wants_features or "hair" in options.passes):
+        hair = count
+        count += 1
+    return _Channels(features, normals, coverage, hair, count)
 
 
 def _gaussians(
-    item: Placed, index: int, evaluator: Evaluator, camera: Camera, options: RenderOptions, channels: _Channels, single: bool
-) -> Gaussians:
+    item: Placed, index: int, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
+    channels: _Channels, single: bool,
+) -> Gaussians:  # fmt: skip
     """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space."""
     model_to_world = item.instance.model_to_world
     local_camera = camera.transformed(model_to_world)
+    strands = None
     if isinstance(item, PlacedCloud):
         own = item.target.seen_from(local_camera, options.lod)
     else:
         direction = local_camera.view_direction(np.array(HEAD_CENTRE))
-        own = evaluator.gaussians(item.target, item.inputs, direction, options.lod)
+        cap = None
+        if item.worn is not None:
+            cap = wardrobe.cap(evaluator, item.target, item.inputs, item.worn)
+            strands = wardrobe.gaussians(evaluator, item.target, item.inputs, item.worn, local_camera, options.lod)
+        own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap)
+    count = len(own)
+    features = own.features
+    if strands is not None:
+        own = Gaussians.concatenate([dataclasses.replace(own, features=None), strands])
     own_slice = None if item.model is None else channels.features.get(id(item.model))
     if channels.count == 0:
         stacked = None
-    elif own_slice is not None and own_slice == slice(0, channels.count):
-        stacked = own.features
+    elif strands is None and own_slice is not None and own_slice == slice(0, channels.count):
+        stacked = features
     else:
         stacked = zeros((len(own), channels.count), own.means)
         if own_slice is not None:
-            stacked[:, own_slice] = present(own.features)
+            stacked[:count, own_slice] = present(features)
         if channels.normals is not None and isinstance(item, PlacedAvatar):
             normals = evaluator.normals(item.target, item.inputs, options.lod)
             rotation = _rotation(model_to_world, normals)
-            stacked[:, channels.normals] = normals @ rotation.T
+            stacked[:count, channels.normals] = normals @ rotation.T
         if channels.coverage is not None:
             stacked[:, channels.coverage.start + index] = 1.0
+        if channels.hair is not None:
+            stacked[count:, channels.hair] = 1.0
     means, quats, scales = own.means, own.quats, own.scales
     if not single:
         to_camera = camera.world_to_camera @ model_to_world
@@ -196,6 +225,7 @@ def _refine(
     coverage = None if channels.coverage is None else present(raster.features)[..., channels.coverage]  # [H, W, K]
     limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
     result = raster.rgb
+    strands = None if channels.hair is None else present(raster.features)[..., channels.hair]
     models: dict[int, Model] = {id(item.model): item.model for item in placed if item.model is not None}
     mixed = len({id(item.model) for item in placed}) > 1  # several weights, or clouds that no network may touch
     for key, model in models.items():
@@ -206,6 +236,9 @@ def _refine(
         if mixed:
             own = [k for k, item in enumerate(placed) if item.model is model]
             share = present(coverage)[..., own].sum(-1)  # [H, W]
+        if strands is not None:  # no network has seen strands: they stay as they are
+            clip = library_of(strands).clip
+            share = clip((raster.alpha if share is None else share) - strands - _MIN_SKIN, 0.0, None)
         region = _covered_region(raster.alpha if share is None else share, model.config, coarse)
         if region is None:
             continue
@@ -271,6 +304,7 @@ def _buffers(
         "raw": lambda: raster.rgb + behind,
         "normal": lambda: _unit_normals(present(raster.features)[..., channels.normals], alpha),
         "features": lambda: _all_features(raster, channels),
+        "hair": lambda: (alpha * 0.0 if channels.hair is None else present(raster.features)[..., channels.hair])[..., None],
         "mask": lambda: alpha[..., None] if channels.coverage is None else present(raster.features)[..., channels.coverage],
     }
     return {name: to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
@@ -294,7 +328,7 @@ def _all_features(raster: RasterOutput[Any], channels: _Channels) -> Any:
 
 def _empty(camera: Camera, options: RenderOptions) -> dict[str, np.ndarray]:
     """Return the picture of no avatars."""
-    sizes = {"rgb": 3, LINEAR_PASS: 4, "alpha": 1, "depth": 1, "raw": 3, "normal": 3, "features": 0, "mask": 0}
+    sizes = {"rgb": 3, LINEAR_PASS: 4, "alpha": 1, "depth": 1, "raw": 3, "normal": 3, "features": 0, "mask": 0, "hair": 1}
     buffers = {name: np.zeros((camera.height, camera.width, sizes[name]), np.float32) for name in options.passes}
     for name, buffer in buffers.items():
         if name == "depth":

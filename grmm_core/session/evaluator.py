@@ -33,6 +33,7 @@ from ..model.steps import Geometry, Mesh, Rest
 from ..model.store import LoadedModel, Model
 from ..splat import Gaussians
 from .cache import ArrayCache
+from .cap import Cap
 from .engines import Engine
 from .sources import SourceKey
 
@@ -92,13 +93,15 @@ class Evaluator:
 
         return self.cache.get((target.id, "rest", *inputs.shape_key), make)
 
-    def geometry(self, target: OpenAvatar, inputs: Inputs) -> Geometry[Any]:
-        """Return the placed Gaussians in head space."""
+    def geometry(self, target: OpenAvatar, inputs: Inputs, flat: Any = None) -> Geometry[Any]:
+        """Return the placed Gaussians in head space; where `flat` [N] is 1, on the skin without what was learned."""
 
         def make() -> Geometry[Any]:
-            return target.model.geometry(self.mesh(target, inputs).vertices, self.offsets(target, inputs))
+            offsets = self.offsets(target, inputs)
+            offsets = offsets if flat is None else offsets * (1.0 - flat)[:, None]
+            return target.model.geometry(self.mesh(target, inputs).vertices, offsets)
 
-        return self.cache.get((target.id, "geometry", *inputs.mesh_key), make)
+        return self.cache.get((target.id, "geometry", flat is None, *inputs.mesh_key), make)
 
     def offsets(self, target: OpenAvatar, inputs: Inputs) -> Any:
         """Return Phi_T's offsets, [N, 10]."""
@@ -119,11 +122,15 @@ class Evaluator:
         colors, features = self._decoded(target, "appearance", inputs, key, direction)
         return colors, features
 
-    def gaussians(self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray, lod: int = 0) -> Gaussians:
-        """Return all Gaussians in head space; features are [N, F], also where F is 0."""
+    def gaussians(
+        self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray, lod: int = 0, cap: Cap | None = None
+    ) -> Gaussians:
+        """Return all Gaussians in head space, hair laid flat where there is a cap; features are [N, F], also where F is 0."""
         colors, features = self.appearance(target, inputs, direction)
         colors = colors + self.tint(target, inputs)
-        full = Gaussians(*self.geometry(target, inputs), self.opacity(target, inputs), colors, features)
+        placed = self.geometry(target, inputs, None if cap is None else cap.share)
+        full = Gaussians(*placed, self.opacity(target, inputs), colors, features)
+        full = full if cap is None else cap.laid(full)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
 
     def normals(self, target: OpenAvatar, inputs: Inputs, lod: int = 0) -> Any:

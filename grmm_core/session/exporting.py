@@ -22,9 +22,14 @@ from ..jobs.progress import Share, nobody
 from ..performance import Performance
 from .api import Session
 from .harmonics import fit_harmonics
+from .wearing import HairUse
+
+_OWN = HairUse()
 
 
-def splat_cloud(session: Session, avatar_id: int, controls: Controls, sh_degree: int, lod: int = 0) -> SplatCloud:
+def splat_cloud(
+    session: Session, avatar_id: int, controls: Controls, sh_degree: int, lod: int = 0, hair: HairUse = _OWN
+) -> SplatCloud:
     """Return an avatar's Gaussians with fitted view dependence, head axes.
 
     Args:
@@ -33,15 +38,17 @@ def splat_cloud(session: Session, avatar_id: int, controls: Controls, sh_degree:
         controls: Expression and pose.
         sh_degree: 0 to 3.
         lod: As `Session.gaussians`.
+        hair: What the avatar wears; its strands are splats like the others.
     """
-    found = session.gaussians(avatar_id, controls, lod=lod)
-    harmonics = fit_harmonics(session, avatar_id, controls, sh_degree, lod)
+    found = session.gaussians(avatar_id, controls, lod=lod, hair=hair)
+    harmonics = fit_harmonics(session, avatar_id, controls, sh_degree, lod, hair)
     return SplatCloud(found.means, found.quats, found.scales, np.clip(found.opacities, 0.0, 1.0), harmonics)
 
 
 def flame_avatar(
-    session: Session, avatar_id: int, controls: Controls, flame: HeadModel, track: Performance, sh_degree: int, lod: int = 0
-) -> GaussianAvatar:
+    session: Session, avatar_id: int, controls: Controls, flame: HeadModel, track: Performance, sh_degree: int, lod: int = 0,
+    hair: HairUse = _OWN,
+) -> GaussianAvatar:  # fmt: skip
     """Return an avatar of the open head as GaussianAvatars store it: splats on the triangles of the user's FLAME.
 
     Args:
@@ -52,6 +59,7 @@ def flame_avatar(
         track: FLAME's parameters of the animation.
         sh_degree: 0 to 3.
         lod: As `Session.gaussians`.
+        hair: What the avatar wears.
 
     Raises:
         ShapeError: The avatar is not of the open head.
@@ -63,8 +71,10 @@ def flame_avatar(
     probes = []
     for probe in PROBES:
         raised = controls.validate().set_named(probe)
-        probes.append((session.gaussians(avatar_id, raised, lod=lod).means, session.deform(avatar_id, raised).vertices))
-    bound = bind_to_flame(splat_cloud(session, avatar_id, controls, sh_degree, lod), fit, flame, probes)
+        probes.append(
+            (session.gaussians(avatar_id, raised, lod=lod, hair=hair).means, session.deform(avatar_id, raised).vertices)
+        )
+    bound = bind_to_flame(splat_cloud(session, avatar_id, controls, sh_degree, lod, hair), fit, flame, probes)
     return GaussianAvatar(bound, replace(track, static_offset=fit.offset))
 
 

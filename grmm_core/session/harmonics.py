@@ -14,6 +14,7 @@ import numpy as np
 from ..controls.frame import Controls
 from ..errors import ShapeError
 from .api import Session
+from .wearing import HairUse
 
 MAX_DEGREE = 3
 DEFAULT_DEGREE = 2  # degree 1 is 5 dB further from the render, degree 3 gains nothing more
@@ -21,6 +22,7 @@ DIRECTIONS_PER_TERM = 3
 LATITUDE_LIMIT = 0.7  # sine of the steepest view; models see few cameras above or below
 HIDDEN_WEIGHT = 0.03  # of views from behind, which keeps the fit tame where a Gaussian is hardly ever seen
 RIDGE = 1e-3
+_OWN = HairUse()
 _CHUNK = 16384  # Gaussians solved at once: bounds memory
 
 # Real spherical harmonics in the order and with the signs of 3D Gaussian splatting (Kerbl et al. 2023).
@@ -60,7 +62,9 @@ def harmonic_basis(directions: np.ndarray, degree: int) -> np.ndarray:
     return np.stack(terms, -1)
 
 
-def fit_harmonics(session: Session, avatar_id: int, controls: Controls, degree: int, lod: int = 0) -> np.ndarray:
+def fit_harmonics(
+    session: Session, avatar_id: int, controls: Controls, degree: int, lod: int = 0, hair: HairUse = _OWN
+) -> np.ndarray:
     """Return the coefficients of an avatar's Gaussians.
 
     Args:
@@ -69,6 +73,7 @@ def fit_harmonics(session: Session, avatar_id: int, controls: Controls, degree: 
         controls: Expression and pose.
         degree: 0 to 3; 0 gives the mean color over the views of each Gaussian.
         lod: As `Session.gaussians`.
+        hair: Likewise.
 
     Returns:
         [N, (degree + 1)^2, 3] float32, with color = 0.5 + sum_k basis_k(direction) coefficient_k.
@@ -80,7 +85,7 @@ def fit_harmonics(session: Session, avatar_id: int, controls: Controls, degree: 
     if not 0 <= degree <= MAX_DEGREE:
         raise ShapeError(f"The degree of the harmonics is {degree}; it must be 0 to {MAX_DEGREE}.")
     views = view_directions(DIRECTIONS_PER_TERM * (degree + 1) ** 2 + 5)
-    clouds = [session.gaussians(avatar_id, controls, view, lod) for view in views]
+    clouds = [session.gaussians(avatar_id, controls, view, lod, hair=hair) for view in views]
     means = clouds[0].means.astype(np.float64)
     # The head is round enough for the direction from its middle to stand for the normal.
     outward = means - means.mean(0)

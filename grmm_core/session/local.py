@@ -25,6 +25,7 @@ from ..errors import SessionError, ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import present, to_numpy
 from ..geometry.rotations import euler_to_matrix
+from ..hair.groom import Groom
 from ..head.skinning import joint_transforms
 from ..model.painting import View, paint
 from ..model.people import default_avatar, sampled_avatar
@@ -39,6 +40,7 @@ from .api import (
     CloudArrays,
     Deformation,
     GaussianArrays,
+    HairUse,
     Instance,
     RenderOptions,
     SessionStatus,
@@ -48,6 +50,7 @@ from .clouds import OpenCloud
 from .compose import PlacedAvatar, PlacedCloud, compose
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
+from .hair import Wardrobe
 from .sources import SourceKey, source_key
 
 CACHE_BYTES = 512 << 20
@@ -94,6 +97,7 @@ class LocalSession:
         self._closed = False
         self.engine = engine
         self.evaluator = Evaluator(engine, cache_bytes)
+        self._wardrobe = Wardrobe(engine)
         self._avatars: dict[int, OpenAvatar] = {}
         self._infos: dict[int, AvatarInfo] = {}
         self._clouds: dict[int, OpenCloud] = {}
@@ -110,15 +114,18 @@ class LocalSession:
         return self._open(SourceKey("sample", str(int(seed))))
 
     @_guarded
-    def save(self, avatar_id: int, path: str | os.PathLike[str]) -> None:
+    def save(self, avatar_id: int, path: str | os.PathLike[str], hair: HairUse | None = None) -> None:
         """See `Session.save`."""
         target = self.target(avatar_id)
-        buffers = self.render([Instance(avatar_id)], portrait_camera(THUMBNAIL_PIXELS))
+        avatar = target.avatar
+        if hair is not None:
+            avatar = dataclasses.replace(avatar, hair=self._wardrobe.kept(target, hair))
+        buffers = self.render([Instance(avatar_id, hair=hair or HairUse())], portrait_camera(THUMBNAIL_PIXELS))
         png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))
-        painting = target.avatar.painting
+        painting = avatar.painting
         if not painting.size:
             painting = paint(target.model.head_model, functools.partial(self._view, avatar_id))
-        save_avatar(target.avatar.with_pictures(png, painting), path)
+        save_avatar(avatar.with_pictures(png, painting), path)
 
     def _view(self, avatar_id: int, controls: Mapping[str, float], camera: Camera) -> View:
         """What `paint` asks for."""
@@ -146,6 +153,11 @@ class LocalSession:
         return number
 
     @_guarded
+    def put_groom(self, name: str, version: str, groom: Groom) -> str:
+        """See `Session.put_groom`."""
+        return self._wardrobe.put(name, version, groom)
+
+    @_guarded
     def deform(self, avatar_id: int, controls: Controls) -> Deformation:
         """See `Session.deform`."""
         target = self.target(avatar_id)
@@ -156,7 +168,13 @@ class LocalSession:
 
     @_guarded
     def gaussians(
-        self, avatar_id: int, controls: Controls, view_direction: np.ndarray | None = None, lod: int = 0, features: bool = False
+        self,
+        avatar_id: int,
+        controls: Controls,
+        view_direction: np.ndarray | None = None,
+        lod: int = 0,
+        features: bool = False,
+        hair: HairUse = HairUse(),  # noqa: B008 - frozen
     ) -> GaussianArrays:
         """See `Session.gaussians`."""
         target = self.target(avatar_id)
@@ -166,7 +184,7 @@ class LocalSession:
         if direction.shape != (3,) or not abs(np.linalg.norm(direction) - 1.0) < _UNIT_TOLERANCE:
             raise ShapeError("The view direction must be a unit vector of three numbers.")
         inputs = self.evaluator.inputs(target, controls)
-        found = self.evaluator.gaussians(target, inputs, direction, lod)
+        found = self._wardrobe.dressed(self.evaluator, target, inputs, self._wardrobe.worn(target, hair), direction, lod)
         extra = present(found.features)[:, : None if features else 0]
         return GaussianArrays(*map(to_numpy, (found.means, found.quats, found.scales, found.opacities, found.colors, extra)))
 
@@ -186,8 +204,9 @@ class LocalSession:
                 placed.append(PlacedCloud(self._clouds[instance.avatar_id], instance))
                 continue
             target = self.target(instance.avatar_id)
-            placed.append(PlacedAvatar(target, self.evaluator.inputs(target, instance.controls), instance))
-        return compose(placed, self.evaluator, camera, options, should_cancel)
+            worn = self._wardrobe.worn(target, instance.hair)
+            placed.append(PlacedAvatar(target, self.evaluator.inputs(target, instance.controls), instance, worn))
+        return compose(placed, self.evaluator, self._wardrobe, camera, options, should_cancel)
 
     @_guarded
     def warm_up(self) -> None:
@@ -271,6 +290,7 @@ class LocalSession:
             aligned_code_norms=loaded.space.code_norms,
             provenance=MappingProxyType(dataclasses.asdict(avatar.provenance)),
             thumbnail=avatar.thumbnail,
+            hair=None if avatar.hair is None else avatar.hair.settings,
         )
         self._avatars[target.id] = target
         self._infos[target.id] = info

@@ -23,7 +23,9 @@ from .arena import SharedArena
 from .codec import receive, send, unpack
 from .process import PROTOCOL
 
-OPERATIONS = frozenset({"open", "sample", "save", "release", "put_cloud", "deform", "gaussians", "render", "warm_up", "status"})
+OPERATIONS = frozenset(
+    {"open", "sample", "save", "release", "put_cloud", "put_groom", "deform", "gaussians", "render", "warm_up", "status"}
+)
 _CANCELLABLE = frozenset({"render"})
 
 

@@ -1,0 +1,125 @@
+"""From strands to what the rasteriser draws, for one picture: level of detail, pose, Gaussians, what the head hides, colors.
+
+Called by sessions. Uses the compiled `kernels`; the same steps for tensors and gradients are in `ribbons` and `gradients`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ..geometry.camera import Camera
+from ..geometry.zbuffer import EMPTY, triangle_depth
+from .pigment import albedos
+from .ribbons import Eye
+from .settings import HairSettings
+from .strands import StrandBlock
+
+DRAWN = 0.85  # px: how wide a strand should be on the picture; thinner ones are drawn as fewer, wider ones
+SMALLEST_SHARE = 0.06  # of the strands
+BUDGET = 70.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
+OPACITY = 0.97
+CELL = 6.0  # px: of the coarse depth that says what the head hides
+SLACK = 0.004  # metres below the skin that still count as seen
+_MAX_CELLS = 128
+
+
+class StrandGaussians(NamedTuple):
+    """Gaussians of strands, head space: means [N, 3], quats [N, 4], scales [N, 3], opacities [N], display sRGB [N, 3]."""
+
+    means: np.ndarray
+    quats: np.ndarray
+    scales: np.ndarray
+    opacities: np.ndarray
+    colors: np.ndarray
+
+
+@dataclass(frozen=True)
+class Hiding:
+    """Coarse depth of a head: what lies behind it is not drawn. See `kernels.hide`."""
+
+    depth: np.ndarray
+    cell: float
+    left: float
+    top: float
+
+    @staticmethod
+    def of(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> Hiding:
+        """Draw the head's triangles as `camera` (in head space) sees them, coarsely.
+
+        Args:
+            vertices: Posed, [V, 3].
+            faces: Those that hide, [F, 3].
+            camera: Of the picture.
+        """
+        size = max(camera.width, camera.height)
+        cell = max(CELL, size / _MAX_CELLS)
+        columns, rows = int(np.ceil(camera.width / cell)), int(np.ceil(camera.height / cell))
+        coarse = Camera(
+            camera.world_to_camera, camera.fx / cell, camera.fy / cell, camera.cx / cell, camera.cy / cell, columns, rows,
+            orthographic=camera.orthographic,
+        )  # fmt: skip
+        depth = np.pad(triangle_depth(np.asarray(vertices)[faces], coarse), 1, constant_values=EMPTY)
+        for axis in (0, 1):  # the farthest of each cell and those around it
+            depth = np.maximum(np.maximum(np.roll(depth, 1, axis), np.roll(depth, -1, axis)), depth)
+        scale = float(np.cbrt(np.linalg.det(camera.world_to_camera[:3, :3])))
+        return Hiding(
+            np.where(depth[1:-1, 1:-1] < EMPTY, depth[1:-1, 1:-1] / scale, EMPTY).astype(np.float32),
+            cell,
+            -camera.cx,
+            -camera.cy,
+        )
+
+
+def level_share(blocks: tuple[StrandBlock, ...], pixels_per_metre: float) -> float:
+    """Share of the strands to draw of a head that is seen at a size, the same for all parts: continuous in the size."""
+    width = max(float(block.widths.mean()) for block in blocks)
+    all_of_them = sum(len(block) * block.segments for block in blocks)
+    share = min(width * pixels_per_metre / DRAWN, BUDGET * pixels_per_metre / max(all_of_them, 1))
+    return float(np.clip(share, SMALLEST_SHARE, 1.0))
+
+
+def strand_gaussians(
+    block: StrandBlock, points: np.ndarray, axes: np.ndarray, settings: HairSettings, share: float,
+    eye: Eye | None = None, hiding: Hiding | None = None, direction: np.ndarray | None = None,
+) -> StrandGaussians:  # fmt: skip
+    """Return the Gaussians of a block.
+
+    Args:
+        block: The strands.
+        points: Their parents in head space, [M, K, 3].
+        axes: Of the parents' roots, as rows, [M, 3, 3].
+        settings: What density, thickness, color and sheen depend on.
+        share: Level of detail, 0..1.
+        eye: From where they are seen; None for opacities without antialiasing.
+        hiding: What the head hides, or None.
+        direction: Without an eye, the unit vector towards it that colors are for, [3]; None is from the front.
+    """
+    from .kernels import hide, pose, segments_forward, shade_into
+
+    radii, there = block.level(share, settings)
+    count, segments = len(there), block.segments
+    owner = block.owner[:count]
+    where = np.empty((count, segments + 1, 3), np.float32)
+    light = np.empty((count, segments + 1, 4), np.float32)
+    points, axes = (np.ascontiguousarray(part, np.float32) for part in (points, axes))
+    pose(points, axes, owner, block.spread[:count], block.light, where, light)
+    total = count * segments
+    made = StrandGaussians(*(np.empty((total, *shape), np.float32) for shape in ((3,), (4,), (3,), (), (3,))))
+    numbers = _far(direction) if eye is None else eye.numbers()
+    segments_forward(where, radii, OPACITY * there, numbers, eye is not None, *made[:4])
+    if hiding is not None:
+        hide(made.means, numbers, hiding.depth, hiding.cell, hiding.left, hiding.top, SLACK, made.opacities)
+    albedo = albedos(settings, block.lock[owner], block.chance[:count, 1:])
+    shade_into(where, albedo, light, made.opacities, numbers, settings.sheen, made.colors)
+    return made
+
+
+def _far(direction: np.ndarray | None) -> np.ndarray:
+    """The numbers of an eye far away in a direction [3], for colors alone."""
+    numbers = np.zeros(14, np.float32)
+    numbers[6:9] = (0.0, 0.0, -1.0) if direction is None else -np.asarray(direction, np.float32)
+    numbers[13] = 1.0
+    return numbers

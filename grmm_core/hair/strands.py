@@ -1,0 +1,227 @@
+"""A groom made ready for drawing: more strands than were stored, in the order in which levels of detail take them. Numpy only.
+
+`StrandBlock` holds the strands of one group. Stored strands are parents; around each stand further ones that follow it, so that
+a file of a few thousand strands gives a head of hair. Strands are ordered so that any first part of them is spread evenly: a
+level of detail is a first part, wider by as much as is missing, the last of them fading in, so that nothing pops in a zoom.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .groom import Groom
+from .occlusion import openness
+from .roots import GROUPS, SCALP, RootFrames
+from .settings import HairSettings
+
+FADE = 0.15  # share of a level's strands that are fading in
+POINTS = (4, 6, 8, 12, 16, 24, 32, 40)  # numbers of points that a group may be drawn with
+BEND = 0.0006  # metres that a coarser number of points may be off
+FINEST = 0.00012  # metres: parents are split until strands are about this wide
+MOST_CHILDREN = 5
+LOCKS = 400  # of differing color
+ROOT_SPREAD, TIP_SPREAD = 0.62, 0.45  # of the distance between parents, how far their children are at root and tip
+CURL = 0.007  # metres: radius of the waves of the setting 1
+FRIZZ = 0.006  # metres, likewise
+_GOLDEN, _PLASTIC, _THIRD = 0.6180339887498949, 0.7548776662466927, 0.5698402909980532
+
+
+@dataclass(frozen=True)
+class StrandBlock:
+    """The strands of one group: M parents of K points and N strands.
+
+    Attributes:
+        group: Number in `roots.GROUPS`.
+        rows: The parents' numbers in the groom, [M].
+        frames: Of the parents' roots.
+        points: The parents, in the frames of their roots, metres, float32 [M, K, 3].
+        widths: Diameters of a strand at root and tip where all are drawn, metres, float32 [M, 2].
+        light: Openness in the axes of the root, float32 [M, K, 4].
+        lock: Tone of the parent's lock, about -1..1, [M].
+        owner: Parent of each strand, int32 [N].
+        spread: How far each is from it at root and tip, axes of the root, metres, float32 [N, 2, 3].
+        chance: Even random numbers 0..1 for density, grey and tone, float32 [N, 3].
+    """
+
+    group: int
+    rows: np.ndarray
+    frames: RootFrames
+    points: np.ndarray
+    widths: np.ndarray
+    light: np.ndarray
+    lock: np.ndarray
+    owner: np.ndarray
+    spread: np.ndarray
+    chance: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.owner)
+
+    @property
+    def segments(self) -> int:
+        """Gaussians of a strand."""
+        return int(self.points.shape[1]) - 1
+
+    def styled(self, settings: HairSettings) -> np.ndarray:
+        """The parents' points [M, K, 3] with length, waves and frizz as set; continuous in the settings."""
+        points, count = self.points, self.points.shape[1]
+        t = np.linspace(0, 1, count, dtype=np.float32)
+        if settings.curl < 0:
+            points = points + np.float32(-settings.curl) * (_smoothed(points) - points)
+        if settings.length != 1.0:
+            points = _lengthened(points, settings.length)
+        long = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1)
+        swing = (np.minimum(long / 0.12, 1.0)[:, None] * t).astype(np.float32)
+        phase = 6.2831853 * self.chance[: len(points), :, None]
+        if settings.curl > 0:
+            turns = np.clip(long / 0.045, 1.0, count / 5.0)[:, None]
+            angle = 6.2831853 * turns * t + 3.0 * self.lock[:, None]
+            side, other = _across(points)
+            wave = np.cos(angle)[..., None] * side + np.sin(angle)[..., None] * other
+            points = points + np.float32(settings.curl * CURL) * swing[..., None] * wave
+        if settings.frizz > 0:
+            turns = np.clip(long / 0.025, 1.0, count / 3.0)[:, None, None]
+            noise = np.sin(6.2831853 * turns * t[None, None] + phase) + 0.5 * np.sin(14.1 * turns * t[None, None] + 2.0 * phase)
+            shy = self.chance[: len(points), 2:3, None] ** 2  # most hairs keep to their course
+            points = points + np.float32(settings.frizz * FRIZZ) * shy * swing[..., None] * noise.transpose(0, 2, 1)
+        return np.ascontiguousarray(points, np.float32)
+
+    def resampled(self, groom: Groom, points: np.ndarray) -> np.ndarray:
+        """The parents' points [M, K, 3] out of all points [P, 3] of the groom that the block was made from."""
+        moved = replace(groom, points=points).select(self.rows).resampled(self.points.shape[1])
+        return moved.points.reshape(self.points.shape)
+
+    def level(self, share: float, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
+        """Which strands are drawn and how wide each is, continuous in both arguments.
+
+        Args:
+            share: 0..1 of the strands.
+            settings: Density and thickness.
+
+        Returns:
+            Number of strands n as a slice's end is the length of what is returned: half the diameters [n, 2] float32 at root
+            and tip, and weights 0..1 [n] by which strands are there.
+        """
+        top = share / (1.0 - FADE * (1.0 - share))  # with every strand asked for, none is fading in
+        rank = (np.arange(len(self), dtype=np.float32) + 0.5) / len(self)
+        end = min(int(np.ceil(top * len(self))), len(self))
+        fade = max(FADE * top * (1.0 - share), 1e-6)
+        there = np.clip((top - rank[:end]) / fade, 0.0, 1.0)
+        wider = len(self) / max(float(there.sum()), 1e-6)
+        there = there * np.clip((settings.density * 1.08 - self.chance[:end, 0]) / 0.08, 0.0, 1.0)
+        radii = 0.5 * wider * settings.thickness * self.widths[self.owner[:end]]
+        return np.ascontiguousarray(radii, np.float32), there.astype(np.float32)
+
+
+def blocks_of(groom: Groom, vertices: np.ndarray, faces: np.ndarray) -> tuple[StrandBlock, ...]:
+    """Make a groom ready.
+
+    Args:
+        groom: The strands.
+        vertices: The head model's mean, metres, [V, 3].
+        faces: Its triangles, [F, 3].
+
+    Raises:
+        ShapeError: The groom is of another head.
+    """
+    vertices = np.asarray(vertices, np.float64)
+    groom.frames(vertices, faces)
+    made = []
+    for group in range(len(GROUPS)):
+        rows = np.flatnonzero(groom.groups == group)
+        if len(rows):
+            rows = rows[np.argsort((np.arange(len(rows)) * _GOLDEN) % 1.0)]
+            made.append(_block(groom.select(rows), rows, group, vertices, faces))
+    return tuple(made)
+
+
+def _block(groom: Groom, rows: np.ndarray, group: int, vertices: np.ndarray, faces: np.ndarray) -> StrandBlock:
+    count = points_needed(groom)
+    groom = groom.resampled(count)
+    frames = groom.frames(vertices, faces)
+    posed = groom.posed(frames, vertices).reshape(len(groom), count, 3)
+    widths = groom.widths.astype(np.float32)
+    seen = openness(posed, widths.mean(1), vertices, faces)
+    _, axes = frames.at(vertices)
+    light = np.concatenate([seen[..., :1], np.einsum("mij,mkj->mki", axes, seen[..., 1:])], 2).astype(np.float32)
+    children = 1
+    if group == SCALP:
+        children = int(np.clip(round(float(widths[:, 0].mean()) / FINEST), 1, MOST_CHILDREN))
+    g = np.random.default_rng(len(groom))
+    total = len(groom) * children
+    owner = np.tile(np.arange(len(groom), dtype=np.int32), children)
+    spread = _spread(groom, owner, vertices, faces, g)
+    numbers = np.arange(total)
+    chance = np.stack([(numbers * step + 0.37) % 1.0 for step in (_PLASTIC, _THIRD, _GOLDEN)], 1)
+    tips = posed[:, -1] + 0.4 * posed[:, 0]
+    seeds = tips[g.integers(len(tips), size=min(LOCKS, len(tips)))]
+    near = np.concatenate(
+        [((part[:, None] - seeds) ** 2).sum(2).argmin(1) for part in np.array_split(tips, len(tips) // 512 + 1)]
+    )
+    lock = np.clip(g.normal(0, 0.5, len(seeds)), -1, 1)[near]
+    local = groom.points.reshape(len(groom), count, 3)
+    return StrandBlock(
+        group, rows, frames, local, widths / children, light, lock.astype(np.float32), owner, spread.astype(np.float32),
+        chance.astype(np.float32),
+    )  # fmt: skip
+
+
+def points_needed(groom: Groom) -> int:
+    """The smallest of `POINTS` with which most strands keep their shape."""
+    some = groom.select(np.linspace(0, len(groom) - 1, min(len(groom), 400)).astype(int))
+    fine = some.resampled(2 * POINTS[-1] - 1)
+    for count in POINTS:
+        if count >= int(groom.counts.max()):
+            break
+        back = some.resampled(count).resampled(2 * POINTS[-1] - 1)
+        off = np.linalg.norm(back.points - fine.points, axis=1).reshape(len(some), -1).max(1)
+        if np.percentile(off, 80) < BEND:
+            return count
+    return min(POINTS[-1], max(4, int(groom.counts.max())))
+
+
+def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.ndarray, g: np.random.Generator) -> np.ndarray:
+    """Where children stand around their parents, [N, 2, 3] metres; the parents themselves come first and stay."""
+    held = np.unique(groom.triangles)
+    corners = vertices[np.asarray(faces)[held]]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    apart = np.sqrt(area / max(len(groom), 1))
+    total = len(owner)
+    angle, far = g.uniform(0, 2 * np.pi, total), np.sqrt(g.random(total))
+    root = np.stack([far * np.cos(angle), far * np.sin(angle), np.zeros(total)], 1) * ROOT_SPREAD
+    tip = 0.5 * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
+    spread = apart * np.stack([root, tip], 1)
+    spread[: len(groom)] = 0.0
+    return spread
+
+
+def _smoothed(points: np.ndarray) -> np.ndarray:
+    """Strands [M, K, 3] without their curls; ends stay."""
+    result = points
+    for _ in range(2 * points.shape[1] // 3):
+        middle = 0.25 * (result[:, :-2] + result[:, 2:]) + 0.5 * result[:, 1:-1]
+        result = np.concatenate([result[:, :1], middle, result[:, -1:]], 1)
+    return result
+
+
+def _lengthened(points: np.ndarray, length: float) -> np.ndarray:
+    """Strands [M, K, 3] cut to a share of their length, or grown on in the direction of their last third."""
+    count = points.shape[1]
+    at = np.linspace(0, length, count) * (count - 1)
+    base = np.minimum(at.astype(int), count - 2)
+    part = np.minimum(at - base, 1.0).astype(np.float32)[None, :, None]
+    inside = points[:, base] * (1 - part) + points[:, base + 1] * part
+    start = max(count - 1 - max(count // 3, 1), 0)
+    beyond = (np.maximum(at - (count - 1), 0.0) / (count - 1 - start)).astype(np.float32)[None, :, None]
+    return inside + beyond * (points[:, -1:] - points[:, start : start + 1])
+
+
+def _across(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit directions across each strand, [M, K, 3] each."""
+    along = np.gradient(points, axis=1)
+    along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-12)
+    side = np.cross(along, np.array([0.31, 0.42, 0.85], np.float32))
+    side /= np.maximum(np.linalg.norm(side, axis=2, keepdims=True), 1e-12)
+    return side, np.cross(along, side)

@@ -1,0 +1,174 @@
+"""The hair that an avatar's Gaussians were trained with, laid flat onto the skin where it wears strands instead.
+
+The model's texels of the scalp stand for hair: they float above the skin in its color, and those of long hair hang beside the
+neck. They become a cap: no offset from the skin, closed, in the color of the skin around it, darker where strands take the
+light. A beard stays: it belongs to the face. Called by `hair`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..geometry.libraries import to_numpy
+from ..hair.pigment import albedos
+from ..hair.roots import SCALP
+from ..hair.settings import HairSettings
+from ..hair.strands import StrandBlock
+from ..head import HeadModel
+from ..model.config import METRES_PER_MM
+from ..model.layout import texel_layout
+from ..pictures.color import linear_to_srgb, srgb_to_linear
+from .evaluator import Evaluator, Inputs, OpenAvatar
+
+LIFTED = (0.003, 0.006)  # metres above the skin: from where on a texel beside the scalp counts as hair, and counts fully
+ASIDE = (0.012, 0.02)  # metres: likewise along the skin
+DARK = (0.75, 0.5)  # of the brightness of skin: from where on a texel beside the face counts as hair, and counts fully
+BESIDE = (0.05, 0.02)  # metres: in front of the first depth is face, behind the second beside it
+BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front of this depth, hair is beard
+NEAR = 0.02  # metres: over what distance the skin's color is smoothed
+SAMPLES = 1200  # texels of skin from which it is taken
+UNDER = 0.55  # how much of the hair's color the skin under dense hair takes on
+SKIN = ("face", "neck")  # regions where skin shows; the others in it below
+_NOT_SKIN = ("lips", "brows", "lids", "lashes", "mouth_interior", "left_eyeball", "right_eyeball")
+_ISLAND = 0
+
+
+class _Places(NamedTuple):
+    """Texels on the mean head.
+
+    Attributes:
+        points: [N, 3] metres.
+        corners: Vertices of the triangle under each, [N, 3].
+        weights: Barycentric coordinates, [N, 3].
+        scalp: How far it belongs to the scalp, 0..1 [N].
+        skin: Whether it is plain skin of face and neck, [N].
+        outer: Whether it is on the outer skin, [N].
+        beside: How far it is beside and behind the face, 0..1 [N].
+    """
+
+    points: np.ndarray
+    corners: np.ndarray
+    weights: np.ndarray
+    scalp: np.ndarray
+    skin: np.ndarray
+    outer: np.ndarray
+    beside: np.ndarray
+
+
+class Skin(NamedTuple):
+    """How flat each texel is to be laid, 0..1 [N], and the color of the skin there, linear RGB [N, 3]; both float32."""
+
+    share: np.ndarray
+    color: np.ndarray
+
+
+def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Skin:
+    """Find the trained hair of an avatar, and the skin under it, from its inputs at rest."""
+    places = _places(evaluator, target)
+    offsets = to_numpy(evaluator.offsets(target, inputs))[:, :3] * target.model.config.position_unit_mm * METRES_PER_MM
+    far = np.maximum(_ramp(offsets[:, 2], *LIFTED), _ramp(np.linalg.norm(offsets[:, :2], axis=1), *ASIDE))
+    (y_low, y_high), (z_low, z_high) = BEARD
+    beard = _ramp(places.points[:, 1], y_high, y_low) * _ramp(places.points[:, 2], z_high, z_low)
+    around = (1.0 - beard) * places.outer
+    share = np.maximum(places.scalp, far * around)
+    own = evaluator.appearance(target, inputs, np.array([0.0, 0.0, 1.0], np.float32))[0]
+    own = srgb_to_linear(to_numpy(own).clip(0.0, 1.0)).astype(np.float32)
+    clean = np.flatnonzero(places.skin & (share < 0.02) & (beard < 0.5))
+    if not len(clean):
+        return Skin(share.astype(np.float32), own)
+    bright = own.mean(1)
+    clean = clean[bright[clean] > DARK[0] * np.median(bright[clean])]
+    some = clean[:: max(1, len(clean) // SAMPLES)]
+    wanted = np.flatnonzero(around > 0)
+    color = own.copy()
+    for part in np.array_split(wanted, max(1, len(wanted) // 2048)):
+        apart = ((places.points[part, None] - places.points[some]) ** 2).sum(2)
+        near = 1.0 / (apart + NEAR**2) ** 2
+        color[part] = (near @ own[some]) / near.sum(1, keepdims=True)
+    # what is as dark as hair beside and behind the face is hair that lies on the skin
+    dark = _ramp(bright / np.maximum(color.mean(1), 1e-4), DARK[0], DARK[1]) * places.beside
+    return Skin(np.maximum(share, dark * around).astype(np.float32), color)
+
+
+def cap_color(
+    evaluator: Evaluator, target: OpenAvatar, skin: Skin, blocks: Sequence[StrandBlock], settings: HairSettings
+) -> np.ndarray:
+    """Color of the texels where they are laid flat, under strands, display sRGB [N, 3] float32."""
+    places = _places(evaluator, target)
+    cover, light = _under_hair(target.model.head_model, blocks)
+    cover, light = ((part[places.corners] * places.weights).sum(1)[:, None] for part in (cover, light))
+    hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0]
+    color = skin.color * (1.0 - UNDER * cover) + UNDER * cover * hair
+    return linear_to_srgb(color * (1.0 - cover * (1.0 - light)))
+
+
+def _under_hair(head: HeadModel, blocks: Sequence[StrandBlock]) -> tuple[np.ndarray, np.ndarray]:
+    """How much of the skin at each vertex strands cover, and how much light they leave it, 0..1 [V] each."""
+    count = len(head.v_template)
+    faces = np.asarray(head.faces)
+    template = np.asarray(head.v_template, float)
+    shadow, light, roots, area = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
+    corners = template[faces]
+    np.add.at(
+        area,
+        faces,
+        (np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 6)[:, None],
+    )
+    for block in blocks:
+        if block.group != SCALP:
+            continue
+        first = np.linalg.norm(block.points[:, 1:] - block.points[:, :-1], axis=2).sum(1).clip(max=0.02)
+        each = first * block.widths[:, 0] * (len(block) / len(block.points))
+        weights = block.frames.weights
+        np.add.at(shadow, block.frames.corners, weights * each[:, None])
+        np.add.at(light, block.frames.corners, weights * block.light[:, :2, 0].mean(1)[:, None])
+        np.add.at(roots, block.frames.corners, weights)
+    cover = 1.0 - np.exp(-shadow / np.maximum(area, 1e-9))
+    light = np.where(roots > 0, light / np.maximum(roots, 1e-9), 1.0)
+    for _ in range(2):
+        cover, light = (_smoothed(part, faces) for part in (cover, light))
+    return cover, np.clip(2.0 * light, 0.0, 1.0)  # openness at the skin is half a sphere's
+
+
+def _smoothed(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    total, number = np.zeros(len(values)), np.zeros(len(values))
+    np.add.at(total, faces, values[faces].mean(1)[:, None])
+    np.add.at(number, faces, 1.0)
+    return np.where(number > 0, total / np.maximum(number, 1), values)
+
+
+def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
+    def make() -> _Places:
+        head = target.model.head_model
+        layout = texel_layout(head.uv, head.uv_faces, target.model.config.grid)
+        corners = np.asarray(head.faces)[layout.face]
+
+        def share(*names: str) -> np.ndarray:
+            mask = np.zeros(len(head.v_template))
+            for name in names:
+                mask[head.regions.get(name, np.zeros(0, int))] = 1.0
+            return (mask[corners] * layout.barycentric).sum(1)
+
+        points = (np.asarray(head.v_template, float)[corners] * layout.barycentric[..., None]).sum(1)
+        outer = np.asarray(head.uv_islands)[layout.face] == _ISLAND
+        skin = outer & (share(*SKIN) > 0.99) & (share(*_NOT_SKIN) < 0.01)
+        return _Places(
+            points.astype(np.float32),
+            corners,
+            layout.barycentric,
+            share("scalp") * outer,
+            skin,
+            outer,
+            _ramp(points[:, 2], *BESIDE),
+        )
+
+    return evaluator.cache.get((target.id, "places"), make)
+
+
+def _ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    """0 at `low`, 1 at `high`, smooth between them, either way round."""
+    x = np.clip((values - low) / (high - low), 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)

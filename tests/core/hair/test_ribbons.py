@@ -1,0 +1,106 @@
+"""Strands as Gaussians: the compiled kernels against the readable text and finite differences, cover, light, levels."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from grmm_core.geometry.camera import Camera
+from grmm_core.hair.gradients import strand_segments
+from grmm_core.hair.ribbons import Eye, segments, shade
+from grmm_core.pictures.color import linear_to_srgb
+from grmm_core.splat import Gaussians, rasterize
+
+EYES = {
+    "perspective": Eye.of(Camera.orbit(200, 160, 25, 10, 0.8)),
+    "parallel": Eye(np.eye(3, dtype=np.float32), np.array([0, 0, 1], np.float32), 700.0, orthographic=True),
+    "none": None,
+}
+
+
+def strands(count: int = 40, points: int = 7, seed: int = 5) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    g = np.random.default_rng(seed)
+    path = g.normal(0, 0.05, (count, 1, 3)) + np.cumsum(g.normal(0, 0.006, (count, points, 3)), 1)
+    return path, np.abs(g.normal(2e-4, 1e-4, (count, 2))) + 2e-5, g.uniform(0.2, 1.0, count)
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_the_kernel_is_the_readable_text(eye):
+    inputs = [torch.tensor(part, dtype=torch.float32) for part in strands()]
+    for ours, theirs in zip(strand_segments(*inputs, EYES[eye]), segments(*inputs, EYES[eye]), strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=2e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_numpy_and_torch_are_one_text(eye):
+    arrays = [part.astype(np.float64) for part in strands()]
+    for ours, theirs in zip(segments(*arrays, EYES[eye]), segments(*map(torch.tensor, arrays), EYES[eye]), strict=True):
+        np.testing.assert_allclose(ours, theirs.numpy(), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("eye", EYES)
+def test_gradients_are_those_of_the_readable_text(eye):
+    g = torch.Generator().manual_seed(3)
+    given = [torch.randn(shape, generator=g) for shape in ((40, 6, 3), (40, 6, 4), (40, 6, 3), (40, 6))]
+    found = []
+    for function, dtype in ((strand_segments, torch.float32), (segments, torch.float64)):
+        inputs = [torch.tensor(part, dtype=dtype, requires_grad=True) for part in strands()]
+        sum((a * b).sum() for a, b in zip(function(*inputs, EYES[eye]), given, strict=True)).backward()
+        found.append([part.grad.double() for part in inputs])
+    for ours, theirs in zip(*found, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=2e-3, atol=2e-3 * float(theirs.abs().max()))
+
+
+def test_the_readable_text_has_the_gradients_of_finite_differences():
+    inputs = [torch.tensor(part, dtype=torch.float64, requires_grad=True) for part in strands(4, 4)]
+    assert torch.autograd.gradcheck(
+        lambda *parts: segments(*parts, EYES["perspective"]), inputs, eps=1e-7, atol=1e-3, rtol=1e-3
+    )
+
+
+def test_colors_of_points_get_gradients_through_a_picture():
+    points, radii, opacity = (torch.tensor(part, dtype=torch.float32) for part in strands(30))
+    colors = torch.full((30, 7, 3), 0.5, requires_grad=True)
+    made = strand_segments(points.requires_grad_(), radii.requires_grad_(), opacity.requires_grad_(), EYES["perspective"])
+    parts = (made.means, made.quats, made.scales, made.opacities, 0.5 * (colors[:, 1:] + colors[:, :-1]))
+    picture = rasterize(Gaussians(*(part.flatten(0, 1) for part in parts)), Camera.orbit(200, 160, 25, 10, 0.8))
+    picture.rgb.sum().backward()
+    for leaf in (points, radii, opacity, colors):
+        assert torch.isfinite(leaf.grad).all()
+        assert float(leaf.grad.abs().sum()) > 0
+
+
+def test_a_strand_thinner_than_a_pixel_covers_no_more_than_its_width():
+    """The cover of a strand goes with its width, however much the rasteriser widens it."""
+    path = np.linspace([-0.05, 0.003, 0.0], [0.05, -0.003, 0.0], 9)[None]
+    camera = Camera.orbit(256, 256, distance=1.0, fov=20.0)
+    covers = []
+    for width in (1e-4, 2e-4, 4e-4):
+        made = segments(path, np.full((1, 2), 0.5 * width), np.ones(1), Eye.of(camera))
+        flat = [torch.tensor(part.reshape(-1, *part.shape[2:]), dtype=torch.float32) for part in made]
+        covers.append(float(rasterize(Gaussians(*flat, torch.ones(8, 3)), camera).alpha.sum()))
+    pixels = 0.1 * scale_of(camera) * np.array([1e-4, 2e-4, 4e-4]) * scale_of(camera)
+    np.testing.assert_allclose(covers, pixels, rtol=0.3)
+    assert covers[0] < 0.6 * covers[1] < 0.4 * covers[2]
+
+
+def scale_of(camera: Camera) -> float:
+    return Eye.of(camera).pixels_per_metre()
+
+
+@pytest.mark.parametrize("eye", ["perspective", "parallel"])
+def test_compiled_shading_is_the_readable_text(eye):
+    from grmm_core.hair.kernels import shade_into
+
+    g = np.random.default_rng(7)
+    points = strands(20, 5)[0].astype(np.float32)
+    albedo = np.repeat(g.uniform(0.01, 0.5, (20, 1, 3)), 2, 1).astype(np.float32)
+    light = np.concatenate([g.uniform(0.05, 0.9, (20, 1, 1)), g.normal(0, 0.3, (20, 1, 3))], 2).repeat(5, 1).astype(np.float32)
+    colors = np.empty((80, 3), np.float32)
+    shade_into(points, albedo, light, np.ones(80, np.float32), EYES[eye].numbers(), 1.0, colors)
+    step = np.diff(points, axis=1)
+    axes = step / np.linalg.norm(step, axis=2, keepdims=True)
+    means = 0.5 * (points[:, 1:] + points[:, :-1])
+    shown = shade(means, axes, np.repeat(albedo[:, :1], 4, 1), light[:, 1:], EYES[eye], 1.0)
+    np.testing.assert_allclose(colors.reshape(20, 4, 3), linear_to_srgb(np.clip(shown, 0, 1)), atol=2e-3)

@@ -1,0 +1,134 @@
+"""Strands in sessions: worn by any avatar, drawn with its skin, in files and passes, with sentences for what cannot be worn."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grmm_core.controls.frame import Controls
+from grmm_core.errors import FileAccessError, ShapeError
+from grmm_core.geometry.camera import Camera
+from grmm_core.hair import HairSettings, library_groom
+from grmm_core.session import HairUse, Instance, RenderOptions, create_session
+
+CAMERA = Camera.orbit(160, 160, 20, fov=24)
+BOB = HairUse("groom:bob")
+
+
+@pytest.fixture(scope="module", params=["torch", "plain"])
+def session(request):
+    with create_session("local", engine=request.param) as session:
+        yield session
+
+
+def drawn(session, use: HairUse, camera: Camera = CAMERA, passes=("rgb", "alpha", "hair"), **options) -> dict[str, np.ndarray]:
+    info = session.open("default")
+    return session.render([Instance(info.id, hair=use)], camera, RenderOptions(passes=passes, **options))
+
+
+def test_the_hair_pass_is_the_cover_of_the_strands(session):
+    own, bob, bald = (drawn(session, use) for use in (HairUse(), BOB, HairUse("none")))
+    assert not own["hair"].any()
+    assert not bald["hair"].any()
+    assert 0.1 < float((bob["hair"] > 0.5).mean()) < 0.6
+    assert (bob["hair"] <= bob["alpha"] + 1e-4).all()
+    black = drawn(session, HairUse("groom:bob", HairSettings(melanin=1.0)))
+    blond = drawn(session, HairUse("groom:bob", HairSettings(melanin=0.05)))
+    hair = bob["hair"][..., 0] > 0.9
+    assert blond["rgb"][hair].mean() > black["rgb"][hair].mean() + 0.15
+
+
+def test_an_avatar_draws_what_it_drew_before_while_it_wears_its_own(session):
+    before = drawn(session, HairUse())
+    drawn(session, BOB)
+    np.testing.assert_array_equal(drawn(session, HairUse())["rgb"], before["rgb"])
+
+
+def test_hair_follows_the_neck(session):
+    info = session.open("default")
+    turned = Controls().set_named({"neck.y": 0.4})
+    faces = [
+        session.render([Instance(info.id, c, hair=BOB)], CAMERA, RenderOptions(passes=("hair",))) for c in (Controls(), turned)
+    ]
+    assert float(np.abs(faces[0]["hair"] - faces[1]["hair"]).mean()) > 0.01
+
+
+def test_two_heads_hide_each_other_with_their_hair(session):
+    info = session.open("default")
+    behind = np.eye(4)
+    behind[2, 3] = -0.6
+    both = session.render(
+        [Instance(info.id, hair=BOB), Instance(info.id, model_to_world=behind, hair=HairUse("groom:crop"))],
+        Camera.orbit(160, 160, fov=24), RenderOptions(passes=("mask", "alpha", "hair", "rgb")),
+    )  # fmt: skip
+    np.testing.assert_allclose(both["mask"].sum(-1), both["alpha"][..., 0], atol=2e-3)
+    assert (both["hair"] <= both["alpha"] + 1e-4).all()
+
+
+def test_a_file_holds_the_hair(session, tmp_path):
+    info = session.open("default")
+    use = HairUse("groom:bob", HairSettings(melanin=0.2, length=0.8))
+    session.save(info.id, tmp_path / "bob.grmm", use)
+    session.save(info.id, tmp_path / "plain.grmm")
+    assert (tmp_path / "bob.grmm").stat().st_size - (tmp_path / "plain.grmm").stat().st_size < 1 << 20
+    found = session.open(tmp_path / "bob.grmm")
+    assert found.hair == use.settings
+    assert session.open(tmp_path / "plain.grmm").hair is None
+    again = session.render([Instance(found.id)], CAMERA, RenderOptions(passes=("rgb", "hair")))
+    worn = drawn(session, use)
+    assert float(np.abs(again["hair"] - worn["hair"]).mean()) < 0.01
+    assert float(np.abs(again["rgb"] - worn["rgb"]).mean()) < 0.01
+
+
+def test_points_that_a_host_moved_are_drawn_where_they_are(session):
+    info = session.open("default")
+    groom = library_groom("crop")
+    worn = session.put_groom("moved", "1", groom)
+    head = session.target(info.id).model.head_model
+    vertices = session.deform(info.id, Controls()).vertices
+    points = groom.posed(groom.frames(np.asarray(head.v_template), head.faces), vertices)
+    still, given = (drawn(session, HairUse(worn, None, part)) for part in (None, points))
+    assert float(np.abs(still["hair"] - given["hair"]).mean()) < 5e-3
+    lifted = drawn(session, HairUse(worn, None, points + np.array([0, 0.05, 0])))
+    assert float(np.abs(still["hair"] - lifted["hair"]).mean()) > 0.02
+    with pytest.raises(ShapeError, match="moved points"):
+        drawn(session, HairUse(worn, None, points[:-3]))
+
+
+def test_exports_have_the_strands(session):
+    info = session.open("default")
+    bare, dressed = (session.gaussians(info.id, Controls(), hair=use) for use in (HairUse("none"), BOB))
+    again = session.gaussians(info.id, Controls(), np.array([1.0, 0.0, 0.0]), hair=BOB)
+    assert len(dressed.means) > len(bare.means) + 20000
+    np.testing.assert_array_equal(again.means, dressed.means)  # views differ in colors alone
+    assert np.abs(again.colors - dressed.colors).max() > 0.02
+
+
+def test_nothing_pops_in_a_zoom(session):
+    """From one step of a zoom to the next, pictures brought to one size change little, and no step much more than others."""
+    steps = []
+    for width in np.geomspace(120, 480, 16):
+        camera = Camera.orbit(256, 256, 40, fov=24)
+        camera = replace(camera, fx=camera.fx * width / 256, fy=camera.fy * width / 256)
+        steps.append(float(drawn(session, BOB, camera, refine=False)["hair"].sum()) / width**2)
+    change = np.abs(np.diff(steps)) / np.mean(steps)
+    assert change.max() < 0.03
+
+
+def test_what_cannot_be_worn_is_said_and_the_avatar_still_draws(session):
+    for use, error in (
+        (HairUse("groom:nothing"), FileAccessError),
+        (HairUse("put:nothing"), ShapeError),
+        (HairUse("wig"), ShapeError),
+    ):
+        with pytest.raises(error, match="There is no"):
+            drawn(session, use)
+    groom = library_groom("buzz")
+    other = replace(groom, triangles=groom.triangles + 10**6)
+    with pytest.raises(ShapeError, match="use its own head"):
+        drawn(session, HairUse(session.put_groom("other", "1", other)))
+    with pytest.raises(ShapeError, match="finite"):
+        HairUse(points=np.full((3, 3), np.nan))
+    assert drawn(session, HairUse())["alpha"].max() > 0.9

@@ -9,8 +9,8 @@ The map, from the ground up; each part uses only those above it:
 ``geometry``                            cameras, rotations, depth of meshes
 ``controls``                            names of expressions, one frame of animation
 ``head``                                the mesh model (open head, or FLAME from the user's file)
-``hair``                                strands bound to the head's triangles, posed with it
 ``splat``                               the differentiable Gaussian rasteriser and its backends
+``hair``                                strands bound to the head's triangles: posed, shaped, colored, drawn as Gaussians
 ``avatar``                              `.grmm` files, and the library of avatars that come with the package
 ``model``                               the paper's networks, weights, and the one way from inputs to a picture
 ``inference``                           the model again without torch: numpy, numba and onnxruntime

@@ -60,7 +60,7 @@ def main() -> int:
         arrays = compact(groom.level(min(1.0, STRANDS / len(groom))), MAX_BYTES, points_needed(groom))
         path = GROOM_FOLDER / f"{name}{GROOM_SUFFIX}"
         with atomic_write(path) as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
+            np.savez_compressed(file, **arrays)
         sys.stdout.write(f"{path}: {len(arrays['groups'])} strands, {path.stat().st_size >> 10} kB\n")
     return 0
 

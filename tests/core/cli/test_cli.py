@@ -137,6 +137,19 @@ def test_render_writes_every_pass(render, tmp_path):
     assert read_png(tmp_path / "x.raw.png").shape == (48, 48, 4)
 
 
+def test_render_puts_hair_on(render, tmp_path):
+    path = tmp_path / "x.png"
+    assert render("default", "-o", path, "--size", "64", "--passes", "hair", "--hair", "crop")[0] == 0
+    assert read_png(tmp_path / "x.hair.png").max() > 60_000  # 16 bits
+    dark = read_png(path).astype(int)
+    assert render("default", "-o", path, "--size", "64", "--hair", "crop", "--hair-set", "melanin=0", "length=0.7")[0] == 0
+    assert np.abs(read_png(path).astype(int) - dark).max() > 40
+    for options, word in (("--hair wig", "There is no groom 'wig'"), ("--hair crop --hair-set shine=1", "Hair has no setting")):
+        code, _, err = render("default", "-o", path, "--size", "64", *options.split())
+        assert code == 1
+        assert word in err
+
+
 def test_render_writes_arrays_and_exr(render, tmp_path):
     assert render("default", "-o", tmp_path / "x.npz", "--size", "32", "--passes", "rgb,depth")[0] == 0
     arrays = np.load(tmp_path / "x.npz")

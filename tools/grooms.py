@@ -12,7 +12,7 @@ import numpy as np
 
 from grmm_core.files.access import atomic_write
 from grmm_core.hair.compact import compact
-from grmm_core.hair.library import GROOM_FOLDER, GROOM_SUFFIX
+from grmm_core.hair.packaged import GROOM_FOLDER, GROOM_SUFFIX
 from grmm_core.hair.roots import SCALP
 from grmm_core.hair.strands import points_needed
 from grmm_core.head import load_open_head

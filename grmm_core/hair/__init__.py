@@ -17,10 +17,10 @@ The map:
     roots.py      frames at the roots that turn with the skin
     attach.py     `groom_from_curves`
     settings.py   `HairSettings`, `SETTINGS`
-    compact.py    a groom in few bytes; library.py   the package's grooms
+    compact.py    a groom in few bytes; packaged.py   the package's grooms
     strands.py    a groom made ready: more strands, levels of detail, shape by settings
     occlusion.py  how much light reaches the inside;  pigment.py   colors of strands
-    ribbons.py    strands as Gaussians and their shading, readable; kernels.py compiled; gradients.py for PyTorch
+    ribbons.py    strands as Gaussians and their shading, readable; strand_kernels.py compiled; gradients.py for PyTorch
     drawing.py    all of it for one picture
 
 The capture studio makes grooms and renders them; what draws or simulates hair reads the same record. Importing this package
@@ -31,7 +31,7 @@ from __future__ import annotations
 
 from .attach import groom_from_curves
 from .groom import Groom, bind, join
-from .library import groom_names, library_groom
+from .packaged import groom_names, library_groom
 from .settings import SETTINGS, HairSettings, Setting
 
 __all__ = [

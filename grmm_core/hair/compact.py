@@ -34,7 +34,8 @@ def compact(groom: Groom, max_bytes: int = MAX_BYTES, points: int | None = None)
     if len(groom) > fitting:
         groom = groom.level(fitting / len(groom))
         groom = groom.select(np.arange(min(len(groom), fitting)))
-    groom = groom.resampled(count)
+    if (groom.counts != count).any():  # what was packed before keeps its points
+        groom = groom.resampled(count)
     path = groom.points.reshape(len(groom), count, 3).astype(np.float64)
     root = np.clip(np.round(path[:, 0] / _ROOT), -32767, 32767).astype(np.int16)
     step = np.maximum(

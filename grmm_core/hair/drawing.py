@@ -1,6 +1,6 @@
 """From strands to what the rasteriser draws, for one picture: level of detail, pose, Gaussians, what the head hides, colors.
 
-Called by sessions. Uses the compiled `kernels`; the same steps for tensors and gradients are in `ribbons` and `gradients`.
+Called by sessions. Uses the compiled `strand_kernels`; the same for tensors and with gradients: `ribbons`, `gradients`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class StrandGaussians(NamedTuple):
 
 @dataclass(frozen=True)
 class Hiding:
-    """Coarse depth of a head: what lies behind it is not drawn. See `kernels.hide`."""
+    """Coarse depth of a head: what lies behind it is not drawn. See `strand_kernels.hide`."""
 
     depth: np.ndarray
     cell: float
@@ -97,7 +97,7 @@ def strand_gaussians(
         hiding: What the head hides, or None.
         direction: Without an eye, the unit vector towards it that colors are for, [3]; None is from the front.
     """
-    from .kernels import hide, pose, segments_forward, shade_into
+    from .strand_kernels import hide, pose, segments_forward, shade_into
 
     radii, there = block.level(share, settings)
     count, segments = len(there), block.segments

@@ -1,6 +1,6 @@
 """Strands as Gaussians with gradients, for training and fitting. Importing this module imports torch.
 
-On the CPU the compiled `kernels` compute both passes; elsewhere, and for other float types, `ribbons.segments` does.
+On the CPU the compiled `strand_kernels` compute both passes; elsewhere, and for other float types, `ribbons.segments` does.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from .ribbons import Eye, Segments, segments
 
 
 class _Segments(torch.autograd.Function):
-    """`kernels.segments_forward` as an operation of PyTorch."""
+    """`strand_kernels.segments_forward` as an operation of PyTorch."""
 
     @staticmethod
     def forward(ctx: Any, points: Tensor, radii: Tensor, opacities: Tensor, eye: Eye | None) -> tuple[Tensor, ...]:
-        from .kernels import segments_forward
+        from .strand_kernels import segments_forward
 
         numbers = np.zeros(14, np.float32) if eye is None else eye.numbers()
         inputs = [part.detach().contiguous().numpy() for part in (points, radii, opacities)]
@@ -31,7 +31,7 @@ class _Segments(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        from .kernels import segments_backward
+        from .strand_kernels import segments_backward
 
         given = [part.contiguous().numpy() for part in gradients]
         made = [np.zeros_like(part) for part in ctx.inputs]

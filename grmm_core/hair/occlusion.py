@@ -34,7 +34,7 @@ def openness(points: np.ndarray, widths: np.ndarray, vertices: np.ndarray, faces
         Mean over all directions of the light that arrives, 0..1, and its gradient: with a unit vector l, the light from l is
         about [0] + [1:] @ l. [N, K, 4] float32.
     """
-    from .kernels import march
+    from .strand_kernels import march
 
     flat = points.reshape(-1, 3)
     low = flat.min(0) - _MARGIN * CELL

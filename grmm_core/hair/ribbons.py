@@ -1,4 +1,4 @@
-"""Strands as chains of Gaussians, and what light does to them; one text for numpy and torch, the readable twin of `kernels`.
+"""Strands as chains of Gaussians, and what light does to them; for numpy and torch, the readable twin of `strand_kernels`.
 
 A strand of K points becomes K - 1 Gaussians: centre in the middle of its segment, long axis along it. A strand is often far
 thinner than a pixel, and the rasteriser widens every Gaussian by `DILATION`; its opacity is lowered by as much as it grows

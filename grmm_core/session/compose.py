@@ -36,7 +36,7 @@ from .api import EMPTY_DEPTH, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
-from .hair import Wardrobe, Worn
+from .wardrobe import Wardrobe, Worn
 
 NORMAL_CHANNELS = 3
 _MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined

@@ -50,8 +50,8 @@ from .clouds import OpenCloud
 from .compose import PlacedAvatar, PlacedCloud, compose
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
-from .hair import Wardrobe
 from .sources import SourceKey, source_key
+from .wardrobe import Wardrobe
 
 CACHE_BYTES = 512 << 20
 FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space

@@ -2,7 +2,7 @@
 
 The model's texels of the scalp stand for hair: they float above the skin in its color, and those of long hair hang beside the
 neck. They become a cap: no offset from the skin, closed, in the color of the skin around it, darker where strands take the
-light. A beard stays: it belongs to the face. Called by `hair`.
+light. A beard stays: it belongs to the face. Called by `wardrobe`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ LIFTED = (0.003, 0.006)  # metres above the skin: from where on a texel beside t
 ASIDE = (0.012, 0.02)  # metres: likewise along the skin
 DARK = (0.75, 0.5)  # of the brightness of skin: from where on a texel beside the face counts as hair, and counts fully
 BESIDE = (0.05, 0.02)  # metres: in front of the first depth is face, behind the second beside it
+CHIN, BEARDED = 0.025, 0.25  # metres to either side of the chin's middle; share of it that is dark on a bearded face
+FOREHEAD = (0.074, 0.084)  # metres: above the brows, hair is that of the scalp
 BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front of this depth, hair is beard
 NEAR = 0.02  # metres: over what distance the skin's color is smoothed
 SAMPLES = 1200  # texels of skin from which it is taken
@@ -46,7 +48,7 @@ class _Places(NamedTuple):
         scalp: How far it belongs to the scalp, 0..1 [N].
         skin: Whether it is plain skin of face and neck, [N].
         outer: Whether it is on the outer skin, [N].
-        beside: How far it is beside and behind the face, 0..1 [N].
+        beside: How far it is beside, behind and above the face, 0..1 [N].
     """
 
     points: np.ndarray
@@ -72,24 +74,28 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Skin:
     far = np.maximum(_ramp(offsets[:, 2], *LIFTED), _ramp(np.linalg.norm(offsets[:, :2], axis=1), *ASIDE))
     (y_low, y_high), (z_low, z_high) = BEARD
     beard = _ramp(places.points[:, 1], y_high, y_low) * _ramp(places.points[:, 2], z_high, z_low)
-    around = (1.0 - beard) * places.outer
-    share = np.maximum(places.scalp, far * around)
     own = evaluator.appearance(target, inputs, np.array([0.0, 0.0, 1.0], np.float32))[0]
     own = srgb_to_linear(to_numpy(own).clip(0.0, 1.0)).astype(np.float32)
-    clean = np.flatnonzero(places.skin & (share < 0.02) & (beard < 0.5))
+    bright = own.mean(1)
+    plain = places.skin & (places.scalp < 0.02) & (far < 0.02) & (beard < 0.5)
+    middle = float(np.median(bright[plain])) if plain.any() else 0.0
+    chin = places.skin & (beard > 0.9) & (np.abs(places.points[:, 0]) < CHIN)
+    if not chin.any() or (bright[chin] < DARK[0] * middle).mean() < BEARDED:
+        beard = np.zeros_like(beard)  # shaven: what is dark beside the jaw is scalp hair that hangs there
+    around = (1.0 - beard) * places.outer * places.beside
+    share = np.maximum(places.scalp, far * around)
+    clean = np.flatnonzero(plain & (bright > DARK[0] * middle))
     if not len(clean):
         return Skin(share.astype(np.float32), own)
-    bright = own.mean(1)
-    clean = clean[bright[clean] > DARK[0] * np.median(bright[clean])]
     some = clean[:: max(1, len(clean) // SAMPLES)]
-    wanted = np.flatnonzero(around > 0)
+    wanted = np.flatnonzero((around > 0) | (share > 0))
     color = own.copy()
     for part in np.array_split(wanted, max(1, len(wanted) // 2048)):
         apart = ((places.points[part, None] - places.points[some]) ** 2).sum(2)
         near = 1.0 / (apart + NEAR**2) ** 2
         color[part] = (near @ own[some]) / near.sum(1, keepdims=True)
     # what is as dark as hair beside and behind the face is hair that lies on the skin
-    dark = _ramp(bright / np.maximum(color.mean(1), 1e-4), DARK[0], DARK[1]) * places.beside
+    dark = _ramp(bright / np.maximum(color.mean(1), 1e-4), DARK[0], DARK[1])
     return Skin(np.maximum(share, dark * around).astype(np.float32), color)
 
 
@@ -154,6 +160,7 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
 
         points = (np.asarray(head.v_template, float)[corners] * layout.barycentric[..., None]).sum(1)
         outer = np.asarray(head.uv_islands)[layout.face] == _ISLAND
+        beside = np.maximum(_ramp(points[:, 2], *BESIDE), _ramp(points[:, 1], *FOREHEAD))
         skin = outer & (share(*SKIN) > 0.99) & (share(*_NOT_SKIN) < 0.01)
         return _Places(
             points.astype(np.float32),
@@ -162,7 +169,7 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
             share("scalp") * outer,
             skin,
             outer,
-            _ramp(points[:, 2], *BESIDE),
+            beside,
         )
 
     return evaluator.cache.get((target.id, "places"), make)

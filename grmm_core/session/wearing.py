@@ -19,7 +19,7 @@ class HairUse:
 
     Attributes:
         groom: "own": what the avatar has; "none": neither strands nor the hair that its Gaussians were trained with;
-            "groom:NAME": one of the package's grooms (`hair.library`); or what `Session.put_groom` returned.
+            "groom:NAME": one of the package's grooms (`hair.packaged`); or what `Session.put_groom` returned.
         settings: Length, color and so on; None: those that the avatar or the groom comes with.
         points: Where a host that moves strands by itself (Blender's evaluated curves) has the points of the groom, head space,
             metres, [P, 3]; None: the strands follow the head.

@@ -91,7 +91,7 @@ def scale_of(camera: Camera) -> float:
 
 @pytest.mark.parametrize("eye", ["perspective", "parallel"])
 def test_compiled_shading_is_the_readable_text(eye):
-    from grmm_core.hair.kernels import shade_into
+    from grmm_core.hair.strand_kernels import shade_into
 
     g = np.random.default_rng(7)
     points = strands(20, 5)[0].astype(np.float32)

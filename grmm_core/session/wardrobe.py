@@ -18,7 +18,7 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
 from ..hair.drawing import Hiding, StrandGaussians, level_share, strand_gaussians
 from ..hair.groom import Groom
-from ..hair.library import library_groom
+from ..hair.packaged import library_groom
 from ..hair.ribbons import Eye
 from ..hair.settings import HairSettings
 from ..hair.strands import StrandBlock, blocks_of

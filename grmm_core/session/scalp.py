@@ -26,7 +26,7 @@ from .evaluator import Evaluator, Inputs, OpenAvatar
 LIFTED = (0.003, 0.006)  # metres above the skin: from where on a texel beside the scalp counts as hair, and counts fully
 ASIDE = (0.012, 0.02)  # metres: likewise along the skin
 DARK = (0.75, 0.5)  # of the brightness of skin: from where on a texel beside the face counts as hair, and counts fully
-BESIDE = (0.05, 0.02)  # metres: in front of the first depth is face, behind the second beside it
+BESIDE = (0.068, 0.05)  # metres: in front of the first depth is face, behind the second beside it
 CHIN, BEARDED = 0.025, 0.25  # metres to either side of the chin's middle; share of it that is dark on a bearded face
 FOREHEAD = (0.074, 0.084)  # metres: above the brows, hair is that of the scalp
 BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front of this depth, hair is beard

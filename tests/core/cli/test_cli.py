@@ -139,8 +139,9 @@ def test_render_writes_every_pass(render, tmp_path):
 
 def test_render_puts_hair_on(render, tmp_path):
     path = tmp_path / "x.png"
-    assert render("default", "-o", path, "--size", "64", "--passes", "hair", "--hair", "crop")[0] == 0
+    assert render("default", "-o", path, "--size", "64", "--yaw", "180", "--passes", "hair", "--hair", "bob")[0] == 0
     assert read_png(tmp_path / "x.hair.png").max() > 60_000  # 16 bits
+    assert render("default", "-o", path, "--size", "64", "--hair", "crop")[0] == 0
     dark = read_png(path).astype(int)
     assert render("default", "-o", path, "--size", "64", "--hair", "crop", "--hair-set", "melanin=0", "length=0.7")[0] == 0
     assert np.abs(read_png(path).astype(int) - dark).max() > 40

@@ -32,7 +32,10 @@ def test_the_hair_pass_is_the_cover_of_the_strands(session):
     own, bob, bald = (drawn(session, use) for use in (HairUse(), BOB, HairUse("none")))
     assert not own["hair"].any()
     assert not bald["hair"].any()
-    assert 0.1 < float((bob["hair"] > 0.5).mean()) < 0.6
+    behind = drawn(session, BOB, Camera.orbit(160, 160, 180, fov=24))
+    skin = behind["alpha"] > 0.5
+    assert float((behind["hair"][skin] > 0.5).mean()) > 0.5  # from behind a bob hides most of head and neck
+    assert 0.2 * behind["hair"].sum() < bob["hair"].sum() < 0.8 * behind["hair"].sum()  # a face is in front of it
     assert (bob["hair"] <= bob["alpha"] + 1e-4).all()
     black = drawn(session, HairUse("groom:bob", HairSettings(melanin=1.0)))
     blond = drawn(session, HairUse("groom:bob", HairSettings(melanin=0.05)))

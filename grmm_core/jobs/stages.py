@@ -85,7 +85,7 @@ FIT = JobStages(
     timed=True,
 )
 PEOPLE = JobStages("fits", (Stage("people", "Fitting"),))
-PIECES = JobStages("evaluation", (Stage("pieces", "Measuring"),))  # on a cluster, where they end in any order
+PIECES = JobStages("evaluation on a cluster", (Stage("pieces", "Measuring"),))  # which end in any order
 FIND_FACES = JobStages("search for faces", (Stage("load", "Starting", 4.0), Stage("analyse", "Looking for faces", 2.0)))
 CAPTURE = JobStages("capture", (Stage("shots", "Rendering"),))
 TRAINING = JobStages("training", (Stage("prepare", "Preparing", 0.01), Stage("steps", "Training")))

@@ -68,8 +68,6 @@ class AvatarInfo:
         z_exp_size: Length of the residual expression code.
         shape: The avatar's own shape coefficients, [300]; `Controls.shape` is added to them.
         z_id: The avatar's own residual identity code, [z_id_size]; `Controls.z_id` is added to it.
-        neutral_pose: XYZ Euler angles in radians of the five joints at rest (from the photo's tracking, else zero), [5, 3];
-            not added to the controls.
         aligned_code_norms: Length of the residual code of each aligned expression, [60].
         provenance: Where the avatar comes from (keys of `avatar.Provenance`).
         thumbnail: PNG bytes, or empty.
@@ -90,7 +88,6 @@ class AvatarInfo:
     z_exp_size: int
     shape: np.ndarray
     z_id: np.ndarray
-    neutral_pose: np.ndarray
     aligned_code_norms: np.ndarray
     provenance: Mapping[str, object] = field(default_factory=lambda: MappingProxyType({}))
     thumbnail: bytes = b""

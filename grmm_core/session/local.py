@@ -286,7 +286,6 @@ class LocalSession:
             z_exp_size=model.z_exp_size,
             shape=avatar.shape,
             z_id=avatar.z_id,
-            neutral_pose=avatar.pose,
             aligned_code_norms=loaded.space.code_norms,
             provenance=MappingProxyType(dataclasses.asdict(avatar.provenance)),
             thumbnail=avatar.thumbnail,

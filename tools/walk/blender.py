@@ -133,14 +133,6 @@ class WalkedBlender:
         self._command(["xdotool", "click", str(button)])
         time.sleep(0.3)
 
-    def drag(self, x: int, y: int, to_x: int, to_y: int, button: int = 1) -> None:
-        """Drag with the mouse from one place to another."""
-        self.move(x, y)
-        self._command(["xdotool", "mousedown", str(button)])
-        for step in range(1, 9):
-            self.move(x + (to_x - x) * step // 8, y + (to_y - y) * step // 8)
-        self._command(["xdotool", "mouseup", str(button)])
-
     def picture(self, title: str, wait: float = 1.5) -> Path:
         """Wait for Blender to draw and save the screen as a numbered PNG."""
         time.sleep(wait)

@@ -46,7 +46,6 @@ class SplatCloud:
         sh: Spherical harmonics, [N, K, 3] float32, K = 1, 4, 9 or 16.
         binding: Triangle that each Gaussian belongs to, [N] int32, or None.
         antialiased: Trained for a renderer that compensates the 0.3 px dilation.
-        extra: What a format has beyond this, by name ("faces", "frames" ...).
         warnings: Sentences about what was dropped or assumed on reading.
     """
 
@@ -57,7 +56,6 @@ class SplatCloud:
     sh: np.ndarray
     binding: np.ndarray | None = None
     antialiased: bool = False
-    extra: dict[str, np.ndarray] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
 
     @property

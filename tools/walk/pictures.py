@@ -25,6 +25,16 @@ _PLACE = """
 part = next(part for part in area.regions if part.type == {kind!r})
 result = [part.x, window.height - part.y - part.height, part.x + part.width, window.height - part.y]
 """
+_HANDLES = """
+for obj in bpy.context.scene.objects:
+    obj.hide_set(obj.name.startswith("Cube"))
+    if obj.type == "ARMATURE":
+        obj.select_set(True)
+        bpy.context.view_layer.objects.active = obj
+area.spaces.active.show_region_ui = True
+bpy.context.scene.grmm_viewport.use_handles = True
+bpy.ops.view3d.view_axis(type="FRONT")
+"""
 _CUBES = """
 from mathutils import Vector
 area.spaces.active.region_3d.view_distance *= 0.8
@@ -57,6 +67,8 @@ def take(blender: WalkedBlender, extension: Path, output: Path) -> None:
     _cut(blender, output / "panel_detail.png", "UI", 2)
     blender.run("area.spaces.active.show_region_ui = False\nbpy.ops.object.select_all(action='DESELECT')\n" + _CUBES)
     _cut(blender, output / "viewport_solid.png", "WINDOW", 10)
+    blender.run(_HANDLES)
+    _cut(blender, output / "face_handles.png", "WINDOW", 10)
 
 
 def _place(blender: WalkedBlender, kind: str) -> tuple[int, int, int, int]:

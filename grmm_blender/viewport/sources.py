@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -23,6 +23,7 @@ from .arrays import Picture, WorldGaussians
 
 HEAD_CENTRE = np.zeros(3)  # what a view direction points from, head space
 PICTURE_PIXELS, PICTURE_LEVEL = 320 * 240, 1  # of small pictures, and their level of detail
+ORTHO_SETBACK = 100.0  # metres: an orthographic view sees what is behind its plane too
 _EDIT_MODES = {"EDIT", "SCULPT", "VERTEX_PAINT", "WEIGHT_PAINT", "TEXTURE_PAINT"}
 _SAME_STEP = 1e-5  # metres, and of the axes of a rotation
 _CHUNK = 1 << 17  # Gaussians whose harmonics are evaluated at once: bounds memory
@@ -129,10 +130,14 @@ def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:
     """
     scale = min(1.0, (PICTURE_PIXELS / (camera.width * camera.height)) ** 0.5)
     small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    setback = ORTHO_SETBACK if camera.orthographic else 0.0
+    matrix = small.world_to_camera.copy()
+    matrix[2, 3] += setback
+    small = replace(small, world_to_camera=matrix)
     options = RenderOptions(refine=False, passes=("raw", "alpha", "depth"), lod=PICTURE_LEVEL)
     found = session_host.get_session().render(open_instances(shots), small, options)
     color = np.concatenate([found["raw"], found["alpha"]], -1)
-    return Picture(color, np.where(found["alpha"] > 0.0, found["depth"], 0.0)[..., 0].astype(np.float32))
+    return Picture(color, np.where(found["alpha"] > 0.0, found["depth"] - setback, 0.0)[..., 0].astype(np.float32))
 
 
 def _thinned(arrays: CloudArrays, lod: int) -> CloudArrays:

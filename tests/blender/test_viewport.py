@@ -86,6 +86,9 @@ def test_splats_stand_before_their_own_mesh(drawn):
     assert found["own_mesh"] < 0.001
     assert found["ortho_covered"] > 0.1
     assert found["own_mesh_ortho"] < 0.001
+    nearest, farthest = found["small_ortho"]  # the view's plane goes through the middle of the head
+    assert -0.5 < nearest < -0.02
+    assert 0.02 < farthest < 0.5
     assert found["bounds_meshes"] == 0
     assert found["sculpt"] == 0.0
 

@@ -165,6 +165,8 @@ flat = in_buffer(draw)
 covered = flat[..., 3] > 0.98
 through = np.abs(in_buffer(lambda: triangles(own[0], RED), draw)[covered] - flat[covered]).max(-1) > 0.03
 report(own_mesh_ortho=float(through.mean()), ortho_covered=float(covered.mean()))
+small = module("grmm_blender.viewport.sources").small_picture(viewport._scene.shots, viewport._asked.camera)
+report(small_ortho=[float(small.depth.min()), float(small.depth.max())])
 region_data.view_matrix, region_data.window_matrix = perspective
 settle()
 

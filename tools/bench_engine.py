@@ -17,6 +17,7 @@ else on the machine can favour one of them.
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import statistics
 import sys
@@ -51,6 +52,7 @@ def measure(frames: int, size: int) -> dict[str, Any]:
     layer = scene.view_layers[0]
     layer.use_pass_z = layer.grmm_passes.use_mask = layer.grmm_passes.use_raw = layer.grmm_passes.use_normal = True
     result["mesh and passes"] = _timed(scene, frames)
+    result["view"] = _view_parts(scene, frames, size)
     result["session"] = _module("grmm_blender.session_host").get_session().status().kind
     return result
 
@@ -100,6 +102,38 @@ def _timed(scene: Any, frames: int) -> dict[str, Any]:
     }
 
 
+def _view_parts(scene: Any, frames: int, size: int) -> dict[str, float]:
+    """Least milliseconds of the parts of a refined frame on the rendered view's path, but for drawing the texture."""
+    import bpy
+
+    jobs = _module("grmm_blender.engine.view_jobs").ViewJobs()
+    renderer = _module("grmm_blender.engine.view").ViewRenderer(jobs)
+    requests, frame_type = _module("grmm_blender.engine.view_jobs").ViewRequest, _module("grmm_blender.scene.shot").Frame
+    session = _module("grmm_blender.session_host").get_session()
+    camera = _module("grmm_core.geometry.camera").Camera.orbit(size, size)
+    render, rows = session.render, []
+    core: list[tuple[float, float]] = []
+    session.render = _timing(render, core)
+    try:
+        for number in range(WARM_UP + frames):
+            marks = [time.perf_counter()]
+            scene.frame_set(2 + number)
+            marks.append(time.perf_counter())
+            found = renderer._copy(bpy.context.evaluated_depsgraph_get())
+            marks.append(time.perf_counter())
+            frame = frame_type(found.shot, camera, (0.01, 100.0))
+            request = jobs._wanted = requests(frame, found.preview, found.final)
+            jobs._in_the_way = False  # as the frame change has asked
+            jobs._publish(request, "final", frame, found.final)
+            marks.append(time.perf_counter())
+            parts = [after - before for before, after in itertools.pairwise(marks)]
+            rows.append((*parts, core[-1][0], parts[2] - core[-1][0], sum(parts)))
+    finally:
+        session.render = render
+    names = ("frame change", "scene", "picture", "of it session", "of it engine", "in all")
+    return {name: 1e3 * min(column) for name, column in zip(names, zip(*rows[WARM_UP:], strict=True), strict=True)}
+
+
 def _frame(scene: Any, number: int) -> None:
     import bpy
 
@@ -133,7 +167,9 @@ def main() -> int:
         print(f"bench_engine: {error}", file=sys.stderr)
         return 1
     print(f"Blender {result['blender']}, {result['size']} x {result['size']}, session: {result['session']}")
-    scenes = {name: value for name, value in result.items() if isinstance(value, dict)}
+    parts = ", ".join(f"{name} {ms:.1f}" for name, ms in result["view"].items())
+    print(f"  refined frame of the rendered view, least, ms: {parts}")
+    scenes = {name: value for name, value in result.items() if isinstance(value, dict) and "ms" in value}
     for name, values in scenes.items():
         ms, overhead = values["ms"], values["overhead"]
         print(

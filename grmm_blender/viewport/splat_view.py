@@ -140,8 +140,8 @@ class Viewport:
         return self._finest
 
     def _newest(self, playing: bool) -> Drawable | None:
-        """What has come; while playing, what was asked for last is waited for."""
-        if not playing or self._asked is None or (self._drawable is not None and self._drawable.request is self._asked):
+        """What has come; while playing, what was asked for last is waited for, but not while the model is being loaded."""
+        if not playing or self._asked is None or self._drawable is None or self._drawable.request is self._asked:
             return self.jobs.take()
         return self.jobs.of(self._asked, WAIT_SECONDS)
 

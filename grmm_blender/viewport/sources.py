@@ -22,7 +22,7 @@ from ..scene.walk import Drawn, walk
 from .arrays import Picture, WorldGaussians
 
 HEAD_CENTRE = np.zeros(3)  # what a view direction points from, head space
-PICTURE_PIXELS, PICTURE_LEVEL = 320 * 240, 1  # of small pictures, and their level of detail
+PICTURE_PIXELS = 320 * 240  # of small pictures
 ORTHO_SETBACK = 100.0  # metres: an orthographic view sees what is behind its plane too
 _EDIT_MODES = {"EDIT", "SCULPT", "VERTEX_PAINT", "WEIGHT_PAINT", "TEXTURE_PAINT"}
 _SAME_STEP = 1e-5  # metres, and of the axes of a rotation
@@ -134,7 +134,7 @@ def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:
     matrix = small.world_to_camera.copy()
     matrix[2, 3] += setback
     small = replace(small, world_to_camera=matrix)
-    options = RenderOptions(refine=False, passes=("raw", "alpha", "depth"), lod=PICTURE_LEVEL)
+    options = RenderOptions(refine=False, passes=("raw", "alpha", "depth"))
     found = session_host.get_session().render(open_instances(shots), small, options)
     color = np.concatenate([found["raw"], found["alpha"]], -1)
     return Picture(color, np.where(found["alpha"] > 0.0, found["depth"] - setback, 0.0)[..., 0].astype(np.float32))

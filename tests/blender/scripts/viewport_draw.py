@@ -264,7 +264,6 @@ for level in range(5):
 report(too_slow=[float(in_buffer(lambda: draw(playing=True)).max()), viewport.status()])
 viewport._clock = lambda: 0.0  # so that nothing here depends on the machine's pace
 overlay.splat_view.WAIT_SECONDS = 60.0
-settings.detail = "1"  # what small pictures are made of
 overlay._on_change()
 settle()
 stored["level"] = in_buffer(draw)
@@ -276,7 +275,6 @@ stored["small"] = small
 report(small=[float(small[..., 3].max()), viewport.status(), viewport._drawable.picture is not None])
 # Each frame of playback shows its own splats.
 viewport.jobs.pace = type(viewport.jobs.pace)()
-settings.detail = "0"
 asked = []
 for value in (0.0, 0.5, 1.0):
     head["jawOpen"] = value

@@ -27,7 +27,7 @@ LIFTED = (0.003, 0.006)  # metres above the skin: from where on a texel beside t
 ASIDE = (0.012, 0.02)  # metres: likewise along the skin
 DARK = (0.75, 0.5)  # of the brightness of skin: from where on a texel beside the face counts as hair, and counts fully
 BESIDE = (0.068, 0.05)  # metres: in front of the first depth is face, behind the second beside it
-CHIN, BEARDED = 0.025, 0.25  # metres to either side of the chin's middle; share of it that is dark on a bearded face
+CHIN, BEARDED = 0.025, 0.6  # metres to either side of the chin's middle; brightness of a bearded chin, of the skin's
 FOREHEAD = (0.074, 0.084)  # metres: above the brows, hair is that of the scalp
 BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front of this depth, hair is beard
 NEAR = 0.02  # metres: over what distance the skin's color is smoothed
@@ -80,7 +80,7 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Skin:
     plain = places.skin & (places.scalp < 0.02) & (far < 0.02) & (beard < 0.5)
     middle = float(np.median(bright[plain])) if plain.any() else 0.0
     chin = places.skin & (beard > 0.9) & (np.abs(places.points[:, 0]) < CHIN)
-    if not chin.any() or (bright[chin] < DARK[0] * middle).mean() < BEARDED:
+    if not chin.any() or np.median(bright[chin]) > BEARDED * middle:
         beard = np.zeros_like(beard)  # shaven: what is dark beside the jaw is scalp hair that hangs there
     around = (1.0 - beard) * places.outer * places.beside
     share = np.maximum(places.scalp, far * around)

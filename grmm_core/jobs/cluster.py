@@ -82,8 +82,11 @@ def open_cluster(text: str | None) -> Iterator[Cluster | None]:
         raise ConfigError(f"--cluster {text} is not possible; {FORMS}.")
     if importlib.util.find_spec("distributed") is None:
         raise RuntimeMissingError('A cluster needs Dask; install it with pip install "grmm-core[cluster]".')
+    import dask
     from distributed import Client, LocalCluster
 
+    if not logging.getLogger().isEnabledFor(logging.DEBUG):
+        logging.getLogger("distributed").setLevel(logging.ERROR)  # else it tells of every connection
     if local is None:
         try:
             client = Client(text, timeout=CONNECT_SECONDS)
@@ -94,10 +97,11 @@ def open_cluster(text: str | None) -> Iterator[Cluster | None]:
         return
     count = int(local[1])
     # Work of this package takes gigabytes for a moment; the system is the better judge of what is too much.
-    options: dict[str, Any] = {"host": "127.0.0.1", "memory_limit": None, "silence_logs": logging.CRITICAL}
+    options: dict[str, Any] = {"host": "127.0.0.1", "memory_limit": None, "silence_logs": logging.ERROR}
     with (
         TemporaryDirectory(prefix="grmm-cluster-", ignore_cleanup_errors=True) as scratch,
-        LocalCluster(n_workers=count, threads_per_worker=1, local_directory=scratch, **options) as processes,
+        dask.config.set({"temporary-directory": scratch}),
+        LocalCluster(n_workers=count, threads_per_worker=1, **options) as processes,
         Client(processes) as client,
     ):
         yield Cluster(client, max(1, (os.cpu_count() or 1) // count))

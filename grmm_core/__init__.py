@@ -9,6 +9,7 @@ The map, from the ground up; each part uses only those above it:
 ``geometry``                            cameras, rotations, depth of meshes
 ``controls``                            names of expressions, one frame of animation
 ``head``                                the mesh model (open head, or FLAME from the user's file)
+``light``                               lamps and surroundings, and what they make of colors learned under the studio's rig
 ``splat``                               the differentiable Gaussian rasteriser and its backends
 ``hair``                                strands bound to the head's triangles: posed, shaped, colored, drawn as Gaussians
 ``avatar``                              `.grmm` files, and the library of avatars that come with the package

@@ -27,6 +27,8 @@ import numpy as np
 from ..errors import ConfigError
 from ..files.access import atomic_write_bytes
 from ..geometry.camera import Camera
+from ..light.shading import Response
+from ..light.words import FORMS, lighting_of
 from ..model.portrait import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from ..pictures.color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from ..pictures.images import quantize, write_exr, write_png
@@ -50,6 +52,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--size", type=picture_size, default=(512, 512), metavar="512|WxH", help="pixels (default: 512)")
     add_controls(parser)
     add_hair(parser)
+    parser.add_argument(
+        "--light", action="append", default=[], metavar="LIGHT", help=f"light it by {FORMS}; several times for several lights"
+    )
     parser.add_argument("--yaw", type=float, default=0.0, help="camera angle to the subject's left, degrees (default: 0)")
     parser.add_argument("--pitch", type=float, default=0.0, help="camera angle upwards, degrees (default: 0)")
     parser.add_argument("--distance", type=float, default=PORTRAIT_DISTANCE, help="metres from the head (default: %(default)s)")
@@ -70,15 +75,16 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; choose one of these formats.")
     check_folder(path)
-    controls, hair = controls_of(args), hair_of(args)
+    controls, hair, lighting = controls_of(args), hair_of(args), lighting_of(args.light)
+    response = None if lighting is None else Response()
     width, height = args.size
     camera = Camera.orbit(width, height, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
-    options = RenderOptions(not args.no_refine, passes, args.lod, args.background, args.coarse)
+    options = RenderOptions(not args.no_refine, passes, args.lod, args.background, args.coarse, lighting)
     with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.open(args.avatar)
         start = time.perf_counter()
-        buffers = session.render([Instance(avatar.id, controls, hair=hair)], camera, options)
+        buffers = session.render([Instance(avatar.id, controls, hair=hair, response=response)], camera, options)
         seconds = time.perf_counter() - start
     files = write_buffers(path, buffers, args.passes, args.background is not None)
     for file in files.values():

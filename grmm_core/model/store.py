@@ -23,6 +23,7 @@ from ..head import HeadModel, load_open_head, read_head
 from ..splat.types import RasterOutput
 from .config import GRMMConfig
 from .inputs import InputSpace, ModelInputs
+from .layout import TexelLayout
 from .steps import Geometry, Mesh, Rest
 from .weights_file import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, read_info, resolve_weights, weights_path
 
@@ -45,6 +46,11 @@ class Model(Protocol):
 
     def input_space(self) -> InputSpace:
         """What persons and controls are added up in."""
+        ...
+
+    @property
+    def layout(self) -> TexelLayout:
+        """The Gaussians' texels."""
         ...
 
     def rest(self, shape: Any) -> Rest[Any]:

@@ -32,10 +32,13 @@ from ..errors import ConfigError, ShapeError
 from ..geometry.camera import Camera
 from ..hair.groom import Groom
 from ..hair.settings import HairSettings
+from ..light.lamps import Lighting
+from ..light.shading import Response
 from ..splat.types import GaussianArrays
 from .wearing import HairUse
 
-PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask", "hair")
+LIGHT_PASSES = ("diffuse", "specular", "shadow")
+PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask", "hair", *LIGHT_PASSES)
 LINEAR_PASS = "linear"
 """A further pass, for hosts that work in linear light: "rgb" and "alpha" as `color.scene_linear_premultiplied` has them."""
 EMPTY_DEPTH = 1.0e10
@@ -152,12 +155,14 @@ class Instance:
         model_to_world: Head space to world, [4, 4]: rotation, translation, one uniform scale. The camera of `render` is in
             the same world. From a Blender matrix M of the head object: M @ HEAD_TO_BLENDER.
         hair: What it wears.
+        response: How it takes the light of `RenderOptions.lighting`; None: it stays in the studio's light, as learned.
     """
 
     avatar_id: int
     controls: Controls = field(default_factory=Controls)
     model_to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
     hair: HairUse = field(default_factory=HairUse)
+    response: Response | None = None
 
     def __post_init__(self) -> None:
         matrix = np.array(self.model_to_world, np.float64)
@@ -183,6 +188,7 @@ class RenderOptions:
         lod: Level of detail: 0 every Gaussian, each further level a quarter of them (larger ones), up to `MAX_LOD`.
         background: Display sRGB behind the avatars, or None for transparent.
         coarse: Refine at half the resolution, for previews: a quarter of the network's time, a little softer.
+        lighting: Light of the scene in the world's axes, for the instances that have a `response`; None: the studio's.
     """
 
     refine: bool = True
@@ -190,6 +196,7 @@ class RenderOptions:
     lod: int = 0
     background: tuple[float, float, float] | None = None
     coarse: bool = False
+    lighting: Lighting | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passes", tuple(self.passes))
@@ -353,6 +360,9 @@ class Session(Protocol):
             features  F   splatted feature channels, premultiplied by alpha
             mask      K   coverage of each of the K instances, after mutual occlusion; sums to alpha
             hair      1   coverage of the strands of all instances, part of alpha
+            diffuse   3   what light inside the skin gives, linear, premultiplied; of unlit instances all of their light
+            specular  3   what lit surfaces mirror, linear, premultiplied
+            shadow    1   share of the lamps' light that arrives, premultiplied by alpha; all of it on unlit instances
             ========  ==  ===========================================================================================
 
             `grmm_core.pictures.color` converts rgb to scene-linear premultiplied (Blender) or straight alpha (PNG).

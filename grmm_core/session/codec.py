@@ -22,6 +22,9 @@ from ..errors import SessionError
 from ..geometry.camera import Camera
 from ..hair.groom import Groom
 from ..hair.settings import HairSettings
+from ..light.lamps import Area, Lighting, Point, Spot, Sun
+from ..light.shading import Response
+from ..light.surroundings import SunSpot, Surroundings
 from .api import AvatarInfo, CloudArrays, Deformation, GaussianArrays, HairUse, Instance, RenderOptions, SessionStatus
 from .arena import SharedArena
 
@@ -41,7 +44,15 @@ _TYPES = {
         HairUse,
         Instance,
         RenderOptions,
+        Response,
         SessionStatus,
+        Area,
+        Lighting,
+        Point,
+        Spot,
+        Sun,
+        SunSpot,
+        Surroundings,
     )
 }
 _DTYPES = frozenset({"<f4", "<f8", "<i4", "<i8", "|u1", "|b1"})

@@ -17,6 +17,7 @@ One text for every engine: its arrays are numpy's or torch's. Called by `local`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -30,12 +31,14 @@ from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
+from ..light.relight import relit, to_linear
 from ..pictures.color import MIN_ALPHA
 from ..splat.types import Gaussians, RasterOutput
-from .api import EMPTY_DEPTH, LINEAR_PASS, CancelCheck, Instance, RenderOptions
+from .api import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
+from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, Lit
 from .wardrobe import Wardrobe, Worn
 
 NORMAL_CHANNELS = 3
@@ -79,6 +82,7 @@ class _Channels:
         normals: Slice of the normals, or None.
         coverage: Slice of the coverages, one channel an instance, or None for a single instance.
         hair: Number of the channel that is 1 on strands, or None where nobody has any or nobody asks.
+        light: Slice of the light (`lit`), or None where nobody is lit and nobody asks.
         count: All channels.
     """
 
@@ -86,6 +90,7 @@ class _Channels:
     normals: slice | None
     coverage: slice | None
     hair: int | None
+    light: slice | None
     count: int
 
 
@@ -116,6 +121,9 @@ def compose(
     refined = raster.rgb
     if _refines(options):
         refined = _refine(placed, raster, channels, options.coarse, check)
+    if channels.light is not None:
+        light = raster.features[..., channels.light]
+        refined = relit(refined, raster.alpha, light[..., RATIO], light[..., HIGHLIGHTS])
     return _buffers(raster, refined, channels, options, evaluator.engine)
 
 
@@ -128,7 +136,8 @@ def _canceller(should_cancel: CancelCheck | None) -> Callable[[], None]:
 
 
 def _refines(options: RenderOptions) -> bool:
-    return options.refine and ("rgb" in options.passes or LINEAR_PASS in options.passes)
+    shown = ("rgb", LINEAR_PASS, *LIGHT_PASSES)
+    return options.refine and any(name in options.passes for name in shown)
 
 
 def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
@@ -154,7 +163,15 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
     if strands and (wants_features or "hair" in options.passes):
         hair = count
         count += 1
-    return _Channels(features, normals, coverage, hair, count)
+    light = None
+    if any(_is_lit(item, options) for item in placed):
+        light = slice(count, count + LIGHT_CHANNELS)
+        count = light.stop
+    return _Channels(features, normals, coverage, hair, light, count)
+
+
+def _is_lit(item: Placed, options: RenderOptions) -> bool:
+    return options.lighting is not None and item.instance.response is not None and isinstance(item.target, OpenAvatar)
 
 
 def _gaussians(
@@ -195,6 +212,10 @@ def _gaussians(
             stacked[:, channels.coverage.start + index] = 1.0
         if channels.hair is not None:
             stacked[count:, channels.hair] = 1.0
+        if channels.light is not None:
+            stacked[:, channels.light] = evaluator.engine.array(
+                _light(item, evaluator, local_camera, options, strands, len(own))
+            )
     means, quats, scales = own.means, own.quats, own.scales
     if not single:
         to_camera = camera.world_to_camera @ model_to_world
@@ -204,6 +225,17 @@ def _gaussians(
         quats = multiply_quaternions(as_like(matrix_to_quaternion(to_camera[:3, :3] / size), quats), quats)
         scales = scales * size
     return Gaussians(means, quats, scales, own.opacities, own.colors, stacked)
+
+
+def _light(
+    item: Placed, evaluator: Evaluator, camera: Camera, options: RenderOptions, strands: Gaussians | None, count: int
+) -> np.ndarray:
+    """What the scene's light does to one instance's Gaussians, [N, LIGHT_CHANNELS]; nothing where it is not lit."""
+    if not _is_lit(item, options):
+        return np.tile(UNLIT, (count, 1))
+    lighting = options.lighting.in_space(np.linalg.inv(item.instance.model_to_world))
+    lit = Lit(evaluator, item.target, item.inputs, lighting, item.instance.response, options.lod)
+    return lit.channels(camera.position, strands)
 
 
 def _rotation(model_to_world: np.ndarray, like: Array) -> Array:
@@ -298,7 +330,7 @@ def _buffers(
     empty = as_like((EMPTY_DEPTH,), alpha)
     makers: dict[str, Callable[[], Any]] = {
         "rgb": lambda: refined + behind,
-        LINEAR_PASS: lambda: engine.scene_linear(refined, alpha),
+        LINEAR_PASS: lambda: _linear(refined, alpha, engine, channels.light is not None),
         "alpha": lambda: alpha[..., None],
         "depth": lambda: library_of(alpha).where(alpha >= MIN_ALPHA, raster.depth, empty)[..., None],
         "raw": lambda: raster.rgb + behind,
@@ -307,7 +339,30 @@ def _buffers(
         "hair": lambda: (alpha * 0.0 if channels.hair is None else present(raster.features)[..., channels.hair])[..., None],
         "mask": lambda: alpha[..., None] if channels.coverage is None else present(raster.features)[..., channels.coverage],
     }
+    makers |= {name: functools.partial(_light_pass, name, raster, refined, channels) for name in LIGHT_PASSES}
     return {name: to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
+
+
+def _linear(refined: Any, alpha: Any, engine: Engine, lit: bool) -> Any:
+    if not lit:
+        return engine.scene_linear(refined, alpha)
+    cover = alpha[..., None]  # light may be brighter than display white
+    linear = to_linear(refined / library_of(cover).clip(cover, MIN_ALPHA, None)) * cover
+    return library_of(cover).concatenate([linear, cover], -1)
+
+
+def _light_pass(name: str, raster: RasterOutput, lit: Any, channels: _Channels) -> Any:
+    """One of `LIGHT_PASSES`; diffuse and specular add up to the picture in linear light."""
+    alpha = raster.alpha[..., None]
+    clip = library_of(alpha).clip
+    whole = to_linear(lit / clip(alpha, MIN_ALPHA, None)) * alpha
+    if channels.light is None:
+        return {"diffuse": whole, "specular": whole * 0.0, "shadow": alpha}[name]
+    light = raster.features[..., channels.light]
+    if name == "shadow":
+        return light[..., SHADOW]
+    mirrored = library_of(alpha).minimum(clip(light[..., HIGHLIGHTS], 0.0, None), whole)
+    return mirrored if name == "specular" else whole - mirrored
 
 
 def _unit_normals(summed: Array, alpha: Array) -> Array:
@@ -328,7 +383,20 @@ def _all_features(raster: RasterOutput[Any], channels: _Channels) -> Any:
 
 def _empty(camera: Camera, options: RenderOptions) -> dict[str, np.ndarray]:
     """Return the picture of no avatars."""
-    sizes = {"rgb": 3, LINEAR_PASS: 4, "alpha": 1, "depth": 1, "raw": 3, "normal": 3, "features": 0, "mask": 0, "hair": 1}
+    sizes = {
+        "rgb": 3,
+        LINEAR_PASS: 4,
+        "alpha": 1,
+        "depth": 1,
+        "raw": 3,
+        "normal": 3,
+        "features": 0,
+        "mask": 0,
+        "hair": 1,
+        "diffuse": 3,
+        "specular": 3,
+        "shadow": 1,
+    }
     buffers = {name: np.zeros((camera.height, camera.width, sizes[name]), np.float32) for name in options.passes}
     for name, buffer in buffers.items():
         if name == "depth":

@@ -1,0 +1,16 @@
+"""Light: lamps and surroundings of a scene, and what they make of colors that were learned under the studio's even rig.
+
+``lamps``         sun, point, spot and area lights in metres, watts and linear colors, as Blender means them
+``surroundings``  a world: its spherical harmonics, and its strongest spots taken out as suns
+``transfer``      how much of the light from everywhere reaches each vertex of a head that shadows itself
+``shadows``       which part of each lamp a point sees, by depth maps of meshes
+``surface``       what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
+``shading``       irradiance relative to the rig, and highlights, at each Gaussian
+``relight``       both applied to a picture in linear light
+``words``         lights in words, for the command line
+
+Learned colors stay what they are: skin times the rig (`lamps.STUDIO`). A picture in another light is
+lit = linear(picture) * ratio + highlights, where both are splatted like colors: the refinement network still sees what it
+was trained on. Ramamoorthi and Hanrahan 2001 (irradiance as nine numbers), Sloan et al. 2002 (transfer), Walter et al. 2007
+(GGX). What depends on a light's color or strength, or on flat colors, is one text for numpy and torch, and differentiable.
+"""

@@ -1,0 +1,260 @@
+"""Lamps with Blender's meaning, and all light of a scene. Needs numpy only.
+
+Radiometry as Cycles has it (checked against renders of a white plane): a sun's strength is its irradiance in W/m2 on a surface
+that faces it; a point or spot light of P watts has the radiant intensity P / 4 pi; an area light of P watts and A square metres
+the radiance P / (pi A) on its front.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+import numpy as np
+
+from ..errors import ConfigError
+from .surroundings import Surroundings
+
+Vector = tuple[float, float, float]
+WHITE: Vector = (1.0, 1.0, 1.0)
+MAX_LAMPS = 32  # that are shaded one by one; of more the strongest at the head are kept
+MAX_STRENGTH = 1e9
+NEAREST = 0.02  # metres: a lamp inside the head stays finite
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """What all lamps have.
+
+    Attributes:
+        color: Linear RGB that the strength is multiplied by.
+        strength: Irradiance of a sun, watts of the others.
+        shadow: Whether things throw shadows in its light.
+    """
+
+    color: Vector = WHITE
+    strength: float = 1.0
+    shadow: bool = True
+    name: ClassVar[str] = "lamp"
+
+    def __post_init__(self) -> None:
+        for each in dataclasses.fields(self):
+            value = getattr(self, each.name)
+            if isinstance(value, (list, np.ndarray)):
+                object.__setattr__(self, each.name, tuple(float(number) for number in value))
+        values = np.concatenate([np.ravel(getattr(self, f.name)) for f in dataclasses.fields(self)]).astype(np.float64)
+        if not np.isfinite(values).all() or not 0.0 <= self.strength <= MAX_STRENGTH or min(self.color) < 0.0:
+            raise ConfigError(f"A {self.name} light has numbers that are not finite or below zero; correct it in the scene.")
+
+
+@dataclass(frozen=True)
+class Sun(Lamp):
+    """Parallel light.
+
+    Attributes:
+        direction: Unit vector from the scene towards the sun, [3].
+        angle: Its diameter as seen from the scene, radians.
+    """
+
+    direction: Vector = (0.0, 1.0, 0.0)
+    angle: float = 0.0
+    name: ClassVar[str] = "sun"
+
+
+@dataclass(frozen=True)
+class Point(Lamp):
+    """Light from a ball.
+
+    Attributes:
+        position: Metres.
+        radius: Metres.
+    """
+
+    position: Vector = (0.0, 0.0, 1.0)
+    radius: float = 0.0
+    name: ClassVar[str] = "point"
+
+
+@dataclass(frozen=True)
+class Spot(Point):
+    """A point light within a cone.
+
+    Attributes:
+        direction: Unit vector along which it shines.
+        cone: Full angle of the cone, radians.
+        blend: Share of the cone over which the edge fades, 0..1.
+    """
+
+    direction: Vector = (0.0, 0.0, -1.0)
+    cone: float = math.radians(45.0)
+    blend: float = 0.15
+    name: ClassVar[str] = "spot"
+
+
+@dataclass(frozen=True)
+class Area(Lamp):
+    """A lit surface that shines to its front.
+
+    Attributes:
+        position: Its middle, metres.
+        across, up: Half sides, metres, at right angles; it shines along up x across.
+        ellipse: Whether it is an ellipse instead of a rectangle.
+    """
+
+    position: Vector = (0.0, 0.0, 1.0)
+    across: Vector = (0.5, 0.0, 0.0)
+    up: Vector = (0.0, 0.5, 0.0)
+    ellipse: bool = False
+    name: ClassVar[str] = "area"
+
+    @property
+    def area(self) -> float:
+        """Square metres."""
+        sides = float(np.linalg.norm(self.across) * np.linalg.norm(self.up))
+        return max((math.pi if self.ellipse else 4.0) * sides, 1e-8)
+
+    @property
+    def direction(self) -> np.ndarray:
+        """Unit vector along which it shines, [3]."""
+        normal = np.cross(self.up, self.across)
+        return normal / max(float(np.linalg.norm(normal)), 1e-12)
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """All light of a scene, in the axes of one world (y up), metres.
+
+    Attributes:
+        lamps: In any order.
+        surroundings: The world's light, or None for black.
+        occluders: Corners of triangles that throw shadows besides the avatar's own mesh, [T, 3, 3].
+    """
+
+    lamps: tuple[Lamp, ...] = ()
+    surroundings: Surroundings | None = None
+    occluders: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3), np.float32))
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lamps", tuple(self.lamps))
+        occluders = np.ascontiguousarray(self.occluders, np.float32)
+        if occluders.ndim != 3 or occluders.shape[1:] != (3, 3) or not np.isfinite(occluders).all():
+            raise ConfigError("What throws shadows must be triangles [T, 3, 3] of finite numbers.")
+        object.__setattr__(self, "occluders", occluders)
+
+    def in_space(self, to_space: np.ndarray) -> Lighting:
+        """The same light in other axes.
+
+        Args:
+            to_space: World to those axes: rotation, translation, one uniform scale, [4, 4]. Lengths and watts are scaled so
+                that everything looks the same: watts by the square of the scale.
+        """
+        linear = to_space[:3, :3]
+        scale = float(np.cbrt(np.linalg.det(linear)))
+        turn = linear / scale
+
+        def moved(lamp: Lamp) -> Lamp:
+            changes: dict[str, object] = {}
+            if isinstance(lamp, (Sun, Spot)):
+                changes["direction"] = tuple(turn @ lamp.direction)
+            if isinstance(lamp, (Point, Area)):
+                changes["position"] = tuple(linear @ lamp.position + to_space[:3, 3])
+                changes["strength"] = lamp.strength * scale**2
+            if isinstance(lamp, Point):
+                changes["radius"] = lamp.radius * scale
+            if isinstance(lamp, Area):
+                changes |= {"across": tuple(linear @ lamp.across), "up": tuple(linear @ lamp.up)}
+            return dataclasses.replace(lamp, **changes)  # type: ignore[arg-type]  # names of the lamp's own fields
+
+        around = None if self.surroundings is None else self.surroundings.turned(turn)
+        occluders = self.occluders @ linear.T.astype(np.float32) + to_space[:3, 3].astype(np.float32)
+        return Lighting(tuple(map(moved, self.lamps)), around, occluders)
+
+    def strongest(self, at: Sequence[float], count: int = MAX_LAMPS) -> tuple[Lamp, ...]:
+        """Lamps that count at a point, the suns of the surroundings included, strongest first, at most `count`."""
+        every = (*self.lamps, *(() if self.surroundings is None else suns_of(self.surroundings)))
+        point = np.asarray(at, np.float64)[None]
+        strength = [float((arriving(lamp, point)[1] * np.array(lamp.color)).sum()) for lamp in every]
+        order = sorted(range(len(every)), key=lambda i: -strength[i])
+        return tuple(every[i] for i in order[:count] if strength[i] > 0.0)
+
+
+def suns_of(surroundings: Surroundings) -> tuple[Sun, ...]:
+    """The strongest spots of a world as suns."""
+    return tuple(Sun(tuple(s.irradiance), 1.0, True, tuple(s.direction), s.angle) for s in surroundings.spots)
+
+
+def arriving(lamp: Lamp, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Light of a lamp at points, without shadows and without its color.
+
+    Args:
+        lamp: In the points' axes.
+        points: [N, 3] metres.
+
+    Returns:
+        Unit vectors towards the lamp's middle, [N, 3], and irradiance on surfaces that face it, [N] W/m2.
+    """
+    if isinstance(lamp, Sun):
+        return np.broadcast_to(np.asarray(lamp.direction), points.shape), np.full(len(points), lamp.strength)
+    assert isinstance(lamp, (Point, Area))
+    towards = np.asarray(lamp.position) - points
+    squares = (towards * towards).sum(-1)
+    towards = towards / np.sqrt(np.maximum(squares, 1e-12))[:, None]
+    squares = np.maximum(squares, NEAREST**2)
+    if isinstance(lamp, Area):
+        facing = np.clip(-(towards @ lamp.direction), 0.0, 1.0)
+        # a surface's light does not grow without end near it: the solid angle of a disk of its size
+        return towards, lamp.strength / math.pi * facing / (squares + lamp.area / math.pi)
+    squares = squares + lamp.radius**2
+    irradiance = lamp.strength / (4.0 * math.pi) / squares
+    if isinstance(lamp, Spot):
+        inner = math.cos(0.5 * lamp.cone)
+        along = -(towards @ np.asarray(lamp.direction))
+        share = np.clip((along - inner) / max((1.0 - inner) * lamp.blend, 1e-6), 0.0, 1.0)
+        irradiance = irradiance * share * share * (3.0 - 2.0 * share)
+    return towards, irradiance
+
+
+def half_angle(lamp: Lamp, distance: float) -> float:
+    """Half the angle that a lamp fills as seen from a distance in metres, radians."""
+    if isinstance(lamp, Sun):
+        return 0.5 * lamp.angle
+    if isinstance(lamp, Area):
+        size = math.sqrt(lamp.area / math.pi)
+    else:
+        size = lamp.radius if isinstance(lamp, Point) else 0.0
+    return math.atan2(size, max(distance, NEAREST))
+
+
+def soft_box(yaw: float, pitch: float, distance: float, side: float, power: float, color: Vector = WHITE) -> Area:
+    """A square area light that looks at the origin.
+
+    Args:
+        yaw: Where it is seen from the head, degrees to the person's left.
+        pitch: Degrees upwards.
+        distance: Metres.
+        side: Of the square, metres.
+        power: Watts.
+        color: Linear RGB.
+    """
+    turn, lift = math.radians(yaw), math.radians(pitch)
+    towards = np.array([math.sin(turn) * math.cos(lift), math.sin(lift), math.cos(turn) * math.cos(lift)])
+    helper = np.array([0.0, 1.0, 0.0]) if abs(towards[1]) < 0.99 else np.array([0.0, 0.0, -1.0])
+    across = np.cross(helper, towards)
+    across /= np.linalg.norm(across)
+    up = np.cross(towards, across)
+    # up x across points from the lamp to the origin
+    place, half = towards * distance, 0.5 * side
+    return Area(color, power, True, tuple(place), tuple(across * half), tuple(up * half))
+
+
+STUDIO = Lighting(
+    (
+        soft_box(32, 28, 1.5, 0.9, 16.0), soft_box(-42, 18, 1.5, 0.9, 9.0), soft_box(120, 25, 1.6, 1.1, 8.0),
+        soft_box(-120, 25, 1.6, 1.1, 8.0), soft_box(0, 75, 1.5, 1.0, 7.0), soft_box(180, 10, 1.7, 1.0, 6.0),
+    ),
+    Surroundings.even((0.42, 0.42, 0.42)),
+)  # fmt: skip
+"""The capture studio's rig: what trained colors are lit by. `grmm_studio.lights.RIG` is the same light for Blender."""

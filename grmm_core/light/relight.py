@@ -1,0 +1,49 @@
+"""Light on a picture: ratio and highlights, splatted like colors, applied in linear light. Numpy and torch."""
+
+from __future__ import annotations
+
+from ..geometry.libraries import Array, library_of
+from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
+
+
+_MOST = 0.5  # of a color that taking off the rig's highlights may cost
+
+
+def relit(rgb: Array, alpha: Array, ratio: Array, highlights: Array) -> Array:
+    """A picture in another light.
+
+    Args:
+        rgb: Display sRGB premultiplied by alpha, refined, [H, W, 3].
+        alpha: [H, W].
+        ratio: Irradiance relative to the rig's, splatted (premultiplied), [H, W, 3].
+        highlights: Radiance, splatted, [H, W, 3].
+
+    Returns:
+        As `rgb`; beyond 1 where the light is strong.
+    """
+    library = library_of(rgb)
+    cover = library.clip(alpha, MIN_ALPHA, None)[..., None]
+    lit = to_linear(rgb / cover) * (ratio / cover)
+    # the rig's highlights are taken off; where a color never had them (hair, shadow) that must not blacken it
+    linear = lit + library.maximum(highlights / cover, -_MOST * lit)
+    seen = (alpha >= MIN_ALPHA)[..., None]
+    result: Array = to_display(linear) * cover * seen
+    return result
+
+
+def to_linear(values: Array) -> Array:
+    """Scene-linear values of display sRGB (IEC 61966-2-1), differentiably; below 0 counts as 0."""
+    library = library_of(values)
+    values = library.clip(values, 0.0, None)
+    curve = ((values + SRGB_OFFSET) / (1.0 + SRGB_OFFSET)) ** SRGB_GAMMA
+    result: Array = library.where(values <= SRGB_TOE * SRGB_TOE_SLOPE, values / SRGB_TOE_SLOPE, curve)
+    return result
+
+
+def to_display(values: Array) -> Array:
+    """The inverse of `to_linear`."""
+    library = library_of(values)
+    bright = library.clip(values, SRGB_TOE, None)  # the root has no slope at 0
+    curve = (1.0 + SRGB_OFFSET) * bright ** (1.0 / SRGB_GAMMA) - SRGB_OFFSET
+    result: Array = library.where(values <= SRGB_TOE, library.clip(values, 0.0, None) * SRGB_TOE_SLOPE, curve)
+    return result

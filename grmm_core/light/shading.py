@@ -1,0 +1,157 @@
+"""Irradiance and highlights at Gaussians: everything linear in the lights' colors, kept apart from them.
+
+`transport` says what a unit of each lamp and of each harmonic of the surroundings gives at each Gaussian; `Transport.light`
+multiplies by colors, for numpy and torch alike, so that fitting can ask for gradients with respect to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic
+
+import numpy as np
+
+from ..geometry.libraries import Array
+from .lamps import Area, Lamp, Point, Sun, arriving, half_angle
+from .shadows import Receivers
+from .surface import WANDER, Surface
+from .surroundings import basis
+from .transfer import openness
+
+_DARKEST = 1e-3  # of the rig's irradiance: where it hardly reaches, ratios stay finite
+MAX_RATIO = 200.0
+_MIRROR_BANDS = np.array([1.0] + [0.75] * 3 + [0.4] * 5)  # what a rough mirror leaves of the harmonics
+
+
+@dataclass(frozen=True)
+class Response:
+    """How an avatar takes light; factors that an animator sets.
+
+    Attributes:
+        intensity: Of all light.
+        gloss: Of highlights.
+        scattering: Of the way light takes inside the skin.
+        softness: Of the size of lamps, where it makes shadows soft.
+    """
+
+    intensity: float = 1.0
+    gloss: float = 1.0
+    scattering: float = 1.0
+    softness: float = 1.0
+
+
+@dataclass(frozen=True)
+class Transport(Generic[Array]):
+    """What arrives at N Gaussians of L lamps and of the surroundings.
+
+    Attributes:
+        diffuse: Irradiance of a unit of each lamp's color, by color, [L, N, 3].
+        highlights: Radiance that a unit of each lamp's color gives towards the viewer, [L, N].
+        ambient: Irradiance of a unit of each harmonic, [N, 9].
+        mirrored: Radiance towards the viewer of a unit of each harmonic, [N, 9].
+    """
+
+    diffuse: Array
+    highlights: Array
+    ambient: Array
+    mirrored: Array
+
+    def light(self, colors: Array, coefficients: Array) -> tuple[Array, Array]:
+        """Irradiance and highlights of lights.
+
+        Args:
+            colors: Linear RGB of each lamp, [L, 3].
+            coefficients: Of the surroundings' radiance, [9, 3].
+
+        Returns:
+            Irradiance, W/m2, [N, 3], and radiance of highlights, [N, 3].
+        """
+        irradiance = (self.diffuse * colors[:, None, :]).sum(0) + self.ambient @ coefficients
+        shine = self.highlights.T @ colors + self.mirrored @ coefficients
+        return irradiance, shine
+
+
+def transport(
+    lamps: tuple[Lamp, ...], receivers: Receivers, seen: list[np.ndarray], surface: Surface, rows: np.ndarray,
+    eye: np.ndarray, response: Response = Response(),
+) -> Transport[np.ndarray]:  # fmt: skip
+    """Work out what arrives at Gaussians.
+
+    Args:
+        lamps: In the receivers' axes.
+        receivers: Gaussians with their normals.
+        seen: Which part of each lamp they see, L times [N].
+        surface: What they do with light.
+        rows: Rows of `transfer.transfer` at them, in the receivers' axes, [N, 9].
+        eye: The viewer's place, [3] metres.
+        response: Factors.
+    """
+    normals = receivers.normals
+    view = eye - receivers.points
+    view = view / np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9)
+    facing = np.clip((normals * view).sum(1), 0.05, 1.0)
+    wander = np.clip(surface.wander[:, None] * WANDER * response.scattering, 0.0, 0.9)  # [N, 3]
+    diffuse, highlights = [], []
+    for lamp, part in zip(lamps, seen, strict=True):
+        towards, strength = arriving(lamp, receivers.points)
+        cosine = (normals * towards).sum(1)
+        # wrapped diffuse that keeps the energy; shadows have soft red edges for the same reason
+        reach = np.maximum(cosine[:, None] + wander, 0.0) / (1.0 + wander) ** 2
+        through = np.power(np.clip(part, 0.0, 1.0)[:, None], 1.0 / (1.0 + 1.5 * wander))
+        diffuse.append(reach * through * strength[:, None] * response.intensity)
+        size = 0.5 * half_angle(lamp, _distance(lamp, receivers.centre))
+        lobes = _lobes(surface, normals, view, facing, towards, np.maximum(cosine, 0.0), size)
+        highlights.append(lobes * part * strength * (response.gloss * response.intensity))
+    count = len(normals)
+    mirror = 2.0 * (normals * view).sum(1, keepdims=True) * normals - view
+    fresnel = surface.reflectance + (1.0 - surface.reflectance) * (1.0 - facing) ** 5
+    glossy = fresnel * surface.shine * openness(rows) * (response.gloss * response.intensity)
+    return Transport(
+        np.stack(diffuse).astype(np.float32) if diffuse else np.zeros((0, count, 3), np.float32),
+        np.stack(highlights).astype(np.float32) if highlights else np.zeros((0, count), np.float32),
+        (rows * response.intensity).astype(np.float32),
+        (glossy[:, None] * basis(mirror) * _MIRROR_BANDS).astype(np.float32),
+    )
+
+
+def ratio(scene: Array, rig: Array) -> Array:
+    """Irradiance relative to the rig's that colors were learned under, both [N, 3] W/m2: [N, 3]."""
+    floor = _DARKEST * float(rig.max())
+    result: Array = (scene / (rig + floor)).clip(0.0, MAX_RATIO)
+    return result
+
+
+def _distance(lamp: Lamp, at: np.ndarray) -> float:
+    if isinstance(lamp, Sun):
+        return 1.0
+    assert isinstance(lamp, (Point, Area))
+    return float(np.linalg.norm(np.asarray(lamp.position) - at))
+
+
+def _lobes(
+    surface: Surface,
+    normals: np.ndarray,
+    view: np.ndarray,
+    facing: np.ndarray,
+    towards: np.ndarray,
+    cosine: np.ndarray,
+    size: float,
+) -> np.ndarray:
+    """Two GGX lobes (Walter et al. 2007) times the cosine, widened by the lamp's size in radians, [N]."""
+    half = towards + view
+    half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+    tilt = np.clip((normals * half).sum(1), 0.0, 1.0)
+    fresnel = surface.reflectance + (1.0 - surface.reflectance) * (1.0 - np.clip((view * half).sum(1), 0.0, 1.0)) ** 5
+    total = np.zeros(len(normals))
+    for roughness, share in ((surface.smooth, surface.share), (surface.rough, 1.0 - surface.share)):
+        narrow = np.maximum(roughness * roughness, 1e-3)
+        alpha = np.minimum(narrow + size, 1.0)
+        squares = alpha * alpha
+        spread = squares / (np.pi * (tilt * tilt * (squares - 1.0) + 1.0) ** 2)
+        # a wide lamp widens the lobe: the same energy, not more
+        spread = spread * (narrow / alpha) ** 2 if size > 0 else spread
+        k = 0.5 * alpha
+        visible = 1.0 / ((cosine * (1.0 - k) + k) * (facing * (1.0 - k) + k))
+        total += share * spread * visible
+    result: np.ndarray = 0.25 * total * fresnel * surface.shine * cosine
+    return result

@@ -1,0 +1,174 @@
+"""What arrives at a ball and at a head, and what a picture becomes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from grmm_core.head import load_open_head
+from grmm_core.light.lamps import Lighting, Sun, soft_box
+from grmm_core.light.relight import relit, to_display, to_linear
+from grmm_core.light.shading import MAX_RATIO, Response, Transport, ratio, transport
+from grmm_core.light.shadows import Receivers, visible
+from grmm_core.light.surface import SKIN, Surface, surface
+from grmm_core.light.surroundings import Surroundings
+from grmm_core.light.transfer import openness, transfer, turn_between, vertex_normals
+from grmm_core.model.layout import texel_layout
+from grmm_core.pictures.color import linear_to_srgb, srgb_to_linear
+
+
+def ball(rows=24, columns=48, radius=0.1):
+    polar, around = np.meshgrid(
+        np.linspace(0, math.pi, rows), np.linspace(0, 2 * math.pi, columns, endpoint=False), indexing="ij"
+    )
+    points = radius * np.stack([np.sin(polar) * np.cos(around), np.cos(polar), np.sin(polar) * np.sin(around)], -1)
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1], np.roll(index, -1, 1)[:-1], np.roll(index, -1, 1)[1:], index[1:]
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    points = points.reshape(-1, 3)
+    return points, points / radius, faces
+
+
+def plain(count):
+    return Surface(*(np.full(count, value, np.float32) for value in vars(SKIN).values()))
+
+
+def test_a_ball_hides_nothing_from_itself_and_sees_all_surroundings():
+    points, normals, faces = ball()
+    rows = transfer(points, normals, faces, directions=200)
+    assert openness(rows).min() > 0.9
+    sky = Surroundings.of_directions(
+        normals, np.maximum(normals[:, [1, 1, 1]], 0.0) + 0.2, np.full(len(points), 4 * math.pi / len(points))
+    )
+    np.testing.assert_allclose(rows @ sky.coefficients, sky.irradiance(normals), rtol=0.15, atol=0.1)
+
+
+def test_what_lies_behind_an_occluder_is_dark_and_a_wide_lamp_has_a_soft_edge():
+    x = np.linspace(-0.1, 0.1, 401)
+    receivers = Receivers.around(np.stack([x, 0 * x, 0 * x], -1), np.tile([0.0, 0.0, 1.0], (401, 1)))
+    wall = np.array([[[0.0, -1.0, 0.3], [0.0, 1.0, 0.3], [-2.0, 0.0, 0.3]]])  # covers x < 0
+    sun = visible(Sun(direction=(0.0, 0.0, 1.0)), receivers, wall)
+    assert sun[x < -0.004].max() == 0.0
+    assert sun[x > 0.004].min() == 1.0
+    wide = visible(soft_box(0.0, 0.0, 1.5, 0.6, 10.0), receivers, wall)
+    assert 0.2 < wide[200] < 0.8
+    assert np.ptp(x[(wide > 0.05) & (wide < 0.95)]) > 5 * np.ptp(x[(sun > 0.05) & (sun < 0.95)])
+    assert (np.diff(wide) > -1e-6).all()
+
+
+def test_the_nose_throws_a_shadow_on_the_cheek_away_from_the_lamp():
+    head = load_open_head()
+    vertices = head.v_template.astype(float)
+    receivers = Receivers.around(vertices, vertex_normals(vertices, head.faces))
+    seen = visible(Sun(direction=(math.sin(1.2), 0.1, math.cos(1.2))), receivers, vertices[head.faces])
+    beside = np.abs(vertices - [-0.022, -0.005, 0.095]).max(1) < 0.010  # at the right side of the nose
+    mirrored = np.abs(vertices - [0.022, -0.005, 0.095]).max(1) < 0.010
+    assert seen[beside].mean() < 0.4
+    assert seen[mirrored].mean() > 0.9
+
+
+def test_light_of_a_sun_is_lamberts_on_matt_skin_and_wanders_further_in_red():
+    points, normals, _ = ball()
+    receivers, sun = Receivers.around(points, normals), Sun(direction=(0.0, 0.0, 1.0), strength=2.0)
+    none = np.zeros((len(points), 9))
+    seen = [np.ones(len(points))]
+    dull = transport((sun,), receivers, seen, plain(len(points)), none, np.array([0, 0, 2.0]), Response(scattering=0.0))
+    np.testing.assert_allclose(dull.diffuse[0], np.maximum(normals[:, 2:], 0.0) * [[2.0] * 3], atol=1e-5)
+    skin = transport((sun,), receivers, seen, plain(len(points)), none, np.array([0, 0, 2.0])).diffuse[0]
+    beyond = (normals[:, 2] < -0.01) & (normals[:, 2] > -0.1)
+    assert (skin[beyond, 0] > 2 * skin[beyond, 1]).all()
+    # the same light all in all: the mean over the ball of max(0, (c + w) / (1 + w)^2) is 1/4 for every w
+    even = np.sqrt(np.maximum(1.0 - normals[:, 1] ** 2, 0.0))[:, None]  # the grid's points crowd at the poles
+    assert (skin * even).sum(0) == pytest.approx(np.full(3, (dull.diffuse[0] * even)[:, 0].sum()), rel=0.03)
+
+
+def test_highlights_stand_where_a_mirror_would_throw_the_lamp():
+    points, normals, _ = ball(96, 192)
+    receivers = Receivers.around(points, normals)
+    lamp, eye = Sun(direction=(math.sin(1.0), 0.0, math.cos(1.0))), np.array([0.0, 0.0, 50.0])
+    rows = np.zeros((len(points), 9))
+    shine = transport((lamp,), receivers, [np.ones(len(points))], plain(len(points)), rows, eye).highlights[0]
+    half = np.array([math.sin(0.5), 0.0, math.cos(0.5)])
+    assert normals[shine.argmax()] @ half > math.cos(0.15)
+    wet = Surface(*(np.full(len(points), v, np.float32) for v in (0.1, 0.2, 1.0, 0.04, 1.0, 0.0)))
+    sharp = transport((lamp,), receivers, [np.ones(len(points))], wet, rows, eye).highlights[0]
+    assert sharp.max() > 5 * shine.max()
+    assert (sharp > 0.1 * sharp.max()).sum() < 0.3 * (shine > 0.1 * shine.max()).sum()
+
+
+def test_light_is_linear_in_its_colors_and_has_gradients():
+    points, normals, faces = ball()
+    rows = transfer(points, normals, faces, directions=60)
+    lamps = (Sun(direction=(0.0, 0.0, 1.0)), soft_box(60.0, 20.0, 1.0, 0.3, 20.0))
+    parts = transport(
+        lamps, Receivers.around(points, normals), [np.ones(len(points))] * 2, plain(len(points)), rows, np.array([0, 0, 1.0])
+    )
+    colors, sky = (
+        np.array([[1.0, 0.5, 0.2], [0.1, 0.2, 0.9]], np.float32),
+        np.random.default_rng(0).random((9, 3)).astype(np.float32),
+    )
+    irradiance, shine = parts.light(colors, sky)
+    twin = Transport(*(torch.from_numpy(part) for part in vars(parts).values()))
+    color, around = torch.from_numpy(colors).requires_grad_(), torch.from_numpy(sky).requires_grad_()
+    irradiance_2, shine_2 = twin.light(color, around)
+    np.testing.assert_allclose(irradiance_2.detach(), irradiance, rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(shine_2.detach(), shine, rtol=1e-4, atol=1e-6)
+    irradiance_2.sum().backward()
+    np.testing.assert_allclose(color.grad, parts.diffuse.sum(1), rtol=1e-3)
+    np.testing.assert_allclose(around.grad, np.repeat(parts.ambient.sum(0)[:, None], 3, 1), rtol=1e-3, atol=1e-2)
+
+
+def test_ratios_stay_finite_where_the_rig_is_dark():
+    found = ratio(np.array([[1.0, 1.0, 1.0], [2.0, 2.0, 2.0]]), np.array([[0.0, 0.0, 0.0], [2.0, 2.0, 2.0]]))
+    assert found.max() <= MAX_RATIO
+    assert found[1] == pytest.approx(np.ones(3), rel=2e-3)
+
+
+def test_a_picture_in_the_light_it_was_learned_in_is_the_same():
+    random = np.random.default_rng(0)
+    alpha = random.random((6, 7)).astype(np.float32)
+    alpha[0, 0] = 0.0
+    rgb = random.random((6, 7, 3)).astype(np.float32) * alpha[..., None]
+    same = relit(rgb, alpha, np.repeat(alpha[..., None], 3, -1), np.zeros_like(rgb))
+    np.testing.assert_allclose(same, rgb, atol=2e-6)
+    brighter = relit(
+        torch.from_numpy(rgb), torch.from_numpy(alpha), torch.from_numpy(alpha[..., None] * 2.0), torch.zeros(6, 7, 3)
+    )
+    covered = alpha > 0.1
+    expected = linear_to_srgb(2 * srgb_to_linear(rgb[covered] / alpha[covered][:, None])) * alpha[covered][:, None]
+    np.testing.assert_allclose(brighter.numpy()[covered], expected, atol=1e-5)
+    values = np.linspace(0, 3, 100, dtype=np.float32)
+    np.testing.assert_allclose(to_linear(to_display(values)), values, rtol=1e-4, atol=1e-6)
+
+
+def test_eyes_are_wet_and_the_nose_is_oily():
+    head = load_open_head()
+    layout = texel_layout(head.uv, head.uv_faces, 128)
+    looks = surface(head, layout.face, layout.barycentric)
+    place = np.einsum("nk,nkx->nx", layout.barycentric, head.v_template[head.faces[layout.face]])
+    eye = np.isin(head.faces[layout.face], head.regions["left_eyeball"]).all(1)
+    nose = np.linalg.norm(place - [0.0, 0.010, 0.115], axis=1) < 0.01
+    cheek = np.linalg.norm(np.abs(place) - [0.055, 0.02, 0.06], axis=1) < 0.02
+    assert looks.smooth[eye].max() < 0.1
+    assert looks.shine[nose].mean() > 1.3 * looks.shine[cheek].mean()
+
+
+def test_the_turn_of_a_head_is_found():
+    rest = np.random.default_rng(0).normal(size=(50, 3))
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    np.testing.assert_allclose(turn_between(rest, rest @ turn.T + 0.3), turn, atol=1e-9)
+
+
+def test_softness_widens_a_lamp():
+    x = np.linspace(-0.1, 0.1, 201)
+    receivers = Receivers.around(np.stack([x, 0 * x, 0 * x], -1), np.tile([0.0, 0.0, 1.0], (201, 1)))
+    wall = np.array([[[0.0, -1.0, 0.3], [0.0, 1.0, 0.3], [-2.0, 0.0, 0.3]]])
+    box = soft_box(0.0, 0.0, 1.5, 0.3, 10.0)
+    narrow, wide = (visible(box, receivers, wall, softness) for softness in (0.3, 3.0))
+    assert np.ptp(x[(wide > 0.1) & (wide < 0.9)]) > 2 * np.ptp(x[(narrow > 0.1) & (narrow < 0.9)])
+    assert visible(box, receivers, wall[:0]).min() == 1.0
+    assert Lighting().strongest((0.0, 0.0, 0.0)) == ()

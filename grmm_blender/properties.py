@@ -5,13 +5,17 @@ The controls themselves are custom properties (see `rig.custom_properties`), whi
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from ..grmm_core.controls.names import JOINT_NAMES
-from .declare import flag, text
+from .declare import choice, flag, number, text
 from .rig.avatar import Avatar, is_avatar
 from .rig.build import add_missing_controls, show_source
 from .rig.identity import DEFAULT_SOURCE
+
+SCENE_LIGHT = "SCENE"  # item of `lighting`
 
 
 @bpy.app.handlers.persistent
@@ -31,6 +35,10 @@ def _source_changed(self: bpy.types.PropertyGroup, context: bpy.types.Context) -
     """Give the rig the shape of the avatar that was named; a file that cannot be used is said in the panel."""
     if self.is_avatar:
         show_source(Avatar(self.id_data))
+
+
+_LIVE: dict[str, Any] = {"override": {"LIBRARY_OVERRIDABLE"}, "update": _changed}
+_FACTOR: dict[str, Any] = {"default": 1.0, "min": 0.0, "soft_max": 3.0, **_LIVE}
 
 
 class GRMM_PG_avatar(bpy.types.PropertyGroup):
@@ -57,12 +65,22 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
         size=3 * len(JOINT_NAMES),
         options={"HIDDEN"},
     )
+    lighting: choice(
+        "Lighting",
+        "What lights the avatar",
+        ("STUDIO", "Studio", "The even light that its colors were learned in, whatever the scene has"),
+        (SCENE_LIGHT, "Scene", "The scene's lamps and world"),
+        **_LIVE,
+    )
+    light_intensity: number("Intensity", "Factor of all light on the avatar", **_FACTOR)
+    skin_gloss: number("Gloss", "Factor of highlights on skin, eyes, teeth and hair", **_FACTOR)
+    skin_scattering: number("Scattering", "How far light wanders inside the skin: softer, redder edges of shadows", **_FACTOR)
+    shadow_softness: number("Shadow Softness", "Factor of the size that lamps have for shadows on the avatar", **_FACTOR)
     live_detail: flag(
         "Learned Detail on Mesh",
         "Keep the residual shape key up to date with the model, so that the mesh shows the learned displacement",
         default=True,
-        override={"LIBRARY_OVERRIDABLE"},
-        update=_changed,
+        **_LIVE,
     )
     detail_in_playback: flag(
         "Also During Playback",

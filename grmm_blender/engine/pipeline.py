@@ -71,7 +71,7 @@ def frame_values(
     if occluders:
         hiding = (OccluderDepths() if depths is None else depths).of(occluders, frame.camera, settings.samples, frame.clip)
     wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if hiding is not None else []))))
-    options = RenderOptions(refine=settings.refine, passes=wanted, lod=settings.lod)
+    options = RenderOptions(refine=settings.refine, passes=wanted, lod=settings.lod, lighting=frame.scene.lighting)
     buffers = session_host.get_session().render(instances, frame.camera, options, should_cancel)
     session_host.note_drawn()
     progress(DRAWN, "putting the scene in front")
@@ -98,7 +98,7 @@ def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:
                 number = session_host.open_avatar(shot.source).id
             else:
                 number = session_host.open_cloud(shot.cloud.key, shot.cloud.version, shot.cloud.arrays)
-            instances.append(Instance(number, shot.controls.validate(), shot.model_to_world))
+            instances.append(Instance(number, shot.controls.validate(), shot.model_to_world, response=shot.response))
         except GrmmError as error:
             raise type(error)(f"{shot.name}: {error}") from error
     return instances

@@ -9,6 +9,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from ...grmm_core.light.shading import Response
+from ..properties import SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
 from ..splats.cloud import carries_splats
 from .shot import AvatarShot
@@ -58,7 +60,15 @@ class DrawnAvatar:
     def shot(self, depsgraph: bpy.types.Depsgraph) -> AvatarShot:
         """Copy the avatar as it is in the depsgraph's moment."""
         controls, cuts = self.avatar.controls(depsgraph), is_holdout(self.object, depsgraph.view_layer)
-        return AvatarShot(self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts)
+        return AvatarShot(
+            self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts, response=self._response(depsgraph)
+        )
+
+    def _response(self, depsgraph: bpy.types.Depsgraph) -> Response | None:
+        settings = self.object.evaluated_get(depsgraph).grmm
+        if settings.lighting != SCENE_LIGHT:
+            return None
+        return Response(settings.light_intensity, settings.skin_gloss, settings.skin_scattering, settings.shadow_softness)
 
 
 def place_of(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> HeadPlace:

@@ -11,6 +11,8 @@ import numpy as np
 
 from ...grmm_core.controls.frame import Controls
 from ...grmm_core.geometry.camera import Camera
+from ...grmm_core.light.lamps import Lighting
+from ...grmm_core.light.shading import Response
 from ..splats import CloudShot
 
 
@@ -25,6 +27,7 @@ class AvatarShot:
         model_to_world: Head space to Blender's world, [4, 4].
         holdout: It cuts a hole instead of being drawn.
         cloud: Its Gaussians, for a cloud.
+        response: How it takes the scene's light; None: it stays in the studio's.
     """
 
     name: str
@@ -33,6 +36,7 @@ class AvatarShot:
     model_to_world: np.ndarray
     holdout: bool = False
     cloud: CloudShot | None = None
+    response: Response | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +81,13 @@ class SceneShot:
         avatars: Avatars and clouds to draw, sorted by name: pictures do not depend on the order of creation.
         occluders: Meshes that hide them.
         world: Scene-linear color of the background, [3], or None for a transparent film.
+        lighting: Light of the scene, where an avatar takes it.
     """
 
     avatars: tuple[AvatarShot, ...] = ()
     occluders: Occluders = Occluders()
     world: np.ndarray | None = None
+    lighting: Lighting | None = None
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,12 @@ from collections.abc import Callable
 import bpy
 
 from ...grmm_core.geometry.camera import Camera
+from ..properties import SCENE_LIGHT
 from ..splats.cloud import Cloud, CloudShot
 from .avatars import DrawnAvatar, avatars_in, drawn_avatar, is_drawn
 from .cameras import Eye, clip_range, render_camera, scene_camera
 from .clouds import DrawnCloud, clouds_in, drawn_cloud
+from .lights import LightReader
 from .meshes import MeshCache, OccluderReader
 from .shot import Frame, SceneShot
 from .visibility import is_rendered
@@ -65,12 +67,21 @@ def read_scene(
         FileFormatError: A cloud was damaged by edits.
     """
     view_layer, scene = depsgraph.view_layer, depsgraph.scene_eval
-    reader = OccluderReader(view_layer, camera, use_meshes, kept)
-    shown = [drawn for drawn in walk(depsgraph, reader.visit) if is_rendered(drawn.object, view_layer)]
+    is_lit = any(avatar.object.grmm.lighting == SCENE_LIGHT for avatar in avatars_in(depsgraph))
+    # what is beside the picture may throw a shadow into it
+    reader = OccluderReader(view_layer, None if is_lit else camera, use_meshes, kept)
+    lights = LightReader()
+
+    def visit(instance: bpy.types.DepsgraphObjectInstance, is_drawn: bool) -> None:
+        reader.visit(instance, is_drawn)
+        lights.visit(instance)
+
+    shown = [drawn for drawn in walk(depsgraph, visit) if is_rendered(drawn.object, view_layer)]
     shots = [drawn.shot(depsgraph) for drawn in shown]
     replaced = {mesh: shot.holdout for drawn, shot in zip(shown, shots, strict=True) for mesh in drawn.meshes}
     world = None if scene.render.film_transparent else world_color(scene)
-    return SceneShot(tuple(shot for shot in shots if not shot.holdout), reader.occluders(replaced), world)
+    occluders, drawn_shots = reader.occluders(replaced), tuple(shot for shot in shots if not shot.holdout)
+    return SceneShot(drawn_shots, occluders, world, lights.lighting(scene, occluders.plain) if is_lit else None)
 
 
 def take_frame(

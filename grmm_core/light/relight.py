@@ -5,7 +5,6 @@ from __future__ import annotations
 from ..geometry.libraries import Array, library_of
 from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
 
-
 _MOST = 0.5  # of a color that taking off the rig's highlights may cost
 
 

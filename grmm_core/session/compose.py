@@ -28,10 +28,10 @@ from ..errors import CancelledError
 from ..geometry.camera import Camera
 from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
+from ..light.relight import relit, to_linear
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
-from ..light.relight import relit, to_linear
 from ..pictures.color import MIN_ALPHA
 from ..splat.types import Gaussians, RasterOutput
 from .api import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, CancelCheck, Instance, RenderOptions

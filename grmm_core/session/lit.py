@@ -1,7 +1,7 @@
 """Avatars in a scene's light: what a session keeps of it, and the channels that ride along with the Gaussians.
 
 What changes seldom is kept: a head's transfer and the rig's light for an identity, which part of a lamp is seen for a mesh and
-the lamp. A moved camera costs highlights alone. The numbers are numpy's and become the engine's at the end. Called by `compose`.
+the lamp. A moved camera costs highlights alone. The numbers are numpy's and become the engine's at the end. `compose` calls.
 """
 
 from __future__ import annotations
@@ -31,8 +31,15 @@ _RIGID = "scalp"  # region whose turn is the head's
 
 
 class _Rest(NamedTuple):
-    """What light does on a head at rest: transfer at vertices [V, 9], at texels the rig's irradiance [N, 3] and which part of
-    its lamps is seen [L, N], vertices [V, 3] and their normals [V, 3]."""
+    """What light does on a head at rest.
+
+    Attributes:
+        transfer: At vertices, [V, 9].
+        rig: Irradiance of the studio's rig at texels, [N, 3].
+        seen: Which part of the rig's lamps texels see, [L, N].
+        vertices: [V, 3].
+        normals: [V, 3].
+    """
 
     transfer: np.ndarray
     rig: np.ndarray
@@ -71,7 +78,7 @@ class Lit:
             strands: Drawn behind the skin's, or None.
 
         Returns:
-            [N, LIGHT_CHANNELS] float32: irradiance relative to the rig's, highlights, the share of the lamps' light that arrives.
+            [N, LIGHT_CHANNELS] float32: irradiance relative to the rig's, highlights, share of the lamps' light that arrives.
         """
         parts = [self._skin(eye)] + ([] if strands is None else [self._strands(strands, eye)])
         return np.concatenate(parts).astype(np.float32)

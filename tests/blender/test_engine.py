@@ -94,6 +94,25 @@ def test_border_is_a_part_of_the_full_picture(render_script, blender_version, tm
         np.testing.assert_allclose(passes["Combined"], whole, atol=2e-5)
 
 
+def test_avatars_take_the_scenes_light(render_script, blender_version):
+    result = render_script("engine_light.py", python=blender_version)
+    assert result["studio_ignores_lamps"] <= CHANNEL_STEP
+    assert result["same_cover"] <= CHANNEL_STEP
+    left, right = result["sun"]
+    assert right > 2 * left  # the sun stands at the picture's right
+    assert abs(result["flat"][0] - result["flat"][1]) < 0.3 * result["flat"][0]
+    assert result["shaded"][1] < 0.3 * right
+    assert result["shadow_goes"] <= CHANNEL_STEP
+    assert result["dark"] == result["intensity_off"] == 0
+    assert result["blue"][2] > 2 * result["blue"][0]
+    assert "POINT" in result["nan"]
+    assert "correct it in the scene" in result["nan"]
+    assert result["unread"] == ""
+    # nine numbers hold the light of a picture of hard edges within some percent of the brightest
+    np.testing.assert_allclose(result["ours"], result["cycles"], atol=0.035)
+    assert np.ptp(result["cycles"]) > 0.2
+
+
 def test_film_and_scene(render_script, blender_version):
     result = render_script("engine_scene.py", python=blender_version)
     for exact in ("transparent", "world", "occlusion_off", "wall_hidden", "wall_behind", "unoccluded_right", "override"):

@@ -1,0 +1,165 @@
+"""The lamps and the world of a scene, as `grmm_core.light` has them, in Blender's world axes.
+
+Kept between pictures: what a world's picture gives, by image. Other node trees than a background of one color or an environment
+texture are not evaluated; the world's viewport color stands for them, and `unread_world` says so in the panel.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...grmm_core.errors import ConfigError
+from ...grmm_core.light.lamps import Area, Lamp, Lighting, Point, Spot, Sun
+from ...grmm_core.light.surroundings import Surroundings
+from ...grmm_core.pictures.color import srgb_to_linear
+from .shot import Occluder
+
+MAX_SHADOW_TRIANGLES = 400_000  # of scene meshes; beyond, the largest objects throw no shadows on avatars
+# Blender looks up an environment picture with its middle along +x and its left half towards +y.
+_PICTURE_TO_BLENDER = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+_pictures: dict[tuple[Any, ...], Surroundings] = {}
+
+
+class LightReader:
+    """Copies lamps while `walk` goes over a scene."""
+
+    def __init__(self) -> None:
+        self._lamps: list[Lamp] = []
+
+    def visit(self, instance: bpy.types.DepsgraphObjectInstance) -> None:
+        """Copy a lamp; everything else is passed over. What a render does not show is not in its depsgraph."""
+        if instance.object.type == "LIGHT" and instance.show_self:
+            matrix = np.array(instance.matrix_world, np.float64)
+            self._lamps.append(lamp_of(instance.object.data, matrix, instance.object.name))
+
+    def lighting(self, scene: bpy.types.Scene, occluders: tuple[Occluder, ...]) -> Lighting:
+        """All light of a scene. Raises `ConfigError` for numbers that are no light, naming the lamp."""
+        budget, kept = MAX_SHADOW_TRIANGLES, []
+        for occluder in sorted(occluders, key=lambda each: len(each.triangles)):
+            budget -= len(occluder.triangles)
+            if budget < 0:
+                break
+            kept.append(occluder.placed())
+        return Lighting(
+            tuple(self._lamps), world_light(scene), np.concatenate(kept) if kept else np.zeros((0, 3, 3), np.float32)
+        )
+
+
+def lamp_of(light: bpy.types.Light, matrix: np.ndarray, name: str) -> Lamp:
+    """One lamp.
+
+    Args:
+        light: Its data.
+        matrix: Places it in the world, [4, 4]; it shines along its -z.
+        name: For errors.
+
+    Raises:
+        ConfigError: Numbers that are no light.
+    """
+    axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-12)
+    color = np.array(light.color)
+    if light.use_temperature:
+        color = color * np.array(light.temperature_color)
+    strength = float(light.energy) * 2.0 ** float(light.exposure)
+    common: dict[str, Any] = {"color": tuple(map(float, color)), "strength": strength, "shadow": bool(light.use_shadow)}
+    position, forward = tuple(matrix[:3, 3]), tuple(-axes[:, 2])
+    try:
+        if light.type == "SUN":
+            return Sun(**common, direction=tuple(axes[:, 2]), angle=float(light.angle))
+        if light.type == "AREA":
+            width = float(light.size)
+            height = float(light.size_y) if light.shape in ("RECTANGLE", "ELLIPSE") else width
+            sides = np.linalg.norm(matrix[:3, :3], axis=0)  # the object's scale makes the lamp larger, not brighter
+            across, up = axes[:, 0] * 0.5 * width * sides[0], axes[:, 1] * 0.5 * height * sides[1]
+            if not light.normalize:
+                common["strength"] = strength * width * height * sides[0] * sides[1]
+            ellipse = light.shape in ("DISK", "ELLIPSE")
+            return Area(**common, position=position, across=tuple(across), up=tuple(up), ellipse=ellipse)
+        radius = float(light.shadow_soft_size)
+        if light.type == "SPOT":
+            cone, blend = float(light.spot_size), float(light.spot_blend)
+            return Spot(**common, position=position, radius=radius, direction=forward, cone=cone, blend=blend)
+        return Point(**common, position=position, radius=radius)
+    except ConfigError as error:
+        raise ConfigError(f"{name}: {error}") from error
+
+
+def world_light(scene: bpy.types.Scene) -> Surroundings | None:
+    """The world's light; None without a world. Raises `ConfigError` for a strength or picture that is no light."""
+    world = scene.world
+    if world is None:
+        return None
+    background = _background(world)
+    if background is None:
+        return Surroundings.even(tuple(world.color))
+    color, strength = background.inputs["Color"], background.inputs["Strength"]
+    factor = 1.0 if strength.is_linked else float(strength.default_value)
+    if not color.is_linked:
+        return Surroundings.even(tuple(float(c) * factor for c in color.default_value[:3]))
+    node = color.links[0].from_node
+    if node.type != "TEX_ENVIRONMENT" or node.image is None:
+        return Surroundings.even(tuple(world.color))
+    around = _of_image(node.image)
+    turn = _mapping(node)
+    return (around if turn is None else around.turned(turn)).scaled(factor)
+
+
+def unread_world(scene: bpy.types.Scene) -> str:
+    """What a world holds that is not read, in a sentence; "" where all of it is."""
+    world = scene.world
+    background = None if world is None else _background(world)
+    if world is None or background is None:
+        return ""
+    color = background.inputs["Color"]
+    node = color.links[0].from_node if color.is_linked else None
+    plain = node is None or (node.type == "TEX_ENVIRONMENT" and node.image is not None)
+    if plain and not background.inputs["Strength"].is_linked:
+        return ""
+    return "Avatars take this world's viewport color for its light; only a color or an environment texture is read"
+
+
+def _background(world: bpy.types.World) -> bpy.types.ShaderNode | None:
+    tree = world.node_tree if getattr(world, "use_nodes", True) else None
+    output = None if tree is None else tree.get_output_node("ALL")
+    surface = None if output is None else output.inputs["Surface"]
+    node = surface.links[0].from_node if surface is not None and surface.is_linked else None
+    return node if node is not None and node.type == "BACKGROUND" else None
+
+
+def _of_image(image: bpy.types.Image) -> Surroundings:
+    width, height = image.size
+    key = (image.session_uid, image.filepath, width, height, image.colorspace_settings.name)
+    if key not in _pictures:
+        if width * height == 0:
+            raise ConfigError(f"The picture {image.name} of the world is missing; find it with File > External Data.")
+        pixels = np.empty(width * height * image.channels, np.float32)
+        image.pixels.foreach_get(pixels)
+        picture = pixels.reshape(height, width, image.channels)[::-1]  # Blender counts rows from below
+        color = picture[..., :3] if image.channels >= 3 else np.repeat(picture[..., :1], 3, -1)
+        if not image.is_float and image.colorspace_settings.name == "sRGB":
+            color = srgb_to_linear(color)
+        _pictures.clear()  # one world at a time
+        _pictures[key] = Surroundings.of_picture(color).turned(_PICTURE_TO_BLENDER)
+    return _pictures[key]
+
+
+def _mapping(node: bpy.types.ShaderNode) -> np.ndarray | None:
+    """Rotation of the surroundings by a mapping node before an environment texture, [3, 3], or None."""
+    vector = node.inputs["Vector"]
+    before = vector.links[0].from_node if vector.is_linked else None
+    if before is None or before.type != "MAPPING":
+        return None
+    x, y, z = (float(angle) for angle in before.inputs["Rotation"].default_value)
+    about = []
+    for axis, angle in enumerate((x, y, z)):
+        turn = np.eye(3)
+        i, j = (axis + 1) % 3, (axis + 2) % 3
+        turn[i, i] = turn[j, j] = math.cos(angle)
+        turn[i, j], turn[j, i] = -math.sin(angle), math.sin(angle)
+        about.append(turn)
+    looked_up: np.ndarray = about[2] @ about[1] @ about[0]  # where the picture is read for a direction
+    return looked_up.T

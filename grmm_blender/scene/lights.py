@@ -93,16 +93,17 @@ def world_light(scene: bpy.types.Scene) -> Surroundings | None:
     world = scene.world
     if world is None:
         return None
-    background = _background(world)
+    background, plain = _background(world), Surroundings.even(tuple(world.color))
     if background is None:
-        return Surroundings.even(tuple(world.color))
+        return plain
     color, strength = background.inputs["Color"], background.inputs["Strength"]
     factor = 1.0 if strength.is_linked else float(strength.default_value)
     if not color.is_linked:
-        return Surroundings.even(tuple(float(c) * factor for c in color.default_value[:3]))
+        red, green, blue, _ = (float(c) * factor for c in color.default_value)
+        return Surroundings.even((red, green, blue))
     node = color.links[0].from_node
     if node.type != "TEX_ENVIRONMENT" or node.image is None:
-        return Surroundings.even(tuple(world.color))
+        return plain
     around = _of_image(node.image)
     turn = _mapping(node)
     return (around if turn is None else around.turned(turn)).scaled(factor)

@@ -21,7 +21,7 @@ from ..photo.load import Photo, PhotoFile, check_proportion
 from ..photo.person import person_mask
 from .landmark_priors import FULL_FRAME
 from .landmark_stage import LandmarkFit, Observation, fit_landmarks
-from .light import estimate_light
+from .photo_light import estimate_light
 from .photometric_stage import Appearance, posed, refine
 from .point_rig import LandmarkRig
 from .types import PhotoTrack

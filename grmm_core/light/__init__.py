@@ -4,7 +4,7 @@
 ``surroundings``  a world: its spherical harmonics, and its strongest spots taken out as suns
 ``transfer``      how much of the light from everywhere reaches each vertex of a head that shadows itself
 ``shadows``       which part of each lamp a point sees, by depth maps of meshes
-``surface``       what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
+``looks``         what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``relight``       both applied to a picture in linear light
 ``words``         lights in words, for the command line

@@ -14,7 +14,7 @@ import numpy as np
 from ..geometry.libraries import Array
 from .lamps import Area, Lamp, Point, Sun, arriving, half_angle
 from .shadows import Receivers
-from .surface import WANDER, Surface
+from .looks import WANDER, Surface
 from .surroundings import basis
 from .transfer import openness
 

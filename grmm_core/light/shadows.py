@@ -135,12 +135,3 @@ def _compared(depth: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) ->
     down = sum(np.maximum(0.0, 1.5 - np.abs(k - v)) for k in range(-1, 3))
     result: np.ndarray = total / (reach * down)
     return result
-
-
-def penumbra(lamps: tuple[Lamp, ...], at: np.ndarray) -> list[float]:
-    """Half angles of lamps as seen from a point, radians."""
-    return [
-        half_angle(lamp, 0.0 if isinstance(lamp, Sun) else float(np.linalg.norm(np.asarray(lamp.position) - at)))  # type: ignore[attr-defined]
-        for lamp in lamps
-        if isinstance(lamp, (Sun, Point, Area))
-    ]

@@ -79,9 +79,10 @@ def _numbers(word: str, rest: str, count: int) -> tuple[list[float], Vector]:
 def _picture(rest: str) -> Surroundings:
     from ..pictures.images import read_exr_rgb
 
-    name, *numbers = rest.split(",")
+    name, _, numbers = rest.partition(",")
+    first, _, second = numbers.partition(",")
     try:
-        strength, turn = ([float(number) for number in numbers] + [1.0, 0.0][len(numbers) :])[:2] if len(numbers) < 3 else ()
+        strength, turn = float(first or 1.0), float(second or 0.0)
     except ValueError as error:
         raise ConfigError(f"--light env:{rest} is not understood; use env:FILE.exr,STRENGTH,ROTATION.") from error
     around = Surroundings.of_picture(read_exr_rgb(Path(name)))

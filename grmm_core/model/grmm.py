@@ -141,12 +141,8 @@ class GRMM(nn.Module):
             layout = texel_layout(focused_uv(head) if config.focus else head.uv, head.uv_faces, config.grid)
         if layout.grid != config.grid:
             raise ConfigError(f"The texel layout has a grid of {layout.grid}; the configuration says {config.grid}.")
-<<<<<<< HEAD
-        self.anchor = TexelAnchor(layout, head.faces, head.uv_faces, vertex_count, config.focus)
-=======
         self.layout = layout
-        self.anchor = TexelAnchor(layout, head.faces, head.uv, head.uv_faces, vertex_count)
->>>>>>> 9cf4311 (Light avatars by lamps, suns and surroundings: shadows, scattering, highlights, hair; grmm render --light)
+        self.anchor = TexelAnchor(layout, head.faces, head.uv_faces, vertex_count, config.focus)
         self.mesh_decoder = MeshDecoder(config, self.z_id_size, self.z_exp_size, torch.from_numpy(face_mask(head)))
         self.decoders = AttributeDecoders(config, self.z_id_size, self.z_exp_size, layout.texel)
         self.refinement = RefinementNetwork(config) if config.refine else None

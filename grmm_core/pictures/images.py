@@ -1,4 +1,4 @@
-"""Picture files out: PNG with 8 or 16 bits and OpenEXR with named float channels, written with numpy and zlib alone.
+"""Picture files: PNG with 8 or 16 bits and OpenEXR with named float channels, written with numpy and zlib alone; EXR in.
 
 Small writers of our own, because stock Blender's Python has no imaging library and the common one writes neither 16-bit
 color PNG nor EXR. Pictures are read with Pillow where they are needed (fitting). Used by the command line and thumbnails.
@@ -13,8 +13,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..errors import ShapeError
-from ..files.access import atomic_write_bytes
+from ..errors import FileFormatError, RuntimeMissingError, ShapeError
+from ..files.access import atomic_write_bytes, open_file
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _PNG_COLOR_TYPES = {1: 0, 2: 4, 3: 2, 4: 6}  # channels to the format's color type
@@ -112,6 +112,30 @@ def encode_exr(channels: Mapping[str, np.ndarray]) -> bytes:
 def write_exr(path: str | os.PathLike[str], channels: Mapping[str, np.ndarray]) -> None:
     """Write an EXR picture, whole or not at all. Arguments as `encode_exr`. Raises `FileAccessError`, `ShapeError`."""
     atomic_write_bytes(path, encode_exr(channels))
+
+
+def read_exr_rgb(path: str | os.PathLike[str]) -> np.ndarray:
+    """Read the color of an OpenEXR picture, linear RGB float32 [H, W, 3], with the OpenEXR package.
+
+    Raises:
+        FileAccessError: It is missing or cannot be read.
+        FileFormatError: It is damaged or has no color.
+        RuntimeMissingError: The package is missing.
+    """
+    try:
+        import OpenEXR
+    except ImportError as error:
+        raise RuntimeMissingError("Reading EXR pictures needs the package OpenEXR; run pip install OpenEXR.") from error
+    with open_file(path):  # what the package says about files that are not there is no sentence
+        pass
+    try:
+        with OpenEXR.File(os.fspath(path), separate_channels=True) as file:
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
+    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+        raise FileFormatError(f"{path} is no OpenEXR picture that can be read ({error}); save it again.") from error
+    if not {"R", "G", "B"} <= channels.keys():
+        raise FileFormatError(f"{path} has no channels R, G and B; save it as a color picture.")
+    return np.stack([channels[name] for name in "RGB"], -1).astype(np.float32)
 
 
 def _zip_chunk(lines: np.ndarray) -> bytes:

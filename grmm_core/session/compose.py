@@ -122,7 +122,7 @@ def compose(
     if _refines(options):
         refined = _refine(placed, raster, channels, options.coarse, check)
     if channels.light is not None:
-        light = raster.features[..., channels.light]
+        light = _riding(raster, channels.light)
         refined = relit(refined, raster.alpha, light[..., RATIO], light[..., HIGHLIGHTS])
     return _buffers(raster, refined, channels, options, evaluator.engine)
 
@@ -171,7 +171,7 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
 
 
 def _is_lit(item: Placed, options: RenderOptions) -> bool:
-    return options.lighting is not None and item.instance.response is not None and isinstance(item.target, OpenAvatar)
+    return options.lighting is not None and item.instance.response is not None and isinstance(item, PlacedAvatar)
 
 
 def _gaussians(
@@ -231,11 +231,11 @@ def _light(
     item: Placed, evaluator: Evaluator, camera: Camera, options: RenderOptions, strands: Gaussians | None, count: int
 ) -> np.ndarray:
     """What the scene's light does to one instance's Gaussians, [N, LIGHT_CHANNELS]; nothing where it is not lit."""
-    if not _is_lit(item, options):
+    lighting, response = options.lighting, item.instance.response
+    if isinstance(item, PlacedCloud) or lighting is None or response is None:
         return np.tile(UNLIT, (count, 1))
-    lighting = options.lighting.in_space(np.linalg.inv(item.instance.model_to_world))
-    lit = Lit(evaluator, item.target, item.inputs, lighting, item.instance.response, options.lod)
-    return lit.channels(camera.position, strands)
+    own = lighting.in_space(np.linalg.inv(item.instance.model_to_world))
+    return Lit(evaluator, item.target, item.inputs, own, response, options.lod).channels(camera.position, strands)
 
 
 def _rotation(model_to_world: np.ndarray, like: Array) -> Array:
@@ -351,6 +351,11 @@ def _linear(refined: Any, alpha: Any, engine: Engine, lit: bool) -> Any:
     return library_of(cover).concatenate([linear, cover], -1)
 
 
+def _riding(raster: RasterOutput, which: slice) -> Any:
+    assert raster.features is not None  # channels were asked for
+    return raster.features[..., which]
+
+
 def _light_pass(name: str, raster: RasterOutput, lit: Any, channels: _Channels) -> Any:
     """One of `LIGHT_PASSES`; diffuse and specular add up to the picture in linear light."""
     alpha = raster.alpha[..., None]
@@ -358,7 +363,7 @@ def _light_pass(name: str, raster: RasterOutput, lit: Any, channels: _Channels) 
     whole = to_linear(lit / clip(alpha, MIN_ALPHA, None)) * alpha
     if channels.light is None:
         return {"diffuse": whole, "specular": whole * 0.0, "shadow": alpha}[name]
-    light = raster.features[..., channels.light]
+    light = _riding(raster, channels.light)
     if name == "shadow":
         return light[..., SHADOW]
     mirrored = library_of(alpha).minimum(clip(light[..., HIGHLIGHTS], 0.0, None), whole)

@@ -17,8 +17,8 @@ from ..geometry.rotations import quaternion_to_matrix
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.shading import Response, Transport, ratio, transport
 from ..light.shadows import Receivers, visible
-from ..light.strands import strand_transport
-from ..light.surface import Surface, surface
+from ..light.kajiya import strand_transport
+from ..light.looks import Surface, surface
 from ..light.surroundings import TERMS
 from ..light.transfer import transfer, turn_between, vertex_normals
 from ..splat.types import Gaussians

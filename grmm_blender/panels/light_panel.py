@@ -1,0 +1,48 @@
+"""The panel that says what lights the selected avatar."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..properties import SCENE_LIGHT
+from ..rig.avatar import avatar_of
+from ..scene.lights import unread_world
+from .avatar_panels import CATEGORY
+from .width import draw_text, is_narrow
+
+_FACTORS = ("light_intensity", "skin_gloss", "skin_scattering", "shadow_softness")
+
+
+class GRMM_PT_light(bpy.types.Panel):
+    """Studio or scene, and how the avatar takes the scene's light."""
+
+    bl_label = "Light"
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = CATEGORY
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 - Blender reads it
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Show with an avatar selected that the model draws."""
+        avatar = avatar_of(context.object)
+        return avatar is not None and avatar.has_network
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, avatar = self.layout, avatar_of(context.object)
+        if avatar is None:
+            return
+        settings = avatar.object.grmm
+        layout.use_property_split = not is_narrow(context)
+        layout.row().prop(settings, "lighting", expand=True)
+        column = layout.column()
+        column.active = settings.lighting == SCENE_LIGHT
+        for name in _FACTORS:
+            column.prop(settings, name, slider=True)
+        unread = unread_world(context.scene) if settings.lighting == SCENE_LIGHT else ""
+        if unread:
+            draw_text(layout, unread, context, icon="INFO")
+
+
+CLASSES = (GRMM_PT_light,)

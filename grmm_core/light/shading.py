@@ -13,8 +13,8 @@ import numpy as np
 
 from ..geometry.libraries import Array
 from .lamps import Area, Lamp, Point, Sun, arriving, half_angle
-from .shadows import Receivers
 from .looks import WANDER, Surface
+from .shadows import Receivers
 from .surroundings import basis
 from .transfer import openness
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import triangle_depth
-from .lamps import Area, Lamp, Point, Sun, half_angle
+from .lamps import Area, Lamp, Sun, half_angle
 
 RESOLUTION = 256  # pixels of a map that holds all receivers
 _BIAS = 0.0016  # metres along the normal: what the mesh's triangles and the Gaussians on it differ by

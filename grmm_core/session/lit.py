@@ -14,11 +14,11 @@ import numpy as np
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
 from ..geometry.rotations import quaternion_to_matrix
+from ..light.kajiya import strand_transport
 from ..light.lamps import STUDIO, Lamp, Lighting
+from ..light.looks import Surface, surface
 from ..light.shading import Response, Transport, ratio, transport
 from ..light.shadows import Receivers, visible
-from ..light.kajiya import strand_transport
-from ..light.looks import Surface, surface
 from ..light.surroundings import TERMS
 from ..light.transfer import transfer, turn_between, vertex_normals
 from ..splat.types import Gaussians

@@ -10,8 +10,8 @@ from scipy import spatial
 
 from grmm_core.fitting import photometric_stage
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
-from grmm_core.fitting.photo_light import estimate_light, harmonics
 from grmm_core.fitting.outline import find_outline, skin_map
+from grmm_core.fitting.photo_light import estimate_light, harmonics
 from grmm_core.fitting.photometric_stage import Appearance, posed, refine, shape_change
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.triangles import vertex_normals

@@ -10,10 +10,10 @@ import torch
 
 from grmm_core.head import load_open_head
 from grmm_core.light.lamps import Lighting, Sun, soft_box
+from grmm_core.light.looks import SKIN, Surface, surface
 from grmm_core.light.relight import relit, to_display, to_linear
 from grmm_core.light.shading import MAX_RATIO, Response, Transport, ratio, transport
 from grmm_core.light.shadows import Receivers, visible
-from grmm_core.light.looks import SKIN, Surface, surface
 from grmm_core.light.surroundings import Surroundings
 from grmm_core.light.transfer import openness, transfer, turn_between, vertex_normals
 from grmm_core.model.layout import texel_layout

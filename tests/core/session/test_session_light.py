@@ -1,0 +1,151 @@
+"""Avatars in the light of a scene, for both engines, in this process and in a worker."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grmm_core.controls.frame import Controls
+from grmm_core.geometry.camera import Camera
+from grmm_core.light.lamps import STUDIO, Lighting, Point, Spot, Sun, soft_box
+from grmm_core.light.shading import Response
+from grmm_core.light.surroundings import Surroundings
+from grmm_core.pictures.color import linear_to_srgb
+from grmm_core.session import HairUse, Instance, RenderOptions, create_session
+
+CAMERA = Camera.orbit(128, 128, 10, fov=20)
+PASSES = ("rgb", "alpha", "linear", "diffuse", "specular", "shadow")
+LEFT = Lighting((Sun(direction=(1.0, 0.0, 0.0), strength=3.0),))
+
+
+@pytest.fixture(scope="module", params=["torch", "plain"])
+def session(request):
+    with create_session("local", engine=request.param) as session:
+        yield session
+
+
+def drawn(session, lighting, response=Response(), controls=Controls(), hair=HairUse(), matrix=None, camera=CAMERA):  # noqa: B008
+    placed = Instance(
+        session.open("default").id, controls, np.eye(4) if matrix is None else matrix, hair=hair, response=response
+    )
+    return session.render([placed], camera, RenderOptions(passes=PASSES, lighting=lighting))
+
+
+def halves(picture):
+    """Mean of the person's left (the picture's right) and right half."""
+    middle = picture.shape[1] // 2
+    return float(picture[:, middle:].mean()), float(picture[:, :middle].mean())
+
+
+def test_unlit_avatars_are_drawn_as_ever(session):
+    plain = session.render([Instance(session.open("default").id)], CAMERA, RenderOptions(passes=PASSES))
+    same = drawn(session, LEFT, response=None)
+    for name in ("rgb", "alpha", "linear"):
+        np.testing.assert_array_equal(same[name], plain[name])
+    np.testing.assert_allclose(plain["diffuse"], plain["linear"][..., :3], atol=1e-4)
+    assert not plain["specular"].any()
+
+
+def test_in_the_studios_rig_a_lit_avatar_looks_as_it_was_learned(session):
+    plain = drawn(session, None)["rgb"]
+    lit = drawn(session, STUDIO)
+    covered = lit["alpha"][..., 0] > 0.9
+    assert np.abs(lit["rgb"] - plain)[covered].mean() < 0.02
+
+
+def test_a_sun_lights_the_side_that_it_stands_on_and_things_throw_shadows(session):
+    lit = drawn(session, LEFT)
+    bright, dark = halves(lit["linear"][..., :3])
+    assert bright > 3 * dark
+    wall = np.array([[[0.4, -1.0, -1.0], [0.4, 1.0, -1.0], [0.4, 0.0, 3.0]]])
+    assert halves(drawn(session, replace(LEFT, occluders=wall))["linear"][..., :3])[0] < 0.3 * bright
+    without = Lighting((replace(LEFT.lamps[0], shadow=False),))
+    assert halves(drawn(session, without)["linear"][..., :3])[0] > bright
+    shadow = lit["shadow"][..., 0]
+    assert halves(shadow)[0] > halves(shadow)[1]
+
+
+def test_light_passes_add_up_to_the_picture(session):
+    lit = drawn(session, Lighting((soft_box(30, 20, 1.0, 0.3, 40.0),), Surroundings.even((0.1, 0.1, 0.1))))
+    np.testing.assert_allclose(lit["diffuse"] + lit["specular"], lit["linear"][..., :3], atol=2e-3)
+    assert lit["specular"].max() > 0.05
+    straight = lit["rgb"] / np.maximum(lit["alpha"], 1e-3)
+    linear = lit["linear"][..., :3] / np.maximum(lit["alpha"], 1e-3)
+    solid = lit["alpha"][..., 0] > 0.99
+    np.testing.assert_allclose(straight[solid], linear_to_srgb(linear[solid]), atol=2e-3)
+
+
+def test_gloss_intensity_and_scattering_do_what_they_say(session):
+    light = Lighting((soft_box(60, 20, 1.0, 0.3, 40.0),))
+    usual = drawn(session, light)
+    assert drawn(session, light, Response(gloss=0.0))["specular"].max() < 0.3 * usual["specular"].max()
+    assert drawn(session, light, Response(intensity=0.0))["rgb"].max() < 1e-3
+    np.testing.assert_allclose(
+        drawn(session, light, Response(intensity=2.0, gloss=0.0))["diffuse"].mean(),
+        2 * drawn(session, light, Response(gloss=0.0))["diffuse"].mean(),
+        rtol=0.05,
+    )
+    dark = np.s_[:, :56]  # beyond the edge of the light
+    red, _, blue = drawn(session, light, Response(scattering=3.0))["diffuse"][dark].mean((0, 1)) / usual["diffuse"][dark].mean(
+        (0, 1)
+    )
+    assert red > 1.05 * blue
+
+
+def test_light_belongs_to_the_world_and_not_to_the_head(session):
+    turn = np.eye(4)
+    turn[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]  # looks to where its right was
+    camera = CAMERA.transformed(np.linalg.inv(turn))  # moves along: the same picture, but for the light
+    ahead = drawn(session, LEFT, matrix=turn, camera=camera)["rgb"]
+    turned = Lighting((Sun(direction=tuple(turn[:3, :3].T @ [1.0, 0.0, 0.0]), strength=3.0),))
+    np.testing.assert_allclose(ahead, drawn(session, turned)["rgb"], atol=5e-3)
+
+
+def test_a_slow_turn_of_a_lamp_does_not_flicker(session):
+    frames = [
+        drawn(session, Lighting((Sun(direction=(math.sin(a), 0.3, math.cos(a)), strength=3.0),)))["rgb"]
+        for a in np.radians(np.arange(40.0, 46.0, 1.0))
+    ]
+    steps = [np.abs(b - a).mean() for a, b in itertools.pairwise(frames)]
+    assert max(steps) < 2.0 * np.mean(steps)
+    assert max(np.abs(b - a).max() for a, b in itertools.pairwise(frames)) < 0.35
+
+
+def test_strands_are_lit_with_the_skin(session):
+    bob = HairUse("groom:bob")
+    lit, back = (
+        drawn(session, LEFT, hair=bob),
+        drawn(session, Lighting((Sun(direction=(-1.0, 0.0, 0.0), strength=3.0),)), hair=bob),
+    )
+    top = slice(0, 40)
+    assert halves(lit["linear"][top, :, :3])[0] > 1.5 * halves(back["linear"][top, :, :3])[0]
+
+
+@pytest.mark.parametrize(
+    "lighting",
+    [
+        Lighting((Point(strength=500.0, position=(0.0, 0.0, 0.0)),)),  # inside the head
+        Lighting((), Surroundings.even((0.0, 0.0, 0.0))),
+        Lighting(),
+        Lighting(tuple(Spot(strength=1.0, position=(0.0, 0.0, 1.0 + 0.001 * i)) for i in range(1000))),
+    ],
+    ids=["inside", "black world", "nothing", "a thousand"],
+)
+def test_odd_light_is_a_picture(session, lighting):
+    lit = drawn(session, lighting)
+    for name in PASSES:
+        assert np.isfinite(lit[name]).all(), name
+
+
+def test_light_reaches_a_worker(session):
+    if session.status().engine != "plain":
+        pytest.skip("one worker will do")
+    spots = Surroundings.of_picture(np.maximum(np.random.default_rng(0).random((16, 32, 3)), 0.2))
+    light = Lighting((soft_box(30, 20, 1.0, 0.3, 40.0, (1.0, 0.5, 0.2)), *LEFT.lamps), spots, np.zeros((1, 3, 3)))
+    here = drawn(session, light)["rgb"]
+    with create_session("worker", engine="plain") as worker:
+        np.testing.assert_allclose(drawn(worker, light)["rgb"], here, atol=1e-6)

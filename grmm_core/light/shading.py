@@ -18,7 +18,7 @@ from .shadows import Receivers
 from .surroundings import basis
 from .transfer import openness
 
-_DARKEST = 1e-3  # of the rig's irradiance: where it hardly reaches, ratios stay finite
+_DARKEST = 0.06  # of the rig's most: where it hardly reaches (in the mouth), colors say little about the light there
 MAX_RATIO = 200.0
 _MIRROR_BANDS = np.array([1.0] + [0.75] * 3 + [0.4] * 5)  # what a rough mirror leaves of the harmonics
 
@@ -116,8 +116,7 @@ def transport(
 
 def ratio(scene: Array, rig: Array) -> Array:
     """Irradiance relative to the rig's that colors were learned under, both [N, 3] W/m2: [N, 3]."""
-    floor = _DARKEST * float(rig.max())
-    result: Array = (scene / (rig + floor)).clip(0.0, MAX_RATIO)
+    result: Array = (scene / rig.clip(_DARKEST * float(rig.max()), None)).clip(0.0, MAX_RATIO)
     return result
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -115,10 +117,29 @@ def _seen_from(lamp: Lamp, place: np.ndarray, receivers: Receivers, triangles: n
     scale = focal if flat else focal / np.maximum(local[:, 2], 1e-4)
     x, y = local[:, 0] * scale + middle, local[:, 1] * scale + middle
     inside = (local[:, 2] > 1e-3) & (x >= 1) & (y >= 1) & (x < RESOLUTION - 1) & (y < RESOLUTION - 1)
-    return np.where(inside, _compared(depth, x, y, local[:, 2]), 1.0)
+    found, rows = np.ones(len(x)), np.flatnonzero(inside)
+    compare = _compiled() or compared
+    found[rows] = compare(depth, x[rows], y[rows], local[rows, 2])
+    return found
 
 
-def _compared(depth: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+@functools.lru_cache(maxsize=1)
+def _compiled() -> Callable[..., np.ndarray] | None:
+    """The compiled twin of `compared`, or None without numba."""
+    try:
+        from .shadow_kernel import compared as kernel
+    except ImportError:
+        return None
+
+    def compare(depth: np.ndarray, *points: np.ndarray) -> np.ndarray:
+        seen = np.empty(len(points[0]))
+        kernel(depth, *points, seen)
+        return seen
+
+    return compare
+
+
+def compared(depth: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
     """Share of the map around a place that is not nearer than it: comparisons of 3 x 3 pixels, weighted as a tent."""
     height, width = depth.shape
     left, top = np.floor(x - 0.5), np.floor(y - 0.5)

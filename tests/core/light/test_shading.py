@@ -13,7 +13,8 @@ from grmm_core.light.lamps import Lighting, Sun, soft_box
 from grmm_core.light.looks import SKIN, Surface, surface
 from grmm_core.light.relight import relit, to_display, to_linear
 from grmm_core.light.shading import MAX_RATIO, Response, Transport, ratio, transport
-from grmm_core.light.shadows import Receivers, visible
+from grmm_core.light.shadow_kernel import compared as kernel
+from grmm_core.light.shadows import Receivers, compared, visible
 from grmm_core.light.surroundings import Surroundings
 from grmm_core.light.transfer import openness, transfer, turn_between, vertex_normals
 from grmm_core.model.layout import texel_layout
@@ -57,6 +58,16 @@ def test_what_lies_behind_an_occluder_is_dark_and_a_wide_lamp_has_a_soft_edge():
     assert 0.2 < wide[200] < 0.8
     assert np.ptp(x[(wide > 0.05) & (wide < 0.95)]) > 5 * np.ptp(x[(sun > 0.05) & (sun < 0.95)])
     assert (np.diff(wide) > -1e-6).all()
+
+
+def test_the_compiled_comparison_is_the_readable_one():
+    random = np.random.default_rng(0)
+    depth = random.random((16, 20)).astype(np.float32)
+    x, y, z = random.uniform(-1, 21, 200), random.uniform(-1, 17, 200), random.random(200)
+    seen = np.empty(200)
+    kernel(depth, x, y, z, seen)
+    np.testing.assert_allclose(seen, compared(depth, x, y, z), atol=1e-6)
+    assert 0.1 < seen.mean() < 0.9
 
 
 def test_the_nose_throws_a_shadow_on_the_cheek_away_from_the_lamp():

@@ -156,7 +156,9 @@ class Wardrobe:
         cap = None if worn is None else self.cap(evaluator, target, inputs, worn)
         own = evaluator.gaussians(target, inputs, direction, lod, cap)
         strands = None if worn is None else self.gaussians(evaluator, target, inputs, worn, None, lod, direction)
-        return own if strands is None else Gaussians.concatenate([own, with_channels(strands, own.features.shape[1])])
+        if strands is None or own.features is None:
+            return own
+        return Gaussians.concatenate([own, with_channels(strands, own.features.shape[1])])
 
     def kept(self, target: OpenAvatar, use: HairUse) -> Hair | None:
         """What an avatar's file holds of the hair that it wears."""
@@ -174,7 +176,7 @@ class Wardrobe:
 
         def make() -> tuple[np.ndarray, np.ndarray]:
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
-            if worn.points is not None:
+            if worn.points is not None and worn.groom is not None:
                 return block.resampled(worn.groom, worn.points), axes
             key = (target.id, "styled", number, *worn.key, *worn.settings.shape_key)
             local = evaluator.cache.get(key, styled)[0]

@@ -7,8 +7,8 @@ import bpy
 from ..properties import SCENE_LIGHT
 from ..rig.avatar import avatar_of
 from ..scene.lights import unread_world
+from ..width import draw_text, is_narrow
 from .twins import CATEGORY
-from .width import draw_text, is_narrow
 
 _FACTORS = ("light_intensity", "skin_gloss", "skin_scattering", "shadow_softness")
 

@@ -79,7 +79,7 @@ class Viewport:
         found = self._drawable
         if found is None or not self._scene.shots:
             return
-        if found.picture is not None or len(found.order):
+        if found.request.scene.shots and not found.messages:
             session_host.note_drawn()
         if found.request is self._asked or not playing or settings.playback == FULL:
             self._show(found, camera, projection)

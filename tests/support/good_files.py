@@ -352,7 +352,7 @@ KINDS: dict[str, Maker] = {
         "--background", "1,0.5,0", "--passes", "rgb,depth", "--lod", "1", "--threads", "2",
     ),
     "grmm export": _words(
-        "export", "missing.grmm", "-o", "a.spz", "--spz-version", "4", "--sh-degree", "1", "--set", "laugh=1", "--mesh",
+        "export", "missing.grmm", "-o", "a.spz", "--spz-version", "4", "--sh-degree", "1", "--set", "laugh=1", "--lod", "2",
     ),
     "grmm fit": _words("fit", "missing.jpg", "-o", "a.grmm", "--preset", "fast", "--face", "1", "--mask", "m.png", "--resume"),
 }  # fmt: skip

@@ -10,12 +10,14 @@ from typing import Any
 import bpy
 
 from ..grmm_core.controls.names import JOINT_NAMES
+from ..grmm_core.hair import SETTINGS, groom_names
 from .declare import choice, flag, number, text
 from .rig.avatar import Avatar, is_avatar
 from .rig.build import add_missing_controls, show_source
 from .rig.identity import DEFAULT_SOURCE
 
 SCENE_LIGHT = "SCENE"  # item of `lighting`
+OWN_HAIR, NO_HAIR = "OWN", "NONE"  # items of `groom` besides the names of grooms
 
 
 @bpy.app.handlers.persistent
@@ -39,6 +41,30 @@ def _source_changed(self: bpy.types.PropertyGroup, context: bpy.types.Context) -
 
 _LIVE: dict[str, Any] = {"override": {"LIBRARY_OVERRIDABLE"}, "update": _changed}
 _FACTOR: dict[str, Any] = {"default": 1.0, "min": 0.0, "soft_max": 3.0, **_LIVE}
+
+
+def _label(name: str) -> str:
+    return name.replace("_", " ").title()
+
+
+_GROOMS = tuple((name, _label(name), f"Strands: {_label(name).lower()}") for name in groom_names())
+
+
+class GRMM_PG_hair(bpy.types.PropertyGroup):
+    """What hair an avatar wears; besides the groom one number for each of the core's `SETTINGS`."""
+
+    groom: choice(
+        "Hair",
+        "What hair the avatar wears",
+        (OWN_HAIR, "Own", "The hair that it comes with"),
+        (NO_HAIR, "None", "A bald head"),
+        *_GROOMS,
+        **_LIVE,
+    )
+    __annotations__ |= {
+        row.name: number(_label(row.name), row.text, default=row.default, min=row.low, max=row.high, **_LIVE)
+        for row in SETTINGS
+    }  # fmt: skip
 
 
 class GRMM_PG_avatar(bpy.types.PropertyGroup):
@@ -72,6 +98,7 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
         (SCENE_LIGHT, "Scene", "The scene's lamps and world"),
         **_LIVE,
     )
+    hair: bpy.props.PointerProperty(type=GRMM_PG_hair, name="Hair", override={"LIBRARY_OVERRIDABLE"})
     light_intensity: number("Intensity", "Factor of all light on the avatar", **_FACTOR)
     skin_gloss: number("Gloss", "Factor of highlights on skin, eyes, teeth and hair", **_FACTOR)
     skin_scattering: number("Scattering", "How far light wanders inside the skin: softer, redder edges of shadows", **_FACTOR)
@@ -89,7 +116,7 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (GRMM_PG_avatar,)
+CLASSES = (GRMM_PG_hair, GRMM_PG_avatar)
 
 
 def register() -> None:

@@ -98,7 +98,9 @@ def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:
                 number = session_host.open_avatar(shot.source).id
             else:
                 number = session_host.open_cloud(shot.cloud.key, shot.cloud.version, shot.cloud.arrays)
-            instances.append(Instance(number, shot.controls.validate(), shot.model_to_world, response=shot.response))
+            instances.append(
+                Instance(number, shot.controls.validate(), shot.model_to_world, hair=shot.hair, response=shot.response)
+            )
         except GrmmError as error:
             raise type(error)(f"{shot.name}: {error}") from error
     return instances

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -9,15 +10,37 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from ...grmm_core.hair import SETTINGS, HairSettings
 from ...grmm_core.light.shading import Response
-from ..properties import SCENE_LIGHT
+from ...grmm_core.session import HairUse
+from ...grmm_core.session.wearing import GROOM_PREFIX
+from ..properties import NO_HAIR, OWN_HAIR, SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
 from ..splats.cloud import carries_splats
-from .shot import AvatarShot
+from .shot import WEARS_ITS_OWN, AvatarShot
 from .visibility import is_holdout
 
 _HEAD_RADIUS = 0.19  # metres around the head's origin that hold hair and neck
 _CENTRE = Vector((0.0, -0.01, 0.0))  # of the head, in its own axes
+
+
+def _response(settings: bpy.types.PropertyGroup) -> Response | None:
+    """How a head takes the scene's light; None where it stays in the studio's."""
+    if settings.lighting != SCENE_LIGHT:
+        return None
+    return Response(settings.light_intensity, settings.skin_gloss, settings.skin_scattering, settings.shadow_softness)
+
+
+@functools.lru_cache(maxsize=64)
+def _hair_use(groom: str, values: tuple[float, ...]) -> HairUse:
+    """What the panel's choice means to a session."""
+    near = np.allclose(values, [row.default for row in SETTINGS], atol=1e-6)
+    settings = None if near else HairSettings(*values)
+    if groom in (OWN_HAIR, NO_HAIR):
+        if groom == OWN_HAIR and settings is None:
+            return WEARS_ITS_OWN
+        return HairUse(groom.lower(), settings)
+    return HairUse(GROOM_PREFIX + groom, settings)
 
 
 @dataclass(frozen=True)
@@ -60,15 +83,12 @@ class DrawnAvatar:
     def shot(self, depsgraph: bpy.types.Depsgraph) -> AvatarShot:
         """Copy the avatar as it is in the depsgraph's moment."""
         controls, cuts = self.avatar.controls(depsgraph), is_holdout(self.object, depsgraph.view_layer)
-        return AvatarShot(
-            self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts, response=self._response(depsgraph)
-        )
-
-    def _response(self, depsgraph: bpy.types.Depsgraph) -> Response | None:
         settings = self.object.evaluated_get(depsgraph).grmm
-        if settings.lighting != SCENE_LIGHT:
-            return None
-        return Response(settings.light_intensity, settings.skin_gloss, settings.skin_scattering, settings.shadow_softness)
+        return AvatarShot(
+            self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts,
+            hair=_hair_use(settings.hair.groom, tuple(getattr(settings.hair, row.name) for row in SETTINGS)),
+            response=_response(settings),
+        )  # fmt: skip
 
 
 def place_of(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> HeadPlace:

@@ -13,7 +13,10 @@ from ...grmm_core.controls.frame import Controls
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.light.lamps import Lighting
 from ...grmm_core.light.shading import Response
+from ...grmm_core.session import HairUse
 from ..splats import CloudShot
+
+WEARS_ITS_OWN = HairUse()
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,7 @@ class AvatarShot:
         model_to_world: Head space to Blender's world, [4, 4].
         holdout: It cuts a hole instead of being drawn.
         cloud: Its Gaussians, for a cloud.
+        hair: What it wears; the same choice is the same object, so that shots can be compared.
         response: How it takes the scene's light; None: it stays in the studio's.
     """
 
@@ -36,6 +40,7 @@ class AvatarShot:
     model_to_world: np.ndarray
     holdout: bool = False
     cloud: CloudShot | None = None
+    hair: HairUse = WEARS_ITS_OWN
     response: Response | None = None
 
 

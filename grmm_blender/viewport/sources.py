@@ -118,7 +118,7 @@ def world_gaussians(shot: AvatarShot, camera: Camera, lod: int) -> WorldGaussian
         return WorldGaussians.place(arrays.means, arrays.quats, arrays.scales, arrays.opacities, colors, shot.model_to_world)
     info = session_host.open_avatar(shot.source)
     direction = view_direction(shot, camera)
-    found = session_host.get_session().gaussians(info.id, shot.controls.validate(), direction, lod)
+    found = session_host.get_session().gaussians(info.id, shot.controls.validate(), direction, lod, hair=shot.hair)
     return WorldGaussians.place(found.means, found.quats, found.scales, found.opacities, found.colors, shot.model_to_world)
 
 

@@ -113,6 +113,18 @@ def test_avatars_take_the_scenes_light(render_script, blender_version):
     assert np.ptp(result["cycles"]) > 0.2
 
 
+def test_avatars_wear_hair_of_strands(render_script, blender_version):
+    result = render_script("engine_hair.py", python=blender_version)
+    assert result["own"] <= CHANNEL_STEP
+    own, afro, long, short = result["cover"]
+    assert afro > 1.1 * own
+    assert long > 1.05 * short
+    dark, grey = result["brightness"]
+    assert grey > dark + 5
+    assert result["listed"][:2] == ["OWN", "NONE"]
+    assert len(result["listed"]) >= 18
+
+
 def test_film_and_scene(render_script, blender_version):
     result = render_script("engine_scene.py", python=blender_version)
     for exact in ("transparent", "world", "occlusion_off", "wall_hidden", "wall_behind", "unoccluded_right", "override"):

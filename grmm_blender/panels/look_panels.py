@@ -1,10 +1,11 @@
-"""The panel that says what lights the selected avatar."""
+"""What the selected avatar looks like in a scene: its hair, and the light on it."""
 
 from __future__ import annotations
 
 import bpy
 
-from ..properties import SCENE_LIGHT
+from ...grmm_core.hair import SETTINGS
+from ..properties import NO_HAIR, SCENE_LIGHT
 from ..rig.avatar import avatar_of
 from ..scene.lights import unread_world
 from ..width import draw_text, is_narrow
@@ -13,10 +14,9 @@ from .twins import CATEGORY
 _FACTORS = ("light_intensity", "skin_gloss", "skin_scattering", "shadow_softness")
 
 
-class GRMM_PT_light(bpy.types.Panel):
-    """Studio or scene, and how the avatar takes the scene's light."""
+class _LookPanel(bpy.types.Panel):
+    """A panel of the sidebar for an avatar that the model draws."""
 
-    bl_label = "Light"
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = CATEGORY
@@ -27,6 +27,12 @@ class GRMM_PT_light(bpy.types.Panel):
         """Show with an avatar selected that the model draws."""
         avatar = avatar_of(context.object)
         return avatar is not None and avatar.has_network
+
+
+class GRMM_PT_light(_LookPanel):
+    """Studio or scene, and how the avatar takes the scene's light."""
+
+    bl_label = "Light"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -45,4 +51,23 @@ class GRMM_PT_light(bpy.types.Panel):
             draw_text(layout, unread, context, icon="INFO")
 
 
-CLASSES = (GRMM_PT_light,)
+class GRMM_PT_hair(_LookPanel):
+    """What hair the avatar wears, and what can be changed about strands."""
+
+    bl_label = "Hair"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        avatar = avatar_of(context.object)
+        if avatar is None:
+            return
+        layout, settings = self.layout, avatar.object.grmm.hair
+        layout.use_property_split = not is_narrow(context)
+        layout.prop(settings, "groom")
+        column = layout.column()
+        column.active = settings.groom != NO_HAIR
+        for row in SETTINGS:
+            column.prop(settings, row.name, slider=True)
+
+
+CLASSES = (GRMM_PT_hair, GRMM_PT_light)

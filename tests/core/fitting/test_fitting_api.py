@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import io
 import json
 import math
 import os
@@ -142,9 +141,9 @@ def test_photos_and_masks_are_opened_once_and_decoded_once(photo, make, tmp_path
     Image.fromarray(np.full((256, 256), 255, np.uint8)).save(mask)
     watched = {str(path): 0 for path in (turned, mask, jpeg)}
     decoded = []
-    open_file, load = io.open, ImageFile.ImageFile.load
+    open_file, load = os.open, ImageFile.ImageFile.load
     with monkeypatch.context() as patch:
-        patch.setattr(io, "open", lambda file, *a, **k: (count(watched, file), open_file(file, *a, **k))[1])
+        patch.setattr(os, "open", lambda file, *a, **k: (count(watched, file), open_file(file, *a, **k))[1])
         # what is decoded already has no tiles left
         patch.setattr(
             ImageFile.ImageFile, "load", lambda self: (decoded.append(self.size) if self.tile else None, load(self))[1]

@@ -138,7 +138,7 @@ def test_unknown_avatars_are_named(session):
 def test_passes_have_their_documented_form(session, avatar):
     passes = all_passes(session, [Instance(avatar.id)])
     channels = {"rgb": 3, "alpha": 1, "depth": 1, "raw": 3, "normal": 3, "features": avatar.feature_count, "mask": 1}
-    channels["hair"] = 1
+    channels |= {"hair": 1, "diffuse": 3, "specular": 3, "shadow": 1}
     assert {name: buffer.shape for name, buffer in passes.items()} == {n: (SIZE, SIZE, c) for n, c in channels.items()}
     assert {buffer.dtype for buffer in passes.values()} == {np.dtype(np.float32)}
     alpha, depth = passes["alpha"], passes["depth"]

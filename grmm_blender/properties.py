@@ -98,7 +98,9 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
         (SCENE_LIGHT, "Scene", "The scene's lamps and world"),
         **_LIVE,
     )
-    hair: bpy.props.PointerProperty(type=GRMM_PG_hair, name="Hair", override={"LIBRARY_OVERRIDABLE"})
+    hair: bpy.props.PointerProperty(
+        type=GRMM_PG_hair, name="Hair", description="What hair the avatar wears", override={"LIBRARY_OVERRIDABLE"}
+    )
     light_intensity: number("Intensity", "Factor of all light on the avatar", **_FACTOR)
     skin_gloss: number("Gloss", "Factor of highlights on skin, eyes, teeth and hair", **_FACTOR)
     skin_scattering: number("Scattering", "How far light wanders inside the skin: softer, redder edges of shadows", **_FACTOR)

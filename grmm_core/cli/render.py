@@ -27,8 +27,8 @@ import numpy as np
 from ..errors import ConfigError
 from ..files.access import atomic_write_bytes
 from ..geometry.camera import Camera
+from ..light.parse import FORMS, lighting_of
 from ..light.shading import Response
-from ..light.words import FORMS, lighting_of
 from ..model.portrait import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from ..pictures.color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from ..pictures.images import quantize, write_exr, write_png

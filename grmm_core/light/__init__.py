@@ -4,10 +4,11 @@
 ``surroundings``  a world: its spherical harmonics, and its strongest spots taken out as suns
 ``transfer``      how much of the light from everywhere reaches each vertex of a head that shadows itself
 ``shadows``       which part of each lamp a point sees, by depth maps of meshes
-``looks``         what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
+``materials``     what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
+``hair_shading``  the same for strands
 ``relight``       both applied to a picture in linear light
-``words``         lights in words, for the command line
+``parse``         lights in words, for the command line
 
 Learned colors stay what they are: skin times the rig (`lamps.STUDIO`). A picture in another light is
 lit = linear(picture) * ratio + highlights, where both are splatted like colors: the refinement network still sees what it

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..geometry.libraries import Array
 from .lamps import Area, Lamp, Point, Sun, arriving, half_angle
-from .looks import WANDER, Surface
+from .materials import WANDER, Materials
 from .shadows import Receivers
 from .surroundings import basis
 from .transfer import openness
@@ -72,7 +72,7 @@ class Transport(Generic[Array]):
 
 
 def transport(
-    lamps: tuple[Lamp, ...], receivers: Receivers, seen: list[np.ndarray], surface: Surface, rows: np.ndarray,
+    lamps: tuple[Lamp, ...], receivers: Receivers, seen: list[np.ndarray], materials: Materials, rows: np.ndarray,
     eye: np.ndarray, response: Response = Response(),
 ) -> Transport[np.ndarray]:  # fmt: skip
     """Work out what arrives at Gaussians.
@@ -81,7 +81,7 @@ def transport(
         lamps: In the receivers' axes.
         receivers: Gaussians with their normals.
         seen: Which part of each lamp they see, L times [N].
-        surface: What they do with light.
+        materials: What they do with light.
         rows: Rows of `transfer.transfer` at them, in the receivers' axes, [N, 9].
         eye: The viewer's place, [3] metres.
         response: Factors.
@@ -90,7 +90,7 @@ def transport(
     view = eye - receivers.points
     view = view / np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9)
     facing = np.clip((normals * view).sum(1), 0.05, 1.0)
-    wander = np.clip(surface.wander[:, None] * WANDER * response.scattering, 0.0, 0.9)  # [N, 3]
+    wander = np.clip(materials.wander[:, None] * WANDER * response.scattering, 0.0, 0.9)  # [N, 3]
     diffuse, highlights = [], []
     for lamp, part in zip(lamps, seen, strict=True):
         towards, strength = arriving(lamp, receivers.points)
@@ -100,12 +100,12 @@ def transport(
         through = np.power(np.clip(part, 0.0, 1.0)[:, None], 1.0 / (1.0 + 1.5 * wander))
         diffuse.append(reach * through * strength[:, None] * response.intensity)
         size = 0.5 * half_angle(lamp, _distance(lamp, receivers.centre))
-        lobes = _lobes(surface, normals, view, facing, towards, np.maximum(cosine, 0.0), size)
+        lobes = _lobes(materials, normals, view, facing, towards, np.maximum(cosine, 0.0), size)
         highlights.append(lobes * part * strength * (response.gloss * response.intensity))
     count = len(normals)
     mirror = 2.0 * (normals * view).sum(1, keepdims=True) * normals - view
-    fresnel = surface.reflectance + (1.0 - surface.reflectance) * (1.0 - facing) ** 5
-    glossy = fresnel * surface.shine * openness(rows) * (response.gloss * response.intensity)
+    fresnel = materials.reflectance + (1.0 - materials.reflectance) * (1.0 - facing) ** 5
+    glossy = fresnel * materials.shine * openness(rows) * (response.gloss * response.intensity)
     return Transport(
         np.stack(diffuse).astype(np.float32) if diffuse else np.zeros((0, count, 3), np.float32),
         np.stack(highlights).astype(np.float32) if highlights else np.zeros((0, count), np.float32),
@@ -128,7 +128,7 @@ def _distance(lamp: Lamp, at: np.ndarray) -> float:
 
 
 def _lobes(
-    surface: Surface,
+    materials: Materials,
     normals: np.ndarray,
     view: np.ndarray,
     facing: np.ndarray,
@@ -140,9 +140,9 @@ def _lobes(
     half = towards + view
     half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
     tilt = np.clip((normals * half).sum(1), 0.0, 1.0)
-    fresnel = surface.reflectance + (1.0 - surface.reflectance) * (1.0 - np.clip((view * half).sum(1), 0.0, 1.0)) ** 5
+    fresnel = materials.reflectance + (1.0 - materials.reflectance) * (1.0 - np.clip((view * half).sum(1), 0.0, 1.0)) ** 5
     total = np.zeros(len(normals))
-    for roughness, share in ((surface.smooth, surface.share), (surface.rough, 1.0 - surface.share)):
+    for roughness, share in ((materials.smooth, materials.share), (materials.rough, 1.0 - materials.share)):
         narrow = np.maximum(roughness * roughness, 1e-3)
         alpha = np.minimum(narrow + size, 1.0)
         squares = alpha * alpha
@@ -152,5 +152,5 @@ def _lobes(
         k = 0.5 * alpha
         visible = 1.0 / ((cosine * (1.0 - k) + k) * (facing * (1.0 - k) + k))
         total += share * spread * visible
-    result: np.ndarray = 0.25 * total * fresnel * surface.shine * cosine
+    result: np.ndarray = 0.25 * total * fresnel * materials.shine * cosine
     return result

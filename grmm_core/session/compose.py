@@ -38,7 +38,7 @@ from .api import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, CancelCheck, Instance, 
 from .clouds import OpenCloud
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
-from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, Lit
+from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
 from .wardrobe import Wardrobe, Worn
 
 NORMAL_CHANNELS = 3
@@ -122,7 +122,7 @@ def compose(
     if _refines(options):
         refined = _refine(placed, raster, channels, options.coarse, check)
     if channels.light is not None:
-        light = _riding(raster, channels.light)
+        light = _light_of(raster, channels.light)
         refined = relit(refined, raster.alpha, light[..., RATIO], light[..., HIGHLIGHTS])
     return _buffers(raster, refined, channels, options, evaluator.engine)
 
@@ -235,7 +235,7 @@ def _light(
     if isinstance(item, PlacedCloud) or lighting is None or response is None:
         return np.tile(UNLIT, (count, 1))
     own = lighting.in_space(np.linalg.inv(item.instance.model_to_world))
-    return Lit(evaluator, item.target, item.inputs, own, response, options.lod).channels(camera.position, strands)
+    return LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod).channels(camera.position, strands)
 
 
 def _rotation(model_to_world: np.ndarray, like: Array) -> Array:
@@ -351,7 +351,7 @@ def _linear(refined: Any, alpha: Any, engine: Engine, lit: bool) -> Any:
     return library_of(cover).concatenate([linear, cover], -1)
 
 
-def _riding(raster: RasterOutput, which: slice) -> Any:
+def _light_of(raster: RasterOutput, which: slice) -> Any:
     assert raster.features is not None  # channels were asked for
     return raster.features[..., which]
 
@@ -363,7 +363,7 @@ def _light_pass(name: str, raster: RasterOutput, lit: Any, channels: _Channels) 
     whole = to_linear(lit / clip(alpha, MIN_ALPHA, None)) * alpha
     if channels.light is None:
         return {"diffuse": whole, "specular": whole * 0.0, "shadow": alpha}[name]
-    light = _riding(raster, channels.light)
+    light = _light_of(raster, channels.light)
     if name == "shadow":
         return light[..., SHADOW]
     mirrored = library_of(alpha).minimum(clip(light[..., HIGHLIGHTS], 0.0, None), whole)

@@ -7,6 +7,8 @@ the lamp. A moved camera costs highlights alone. The numbers are numpy's and bec
 from __future__ import annotations
 
 import dataclasses
+import functools
+import hashlib
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +16,9 @@ import numpy as np
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
 from ..geometry.rotations import quaternion_to_matrix
-from ..light.kajiya import strand_transport
+from ..light.hair_shading import strand_transport
 from ..light.lamps import STUDIO, Lamp, Lighting
-from ..light.looks import Surface, surface
+from ..light.materials import Materials, materials_of
 from ..light.shading import Response, Transport, ratio, transport
 from ..light.shadows import Receivers, visible
 from ..light.surroundings import TERMS
@@ -48,7 +50,7 @@ class _Rest(NamedTuple):
     normals: np.ndarray
 
 
-class Lit:
+class LitAvatar:
     """One avatar in one light, in head space.
 
     Args:
@@ -84,18 +86,18 @@ class Lit:
         return np.concatenate(parts).astype(np.float32)
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
-        rest, looks = self._rest(), self._surface()
+        rest, materials = self._rest(), self._materials()
         turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
         seen = [self._seen(lamp) for lamp in self.lamps]
         transfers = self._at_texels(rest.transfer)
-        scene = transport(self.lamps, self._receivers(), seen, looks, transfers, eye, self._response)
+        scene = transport(self.lamps, self._receivers, seen, materials, transfers, eye, self._response)
         irradiance, shine = scene.light(*self._colors(self._lighting, self.lamps, turn.T))
         at_rest = (eye - self._vertices[self._rigid()].mean(0)) @ turn + rest.vertices[self._rigid()].mean(0)
         rig = transport(
-            STUDIO.lamps, self._resting(rest), list(rest.seen), looks, transfers, at_rest,
+            STUDIO.lamps, self._resting(rest), list(rest.seen), materials, transfers, at_rest,
             dataclasses.replace(self._response, intensity=1.0),
         )  # fmt: skip
-        relative = ratio(irradiance, rest.rig[self._rows()])
+        relative = ratio(irradiance, rest.rig[self._rows])
         learned = rig.light(*self._colors(STUDIO, STUDIO.lamps, np.eye(3)))[1]  # highlights that the colors hold already
         return np.concatenate([relative, shine - learned * relative, self._share(scene, seen)], 1)
 
@@ -105,7 +107,7 @@ class Lit:
         outward = points - self._centre
         outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
         receivers = Receivers.around(points, outward)
-        triangles = self._triangles()
+        triangles = self._triangles
         seen = [visible(lamp, receivers, triangles, 0.0) for lamp in self.lamps]  # a strand's own shadow has no width
         scene = strand_transport(self.lamps, points, tangents, seen, self._centre, eye, self._response)
         irradiance, shine = scene.light(*self._colors(self._lighting, self.lamps, np.eye(3)))
@@ -134,12 +136,12 @@ class Lit:
 
     # --- what is kept ----------------------------------------------------------------------------------------------
 
-    def _surface(self) -> Surface:
+    def _materials(self) -> Materials:
         def make() -> tuple[np.ndarray, ...]:
             layout = self._target.model.layout
-            return tuple(vars(surface(self._head, layout.face, layout.barycentric)).values())
+            return tuple(vars(materials_of(self._head, layout.face, layout.barycentric)).values())
 
-        return Surface(*self._evaluator.cache.get((self._target.id, "looks"), make)).taken(self._rows())
+        return Materials(*self._evaluator.cache.get((self._target.id, "materials"), make)).taken(self._rows)
 
     def _rest(self) -> _Rest:
         def make() -> _Rest:
@@ -153,8 +155,8 @@ class Lit:
             receivers = Receivers.around(self._all_texels(vertices), _unit(self._all_texels(normals)))
             seen = [visible(lamp, receivers, vertices[self._head.faces]) for lamp in STUDIO.lamps]
             layout = self._target.model.layout
-            looks = surface(self._head, layout.face, layout.barycentric)
-            scene = transport(STUDIO.lamps, receivers, seen, looks, self._all_texels(rows), np.array([0.0, 0.0, 1.0]))
+            materials = materials_of(self._head, layout.face, layout.barycentric)
+            scene = transport(STUDIO.lamps, receivers, seen, materials, self._all_texels(rows), np.array([0.0, 0.0, 1.0]))
             rig = scene.light(*self._colors(STUDIO, STUDIO.lamps, np.eye(3)))[0]
             return _Rest(rows, rig, np.stack(seen), vertices, normals)
 
@@ -163,14 +165,19 @@ class Lit:
 
     def _seen(self, lamp: Lamp) -> np.ndarray:
         def make() -> tuple[np.ndarray]:
-            return (visible(lamp, self._receivers(), self._triangles(), self._response.softness),)
+            return (visible(lamp, self._receivers, self._triangles, self._response.softness),)
 
         mesh = (self._lod, *self._inputs.mesh_key)
-        key = (self._target.id, "seen", repr(lamp), self._response.softness, self._lighting.occluders.tobytes(), *mesh)
+        key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
         return self._evaluator.cache.get(key, make)[0]
+
+    @functools.cached_property
+    def _occluders_key(self) -> bytes:
+        return hashlib.blake2b(self._lighting.occluders.tobytes(), digest_size=16).digest()
 
     # --- geometry --------------------------------------------------------------------------------------------------
 
+    @functools.cached_property
     def _rows(self) -> np.ndarray:
         if self._lod == 0:
             return np.arange(len(self._target.model.layout))
@@ -184,8 +191,9 @@ class Lit:
         return np.einsum("nk,nkc->nc", layout.barycentric, values[self._head.faces[layout.face]])
 
     def _at_texels(self, values: np.ndarray) -> np.ndarray:
-        return self._all_texels(values)[self._rows()]
+        return self._all_texels(values)[self._rows]
 
+    @functools.cached_property
     def _receivers(self) -> Receivers:
         normals = vertex_normals(self._vertices, self._head.faces)
         return Receivers.around(self._at_texels(self._vertices), _unit(self._at_texels(normals)))
@@ -193,6 +201,7 @@ class Lit:
     def _resting(self, rest: _Rest) -> Receivers:
         return Receivers.around(self._at_texels(rest.vertices), _unit(self._at_texels(rest.normals)))
 
+    @functools.cached_property
     def _triangles(self) -> np.ndarray:
         return np.concatenate([self._vertices[self._head.faces], self._lighting.occluders])
 

@@ -10,7 +10,7 @@ import torch
 
 from grmm_core.head import load_open_head
 from grmm_core.light.lamps import Lighting, Sun, soft_box
-from grmm_core.light.looks import SKIN, Surface, surface
+from grmm_core.light.materials import SKIN, Materials, materials_of
 from grmm_core.light.relight import relit, to_display, to_linear
 from grmm_core.light.shading import MAX_RATIO, Response, Transport, ratio, transport
 from grmm_core.light.shadow_kernel import compared as kernel
@@ -34,7 +34,7 @@ def ball(rows=24, columns=48, radius=0.1):
 
 
 def plain(count):
-    return Surface(*(np.full(count, value, np.float32) for value in vars(SKIN).values()))
+    return Materials(*(np.full(count, value, np.float32) for value in vars(SKIN).values()))
 
 
 def test_a_ball_hides_nothing_from_itself_and_sees_all_surroundings():
@@ -105,7 +105,7 @@ def test_highlights_stand_where_a_mirror_would_throw_the_lamp():
     shine = transport((lamp,), receivers, [np.ones(len(points))], plain(len(points)), rows, eye).highlights[0]
     half = np.array([math.sin(0.5), 0.0, math.cos(0.5)])
     assert normals[shine.argmax()] @ half > math.cos(0.15)
-    wet = Surface(*(np.full(len(points), v, np.float32) for v in (0.1, 0.2, 1.0, 0.04, 1.0, 0.0)))
+    wet = Materials(*(np.full(len(points), v, np.float32) for v in (0.1, 0.2, 1.0, 0.04, 1.0, 0.0)))
     sharp = transport((lamp,), receivers, [np.ones(len(points))], wet, rows, eye).highlights[0]
     assert sharp.max() > 5 * shine.max()
     assert (sharp > 0.1 * sharp.max()).sum() < 0.3 * (shine > 0.1 * shine.max()).sum()
@@ -159,7 +159,7 @@ def test_a_picture_in_the_light_it_was_learned_in_is_the_same():
 def test_eyes_are_wet_and_the_nose_is_oily():
     head = load_open_head()
     layout = texel_layout(head.uv, head.uv_faces, 128)
-    looks = surface(head, layout.face, layout.barycentric)
+    looks = materials_of(head, layout.face, layout.barycentric)
     place = np.einsum("nk,nkx->nx", layout.barycentric, head.v_template[head.faces[layout.face]])
     eye = np.isin(head.faces[layout.face], head.regions["left_eyeball"]).all(1)
     nose = np.linalg.norm(place - [0.0, 0.010, 0.115], axis=1) < 0.01

@@ -19,7 +19,7 @@ WANDER = np.array([0.16, 0.06, 0.03])
 
 
 @dataclass(frozen=True)
-class Look:
+class Material:
     """What a part does with light.
 
     Attributes:
@@ -38,13 +38,13 @@ class Look:
     wander: float
 
 
-SKIN = Look(0.35, 0.60, 0.35, 0.028, 0.75, 1.0)
-LOOKS: dict[str, Look] = {
-    "scalp": Look(0.50, 0.70, 0.3, 0.028, 0.15, 0.6), "neck": Look(0.42, 0.65, 0.3, 0.028, 0.6, 1.0),
-    "lips": Look(0.22, 0.50, 0.5, 0.030, 1.0, 0.9), "mouth_interior": Look(0.15, 0.45, 0.6, 0.025, 0.8, 1.0),
-    "tongue": Look(0.18, 0.45, 0.6, 0.025, 0.9, 1.0), "upper_teeth": Look(0.10, 0.40, 0.7, 0.050, 1.0, 0.5),
-    "lower_teeth": Look(0.10, 0.40, 0.7, 0.050, 1.0, 0.5), "left_eyeball": Look(0.07, 0.30, 0.9, 0.040, 1.0, 0.2),
-    "right_eyeball": Look(0.07, 0.30, 0.9, 0.040, 1.0, 0.2), "lashes": Look(0.5, 0.7, 0.3, 0.03, 0.2, 0.0),
+SKIN = Material(0.35, 0.60, 0.35, 0.028, 0.75, 1.0)
+MATERIALS: dict[str, Material] = {
+    "scalp": Material(0.50, 0.70, 0.3, 0.028, 0.15, 0.6), "neck": Material(0.42, 0.65, 0.3, 0.028, 0.6, 1.0),
+    "lips": Material(0.22, 0.50, 0.5, 0.030, 1.0, 0.9), "mouth_interior": Material(0.15, 0.45, 0.6, 0.025, 0.8, 1.0),
+    "tongue": Material(0.18, 0.45, 0.6, 0.025, 0.9, 1.0), "upper_teeth": Material(0.10, 0.40, 0.7, 0.050, 1.0, 0.5),
+    "lower_teeth": Material(0.10, 0.40, 0.7, 0.050, 1.0, 0.5), "left_eyeball": Material(0.07, 0.30, 0.9, 0.040, 1.0, 0.2),
+    "right_eyeball": Material(0.07, 0.30, 0.9, 0.040, 1.0, 0.2), "lashes": Material(0.5, 0.7, 0.3, 0.03, 0.2, 0.0),
 }  # fmt: skip
 _OIL = (  # places on the head at rest (the right side of a pair), reach in metres, factor of the shine there
     ((0.0, 0.085, 0.095), 0.035, 0.5), ((0.0, 0.010, 0.115), 0.016, 0.9), ((0.035, 0.005, 0.085), 0.020, 0.35),
@@ -53,11 +53,11 @@ _OIL = (  # places on the head at rest (the right side of a pair), reach in metr
 
 
 @dataclass(frozen=True)
-class Surface:
-    """`Look` of every Gaussian.
+class Materials:
+    """`Material` of every Gaussian.
 
     Attributes:
-        smooth, rough, share, reflectance, shine, wander: See `Look`, [N] float32 each.
+        smooth, rough, share, reflectance, shine, wander: See `Material`, [N] float32 each.
     """
 
     smooth: np.ndarray
@@ -67,13 +67,13 @@ class Surface:
     shine: np.ndarray
     wander: np.ndarray
 
-    def taken(self, rows: np.ndarray) -> Surface:
+    def taken(self, rows: np.ndarray) -> Materials:
         """Of some Gaussians only."""
-        return Surface(*(array[rows] for array in vars(self).values()))
+        return Materials(*(array[rows] for array in vars(self).values()))
 
 
-def surface(head: HeadModel, face: np.ndarray, barycentric: np.ndarray) -> Surface:
-    """Find the look of texels.
+def materials_of(head: HeadModel, face: np.ndarray, barycentric: np.ndarray) -> Materials:
+    """Find the material of texels.
 
     Args:
         head: Head model.
@@ -82,7 +82,7 @@ def surface(head: HeadModel, face: np.ndarray, barycentric: np.ndarray) -> Surfa
     """
     count = len(head.v_template)
     table = np.tile(np.array([*vars(SKIN).values()], np.float32), (count, 1))
-    for name, look in LOOKS.items():
+    for name, look in MATERIALS.items():
         if name in head.regions:
             table[head.regions[name]] = [*vars(look).values()]
     corners = head.faces[face]
@@ -95,4 +95,4 @@ def surface(head: HeadModel, face: np.ndarray, barycentric: np.ndarray) -> Surfa
             oil += more * np.exp(-((place - [side * x, y, z]) ** 2).sum(1) / (2.0 * reach**2)).astype(np.float32)
     skin = (values[:, 0] == np.float32(SKIN.smooth)) & (values[:, 3] == np.float32(SKIN.reflectance))
     values[:, 4] *= np.where(skin, oil, 1.0)
-    return Surface(*(np.ascontiguousarray(values[:, k]) for k in range(values.shape[1])))
+    return Materials(*(np.ascontiguousarray(values[:, k]) for k in range(values.shape[1])))

@@ -15,7 +15,7 @@ from .lamps import Area, Lamp, Sun, half_angle
 
 RESOLUTION = 256  # pixels of a map that holds all receivers
 _BIAS = 0.0016  # metres along the normal: what the mesh's triangles and the Gaussians on it differ by
-_SOFT, _SOFTER = math.radians(1.5), math.radians(7.0)  # half angles from which 4 and 9 places on a lamp are looked from
+_SOFT, _SOFTER = math.radians(1.5), math.radians(12.0)  # half angles from which 4 and 9 places on a lamp are looked from
 _FAR = 12.0  # metres: as far before the receivers a sun's occluders may stand
 
 

@@ -29,6 +29,7 @@ from .evaluator import Evaluator, Inputs, OpenAvatar
 RATIO, HIGHLIGHTS, SHADOW = slice(0, 3), slice(3, 6), slice(6, 7)
 LIGHT_CHANNELS = 7
 UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0], np.float32)  # what changes nothing
+_VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _RIGID = "scalp"  # region whose turn is the head's
 
 
@@ -68,7 +69,7 @@ class LitAvatar:
         self._evaluator, self._target, self._inputs = evaluator, target, inputs
         self._lighting, self._response, self._lod = lighting, response, lod
         self._head = target.model.head_model
-        self._vertices = to_numpy(evaluator.mesh(target, inputs).vertices).astype(np.float64)
+        self._vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
         self._centre = 0.5 * (self._vertices.min(0) + self._vertices.max(0))
         self.lamps = lighting.strongest(tuple(self._centre))
 
@@ -82,7 +83,15 @@ class LitAvatar:
         Returns:
             [N, LIGHT_CHANNELS] float32: irradiance relative to the rig's, highlights, share of the lamps' light that arrives.
         """
-        parts = [self._skin(eye)] + ([] if strands is None else [self._strands(strands, eye)])
+
+        def make() -> tuple[np.ndarray]:
+            return (self._skin(eye).astype(np.float32),)
+
+        around = self._lighting.surroundings
+        light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key
+        key = (self._target.id, "lit", eye.tobytes(), self._response, self._lod, *light, *self._inputs.mesh_key)
+        skin = self._evaluator.cache.get(key, make)[0]
+        parts = [skin] + ([] if strands is None else [self._strands(strands, eye)])
         return np.concatenate(parts).astype(np.float32)
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
@@ -92,13 +101,8 @@ class LitAvatar:
         transfers = self._at_texels(rest.transfer)
         scene = transport(self.lamps, self._receivers, seen, materials, transfers, eye, self._response)
         irradiance, shine = scene.light(*self._colors(self._lighting, self.lamps, turn.T))
-        at_rest = (eye - self._vertices[self._rigid()].mean(0)) @ turn + rest.vertices[self._rigid()].mean(0)
-        rig = transport(
-            STUDIO.lamps, self._resting(rest), list(rest.seen), materials, transfers, at_rest,
-            dataclasses.replace(self._response, intensity=1.0),
-        )  # fmt: skip
         relative = ratio(irradiance, rest.rig[self._rows])
-        learned = rig.light(*self._colors(STUDIO, STUDIO.lamps, np.eye(3)))[1]  # highlights that the colors hold already
+        learned = self._learned((eye - self._centre) @ turn) * self._response.gloss
         return np.concatenate([relative, shine - learned * relative, self._share(scene, seen)], 1)
 
     def _strands(self, strands: Gaussians, eye: np.ndarray) -> np.ndarray:
@@ -162,6 +166,23 @@ class LitAvatar:
 
         key = (self._target.id, "lit rest", *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, make)
+
+    def _learned(self, towards: np.ndarray) -> np.ndarray:
+        """Highlights of the rig that colors hold already, seen from a direction [3] in the axes of the head at rest, [N, 3].
+
+        Kept for directions some degrees apart: colors hold them as they look from everywhere in the mean.
+        """
+        direction = np.round(towards / max(float(np.linalg.norm(towards)), 1e-9) * _VIEWS) / _VIEWS
+        rest = self._rest()
+
+        def make() -> tuple[np.ndarray]:
+            eye = direction * _VIEW_DISTANCE
+            transfers = self._at_texels(rest.transfer)
+            rig = transport(STUDIO.lamps, self._resting(rest), list(rest.seen[:, self._rows]), self._materials(), transfers, eye)
+            return (rig.light(*self._colors(STUDIO, STUDIO.lamps, np.eye(3)))[1],)
+
+        person = (*self._inputs.identity_key, *self._inputs.shape_key)
+        return self._evaluator.cache.get((self._target.id, "learned", direction.tobytes(), self._lod, *person), make)[0]
 
     def _seen(self, lamp: Lamp) -> np.ndarray:
         def make() -> tuple[np.ndarray]:

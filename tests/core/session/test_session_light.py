@@ -96,6 +96,16 @@ def test_gloss_intensity_and_scattering_do_what_they_say(session):
     assert red > 1.05 * blue
 
 
+def test_coarser_levels_are_lit_alike(session):
+    """Blocks of texels have the light of their middle."""
+    placed = Instance(session.open("default").id, response=Response())
+    fine, coarse = (
+        session.render([placed], CAMERA, RenderOptions(passes=("linear",), lighting=LEFT, lod=lod))["linear"] for lod in (0, 1)
+    )
+    assert np.abs(fine - coarse).mean() < 0.02
+    assert halves(coarse[..., :3])[0] > 3 * halves(coarse[..., :3])[1]
+
+
 def test_light_belongs_to_the_world_and_not_to_the_head(session):
     turn = np.eye(4)
     turn[:3, :3] = [[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]  # looks to where its right was

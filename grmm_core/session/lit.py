@@ -178,7 +178,8 @@ class LitAvatar:
         def make() -> tuple[np.ndarray]:
             eye = direction * _VIEW_DISTANCE
             transfers = self._at_texels(rest.transfer)
-            rig = transport(STUDIO.lamps, self._resting(rest), list(rest.seen[:, self._rows]), self._materials(), transfers, eye)
+            seen = list(rest.seen[:, self._rows])
+            rig = transport(STUDIO.lamps, self._resting(rest), seen, self._materials(), transfers, eye)
             return (rig.light(*self._colors(STUDIO, STUDIO.lamps, np.eye(3)))[1],)
 
         person = (*self._inputs.identity_key, *self._inputs.shape_key)

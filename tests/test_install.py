@@ -30,6 +30,7 @@ PROBES = {
     "train": ["-c", "from torch.utils.tensorboard import SummaryWriter; SummaryWriter('curves').close()"],
     "data": ["-c", "import h5py, av; h5py.File('a.h5', 'w').close()"],
     "plain": ["-c", "import onnxruntime"],
+    "exr": ["-c", "import OpenEXR"],
     "cluster": ["-c", "import bokeh; from grmm_core.jobs.cluster import open_cluster\nwith open_cluster('local:1'): pass"],
     "dev": ["-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", str(ROOT / "tests" / "core")],
 }

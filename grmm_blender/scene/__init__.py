@@ -10,6 +10,7 @@ to none of Blender's data and may cross threads. Each kind of thing has one modu
 ``clouds``     splat clouds, likewise
 ``meshes``     triangles of everything else, kept between pictures
 ``world``      the background
+``lights``     lamps and the world as light
 ``cameras``    the render's camera, that of a viewport, and those of portraits
 ``walk``       the one pass, and the shots made from it
 =============  =====================================================================================

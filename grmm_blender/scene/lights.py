@@ -17,6 +17,7 @@ from ...grmm_core.light.lamps import Area, Lamp, Lighting, Point, Spot, Sun
 from ...grmm_core.light.surroundings import Surroundings
 from ...grmm_core.pictures.color import srgb_to_linear
 from .shot import Occluder
+from .world import background_node
 
 MAX_SHADOW_TRIANGLES = 400_000  # of scene meshes; beyond, the largest objects throw no shadows on avatars
 # Blender looks up an environment picture with its middle along +x and its left half towards +y.
@@ -93,7 +94,7 @@ def world_light(scene: bpy.types.Scene) -> Surroundings | None:
     world = scene.world
     if world is None:
         return None
-    background, plain = _background(world), Surroundings.even(tuple(world.color))
+    background, plain = background_node(world), Surroundings.even(tuple(world.color))
     if background is None:
         return plain
     color, strength = background.inputs["Color"], background.inputs["Strength"]
@@ -112,7 +113,7 @@ def world_light(scene: bpy.types.Scene) -> Surroundings | None:
 def unread_world(scene: bpy.types.Scene) -> str:
     """What a world holds that is not read, in a sentence; "" where all of it is."""
     world = scene.world
-    background = None if world is None else _background(world)
+    background = None if world is None else background_node(world)
     if world is None or background is None:
         return ""
     color = background.inputs["Color"]
@@ -121,14 +122,6 @@ def unread_world(scene: bpy.types.Scene) -> str:
     if plain and not background.inputs["Strength"].is_linked:
         return ""
     return "Avatars take this world's viewport color for its light; only a color or an environment texture is read"
-
-
-def _background(world: bpy.types.World) -> bpy.types.ShaderNode | None:
-    tree = world.node_tree if getattr(world, "use_nodes", True) else None
-    output = None if tree is None else tree.get_output_node("ALL")
-    surface = None if output is None else output.inputs["Surface"]
-    node = surface.links[0].from_node if surface is not None and surface.is_linked else None
-    return node if node is not None and node.type == "BACKGROUND" else None
 
 
 def _of_image(image: bpy.types.Image) -> Surroundings:

@@ -6,20 +6,23 @@ import bpy
 import numpy as np
 
 
+def background_node(world: bpy.types.World) -> bpy.types.ShaderNode | None:
+    """Return the background node that a world shows, None where it has another surface or none."""
+    tree = world.node_tree if getattr(world, "use_nodes", True) else None
+    output = None if tree is None else tree.get_output_node("ALL")
+    surface = None if output is None else output.inputs["Surface"]
+    node = surface.links[0].from_node if surface is not None and surface.is_linked else None
+    return node if node is not None and node.type == "BACKGROUND" else None
+
+
 def world_color(scene: bpy.types.Scene) -> np.ndarray:
     """Return the scene-linear color of the world's background, [3]; textures are not evaluated."""
     world = scene.world
     if world is None:
         return np.zeros(3, np.float32)
-    tree = world.node_tree if getattr(world, "use_nodes", True) else None
-    if tree is not None:
-        output = tree.get_output_node("ALL")
-        surface = output.inputs["Surface"] if output is not None else None
-        links = surface.links if surface is not None and surface.is_linked else ()
-        for link in links:
-            node = link.from_node
-            if node.type == "BACKGROUND":
-                color, strength = node.inputs["Color"], node.inputs["Strength"]
-                if not color.is_linked and not strength.is_linked:
-                    return np.array(color.default_value[:3], np.float32) * np.float32(strength.default_value)
+    node = background_node(world)
+    if node is not None:
+        color, strength = node.inputs["Color"], node.inputs["Strength"]
+        if not color.is_linked and not strength.is_linked:
+            return np.array(color.default_value[:3], np.float32) * np.float32(strength.default_value)
     return np.array(world.color, np.float32)

@@ -151,11 +151,8 @@ def test_odd_light_is_a_picture(session, lighting):
         assert np.isfinite(lit[name]).all(), name
 
 
-def test_light_reaches_a_worker(session):
-    if session.status().engine != "plain":
-        pytest.skip("one worker will do")
+def test_light_reaches_a_worker():
     spots = Surroundings.of_picture(np.maximum(np.random.default_rng(0).random((16, 32, 3)), 0.2))
     light = Lighting((soft_box(30, 20, 1.0, 0.3, 40.0, (1.0, 0.5, 0.2)), *LEFT.lamps), spots, np.zeros((1, 3, 3)))
-    here = drawn(session, light)["rgb"]
-    with create_session("worker", engine="plain") as worker:
-        np.testing.assert_allclose(drawn(worker, light)["rgb"], here, atol=1e-6)
+    with create_session("local", engine="plain") as here, create_session("worker", engine="plain") as worker:
+        np.testing.assert_allclose(drawn(worker, light)["rgb"], drawn(here, light)["rgb"], atol=1e-6)

@@ -5,6 +5,7 @@ Part masks and albedo are shader outputs of their own (AOVs), so that they are s
 
 from __future__ import annotations
 
+import ctypes
 import os
 import sys
 from collections.abc import Iterator
@@ -86,7 +87,13 @@ class Passes:
 def silence_exit() -> None:
     """At the end of the process Blender reports a few bytes of its own on the standard output, after our result."""
     sys.stdout.flush()
+    _flush_blender()
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+
+
+def _flush_blender() -> None:
+    """Let go what Blender's code has written but the C library still holds, as it does where the output is no terminal."""
+    ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None).fflush(None)
 
 
 @contextmanager
@@ -99,6 +106,7 @@ def _quiet() -> Iterator[None]:
         os.dup2(nowhere, 1)
         yield
     finally:
+        _flush_blender()
         os.dup2(saved, 1)
         os.close(saved)
         os.close(nowhere)

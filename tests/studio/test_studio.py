@@ -6,6 +6,7 @@ import functools
 import importlib.util
 import itertools
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -239,9 +240,11 @@ def test_capture_with_cycles(tmp_path):
     """Two tiny people: the picture agrees with mask, depth and parameters; a second run has nothing to do."""
     command = [sys.executable, "-m", "grmm_core", "capture", str(tmp_path), "--subjects", "2", "--shots", "1", "--cameras", "1",
                "--size", "64", "--samples", "1", "--seed", "2", "--bare", "--layers", "--lights", "key", "--json"]  # fmt: skip
+    # Without PYTHONUNBUFFERED Blender's own lines wait in the C library, and must not come after the result.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
     for made in (2, 0):
-        result = subprocess.run(command, capture_output=True, text=True, timeout=500, cwd=ROOT, check=True)
-        assert json.loads(result.stdout.splitlines()[-1])["shots"] == made
+        result = subprocess.run(command, capture_output=True, text=True, timeout=500, cwd=ROOT, check=True, env=environment)
+        assert json.loads(result.stdout)["shots"] == made
     data = CaptureDataset(tmp_path)
     head = load_open_head()
     for shot, view in data.views():

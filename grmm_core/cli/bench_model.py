@@ -53,7 +53,7 @@ def stages(best_times: BestTimes, model: GRMM, frame: ModelInputs[np.ndarray], s
         z_id, z_exp, expression = inputs.z_id, inputs.z_exp, inputs.expression
         mesh, attributes = model.mesh(inputs), model.attributes(inputs, view)
         gaussians = model.gaussians(mesh.vertices, attributes)
-        raster = rasterize(gaussians, camera)
+        raster = rasterize(gaussians, camera, antialiased=model.config.antialias)
         calls: dict[str, Callable[[], object]] = {
             "opacity": lambda: model.opacity(z_id),
             "appearance": lambda: model.appearance(z_id, view),
@@ -62,7 +62,7 @@ def stages(best_times: BestTimes, model: GRMM, frame: ModelInputs[np.ndarray], s
             "displacement": lambda: model.displacement(inputs),
             "skinning": lambda: model.head(inputs.shape, expression, inputs.pose, mesh.displacement),
             "placing": lambda: model.geometry(mesh.vertices, attributes.offsets),
-            "rasterising": lambda: rasterize(gaussians, camera),
+            "rasterising": lambda: rasterize(gaussians, camera, antialiased=model.config.antialias),
             "refining": lambda: model.refine(raster),
         }
         times = best_times({name: whole(call) for name, call in calls.items()}, repeats)

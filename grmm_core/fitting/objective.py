@@ -82,7 +82,7 @@ def spread_to_colors(model: GRMM, view: FitView, vertices: Tensor, attributes: A
     packed = torch.cat([picture, view.inside[..., None], torch.zeros_like(picture)], -1)[..., : width + 1]
     ones = torch.ones(len(scene), width + 1, dtype=model.dtype, device=model.device, requires_grad=True)
     with torch.enable_grad():
-        raster = rasterize(replace(scene, features=ones), view.camera)
+        raster = rasterize(replace(scene, features=ones), view.camera, antialiased=model.config.antialias)
         (gradient,) = torch.autograd.grad((present(raster.features) * packed).sum(), ones)
     return gradient[:, :width] / (gradient[:, width:] + _FEW_PIXELS)
 
@@ -100,6 +100,6 @@ def contributions(model: GRMM, view: FitView, vertices: Tensor, attributes: Attr
     scene = model.gaussians(vertices.detach(), attributes.detached())
     ones = torch.ones(len(scene), 3, dtype=model.dtype, device=model.device, requires_grad=True)
     with torch.enable_grad():
-        raster = rasterize(replace(scene, colors=ones, features=None), view.camera)
+        raster = rasterize(replace(scene, colors=ones, features=None), view.camera, antialiased=model.config.antialias)
         (gradient,) = torch.autograd.grad((raster.rgb * pixels[..., None]).sum(), ones)
     return gradient[:, 0]

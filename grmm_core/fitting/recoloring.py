@@ -80,7 +80,7 @@ def solve_maps(
         spread = (surface.membership[:, :, None] * columns[:, None]).flatten(1)  # [N, 12]
         scene = model.gaussians(vertices, attributes)
         scene.features = spread
-        parts = present(rasterize(scene, view.camera).features)  # [H, W, 12]
+        parts = present(rasterize(scene, view.camera, antialiased=model.config.antialias).features)  # [H, W, 12]
         inside = view.inside > 0.5
         gain, offset = light.gain[view.index], light.offset[view.index]
         parts, image = parts[inside], view.image[inside]

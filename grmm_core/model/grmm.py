@@ -304,7 +304,8 @@ class GRMM(nn.Module):
             backend: Of the rasteriser.
             limits: See `refine`.
         """
-        raster = rasterize(gaussians if refine else replace(gaussians, features=None), camera, backend=backend)
+        drawn = gaussians if refine else replace(gaussians, features=None)
+        raster = rasterize(drawn, camera, backend=backend, antialiased=self.config.antialias)
         return Picture(self.refine(raster, limits) if refine else raster.rgb, raster.rgb, raster.alpha, raster.depth)
 
     def refine(self, raster: RasterOutput[Tensor], limits: Tensor | None = None, coarse: bool = False) -> Tensor:

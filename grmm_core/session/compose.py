@@ -33,6 +33,7 @@ from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
 from ..pictures.color import MIN_ALPHA
+from ..splat.compensation import compensation
 from ..splat.types import Gaussians, RasterOutput
 from .api import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud
@@ -193,6 +194,9 @@ def _gaussians(
         own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap)
     count = len(own)
     features = own.features
+    if item.model is not None and item.model.config.antialias:
+        kept = compensation(own.means, own.quats, own.scales, local_camera)
+        own = dataclasses.replace(own, opacities=own.opacities * kept)
     if strands is not None:
         own = Gaussians.concatenate([dataclasses.replace(own, features=None), strands])
     own_slice = None if item.model is None else channels.features.get(id(item.model))

@@ -126,6 +126,32 @@ def test_plain_and_residual_free_configurations_work(tmp_path):
         assert all_passes(session, pair)["mask"].shape[-1] == 2
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_weights_trained_with_antialiasing_are_drawn_with_it(tmp_path, count):
+    """Small Gaussians, so that dilation would count: alone in head space, and beside another head in camera space."""
+    import torch
+    from tiny_model import write_tiny_weights
+
+    from grmm_core.splat import Gaussians, rasterize
+
+    path = write_tiny_weights(tmp_path / "weights.safetensors", antialias=True, texel_scale=0.15)
+    with create_session("local", weights=path) as session:
+        avatar = session.open("default").id
+        own = session.gaussians(avatar, Controls())
+        placed = [Instance(avatar, model_to_world=moved(0.4 * number)) for number in range(count)]
+        alpha = session.render(placed, CAMERA, RenderOptions(passes=("alpha",), refine=False))["alpha"][..., 0]
+    parts = [torch.as_tensor(part) for part in (own.means, own.quats, own.scales, own.opacities, own.colors)]
+    both = [
+        Gaussians(parts[0] + torch.tensor([0.4 * number, 0.0, 0.0]), *parts[1:])
+        for number in range(count)
+    ]  # fmt: skip
+    compensated, swollen = (
+        rasterize(Gaussians.concatenate(both), CAMERA, antialiased=kept).alpha.numpy() for kept in (True, False)
+    )
+    np.testing.assert_allclose(alpha, compensated, atol=2e-3)
+    assert np.abs(alpha - swollen).max() > 0.05
+
+
 def test_create_session_asks_for_libraries_where_there_are_none(monkeypatch):
     from grmm_core import session as package
 

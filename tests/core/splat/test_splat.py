@@ -13,6 +13,7 @@ from splat_scenes import OUTPUTS, SCENES, assert_parity, leaves_of, orbit, pulle
 from grmm_core.errors import BackendError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.splat import Gaussians, available_backends, rasterize
+from grmm_core.splat.compensation import compensation
 
 BACKENDS = [info.name for info in available_backends() if info.available and info.name != "cuda"]
 each_backend = pytest.mark.parametrize("backend", BACKENDS)
@@ -116,6 +117,20 @@ def test_antialiasing_keeps_the_light_of_a_small_gaussian(backend):
     kept = rasterize(small, CAMERA, backend=backend, antialiased=True).alpha[6, 8].item()
     assert kept == pytest.approx(0.8 * 0.05**2 / (0.05**2 + 0.3), rel=1e-3)
     assert plain > 50 * kept
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_opacities_compensated_beforehand_draw_the_antialiased_picture(name):
+    make, camera = SCENES[name]
+    gaussians = make()
+    gaussians.opacities = gaussians.opacities.clamp(max=1.0)
+    kept = compensation(gaussians.means, gaussians.quats, gaussians.scales, camera)
+    arrays = compensation(*(part.numpy() for part in (gaussians.means, gaussians.quats, gaussians.scales)), camera)
+    np.testing.assert_allclose(arrays, kept.numpy(), rtol=2e-3, atol=1e-5)
+    drawn = rasterize(dataclasses.replace(gaussians, opacities=gaussians.opacities * kept), camera)
+    expected = rasterize(gaussians, camera, antialiased=True)
+    torch.testing.assert_close(drawn.rgb, expected.rgb, rtol=0, atol=2e-3)
+    torch.testing.assert_close(drawn.alpha, expected.alpha, rtol=0, atol=2e-3)
 
 
 @each_backend

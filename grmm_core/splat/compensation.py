@@ -1,0 +1,45 @@
+"""Mip-Splatting's opacity compensation apart from a backend: for some Gaussians of a scene, before it is drawn as a whole.
+
+The rasterisers' own switch, `antialiased`, holds for everything they draw; a scene may hold avatars trained with it beside
+others, splat files and strands (which bring a factor of their own). For arrays of numpy or torch alike.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from ..geometry.libraries import Array, as_like, library_of
+from ..geometry.rotations import quaternion_to_matrix
+from .rules import COMPENSATION_MIN, DILATION, NEAR, View
+
+if TYPE_CHECKING:
+    from ..geometry.camera import Camera
+
+
+def compensation(means: Array, quats: Array, scales: Array, camera: Camera) -> Array:
+    """Return sqrt(det / det_dilated) of projected Gaussians, [N]: a twin of `reference.project`.
+
+    Args:
+        means: World space, [N, 3].
+        quats: wxyz, [N, 4], of any length.
+        scales: Standard deviations, [N, 3].
+        camera: From where they are seen.
+    """
+    library, view = library_of(means), View.of(camera)
+    rotation = as_like(view.rotation, means)
+    seen = means @ rotation.T + as_like(view.translation, means)
+    axes = rotation @ (quaternion_to_matrix(quats) * scales[:, None])  # [N, 3, 3]
+    if view.orthographic:
+        first, second = view.fx * axes[:, 0], view.fy * axes[:, 1]
+    else:
+        z = library.clip(seen[:, 2], NEAR, None)
+        low_x, high_x, low_y, high_y = view.clamp.tolist()
+        u, v = library.clip(seen[:, 0] / z, low_x, high_x), library.clip(seen[:, 1] / z, low_y, high_y)
+        first = (view.fx / z)[:, None] * (axes[:, 0] - u[:, None] * axes[:, 2])
+        second = (view.fy / z)[:, None] * (axes[:, 1] - v[:, None] * axes[:, 2])
+    after, before = [1, 2, 0], [2, 0, 1]
+    normal = first[:, after] * second[:, before] - first[:, before] * second[:, after]  # free of cancellation
+    area = (normal * normal).sum(-1)
+    dilated = area + DILATION * ((first * first).sum(-1) + (second * second).sum(-1)) + DILATION**2
+    result: Array = library.clip(area / dilated, COMPENSATION_MIN, None) ** 0.5
+    return result

@@ -40,7 +40,7 @@ ROUND = 4  # shots of everybody before anybody's next ones
 # many people; each takes about 100 MB. A person who comes back must then be prepared again, which takes some seconds.
 PEOPLE_IN_STUDIO = 24
 HELD_OUT_EVERY = 12  # one person of so many is held out
-TWINS_OF = ("", "all", "rest")  # values of `CaptureSettings.bare`
+TWINS_OF = ("", "all", "rest", "only")  # values of `CaptureSettings.bare`
 HELD_OUT_SHOTS = (6, 13)  # numbers modulo 15: expressions that are not trained on
 
 
@@ -58,7 +58,7 @@ class CaptureSettings:
         subsurface: Light scattering in the skin (slower).
         depth: Write depth maps.
         bare: Views without hair: "" none, "all" a twin of each view, "rest" a twin of the neutral shot's views, and nothing
-            but the bare head in other shots (what trains the skin, at a third of the cost).
+            but the bare head in other shots (what trains the skin, at a third of the cost), "only" nothing but the bare head.
         layers: Write part masks, albedo and normals.
         lights: More lights in which every view is shown: "all" or names of `lights.SETUPS`; empty: none.
     """
@@ -131,7 +131,7 @@ def check_settings(settings: CaptureSettings, only: Sequence[int] = ()) -> tuple
     if not 1 <= s.views <= MAX_CAMERAS:
         raise ConfigError(f"--cameras {s.views} is not possible; use 1 to {MAX_CAMERAS}.")
     if s.bare not in TWINS_OF:
-        raise ConfigError(f"--bare {s.bare} is not possible; use all or rest.")
+        raise ConfigError(f"--bare {s.bare} is not possible; use all, rest or only.")
     if s.seed < 0:
         raise ConfigError(f"--seed {s.seed} is not possible; use 0 or more.")
     absent = [index for index in only if not 0 <= index < s.subjects]
@@ -386,7 +386,7 @@ class _Worker:
         return replace(pictures[0], bare=pictures[-1] if s.bare else None)
 
     def _only_bare(self, number: int) -> bool:
-        return self.settings.bare == "rest" and number > 0
+        return self.settings.bare == "only" or (self.settings.bare == "rest" and number > 0)
 
     def close(self) -> None:
         """Remove the studio and its temporary files; the next shot makes another."""

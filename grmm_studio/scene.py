@@ -136,7 +136,7 @@ class Studio:
         mesh.attributes["lines"].data.foreach_set("vector", lines.astype(np.float32).ravel())
         mesh.attributes["blood"].data.foreach_set("vector", blood.astype(np.float32).ravel())
         mesh.update()
-        self._hair.pose(posed)
+        self._posed, self._combed = posed, False
         self.light = light
         self._lamps.set(light)
         return posed
@@ -145,6 +145,9 @@ class Studio:
         """Picture of the present shot, with or without hair, in the light of the shot or another."""
         _place_camera(self._camera, camera)
         self.scene.render.resolution_x, self.scene.render.resolution_y = camera.width, camera.height
+        if hair and not self._combed:  # some 30,000 strands: only where they are seen
+            self._hair.pose(self._posed)
+            self._combed = True
         self._hair.show(hair)
         if light is not None:
             self._lamps.set(light)

@@ -43,8 +43,8 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--subsurface", action="store_true", help="light scattering in the skin; slower")
     parser.add_argument("--no-depth", action="store_true", help="leave out the depth maps")
     parser.add_argument(
-        "--bare", nargs="?", const="all", default="", metavar="all|rest",
-        help="render every view without hair as well; rest: after the neutral shot nothing but the bare head",
+        "--bare", nargs="?", const="all", default="", metavar="all|rest|only",
+        help="render every view without hair as well; rest: after the neutral shot the bare head alone; only: it alone always",
     )  # fmt: skip
     parser.add_argument("--layers", action="store_true", help="write part masks, albedo and normals")
     parser.add_argument(

@@ -345,5 +345,10 @@ def test_after_the_neutral_shot_nothing_but_the_bare_head_is_rendered_where_that
     for shot, view in views[2:]:
         assert view.bare is not None
         np.testing.assert_array_equal(data.picture(shot, view).rgb, data.picture(shot, view.bare).rgb)
-    with pytest.raises(ConfigError, match="use all or rest"):
+    run_job(tmp_path / "bare", replace(SETTINGS, subjects=1, shots=1, bare="only"))
+    alone = CaptureDataset(tmp_path / "bare")
+    for (shot, view), (other, first) in zip(views[:2], alone.views(), strict=True):
+        assert first.only_bare
+        np.testing.assert_array_equal(data.picture(shot, view.bare).rgb, alone.picture(other, first).rgb)
+    with pytest.raises(ConfigError, match="use all, rest or only"):
         run_job(tmp_path / "other", replace(SETTINGS, bare="half"))

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from grmm_core.hair.lashes import lash_edges
 from grmm_core.head import HeadModel
 
 from .fields import beard_density, smoothstep, wave_noise
 from .hair import Roots, skin_triangles
-from .lashes import lash_edges
 from .mesh import RenderMesh
 from .subjects import Subject
 

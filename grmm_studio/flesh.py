@@ -14,10 +14,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.hair.lashes import rigid
 from grmm_core.head import HeadModel
 
 from .fields import bump, smoothstep
-from .lashes import rigid
 from .mesh import region_vertices
 from .subjects import Subject
 

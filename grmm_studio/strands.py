@@ -10,10 +10,9 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from grmm_core.hair.groom import Groom
+from grmm_core.hair.lashes import Lashes
 from grmm_core.hair.roots import GROUPS, LASHES
 from grmm_core.head import HeadModel
-
-from .lashes import Lashes
 
 LOCKS = 600  # of the hair that differ in color
 
@@ -49,8 +48,9 @@ class HairObjects:
                 some = groom.select(own)
                 part.item = _curves(GROUPS[group], some, points[part.first : part.last], looks[group], g)
                 self._parts.append(part)
-                if group == LASHES:
-                    self._lashes = Lashes.build(head, neutral, some), part
+                lashes = Lashes.build(head, neutral, some) if group == LASHES else None
+                if lashes is not None:
+                    self._lashes = lashes, part
 
     def pose(self, vertices: np.ndarray) -> None:
         """Move all strands with the posed head [V, 3]."""

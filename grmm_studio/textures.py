@@ -12,13 +12,13 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from grmm_core.hair.lashes import lash_edges
 from grmm_core.head import HeadModel
 
 from . import fields
 from .face_hair import beard_field, brow_density
 from .fields import smoothstep
 from .grooms import growth_of
-from .lashes import lash_edges
 from .marks import Canvas, paint_marks
 from .mesh import region_vertices
 from .subjects import Subject, skin_albedo

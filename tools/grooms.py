@@ -1,28 +1,32 @@
-"""`python -m tools.grooms`: rebuild the grooms of `grmm_core/assets/grooms` with the studio's generator, on the mean head.
+"""`python -m tools.grooms [PART...]`: rebuild `grmm_core/assets/grooms` by the studio's generators, on the mean head.
 
-One for each style but bald; a minute or two. Needs scipy, not bpy.
+For the scalp one for each style but bald, a minute or two; brows, beards and lashes by `FACE`. Needs scipy, not bpy.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from grmm_core.files.access import atomic_write
 from grmm_core.hair.compact import compact
-from grmm_core.hair.packaged import GROOM_FOLDER, GROOM_SUFFIX
-from grmm_core.hair.roots import SCALP
+from grmm_core.hair.groom import Groom, join
+from grmm_core.hair.packaged import GROOM_SUFFIX, groom_folder
+from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from grmm_core.hair.strands import points_needed
-from grmm_core.head import load_open_head
+from grmm_core.head import HeadModel, load_open_head
 from grmm_studio.grooming import make_groom
 from grmm_studio.mesh import RenderMesh
-from grmm_studio.styles import STYLES
-from grmm_studio.subjects import SHAPE_COUNT, draw_subject
+from grmm_studio.styles import BALD, STYLES
+from grmm_studio.subjects import SHAPE_COUNT, Subject, draw_subject
 
 STRANDS = 7000
-MAX_BYTES = 430_000  # of one before it is compressed: all of them together stay below 8 MB
+MAX_BYTES = 430_000  # of one before it is compressed: all of them together stay below 9 MB
+BEARD_STRANDS, BEARD_DRAWS = 9000, 4
 CURL = 0.35  # a person's own, where a style has one
 # styles are cut differently on women; these are a woman's
 WOMENS = (
@@ -42,26 +46,73 @@ WOMENS = (
 )
 
 
+# what a person must be for a groom of brows, beard or lashes
+FACE: dict[int, dict[str, dict[str, Any]]] = {
+    BROWS: {
+        "thin": {"brow_thickness": 0.65, "brow_density": 0.9, "brow_arch": 1.3},
+        "natural": {"brow_thickness": 1.0, "brow_density": 1.0, "brow_arch": 0.8},
+        "bushy": {"brow_thickness": 1.4, "brow_density": 1.3, "brow_arch": 0.5},
+    },
+    BEARD: {
+        "stubble": {"stubble": 0.8},
+        "short": {"stubble": 1.0, "beard": 0.006},
+        "full": {"stubble": 1.0, "beard": 0.020},
+        "goatee": {"stubble": 1.0, "beard": 0.012, "beard_cut": "goatee"},
+        "moustache": {"stubble": 1.0, "beard": 0.012, "beard_cut": "moustache"},
+        "chinstrap": {"stubble": 1.0, "beard": 0.005, "beard_cut": "chinstrap"},
+    },
+    LASHES: {"natural": {"lash_density": 1.0}},
+}
+
+
+def _people(someone: Subject, groups: list[int]) -> Iterator[tuple[int, str, Subject]]:
+    """Part, name and wearer of each groom."""
+    for name in STYLES if SCALP in groups else ():
+        macros = {**someone.macros, "female": float(name in WOMENS), "age": 30.0}
+        yield SCALP, name, replace(someone, hair_style=name, macros=macros)
+    for group, rows in FACE.items():
+        for name, values in rows.items() if group in groups else ():
+            yield group, name, replace(someone, **values)
+
+
+def _dense(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, subject: Subject) -> Groom:
+    """One part of a person's hair; a beard drawn several times over, as dense as beards are."""
+    found: list[Groom] = []
+    while not found or (group == BEARD and sum(map(len, found)) < BEARD_STRANDS and len(found) < BEARD_DRAWS):
+        groom = make_groom(head, mesh, neutral, replace(subject, index=len(found)))
+        on_ear = np.isin(np.asarray(head.faces)[groom.triangles], head.regions["ears"]).any(1)
+        found.append(groom.select((groom.groups == group) & (~on_ear | (group != BEARD))))
+    return join(found)
+
+
+def _write(group: int, name: str, groom: Groom) -> None:
+    most = BEARD_STRANDS if group == BEARD else STRANDS
+    arrays = compact(groom.level(min(1.0, most / len(groom))), MAX_BYTES, points_needed(groom))
+    path = groom_folder(GROUPS[group]) / f"{name}{GROOM_SUFFIX}"
+    path.parent.mkdir(exist_ok=True)
+    with atomic_write(path) as file:
+        np.savez_compressed(file, **arrays)
+    sys.stdout.write(f"{path}: {len(arrays['groups'])} strands, {path.stat().st_size >> 10} kB\n")
+
+
+def average_person(head: HeadModel) -> tuple[Subject, np.ndarray]:
+    """Somebody with the mean head, no hair but brows and lashes, and the head's vertices."""
+    shape = np.zeros(SHAPE_COUNT, np.float32)
+    someone = replace(
+        draw_subject(1, 0, None), shape=shape, hair_style=BALD, hair_length=1.0, hair_curl=CURL, hair_volume=1.0, hairline=0.0,
+        part=0.5, beard=0.0, stubble=0.0, beard_cut="full", brow_height=0.0,
+    )  # fmt: skip
+    return someone, np.asarray(head.vertices(shape, np.zeros(1), np.zeros((5, 3))), float)
+
+
 def main() -> int:
     """Write the files."""
     head = load_open_head()
     mesh = RenderMesh.build(head)
-    someone = draw_subject(1, 0, None)
-    shape = np.zeros(SHAPE_COUNT, np.float32)
-    neutral = np.asarray(head.vertices(shape, np.zeros(1), np.zeros((5, 3))), float)
-    GROOM_FOLDER.mkdir(exist_ok=True)
-    for name in STYLES:
-        subject = replace(
-            someone, shape=shape, hair_style=name, hair_length=1.0, hair_curl=CURL, hair_volume=1.0, hairline=0.0, part=0.5,
-            macros={**someone.macros, "female": float(name in WOMENS), "age": 30.0}, beard=0.0, stubble=0.0,
-        )  # fmt: skip
-        groom = make_groom(head, mesh, neutral, subject)
-        groom = groom.select(groom.groups == SCALP)
-        arrays = compact(groom.level(min(1.0, STRANDS / len(groom))), MAX_BYTES, points_needed(groom))
-        path = GROOM_FOLDER / f"{name}{GROOM_SUFFIX}"
-        with atomic_write(path) as file:
-            np.savez_compressed(file, **arrays)
-        sys.stdout.write(f"{path}: {len(arrays['groups'])} strands, {path.stat().st_size >> 10} kB\n")
+    someone, neutral = average_person(head)
+    groups = [GROUPS.index(name) for name in sys.argv[1:] or GROUPS]
+    for group, name, subject in _people(someone, groups):
+        _write(group, name, _dense(head, mesh, neutral, group, subject))
     return 0
 
 

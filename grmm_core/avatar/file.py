@@ -6,11 +6,12 @@ Layout, versions 1 and 2. Metadata of the tensor file (all strings):
 ``format_version``  "2" for an avatar with hair of its own, else "1", which older readers know
 ``avatar``          JSON object: name, head {name, sha256}, weights {name, sha256}, provenance {made_by, from_photos,
                     photos [{name, sha256}], date, licence}, camera or null, thumbnail (PNG, base64),
-                    from version 2 on hair: {settings {name: number}} or null
+                    from version 2 on hair: {settings {name: number}, parts {part: settings}, scalp true/false} or null
 
 Tensors, float32: ``z_id`` [Z], ``z_exp`` [Y], ``shape`` [300], ``expression`` [<=100], ``pose`` [5, 3],
 ``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact),
-``hair/NAME`` the strands as `hair.compact` has them, at most 1 MB; without them an avatar with hair settings is bald.
+``hair/NAME`` the strands as `hair.compact` has them, ``hair/PART/NAME`` those of brows, beard and lashes, at most 1 MB in
+all; without them an avatar with hair settings has none.
 Uint8, where there is one: ``painting`` [P, P, 3]; what does not know it passes over it.
 
 Called by sessions, fitting, the command line and Blender's panels (`read_avatar_header`). Needs numpy only.
@@ -22,7 +23,7 @@ import base64
 import binascii
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,8 @@ import numpy as np
 from ..errors import FileFormatError, GrmmError, ShapeError
 from ..files.tensorfile import read_metadata, read_tensors, write_tensors
 from ..geometry.camera import Camera
-from ..hair.compact import compact, restored
-from ..hair.groom import Groom
+from ..hair.compact import compact_parts, restored_parts
+from ..hair.roots import GROUPS
 from ..hair.settings import HairSettings
 from .types import MAX_NAME_LENGTH, AssetReference, Avatar, Hair, PhotoRecord, Provenance
 
@@ -54,7 +55,7 @@ class AvatarHeader:
     Attributes:
         format_version: Version of the file's layout.
         name, head, weights, camera, provenance, thumbnail: As in `Avatar`.
-        hair: Settings of the avatar's own strands, or None.
+        hair: The avatar's own hair without its strands, or None.
     """
 
     format_version: int
@@ -64,7 +65,7 @@ class AvatarHeader:
     camera: Camera | None
     provenance: Provenance
     thumbnail: bytes
-    hair: HairSettings | None
+    hair: Hair | None
 
 
 def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
@@ -85,14 +86,15 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
     }
     hair = avatar.hair
     if hair is not None:
-        description["hair"] = {"settings": hair.settings.to_json()}
+        parts = {name: settings.to_json() for name, settings in hair.parts.items()}
+        description["hair"] = {"settings": hair.settings.to_json(), "parts": parts, "scalp": hair.scalp}
     tensors = {name: getattr(avatar, name) for name in _ARRAYS}
     tensors |= {_TRACKING + name: array for name, array in avatar.tracking.items()}
     tensors |= {_DELTA + name: _compact(array) for name, array in avatar.deltas.items()}
     if avatar.painting.size:
         tensors[_PAINTING] = avatar.painting
     if hair is not None and hair.groom is not None:
-        tensors |= {_HAIR + name: array for name, array in compact(hair.groom).items()}
+        tensors |= {_HAIR + name: array for name, array in compact_parts(hair.groom).items()}
     metadata = {
         "format": FORMAT_NAME,
         "format_version": "1" if hair is None else str(FORMAT_VERSION),
@@ -136,7 +138,7 @@ def load_avatar(path: str | os.PathLike[str]) -> Avatar:
             deltas=_with_prefix(tensors, _DELTA),
             provenance=header.provenance,
             thumbnail=header.thumbnail,
-            hair=None if header.hair is None else Hair(_groom(tensors), header.hair),
+            hair=None if header.hair is None else replace(header.hair, groom=restored_parts(_with_prefix(tensors, _HAIR))),
             **({_PAINTING: tensors[_PAINTING]} if _PAINTING in tensors else {}),
         )
     except ShapeError as error:
@@ -163,7 +165,7 @@ def _parse_header(path: Path, metadata: dict[str, str]) -> AvatarHeader:
             camera=_camera_from_json(description["camera"]),
             provenance=_provenance_from_json(description["provenance"]),
             thumbnail=base64.b64decode(_text(description["thumbnail"]), validate=True),
-            hair=_settings(description.get("hair")),
+            hair=_hair(description.get("hair")),
         )
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError, binascii.Error, GrmmError) as error:
         raise _damaged(path, "its description is malformed") from error
@@ -209,17 +211,18 @@ def _camera_from_json(value: Any) -> Camera | None:
     return Camera(matrix, fx, fy, cx, cy, value["width"], value["height"], bool(value["orthographic"]))
 
 
-def _settings(value: Any) -> HairSettings | None:
-    return (
-        None
-        if value is None
-        else HairSettings().changed(**{_text(name): float(number) for name, number in value["settings"].items()})
-    )
+def _hair(value: Any) -> Hair | None:
+    if value is None:
+        return None
+    scalp = value.get("scalp", True)
+    if not isinstance(scalp, bool):
+        raise TypeError
+    parts = {_text(name): _settings(row) for name, row in value.get("parts", {}).items() if name in GROUPS}
+    return Hair(None, _settings(value["settings"]), parts, scalp)
 
 
-def _groom(tensors: dict[str, np.ndarray]) -> Groom | None:
-    arrays = _with_prefix(tensors, _HAIR)
-    return restored(arrays) if arrays else None
+def _settings(value: Any) -> HairSettings:
+    return HairSettings().changed(**{_text(name): float(number) for name, number in value.items()})
 
 
 def _compact(array: np.ndarray) -> np.ndarray:

@@ -72,12 +72,17 @@ class Hair:
     """The strands of a person.
 
     Attributes:
-        groom: On the head model; None for a person who is bald, whatever the Gaussians were trained with.
+        groom: On the head model, of all parts; None for a person without any, whatever the Gaussians were trained with.
         settings: Length, color and so on.
+        parts: Settings of brows, beard and lashes where they are not what `HairSettings.for_part` gives; by `roots.GROUPS`.
+        scalp: The strands stand for the scalp's hair, so that without any there the person is bald; else that of the
+            Gaussians stays.
     """
 
     groom: Groom | None
     settings: HairSettings = field(default_factory=HairSettings)
+    parts: Mapping[str, HairSettings] = field(default_factory=dict)
+    scalp: bool = True
 
 
 @dataclass(frozen=True)

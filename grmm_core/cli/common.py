@@ -12,12 +12,13 @@ from typing import Any
 
 from ..controls.frame import Controls, parse_assignments
 from ..controls.table import settable
-from ..errors import FileAccessError
+from ..errors import ControlError, FileAccessError
 from ..files.format import Format, OptionsOf, options_of_formats
 from ..fitting.request import DEVICES
 from ..hair import SETTINGS, HairSettings, groom_names
+from ..hair.roots import GROUPS, SCALP
 from ..jobs.cluster import Cluster, open_cluster
-from ..session.wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, HairUse
+from ..session.wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, HairUse
 from .console import Console
 
 
@@ -82,20 +83,34 @@ def options_of(args: argparse.Namespace, entry: Format, which: OptionsOf) -> dic
 
 
 def add_hair(parser: argparse.ArgumentParser) -> None:
-    """Add --hair and --hair-set."""
-    parser.add_argument(
-        "--hair", metavar="NAME", default=OWN_HAIR,
-        help=f"what the avatar wears: own (default), none, or one of {', '.join(groom_names())}",
-    )  # fmt: skip
+    """Add --hair, --brows, --beard, --lashes and --hair-set."""
+    for part in GROUPS:
+        names = ", ".join(groom_names(part))
+        parser.add_argument(
+            "--hair" if part == GROUPS[SCALP] else f"--{part}", metavar="NAME", default=OWN_HAIR,
+            help=f"{'what the avatar wears' if part == GROUPS[SCALP] else 'likewise'}: own (default), none, or one of {names}",
+        )  # fmt: skip
     names = ", ".join(f"{row.name} ({row.low:g} to {row.high:g})" for row in SETTINGS)
-    parser.add_argument("--hair-set", action="extend", nargs="+", default=[], metavar="NAME=VALUE", help=f"strands: {names}")
+    parser.add_argument(
+        "--hair-set", action="extend", nargs="+", default=[], metavar="NAME=VALUE",
+        help=f"strands: {names}; those of one part alone as for example brows.melanin",
+    )  # fmt: skip
 
 
 def hair_of(args: argparse.Namespace) -> HairUse:
-    """Return the hair that --hair and --hair-set ask for. Raises `ControlError`."""
-    values = parse_assignments(args.hair_set)
+    """Return the hair that --hair, --hair-set and so on ask for. Raises `ControlError`."""
+    values: dict[str, dict[str, float]] = {}
+    for name, value in parse_assignments(args.hair_set).items():
+        part, _, setting = name.rpartition(".")
+        if part and part not in PARTS:
+            raise ControlError(f"Hair has no part {part!r} with settings of its own; it has {', '.join(PARTS)}.")
+        values.setdefault(part, {})[setting] = value
+    main = values.pop("", None)
+    settings = None if main is None else HairSettings().changed(**main)
+    base = settings or HairSettings()
+    parts = {part: base.for_part(GROUPS.index(part)).changed(**changes) for part, changes in values.items()}
     groom = args.hair if args.hair in (OWN_HAIR, NO_HAIR) else GROOM_PREFIX + args.hair.removeprefix(GROOM_PREFIX)
-    return HairUse(groom, HairSettings().changed(**values) if values else None)
+    return HairUse(groom, settings, brows=args.brows, beard=args.beard, lashes=args.lashes, parts=parts)
 
 
 def add_events(parser: argparse.ArgumentParser) -> None:

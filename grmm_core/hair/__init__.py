@@ -16,6 +16,7 @@ The map:
     groom.py      `Groom`, the record: roots on triangles, points in the root's frame, widths, groups; `bind`, `join`
     roots.py      frames at the roots that turn with the skin
     attach.py     `groom_from_curves`
+    lashes.py     lashes that go with their lids
     settings.py   `HairSettings`, `SETTINGS`
     compact.py    a groom in few bytes; packaged.py   the package's grooms
     strands.py    a groom made ready: more strands, levels of detail, shape by settings

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..errors import ShapeError
-from .groom import Groom
+from .groom import Groom, join
+from .roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 
 MAX_BYTES = 1 << 20  # of a groom in a file
 FINEST_STEP = 1e-5  # metres
@@ -54,6 +55,29 @@ def compact(groom: Groom, max_bytes: int = MAX_BYTES, points: int | None = None)
         "root": root, "step": np.round(step / 1e-6).astype(np.uint16), "off": off, "groups": groom.groups.astype(np.uint8),
         "widths": np.round(np.clip(groom.widths * 1e6, 0, 65535)).astype(np.uint16),
     }  # fmt: skip
+
+
+def compact_parts(groom: Groom) -> dict[str, np.ndarray]:
+    """Pack the parts of a groom one by one, each with as many points as it needs; the scalp's names have no prefix."""
+    packed: dict[str, np.ndarray] = {}
+    left = MAX_BYTES
+    for group in (LASHES, BROWS, BEARD, SCALP):  # the scalp's gets what the others leave
+        some = groom.select(groom.groups == group)
+        if len(some):
+            arrays = compact(some, left if group == SCALP else min(left, MAX_BYTES // 3))
+            left -= sum(array.nbytes for array in arrays.values())
+            packed |= {(name if group == SCALP else f"{GROUPS[group]}/{name}"): array for name, array in arrays.items()}
+    return packed
+
+
+def restored_parts(arrays: Mapping[str, np.ndarray]) -> Groom | None:
+    """The opposite of `compact_parts`; None where there is nothing. Raises `ShapeError`."""
+    found = []
+    for group, part in enumerate(GROUPS):
+        prefix = "" if group == SCALP else f"{part}/"
+        own = {name[len(prefix) :]: array for name, array in arrays.items() if name.rpartition("/")[0] == prefix.rstrip("/")}
+        found += [restored(own)] if own else []
+    return join(found) if found else None
 
 
 def restored(arrays: Mapping[str, np.ndarray]) -> Groom:

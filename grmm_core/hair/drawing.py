@@ -5,6 +5,7 @@ Called by sessions. Uses the compiled `strand_kernels`; the same for tensors and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,10 +15,12 @@ from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from .pigment import albedos
 from .ribbons import Eye
+from .roots import SCALP
 from .settings import HairSettings
 from .strands import StrandBlock
 
 DRAWN = 0.85  # px: how wide a strand should be on the picture; thinner ones are drawn as fewer, wider ones
+SPARSE = 0.2  # px: likewise for brows, beards and lashes, between which skin shows
 SMALLEST_SHARE = 0.06  # of the strands
 BUDGET = 70.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
 OPACITY = 0.97
@@ -73,12 +76,15 @@ class Hiding:
         )
 
 
-def level_share(blocks: tuple[StrandBlock, ...], pixels_per_metre: float) -> float:
-    """Share of the strands to draw of a head that is seen at a size, the same for all parts: continuous in the size."""
-    width = max(float(block.widths.mean()) for block in blocks)
+def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float) -> list[float]:
+    """Share of the strands of each block to draw of a head that is seen at a size: continuous in the size."""
     all_of_them = sum(len(block) * block.segments for block in blocks)
-    share = min(width * pixels_per_metre / DRAWN, BUDGET * pixels_per_metre / max(all_of_them, 1))
-    return float(np.clip(share, SMALLEST_SHARE, 1.0))
+    most = BUDGET * pixels_per_metre / max(all_of_them, 1)
+    shares = []
+    for block in blocks:
+        wide = float(block.widths.mean()) * pixels_per_metre
+        shares.append(min(wide / DRAWN, most) if block.group == SCALP else wide / SPARSE)
+    return [float(np.clip(share, SMALLEST_SHARE, 1.0)) for share in shares]
 
 
 def strand_gaussians(

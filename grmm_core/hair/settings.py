@@ -12,6 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import ControlError
+from .roots import LASHES, SCALP
+
+PIGMENTS = ("melanin", "redness", "grey", "dye", "dye_red", "dye_green", "dye_blue")
+LASH_MELANIN = 0.85  # lashes are dark, also those of fair people
 
 
 def _setting(default: float, low: float, high: float, text: str) -> Any:
@@ -57,6 +61,15 @@ class HairSettings:
             raise ControlError(f"Hair has no setting {unknown[0]!r}; it has {', '.join(sorted(known))}.")
         return replace(self, **values)
 
+    def for_part(self, group: int) -> HairSettings:
+        """What brows, beard or lashes start from beside scalp hair of these settings: its pigments, lashes nearly black."""
+        if group == SCALP:
+            return self
+        pigments = dict(zip(PIGMENTS, self.color_key, strict=True))
+        if group == LASHES:
+            pigments.update(melanin=max(self.melanin, LASH_MELANIN), grey=0.0, dye=0.0)
+        return HairSettings(**pigments)
+
     def to_json(self) -> dict[str, float]:
         """Plain numbers by name."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
@@ -69,7 +82,7 @@ class HairSettings:
     @property
     def color_key(self) -> tuple[float, ...]:
         """What the strands' color depends on, besides light and eye."""
-        return (*(getattr(self, name) for name in ("melanin", "redness", "grey", "dye", "dye_red", "dye_green", "dye_blue")),)
+        return tuple(getattr(self, name) for name in PIGMENTS)
 
 
 @dataclass(frozen=True)

@@ -63,6 +63,7 @@ class GRMMConfig:
         texel_scale: Base scale in the tangent plane, relative to the texel's side.
         opacity_bias: Added to the opacity logits.
         antialias: Draw with Mip-Splatting's compensation: Gaussians smaller than a pixel do not grow a head's outline.
+        hairless: Trained on people without any hair: scalp hair, brows, lashes and beards are strands that sessions add.
         refine: Whether there is a refinement network.
         refine_channels: Widths of the refinement network's levels, finest first.
         refine_unshuffle: Pixels along a side folded into channels before the first convolution (1 or 2).
@@ -93,6 +94,7 @@ class GRMMConfig:
     texel_scale: float = 0.6
     opacity_bias: float = 2.0
     antialias: bool = False
+    hairless: bool = False
     refine: bool = True
     refine_channels: tuple[int, ...] = (32, 64, 128)
     refine_unshuffle: int = 1

@@ -49,7 +49,7 @@ _MIN_SKIN = 2e-3  # cover of skin between strands that is not worth refining
 
 @dataclass(frozen=True)
 class PlacedAvatar:
-    """An instance of an avatar, with what `local` looked up for it; `worn` is None where its hair is in its Gaussians."""
+    """An instance of an avatar, with what `local` looked up for it; `worn` is None where its hair is in its Gaussians alone."""
 
     target: OpenAvatar
     inputs: Inputs
@@ -160,7 +160,7 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
         count = coverage.stop
     hair = None
     worn = [item.worn for item in placed if isinstance(item, PlacedAvatar)]
-    strands = any(one is not None and one.groom is not None for one in worn)
+    strands = any(one is not None and one.layers for one in worn)
     if strands and (wants_features or "hair" in options.passes):
         hair = count
         count += 1

@@ -70,12 +70,14 @@ class Skin(NamedTuple):
 def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Skin:
     """Find the trained hair of an avatar, and the skin under it, from its inputs at rest."""
     places = _places(evaluator, target)
+    own = evaluator.appearance(target, inputs, np.array([0.0, 0.0, 1.0], np.float32))[0]
+    own = srgb_to_linear(to_numpy(own).clip(0.0, 1.0)).astype(np.float32)
+    if target.model.config.hairless:
+        return Skin(places.scalp.astype(np.float32), own)
     offsets = to_numpy(evaluator.offsets(target, inputs))[:, :3] * target.model.config.position_unit_mm * METRES_PER_MM
     far = np.maximum(_ramp(offsets[:, 2], *LIFTED), _ramp(np.linalg.norm(offsets[:, :2], axis=1), *ASIDE))
     (y_low, y_high), (z_low, z_high) = BEARD
     beard = _ramp(places.points[:, 1], y_high, y_low) * _ramp(places.points[:, 2], z_high, z_low)
-    own = evaluator.appearance(target, inputs, np.array([0.0, 0.0, 1.0], np.float32))[0]
-    own = srgb_to_linear(to_numpy(own).clip(0.0, 1.0)).astype(np.float32)
     bright = own.mean(1)
     plain = places.skin & (places.scalp < 0.02) & (far < 0.02) & (beard < 0.5)
     middle = float(np.median(bright[plain])) if plain.any() else 0.0

@@ -7,7 +7,9 @@ Grooms are made ready once (`hair.strands`), posed once for each mesh, and turne
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -16,10 +18,12 @@ from ..controls.frame import Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
-from ..hair.drawing import Hiding, StrandGaussians, level_share, strand_gaussians
-from ..hair.groom import Groom
+from ..hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
+from ..hair.groom import Groom, join
+from ..hair.lashes import Lashes
 from ..hair.packaged import library_groom
 from ..hair.ribbons import Eye
+from ..hair.roots import GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
 from ..hair.strands import StrandBlock, blocks_of
 from ..head import HeadModel
@@ -28,28 +32,58 @@ from .cap import Cap
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .scalp import Skin, bare_skin, cap_color
-from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PUT_PREFIX, HairUse
+from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
-_READY = 6  # grooms that are kept ready
+_READY = 12  # grooms that are kept ready
+Kept = TypeVar("Kept")
 _HIDING_ISLAND = 0  # of the UV map: the skin hides hair, eyes and teeth are behind it
 
 
 @dataclass(frozen=True)
-class Worn:
-    """A groom on an avatar.
+class Layer:
+    """Strands of one source.
 
     Attributes:
-        key: What identifies the groom and its version; () where there are no strands.
-        groom: The strands, or None.
-        settings: To draw with.
+        key: What identifies the groom and its version.
+        groom: The strands.
         points: See `api.HairUse`.
     """
 
     key: tuple[str, ...]
-    groom: Groom | None
-    settings: HairSettings
+    groom: Groom
     points: np.ndarray | None = None
+
+    def only(self, groups: tuple[int, ...]) -> Layer | None:
+        """The strands of some parts; None where there are none."""
+        wanted = np.isin(self.groom.groups, groups)
+        if wanted.all():
+            return self
+        if not wanted.any():
+            return None
+        points = None if self.points is None else self.points[wanted[self.groom.strand_of_point]]
+        return Layer((*self.key, *map(str, groups)), self.groom.select(wanted), points)
+
+
+@dataclass(frozen=True)
+class Worn:
+    """What an avatar wears.
+
+    Attributes:
+        layers: The strands.
+        settings: To draw them with, for each of `roots.GROUPS`.
+        flat: The scalp is laid flat (`scalp`): the hair that the Gaussians were trained with does not show, or strands
+            shade the skin.
+    """
+
+    layers: tuple[Layer, ...]
+    settings: tuple[HairSettings, ...]
+    flat: bool
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What identifies the strands."""
+        return tuple(text for layer in self.layers for text in (*layer.key, "+"))
 
 
 class Wardrobe:
@@ -58,7 +92,8 @@ class Wardrobe:
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._put: dict[str, tuple[str, Groom]] = {}
-        self._ready: dict[tuple[str, ...], tuple[StrandBlock, ...]] = {}
+        self._ready: dict[tuple[Hashable, ...], tuple[StrandBlock, ...]] = {}
+        self._lashes: dict[tuple[Hashable, ...], Lashes | None] = {}
 
     def put(self, name: str, version: str, groom: Groom) -> str:
         """See `api.Session.put_groom`."""
@@ -67,54 +102,79 @@ class Wardrobe:
         return PUT_PREFIX + name
 
     def worn(self, target: OpenAvatar, use: HairUse) -> Worn | None:
-        """What an avatar wears; None where its hair is the trained one. Raises `ShapeError` for a groom that there is not."""
-        own = target.avatar.hair
-        if use.groom == OWN_HAIR:
-            if own is None:
-                return None
-            return self._fit(Worn((OWN_HAIR, str(target.id)), own.groom, use.settings or own.settings, use.points))
+        """What an avatar wears; None where that is in its Gaussians. Raises `ShapeError` for a groom that there is not."""
+        own, head = target.avatar.hair, target.model.head_model.name
+        hairless = target.model.config.hairless
+        main = self._main(target, use)
+        names = [OWN_HAIR, *(getattr(use, part) for part in PARTS)]  # in the order of the groups
+        owned = tuple(group for group, name in enumerate(names) if name == OWN_HAIR)
+        found = [None if main is None else main.only(owned)]
+        recorded = None if own is None or own.groom is None or use.groom == OWN_HAIR else own.groom
+        for group, part in enumerate(GROUPS):
+            name = names[group]
+            if group == SCALP or name == NO_HAIR:
+                continue
+            if name != OWN_HAIR:
+                name = name.removeprefix(GROOM_PREFIX)
+                found.append(Layer((part, name), library_groom(name, head, part)))
+            elif main is not None and (main.groom.groups == group).any():
+                continue
+            elif recorded is not None:
+                found.append(Layer((OWN_HAIR, str(target.id)), recorded).only((group,)))
+            elif hairless and own is None and part in USUAL:
+                found.append(Layer((part, USUAL[part]), library_groom(USUAL[part], head, part)))
+        layers = tuple(layer for layer in found if layer is not None)
+        instead = own is not None and own.scalp if use.groom == OWN_HAIR else True
+        combed = any((layer.groom.groups == SCALP).any() for layer in layers)
+        if not layers and not instead:
+            return None
+        settings = use.settings or (own.settings if own is not None and use.groom == OWN_HAIR else HairSettings())
+        kept = {} if own is None else own.parts
+        parts = [use.parts.get(part) or kept.get(part) or settings.for_part(group) for group, part in enumerate(GROUPS)]
+        return Worn(layers, (settings, *parts[1:]), combed or (instead and not hairless))
+
+    def _main(self, target: OpenAvatar, use: HairUse) -> Layer | None:
+        """The groom that is worn on the scalp, with what else is in it."""
         if use.groom == NO_HAIR:
-            return Worn((), None, use.settings or HairSettings())
-        if use.groom.startswith(PUT_PREFIX):
+            return None
+        if use.groom == OWN_HAIR:
+            own = target.avatar.hair
+            layer = None if own is None or own.groom is None else Layer((OWN_HAIR, str(target.id)), own.groom, use.points)
+        elif use.groom.startswith(PUT_PREFIX):
             known = self._put.get(use.groom.removeprefix(PUT_PREFIX))
             if known is None:
                 raise ShapeError(f"There is no groom {use.groom!r} in this session; put it there first.")
-            return self._fit(Worn((use.groom, known[0]), known[1], use.settings or HairSettings(), use.points))
-        if not use.groom.startswith(GROOM_PREFIX):
+            layer = Layer((use.groom, known[0]), known[1], use.points)
+        elif use.groom.startswith(GROOM_PREFIX):
+            found = library_groom(use.groom.removeprefix(GROOM_PREFIX), target.model.head_model.name)
+            layer = Layer((use.groom,), found, use.points)
+        else:
             raise ShapeError(f"There is no hair {use.groom[:60]!r}; use own, none, groom:NAME or a groom that was put here.")
-        found = library_groom(use.groom.removeprefix(GROOM_PREFIX), target.model.head_model.name)
-        return self._fit(Worn((use.groom,), found, use.settings or HairSettings(), use.points))
+        if layer is not None and layer.points is not None and len(layer.points) != len(layer.groom.points):
+            count = len(layer.groom.points)
+            raise ShapeError(f"{len(layer.points)} moved points were given for a groom of {count}; give it anew.")
+        return layer
 
-    @staticmethod
-    def _fit(worn: Worn) -> Worn:
-        groom = worn.groom
-        if worn.points is not None and groom is not None and len(worn.points) != len(groom.points):
-            raise ShapeError(f"{len(worn.points)} moved points were given for a groom of {len(groom.points)}; give it anew.")
-        return worn
+    def blocks(self, layer: Layer, head: HeadModel) -> tuple[StrandBlock, ...]:
+        """Strands made ready for a head."""
+        return _kept(self._ready, (*layer.key, head.name), lambda: blocks_of(layer.groom, head.v_template, head.faces))
 
-    def blocks(self, worn: Worn, head: HeadModel) -> tuple[StrandBlock, ...]:
-        """The strands made ready for a head; () for none."""
-        if worn.groom is None:
-            return ()
-        key = (*worn.key, head.name)
-        if key not in self._ready:
-            while len(self._ready) >= _READY:
-                self._ready.pop(next(iter(self._ready)))
-            self._ready[key] = blocks_of(worn.groom, head.v_template, head.faces)
-        return self._ready[key]
-
-    def cap(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn) -> Cap:
-        """What lays the trained hair flat; see `scalp`."""
+    def cap(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn) -> Cap | None:
+        """What lays the trained hair flat; see `scalp`. None where nothing is."""
+        if not worn.flat:
+            return None
+        head = target.model.head_model
 
         def bare() -> Skin:
             return bare_skin(evaluator, target, _at_rest(evaluator, target, inputs))
 
         def make() -> Cap:
             skin = evaluator.cache.get((target.id, "skin", *inputs.identity_key), bare)
-            color = cap_color(evaluator, target, skin, self.blocks(worn, target.model.head_model), worn.settings)
+            blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
+            color = cap_color(evaluator, target, skin, blocks, worn.settings[SCALP])
             return Cap(self._engine.array(skin.share), self._engine.array(color))
 
-        return evaluator.cache.get((target.id, "cap", *worn.key, *inputs.identity_key, *worn.settings.color_key), make)
+        return evaluator.cache.get((target.id, "cap", *worn.key, *inputs.identity_key, *worn.settings[SCALP].color_key), make)
 
     def gaussians(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, camera: Camera | None, lod: int = 0,
@@ -132,19 +192,23 @@ class Wardrobe:
             direction: Without a camera, the unit vector towards the eye that colors are for, [3].
         """
         head = target.model.head_model
-        blocks = self.blocks(worn, head)
-        if not blocks:
+        ready = [(layer, number, block) for layer in worn.layers for number, block in enumerate(self.blocks(layer, head))]
+        if not ready:
             return None
         eye = None if camera is None else Eye.of(camera)
-        share = level_share(blocks, EXPORT_DENSITY if eye is None else eye.pixels_per_metre()) / 4**lod
+        density = EXPORT_DENSITY if eye is None else eye.pixels_per_metre()
+        shares = level_shares([block for *_, block in ready], density / 4**lod)
         vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
         hiding = None
         if camera is not None:
             hiding = Hiding.of(vertices, np.asarray(head.faces)[np.asarray(head.uv_islands) == _HIDING_ISLAND], camera)
         parts = []
-        for number, block in enumerate(blocks):
-            points, axes = self._posed(evaluator, target, inputs, worn, vertices, number, block)
-            parts.append(strand_gaussians(block, points, axes, worn.settings, share, eye, hiding, direction))
+        for (layer, number, block), share in zip(ready, shares, strict=True):
+            settings = worn.settings[block.group]
+            points, axes = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block)
+            if block.group == LASHES and layer.points is None:
+                points = self._on_lids(head, layer, settings, vertices, block, points)
+            parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction))
         joined = StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         drawn = joined.opacities > 0
         return Gaussians(*(self._engine.array(array[drawn]) for array in joined))
@@ -163,28 +227,58 @@ class Wardrobe:
     def kept(self, target: OpenAvatar, use: HairUse) -> Hair | None:
         """What an avatar's file holds of the hair that it wears."""
         worn = self.worn(target, use)
-        return None if worn is None else Hair(worn.groom, worn.settings)
+        if worn is None:
+            return None
+        grooms = [layer.groom for layer in worn.layers]
+        parts = {part: worn.settings[group] for group, part in enumerate(GROUPS) if group != SCALP}
+        own = target.avatar.hair
+        scalp = use.groom != OWN_HAIR or (own is not None and own.scalp)
+        return Hair(join(grooms) if grooms else None, worn.settings[SCALP], parts, scalp)
 
     def _posed(
-        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, vertices: np.ndarray, number: int,
-        block: StrandBlock,
+        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, layer: Layer, settings: HairSettings,
+        vertices: np.ndarray, number: int, block: StrandBlock,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Parents' points in head space and their roots' axes."""
 
         def styled() -> tuple[np.ndarray]:
-            return (block.styled(worn.settings),)
+            return (block.styled(settings),)
 
         def make() -> tuple[np.ndarray, np.ndarray]:
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
-            if worn.points is not None and worn.groom is not None:
-                return block.resampled(worn.groom, worn.points), axes
-            key = (target.id, "styled", number, *worn.key, *worn.settings.shape_key)
+            if layer.points is not None:
+                return block.resampled(layer.groom, layer.points), axes
+            key = (target.id, "styled", number, *layer.key, *settings.shape_key)
             local = evaluator.cache.get(key, styled)[0]
             return np.matmul(local, axes) + origin[:, None], axes
 
-        if worn.points is not None:
+        if layer.points is not None:
             return make()
-        return evaluator.cache.get((target.id, "strands", number, *worn.key, *worn.settings.shape_key, *inputs.mesh_key), make)
+        return evaluator.cache.get((target.id, "strands", number, *layer.key, *settings.shape_key, *inputs.mesh_key), make)
+
+    def _on_lids(
+        self, head: HeadModel, layer: Layer, settings: HairSettings, vertices: np.ndarray, block: StrandBlock,
+        points: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
+        """Lashes' points [M, K, 3] that go with the lids, instead of those given, which go with small triangles."""
+
+        def make() -> Lashes | None:
+            local = block.styled(settings).reshape(-1, 3)
+            offsets = np.arange(len(block.rows) + 1) * (block.segments + 1)
+            some = dataclasses.replace(layer.groom.select(block.rows), points=local, offsets=offsets)
+            return Lashes.build(head, np.asarray(head.v_template, float), some)
+
+        lashes = _kept(self._lashes, (*layer.key, head.name, *settings.shape_key), make)
+        return points if lashes is None else lashes.points(vertices.astype(float)).astype(np.float32)
+
+
+def _kept(known: dict[tuple[Hashable, ...], Kept], key: tuple[Hashable, ...], make: Callable[[], Kept]) -> Kept:
+    """What is known by a key, made where it is not; the oldest of many is forgotten."""
+    if key not in known:
+        while len(known) >= _READY:
+            known.pop(next(iter(known)))
+        known[key] = make()
+    return known[key]
 
 
 def with_channels(strands: Gaussians, count: int) -> Gaussians:

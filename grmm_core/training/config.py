@@ -66,7 +66,7 @@ class TrainConfig:
         evaluate_views: Held-out views in an evaluation.
         threads: Of torch; 0 leaves its choice.
         precision: float32, or bfloat16 for the convolutions, see `precision`.
-        bare: Train on the pictures without hair, where the capture has them.
+        bare: Train on the pictures without hair, where the capture has them; the model is `hairless` then unless it says else.
         person: Name of the one person to train for: only that person's own maps change, see `personal`; needs `init_from`.
         init_from: Weights file or checkpoint whose networks, maps and expression codes a new run starts from, see `warm_start`.
         perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
@@ -168,7 +168,7 @@ def train_config(model: Mapping[str, Any], training: Mapping[str, Any], losses: 
     preset = model.pop("preset", "paper")
     if preset not in PRESETS:
         raise ConfigError(f"There is no model preset {preset!r}; use one of {', '.join(PRESETS)}.")
-    config = PRESETS[preset].replace(**model)
+    config = PRESETS[preset].replace(**{"hairless": training.get("bare") is True, **model})
     known = {f.name: str(f.type) for f in dataclasses.fields(TrainConfig) if f.name not in ("model", "losses")}
     kinds: dict[str, type | tuple[type, ...]] = {"int": int, "float": (int, float), "str": str, "bool": bool}
     for name, value in training.items():

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.hair.lashes import Lashes
 from grmm_core.hair.roots import LASHES
 from grmm_core.head.open_head import load_people_model
 from grmm_studio.fields import bump
 from grmm_studio.grooming import make_groom
-from grmm_studio.lashes import Lashes
 from grmm_studio.mesh import RenderMesh, region_vertices
 from grmm_studio.subjects import draw_subject
 from grmm_studio.wrinkles import DRIVERS, LineField, line_depth, paint_lines

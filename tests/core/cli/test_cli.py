@@ -145,7 +145,15 @@ def test_render_puts_hair_on(render, tmp_path):
     dark = read_png(path).astype(int)
     assert render("default", "-o", path, "--size", "64", "--hair", "crop", "--hair-set", "melanin=0", "length=0.7")[0] == 0
     assert np.abs(read_png(path).astype(int) - dark).max() > 40
-    for options, word in (("--hair wig", "There is no groom 'wig'"), ("--hair crop --hair-set shine=1", "Hair has no setting")):
+    face = ("default", "-o", path, "--size", "64", "--passes", "hair")
+    assert render(*face, "--beard", "full", "--brows", "thin", "--hair-set", "beard.length=1.4")[0] == 0
+    assert read_png(tmp_path / "x.hair.png")[40:].max() > 20_000
+    for options, word in (
+        ("--hair wig", "There is no groom 'wig'"),
+        ("--hair crop --hair-set shine=1", "Hair has no setting"),
+        ("--brows wig", "There is no groom of brows 'wig'"),
+        ("--hair-set nose.length=1", "Hair has no part 'nose'"),
+    ):
         code, _, err = render("default", "-o", path, "--size", "64", *options.split())
         assert code == 1
         assert word in err

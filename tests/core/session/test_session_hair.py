@@ -85,6 +85,50 @@ def test_a_file_holds_the_hair(session, tmp_path):
     assert float(np.abs(again["rgb"] - worn["rgb"]).mean()) < 0.01
 
 
+def test_brows_lashes_and_beard_are_chosen_beside_the_hairstyle(session, tmp_path):
+    info = session.open("default")
+    face = Camera.orbit(160, 160, 0, distance=0.5, fov=24)
+    none, some = (drawn(session, use, face) for use in (HairUse(), HairUse(brows="bushy", beard="full")))
+    assert not none["hair"].any()  # they are in the Gaussians of these weights
+    rows = some["hair"][..., 0].sum(1)
+    assert rows[:80].max() > 2.0  # brows
+    assert rows[100:].max() > 10.0  # beard
+    np.testing.assert_allclose(some["alpha"][:20], none["alpha"][:20], atol=1e-3)  # the scalp's hair is in the Gaussians
+    grey = drawn(session, HairUse(brows="bushy", beard="full", parts={"beard": HairSettings(melanin=0.0, grey=1.0)}), face)
+    assert grey["rgb"][100:].sum() > some["rgb"][100:].sum() + 10
+    np.testing.assert_allclose(grey["rgb"][:60], some["rgb"][:60], atol=0.02)
+    session.save(info.id, tmp_path / "bearded.grmm", HairUse(brows="bushy", beard="full"))
+    again = session.render(
+        [Instance(session.open(tmp_path / "bearded.grmm").id)], face, RenderOptions(passes=("hair", "alpha"))
+    )
+    assert float(np.abs(again["hair"] - some["hair"]).mean()) < 5e-3
+    np.testing.assert_allclose(again["alpha"][:20], none["alpha"][:20], atol=1e-3)
+    for use in (HairUse(brows="bob"), HairUse(lashes="wig")):
+        with pytest.raises(FileAccessError, match="groom of"):
+            drawn(session, use)
+    with pytest.raises(ShapeError, match="no part 'nose'"):
+        HairUse(parts={"nose": HairSettings()})
+
+
+def test_heads_trained_without_hair_have_brows_and_lashes_unless_their_file_says_else(session, monkeypatch, tmp_path):
+    info = session.open("default")
+    session.save(info.id, tmp_path / "browless.grmm", HairUse("groom:crop"))
+    target = session.target(info.id)
+    monkeypatch.setattr(target.model, "config", target.model.config.replace(hairless=True))
+    face = Camera.orbit(160, 160, 0, distance=0.5, fov=24)
+    usual = drawn(session, HairUse(), face)["hair"]
+    named = drawn(session, HairUse(brows="natural", lashes="natural"), face)["hair"]
+    np.testing.assert_array_equal(usual, named)
+    assert usual[:80].sum() > 50
+    assert not usual[110:].any()
+    assert not drawn(session, HairUse(brows="none", lashes="none"), face)["hair"].any()
+    crop = session.render([Instance(session.open(tmp_path / "browless.grmm").id)], face, RenderOptions(passes=("hair",)))[
+        "hair"
+    ]
+    assert crop[:20].sum() > 50
+    assert crop[40:80, 70:90].sum() < 1  # the record has no brows
+
+
 def test_points_that_a_host_moved_are_drawn_where_they_are(session):
     info = session.open("default")
     groom = library_groom("crop")

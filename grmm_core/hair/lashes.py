@@ -1,8 +1,8 @@
 """Lashes that follow their lids: they turn with the lash cards and, on shut eyes, stand on the seam. Needs numpy only.
 
 Strands bound to triangles twist with the small triangles at a lid's edge, and a shut upper lid of the head model reaches below
-the edge of the lower one, which would hide its lashes inside the skin. `scene` poses lashes by this class; on the neutral head
-it gives the points of the groom.
+the edge of the lower one, which would hide its lashes inside the skin. Sessions and the capture studio pose lashes by this
+class; on the head that it was built for it gives the points of the groom.
 """
 
 from __future__ import annotations
@@ -13,10 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from grmm_core.hair.groom import Groom
-from grmm_core.head import HeadModel
-
-from .mesh import region_vertices
+from ..head import HeadModel
+from .groom import Groom
 
 LASH_CARD_ROWS = 4  # quads across a lash card
 SEAM_LIFT = np.array([0.0, 0.0003, 0.0007])  # metres from the lower lid's lash roots to those of a shut upper lid
@@ -47,13 +45,13 @@ def lash_edges(head: HeadModel) -> list[LashCard]:
     """
     template = np.asarray(head.v_template, float)
     mask = np.zeros(len(template), bool)
-    mask[region_vertices(head, "lashes")] = True
+    mask[head.regions["lashes"]] = True
     triangles = np.asarray(head.faces)
     numbers = np.flatnonzero(mask[triangles].all(1))
     triangles = triangles[numbers]
     other = np.ones(len(template), bool)
     for name in ("lashes", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue"):
-        other[region_vertices(head, name)] = False
+        other[head.regions[name]] = False
     skin = template[other]
     parent = {int(v): int(v) for v in np.flatnonzero(mask)}
 
@@ -130,8 +128,13 @@ class Lashes:
     rest: np.ndarray
 
     @staticmethod
-    def build(head: HeadModel, neutral: np.ndarray, groom: Groom) -> Lashes:
-        """Prepare a groom of lashes alone, strands of one number of points, on a person's neutral vertices [V, 3]."""
+    def build(head: HeadModel, neutral: np.ndarray, groom: Groom) -> Lashes | None:
+        """Prepare a groom of lashes alone, strands of one number of points, on neutral vertices [V, 3].
+
+        None where the head has no lash cards, or strands stand beside the cards' edges.
+        """
+        if "lashes" not in head.regions:
+            return None
         pieces: dict[int, list[tuple[int, int, int, int, bool]]] = {}
         seams: dict[int, np.ndarray] = {}
         for card in lash_edges(head):
@@ -142,6 +145,8 @@ class Lashes:
             if not card.upper:
                 x = neutral[root, 0]
                 seams[1 if x.mean() > 0 else -1] = root[np.argsort(np.abs(x))]
+        if len(seams) < 2 or not np.isin(groom.triangles, list(pieces)).all():
+            return None
         corners = np.asarray(head.faces)[groom.triangles]
         found = np.zeros((len(groom), 5), np.int64)
         for i, triangle in enumerate(groom.triangles):

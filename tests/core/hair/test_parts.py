@@ -1,0 +1,91 @@
+"""Brows, lashes and beards of the package: where they stand, how lashes go with lids, how files keep parts apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.errors import FileAccessError
+from grmm_core.hair import HairSettings, groom_names, join, library_groom
+from grmm_core.hair.compact import MAX_BYTES, compact_parts, restored_parts
+from grmm_core.hair.lashes import Lashes
+from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
+from grmm_core.head import load_open_head
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+def posed(head, groom):
+    template = np.asarray(head.v_template, float)
+    return groom.posed(groom.frames(template, head.faces), template)
+
+
+@pytest.mark.parametrize(
+    ("group", "low", "high", "longest"),
+    [(BROWS, 0.045, 0.07, 0.014), (LASHES, 0.015, 0.05, 0.016), (BEARD, -0.12, 0.03, 0.06)],
+)
+def test_parts_of_the_face_are_where_they_belong(head, group, low, high, longest):
+    for name in groom_names(GROUPS[group]):
+        groom = library_groom(name, part=GROUPS[group])
+        points = posed(head, groom)
+        roots, tips = points[groom.offsets[:-1]], points[groom.offsets[1:] - 1]
+        assert (groom.groups == group).all()
+        assert low < roots[:, 1].min() < roots[:, 1].max() < high
+        assert np.linalg.norm(tips - roots, axis=1).max() < longest
+        assert 0.4 < float((roots[:, 0] > 0).mean()) < 0.6  # as many on either side
+
+
+def test_a_part_has_its_own_names(head):
+    assert {"thin", "natural", "bushy"} <= set(groom_names("brows"))
+    assert {"stubble", "short", "full", "moustache"} <= set(groom_names("beard"))
+    assert "stubble" in groom_names()  # shorn hair of the scalp
+    assert (library_groom("stubble").groups == SCALP).all()
+    with pytest.raises(FileAccessError, match="groom of brows 'bob'; there are bushy"):
+        library_groom("bob", part="brows")
+
+
+def test_lashes_go_with_the_lids_and_end_on_the_seam(head):
+    groom = library_groom("natural", part="lashes")
+    template = np.asarray(head.v_template, float)
+    lashes = Lashes.build(head, template, groom)
+    open_ = lashes.points(template)
+    np.testing.assert_allclose(open_.reshape(-1, 3), posed(head, groom), atol=1e-5)
+    blink = sum(head.arkit_to_expression[ARKIT_NAMES.index(name)] for name in ("eyeBlinkLeft", "eyeBlinkRight"))
+    shut = np.asarray(head.vertices(np.zeros(300), blink, np.zeros((5, 3))), float)
+    moved = lashes.points(shut)
+    upper = lashes.upper
+    down = open_[upper, 0, 1] - moved[upper, 0, 1]
+    assert np.median(down) > 0.003  # those in the corners of the eye hardly move
+    assert np.abs(open_[~upper, 0, 1] - moved[~upper, 0, 1]).max() < 0.004
+    for side, seam in lashes.seams.items():  # no lash of a shut lid has its root below the lower lid's edge
+        roots = moved[upper & (lashes.sides == side), 0]
+        line = shut[seam][np.argsort(shut[seam][:, 0])]
+        assert (roots[:, 1] - np.interp(roots[:, 0], line[:, 0], line[:, 1])).min() > -0.001
+
+
+def test_lashes_elsewhere_are_left_to_their_triangles(head):
+    assert Lashes.build(head, np.asarray(head.v_template, float), library_groom("thin", part="brows")) is None
+
+
+def test_a_file_keeps_parts_with_their_own_points():
+    whole = join([library_groom("bob"), library_groom("natural", part="brows"), library_groom("natural", part="lashes")])
+    arrays = compact_parts(whole)
+    assert sum(array.nbytes for array in arrays.values()) <= MAX_BYTES
+    again = restored_parts(arrays)
+    for group in (SCALP, BROWS, LASHES):
+        before, after = (groom.select(groom.groups == group) for groom in (whole, again))
+        assert len(before) == len(after)
+        np.testing.assert_array_equal(before.counts, after.counts)
+        np.testing.assert_allclose(before.points, after.points, atol=2e-3)
+    assert restored_parts({}) is None
+
+
+def test_parts_take_the_pigments_of_the_hair():
+    blond = HairSettings(melanin=0.1, grey=0.5, length=0.4)
+    assert blond.for_part(SCALP) is blond
+    assert blond.for_part(BROWS) == HairSettings(melanin=0.1, grey=0.5)
+    assert blond.for_part(LASHES).melanin > 0.8

@@ -1,7 +1,7 @@
 """From an avatar's source to what the rig is built from: head model, resting shape and expression, code sizes.
 
-Works with numpy alone wherever the source is a file or the default, so that a head can be added and animated where there is
-no runtime. Used by `build` and the relink operator; imports neither bpy nor torch.
+Works with numpy alone, so that a head can be added and animated where there is no runtime. Used by `build` and the relink
+operator; imports neither bpy nor torch.
 """
 
 from __future__ import annotations
@@ -15,8 +15,12 @@ import numpy as np
 from ...grmm_core.avatar import AssetReference, load_avatar
 from ...grmm_core.avatar.library import DEFAULT_NAME, library_file, library_path
 from ...grmm_core.controls.table import EXPRESSION, SHAPE, Z_EXP, Z_ID
-from ...grmm_core.errors import FileAccessError, FileFormatError
+from ...grmm_core.errors import FileAccessError, FileFormatError, RuntimeMissingError
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
+from ...grmm_core.model.parameters import code_sizes
+from ...grmm_core.model.people import sampled_avatar
+from ...grmm_core.model.weights_file import read_weights, resolve_weights
+from ...grmm_core.session.painter import painted
 from .. import session_host
 
 DEFAULT_SOURCE = "default"
@@ -36,7 +40,7 @@ class Identity:
         shape: Its own shape coefficients, [<=S]; the rig's resting mesh.
         expression: Its own offset to the expression coefficients, [<=E].
         z_id_size, z_exp_size: Length of the residual codes.
-        painting: The person on the head's UV map, `Avatar.painting`, or None.
+        painting: The person on the head's UV map, `Avatar.painting`, or None for a plain face.
         reference: What the rig stores as its head model, for `load_head`; empty for the head's name.
         offset: What the person's resting mesh has beyond the shape coefficients, metres, [V, 3], or None.
     """
@@ -79,21 +83,18 @@ def read_identity(source: str) -> Identity:
     """Return the identity of a source.
 
     Args:
-        source: "default", "library:NAME", "sample:SEED" (needs the runtime), the absolute path of a `.grmm` file, or
-            `FLAME_PREFIX` and the path of the user's FLAME file: its mean head, which no network draws.
+        source: "default", "library:NAME", "sample:SEED" (painted where there is a runtime), the absolute path of a `.grmm`
+            file, or `FLAME_PREFIX` and the path of the user's FLAME file: its mean head, which no network draws.
 
     Raises:
         FileAccessError, FileFormatError: The file is missing, damaged, or of a head model that is not installed.
-        RuntimeMissingError: A sample, and nothing here can run the model.
     """
     if source == DEFAULT_SOURCE:
         source = str(library_path(DEFAULT_NAME))
     else:
         source = str(library_file(source) or source)
     if source.startswith(session_host.SAMPLE_PREFIX):
-        info = session_host.open_avatar(source)
-        head = load_head(AssetReference(info.head_name))
-        return Identity(info.name, head, info.shape, z_id_size=info.z_id_size, z_exp_size=info.z_exp_size)
+        return _random_person(source)
     if source.startswith(FLAME_PREFIX):
         head = load_head(AssetReference(source))
         name = Path(source.removeprefix(FLAME_PREFIX)).stem
@@ -105,6 +106,21 @@ def read_identity(source: str) -> Identity:
     painting = avatar.painting if avatar.painting.size else None
     sizes = avatar.z_id.size, avatar.z_exp.size
     return Identity(avatar.name, head, avatar.shape[: head.shape_count], avatar.expression, *sizes, painting=painting)
+
+
+def _random_person(source: str) -> Identity:
+    """The person of a "sample:SEED". Their shape needs no network; what they look like does."""
+    try:
+        session, info = session_host.get_session(), session_host.open_avatar(source)
+    except RuntimeMissingError:
+        weights = read_weights(resolve_weights(session_host.settings().weights or None)).info
+        head = load_head(AssetReference(weights.head_name))
+        sizes = code_sizes(weights.config, head)
+        person = sampled_avatar(weights, sizes[1], int(source.removeprefix(session_host.SAMPLE_PREFIX)))
+        return Identity(person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1])
+    head = load_head(AssetReference(info.head_name))
+    painting = painted(session, info.id, head)
+    return Identity(info.name, head, info.shape, z_id_size=info.z_id_size, z_exp_size=info.z_exp_size, painting=painting)
 
 
 def load_head(reference: AssetReference) -> HeadModel:

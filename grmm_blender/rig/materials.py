@@ -1,8 +1,8 @@
 """What the mesh of a head looks like where no splats are drawn: in EEVEE and Cycles, and in solid view without a runtime.
 
-An avatar's file carries a painting of the person on the UV map. It becomes the texture of the head's own materials, one for
-each part that solid view, which shows one color a material, has to tell apart: hair, brows and beard, lips, irises, pupils.
-A head without a painting (a user's FLAME file, avatars of earlier versions) has plain materials that heads share.
+A painting of the person on the UV map, from the avatar's file or drawn when a random person was added, becomes the texture of
+the head's own materials, one for each part that solid view, which shows one color a material, has to tell apart: hair, brows
+and beard, lips, irises, pupils. A head without a painting (a user's FLAME file, avatars of earlier versions) has a plain face.
 """
 
 from __future__ import annotations
@@ -12,21 +12,20 @@ import numpy as np
 
 from ...grmm_core.controls.names import JOINT_NAMES
 from ...grmm_core.head import HeadModel
+from ...grmm_core.model.plain_face import IRIS_DEGREES, PUPIL_DEGREES, plain_face
 from ...grmm_core.pictures.color import srgb_to_linear
 from ...grmm_core.pictures.sampling import bilinear
 from .identity import Identity
 
 PART = "grmm_part"  # custom property of a material: which part of a head it was made for
-# part, words of its regions, color (linear), roughness
+# part, words of its regions; of parts that heads share: color (linear), roughness
 _PLAIN = (
-    ("Skin", (), (0.58, 0.34, 0.25, 1.0), 0.5),
-    ("Eyes", ("eye",), (0.75, 0.74, 0.72, 1.0), 0.1),
     ("Teeth", ("teeth",), (0.72, 0.68, 0.58, 1.0), 0.25),
     ("Mouth", ("mouth_interior", "tongue"), (0.38, 0.11, 0.1, 1.0), 0.35),
     ("Lashes", ("lash",), (0.03, 0.02, 0.015, 1.0), 0.6),
 )
 _PAINTED = {"Skin": 0.5, "Eyes": 0.1, "Irises": 0.1, "Pupils": 0.1, "Lips": 0.35, "Hair": 0.7}  # roughness
-_IRIS, _PUPIL = np.cos(np.radians((23.0, 9.0)))  # half angles on the eyeball
+_IRIS, _PUPIL = np.cos(np.radians((IRIS_DEGREES, PUPIL_DEGREES)))
 _UNLIKE = 0.12  # display color between hair and skin from which on they are told apart
 _HAIR, _BROW = 0.5, 0.15  # how far from skin to hair a face's color is that counts as hair; brows are narrower than faces
 _WHITEST = 0.75  # quantile of an eye's colors: lashes shade most of the white
@@ -36,48 +35,44 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
     """Give the parts of a head's mesh materials; a mesh that has others than these keeps them."""
     if any(material is None or not (PART in material or material.name.startswith("GRMM ")) for material in mesh.materials):
         return
-    parts = _plain_parts(identity.head)
-    materials = {name: _shared(name, color, roughness) for name, _, color, roughness in _PLAIN}
-    if identity.painting is not None:
-        image = _image(f"{identity.name} painting", identity.painting)
-        colors = _face_colors(identity.head, identity.painting)
-        parts = _painted_parts(identity.head, parts, colors)
-        for name, roughness in _PAINTED.items():
-            inside = parts == name
-            middle = _WHITEST if name == "Eyes" else 0.5
-            color = srgb_to_linear(np.quantile(colors[inside], middle, axis=0)) if inside.any() else np.zeros(3)
-            materials[name] = _painted(f"{identity.name} {name}", name, image, color, roughness)
+    painting = plain_face(identity.head) if identity.painting is None else identity.painting
+    colors = _face_colors(identity.head, painting)
+    parts = _parts(identity.head, colors)
+    used = [name for name in (*_PAINTED, *(name for name, *_ in _PLAIN)) if (parts == name).any()]
+    image = _image(f"{identity.name} painting", painting)
+    shared = {name: (color, roughness) for name, _, color, roughness in _PLAIN}
     mesh.materials.clear()
-    used = [name for name in materials if (parts == name).any()]
     for name in used:
-        mesh.materials.append(materials[name])
+        if name in shared:
+            material = _shared(name, *shared[name])
+        else:
+            color = srgb_to_linear(np.quantile(colors[parts == name], _WHITEST if name == "Eyes" else 0.5, axis=0))
+            material = _painted(f"{identity.name} {name}", name, image, color, _PAINTED[name])
+        mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.array([used.index(name) for name in parts], np.int32))
 
 
-def _plain_parts(head: HeadModel) -> np.ndarray:
-    """Name of the part of each face, [F]; a face belongs to a part when all its corners do."""
-    parts = np.full(len(head.faces), _PLAIN[0][0], dtype="<U8")
-    for name, words, *_ in _PLAIN:
-        inside = _vertices(head, *(r for r in head.regions if "lid" not in r and any(word in r for word in words)))
-        parts[inside[head.faces].all(1)] = name
-    return parts
+def _parts(head: HeadModel, colors: np.ndarray) -> np.ndarray:
+    """Name of the part of each face, [F], by where it is, and hair by its color [F, 3].
 
-
-def _painted_parts(head: HeadModel, parts: np.ndarray, colors: np.ndarray) -> np.ndarray:
-    """Divide skin and eyes further: by where they are, and hair by its color [F, 3]."""
-    parts = parts.copy()
+    A face belongs to a part when all its corners do.
+    """
+    parts = np.full(len(head.faces), "Skin", dtype="<U8")
+    for name, words in (("Eyes", ("eye",)), *((name, words) for name, words, *_ in _PLAIN)):
+        regions = (region for region in head.regions if "lid" not in region and any(word in region for word in words))
+        parts[head.marked(*regions)[head.faces].all(1)] = name
     joints = head.joints(np.zeros(head.shape_count, np.float32))
     for side in ("left", "right"):
-        ball = _vertices(head, f"{side}_eyeball")[head.faces].all(1)
+        ball = head.marked(f"{side}_eyeball")[head.faces].all(1)
         centre = joints[JOINT_NAMES.index(f"{side}_eye")]
         ways = head.v_template[head.faces].mean(1) - centre
         ahead = ways[:, 2] / np.linalg.norm(ways, axis=1)  # eyes look along +z
         for name, least in (("Irises", _IRIS), ("Pupils", _PUPIL)):
             parts[ball & (ahead > least)] = name
     skin = parts == "Skin"
-    lips, brows, apart = (_vertices(head, *names)[head.faces] for names in (("lips",), ("brows",), ("lips", "lids", "brows")))
+    lips, brows, apart = (head.marked(*names)[head.faces] for names in (("lips",), ("brows",), ("lips", "lids", "brows")))
     tone, hair = (np.median(colors[part], 0) for part in (
-        skin & _vertices(head, "face")[head.faces].all(1) & ~apart.any(1), skin & _vertices(head, "scalp")[head.faces].all(1)
+        skin & head.marked("face")[head.faces].all(1) & ~apart.any(1), skin & head.marked("scalp")[head.faces].all(1)
     ))  # fmt: skip
     change = hair - tone
     if np.linalg.norm(change) > _UNLIKE:
@@ -85,14 +80,6 @@ def _painted_parts(head: HeadModel, parts: np.ndarray, colors: np.ndarray) -> np
         parts[skin & ((colors - tone) @ change > least)] = "Hair"
     parts[skin & lips.all(1)] = "Lips"
     return parts
-
-
-def _vertices(head: HeadModel, *regions: str) -> np.ndarray:
-    """Which vertices lie in any of the regions, [V]."""
-    inside = np.zeros(head.vertex_count, bool)
-    for name in regions:
-        inside[head.regions.get(name, ())] = True
-    return inside
 
 
 def _face_colors(head: HeadModel, painting: np.ndarray) -> np.ndarray:

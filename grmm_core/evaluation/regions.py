@@ -32,11 +32,7 @@ def triangle_groups(head: HeadModel) -> dict[str, np.ndarray]:
     """Triangles of each group and of the rest, as row numbers of `head.faces`."""
     label = np.full(len(head.faces), REST, dtype=object)
     for name, regions in reversed(list(GROUPS.items())):
-        inside = np.zeros(head.vertex_count, bool)
-        for region in regions:
-            if region in head.regions:
-                inside[head.regions[region]] = True
-        label[inside[head.faces].all(1)] = name
+        label[head.marked(*regions)[head.faces].all(1)] = name
     return {name: np.flatnonzero(label == name) for name in (*GROUPS, REST)}
 
 

@@ -142,9 +142,7 @@ def _mesh_outline(
     corners = pixels[faces]
     first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     front = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] < 0.0  # y points down
-    allowed = np.zeros(head.vertex_count, bool)
-    for name in REGIONS:
-        allowed[head.regions[name]] = True
+    allowed = head.marked(*REGIONS)
     # edges as (low, high) of all triangles; partners lie next to each other after sorting
     pairs = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     owner = np.tile(np.arange(len(faces)), 3)

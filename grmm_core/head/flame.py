@@ -191,10 +191,8 @@ def _regions(
     near = correspondence.distance < _REGION_DISTANCE
     labels = {}
     for name in _REGIONS:
-        mark = np.zeros(head.vertex_count, bool)
-        mark[head.regions[name]] = True
         labels[name] = np.zeros(len(surface.vertices), bool)
-        labels[name][surface.skin] = (correspondence.carry(mark.astype(float)) > 0.5) & near
+        labels[name][surface.skin] = (correspondence.carry(head.marked(name).astype(float)) > 0.5) & near
     first = len(surface.vertices)
     teeth = {
         name: np.sort(np.concatenate([first + row * ROW + np.arange(ROW) for row in rows]))

@@ -101,6 +101,13 @@ class HeadModel:
         """E."""
         return self.expression_dirs.shape[2]
 
+    def marked(self, *regions: str) -> np.ndarray:
+        """Which vertices lie in any of the regions, [V] bool; of those that this head lacks none does."""
+        inside = np.zeros(self.vertex_count, bool)
+        for name in self.regions.keys() & set(regions):
+            inside[self.regions[name]] = True
+        return inside
+
     def shaped(self, shape: np.ndarray, expression: np.ndarray | None = None) -> np.ndarray:
         """Template plus shape and expression directions, before skinning.
 

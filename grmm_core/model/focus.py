@@ -35,10 +35,7 @@ def wanted_sizes(head: HeadModel) -> np.ndarray:
     """Wanted side of a texel on each face by `SIZES_MM`, millimetres, [F]."""
     size = np.full(len(head.faces), ELSEWHERE_MM)
     for name, wanted in SIZES_MM.items():
-        if name in head.regions:
-            inside = np.zeros(len(head.v_template), bool)
-            inside[head.regions[name]] = True
-            size[inside[head.faces].all(1)] = wanted
+        size[head.marked(name)[head.faces].all(1)] = wanted
     for name in ("left_eyeball", "right_eyeball"):
         if name in head.regions:
             points = head.v_template[head.regions[name]]

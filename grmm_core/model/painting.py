@@ -73,9 +73,7 @@ def paint(head: HeadModel, draw: Callable[[Mapping[str, float], Camera], View], 
     """
     layout = texel_layout(head.uv, head.uv_faces, pixels)
     corners = head.faces[layout.face]  # [N, 3]
-    lashes = np.zeros(head.vertex_count, bool)
-    lashes[head.regions.get("lashes", np.zeros(0, int))] = True
-    solid = head.faces[~lashes[head.faces].any(1)]
+    solid = head.faces[~head.marked("lashes")[head.faces].any(1)]
     total, weights = np.zeros((len(layout), 3), np.float32), np.zeros(len(layout), np.float32)
     for yaw, pitch, controls, share in _VIEWS:
         camera = portrait_camera(VIEW_PIXELS, yaw, pitch)
@@ -96,7 +94,22 @@ def paint(head: HeadModel, draw: Callable[[Mapping[str, float], Camera], View], 
     picture, known = np.zeros((pixels * pixels, 3), np.float32), np.zeros(pixels * pixels, bool)
     picture[layout.texel[seen]] = total[seen] / weights[seen, None]
     known[layout.texel[seen]] = True
-    return quantize(_spread(picture.reshape(pixels, pixels, 3), known.reshape(pixels, pixels)))
+    return quantize(fill_unknown(picture.reshape(pixels, pixels, 3), known.reshape(pixels, pixels)))
+
+
+def fill_unknown(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Fill unknown pixels of [H, W, 3] from the known ones around them, by pyramids: each level of half the size is filled."""
+    if known.all() or min(known.shape) < 2:
+        return picture
+    weight = known.astype(np.float32)[..., None]
+    sums, counts = (
+        part[0::2, 0::2] + part[1::2, 0::2] + part[0::2, 1::2] + part[1::2, 1::2] for part in (picture * weight, weight)
+    )
+    coarse = fill_unknown(sums / np.maximum(counts, 1.0), counts[..., 0] > 0)
+    rows, columns = (np.arange(size) for size in known.shape)
+    places = np.stack(np.broadcast_arrays(columns[None, :] / 2 + 0.25, rows[:, None] / 2 + 0.25), -1)
+    enlarged = bilinear(coarse, places) if min(coarse.shape[:2]) > 1 else np.broadcast_to(coarse[:1, :1], picture.shape)
+    return np.where(known[..., None], picture, enlarged)
 
 
 def presented(model: GRMM, avatar: Avatar) -> Avatar:
@@ -110,18 +123,3 @@ def presented(model: GRMM, avatar: Avatar) -> Avatar:
         return View(*(part.float().cpu().numpy() for part in (mesh.vertices, picture.image, picture.alpha)))
 
     return avatar.with_pictures(thumbnail(model, avatar), paint(model.head_model, view))
-
-
-def _spread(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Fill unknown pixels of [H, W, 3] from the known ones around them, by pyramids: each level of half the size is filled."""
-    if known.all() or min(known.shape) < 2:
-        return picture
-    weight = known.astype(np.float32)[..., None]
-    sums, counts = (
-        part[0::2, 0::2] + part[1::2, 0::2] + part[0::2, 1::2] + part[1::2, 1::2] for part in (picture * weight, weight)
-    )
-    coarse = _spread(sums / np.maximum(counts, 1.0), counts[..., 0] > 0)
-    rows, columns = (np.arange(size) for size in known.shape)
-    places = np.stack(np.broadcast_arrays(columns[None, :] / 2 + 0.25, rows[:, None] / 2 + 0.25), -1)
-    enlarged = bilinear(coarse, places) if min(coarse.shape[:2]) > 1 else np.broadcast_to(coarse[:1, :1], picture.shape)
-    return np.where(known[..., None], picture, enlarged)

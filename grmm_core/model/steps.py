@@ -106,8 +106,4 @@ def refinement_margin(config: GRMMConfig) -> int:
 
 def face_mask(head: HeadModel) -> np.ndarray:
     """M_face of eq. 11: 0 on teeth vertices, 1 elsewhere, [V] float32."""
-    mask = np.ones(len(head.v_template), np.float32)
-    for name in TEETH_REGIONS:
-        if name in head.regions:
-            mask[head.regions[name]] = 0.0
-    return mask
+    return 1.0 - head.marked(*TEETH_REGIONS).astype(np.float32)

@@ -10,7 +10,7 @@ import functools
 import os
 import platform
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -27,7 +27,6 @@ from ..geometry.libraries import present, to_numpy
 from ..geometry.rotations import euler_to_matrix
 from ..hair.groom import Groom
 from ..head.skinning import joint_transforms
-from ..model.painting import View, paint
 from ..model.people import default_avatar, sampled_avatar
 from ..model.portrait import THUMBNAIL_PIXELS, portrait_camera
 from ..model.store import LoadedModel
@@ -50,6 +49,7 @@ from .clouds import OpenCloud
 from .compose import PlacedAvatar, PlacedCloud, compose
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
+from .painter import painted
 from .sources import SourceKey, source_key
 from .wardrobe import Wardrobe
 
@@ -124,14 +124,8 @@ class LocalSession:
         png = encode_png(quantize(straight_rgba(buffers["rgb"], buffers["alpha"])))
         painting = avatar.painting
         if not painting.size:
-            painting = paint(target.model.head_model, functools.partial(self._view, avatar_id))
+            painting = painted(self, avatar_id, target.model.head_model)
         save_avatar(avatar.with_pictures(png, painting), path)
-
-    def _view(self, avatar_id: int, controls: Mapping[str, float], camera: Camera) -> View:
-        """What `paint` asks for."""
-        posed = Controls().set_named(controls)
-        buffers = self.render([Instance(avatar_id, posed)], camera)
-        return View(self.deform(avatar_id, posed).vertices, buffers["rgb"], buffers["alpha"][..., 0])
 
     @_guarded
     def release(self, avatar_id: int) -> None:

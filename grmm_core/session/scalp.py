@@ -155,10 +155,7 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
         corners = np.asarray(head.faces)[layout.face]
 
         def share(*names: str) -> np.ndarray:
-            mask = np.zeros(len(head.v_template))
-            for name in names:
-                mask[head.regions.get(name, np.zeros(0, int))] = 1.0
-            return (mask[corners] * layout.barycentric).sum(1)
+            return (head.marked(*names).astype(float)[corners] * layout.barycentric).sum(1)
 
         points = (np.asarray(head.v_template, float)[corners] * layout.barycentric[..., None]).sum(1)
         outer = np.asarray(head.uv_islands)[layout.face] == _ISLAND

@@ -141,11 +141,7 @@ def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:
         To be added to the colors, display sRGB, [N, 3].
     """
     head, face = model.head_model, model.anchor.face.cpu().numpy()
-    inside = np.zeros(head.vertex_count, bool)
-    for name in MOUTH_REGIONS:
-        if name in head.regions:
-            inside[head.regions[name]] = True
-    texels = torch.from_numpy(inside[head.faces[face]].any(1)).to(model.device)  # [N]
+    texels = torch.from_numpy(head.marked(*MOUTH_REGIONS)[head.faces[face]].any(1)).to(model.device)  # [N]
     colors, _ = model.appearance(z_id, z_id.new_tensor(FRONT))
     limited = torch.minimum(colors, colors[:, :1])
     return torch.where(texels[:, None], limited - colors, torch.zeros_like(colors))

@@ -144,9 +144,7 @@ def bind_to_flame(
 def _inside_mouth(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """Whether points [P, n, 3] belong to teeth, tongue or the mouth's inside of the open head [P, V_open, 3], [n]."""
     head = load_open_head()
-    marked = np.zeros(len(head.v_template), bool)
-    marked[np.concatenate([head.regions[name] for name in _INSIDE])] = True
-    return marked[_nearest(np.concatenate(list(points), 1), np.concatenate(list(vertices), 1))]
+    return head.marked(*_INSIDE)[_nearest(np.concatenate(list(points), 1), np.concatenate(list(vertices), 1))]
 
 
 def _nearest(own: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -1,0 +1,76 @@
+"""A face for a head that nobody has painted: skin, lips, brows, hair and eyes by the head's regions.
+
+For heads that no network draws (a user's FLAME file), and for people where nothing here can run the model. Needs numpy only.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..controls.names import JOINT_NAMES
+from ..head import HeadModel
+from ..pictures.images import quantize
+from .layout import texel_layout
+from .painting import fill_unknown
+
+PIXELS = 512
+"""Side of the picture: irises are 20 pixels wide."""
+IRIS_DEGREES, PUPIL_DEGREES = 23.0, 9.0
+"""Half angles on the eyeball."""
+_SKIN, _HAIR, _WHITE = (0.78, 0.60, 0.52), (0.20, 0.14, 0.11), (0.87, 0.86, 0.84)
+_IRIS, _RIM, _PUPIL = (0.37, 0.27, 0.19), (0.12, 0.09, 0.07), (0.03, 0.03, 0.03)
+# regions, display color, rounds of smoothing, marks between which it begins and is full, share: each lies on those before it
+_LAYERS = (
+    (("ears",), (0.77, 0.50, 0.44), 2, (0.0, 1.0), 0.5),
+    (("lids",), (0.66, 0.45, 0.39), 2, (0.0, 1.0), 0.5),
+    (("lips",), (0.68, 0.37, 0.35), 1, (0.0, 0.9), 0.8),
+    (("scalp",), _HAIR, 2, (0.1, 0.6), 1.0),
+    (("brows",), _HAIR, 0, (0.4, 0.9), 0.75),
+    (("mouth_interior",), (0.42, 0.17, 0.16), 0, (0.0, 1.0), 1.0),
+    (("tongue",), (0.66, 0.34, 0.33), 0, (0.0, 1.0), 1.0),
+    (("upper_teeth", "lower_teeth"), (0.87, 0.84, 0.77), 0, (0.0, 1.0), 1.0),
+    (("lashes",), (0.10, 0.08, 0.07), 0, (0.0, 1.0), 1.0),
+)  # fmt: skip
+_GRAIN = 0.05  # of hair and brows, in display values: strands' worth of unevenness
+
+
+def plain_face(head: HeadModel, pixels: int = PIXELS) -> np.ndarray:
+    """Paint a plain human face for a head model.
+
+    Args:
+        head: The mesh, its UV map and regions; what it lacks stays skin.
+        pixels: Side of the picture.
+
+    Returns:
+        As `painting.paint`: display sRGB, uint8, [pixels, pixels, 3], the row of v = 0 first.
+    """
+    layout = texel_layout(head.uv, head.uv_faces, pixels)
+    corners = head.faces[layout.face]  # [N, 3]
+    colors = np.tile(np.float32(_SKIN), (len(layout), 1))
+    for regions, color, rounds, (low, high), share in _LAYERS:
+        mark = _smoothed(head.marked(*regions), head.faces, rounds)
+        inside = (mark[corners] * layout.barycentric).sum(1, keepdims=True)
+        weight = share * np.clip((inside - low) / (high - low), 0.0, 1.0)
+        grain = np.random.default_rng(0).normal(0.0, _GRAIN if color is _HAIR else 0.0, (len(layout), 1))
+        colors += weight * (np.float32(color) + grain.astype(np.float32) - colors)
+    points = (head.v_template[corners] * layout.barycentric[..., None]).sum(1)
+    joints = head.joints(np.zeros(head.shape_count, np.float32))
+    for side in ("left", "right"):
+        ball = head.marked(f"{side}_eyeball")[corners].all(1)
+        ways = points[ball] - joints[JOINT_NAMES.index(f"{side}_eye")]
+        angles = np.degrees(np.arccos(np.clip(ways[:, 2] / np.linalg.norm(ways, axis=1), -1.0, 1.0)))  # eyes look along +z
+        rings = (0.0, PUPIL_DEGREES, PUPIL_DEGREES + 2.0, IRIS_DEGREES - 4.0, IRIS_DEGREES - 1.0, IRIS_DEGREES + 1.0)
+        shades = np.float32([_PUPIL, _PUPIL, _IRIS, _IRIS, _RIM, _WHITE])
+        colors[ball] = np.stack([np.interp(angles, rings, shades[:, k]) for k in range(3)], -1)
+    picture, known = np.zeros((pixels * pixels, 3), np.float32), np.zeros(pixels * pixels, bool)
+    picture[layout.texel], known[layout.texel] = colors, True
+    return quantize(fill_unknown(picture.reshape(pixels, pixels, 3), known.reshape(pixels, pixels)))
+
+
+def _smoothed(mark: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:
+    """1 where marked [V] and 0 elsewhere, then means over the faces around each vertex, as often as asked."""
+    mark = mark.astype(np.float32)
+    around = np.maximum(np.bincount(faces.ravel(), minlength=len(mark)), 1)
+    for _ in range(rounds):
+        mark = np.bincount(faces.ravel(), np.repeat(mark[faces].mean(1), 3), len(mark)) / around
+    return mark

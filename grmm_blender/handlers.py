@@ -14,7 +14,7 @@ from bpy.app.handlers import persistent
 
 from ..grmm_core.errors import GrmmError
 from . import events, session_host
-from .rig import live
+from .rig import live, repaint
 from .rig.avatar import Avatar, avatar_of
 from .rig.channel_groups import group_channels
 from .rig.left_rigs import LeftRigs
@@ -70,6 +70,7 @@ def _on_other_state(*_: object) -> None:
     _left_rigs.notice_deleted()
     if not bpy.app.background:
         events.later(_catch_up, _CATCH_UP_SECONDS)
+    repaint.look_soon()
 
 
 @persistent
@@ -205,4 +206,5 @@ def register() -> None:
 def unregister() -> None:
     """Stop following them."""
     events.stop(_EVENTS, [_catch_up, _settle, _remove_left_rigs])
+    repaint.stop()
     live.forget()

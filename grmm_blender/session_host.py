@@ -233,6 +233,11 @@ def loading(text: str) -> str:
     return text if _has_drawn else f"{text}; {FIRST_TIME}"
 
 
+def has_drawn() -> bool:
+    """Whether the model has drawn once in this Blender."""
+    return _has_drawn
+
+
 def note_drawn() -> None:
     """The model has drawn: libraries are loaded, kernels compiled."""
     global _has_drawn

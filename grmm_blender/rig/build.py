@@ -10,7 +10,7 @@ from ...grmm_core.avatar import AssetReference
 from ...grmm_core.controls.table import ARRAYS, CONTROLS, EXPRESSIONS, SLIDERS, Z_EXP, Z_ID
 from ...grmm_core.errors import FileFormatError, GrmmError
 from ...grmm_core.head import HeadModel
-from . import armature, drivers, live, mesh
+from . import armature, drivers, live, mesh, repaint
 from .avatar import Avatar
 from .custom_properties import add_property
 from .identity import Identity, load_head, read_identity
@@ -48,6 +48,7 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
     for part in (obj, rig):
         part.select_set(True)
     context.view_layer.objects.active = rig  # what can be moved
+    repaint.ask(Avatar(obj))
     return Avatar(obj)
 
 
@@ -130,6 +131,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
     live.state_of(avatar).shape_for = None
     live.state_of(avatar).detail_for = None
     avatar.tag_edited()
+    repaint.ask(avatar)
 
 
 def known_path(avatar: Avatar) -> str:

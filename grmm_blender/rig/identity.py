@@ -15,12 +15,11 @@ import numpy as np
 from ...grmm_core.avatar import AssetReference, load_avatar
 from ...grmm_core.avatar.library import DEFAULT_NAME, library_file, library_path
 from ...grmm_core.controls.table import EXPRESSION, SHAPE, Z_EXP, Z_ID
-from ...grmm_core.errors import FileAccessError, FileFormatError, RuntimeMissingError
+from ...grmm_core.errors import FileAccessError, FileFormatError
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
 from ...grmm_core.model.parameters import code_sizes
 from ...grmm_core.model.people import sampled_avatar
 from ...grmm_core.model.weights_file import read_weights, resolve_weights
-from ...grmm_core.session.painter import painted
 from .. import session_host
 
 DEFAULT_SOURCE = "default"
@@ -83,8 +82,8 @@ def read_identity(source: str) -> Identity:
     """Return the identity of a source.
 
     Args:
-        source: "default", "library:NAME", "sample:SEED" (painted where there is a runtime), the absolute path of a `.grmm`
-            file, or `FLAME_PREFIX` and the path of the user's FLAME file: its mean head, which no network draws.
+        source: "default", "library:NAME", "sample:SEED", the absolute path of a `.grmm` file, or `FLAME_PREFIX` and the path
+            of the user's FLAME file: its mean head, which no network draws.
 
     Raises:
         FileAccessError, FileFormatError: The file is missing, damaged, or of a head model that is not installed.
@@ -109,18 +108,12 @@ def read_identity(source: str) -> Identity:
 
 
 def _random_person(source: str) -> Identity:
-    """The person of a "sample:SEED". Their shape needs no network; what they look like does."""
-    try:
-        session, info = session_host.get_session(), session_host.open_avatar(source)
-    except RuntimeMissingError:
-        weights = read_weights(resolve_weights(session_host.settings().weights or None)).info
-        head = load_head(AssetReference(weights.head_name))
-        sizes = code_sizes(weights.config, head)
-        person = sampled_avatar(weights, sizes[1], int(source.removeprefix(session_host.SAMPLE_PREFIX)))
-        return Identity(person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1])
-    head = load_head(AssetReference(info.head_name))
-    painting = painted(session, info.id, head)
-    return Identity(info.name, head, info.shape, z_id_size=info.z_id_size, z_exp_size=info.z_exp_size, painting=painting)
+    """The person of a "sample:SEED": the shape needs no network; what they look like does (`repaint`)."""
+    weights = read_weights(resolve_weights(session_host.settings().weights or None)).info
+    head = load_head(AssetReference(weights.head_name))
+    sizes = code_sizes(weights.config, head)
+    person = sampled_avatar(weights, sizes[1], int(source.removeprefix(session_host.SAMPLE_PREFIX)))
+    return Identity(person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1])
 
 
 def load_head(reference: AssetReference) -> HeadModel:

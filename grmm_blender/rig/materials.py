@@ -1,8 +1,8 @@
 """What the mesh of a head looks like where no splats are drawn: in EEVEE and Cycles, and in solid view without a runtime.
 
-A painting of the person on the UV map, from the avatar's file or drawn when a random person was added, becomes the texture of
-the head's own materials, one for each part that solid view, which shows one color a material, has to tell apart: hair, brows
-and beard, lips, irises, pupils. A head without a painting (a user's FLAME file, avatars of earlier versions) has a plain face.
+A painting of the person on the UV map, from the avatar's file or drawn by `repaint`, becomes the texture of the head's own
+materials, one for each part that solid view, which shows one color a material, has to tell apart: hair, brows and beard, lips,
+irises, pupils. A head without a painting (a user's FLAME file, random people at first) has a plain face.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from ...grmm_core.pictures.sampling import bilinear
 from .identity import Identity
 
 PART = "grmm_part"  # custom property of a material: which part of a head it was made for
+_PLAIN_FACE = "grmm_plain"  # custom property of an image: a plain face where there could be a painting
 # part, words of its regions; of parts that heads share: color (linear), roughness
 _PLAIN = (
     ("Teeth", ("teeth",), (0.72, 0.68, 0.58, 1.0), 0.25),
@@ -40,7 +41,10 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
     parts = _parts(identity.head, colors)
     used = [name for name in (*_PAINTED, *(name for name, *_ in _PLAIN)) if (parts == name).any()]
     image = _image(f"{identity.name} painting", painting)
+    if identity.painting is None and identity.z_exp_size:
+        image[_PLAIN_FACE] = True
     shared = {name: (color, roughness) for name, _, color, roughness in _PLAIN}
+    before = [material for material in mesh.materials if material.get(PART) in _PAINTED]
     mesh.materials.clear()
     for name in used:
         if name in shared:
@@ -50,6 +54,20 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
             material = _painted(f"{identity.name} {name}", name, image, color, _PAINTED[name])
         mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.array([used.index(name) for name in parts], np.int32))
+    left = [material for material in before if not material.users]
+    images = {image for material in left for image in _images(material)}
+    bpy.data.batch_remove(left)
+    bpy.data.batch_remove([image for image in images if not image.users])
+
+
+def is_plain(mesh: bpy.types.Mesh) -> bool:
+    """Whether a head has a plain face though a network could draw the person."""
+    return any(_PLAIN_FACE in image for material in mesh.materials if material for image in _images(material))
+
+
+def _images(material: bpy.types.Material) -> list[bpy.types.Image]:
+    nodes = material.node_tree.nodes if material.node_tree else ()
+    return [node.image for node in nodes if node.type == "TEX_IMAGE" and node.image]
 
 
 def _parts(head: HeadModel, colors: np.ndarray) -> np.ndarray:

@@ -60,8 +60,8 @@ def test_a_head_has_named_controls_with_ranges(structure):
 
 
 def test_the_mesh_alone_is_painted_as_a_face(structure):
-    first, second = structure["painted"]["first"], structure["painted"]["second"]
-    for look in (first, second):
+    first, second, random = (structure["painted"][who] for who in ("first", "second", "random"))
+    for look in (first, second, random):
         assert {"Skin", "Eyes", "Irises", "Pupils", "Lips", "Hair", "Teeth", "Mouth", "Lashes"} == set(look["parts"])
         assert look["one_image"]
         assert look["size"] == [256, 256]
@@ -73,6 +73,10 @@ def test_the_mesh_alone_is_painted_as_a_face(structure):
         assert reddish["Lips"] > 1.2 * reddish["Skin"]
     assert max(abs(a - b) for a, b in zip(first["pixels"], second["pixels"], strict=True)) > 0.03
     assert structure["painted"]["kept"] == "of the user"
+    assert not structure["painted"]["plain"]  # drawn from the model
+    assert max(abs(a - b) for a, b in zip(first["pixels"], random["pixels"], strict=True)) > 0.02
+    before, after = structure["painted"]["left"]
+    assert before == after  # a new painting takes the place of the old one
 
 
 def test_drivers_need_no_scripts(structure):

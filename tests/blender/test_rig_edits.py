@@ -144,6 +144,7 @@ def test_a_users_flame_head(run_blender: RunBlender, version: str, tmp_path: Pat
     assert max(result["everything"]) < RIG_PARITY
     assert result["reset"] < RIG_PARITY
     assert result["detail_poll"] is False
+    assert {"Skin", "Eyes", "Irises", "Pupils", "Lips", "Hair", "Teeth"} <= set(result["parts"])
     assert result["drawn"] == 0
     assert result["masks"] == []
 
@@ -161,7 +162,12 @@ def test_without_a_runtime(run_blender: RunBlender, tmp_path: Path):
     assert max(result["playback"]) < RIG_PARITY
     assert result["moved"] > 1e-3
     assert result["edited"] < RIG_PARITY
-    assert "install the one for this platform" in result["random_person"]
+    message, error, change = result["random_person"]
+    assert message == ""
+    assert error < RIG_PARITY
+    assert change > 1e-3  # another shape than the default head's
+    assert result["plain"]  # a Blender that can draw the person paints them
+    assert {"Skin", "Eyes", "Irises", "Pupils", "Lips", "Hair"} <= set(result["parts"])
     assert "install the one for this platform" in result["render"]
     assert result["heavy"] == []
 

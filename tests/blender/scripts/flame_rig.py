@@ -33,6 +33,7 @@ head = module("grmm_blender.rig.identity").read_identity(avatar.source).head
 report(
     source=avatar.source,
     counts=[len(avatar.object.data.vertices), head.vertex_count, len(avatar.object["expression"])],
+    parts=[material["grmm_part"] for material in avatar.object.data.materials],
     codes=[name for name in ("z_id", "z_exp") if name in avatar.object],
     network=avatar.has_network,
     rest=largest(mesh_of(avatar) - core_mesh(avatar)),

@@ -7,7 +7,7 @@ import math
 import bpy
 import numpy as np
 from rig_support import core_mesh, fresh_head, largest, mesh_of, new_head, randomise, update, without_detail
-from support import module, report
+from support import empty_scene, module, report
 
 live = module("grmm_blender.rig.live")
 avatars_in = module("grmm_blender.scene.avatars").avatars_in
@@ -159,7 +159,17 @@ def painted() -> dict:
     second = look()
     mesh.materials[0] = bpy.data.materials.new("of the user")
     bpy.ops.grmm.relink_avatar(filepath=str(module("grmm_core.avatar.library").library_path("afro")))
-    return {"first": first, "second": second, "kept": mesh.materials[0].name}
+    kept = mesh.materials[0].name
+    empty_scene()
+    bpy.ops.grmm.add_head(person="RANDOM", seed=3)
+    avatar = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
+    mesh = avatar.object.data
+    mesh.polygons.foreach_get("material_index", index)
+    random, was_plain = look(), module("grmm_blender.rig.materials").is_plain(mesh)
+    count = len(bpy.data.materials), len(bpy.data.images)
+    module("grmm_blender.rig.build").change_identity(avatar, module("grmm_blender.rig.identity").read_identity("sample:4"))
+    again = len(bpy.data.materials), len(bpy.data.images)
+    return {"first": first, "second": second, "kept": kept, "random": random, "plain": was_plain, "left": [count, again]}
 
 
 avatar = without_detail(fresh_head())

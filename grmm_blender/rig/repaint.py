@@ -1,0 +1,109 @@
+"""Painting people of whom no file has a painting, once the model can draw them: random ones, and avatars of earlier versions.
+
+They get a plain face when they are added, which waits for nothing. In a window a thread then draws the person, after the
+viewport has its splats, and a timer puts the picture in the place of the plain one; background Blender draws at once, because
+what comes next is a render. Where nothing runs the model the plain face stays, marked, until a Blender that can opens the file.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+
+import bpy
+import numpy as np
+
+from ...grmm_core.avatar import AssetReference
+from ...grmm_core.errors import GrmmError
+from ...grmm_core.session.painter import painted
+from .. import events, session_host
+from ..latest_request import LatestRequestThread
+from .avatar import Avatar
+from .identity import load_head, read_identity
+from .materials import add_materials, is_plain
+
+LOOK_SECONDS = 1.0
+_PATIENCE = 10  # looks after which the model is started for the painting alone, where no viewport draws splats
+_log = logging.getLogger(__name__)
+_looks = 0
+_failed: set[str] = set()  # sources that the model could not draw
+
+
+class _Painter(LatestRequestThread[str, tuple[str, np.ndarray | None]]):
+    """Paints the person of a source."""
+
+    thread_name = "GRMM painting"
+
+    def _serve(self, request: str) -> bool:
+        self._put((request, _painting(request)))
+        return True
+
+    def _failed(self, request: str, error: Exception) -> None:
+        if not isinstance(error, GrmmError):
+            _log.error("The mesh of %s could not be painted.", request, exc_info=error)
+        self._put((request, None))
+
+
+_painter = _Painter(LOOK_SECONDS)
+
+
+def ask(avatar: Avatar) -> None:
+    """Have an avatar painted that has just been given its materials, where its face is a plain one and a network knows it."""
+    if not (avatar.has_network and is_plain(avatar.object.data)):
+        return
+    if not bpy.app.background:
+        look_soon()
+        return
+    try:
+        _apply(avatar, _painting(avatar.source))
+    except GrmmError:
+        return  # the plain face stays; panels and renders say what is missing
+
+
+def look_soon() -> None:
+    """Look for unpainted avatars in a moment, unless that is going to happen already."""
+    global _looks
+    _looks = 0
+    _failed.clear()
+    if not bpy.app.background:
+        events.later(_look, LOOK_SECONDS)
+
+
+def stop() -> None:
+    """Look no more."""
+    _painter.request(None)
+    events.stop(timers=[_look])
+
+
+def _look() -> float | None:
+    """Timer: put a painting in its place, or have one made when the model draws already."""
+    global _looks
+    found = _painter.take()
+    waiting = [avatar for avatar in map(Avatar, _heads()) if avatar.has_network and is_plain(avatar.object.data)]
+    if found is not None:
+        source, painting = found
+        for avatar in waiting:
+            if painting is not None and avatar.source == source:
+                _apply(avatar, painting)
+        _failed.update([source] if painting is None else [])
+    left = [avatar.source for avatar in waiting if is_plain(avatar.object.data) and avatar.source not in _failed]
+    if not left or not session_host.runtime_status().available:
+        return None
+    _looks += 1
+    if not _painter.busy and (session_host.has_drawn() or _looks > _PATIENCE):
+        _painter.request(left[0])
+    return LOOK_SECONDS
+
+
+def _heads() -> list[bpy.types.Object]:
+    heads = (obj for obj in bpy.data.objects if obj.type == "MESH" and obj.grmm.is_avatar)
+    return [obj for obj in heads if obj.is_editable and obj.data.is_editable]
+
+
+def _painting(source: str) -> np.ndarray:
+    info = session_host.open_avatar(source)
+    return painted(session_host.get_session(), info.id, load_head(AssetReference(info.head_name)))
+
+
+def _apply(avatar: Avatar, painting: np.ndarray) -> None:
+    add_materials(avatar.object.data, dataclasses.replace(read_identity(avatar.source), painting=painting))

@@ -1,0 +1,57 @@
+"""The face of a head that nobody has painted: every part has a color of its own where the part is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from grmm_core.controls.names import JOINT_NAMES
+from grmm_core.head import load_open_head
+from grmm_core.model.layout import texel_layout
+from grmm_core.model.plain_face import IRIS_DEGREES, PUPIL_DEGREES, plain_face
+
+PIXELS = 256
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+def texels(head, picture):
+    """The layout of a picture and the display color of each texel, [N, 3]."""
+    layout = texel_layout(head.uv, head.uv_faces, len(picture))
+    colors = picture.reshape(-1, 3)[layout.texel] / 255.0
+    return layout, colors
+
+
+def test_parts_of_the_face_have_colors_of_their_own(head):
+    picture = plain_face(head, PIXELS)
+    assert picture.shape == (PIXELS, PIXELS, 3)
+    assert picture.dtype == np.uint8
+    layout, colors = texels(head, picture)
+    inside = {name: head.marked(name)[head.faces[layout.face]].all(1) for name in head.regions}
+    other = inside["lips"] | inside["brows"] | inside["lids"]
+    skin = np.median(colors[inside["face"] & ~other], 0)
+    middle = {name: np.median(colors[inside[name]], 0) for name in ("lips", "brows", "scalp", "upper_teeth")}
+    assert middle["lips"][0] / middle["lips"][1] > 1.15 * skin[0] / skin[1]
+    assert middle["brows"].sum() < 0.6 * skin.sum()
+    assert middle["scalp"].sum() < 0.4 * skin.sum()
+    assert middle["upper_teeth"].sum() > skin.sum()
+    points = (head.v_template[head.faces[layout.face]] * layout.barycentric[..., None]).sum(1)
+    ways = points - head.joints(np.zeros(head.shape_count, np.float32))[JOINT_NAMES.index("left_eye")]
+    angle = np.degrees(np.arccos(ways[:, 2] / np.linalg.norm(ways, axis=1)))
+    ball = inside["left_eyeball"]
+    pupil, iris = colors[ball & (angle < PUPIL_DEGREES - 2)], colors[ball & (angle > 12) & (angle < IRIS_DEGREES - 5)]
+    white = colors[ball & (angle > IRIS_DEGREES + 3)]
+    assert pupil.max() < 0.2 < iris[:, 0].min()
+    assert iris.max() < 0.5 < white.min()
+
+
+def test_a_head_without_regions_is_skin(head):
+    bare = replace(head, regions={name: head.regions[name] for name in ("left_eyeball", "right_eyeball")})
+    layout, colors = texels(bare, plain_face(bare, 64))
+    skin = ~bare.marked("left_eyeball", "right_eyeball")[bare.faces[layout.face]].any(1)
+    assert np.ptp(colors[skin], axis=0).max() == 0

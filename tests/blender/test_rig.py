@@ -74,7 +74,6 @@ def test_the_mesh_alone_is_painted_as_a_face(structure):
     assert max(abs(a - b) for a, b in zip(first["pixels"], second["pixels"], strict=True)) > 0.03
     assert structure["painted"]["kept"] == "of the user"
     assert not structure["painted"]["plain"]  # drawn from the model
-    assert max(abs(a - b) for a, b in zip(first["pixels"], random["pixels"], strict=True)) > 0.02
     before, after = structure["painted"]["left"]
     assert before == after  # a new painting takes the place of the old one
 

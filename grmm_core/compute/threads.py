@@ -35,9 +35,12 @@ def pieces(count: int, smallest: int, most: int) -> list[tuple[int, int]]:
     return [(low, min(low + size, count)) for low in range(0, count, size)]
 
 
-def for_rows(kernel: Callable[..., object], count: int, *arguments: object) -> None:
-    """Call a kernel that takes `arguments`, a first row and the one after the last for all of `count` rows, on all threads."""
-    ranges = pieces(count, ROWS_MIN, TASKS * thread_count())
+def for_rows(kernel: Callable[..., object], count: int, *arguments: object, smallest: int = ROWS_MIN) -> None:
+    """Call a kernel that takes `arguments`, a first row and the one after the last for all of `count` rows, on all threads.
+
+    A task has at least `smallest` rows.
+    """
+    ranges = pieces(count, smallest, TASKS * thread_count())
     for_each(len(ranges), lambda task: kernel(*arguments, *ranges[task]))
 
 

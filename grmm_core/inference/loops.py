@@ -18,6 +18,7 @@ from ..model.placing import HEIGHT, QW, QX, QY, QZ, WIDTH, X
 _OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
 _TINY = np.float32(1e-9)  # metres per unit of UV; keeps frames of degenerate triangles defined
+_BLOCKS = 128  # of a row of folded pixels at a time: what the layer sees of them stays in the nearest cache
 _TINY_NORM = np.float32(1e-20)
 
 
@@ -51,6 +52,87 @@ def add_maps(weights: np.ndarray, maps: np.ndarray, out: np.ndarray, first: int,
         for k in range(len(weights)):
             for m in range(low, min(low + BLOCK, last)):
                 out[m] += weights[k] * maps[k, m]
+
+
+@compiled(nogil=True, **_OPTIONS)
+def fold_pixels(
+    rgb: np.ndarray, features: np.ndarray, depth: np.ndarray, fold: int, weight: np.ndarray, bias: np.ndarray,
+    slope: np.float32, out: np.ndarray, first: int, last: int,
+) -> None:  # fmt: skip
+    """First layer of the refinement network: blocks of pixels to channels, weighted and rectified.
+
+    Args:
+        rgb: [H, W, 3].
+        features: [H, W, F].
+        depth: Normalised, [H, W].
+        fold: Pixels of a block's side; what lies off the picture counts as 0.
+        weight: [O, K], K = fold^2 (4 + F) and zeros up to a multiple of 4: by row and column in the block, color, features,
+            depth.
+        bias: [O].
+        slope: Of the leaky rectifier.
+        out: Written, [O, h, w].
+        first: Row of blocks.
+        last: The row after the last.
+    """
+    height, width, count = rgb.shape[0], rgb.shape[1], features.shape[2]
+    seen = np.zeros((weight.shape[1], _BLOCKS), np.float32)
+    total = np.empty(_BLOCKS, np.float32)
+    for y in range(first, last):
+        for left in range(0, out.shape[2], _BLOCKS):
+            size = min(_BLOCKS, out.shape[2] - left)
+            for place in range(fold * fold):
+                row, start = y * fold + place // fold, left * fold + place % fold
+                part = seen[place * (4 + count) : (place + 1) * (4 + count)]
+                inside = max(min(size, (width - start + fold - 1) // fold), 0) if row < height else 0
+                part[:, inside:] = 0.0
+                if inside > 0:
+                    stop = start + (inside - 1) * fold + 1
+                    _copy_columns(rgb[row, start:stop:fold], part[:3])
+                    _copy_columns(features[row, start:stop:fold], part[3 : 3 + count])
+                    _copy_columns(depth[row, start:stop:fold, None], part[3 + count :])
+            for channel in range(len(out)):
+                total[:] = bias[channel]
+                for k in range(0, len(seen), 4):  # four at a time: one store for four products
+                    a, b, c, d = weight[channel, k], weight[channel, k + 1], weight[channel, k + 2], weight[channel, k + 3]
+                    for x in range(size):
+                        total[x] += a * seen[k, x] + b * seen[k + 1, x] + c * seen[k + 2, x] + d * seen[k + 3, x]
+                target = out[channel, y, left : left + size]
+                for x in range(size):
+                    target[x] = max(total[x], slope * total[x])
+
+
+@compiled(nogil=True, **_OPTIONS)
+def _copy_columns(source: np.ndarray, out: np.ndarray) -> None:
+    """Transpose [n, C] into the first n columns of [C, >= n]."""
+    for channel in range(source.shape[1]):
+        column, target = source[:, channel], out[channel]
+        for x in range(len(column)):
+            target[x] = column[x]
+
+
+@compiled(nogil=True, **_OPTIONS)
+def unfold_residual(
+    rgb: np.ndarray, alpha: np.ndarray, residual: np.ndarray, fold: int, out: np.ndarray, first: int, last: int
+) -> None:
+    """Add the network's residual times alpha to a picture (the end of eq. 14).
+
+    Args:
+        rgb: [H, W, 3].
+        alpha: [H, W].
+        residual: [3 fold^2, h, w]: by color, then row and column in the block.
+        fold: Pixels of a block's side.
+        out: Written, [H, W, 3].
+        first: Row of the picture.
+        last: The row after the last.
+    """
+    for row in range(first, last):
+        for shift in range(fold):
+            cover = alpha[row, shift::fold]
+            for channel in range(3):
+                change = residual[(channel * fold + row % fold) * fold + shift, row // fold]
+                before, after = rgb[row, shift::fold, channel], out[row, shift::fold, channel]
+                for x in range(len(cover)):
+                    after[x] = before[x] + cover[x] * change[x]
 
 
 @compiled(nogil=True, **_OPTIONS)

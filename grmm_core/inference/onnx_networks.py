@@ -90,24 +90,21 @@ def map_decoder(arrays: Arrays, name: str, config: GRMMConfig, has_view: bool) -
 
 
 def refinement(arrays: Arrays, config: GRMMConfig) -> bytes:
-    """Graph of Psi_ref (eq. 14) for pictures whose sides the network's grid divides.
+    """Graph of Psi_ref (eq. 14) without its ends, which are `loops.fold_pixels` and `loops.unfold_residual`.
 
     Args:
         arrays: Parameters by name.
         config: Sizes.
 
     Returns:
-        A model with the inputs rgb [H, W, 3], features [H, W, F] where the model has features, depth [H, W, 1] and alpha
-        [H, W, 1]; output refined rgb [H, W, 3].
+        A model with what the first layer gives as its input, entered [1, C_0, h, w] of a picture whose sides the network's grid
+        divides; output the residual [1, 3 fold^2, h, w].
     """
     graph = OnnxGraph("refinement")
-    fold, levels = config.refine_unshuffle, len(config.refine_channels)
-    rgb = graph.input("rgb", ("h", "w", COLOR_CHANNELS))
-    features = [graph.input("features", ("h", "w", config.features))] if config.features else []
-    depth, alpha = graph.input("depth", ("h", "w", 1)), graph.input("alpha", ("h", "w", 1))
+    levels, outputs = len(config.refine_channels), COLOR_CHANNELS * config.refine_unshuffle**2
 
-    def convolve(x: str, name: str, weight: np.ndarray | None = None, stride: int = 1, pad: int = 1) -> str:
-        weight = arrays[f"refinement.{name}.weight"] if weight is None else weight
+    def convolve(x: str, name: str, stride: int = 1, pad: int = 1) -> str:
+        weight = arrays[f"refinement.{name}.weight"]
         constants = graph.constant(weight), graph.constant(arrays[f"refinement.{name}.bias"])
         return graph.node(
             "Conv", x, *constants, kernel_shape=weight.shape[2:], strides=(stride, stride), pads=(pad, pad, pad, pad)
@@ -121,12 +118,7 @@ def refinement(arrays: Arrays, config: GRMMConfig) -> bytes:
         options = {"mode": "nearest", "coordinate_transformation_mode": "asymmetric", "nearest_mode": "floor"}
         return graph.node("Resize", x, "", scales, **options)
 
-    picture = graph.node("Concat", rgb, *features, depth, axis=2)
-    x = graph.node("Unsqueeze", graph.node("Transpose", picture, perm=(2, 0, 1)), graph.constant(np.array([0])))
-    # The linear layer on folded pixels is a convolution whose kernel and stride are the fold.
-    entry = arrays["refinement.entry.weight"]
-    entry = np.ascontiguousarray(entry.reshape(len(entry), fold, fold, -1).transpose(0, 3, 1, 2))
-    x = activate(convolve(x, "entry", entry, stride=fold, pad=0))
+    x = graph.input("entered", (1, len(arrays["refinement.entry.weight"]), "h", "w"))
     skips = [activate(convolve(x, "first"))]
     for level in range(levels - 1):
         skips.append(activate(convolve(skips[-1], f"down.{level}", stride=2)))
@@ -134,6 +126,4 @@ def refinement(arrays: Arrays, config: GRMMConfig) -> bytes:
     for level in range(levels - 1):
         x = graph.node("Add", resized(convolve(x, f"narrow.{level}", pad=0)), skips.pop())
         x = activate(convolve(x, f"up.{level}"))
-    x = graph.node("DepthToSpace", convolve(x, "exit"), blocksize=fold, mode="CRD")
-    residual = graph.node("Transpose", graph.node("Squeeze", x, graph.constant(np.array([0]))), perm=(1, 2, 0))
-    return graph.serialise(graph.node("Add", rgb, graph.node("Mul", alpha, residual)), ("h", "w", COLOR_CHANNELS))
+    return graph.serialise(convolve(x, "exit"), (1, outputs, "h", "w"))

@@ -30,6 +30,7 @@ from .resize import doubled, halved
 
 _NECK, _JAW = JOINT_NAMES.index("neck"), JOINT_NAMES.index("jaw")
 _PARTS = {"position": slice(0, 3), "rotation": slice(3, 7), "scale": slice(7, 10)}  # of the offsets
+_ROWS_MIN = 16  # of a picture, in a task of a thread
 _THIN_COVER = 1e-6  # keeps the division by an enlarged alpha defined; where that is 0, so is alpha itself
 
 
@@ -232,22 +233,31 @@ class PlainModel:
             return rgb
         if limits is None:
             limits = depth_range(far, alpha)
-        depth = normalise_depth(far, alpha, limits)[..., None]
+        depth = normalise_depth(far, alpha, limits)
         if not coarse:
-            return self._refined(rgb, features, depth, alpha[..., None])
-        small = halved(np.concatenate([rgb, depth, alpha[..., None], features], -1))
-        refined = self._refined(small[..., :3], small[..., 5:], small[..., 3:4], small[..., 4:5])
+            return self._refined(rgb, features, depth, alpha)
+        small = halved(np.concatenate([rgb, depth[..., None], alpha[..., None], features], -1))
+        refined = self._refined(small[..., :3], small[..., 5:], small[..., 3], small[..., 4])
         # The network's change is a residual times alpha. Enlarging both keeps the residual whole across the silhouette.
         enlarged = doubled(np.concatenate([refined - small[..., :3], small[..., 4:5]], -1), *alpha.shape)
         return rgb + alpha[..., None] * (enlarged[..., :3] / np.maximum(enlarged[..., 3:], _THIN_COVER))
 
     def _refined(self, rgb: np.ndarray, features: np.ndarray, depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """The network on [H, W, C] of any size."""
-        height, width, grid = *alpha.shape[:2], refinement_grid(self.config)
-        inputs = [rgb, *([features] if self.config.features else []), depth, alpha]
-        if height % grid or width % grid:
-            inputs = [np.pad(part, ((0, -height % grid), (0, -width % grid), (0, 0))) for part in inputs]
-        return self._networks["refinement"](*(np.ascontiguousarray(part, np.float32) for part in inputs))[:height, :width]
+        """The network on rgb [H, W, 3], features [H, W, F], depth and alpha [H, W] of any size."""
+        from ..compute.threads import for_rows
+        from .loops import fold_pixels, unfold_residual
+
+        fold, grid = self.config.refine_unshuffle, refinement_grid(self.config)
+        rows, columns = (-(-size // grid) * grid // fold for size in alpha.shape)
+        weight, bias = (self._file.arrays[f"refinement.entry.{name}"] for name in ("weight", "bias"))
+        weight = np.pad(weight, ((0, 0), (0, -weight.shape[1] % 4)))
+        entered = np.empty((1, len(weight), rows, columns), np.float32)
+        options = fold, weight, bias, np.float32(SLOPE), entered[0]
+        for_rows(fold_pixels, rows, rgb, features, depth, *options, smallest=_ROWS_MIN)
+        residual = self._networks["refinement"](entered)[0]
+        refined = np.empty(rgb.shape, np.float32)
+        for_rows(unfold_residual, len(rgb), rgb, alpha, residual, fold, refined, smallest=_ROWS_MIN)
+        return refined
 
 
 class _Tables:

@@ -169,7 +169,9 @@ def painted() -> dict:
     count = len(bpy.data.materials), len(bpy.data.images)
     module("grmm_blender.rig.build").change_identity(avatar, module("grmm_blender.rig.identity").read_identity("sample:4"))
     again = len(bpy.data.materials), len(bpy.data.images)
-    return {"first": first, "second": second, "kept": kept, "random": random, "plain": was_plain, "left": [count, again]}
+    made = {"random": random, "plain": was_plain, "left": [count, again]}
+    runtime = module("grmm_blender.session_host").runtime_status().available
+    return {"first": first, "second": second, "kept": kept, "runtime": runtime, **made}
 
 
 avatar = without_detail(fresh_head())

@@ -17,6 +17,8 @@ from ..pictures.color import scene_linear_premultiplied
 from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays, Gaussians, RasterOutput
 
+_BAND = 32  # rows of a picture, in a task of a thread
+
 
 class PlainEngine:
     """See `Engine`; arguments and errors as for `TorchEngine`, with the device "auto" or "cpu"."""
@@ -61,4 +63,15 @@ class PlainEngine:
 
     def scene_linear(self, rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """See `Engine.scene_linear`."""
-        return scene_linear_premultiplied(rgb, alpha[..., None])
+        from ..compute.threads import for_rows
+
+        result = np.zeros((*alpha.shape, 4), np.float32)
+
+        def band(first: int, last: int) -> None:
+            covered = np.flatnonzero(alpha[first:last].max(0) > 0.0)
+            if len(covered):
+                part = slice(first, last), slice(covered[0], covered[-1] + 1)
+                result[part] = scene_linear_premultiplied(rgb[part], alpha[part][..., None])
+
+        for_rows(band, len(alpha), smallest=_BAND)
+        return result

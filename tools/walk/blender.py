@@ -2,7 +2,7 @@
 
 Needs Xvfb, openbox, xdotool and ImageMagick's `import` beside Blender, in this system or, with `root`, in a folder that holds
 another one (chroot): `WalkedBlender(output, root=Path("/opt/sid"))`. Keys go by keycode, because a key by its name arrives
-with modifiers on some layouts.
+with modifiers on some layouts; Escape by name, because xdotool takes its keycode, 9, for the digit.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ import time
 from pathlib import Path
 from typing import Any, Self
 
-KEYCODES = {"F3": 69, "F12": 96, "Escape": 9, "Return": 36, "space": 65, "Tab": 23, "Delete": 119, "ctrl": 37, "shift": 50}
-KEYCODES |= {"alt": 64, "a": 38, "g": 42, "n": 57, "z": 52, "s": 39, "r": 27, "x": 53, "0": 90, "1": 87, "5": 84, "period": 91}
+KEYS: dict[str, int | str] = {
+    "F3": 69, "F12": 96, "Escape": "Escape", "Return": 36, "space": 65, "Tab": 23, "Delete": 119, "ctrl": 37, "shift": 50,
+    "alt": 64, "a": 38, "g": 42, "n": 57, "z": 52, "s": 39, "r": 27, "x": 53, "0": 90, "1": 87, "5": 84, "period": 91,
+}  # fmt: skip
 SIZE = (1600, 1000)
 START_SECONDS = 120.0
 
@@ -110,7 +112,7 @@ class WalkedBlender:
 
     def key(self, *names: str) -> None:
         """Press keys together, the last one with the others held: `key("ctrl", "z")`."""
-        codes = [str(KEYCODES[name]) for name in names]
+        codes = [str(KEYS[name]) for name in names]
         held, last = codes[:-1], codes[-1]
         steps = [part for code in held for part in ("keydown", code)] + ["key", last]
         steps += [part for code in reversed(held) for part in ("keyup", code)]

@@ -46,13 +46,13 @@ def plain_face(head: HeadModel, pixels: int = PIXELS) -> np.ndarray:
     """
     layout = texel_layout(head.uv, head.uv_faces, pixels)
     corners = head.faces[layout.face]  # [N, 3]
-    colors = np.tile(np.float32(_SKIN), (len(layout), 1))
+    colors = np.tile(np.array(_SKIN, np.float32), (len(layout), 1))
     for regions, color, rounds, (low, high), share in _LAYERS:
         mark = _smoothed(head.marked(*regions), head.faces, rounds)
         inside = (mark[corners] * layout.barycentric).sum(1, keepdims=True)
         weight = share * np.clip((inside - low) / (high - low), 0.0, 1.0)
         grain = np.random.default_rng(0).normal(0.0, _GRAIN if color is _HAIR else 0.0, (len(layout), 1))
-        colors += weight * (np.float32(color) + grain.astype(np.float32) - colors)
+        colors += weight * (np.array(color, np.float32) + grain.astype(np.float32) - colors)
     points = (head.v_template[corners] * layout.barycentric[..., None]).sum(1)
     joints = head.joints(np.zeros(head.shape_count, np.float32))
     for side in ("left", "right"):
@@ -60,7 +60,7 @@ def plain_face(head: HeadModel, pixels: int = PIXELS) -> np.ndarray:
         ways = points[ball] - joints[JOINT_NAMES.index(f"{side}_eye")]
         angles = np.degrees(np.arccos(np.clip(ways[:, 2] / np.linalg.norm(ways, axis=1), -1.0, 1.0)))  # eyes look along +z
         rings = (0.0, PUPIL_DEGREES, PUPIL_DEGREES + 2.0, IRIS_DEGREES - 4.0, IRIS_DEGREES - 1.0, IRIS_DEGREES + 1.0)
-        shades = np.float32([_PUPIL, _PUPIL, _IRIS, _IRIS, _RIM, _WHITE])
+        shades = np.array([_PUPIL, _PUPIL, _IRIS, _IRIS, _RIM, _WHITE], np.float32)
         colors[ball] = np.stack([np.interp(angles, rings, shades[:, k]) for k in range(3)], -1)
     picture, known = np.zeros((pixels * pixels, 3), np.float32), np.zeros(pixels * pixels, bool)
     picture[layout.texel], known[layout.texel] = colors, True

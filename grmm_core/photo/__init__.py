@@ -4,6 +4,7 @@
 ``load``      files of every kind to upright RGB
 ``faces``     face boxes, 478 landmarks, 52 ARKit coefficients
 ``person``    the mask of the person, its edge refined on the picture
+``parser``    skin, hair, beard, glasses, hat, clothes and the rest, where the head was tracked (``parser_network``)
 
 Needs torch; imports nothing of the model. Used by fitting.
 """

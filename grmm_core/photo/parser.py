@@ -1,0 +1,151 @@
+"""Say what each pixel of a tracked photo shows: skin, hair, beard, glasses, a hat, clothes, what stands before the face.
+
+The head that was tracked is drawn without hair beside the picture, so that the network only decides what a bald mesh cannot
+know: where hair, cloth and things begin. It works at 128 x 128 pixels, 3.5 mm each; the guided filter of `person` brings
+edges to the picture's own. Trained on synthetic pictures only (`tools/photo_parser`). Imports torch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from ..geometry.camera import Camera
+from ..geometry.zbuffer import EMPTY, triangle_depth
+from ..head.head_model import HeadModel
+from .parser_network import load_parser
+from .person import guided_filter
+
+SIZE = 128
+REACH = 0.2  # metres from the head's origin that are 1 in the channels of place
+EDGE_RADIUS, EDGE_EPSILON = 1.0 / 96.0, 4e-4  # of the guided filter: share of the side, squared intensity
+MESH_PARTS = {
+    "eyes": ("left_eyeball", "right_eyeball"), "mouth": ("mouth_interior", "upper_teeth", "lower_teeth", "tongue"),
+    "lips": ("lips",), "brows": ("brows",), "ears": ("ears",), "scalp": ("scalp",), "neck": ("neck",), "skin": (),
+}  # fmt: skip
+"""Parts of the mesh and their regions, what counts first above; the last has the rest."""
+INPUTS = 3 + 2 + len(MESH_PARTS) + 2
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoParts:
+    """How much each pixel of a working picture shows of what, 0..1, float32, [H, W] each; they sum to 1.
+
+    Attributes:
+        background: Nothing of the person.
+        skin: Of the face and of a bald head.
+        hair: Of the scalp.
+        brows, beard, eyes, lips, ears: As they say.
+        mouth: Teeth, tongue and what is behind the lips.
+        glasses: Frames and dark lenses; what clear lenses show is what it is.
+        hat: Whatever covers the scalp.
+        neck: With bare chest and shoulders.
+        clothes: As it says.
+        other: Things and hands in front of the person.
+    """
+
+    background: np.ndarray
+    skin: np.ndarray
+    hair: np.ndarray
+    brows: np.ndarray
+    beard: np.ndarray
+    eyes: np.ndarray
+    lips: np.ndarray
+    mouth: np.ndarray
+    glasses: np.ndarray
+    hat: np.ndarray
+    ears: np.ndarray
+    neck: np.ndarray
+    clothes: np.ndarray
+    other: np.ndarray
+
+
+class Tracked(Protocol):
+    """What is used of a `fitting.types.PhotoTrack`."""
+
+    image: np.ndarray
+    mask: np.ndarray
+    valid: np.ndarray
+    camera: Camera
+    shape: np.ndarray
+    expression: np.ndarray
+    pose: np.ndarray
+
+
+LABELS = tuple(item.name for item in fields(PhotoParts))
+
+
+@lru_cache(maxsize=8)
+def parse(track: Tracked, head: HeadModel) -> PhotoParts:
+    """Label the working picture of a tracked photo. The last few answers are kept, for a fit asks at every resolution.
+
+    Args:
+        track: The photo.
+        head: The model that it was tracked with.
+    """
+    planes = np.concatenate([track.image, track.mask[..., None], track.valid[..., None]], -1)
+    pixels = torch.from_numpy(np.ascontiguousarray(planes, np.float32)).permute(2, 0, 1)[None]
+    small = functional.interpolate(pixels, (SIZE, SIZE), mode="bilinear", antialias=True, align_corners=False)
+    vertices = head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
+    mesh = mesh_channels(head, vertices, track.camera.resized(SIZE, SIZE))
+    with torch.no_grad():
+        logits = load_parser(INPUTS, len(LABELS))(network_input(small, torch.from_numpy(mesh)[None]))
+        shares = functional.interpolate(logits.softmax(1), pixels.shape[2:], mode="bilinear", align_corners=False)
+        radius = max(1, round(max(pixels.shape[2:]) * EDGE_RADIUS))
+        sharp = guided_filter(pixels[:, :3].mean(1, keepdim=True), shares[0, :, None], radius, EDGE_EPSILON)[:, 0].clamp_min(
+            0.0
+        )
+        sharp *= pixels[0, 4:5]  # beyond the photo's edge there is background
+        sharp[0] += 1.0 - pixels[0, 4]
+        sharp = sharp / sharp.sum(0, keepdim=True).clamp_min(1e-6)
+    return PhotoParts(*sharp.numpy())
+
+
+def network_input(picture: Tensor, mesh: Tensor) -> Tensor:
+    """Join what the network sees.
+
+    Args:
+        picture: Display sRGB, mask of the person, validity, 0..1, [B, 5, S, S].
+        mesh: `mesh_channels`, [B, M, S, S].
+
+    Returns:
+        [B, `INPUTS`, S, S].
+    """
+    return torch.cat([picture * 2.0 - 1.0, mesh], 1)
+
+
+def mesh_channels(head: HeadModel, vertices: np.ndarray, camera: Camera) -> np.ndarray:
+    """The bald head beside a picture: one plane for each of `MESH_PARTS`, place up and across the head; float32 [M, S, S]."""
+    parts = part_map(head, vertices, camera)[0]
+    middle, top = camera.project(np.array([[0.0, 0.0, 0.0], [0.0, 0.1, 0.0]]))[1]
+    up = (top - middle) / max(float(np.linalg.norm(top - middle)), 1e-6)
+    depth = float(camera.world_to_camera[2, 3])
+    unit = REACH * camera.fx / (1.0 if camera.orthographic else max(depth, 1e-3))
+    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    x, y = (columns - middle[0]) / unit, (rows - middle[1]) / unit
+    places = [x * up[0] + y * up[1], y * up[0] - x * up[1]]
+    return np.stack([*(parts == number for number in range(len(MESH_PARTS))), *places]).astype(np.float32)
+
+
+def part_map(head: HeadModel, vertices: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Number of the nearest of `MESH_PARTS` at each pixel, -1 for none, and its depth in metres; [H, W] each."""
+    triangles = np.asarray(vertices, np.float64)[head.faces]
+    owner = face_parts(head)
+    depths = np.stack([triangle_depth(triangles[owner == number], camera) for number in range(len(MESH_PARTS))])
+    nearest = depths.min(0)
+    return np.where(nearest < EMPTY, depths.argmin(0), -1), nearest
+
+
+def face_parts(head: HeadModel) -> np.ndarray:
+    """Number of the part that each triangle of a head belongs to, by most of its corners, [F]."""
+    owner = np.full(len(head.faces), len(MESH_PARTS) - 1)
+    for number, regions in reversed(list(enumerate(MESH_PARTS.values()))):
+        inside = np.isin(head.faces, np.concatenate([head.regions[name] for name in regions if name in head.regions] or [[]]))
+        owner[inside.sum(1) >= 2] = number
+    return owner

@@ -1,0 +1,88 @@
+"""The photo parser on the two portraits of the repository, against masks drawn by hand, and what it promises."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from grmm_core.errors import FileFormatError
+from grmm_core.fitting.track import track_photos
+from grmm_core.head.open_head import load_open_head
+from grmm_core.photo import parser_network
+from grmm_core.photo.parser import LABELS, MESH_PARTS, face_parts, mesh_channels, parse
+
+HASHES = {"astronaut": "370adb9cb9dd03ca#0", "admiral": "fd98d05804ffd964#0"}
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def tracks(head, repository):
+    return {name: track_photos([repository / "tests" / "data" / "photos" / f"{name}.jpg"], head)[0] for name in HASHES}
+
+
+def overlaps_of(name, tracks, head, repository):
+    checking = pytest.importorskip("tools.photo_parser.checking")
+    drawn = json.loads((repository / "tests" / "data" / "photo_parts.json").read_text())[HASHES[name]]
+    track = tracks[name]
+    return checking.overlaps(parse(track, head), checking.painted(drawn, track), track.valid > 0.5)
+
+
+def test_parts_cover_each_pixel_once(tracks, head):
+    parts = parse(tracks["astronaut"], head)
+    planes = np.stack([getattr(parts, name) for name in LABELS])
+    assert planes.shape == (len(LABELS), 512, 512)
+    assert planes.dtype == np.float32
+    assert planes.min() >= 0.0
+    np.testing.assert_allclose(planes.sum(0), 1.0, atol=1e-4)
+    assert parse(tracks["astronaut"], head) is parts, "a fit asks again at every resolution"
+
+
+@pytest.mark.parametrize(
+    ("name", "least"),
+    [
+        ("astronaut", {"background": 0.9, "face": 0.75, "hair": 0.7, "clothes": 0.8}),
+        ("admiral", {"background": 0.9, "face": 0.8, "clothes": 0.8}),
+    ],
+)
+def test_portraits_are_labeled_as_drawn_by_hand(name, least, tracks, head, repository):
+    found = overlaps_of(name, tracks, head, repository)
+    assert {group for group, share in least.items() if found[group] < share} == set(), found
+
+
+def test_the_mesh_beside_the_picture_turns_with_the_head(tracks, head):
+    track = tracks["astronaut"]
+    vertices = head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
+    small = track.camera.resized(128, 128)
+    planes = mesh_channels(head, vertices, small)
+    parts, up, across = planes[: len(MESH_PARTS)], planes[-2], planes[-1]
+    assert parts.sum(0).max() == 1.0
+    assert all(plane.any() for name, plane in zip(MESH_PARTS, parts, strict=True) if name != "mouth")
+    chin, brow = ((track.landmarks_fitted[i] / 4).astype(int) for i in (152, 10))
+    assert up[brow[1], brow[0]] > up[chin[1], chin[0]] + 0.3
+    mirrored = mesh_channels(
+        head,
+        vertices * [-1, 1, 1],
+        dataclasses.replace(
+            small, cx=128 - small.cx, world_to_camera=np.diag([-1, 1, 1, 1]) @ small.world_to_camera @ np.diag([-1, 1, 1, 1])
+        ),
+    )
+    np.testing.assert_allclose(mirrored[-1][:, ::-1], -across, atol=1e-5)
+
+
+def test_every_triangle_belongs_to_one_part(head):
+    owner = face_parts(head)
+    assert set(np.unique(owner)) == set(range(len(MESH_PARTS)))
+    assert (owner[np.isin(head.faces, head.regions["left_eyeball"]).all(1)] == list(MESH_PARTS).index("eyes")).all()
+
+
+def test_another_file_is_refused_in_a_sentence(monkeypatch):
+    monkeypatch.setattr(parser_network, "ASSET", parser_network.ASSET.with_name("landmark_noise.safetensors"))
+    with pytest.raises(FileFormatError, match="install the project again"):
+        parser_network.load_parser.__wrapped__(15, len(LABELS))

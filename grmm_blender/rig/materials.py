@@ -40,12 +40,11 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
     colors = _face_colors(identity.head, painting)
     parts = _parts(identity.head, colors)
     used = [name for name in (*_PAINTED, *(name for name, *_ in _PLAIN)) if (parts == name).any()]
+    _remove_painted(mesh)
     image = _image(f"{identity.name} painting", painting)
     if identity.painting is None and identity.z_exp_size:
         image[_PLAIN_FACE] = True
     shared = {name: (color, roughness) for name, _, color, roughness in _PLAIN}
-    before = [material for material in mesh.materials if material.get(PART) in _PAINTED]
-    mesh.materials.clear()
     for name in used:
         if name in shared:
             material = _shared(name, *shared[name])
@@ -54,9 +53,14 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
             material = _painted(f"{identity.name} {name}", name, image, color, _PAINTED[name])
         mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.array([used.index(name) for name in parts], np.int32))
-    left = [material for material in before if not material.users]
-    images = {image for material in left for image in _images(material)}
-    bpy.data.batch_remove(left)
+
+
+def _remove_painted(mesh: bpy.types.Mesh) -> None:
+    """Take all materials from a mesh; those that were painted for it alone go, with their picture, so that names are free."""
+    painted = [material for material in mesh.materials if material.get(PART) in _PAINTED]
+    images = {image for material in painted for image in _images(material)}
+    mesh.materials.clear()
+    bpy.data.batch_remove([material for material in painted if not material.users])
     bpy.data.batch_remove([image for image in images if not image.users])
 
 

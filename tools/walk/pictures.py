@@ -10,7 +10,7 @@ from pathlib import Path
 from PIL import Image
 
 from .blender import WalkedBlender
-from .steps import add_head, install, start
+from .steps import MIDDLE, add_head, install, open_panels, place, scroll_sidebar, start
 
 WAIT = 60.0  # seconds for splats, the first time
 SCROLLS = 14  # clicks of the wheel from the upper panels to the lower ones
@@ -21,10 +21,6 @@ for name, value in {"mouthSmile": 0.65, "cheekSquint": 0.4}.items():
 head.update_tag()
 """
 _SIDEBAR = "next(part for part in area.regions if part.type == 'UI')"
-_PLACE = """
-part = next(part for part in area.regions if part.type == {kind!r})
-result = [part.x, window.height - part.y - part.height, part.x + part.width, window.height - part.y]
-"""
 _HANDLES = """
 for obj in bpy.context.scene.objects:
     obj.hide_set(obj.name.startswith("Cube"))
@@ -56,29 +52,27 @@ def take(blender: WalkedBlender, extension: Path, output: Path) -> None:
     add_head(blender)
     blender.run("bpy.context.scene.objects['Cube'].location.x = 9.0")
     blender.run(_SMILE)
+    open_panels(blender)
     blender.run("area.spaces.active.show_region_ui = True")
     blender.picture("sidebar", 3)
     blender.run(f"{_SIDEBAR}.active_panel_category = 'GRMM'\narea.tag_redraw()")
     _cut(blender, output / "window_rig.png", None, WAIT)
     _cut(blender, output / "panel_expression.png", "UI", 2)
-    left, top, right, bottom = _place(blender, "UI")
+    left, top, right, bottom = place(blender, "UI")
     for _ in range(SCROLLS):
         blender.click((left + right) // 2, (top + bottom) // 2, 5)
+    blender.move(*MIDDLE)
     _cut(blender, output / "panel_detail.png", "UI", 2)
+    scroll_sidebar(blender)
+    _cut(blender, output / "panel_look.png", "UI", 2)
     blender.run("area.spaces.active.show_region_ui = False\nbpy.ops.object.select_all(action='DESELECT')\n" + _CUBES)
     _cut(blender, output / "viewport_solid.png", "WINDOW", 10)
     blender.run(_HANDLES)
     _cut(blender, output / "face_handles.png", "WINDOW", 10)
 
 
-def _place(blender: WalkedBlender, kind: str) -> tuple[int, int, int, int]:
-    """Left, top, right and bottom edge of a region of the viewport, pixels of the screen."""
-    left, top, right, bottom = blender.run(_PLACE.format(kind=kind))
-    return left, top, right, bottom
-
-
 def _cut(blender: WalkedBlender, path: Path, kind: str | None, wait: float) -> None:
     """Save what a region of the viewport shows, or the whole window where it is None."""
     shot = Image.open(blender.picture(path.stem, wait)).convert("RGB")
-    part = shot if kind is None else shot.crop(_place(blender, kind))
+    part = shot if kind is None else shot.crop(place(blender, kind))
     part.quantize(256, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True)

@@ -18,7 +18,8 @@ Step = Callable[[WalkedBlender], None]
 SPLASH_CLOSE = (40, 700)  # pixels: outside the splash, over the timeline's left end
 MIDDLE = (500, 400)  # pixels: in the viewport, beside its panels
 PHOTO = Path(__file__).resolve().parents[2] / "tests" / "data" / "photos" / "astronaut.jpg"
-RENDER_SECONDS, POSES_SECONDS, ESCAPE_SECONDS = 180.0, 400.0, 20.0
+RENDER_SECONDS, POSES_SECONDS, ESCAPE_SECONDS = 400.0, 400.0, 20.0
+SCROLLS = 60  # clicks of the wheel from the sidebar's upper panels to its end
 _HEAD = "head = next((o for o in bpy.context.scene.objects if 'jawOpen' in o.keys()), None)\n"
 _SELECT = """
 rig = next(o for o in bpy.context.scene.objects if o.type == "ARMATURE")
@@ -26,6 +27,29 @@ bpy.ops.object.select_all(action="DESELECT")
 rig.select_set(True)
 bpy.context.view_layer.objects.active = rig
 """
+_OPEN_PANELS = """
+for name in ("GRMM_PT_hair", "GRMM_PT_light"):
+    panel = getattr(bpy.types, name)
+    bpy.utils.unregister_class(panel)
+    panel.bl_options = set()
+    bpy.utils.register_class(panel)
+"""
+_STRANDS = """
+head.grmm.hair.groom = "bob"
+head.grmm.hair.curl = 0.5
+head.grmm.hair.melanin = 0.3
+"""
+_LAMP = """
+head.grmm.lighting = "SCENE"
+lamp = next(o for o in bpy.context.scene.objects if o.type == "LIGHT")
+lamp.data.energy, lamp.data.shadow_soft_size = 30.0, 0.1
+lamp.location = head.matrix_world.translation + head.matrix_world.to_3x3() @ Vector((0.6, -0.7, 0.5))
+"""
+_PLACE = """
+part = next(part for part in area.regions if part.type == {kind!r})
+result = [part.x, window.height - part.y - part.height, part.x + part.width, window.height - part.y]
+"""
+_STUDIO = "head.grmm.lighting = 'STUDIO'; head.grmm.hair.groom = 'OWN'"
 _DRAWN = """
 image = bpy.data.images.get("Render Result")
 result = bool(image and image.has_data) and not bpy.app.is_job_running("RENDER")
@@ -103,11 +127,47 @@ def _f12(blender: WalkedBlender) -> float:
 
 def panels(blender: WalkedBlender) -> None:
     """Look at the head from the front, with the sidebar's GRMM tab open."""
+    open_panels(blender)
     blender.run(_SELECT + "bpy.ops.view3d.view_axis(type='FRONT')\nbpy.ops.view3d.view_selected()")
     blender.run("area.spaces.active.region_3d.view_distance *= 1.5\narea.spaces.active.show_region_ui = True")
     blender.picture("sidebar", 3)
     blender.run("next(part for part in area.regions if part.type == 'UI').active_panel_category = 'GRMM'\narea.tag_redraw()")
     blender.picture("panels", 3)
+
+
+def look(blender: WalkedBlender) -> None:
+    """Choose hair of strands and change it by sliders, let the scene's lamp light the head, press F12."""
+    blender.run(_HEAD + _STRANDS)
+    blender.picture("hair", 10)
+    blender.run("from mathutils import Vector\n" + _HEAD + _LAMP)
+    blender.run("area.spaces.active.shading.type = 'RENDERED'")
+    blender.picture("light", 15)
+    blender.run("area.spaces.active.shading.type = 'SOLID'")
+    scroll_sidebar(blender)
+    blender.picture("look_panels", 3)
+    _f12(blender)
+    blender.picture("look_render", 2)
+    _close_windows(blender)
+    blender.run(_HEAD + _STUDIO)
+
+
+def open_panels(blender: WalkedBlender) -> None:
+    """Have the panels *Hair* and *Light* stand open at the sidebar's end; before it is drawn for the first time."""
+    blender.run(_OPEN_PANELS)
+
+
+def scroll_sidebar(blender: WalkedBlender) -> None:
+    """Turn the wheel over the sidebar until its last panel is seen, and take the mouse away."""
+    left, top, right, bottom = place(blender, "UI")
+    for _ in range(SCROLLS):
+        blender.click((left + right) // 2, (top + bottom) // 2, 5)
+    blender.move(*MIDDLE)
+
+
+def place(blender: WalkedBlender, kind: str) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom edge of a region of the viewport, pixels of the screen."""
+    left, top, right, bottom = blender.run(_PLACE.format(kind=kind))
+    return left, top, right, bottom
 
 
 def sliders(blender: WalkedBlender) -> None:
@@ -246,8 +306,8 @@ def disable_and_enable(blender: WalkedBlender) -> None:
 
 
 STEPS: tuple[Step, ...] = (
-    start, install, add_head, first_render, panels, sliders, random_and_reset, poses, views, performance, escape, photos, undo,
-    save_and_reopen, eevee, drop, delete, disable_and_enable,
+    start, install, add_head, first_render, panels, look, sliders, random_and_reset, poses, views, performance, escape, photos,
+    undo, save_and_reopen, eevee, drop, delete, disable_and_enable,
 )  # fmt: skip
 
 

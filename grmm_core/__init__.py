@@ -27,4 +27,4 @@ Importing this package is light: it loads neither torch nor numba. Nothing in it
 
 from __future__ import annotations
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"

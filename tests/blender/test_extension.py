@@ -25,6 +25,8 @@ def test_zip_holds_the_extension_and_nothing_else():
 def test_the_manifest_has_the_package_s_version_and_reasons_that_fit(repository):
     manifest = tomllib.loads((repository / "blender_manifest.toml").read_text("utf-8"))
     assert manifest["version"] == grmm_core.__version__
+    heading = next(line for line in (repository / "CHANGELOG.md").read_text("utf-8").splitlines() if line.startswith("## "))
+    assert heading.removeprefix("## ").startswith(grmm_core.__version__)
     for text in (manifest["tagline"], *manifest["permissions"].values()):
         assert len(text) <= 64  # Blender's limit
         assert not text.endswith(".")

@@ -161,6 +161,7 @@ def test_without_graphics_nothing_fails(run_blender: RunBlender, weights: Path, 
     assert found["first_measure"] == 0
     assert found["made"] == [["a", 2, 1.0], ["a", 0, 1.0]]
     assert found["played"] == [["a", 2, 1.0]]  # nothing better is made of a frame of playback
+    assert found["other_hair"] == [True, False]  # a hairstyle alone is a reason to draw
     assert found["camera_moved"] == []
     assert found["turned"] == [["a", 2, 1.0], ["a", 0, 1.0]]
     assert found["error"] == ["a: The model worker ended."]

@@ -1,6 +1,7 @@
 """The walk: what an animator does first, each step a picture. `STEPS` is their order.
 
-A step takes the driven Blender; it raises where something is wrong that a program can see (no face in the render, a traceback
+Operators are called with an undo step, as a click on them makes one (`True` after the way to call them). A step takes the driven
+Blender; it raises where something is wrong that a program can see (no face in the render, a traceback
 in the console), and leaves the rest to whoever looks at the pictures.
 """
 
@@ -49,6 +50,7 @@ _PLACE = """
 part = next(part for part in area.regions if part.type == {kind!r})
 result = [part.x, window.height - part.y - part.height, part.x + part.width, window.height - part.y]
 """
+_KEYED = "result = [head is not None, bool(head and head.animation_data and head.animation_data.action)]"
 _STUDIO = "head.grmm.lighting = 'STUDIO'; head.grmm.hair.groom = 'OWN'"
 _DRAWN = """
 image = bpy.data.images.get("Render Result")
@@ -80,7 +82,7 @@ def install(blender: WalkedBlender) -> None:
 
 def add_head(blender: WalkedBlender) -> None:
     """Add the default head into the startup scene."""
-    blender.run("bpy.ops.grmm.add_head('INVOKE_DEFAULT')", 120)
+    blender.run("bpy.ops.grmm.add_head('INVOKE_DEFAULT', True)", 120)
     blender.picture("added", 10)
 
 
@@ -179,13 +181,13 @@ def sliders(blender: WalkedBlender) -> None:
 def random_and_reset(blender: WalkedBlender) -> None:
     """Press Random, then Reset: the viewport must follow by itself."""
     for name in ("random_expression", "reset"):
-        blender.run(f"bpy.ops.grmm.{name}('INVOKE_DEFAULT')")
+        blender.run(f"bpy.ops.grmm.{name}('INVOKE_DEFAULT', True)")
         blender.picture(name, 5)
 
 
 def poses(blender: WalkedBlender) -> None:
     """Make the pose library beside Blender, then apply a pose."""
-    blender.run("bpy.ops.grmm.create_pose_library('INVOKE_DEFAULT')")
+    blender.run("bpy.ops.grmm.create_pose_library('INVOKE_DEFAULT', True)")
     blender.picture("poses_being_made", 4)
     deadline = time.monotonic() + POSES_SECONDS
     while blender.run("result = any(o.bl_idname == 'GRMM_OT_create_pose_library' for o in window.modal_operators)"):
@@ -193,9 +195,11 @@ def poses(blender: WalkedBlender) -> None:
             blender.key("Escape")
             raise WalkError("the pose library is not finished")
         time.sleep(1.0)
-    blender.run("bpy.ops.grmm.apply_pose(pose='Laugh')\narea.spaces.active.show_region_asset_shelf = True")
+    blender.run(
+        "bpy.ops.grmm.apply_pose('EXEC_DEFAULT', True, pose='Laugh')\narea.spaces.active.show_region_asset_shelf = True"
+    )
     blender.picture("pose_laugh", 5)
-    blender.run("area.spaces.active.show_region_asset_shelf = False\nbpy.ops.grmm.reset('INVOKE_DEFAULT')")
+    blender.run("area.spaces.active.show_region_asset_shelf = False\nbpy.ops.grmm.reset('INVOKE_DEFAULT', True)")
 
 
 def views(blender: WalkedBlender) -> None:
@@ -213,7 +217,7 @@ def performance(blender: WalkedBlender) -> None:
     """Drop a recording on the viewport, as its file handler takes it, and play it."""
     path = blender.shared / "performance.json"
     write_performance(path)
-    blender.run(_SELECT + f"bpy.ops.grmm.import_performance(filepath={blender.inner(path)!r})")
+    blender.run(_SELECT + f"bpy.ops.grmm.import_performance('EXEC_DEFAULT', True, filepath={blender.inner(path)!r})")
     blender.run("bpy.context.scene.frame_set(26)")
     blender.picture("performance", 4)
     blender.run("bpy.ops.screen.animation_play()")
@@ -243,7 +247,7 @@ def escape(blender: WalkedBlender) -> None:
 def photos(blender: WalkedBlender) -> None:
     """Choose a photo: without torch one sentence says what is needed."""
     path = blender.inner(blender.bring(PHOTO, PHOTO.name))
-    blender.run(f"bpy.ops.grmm.fit_add_photos(filepath={path!r})")
+    blender.run(f"bpy.ops.grmm.fit_add_photos('EXEC_DEFAULT', True, filepath={path!r})")
     try:
         blender.run("bpy.ops.grmm.fit_photos('EXEC_DEFAULT')")
     except WalkError as error:
@@ -252,13 +256,17 @@ def photos(blender: WalkedBlender) -> None:
 
 
 def undo(blender: WalkedBlender) -> None:
-    """Ctrl-Z twice, then Ctrl-Shift-Z."""
+    """Ctrl-Z twice, which takes photo and recording back, then Ctrl-Shift-Z: the head is there all through."""
     blender.move(*MIDDLE)
     blender.key("ctrl", "z")
     blender.key("ctrl", "z")
     blender.picture("undone", 4)
+    has_head, has_keys = blender.run(_HEAD + _KEYED)
     blender.key("ctrl", "shift", "z")
     blender.picture("redone", 4)
+    again = blender.run(_HEAD + _KEYED)
+    if not has_head or has_keys or again != [True, True]:
+        raise WalkError(f"head and keys after undo are {has_head} and {has_keys}, after redo {again}")
 
 
 def save_and_reopen(blender: WalkedBlender) -> None:
@@ -281,7 +289,9 @@ def drop(blender: WalkedBlender) -> None:
     """Drop another avatar's file into the viewport, as its file handler takes it."""
     path = blender.run("import importlib, sys\nname = next(n for n in sys.modules if n.endswith('grmm_core.avatar.library'))\n"
                        "result = str(sys.modules[name].library_path('beard'))")  # fmt: skip
-    blender.run(f"bpy.context.scene.cursor.location.x = 0.4\nbpy.ops.grmm.open_avatar('INVOKE_DEFAULT', filepath={path!r})")
+    blender.run(
+        f"bpy.context.scene.cursor.location.x = 0.4\nbpy.ops.grmm.open_avatar('INVOKE_DEFAULT', True, filepath={path!r})"
+    )
     blender.run("bpy.ops.view3d.view_all()")
     blender.picture("dropped", 8)
 

@@ -84,10 +84,13 @@ def served(scene_shots, yaw: float, playing: bool = False) -> list[list[object]]
     return [list(entry) for entry in log]
 
 
-shots = sources.ViewportShot((shot_class("a", "default", controls_class(), np.eye(4)),))
+alike = "a", "default", controls_class(), np.eye(4)
+shots = sources.ViewportShot((shot_class(*alike),))
 other = sources.ViewportShot((shot_class("a", "default", controls_class(), 2.0 * np.eye(4)),))
 report(played=served(other, 0.0, playing=True))
 report(made=served(shots, 0.0))
+bob = shot_class(*alike, hair=module("grmm_core.session").HairUse("groom:bob"))
+report(other_hair=[jobs_module.same_shot(shots.shots[0], one) for one in (shot_class(*alike), bob)])
 report(camera_moved=served(shots, 0.2))
 # Turned so far that colors are stale: they come in the moving level first, then in full.
 report(turned=served(shots, 40.0))

@@ -1,8 +1,8 @@
 """The walk: what an animator does first, each step a picture. `STEPS` is their order.
 
-Operators are called with an undo step, as a click on them makes one (`True` after the way to call them). A step takes the driven
-Blender; it raises where something is wrong that a program can see (no face in the render, a traceback
-in the console), and leaves the rest to whoever looks at the pictures.
+Operators are called with an undo step, as a click on them makes one (`True` after the way to call them). A step takes the
+driven Blender; it raises where something is wrong that a program can see (no face in the render, a traceback in the console),
+and leaves the rest to whoever looks at the pictures.
 """
 
 from __future__ import annotations

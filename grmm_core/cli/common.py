@@ -18,7 +18,7 @@ from ..fitting.request import DEVICES
 from ..hair import SETTINGS, HairSettings, groom_names
 from ..hair.roots import GROUPS, SCALP
 from ..jobs.cluster import Cluster, open_cluster
-from ..session.wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, HairUse
+from ..session.wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, RANDOM_PREFIX, HairUse
 from .console import Console
 
 
@@ -85,10 +85,10 @@ def options_of(args: argparse.Namespace, entry: Format, which: OptionsOf) -> dic
 def add_hair(parser: argparse.ArgumentParser) -> None:
     """Add --hair, --brows, --beard, --lashes and --hair-set."""
     for part in GROUPS:
-        names = ", ".join(groom_names(part))
+        what, more = ("what the avatar wears", ", random:SEED") if part == GROUPS[SCALP] else ("likewise", "")
         parser.add_argument(
             "--hair" if part == GROUPS[SCALP] else f"--{part}", metavar="NAME", default=OWN_HAIR,
-            help=f"{'what the avatar wears' if part == GROUPS[SCALP] else 'likewise'}: own (default), none, or one of {names}",
+            help=f"{what}: own (default), none{more}, or one of {', '.join(groom_names(part))}",
         )  # fmt: skip
     names = ", ".join(f"{row.name} ({row.low:g} to {row.high:g})" for row in SETTINGS)
     parser.add_argument(
@@ -109,7 +109,8 @@ def hair_of(args: argparse.Namespace) -> HairUse:
     settings = None if main is None else HairSettings().changed(**main)
     base = settings or HairSettings()
     parts = {part: base.for_part(GROUPS.index(part)).changed(**changes) for part, changes in values.items()}
-    groom = args.hair if args.hair in (OWN_HAIR, NO_HAIR) else GROOM_PREFIX + args.hair.removeprefix(GROOM_PREFIX)
+    named = args.hair in (OWN_HAIR, NO_HAIR) or args.hair.startswith(RANDOM_PREFIX)
+    groom = args.hair if named else GROOM_PREFIX + args.hair.removeprefix(GROOM_PREFIX)
     return HairUse(groom, settings, brows=args.brows, beard=args.beard, lashes=args.lashes, parts=parts)
 
 

@@ -17,17 +17,17 @@ from typing import Any
 import numpy as np
 
 from ..controls.frame import Controls
-from ..errors import ConfigError, FileFormatError
+from ..errors import ConfigError
 from ..files.access import make_folder
 from ..files.format import Format
-from ..formats import format_to_read, format_to_write, formats
+from ..formats import format_to_write, formats
 from ..formats.meshes.mesh import Mesh
 from ..formats.registry import Kinds
 from ..formats.sequence import frame_path
-from ..head import HeadModel, load_flame, load_open_head
+from ..head import HeadModel, load_open_head
 from ..jobs.progress import Reporter, Share, nobody
 from ..jobs.stages import EXPORT
-from ..performance import Performance, resample, to_arkit, to_expression
+from ..performance import Performance, to_arkit, to_expression
 from ..performance.recording import record
 from ..session import MAX_LOD, AvatarInfo, Session, create_session
 from ..session.exporting import flame_avatar, lam_avatar, morph_targets, splat_cloud
@@ -45,12 +45,12 @@ from .common import (
     hair_of,
     options_of,
 )
+from .playing import add_playing, flame_of, performance_of, playable, together
 
 _STILL: Kinds = ("splats", "mesh", "avatar", "arrays")
 _PLAYED: Kinds = ("splats", "mesh", "avatar", "performance")
 _PERFORMANCE_ONLY = (".csv", ".json")
 _STILL_RATE = 25.0  # frames a second that a track of one frame states
-_NEEDS_FLAME = "{what} needs your own FLAME file (generic_model.pkl or flame2023.pkl); name it with --flame."
 
 
 def add_parser(subparsers: Any) -> None:
@@ -75,10 +75,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument("--lod", type=int, choices=range(MAX_LOD + 1), default=0, help="fewer, larger Gaussians (default: 0)")
     add_format_options(parser, known, "writing")
     playing = parser.add_argument_group("performances")
-    playing.add_argument("--performance", type=Path, metavar="FILE", help="a recording that the avatar plays, on top of --set")
-    playing.add_argument("--fps", type=float, metavar="N", help="frames a second that are written (default: the recording's)")
-    playing.add_argument("--flame", metavar="FILE", help="your FLAME file, for FLAME's parameters and GaussianAvatars folders")
-    add_format_options(playing, formats("performance", read=True), "reading")
+    add_playing(playing)
     add_model(parser)
     add_events(parser)
 
@@ -91,7 +88,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     target = format_to_write(path, "mesh" if args.mesh else _PLAYED if args.performance else _STILL)
     if not target.folder:
         check_folder(path)
-    controls, played = controls_of(args), _performance(args)
+    controls, played = controls_of(args), performance_of(args)
     if played is not None and target.name == "lam":
         raise ConfigError(f"{target.label} files hold no performance; leave --performance out, their viewer plays recordings.")
     with args.console.progress(EXPORT) as show:
@@ -106,7 +103,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             if target.folder:
                 return _write_folder(target, session, avatar, controls, played, args)
             if played is not None:
-                return _write_frames(target, session, avatar, controls, _playable(played, avatar, args), args, report)
+                return _write_frames(target, session, avatar, controls, playable(played, avatar, args), args, report)
             content, counts = _content(target, session, avatar, controls, args, report)
     facts = {"avatar": avatar.name, **counts}
     return _finish(args, [path], facts, target.write(path, content, **options_of(args, target, "writing")))
@@ -122,37 +119,14 @@ def _finish(args: argparse.Namespace, files: list[Path], facts: dict[str, Any], 
     return {"file": str(args.output), "files": list(map(str, files)), "bytes": size, **facts, "warnings": list(warnings)}
 
 
-def _performance(args: argparse.Namespace) -> Performance | None:
-    """The recording, at the rate that is asked for."""
-    if args.performance is None:
-        return None
-    found = format_to_read(args.performance, "performance")
-    read: Performance = found.read(args.performance, **options_of(args, found, "reading"))
-    return read if args.fps is None else resample(read, args.fps)
-
-
-def _playable(played: Performance, avatar: AvatarInfo, args: argparse.Namespace) -> Performance:
-    """A recording that the avatar can play: FLAME's coefficients become ARKit weights for the open head."""
-    if played.expression is None or avatar.head_name.startswith("flame"):
-        return played
-    return to_arkit(played, _flame(args, f"{args.performance} has FLAME's coefficients and"))
-
-
 def _for_file(target: Format, played: Performance, args: argparse.Namespace) -> Performance:
     """A recording in the numbers that a performance file holds: FLAME's coefficients, or ARKit weights."""
     as_flame = target.name == "flame-npz"
     if as_flame == (played.expression is not None):
         return played
     what = f"{args.output} holds" if as_flame else f"{args.performance} has"
-    flame = _flame(args, f"{what} FLAME's coefficients and")
+    flame = flame_of(args, f"{what} FLAME's coefficients and")
     return to_expression(played, flame) if as_flame else to_arkit(played, flame)
-
-
-def _flame(args: argparse.Namespace, what: str) -> HeadModel:
-    named = args.flame or args.head
-    if not named:
-        raise FileFormatError(_NEEDS_FLAME.format(what=what))
-    return load_flame(named)
 
 
 def _write_folder(
@@ -160,7 +134,7 @@ def _write_folder(
     args: argparse.Namespace,
 ) -> dict[str, Any]:  # fmt: skip
     """Write a GaussianAvatars folder: the person at rest on the user's FLAME, moved by the recording or by --set."""
-    flame = _flame(args, f"{args.output} has no ending: it is a GaussianAvatars folder, which")
+    flame = flame_of(args, f"{args.output} has no ending: it is a GaussianAvatars folder, which")
     if played is None:
         played = record([controls], np.zeros(1), _STILL_RATE, load_open_head())
     track = played if played.expression is not None else to_expression(played, flame)
@@ -180,20 +154,10 @@ def _write_frames(
     files, warnings = [], dict.fromkeys(played.warnings)
     for frame in range(played.frame_count):
         report(frame / played.frame_count)
-        content, _ = _content(target, session, avatar, _together(controls, played.controls(frame)), args)
+        content, _ = _content(target, session, avatar, together(controls, played.controls(frame)), args)
         files.append(frame_path(args.output, frame))
         warnings |= dict.fromkeys(target.write(files[-1], content, **options))
     return _finish(args, files, {"avatar": avatar.name, "frames": len(files)}, tuple(warnings))
-
-
-def _together(controls: Controls, frame: Controls) -> Controls:
-    """What --set asks for and what a frame of the recording adds to it."""
-    both, added = controls.copy(), frame.validate()
-    both.aligned, both.pose = both.aligned + added.aligned, both.pose + added.pose
-    if added.expression.size:
-        both.expression = np.pad(both.expression, (0, max(0, added.expression.size - both.expression.size)))
-        both.expression[: added.expression.size] += added.expression
-    return both
 
 
 def _content(

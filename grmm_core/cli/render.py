@@ -1,7 +1,8 @@
-"""`grmm render`: draw one picture of an avatar.
+"""`grmm render`: draw a picture of an avatar, or one for each frame of a recorded performance.
 
-The main file is a PNG with straight alpha, an OpenEXR (scene-linear, premultiplied, every pass as named channels) or an
-.npz with the raw arrays. Beside a PNG called ``out.png``, each further pass of ``--passes`` is a file of its own:
+With --performance, #### in the name is where a frame's number goes. The main file is a PNG with straight alpha, an OpenEXR
+(scene-linear, premultiplied, every pass as named channels) or an .npz with the raw arrays. Beside a PNG called ``out.png``,
+each further pass of ``--passes`` is a file of its own:
 
 =============  ===========================================================================
 out.alpha.png  coverage, 16-bit grey
@@ -19,21 +20,38 @@ from __future__ import annotations
 import argparse
 import io
 import time
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..controls.frame import Controls
 from ..errors import ConfigError
 from ..files.access import atomic_write_bytes
+from ..formats.sequence import frame_path
 from ..geometry.camera import Camera
+from ..hair.swing import SwingBake, write_bake
 from ..light.parse import FORMS, lighting_of
 from ..light.shading import Response
 from ..model.portrait import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from ..pictures.color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from ..pictures.images import quantize, write_exr, write_png
-from ..session import MAX_LOD, PASS_NAMES, Instance, RenderOptions, create_session
+from ..session import (
+    MAX_LOD,
+    PASS_NAMES,
+    AvatarInfo,
+    HairUse,
+    Instance,
+    RenderOptions,
+    Session,
+    create_session,
+)
+from ..session.swinging import swinging, worn_groom
 from .common import add_avatar, add_controls, add_hair, add_model, add_output, check_folder, controls_of, hair_of, picture_size
+from .playing import add_playing, performance_of, playable, together
 
 SUFFIXES = (".png", ".exr", ".npz")
 
@@ -42,8 +60,8 @@ def add_parser(subparsers: Any) -> None:
     """Add the command."""
     parser = subparsers.add_parser(
         "render",
-        help="draw a picture of an avatar",
-        description="Draw a picture of an avatar.",
+        help="draw a picture of an avatar, or of each frame of a performance",
+        description="Draw a picture of an avatar, or of each frame of a performance.",
         epilog=(__doc__ or "").partition("\n\n")[2],
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -66,6 +84,13 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--passes", type=_passes, default=("rgb",), metavar="LIST", help=f"of {','.join(PASS_NAMES)} (default: rgb)"
     )
+    playing = parser.add_argument_group("performances")
+    add_playing(playing)
+    playing.add_argument("--frames", type=_range, metavar="A-B", help="of the performance, from 0 on (default: all)")
+    playing.add_argument(
+        "--hair-swing", nargs="?", const="", metavar="FILE",
+        help="let long hair swing; with an .npz file, keep how in it, or use what it holds",
+    )  # fmt: skip
     add_model(parser)
 
 
@@ -76,19 +101,40 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise ConfigError(f"{path} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; choose one of these formats.")
     check_folder(path)
     controls, hair, lighting = controls_of(args), hair_of(args), lighting_of(args.light)
+    played = performance_of(args)
+    if played is None and (args.hair_swing is not None or args.frames is not None):
+        raise ConfigError("Hair swings, and frames are chosen, in a performance; name one with --performance.")
     response = None if lighting is None else Response()
     width, height = args.size
     camera = Camera.orbit(width, height, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
     options = RenderOptions(not args.no_refine, passes, args.lod, args.background, args.coarse, lighting)
+    files: dict[str, str] = {}
+    seconds = 0.0
     with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:
         avatar = session.open(args.avatar)
-        start = time.perf_counter()
-        buffers = session.render([Instance(avatar.id, controls, hair=hair, response=response)], camera, options)
-        seconds = time.perf_counter() - start
-    files = write_buffers(path, buffers, args.passes, args.background is not None)
-    for file in files.values():
-        args.console.line(f"Wrote {file}.")
+        frames = [controls]
+        if played is not None:
+            played = playable(played, avatar, args)
+            frames = [together(controls, played.controls(number)) for number in range(played.frame_count)]
+        first, last = args.frames or (0, len(frames) - 1)
+        if first >= len(frames):
+            raise ConfigError(f"The performance has {len(frames)} frames, from 0 on; there is no frame {first}.")
+        wearing = repeat(hair)
+        if args.hair_swing is not None and played is not None:
+            simulated = frames if args.hair_swing else frames[: last + 1]  # a bake holds all
+            wearing = _swinging(session, avatar, hair, simulated, played.fps, args.hair_swing)
+        for number, (posed, worn) in enumerate(zip(frames[: last + 1], wearing, strict=False)):
+            if number < first:
+                continue
+            start = time.perf_counter()
+            buffers = session.render([Instance(avatar.id, posed, hair=worn, response=response)], camera, options)
+            seconds += time.perf_counter() - start
+            target = path if played is None else frame_path(path, number)
+            written = write_buffers(target, buffers, args.passes, args.background is not None)
+            files |= written if played is None else {f"{number}.{name}": file for name, file in written.items()}
+            for file in written.values():
+                args.console.line(f"Wrote {file}.")
     return {
         "files": files,
         "width": camera.width,
@@ -99,6 +145,26 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "refined": options.refine,
         "seconds": round(seconds, 4),
     }
+
+
+def _swinging(
+    session: Session, avatar: AvatarInfo, hair: HairUse, frames: list[Controls], fps: float, bake: str
+) -> Iterator[HairUse]:
+    """What is worn in each frame; out of the file of a bake, or simulated and kept in it, where one is named."""
+    if not bake:
+        yield from swinging(session, avatar, hair, frames, fps)
+        return
+    groom = worn_groom(avatar, hair)
+    if groom is None:
+        raise ConfigError("The avatar wears no strands that could swing; choose some with --hair.")
+    if not Path(bake).exists():
+        moved = (use.swing for use in swinging(session, avatar, hair, frames, fps))
+        write_bake(bake, (one for one in moved if one is not None), 0, fps)
+    kept = SwingBake.read(bake)
+    if len(kept.frames) != len(frames):
+        raise ConfigError(f"{bake} holds {len(kept.frames)} frames, the performance has {len(frames)}; delete it to bake anew.")
+    for number in range(len(frames)):
+        yield replace(hair, swing=kept.at(number, len(groom)))
 
 
 def write_buffers(path: Path, buffers: dict[str, np.ndarray], passes: tuple[str, ...], opaque: bool) -> dict[str, str]:
@@ -172,6 +238,13 @@ def _passes(text: str) -> tuple[str, ...]:
     if unknown:
         raise argparse.ArgumentTypeError(f"there is no render pass {unknown[0]!r}; choose from {', '.join(PASS_NAMES)}")
     return names
+
+
+def _range(text: str) -> tuple[int, int]:
+    first, dash, last = text.partition("-")
+    if not (first.isdecimal() and (last if dash else first).isdecimal() and int(last or first) >= int(first)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a range of frames; write for example 0-99")
+    return int(first), int(last or first)
 
 
 def _color(text: str) -> tuple[float, float, float]:

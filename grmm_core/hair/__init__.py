@@ -16,9 +16,11 @@ The map:
     groom.py      `Groom`, the record: roots on triangles, points in the root's frame, widths, groups; `bind`, `join`
     roots.py      frames at the roots that turn with the skin
     attach.py     `groom_from_curves`
+    body.py       what strands stay outside of, with the hull of the ears
     lashes.py     lashes that go with their lids
     settings.py   `HairSettings`, `SETTINGS`
     compact.py    a groom in few bytes; packaged.py   the package's grooms
+    prior.py      a code of few numbers that gives grooms between those seen; hair at random
     strands.py    a groom made ready: more strands, levels of detail, shape by settings
     occlusion.py  how much light reaches the inside;  pigment.py   colors of strands
     ribbons.py    strands as Gaussians and their shading, readable; strand_kernels.py compiled; gradients.py for PyTorch

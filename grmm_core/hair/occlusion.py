@@ -55,7 +55,7 @@ def openness(points: np.ndarray, widths: np.ndarray, vertices: np.ndarray, faces
     result = np.zeros((int(size.prod()), 4), np.float32)
     result[wanted] = seen
     result = result.reshape(*size, 4)
-    return _sample(result, (flat - low) / CELL - 0.5).reshape(*points.shape[:2], 4)
+    return sample(result, (flat - low) / CELL - 0.5).reshape(*points.shape[:2], 4)
 
 
 def _smooth(grid: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ def _inside(low: np.ndarray, size: np.ndarray, vertices: np.ndarray, faces: np.n
     return inside
 
 
-def _sample(grid: np.ndarray, at: np.ndarray) -> np.ndarray:
+def sample(grid: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Values [P, C] between the centres of cells of a grid [X, Y, Z, C], at [P, 3]."""
     at = np.clip(at, 0, np.array(grid.shape[:3]) - 1.001)
     base = at.astype(int)

@@ -69,7 +69,7 @@ class StrandBlock:
         points, count = self.points, self.points.shape[1]
         t = np.linspace(0, 1, count, dtype=np.float32)
         if settings.curl < 0:
-            points = points + np.float32(-settings.curl) * (_smoothed(points) - points)
+            points = points + np.float32(-settings.curl) * (smoothed(points) - points)
         if settings.length != 1.0:
             points = _lengthened(points, settings.length)
         long = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1)
@@ -78,7 +78,7 @@ class StrandBlock:
         if settings.curl > 0:
             turns = np.clip(long / 0.045, 1.0, count / 5.0)[:, None]
             angle = 6.2831853 * turns * t + 3.0 * self.lock[:, None]
-            side, other = _across(points)
+            side, other = across(points)
             wave = np.cos(angle)[..., None] * side + np.sin(angle)[..., None] * other
             points = points + np.float32(settings.curl * CURL) * swing[..., None] * wave
         if settings.frizz > 0:
@@ -197,7 +197,7 @@ def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.nda
     return spread
 
 
-def _smoothed(points: np.ndarray) -> np.ndarray:
+def smoothed(points: np.ndarray) -> np.ndarray:
     """Strands [M, K, 3] without their curls; ends stay."""
     result = points
     for _ in range(2 * points.shape[1] // 3):
@@ -218,7 +218,7 @@ def _lengthened(points: np.ndarray, length: float) -> np.ndarray:
     return inside + beyond * (points[:, -1:] - points[:, start : start + 1])
 
 
-def _across(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def across(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two unit directions across each strand, [M, K, 3] each."""
     along = np.gradient(points, axis=1)
     along /= np.maximum(np.linalg.norm(along, axis=2, keepdims=True), 1e-12)

@@ -18,21 +18,24 @@ from ..controls.frame import Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
+from ..hair.body import Body
 from ..hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
 from ..hair.packaged import library_groom
+from ..hair.prior import random_groom
 from ..hair.ribbons import Eye
 from ..hair.roots import GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
 from ..hair.strands import StrandBlock, blocks_of
+from ..hair.swing import swung
 from ..head import HeadModel
 from ..splat.types import Gaussians
 from .cap import Cap
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .scalp import Skin, bare_skin, cap_color
-from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, USUAL, HairUse
+from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
 _READY = 12  # grooms that are kept ready
@@ -47,12 +50,13 @@ class Layer:
     Attributes:
         key: What identifies the groom and its version.
         groom: The strands.
-        points: See `api.HairUse`.
+        points, swing: See `api.HairUse`.
     """
 
     key: tuple[str, ...]
     groom: Groom
     points: np.ndarray | None = None
+    swing: np.ndarray | None = None
 
     def only(self, groups: tuple[int, ...]) -> Layer | None:
         """The strands of some parts; None where there are none."""
@@ -62,7 +66,8 @@ class Layer:
         if not wanted.any():
             return None
         points = None if self.points is None else self.points[wanted[self.groom.strand_of_point]]
-        return Layer((*self.key, *map(str, groups)), self.groom.select(wanted), points)
+        swing = None if self.swing is None else self.swing[wanted]
+        return Layer((*self.key, *map(str, groups)), self.groom.select(wanted), points, swing)
 
 
 @dataclass(frozen=True)
@@ -139,21 +144,28 @@ class Wardrobe:
             return None
         if use.groom == OWN_HAIR:
             own = target.avatar.hair
-            layer = None if own is None or own.groom is None else Layer((OWN_HAIR, str(target.id)), own.groom, use.points)
+            layer = None if own is None or own.groom is None else Layer((OWN_HAIR, str(target.id)), own.groom)
         elif use.groom.startswith(PUT_PREFIX):
             known = self._put.get(use.groom.removeprefix(PUT_PREFIX))
             if known is None:
                 raise ShapeError(f"There is no groom {use.groom!r} in this session; put it there first.")
-            layer = Layer((use.groom, known[0]), known[1], use.points)
+            layer = Layer((use.groom, known[0]), known[1])
+        elif use.groom.startswith(RANDOM_PREFIX):
+            drawn = random_groom(use.groom.removeprefix(RANDOM_PREFIX), target.model.head_model.name)
+            layer = Layer((use.groom,), drawn)
         elif use.groom.startswith(GROOM_PREFIX):
             found = library_groom(use.groom.removeprefix(GROOM_PREFIX), target.model.head_model.name)
-            layer = Layer((use.groom,), found, use.points)
+            layer = Layer((use.groom,), found)
         else:
-            raise ShapeError(f"There is no hair {use.groom[:60]!r}; use own, none, groom:NAME or a groom that was put here.")
-        if layer is not None and layer.points is not None and len(layer.points) != len(layer.groom.points):
+            raise ShapeError(f"There is no hair {use.groom[:60]!r}; use own, none, groom:NAME, random:SEED or one put here.")
+        if layer is None:
+            return None
+        if use.points is not None and len(use.points) != len(layer.groom.points):
             count = len(layer.groom.points)
-            raise ShapeError(f"{len(layer.points)} moved points were given for a groom of {count}; give it anew.")
-        return layer
+            raise ShapeError(f"{len(use.points)} moved points were given for a groom of {count}; give it anew.")
+        if use.swing is not None and len(use.swing) != len(layer.groom):
+            raise ShapeError(f"{len(use.swing)} strands swing where the groom has {len(layer.groom)}; simulate it anew.")
+        return dataclasses.replace(layer, points=use.points, swing=use.swing)
 
     def blocks(self, layer: Layer, head: HeadModel) -> tuple[StrandBlock, ...]:
         """Strands made ready for a head."""
@@ -206,6 +218,8 @@ class Wardrobe:
         for (layer, number, block), share in zip(ready, shares, strict=True):
             settings = worn.settings[block.group]
             points, axes = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block)
+            if block.group == SCALP and layer.swing is not None:
+                points = swung(points, layer.swing[block.rows])
             if block.group == LASHES and layer.points is None:
                 points = self._on_lids(head, layer, settings, vertices, block, points)
             parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction))
@@ -240,15 +254,23 @@ class Wardrobe:
         vertices: np.ndarray, number: int, block: StrandBlock,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Parents' points in head space and their roots' axes."""
+        rest = _at_rest(evaluator, target, inputs)
 
         def styled() -> tuple[np.ndarray]:
-            return (block.styled(settings),)
+            local = block.styled(settings)
+            if block.group != SCALP:
+                return (local,)
+            still = to_numpy(evaluator.mesh(target, rest).vertices)
+            body = Body(*evaluator.cache.get((target.id, "body", *rest.mesh_key), lambda: _body(target, still)))
+            origin, axes = (part.astype(np.float32) for part in block.frames.at(still))
+            fitted = body.pushed(np.matmul(local, axes) + origin[:, None])
+            return (np.matmul(fitted - origin[:, None], axes.transpose(0, 2, 1)),)
 
         def make() -> tuple[np.ndarray, np.ndarray]:
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
             if layer.points is not None:
                 return block.resampled(layer.groom, layer.points), axes
-            key = (target.id, "styled", number, *layer.key, *settings.shape_key)
+            key = (target.id, "styled", number, *layer.key, *settings.shape_key, *rest.mesh_key)
             local = evaluator.cache.get(key, styled)[0]
             return np.matmul(local, axes) + origin[:, None], axes
 
@@ -284,6 +306,12 @@ def _kept(known: dict[tuple[Hashable, ...], Kept], key: tuple[Hashable, ...], ma
 def with_channels(strands: Gaussians, count: int) -> Gaussians:
     """Strands with `count` feature channels of zeros."""
     return dataclasses.replace(strands, features=zeros((len(strands), count), strands.means))
+
+
+def _body(target: OpenAvatar, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What hair stays outside of on a person at rest, as the cache keeps it."""
+    body = Body.of(target.model.head_model, vertices)
+    return body.low, body.field
 
 
 def _at_rest(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Inputs:

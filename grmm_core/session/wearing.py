@@ -12,7 +12,7 @@ from ..hair.roots import GROUPS, SCALP
 from ..hair.settings import HairSettings
 
 OWN_HAIR, NO_HAIR = "own", "none"
-PUT_PREFIX, GROOM_PREFIX = "put:", "groom:"
+PUT_PREFIX, GROOM_PREFIX, RANDOM_PREFIX = "put:", "groom:", "random:"
 PARTS = tuple(name for group, name in enumerate(GROUPS) if group != SCALP)  # brows, beard, lashes
 USUAL = {"brows": "natural", "lashes": "natural"}  # of heads whose Gaussians have no hair, where nothing else is said
 
@@ -26,13 +26,16 @@ class HairUse:
 
     Attributes:
         groom: "own": what the avatar has; "none": neither strands nor the hair that its Gaussians were trained with;
-            "groom:NAME": one of the package's grooms (`hair.packaged`); or what `Session.put_groom` returned.
+            "groom:NAME": one of the package's grooms (`hair.packaged`); "random:SEED": one that `hair.prior` draws; or what
+            `Session.put_groom` returned.
         settings: Length, color and so on; None: those that the avatar or the groom comes with.
         points: Where a host that moves strands by itself (Blender's evaluated curves) has the points of the groom, head space,
             metres, [P, 3]; None: the strands follow the head.
         brows, beard, lashes: "own", "none", or the name of one of the package's grooms of the part.
         parts: Settings of brows, beard and lashes, by these names; where there are none, those of the avatar, or the colors
             of `settings`.
+        swing: How far the strands of the groom have swung from where they follow the head, head space, metres, [N, S, 3] at S
+            even places from the root on: `hair.swing` computes it. None: not at all.
     """
 
     groom: str = OWN_HAIR
@@ -42,6 +45,7 @@ class HairUse:
     beard: str = OWN_HAIR
     lashes: str = OWN_HAIR
     parts: Mapping[str, HairSettings] = field(default_factory=dict)
+    swing: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.parts) - set(PARTS))
@@ -52,3 +56,8 @@ class HairUse:
             if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
                 raise ShapeError(f"Moved hair points have the shape {points.shape} or are not finite; [P, 3] metres is needed.")
             object.__setattr__(self, "points", points)
+        if self.swing is not None:
+            swing = np.ascontiguousarray(self.swing, np.float32)
+            if swing.ndim != 3 or swing.shape[1] < 2 or swing.shape[2] != 3 or not np.isfinite(swing).all():
+                raise ShapeError(f"Swinging hair has the shape {swing.shape} or is not finite; [N, S, 3] metres is needed.")
+            object.__setattr__(self, "swing", swing)

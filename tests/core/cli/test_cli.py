@@ -159,6 +159,34 @@ def test_render_puts_hair_on(render, tmp_path):
         assert word in err
 
 
+def test_render_plays_a_performance_with_hair_that_swings(render, tmp_path):
+    """A frame is the same whether all are drawn, it alone, or from a bake."""
+    rows = [f"00:00:00:{frame:02d}.000,61,0.1,{0.06 * min(frame, 8)}" for frame in range(14)]
+    (tmp_path / "turn.csv").write_text("\n".join(["Timecode,BlendShapeCount,JawOpen,HeadYaw", *rows]) + "\n")
+    common = ("default", "--size", "64", "--no-refine", "--hair", "long", "--performance", tmp_path / "turn.csv", "--fps", "24")
+    assert render(*common, "-o", tmp_path / "all_##.png", "--hair-swing")[0] == 0
+    count = len(list(tmp_path.glob("all_*.png")))
+    assert count >= 5
+    assert render(*common, "-o", tmp_path / "one_##.png", "--hair-swing", "--frames", "3")[0] == 0
+    assert [file.name for file in tmp_path.glob("one_*.png")] == ["one_03.png"]
+    bake = tmp_path / "bake.npz"
+    for name in ("kept", "again"):
+        assert render(*common, "-o", tmp_path / f"{name}_##.png", "--hair-swing", bake, "--frames", "3-4")[0] == 0
+    assert render(*common, "-o", tmp_path / "stiff_##.png", "--frames", "3")[0] == 0
+    pictures = {name: read_png(tmp_path / f"{name}_03.png").astype(int) for name in ("all", "one", "kept", "again", "stiff")}
+    np.testing.assert_array_equal(pictures["all"], pictures["one"])
+    np.testing.assert_array_equal(pictures["kept"], pictures["again"])
+    assert np.abs(pictures["all"] - pictures["kept"]).mean() < 0.5
+    assert np.abs(pictures["all"] - pictures["stiff"]).mean() > 0.5
+    for options, word in (("--hair-swing", "name one with --performance"), ("--frames 2", "name one with --performance")):
+        code, _, err = render("default", "-o", tmp_path / "x.png", *options.split())
+        assert code == 1
+        assert word in err
+    code, _, err = render(*common, "-o", tmp_path / "x.png", "--frames", "900")
+    assert code == 1
+    assert "no frame 900" in err
+
+
 def test_render_writes_arrays_and_exr(render, tmp_path):
     assert render("default", "-o", tmp_path / "x.npz", "--size", "32", "--passes", "rgb,depth")[0] == 0
     arrays = np.load(tmp_path / "x.npz")

@@ -1,0 +1,264 @@
+"""Long hair that lags behind a moving head and swings: a simulation that is the same wherever it is computed. Numba or numpy.
+
+What swings are a few places along each strand. Each is drawn to where the groom has it on the posed head by a damped spring
+that is the slower the farther from the root it is, as a pendulum of that length would be; gravity counts by how it has turned
+in the head's axes, so that a still upright head wears exactly its groom. Springs are integrated implicitly, so that no step is
+too large; segments keep their lengths from the root on (follow the leader: Mueller, Kim and Chentanez 2012); what would enter
+the head or the shoulders is pushed out. Each strand is on its own, so that threads and order change nothing. What comes out is
+how far each place is from where it would follow the head: curls, cuts and settings of the strands ride on that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import ConfigError, FileFormatError, ShapeError
+from ..files.access import atomic_write
+from ..files.npz import read_npz
+from ..head import HeadModel
+from .body import BURIED, Body
+from .groom import Groom
+from .roots import SCALP
+
+PLACES = 8  # along a strand that swing, the root among them
+STEPS = 4  # of a frame
+GRAVITY = 9.81  # m/s^2, along -y
+STIFF = 1.3  # how much faster than a pendulum of its length hair swings back
+DAMPING = 0.25  # of critical, relative to the head
+SHORTEST = 0.012  # metres: nearer to the root nothing swings
+SLIDE = 0.3  # of its speed that hair keeps in a step in which it touches the skin
+SOFT, MOST = 0.5, 0.002  # share of what hair is inside the skin that a step pushes out, and metres at most
+JUMP = 0.08  # metres that roots may move in a frame; more is a cut, after which hair is at rest
+SETTLE = 1.0  # seconds that a first frame is held before what follows
+SUNK = 0.003  # metres below the skin
+CLEARANCE = 0.001  # metres above the skin
+ROUNDS = 2  # of smoothing along a strand
+_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Obstacle:
+    """A body, and how it has moved: rows of points `p @ turn.T + shift` are where it was measured."""
+
+    body: Body
+    turn: np.ndarray
+    shift: np.ndarray
+
+
+@dataclass
+class _State:
+    places: np.ndarray
+    speeds: np.ndarray
+    targets: np.ndarray
+    gravity: np.ndarray
+
+
+@dataclass
+class Swing:
+    """The simulation of one groom on one person.
+
+    Attributes:
+        head: The head model.
+        groom: What is worn; scalp hair swings.
+        rest: The person at rest, metres, [V, 3].
+        fps: Frames a second.
+        compiled: Compute by the compiled kernel; else by its readable twin.
+    """
+
+    head: HeadModel
+    groom: Groom
+    rest: np.ndarray
+    fps: float
+    compiled: bool = True
+    _state: _State | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        if not 1.0 <= self.fps <= 1000.0:
+            raise ConfigError(f"Hair cannot swing at {self.fps} frames a second; use 1 to 1000.")
+        self._rows = np.flatnonzero(self.groom.groups == SCALP)
+        some = self.groom.select(self._rows)
+        self._sparse = some.resampled(PLACES)
+        self._frames = some.frames(np.asarray(self.head.v_template, float), self.head.faces)
+        rest = np.asarray(self.rest, float)
+        still = self._sparse.posed(self._frames, rest).reshape(-1, PLACES, 3)
+        moving = np.asarray(self.head.weights)[:, 2:].sum(1) + np.asarray(self.head.weights)[:, 1] > 0.5  # with neck and jaw
+        self._bodies = (Body.of(self.head, rest, moving), Body.of(self.head, rest, ~moving))
+        self._rigid = np.asarray(self.head.regions["scalp"])
+        self._clear = np.stack(
+            [np.minimum(body.heights(still.reshape(-1, 3))[0], CLEARANCE).reshape(still.shape[:2]) for body in self._bodies]
+        ).astype(np.float32)
+        steps = np.linalg.norm(np.diff(still, axis=1), axis=2)
+        self._lengths = steps.astype(np.float32)
+        along = np.concatenate([np.zeros((len(steps), 1)), np.cumsum(steps, 1)], 1)
+        self._rates = (STIFF * np.sqrt(GRAVITY / np.maximum(along, SHORTEST))).astype(np.float32)
+        sunk = np.logical_or.accumulate((self._clear < -SUNK).any(0), axis=1)  # what is inside the head stays where it is
+        self._loose = ((along > SHORTEST) & ~sunk).astype(np.float32)
+
+    def frames(self, poses: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
+        """Simulate from the first frame on.
+
+        Args:
+            poses: The posed head of each frame in the space in which gravity points along -y, metres, [V, 3].
+
+        Yields:
+            How far each strand of the groom has swung from where it would follow the head, metres, float32 [N, PLACES, 3].
+        """
+        self._state = None
+        for vertices in poses:
+            yield self.step(np.asarray(vertices, float))
+
+    def step(self, vertices: np.ndarray) -> np.ndarray:
+        """The next frame, see `frames`."""
+        from .swing_kernel import raise_into, swing_into
+
+        turn, shift = _rigid_motion(vertices[self._rigid], np.asarray(self.rest, float)[self._rigid])
+        targets = np.ascontiguousarray(self._sparse.posed(self._frames, vertices).reshape(-1, PLACES, 3), np.float32)
+        down = np.array([0.0, -GRAVITY, 0.0])
+        gravity = (down - down @ turn).astype(np.float32)  # what is not in the groom already
+        still = _State(targets.copy(), np.zeros_like(targets), targets, gravity)
+        state, count = self._state, STEPS
+        if state is None or np.abs(targets[:, 0] - state.targets[:, 0]).max(initial=0.0) > JUMP:
+            state, count = still, round(STEPS * SETTLE * self.fps)
+        obstacles = (Obstacle(self._bodies[0], turn, shift), Obstacle(self._bodies[1], np.eye(3), np.zeros(3)))
+        numbers = (self._rates, self._loose, self._lengths, gravity, count, np.float32(1.0 / (STEPS * self.fps)), self._clear)
+        if self.compiled:
+            swing_into(state.places, state.speeds, state.targets, targets, *numbers, *_numbers(obstacles))
+        else:
+            found = swing_readable(state.places, state.speeds, state.targets, targets, *numbers, obstacles)
+            state.places, state.speeds = (part.astype(np.float32) for part in found)
+        self._state = _State(state.places, state.speeds, targets, gravity)
+        result = np.zeros((len(self.groom), PLACES, 3), np.float32)
+        points = np.ascontiguousarray(targets + _unfolded(state.places - targets), np.float32)
+        if self.compiled:
+            raise_into(points, self._clear, *_numbers(obstacles))
+        else:
+            points[:, 1:] = _outside(points[:, 1:], np.ones_like(self._loose[:, 1:]), self._clear[:, :, 1:], obstacles)
+        result[self._rows] = points - targets
+        return result
+
+
+def _unfolded(offsets: np.ndarray) -> np.ndarray:
+    """Offsets [M, S, 3] of strands that bend less where contact has folded them; roots stay."""
+    for _ in range(ROUNDS):
+        tip = 0.5 * (offsets[:, -1:] + 2.0 * offsets[:, -2:-1] - offsets[:, -3:-2])
+        middle = 0.5 * offsets[:, 1:-1] + 0.25 * (offsets[:, :-2] + offsets[:, 2:])
+        offsets = np.concatenate([offsets[:, :1], middle, tip], 1)
+    return offsets
+
+
+def _numbers(obstacles: tuple[Obstacle, ...]) -> list[np.ndarray]:
+    """Field, first cell and motion of each obstacle, as the kernel reads them."""
+    parts: list[np.ndarray] = []
+    for one in obstacles:
+        motion = np.concatenate([one.turn, one.shift[:, None]], 1)
+        parts += [one.body.field, one.body.low.astype(np.float32), np.ascontiguousarray(motion, np.float32)]
+    return parts
+
+
+def _rigid_motion(posed: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Turn [3, 3] and shift [3] that bring posed points [M, 3] best back to rest: `posed @ turn.T + shift`."""
+    u, _, v = np.linalg.svd((posed - posed.mean(0)).T @ (rest - rest.mean(0)))
+    turn = (u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v).T
+    return turn, rest.mean(0) - posed.mean(0) @ turn.T
+
+
+def swing_readable(
+    places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, loose: np.ndarray,
+    lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray, obstacles: Sequence[Obstacle],
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """The readable twin of `swing_kernel.swing_into`, which says what the arguments are; returns places and speeds."""
+    places, speeds = places.astype(float), speeds.astype(float)
+    drag = 2.0 * DAMPING * rates[..., None]
+    own = (targets - before) / (count * dt)
+    for step in range(count):
+        goals = before + (step + 1) / count * (targets - before)
+        force = rates[..., None] ** 2 * (goals - places) + drag * own + gravity
+        moved = (speeds + dt * force) / (1.0 + dt * (drag + dt * rates[..., None] ** 2))
+        slide = np.ones(places.shape[:2])
+        new = goals + loose[..., None] * (places + dt * moved - goals)
+        for s in range(1, places.shape[1]):
+            free = loose[:, s] > 0
+            touched = np.zeros(len(new), bool)
+            for _ in range(2):
+                along = new[:, s] - new[:, s - 1]
+                along *= (lengths[:, s - 1] / np.maximum(np.linalg.norm(along, axis=1), 1e-9))[:, None]
+                held = new[:, s - 1] + along
+                out = _outside(held, loose[:, s], clear[:, :, s], obstacles)
+                touched |= (out != held).any(1)
+                held = out
+                new[:, s] = np.where(free[:, None], held, new[:, s])
+            slide[touched, s] = SLIDE
+        places, speeds = new, slide[..., None] * (new - places) / dt
+    return places, speeds
+
+
+def _outside(points: np.ndarray, loose: np.ndarray, clear: np.ndarray, obstacles: Sequence[Obstacle]) -> np.ndarray:
+    """Points [..., 3] where they are loose [...] brought some of the way up to their height above each body, [2, ...]."""
+    for wanted, one in zip(clear, obstacles, strict=True):
+        heights, up = one.body.heights((points @ one.turn.T + one.shift).reshape(-1, 3))
+        heights = heights.reshape(loose.shape)
+        push = np.where((heights > -BURIED) & (loose > 0), np.clip(SOFT * (wanted - heights), 0.0, MOST), 0.0)
+        points = points + push[..., None] * (up @ one.turn).reshape(points.shape)
+    return points
+
+
+def swung(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Strands [N, K, 3] with what `Swing` says of them, [N, S, 3], on smooth curves (Catmull and Rom) between its places."""
+    count, last = points.shape[1], offsets.shape[1] - 1
+    at = np.linspace(0, last, count)
+    base = np.minimum(at.astype(int), last - 1)
+    t = at - base
+    rows = (-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2)
+    shares = np.zeros((count, last + 1), np.float32)
+    for step, row in enumerate(rows):
+        np.add.at(shares, (np.arange(count), np.clip(base + step - 1, 0, last)), 0.5 * row)
+    return (points + np.matmul(shares, offsets)).astype(np.float32)
+
+
+def write_bake(path: str | Path, frames: Iterable[np.ndarray], start: int, fps: float) -> int:
+    """Keep what `Swing.frames` yields in a file, in steps of 0.1 mm; returns how many frames. Raises `FileAccessError`."""
+    rows = [np.round(np.clip(frame, -3.2, 3.2) / 1e-4).astype(np.int16) for frame in frames]
+    with atomic_write(Path(path)) as file:
+        np.savez_compressed(
+            file, version=np.array([_VERSION]), frames=np.stack(rows), start=np.array([start]), fps=np.array([fps])
+        )
+    return len(rows)
+
+
+@dataclass(frozen=True)
+class SwingBake:
+    """Swinging that was kept.
+
+    Attributes:
+        frames: Of `Swing.frames`, in steps of 0.1 mm, int16 [T, N, S, 3].
+        start: Number of the first frame.
+        fps: Frames a second.
+    """
+
+    frames: np.ndarray
+    start: int
+    fps: float
+
+    @staticmethod
+    def read(path: str | Path) -> SwingBake:
+        """Read a file. Raises `FileAccessError`, `FileFormatError`."""
+        arrays = read_npz(Path(path))[0]
+        try:
+            frames, version = arrays["frames"], int(arrays["version"][0])
+            start, fps = int(arrays["start"][0]), float(arrays["fps"][0])
+        except (KeyError, IndexError, TypeError, ValueError) as error:
+            raise FileFormatError(f"{path} holds no baked hair; bake it again.") from error
+        if version != _VERSION or frames.dtype != np.int16 or frames.ndim != 4 or frames.shape[2:] != (PLACES, 3):
+            raise FileFormatError(f"{path} holds baked hair of another kind than this version's; bake it again.")
+        return SwingBake(frames, start, fps)
+
+    def at(self, frame: int, strands: int) -> np.ndarray:
+        """What `HairUse.swing` takes of a frame; the ends are held. Raises `ShapeError` for a groom of other strands."""
+        if self.frames.shape[1] != strands:
+            raise ShapeError(f"The baked hair has {self.frames.shape[1]} strands, the groom {strands}; bake it again.")
+        row = self.frames[int(np.clip(frame - self.start, 0, len(self.frames) - 1))]
+        return (row * np.float32(1e-4)).astype(np.float32)

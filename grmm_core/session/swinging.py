@@ -1,0 +1,62 @@
+"""Hair that swings while an avatar plays: `hair.swing` fed with what a session says of the head."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Sequence
+
+from ..avatar.file import load_avatar
+from ..avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_path
+from ..controls.frame import Controls
+from ..errors import ShapeError
+from ..hair.groom import Groom
+from ..hair.packaged import library_groom
+from ..hair.prior import random_groom
+from ..hair.swing import Swing
+from ..head import load_open_head
+from .api import AvatarInfo, Session
+from .sources import DEFAULT_SOURCE
+from .wearing import GROOM_PREFIX, OWN_HAIR, RANDOM_PREFIX, HairUse
+
+
+def swinging(session: Session, avatar: AvatarInfo, use: HairUse, frames: Sequence[Controls], fps: float) -> Iterator[HairUse]:
+    """Simulate a performance from its first frame on.
+
+    Args:
+        session: Where the avatar is open.
+        avatar: Who.
+        use: What it wears.
+        frames: All of the performance.
+        fps: Frames a second.
+
+    Yields:
+        What to wear in each frame.
+
+    Raises:
+        ShapeError: Hair that stands on another head than the open one.
+    """
+    groom = worn_groom(avatar, use)
+    if groom is None or not frames:
+        yield from [use] * len(frames)
+        return
+    head = load_open_head()
+    if head.name != avatar.head_name:
+        raise ShapeError(f"Hair swings on the head {head.name}, not {avatar.head_name}; leave the swing out.")
+    swing = Swing(head, groom, session.deform(avatar.id, frames[0].at_rest()).vertices, fps)
+    for controls in frames:
+        yield dataclasses.replace(use, swing=swing.step(session.deform(avatar.id, controls).vertices))
+
+
+def worn_groom(avatar: AvatarInfo, use: HairUse) -> Groom | None:
+    """The groom that an avatar wears; None where it has none, or it was put into a session, whose caller has it."""
+    if use.groom.startswith(GROOM_PREFIX):
+        return library_groom(use.groom.removeprefix(GROOM_PREFIX), avatar.head_name)
+    if use.groom.startswith(RANDOM_PREFIX):
+        return random_groom(use.groom.removeprefix(RANDOM_PREFIX), avatar.head_name)
+    if use.groom != OWN_HAIR or avatar.hair is None:
+        return None
+    source = avatar.source
+    if source == DEFAULT_SOURCE or source.startswith(LIBRARY_PREFIX):
+        source = str(library_path(DEFAULT_NAME if source == DEFAULT_SOURCE else source.removeprefix(LIBRARY_PREFIX)))
+    hair = load_avatar(source).hair
+    return None if hair is None else hair.groom

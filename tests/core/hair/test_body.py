@@ -1,0 +1,59 @@
+"""What strands stay outside of: heights above the skin, the hull of the ears, hair pushed out of other people's heads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grmm_core.hair import library_groom
+from grmm_core.hair.body import Body
+from grmm_core.head import load_open_head
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def body(head) -> Body:
+    return Body.of(head, np.asarray(head.v_template, float))
+
+
+def test_heights_are_distances_near_the_scalp(head, body):
+    template = np.asarray(head.v_template, float)
+    top = np.setdiff1d(head.regions["scalp"], head.regions["ears"])
+    middle = template[head.regions["scalp"]].mean(0)
+    out = (template[top] - middle) / np.linalg.norm(template[top] - middle, axis=1, keepdims=True)
+    for distance in (-0.01, 0.0, 0.004, 0.015):
+        heights, up = body.heights(template[top] + distance * out)
+        assert np.median(np.abs(heights - distance)) < 0.0015
+        assert np.median((up * out).sum(1)) > 0.8
+    far, _ = body.heights(np.array([[0.0, 0.0, 2.0], [-9.0, 0.0, 0.0]]))
+    assert (far > 0.02).all()
+
+
+def test_hair_lies_over_ears(head, body):
+    """What was between the folds of an ear, or went through it, is outside of all of it."""
+    ears = np.asarray(head.v_template, float)[head.regions["ears"]]
+    left = ears[ears[:, 0] > 0]
+    middle = left.mean(0)
+    x = left[:, 0].max() - 0.008
+    ends = np.array([[x, left[:, 1].max() + 0.02, middle[2]], [x, left[:, 1].min() - 0.02, middle[2]]])
+    strand = ends[0] + np.linspace(0, 1, 24)[:, None] * (ends[1] - ends[0])
+    pushed = body.pushed(strand[None])[0]
+    beside = np.abs(pushed[:, 1] - middle[1]) < 0.012
+    assert pushed[beside, 0].min() > left[:, 0].max() - 0.004
+    np.testing.assert_array_equal(pushed[0], strand[0].astype(np.float32))
+
+
+def test_hair_of_the_mean_head_is_pushed_out_of_a_larger_one(head):
+    template = np.asarray(head.v_template, float)
+    larger = template * 1.0
+    larger[head.regions["scalp"]] *= 1.06
+    groom = library_groom("slick_back").level(0.1).resampled(16)
+    points = groom.posed(groom.frames(template, head.faces), template).reshape(-1, 16, 3)
+    body = Body.of(head, larger)
+    before, after = (body.heights(part[:, 5:].reshape(-1, 3))[0] for part in (points, body.pushed(points)))
+    assert (before < 0).mean() > 0.1
+    assert (after < -0.0005).mean() < 0.005

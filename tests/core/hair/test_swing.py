@@ -1,0 +1,115 @@
+"""Hair that swings: still on a still head, late behind a moving one, never inside it, the same each time and in both twins."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grmm_core.errors import ConfigError, FileFormatError, ShapeError
+from grmm_core.hair import join, library_groom
+from grmm_core.hair.body import Body
+from grmm_core.hair.groom import Groom
+from grmm_core.hair.swing import PLACES, Swing, SwingBake, swung, write_bake
+from grmm_core.head import load_open_head
+
+FPS = 24.0
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def groom() -> Groom:
+    return join([library_groom("long").level(0.05), library_groom("natural", part="brows").level(0.1)])
+
+
+def posed(head, yaw: float) -> np.ndarray:
+    pose = np.zeros((5, 3))
+    pose[1, 1] = yaw
+    return np.asarray(head.vertices(np.zeros(300), np.zeros(1), pose), float)
+
+
+@pytest.fixture(scope="module")
+def shaken(head) -> list[np.ndarray]:
+    """A head that turns to the side within six frames and stops, for two seconds."""
+    return [posed(head, 0.9 * min(frame / 6, 1.0)) for frame in range(48)]
+
+
+@pytest.fixture(scope="module")
+def played(head, groom, shaken) -> np.ndarray:
+    return np.stack(list(Swing(head, groom, np.asarray(head.v_template, float), FPS).frames(shaken)))
+
+
+def test_a_still_head_wears_its_groom(head, groom):
+    rest = np.asarray(head.v_template, float)
+    for frame in Swing(head, groom, rest, FPS).frames([rest] * 5):
+        assert np.abs(frame).max() < 2e-4
+
+
+def test_hair_lags_swings_past_and_comes_to_rest(head, groom, played):
+    far = np.linalg.norm(played, axis=3)
+    scalp = groom.groups == 0
+    tips, middles = far[:, scalp, -1].mean(1), far[:, scalp, 3].mean(1)
+    assert tips[5] > 0.02  # late by centimetres
+    assert tips[5] > 1.5 * middles[5]
+    late = np.abs(np.diff(played[-12:], axis=0)).max((0, 3))
+    assert (late < 1e-3).mean() > 0.99  # at rest, on the shoulders
+    assert late.max() < 4e-3
+    assert not played[:, ~scalp].any()  # brows stay
+    assert not np.abs(played[:, :, 0]).max() > 1e-6  # so do roots
+    side = played[:, scalp, -1]
+    past = [float(((side[5] * side[frame]).sum(1) < 0).mean()) for frame in range(6, 20)]
+    assert max(past) > 0.4  # many swing past their place
+
+
+def test_segments_keep_their_lengths_and_nothing_is_in_the_head(head, groom, shaken, played):
+    some = groom.select(groom.groups == 0).resampled(PLACES)
+    frames = some.frames(np.asarray(head.v_template, float), head.faces)
+    for number in (4, 8, 20):
+        still = some.posed(frames, shaken[number]).reshape(-1, PLACES, 3)
+        points = swung(still, played[number][groom.groups == 0])
+        before, after = (np.linalg.norm(np.diff(part, axis=1), axis=2).sum(1) for part in (still, points))
+        short, long = np.percentile(after / before, (5, 99))
+        assert short > 0.85  # what was folded by contact is smoothed
+        assert long < 1.03
+        body = Body.of(head, shaken[number])
+        heights = body.heights(points.reshape(-1, 3))[0].reshape(points.shape[:2])
+        asked = body.heights(still.reshape(-1, 3))[0].reshape(points.shape[:2])
+        # the neck, which bends between head and shoulders, is where places may be some millimetres inside for some frames
+        assert ((heights < -0.003) & (asked > 0.0)).mean() < 0.02
+        assert ((heights < -0.015) & (asked > 0.0)).mean() < 0.001
+
+
+def test_it_is_the_same_each_time_and_a_cut_starts_anew(head, groom, shaken, played):
+    swing = Swing(head, groom, np.asarray(head.v_template, float), FPS)
+    np.testing.assert_array_equal(np.stack(list(swing.frames(shaken[:4]))), played[:4])
+    swing.step(shaken[3])
+    away = swing.step(shaken[3] + np.array([0.5, 0.0, 0.0]))
+    fresh = next(iter(Swing(head, groom, np.asarray(head.v_template, float), FPS).frames([shaken[3] + np.array([0.5, 0, 0])])))
+    np.testing.assert_array_equal(away, fresh)
+
+
+def test_the_compiled_kernel_does_what_its_twin_does(head, groom, shaken, played):
+    readable = Swing(head, groom, np.asarray(head.v_template, float), FPS, compiled=False)
+    for number, frame in enumerate(readable.frames(shaken[:3])):
+        off = np.abs(frame - played[number]).max(2)
+        assert (off < 3e-4).mean() > 0.995  # a place that just touches an ear may slide to either side of it
+        assert off.max() < 0.01
+
+
+def test_a_bake_gives_any_frame_in_any_order(head, groom, shaken, played, tmp_path):
+    path = tmp_path / "hair.npz"
+    assert write_bake(path, iter(played[:10]), 100, FPS) == 10
+    bake = SwingBake.read(path)
+    for frame in (107, 101, 109, 101):
+        np.testing.assert_allclose(bake.at(frame, len(groom)), played[frame - 100], atol=6e-5)
+    np.testing.assert_array_equal(bake.at(5, len(groom)), bake.at(100, len(groom)))
+    with pytest.raises(ShapeError, match="bake it again"):
+        bake.at(100, len(groom) + 1)
+    np.savez(tmp_path / "other.npz", frames=np.zeros(3))
+    with pytest.raises(FileFormatError, match="no baked hair"):
+        SwingBake.read(tmp_path / "other.npz")
+    with pytest.raises(ConfigError, match="frames a second"):
+        Swing(head, groom, np.asarray(head.v_template, float), 0.0)

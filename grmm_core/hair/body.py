@@ -18,6 +18,9 @@ MARGIN = 0.05  # metres around the skin
 EAR = 0.018  # metres: how far around a vertex of an ear its hull is the highest that there is
 REACH = 0.015  # metres: see `strand_kernels.heights_into`
 BURIED = 0.05  # metres: what is deeper is left, it is no strand on a head
+# of contact while hair swings: share of what it is inside the skin that a step pushes out, metres at most, and the share of
+# its speed that it keeps
+SOFT, MOST, SLIDE = 0.5, 0.002, 0.3
 _INSIDE = ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
 _ROUNDS = 3  # of pushing
 

@@ -20,7 +20,8 @@ from .settings import HairSettings
 from .strands import StrandBlock
 
 DRAWN = 0.85  # px: how wide a strand should be on the picture; thinner ones are drawn as fewer, wider ones
-SPARSE = 0.2  # px: likewise for brows, beards and lashes, between which skin shows
+SPARSE = 0.2  # px: likewise for brows, beards, lashes and shorn hair, between which skin shows
+SHORT, LONG = 0.008, 0.06  # metres: mean length of hair that is drawn so, and of hair that is not
 SMALLEST_SHARE = 0.06  # of the strands
 BUDGET = 70.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
 OPACITY = 0.97
@@ -83,7 +84,9 @@ def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float) -> list
     shares = []
     for block in blocks:
         wide = float(block.widths.mean()) * pixels_per_metre
-        shares.append(min(wide / DRAWN, most) if block.group == SCALP else wide / SPARSE)
+        long = float(np.clip((block.length - SHORT) / (LONG - SHORT), 0.0, 1.0)) if block.group == SCALP else 0.0
+        share = wide / (SPARSE + long * (DRAWN - SPARSE))
+        shares.append(min(share, most) if block.group == SCALP else share)
     return [float(np.clip(share, SMALLEST_SHARE, 1.0)) for share in shares]
 
 

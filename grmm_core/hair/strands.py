@@ -7,6 +7,7 @@ level of detail is a first part, wider by as much as is missing, the last of the
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,6 +64,11 @@ class StrandBlock:
     def segments(self) -> int:
         """Gaussians of a strand."""
         return int(self.points.shape[1]) - 1
+
+    @functools.cached_property
+    def length(self) -> float:
+        """Of the parents on average, metres."""
+        return float(np.linalg.norm(np.diff(self.points, axis=1), axis=2).sum(1).mean())
 
     def styled(self, settings: HairSettings) -> np.ndarray:
         """The parents' points [M, K, 3] with length, waves and frizz as set; continuous in the settings."""

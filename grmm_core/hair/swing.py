@@ -20,7 +20,7 @@ from ..errors import ConfigError, FileFormatError, ShapeError
 from ..files.access import atomic_write
 from ..files.npz import read_npz
 from ..head import HeadModel
-from .body import BURIED, Body
+from .body import BURIED, MOST, SLIDE, SOFT, Body
 from .groom import Groom
 from .roots import SCALP
 
@@ -30,8 +30,6 @@ GRAVITY = 9.81  # m/s^2, along -y
 STIFF = 1.3  # how much faster than a pendulum of its length hair swings back
 DAMPING = 0.25  # of critical, relative to the head
 SHORTEST = 0.012  # metres: nearer to the root nothing swings
-SLIDE = 0.3  # of its speed that hair keeps in a step in which it touches the skin
-SOFT, MOST = 0.5, 0.002  # share of what hair is inside the skin that a step pushes out, and metres at most
 JUMP = 0.08  # metres that roots may move in a frame; more is a cut, after which hair is at rest
 SETTLE = 1.0  # seconds that a first frame is held before what follows
 SUNK = 0.003  # metres below the skin
@@ -124,7 +122,17 @@ class Swing:
         if state is None or np.abs(targets[:, 0] - state.targets[:, 0]).max(initial=0.0) > JUMP:
             state, count = still, round(STEPS * SETTLE * self.fps)
         obstacles = (Obstacle(self._bodies[0], turn, shift), Obstacle(self._bodies[1], np.eye(3), np.zeros(3)))
-        numbers = (self._rates, self._loose, self._lengths, gravity, count, np.float32(1.0 / (STEPS * self.fps)), self._clear)
+        dt = np.float32(1.0 / (STEPS * self.fps))
+        numbers = (
+            self._rates,
+            np.float32(2.0 * DAMPING) * self._rates,
+            self._loose,
+            self._lengths,
+            gravity,
+            count,
+            dt,
+            self._clear,
+        )
         if self.compiled:
             swing_into(state.places, state.speeds, state.targets, targets, *numbers, *_numbers(obstacles))
         else:
@@ -167,12 +175,13 @@ def _rigid_motion(posed: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def swing_readable(
-    places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, loose: np.ndarray,
-    lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray, obstacles: Sequence[Obstacle],
+    places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, drags: np.ndarray,
+    loose: np.ndarray, lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray,
+    obstacles: Sequence[Obstacle],
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """The readable twin of `swing_kernel.swing_into`, which says what the arguments are; returns places and speeds."""
     places, speeds = places.astype(float), speeds.astype(float)
-    drag = 2.0 * DAMPING * rates[..., None]
+    drag = drags[..., None]
     own = (targets - before) / (count * dt)
     for step in range(count):
         goals = before + (step + 1) / count * (targets - before)

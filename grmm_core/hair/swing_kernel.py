@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from .body import BURIED, CELL
-from .swing import DAMPING, MOST, SLIDE, SOFT
+from .body import BURIED, CELL, MOST, SLIDE, SOFT
 
 _OPTIONS = {"boundscheck": False, "error_model": "numpy", "nogil": True}
 F = np.float32
@@ -51,8 +50,8 @@ def _raised(
 
 @compiled(**_OPTIONS)
 def swing_into(
-    places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, loose: np.ndarray,
-    lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray,
+    places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, drags: np.ndarray,
+    loose: np.ndarray, lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray,
     field0: np.ndarray, low0: np.ndarray, motion0: np.ndarray, field1: np.ndarray, low1: np.ndarray, motion1: np.ndarray,
 ) -> None:  # fmt: skip
     """Move strands by one frame.
@@ -63,6 +62,7 @@ def swing_into(
         before: Where the groom had the places in the frame before, [M, S, 3].
         targets: Where it has them now, [M, S, 3].
         rates: Of the springs, radians a second, [M, S].
+        drags: Of what damps them, 1/s, [M, S].
         loose: 0 for places that stay with the head, [M, S].
         lengths: Of the segments, [M, S - 1].
         gravity: That is not in the groom, m/s^2, [3].
@@ -83,7 +83,7 @@ def swing_into(
             share = F(step + 1) / F(count)
             for s in range(places.shape[1]):
                 rate = rates[m, s]
-                drag = F(2.0 * DAMPING) * rate
+                drag = drags[m, s]
                 scale = _ONE / (_ONE + dt * (drag + dt * rate * rate))
                 for c in range(3):
                     path = targets[m, s, c] - before[m, s, c]

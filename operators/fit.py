@@ -59,7 +59,7 @@ class GRMM_OT_fit_add_photos(ImportsFiles, Operator):
     poll = polls(_check_idle)
 
     def execute(self, context: bpy.types.Context) -> Result:
-        """Append what was choices."""
+        """Append what was chosen to the list."""
         choices = settings(context)
         names = [str(Path(self.directory) / file.name) for file in self.files if file.name] or [self.filepath]
         known = {photo.path for photo in choices.photos}

@@ -247,7 +247,7 @@ def escape(blender: WalkedBlender) -> None:
 def photos(blender: WalkedBlender) -> None:
     """Choose a photo: without torch one sentence says what is needed."""
     path = blender.inner(blender.bring(PHOTO, PHOTO.name))
-    blender.run(f"bpy.ops.grmm.fit_add_photos('EXEC_DEFAULT', True, filepath={path!r})")
+    blender.run(f"bpy.ops.grmm.fit_add_photos(filepath={path!r})")
     try:
         blender.run("bpy.ops.grmm.fit_photos('EXEC_DEFAULT')")
     except WalkError as error:
@@ -256,9 +256,8 @@ def photos(blender: WalkedBlender) -> None:
 
 
 def undo(blender: WalkedBlender) -> None:
-    """Ctrl-Z twice, which takes photo and recording back, then Ctrl-Shift-Z: the head is there all through."""
+    """Ctrl-Z, which takes the recording back, then Ctrl-Shift-Z; the head is there all through."""
     blender.move(*MIDDLE)
-    blender.key("ctrl", "z")
     blender.key("ctrl", "z")
     blender.picture("undone", 4)
     has_head, has_keys = blender.run(_HEAD + _KEYED)
@@ -281,7 +280,7 @@ def eevee(blender: WalkedBlender) -> None:
     """Another engine: the painted mesh, and a word about it."""
     _close_windows(blender)
     blender.run("bpy.context.scene.render.engine = 'BLENDER_EEVEE'\narea.spaces.active.shading.type = 'RENDERED'")
-    blender.picture("eevee", 25)
+    blender.picture("eevee", 60)
     blender.run("bpy.context.scene.render.engine = 'GRMM'\narea.spaces.active.shading.type = 'SOLID'")
 
 

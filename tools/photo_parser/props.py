@@ -47,17 +47,16 @@ def dress(drawn: Drawn, head: HeadModel, vertices: np.ndarray, g: Generator, ski
         return drawn.depth
     cloth = Surface.of(body(head, vertices, np.random.default_rng(seed), g.uniform(0.003, 0.010)), drawn.camera)
     x, y, z = np.moveaxis(cloth.points, -1, 0)
-    chin = g.normal(0, 0.006)
+    top = g.uniform(-0.135, -0.095) if g.random() < 0.5 else g.uniform(-0.105, -0.068)  # the others have collars
     front = smooth(-0.02, 0.05, z)
     deep = g.choice([0.0, g.uniform(0.01, 0.06), g.uniform(0.05, 0.16)])
-    edge = (
-        g.uniform(-0.135, -0.095)
-        + chin
-        - deep * front * np.clip(1 - np.abs(x) / g.uniform(0.04, 0.10), 0, 1) ** g.uniform(0.3, 1.2)
-    )
+    cut = np.clip(1 - np.abs(x) / g.uniform(0.03, 0.10), 0, 1) ** g.uniform(0.3, 1.2)
+    edge = top + g.normal(0, 0.006) - deep * front * cut
     worn = cloth.seen & (cloth.depth <= drawn.depth + 0.004) & (y < edge)
     color = pattern(g, cloth.points, skin, hair)
-    if g.random() < 0.4:  # a jacket over it, and a tie
+    if g.random() < 0.45:  # a jacket over it, and a tie
+        if g.random() < 0.6:  # a plain, light shirt
+            color = np.broadcast_to(g.uniform(0.4, 0.9) * g.uniform(0.85, 1.0, 3), color.shape)
         open_to = g.uniform(0.01, 0.05) + np.clip(-0.13 - y, -1, 1) * g.uniform(-0.35, 0.2)
         jacket = (np.abs(x) > np.maximum(open_to, 0.004)) | (z < 0)
         color = np.where(jacket[..., None], pattern(g, cloth.points, skin, hair), color)
@@ -106,7 +105,7 @@ class Hat:
     """A hat: what of the hair it hides, and itself."""
 
     def __init__(self, g: Generator) -> None:
-        self.kind = str(g.choice(["cap", "beanie", "brim", "officer", "scarf", "helmet", "band"]))
+        self.kind = str(g.choice(["cap", "beanie", "brim", "officer", "scarf", "helmet"]))
         self.height = g.uniform(0.055, 0.085) if self.kind != "beanie" else g.uniform(0.04, 0.075)
         self.slope = g.uniform(0.0, 0.55) if self.kind != "scarf" else 0.0
         self.out = g.uniform(0.008, 0.02) if self.kind != "helmet" else g.uniform(0.03, 0.05)
@@ -117,8 +116,6 @@ class Hat:
 
     def hides(self, points: np.ndarray) -> np.ndarray:
         """Whether hair at points [N, 3] is under it."""
-        if self.kind == "band":
-            return np.zeros(len(points), bool)
         if self.kind == "scarf":
             return np.ones(len(points), bool)
         return self.above(points) > -0.004
@@ -142,8 +139,6 @@ class Hat:
         if self.kind == "scarf":
             wide, high = g.uniform(0.052, 0.066), g.uniform(0.07, 0.088)
             worn = shell.seen & ~(((x / wide) ** 2 + ((y - 0.012) / high) ** 2 < 1) & (z > 0.0)) & (y > -0.15)
-        if self.kind == "band":
-            worn &= self.above(shell.points) < g.uniform(0.012, 0.035)
         worn &= shell.depth < drawn.depth + 0.02
         drawn.lay(worn.astype(float), pattern(g, shell.points, skin, hair), "hat", shell.normals, shell.depth)
         if self.kind in ("cap", "brim", "officer") and g.random() < 0.9:
@@ -189,7 +184,7 @@ def glasses(drawn: Drawn, head: HeadModel, vertices: np.ndarray, g: Generator) -
     parts.append(_bar(middles[0] + np.array([wide, 0, 0]), middles[1] - np.array([wide, 0, 0]), max(thick, 0.001)))
     lens = Surface.of(np.concatenate(lenses), drawn.camera)
     behind = lens.seen & (lens.depth < drawn.depth + 0.006)
-    if dark := g.random() < 0.4:
+    if dark := g.random() < 0.22:
         drawn.lay(behind * g.uniform(0.75, 1.0), g.uniform(0.0, 0.06, 3), "glasses", lens.normals, lens.depth)
     size = len(behind)
     if g.random() < 0.5:  # a reflection
@@ -213,7 +208,7 @@ def occluder(drawn: Drawn, g: Generator, skin: np.ndarray, hair: np.ndarray, fac
     size = len(drawn.cover)
     rows, columns = np.mgrid[:size, :size] + 0.5
     unit = size / 128.0
-    kind = g.choice(["hand", "microphone", "thing"])
+    kind = g.choice(["hand", "microphone", "thing"], p=[0.35, 0.4, 0.25])
     at = face + g.normal(0, 16, 2) * unit
     cover = np.zeros((size, size))
     if kind == "hand":
@@ -228,7 +223,7 @@ def occluder(drawn: Drawn, g: Generator, skin: np.ndarray, hair: np.ndarray, fac
         color = color * (1 - 0.35 * smooth(0.2, 1.0, 1 - cover))[..., None] * (1 + 0.1 * noise(g, size))[..., None]
         cover = smooth(0.0, 0.3, cover)
     elif kind == "microphone":
-        at = face + np.array([g.normal(0, 12), g.uniform(8, 45)]) * unit
+        at = face + np.array([g.normal(0, 10), g.uniform(6, 50)]) * unit
         foot = at + np.array([g.normal(0, 12), 60]) * unit
         ball = smooth(1.08, 0.95, np.hypot(columns - at[0], (rows - at[1]) / g.uniform(0.9, 1.4)) / (g.uniform(3, 10) * unit))
         cover = np.maximum(ball, smooth(0.0, 0.3, _capsule(columns, rows, at, foot, g.uniform(1.0, 3.5) * unit)))

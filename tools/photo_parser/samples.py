@@ -19,7 +19,7 @@ from grmm_core.data.types import Shot, View
 from grmm_core.fitting.track import frame_of
 from grmm_core.geometry.zbuffer import triangle_depth
 from grmm_core.hair import groom_names, library_groom
-from grmm_core.hair.drawing import Hiding, StrandGaussians, level_share, strand_gaussians
+from grmm_core.hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from grmm_core.hair.ribbons import Eye
 from grmm_core.hair.roots import GROUPS
 from grmm_core.hair.settings import HairSettings
@@ -96,19 +96,19 @@ class Maker:
         blocks = self._grooms[int(g.integers(len(self._grooms)))] if self._grooms else ()
         settings = _settings(g)
         hair = np.array([0.02, 0.012, 0.006]) if haired else _hair_color(settings)
-        bald = not haired and g.random() < 0.12
+        bald = not haired and g.random() < 0.08
         if not haired:
-            _paint_scalp(drawn, found, skin, None if bald or g.random() < 0.4 else hair)
-        hat = Hat(g) if g.random() < (0.1 if haired else 0.24) else None
+            _paint_scalp(drawn, found, skin, None if bald or g.random() < 0.25 else hair, g.uniform(0.35, 0.95))
+        hat = Hat(g) if g.random() < (0.1 if haired else 0.2) else None
         hiding = dress(drawn, self.head, vertices, g, skin, hair)
         if not haired:
             self._hair(drawn, vertices, blocks, settings, hat, bald, hiding)
-        if g.random() < 0.22:
+        if g.random() < 0.28:
             glasses(drawn, self.head, vertices, g)
         if hat is not None:
             hat.draw(drawn, self.head, vertices, g, skin, hair)
         mouth = drawn.camera.project(vertices[self.head.regions["lips"]].mean(0)[None])[1][0]
-        if g.random() < 0.22:
+        if g.random() < 0.28:
             occluder(drawn, g, skin, hair, mouth)
         cover = drawn.cover.copy()
         image, backlit = lit(drawn, g)
@@ -194,9 +194,9 @@ class Maker:
         camera, eye = drawn.camera, Eye.of(drawn.camera)
         depth = hiding.astype(np.float32)
         shield = Hiding(depth, 1.0, -camera.cx, -camera.cy)
-        share = level_share(blocks, eye.pixels_per_metre())
+        shares = level_shares(blocks, eye.pixels_per_metre())
         made, groups = [], []
-        for block in blocks:
+        for block, share in zip(blocks, shares, strict=True):
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
             points = np.matmul(block.styled(settings), axes) + origin[:, None]
             own = (
@@ -300,7 +300,8 @@ class Maker:
 def _settings(g: Generator) -> HairSettings:
     dyed = g.random() < 0.06
     return HairSettings(
-        length=float(np.clip(np.exp(g.normal(0.0, 0.35)), 0.2, 1.6)), density=float(g.choice([1.0, g.uniform(0.15, 1.0)])),
+        length=float(g.choice([g.uniform(0.15, 0.45), np.clip(np.exp(g.normal(0.0, 0.35)), 0.2, 1.6)], p=[0.35, 0.65])),
+        density=float(g.choice([1.0, g.uniform(0.4, 1.0)])),
         thickness=g.uniform(0.8, 1.6), curl=g.uniform(-0.6, 0.8), frizz=g.random() ** 2, melanin=g.beta(2.0, 1.2),
         redness=g.random() ** 3, grey=float(g.choice([0.0, g.random(), 1.0], p=[0.55, 0.25, 0.2])), variation=g.random(),
         tips=g.uniform(-0.3, 0.5), dye=0.9 if dyed else 0.0, dye_red=g.random(), dye_green=g.random(), dye_blue=g.random(),
@@ -315,13 +316,13 @@ def _hair_color(settings: HairSettings) -> np.ndarray:
     return color
 
 
-def _paint_scalp(drawn: Drawn, found: np.ndarray, skin: np.ndarray, hair: np.ndarray | None) -> None:
-    """Take the shaved look off the scalp, and tint it by the hair's color where hair stands."""
+def _paint_scalp(drawn: Drawn, found: np.ndarray, skin: np.ndarray, hair: np.ndarray | None, share: float) -> None:
+    """Take the shaved look off the scalp, and tint it by a share of the hair's color where hair stands."""
     scalp = blurred((found == NAMES.index("scalp"))[..., None].astype(np.float32), 1.5)
     shade = drawn.color.mean(-1, keepdims=True) / max(
         float(np.median(drawn.color[found == NAMES.index("scalp")])) if (found == NAMES.index("scalp")).any() else 1.0, 1e-3
     )
-    tone = skin if hair is None else 0.5 * skin + 0.5 * hair
+    tone = skin if hair is None else skin + share * (hair - skin)
     drawn.color = drawn.color * (1 - scalp) + scalp * np.clip(shade, 0.3, 2.0) * tone
     if hair is not None:
         drawn.labels[(found == NAMES.index("scalp")) & (drawn.cover > 0.5)] = LABELS.index("hair")

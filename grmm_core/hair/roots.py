@@ -7,7 +7,9 @@ combinations of its vertices: a rotation of the head turns them exactly, a trans
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -62,18 +64,13 @@ class RootFrames:
             raise ShapeError(f"There is no hair group {int(np.max(groups))}; use 0 to {len(GROUPS) - 1}.")
         rings = np.array([RINGS[g] for g in range(len(GROUPS))])[np.asarray(groups, int)]
         kinds, patch = np.unique(np.stack([np.asarray(triangles, int), rings], 1), axis=0, return_inverse=True)
-        grown = _patches(template, faces, kinds)
-        width = max((len(p) for p in grown), default=3)
-        members = np.zeros((len(grown), width), np.int64)
-        first, second = np.zeros((2, len(grown), width))
-        for i, (own, (triangle, _)) in enumerate(zip(grown, kinds, strict=True)):
-            a, b, c = template[faces[triangle]]
-            along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
-            normal = np.cross(b - a, c - a)
-            across = np.cross(normal / max(float(np.linalg.norm(normal)), 1e-15), along)
-            offsets = template[own] - template[own].mean(0)
-            members[i, : len(own)] = own
-            first[i, : len(own)], second[i, : len(own)] = offsets @ along, offsets @ across
+        patches = _patches(template, faces, kinds)
+        width = max((len(patch.members) for patch in patches), default=3)
+        members = np.zeros((len(patches), width), np.int64)
+        first, second = np.zeros((2, len(patches), width))
+        for i, one in enumerate(patches):
+            members[i, : len(one.members)] = one.members
+            first[i, : len(one.members)], second[i, : len(one.members)] = one.first, one.second
         return RootFrames(
             faces[np.asarray(triangles, int)], np.asarray(weights, float), patch.reshape(-1), members, first, second
         )
@@ -89,18 +86,40 @@ class RootFrames:
         return origin, axes[self.patch]
 
 
-def _patches(template: np.ndarray, faces: np.ndarray, kinds: np.ndarray) -> list[np.ndarray]:
-    """Vertices around each (triangle, rings), [U] of [k]."""
-    order = np.argsort(faces.ravel(), kind="stable") // 3
-    start = np.searchsorted(np.sort(faces.ravel()), np.arange(len(template) + 1))
-    grown = []
-    for triangle, rings in kinds:
+class _Patch(NamedTuple):
+    """Vertices around a triangle, and their coefficients in its two axes, [k] each."""
+
+    members: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+
+
+@functools.lru_cache(maxsize=2)
+def _known(template: bytes, faces: bytes) -> dict[tuple[int, int], _Patch]:
+    """The patches of one head that were made so far, by triangle and rings: its grooms stand on the same skin."""
+    return {}
+
+
+def _patches(template: np.ndarray, faces: np.ndarray, kinds: np.ndarray) -> list[_Patch]:
+    """The patch of each (triangle, rings) of [U, 2]."""
+    known = _known(template.tobytes(), faces.tobytes())
+    wanted = [(triangle, rings) for triangle, rings in kinds.tolist()]
+    missing = [kind for kind in wanted if kind not in known]
+    if missing:
+        order = np.argsort(faces.ravel(), kind="stable") // 3
+        start = np.searchsorted(np.sort(faces.ravel()), np.arange(len(template) + 1))
+    for triangle, rings in missing:
         own = np.unique(faces[triangle])
-        for _ in range(int(rings)):
+        for _ in range(rings):
             touching = np.unique(np.concatenate([order[start[v] : start[v + 1]] for v in own]))
             own = np.unique(faces[touching])
-        grown.append(own)
-    return grown
+        a, b, c = template[faces[triangle]]
+        along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-12)
+        normal = np.cross(b - a, c - a)
+        across = np.cross(normal / max(float(np.linalg.norm(normal)), 1e-15), along)
+        offsets = template[own] - template[own].mean(0)
+        known[triangle, rings] = _Patch(own, offsets @ along, offsets @ across)
+    return [known[kind] for kind in wanted]
 
 
 def _unit(v: np.ndarray) -> np.ndarray:

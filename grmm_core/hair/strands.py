@@ -77,7 +77,7 @@ class StrandBlock:
         if settings.curl < 0:
             points = points + np.float32(-settings.curl) * (smoothed(points) - points)
         if settings.length != 1.0:
-            points = _lengthened(points, settings.length)
+            points = lengthened(points, settings.length)
         long = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1)
         swing = (np.minimum(long / 0.12, 1.0)[:, None] * t).astype(np.float32)
         phase = 6.2831853 * self.chance[: len(points), :, None]
@@ -212,7 +212,7 @@ def smoothed(points: np.ndarray) -> np.ndarray:
     return result
 
 
-def _lengthened(points: np.ndarray, length: float) -> np.ndarray:
+def lengthened(points: np.ndarray, length: float) -> np.ndarray:
     """Strands [M, K, 3] cut to a share of their length, or grown on in the direction of their last third."""
     count = points.shape[1]
     at = np.linspace(0, length, count) * (count - 1)

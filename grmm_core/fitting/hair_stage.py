@@ -1,0 +1,307 @@
+"""Which groom a photo shows: silhouette, orientation of the strands and color against the package's grooms.
+
+Every groom is drawn on the tracked head at small size, both ways round and at several lengths; the one whose cover and whose
+strands' directions agree best with the hair in all photos is kept, its length is refined, and its pigments are
+sought so that the drawn color is the photo's. What no photo shows is the groom's. Imports torch.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from ..avatar import Hair
+from ..geometry.camera import Camera
+from ..geometry.zbuffer import EMPTY, triangle_depth
+from ..hair.drawing import Hiding, StrandGaussians, level_share, strand_gaussians
+from ..hair.groom import Groom
+from ..hair.mirror import mirrored
+from ..hair.packaged import groom_names, library_groom
+from ..hair.ribbons import Eye, segments
+from ..hair.roots import SCALP
+from ..hair.settings import HairSettings
+from ..hair.strands import blocks_of, lengthened
+from ..splat.api import rasterize, rasterize_arrays
+from ..splat.types import GaussianArrays, Gaussians
+
+if TYPE_CHECKING:
+    from ..head import HeadModel
+
+SIDE = 160  # pixels: longer side of the pictures that are compared
+STRANDS, POINTS = 900, 10  # of a drawn candidate: enough for a silhouette
+LENGTHS = (0.6, 0.8, 1.0, 1.25)
+FINER = (0.9, 1.1)  # factors of the second round
+BALD = 0.06  # of the head's pixels: less hair is none
+OPACITY = 0.9  # of a strand
+ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
+CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
+BEHIND = 0.004  # metres below the skin that are still seen
+_SKIN_ISLAND = 0  # of the UV map
+COLOR_SIDE = 128  # pixels of the picture whose colors are compared
+_FULL = 0.9  # cover from which a pixel shows nothing but hair
+_FEW_PIXELS = 20
+_PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
+_ROUNDS = 4  # of finding a dye
+UNLIKELY = 0.04  # of a display color; if no pigment comes nearer, hair is dyed
+_WINDOW = 5  # px: over which a photo's directions are averaged
+
+
+@dataclass(frozen=True, eq=False)
+class HairView:
+    """What one photo says about hair.
+
+    Attributes:
+        camera: In head space.
+        vertices: Of the tracked head, posed, [V, 3].
+        image: Display sRGB, [H, W, 3].
+        hair: How much of each pixel is scalp hair, [H, W] 0..1.
+        counts: 0 where the photo says nothing (beyond its edge, behind a hat or a hand), [H, W].
+    """
+
+    camera: Camera
+    vertices: np.ndarray
+    image: np.ndarray
+    hair: np.ndarray
+    counts: np.ndarray
+
+
+class Match(NamedTuple):
+    """A groom against the photos.
+
+    Attributes:
+        name: Of the package's groom; "" for a bald head.
+        flipped: The other way round.
+        length: As in `HairSettings`.
+        score: Agreement, at most 1.
+        overlap: Intersection of drawn and seen cover over their union.
+    """
+
+    name: str
+    flipped: bool
+    length: float
+    score: float
+    overlap: float
+
+
+class Directions(NamedTuple):
+    """Directions of strands on a picture: cosine and sine of twice the angle times how clear it is, [H, W] each."""
+
+    cosine: np.ndarray
+    sine: np.ndarray
+
+
+def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None) -> Hair | None:
+    """Return the groom that the photos show, with its settings; None for a bald head.
+
+    Args:
+        views: Photos of one person.
+        head: Whose mesh the grooms stand on.
+        progress: Hears the share that is done.
+    """
+    best = best_groom(views, head, progress)
+    if not best.name:
+        return None
+    groom = library_groom(best.name, head.name)
+    groom = mirrored(groom, head) if best.flipped else groom
+    settings = HairSettings(length=best.length)
+    return Hair(groom, with_colors(settings, groom, views, head))
+
+
+def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None) -> Match:
+    """Compare all grooms with the photos; see `fit_hair`."""
+    stages = [_Stage(view, head) for view in views]
+    if max(stage.share for stage in stages) < BALD:
+        return Match("", False, 1.0, 1.0, 1.0)
+    names = groom_names()
+    best = Match("", False, 1.0, -1.0, 0.0)
+    for number, name in enumerate(names):
+        progress(number / len(names))
+        for flipped in (False, True):
+            candidate = _Candidate(name, flipped, head)
+            for length in LENGTHS:
+                best = max(best, _judged(stages, candidate, length), key=_score)
+    candidate = _Candidate(best.name, best.flipped, head)
+    tried = [_judged(stages, candidate, best.length * factor) for factor in FINER]
+    best = max([best, *tried], key=_score)
+    progress(1.0)
+    return best
+
+
+def _score(match: Match) -> float:
+    return match.score
+
+
+class _Candidate:
+    """A groom of the package thinned out for silhouettes, its strands as much wider."""
+
+    def __init__(self, name: str, flipped: bool, head: HeadModel) -> None:
+        self.name, self.flipped = name, flipped
+        groom = library_groom(name, head.name)
+        rows = np.flatnonzero(groom.groups == SCALP)
+        kept = rows[np.argsort((np.arange(len(rows)) * 0.6180339887498949) % 1.0)[:STRANDS]]  # spread evenly
+        thin = groom.select(np.sort(kept)).resampled(POINTS)
+        thin = mirrored(thin, head) if flipped else thin
+        self.local = thin.points.reshape(len(thin), POINTS, 3)
+        self.frames = thin.frames(np.asarray(head.v_template, np.float64), head.faces)
+        self.radii = (0.5 * len(rows) / max(len(thin), 1)) * thin.widths.astype(np.float32)
+
+    def points(self, vertices: np.ndarray, length: float) -> np.ndarray:
+        """Strands on a posed head, [N, K, 3]."""
+        origin, axes = (part.astype(np.float32) for part in self.frames.at(vertices))
+        return np.matmul(lengthened(self.local, length), axes) + origin[:, None]
+
+
+class _Stage:
+    """A photo made ready to be compared with."""
+
+    def __init__(self, view: HairView, head: HeadModel) -> None:
+        height, width = view.hair.shape
+        scale = min(1.0, SIDE / max(height, width))
+        size = max(1, round(height * scale)), max(1, round(width * scale))
+        self.camera = view.camera.resized(size[1], size[0])
+        self.vertices = view.vertices
+        self.counts = _reduced(view.counts, size)
+        self.hair = _reduced(view.hair, size)
+        cosine, sine = directions(view.image, view.hair)
+        self.seen = Directions(_reduced(cosine, size), _reduced(sine, size))
+        island = np.asarray(head.faces)[np.asarray(head.uv_islands) == _SKIN_ISLAND]
+        self.depth = triangle_depth(np.asarray(view.vertices)[island], self.camera)
+        self.share = float((self.hair * self.counts).sum() / max((self.depth < EMPTY).sum(), 1))
+
+    def drawn(self, points: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, Directions]:
+        """Cover [H, W] and directions of strands [N, K, 3]."""
+        camera = self.camera
+        opacity = np.full(len(points), OPACITY, np.float32)
+        made = segments(points, radii, opacity)
+        local, pixels = camera.project(made.means.reshape(-1, 3))
+        column, row = (np.clip(pixels[:, k].astype(int), 0, size - 1) for k, size in ((0, camera.width), (1, camera.height)))
+        hidden = local[:, 2] > self.depth[row, column] + BEHIND
+        _, ahead = camera.project((points[:, 1:] * 0.51 + points[:, :-1] * 0.49).reshape(-1, 3))
+        way = ahead - pixels
+        angle = 2.0 * np.arctan2(way[:, 1], way[:, 0])
+        features = np.stack([np.cos(angle), np.sin(angle)], 1).astype(np.float32)
+        opacities = made.opacities.reshape(-1) * ~hidden
+        gaussians = GaussianArrays(
+            made.means.reshape(-1, 3), made.quats.reshape(-1, 4), made.scales.reshape(-1, 3), opacities,
+            np.zeros((len(opacities), 3), np.float32), features,
+        )  # fmt: skip
+        picture = rasterize_arrays(gaussians, camera)
+        return picture.alpha, Directions(picture.features[..., 0], picture.features[..., 1])
+
+
+def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float) -> Match:
+    scores, overlaps = [], []
+    for stage in stages:
+        points = candidate.points(stage.vertices, length)
+        cover, way = stage.drawn(points, candidate.radii)
+        both = np.minimum(cover, stage.hair) * stage.counts
+        either = np.maximum(cover, stage.hair) * stage.counts
+        overlap = float(both.sum() / max(either.sum(), 1e-6))
+        clear = np.hypot(*stage.seen) * np.hypot(*way) * stage.counts
+        agree = (stage.seen.cosine * way.cosine + stage.seen.sine * way.sine) * stage.counts
+        turned = float(agree.sum() / max(clear.sum(), 1e-6)) if clear.sum() > 1.0 else 0.0
+        overlaps.append(overlap)
+        scores.append((overlap + ORIENTATION * overlap * turned) / (1.0 + ORIENTATION))
+    return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)), float(np.mean(overlaps)))
+
+
+def directions(image: np.ndarray, hair: np.ndarray) -> Directions:
+    """Directions of strands by the structure tensor of the lightness (Bigun and Granlund 1987), clear ones of length 1.
+
+    Args:
+        image: [H, W, 3].
+        hair: Cover, [H, W]; nothing is said elsewhere.
+    """
+    grey = np.asarray(image, np.float64).mean(2)
+    down, across = np.gradient(grey)
+    squares = torch.from_numpy(np.stack([across**2 - down**2, 2 * across * down, across**2 + down**2]))[None]
+    mean = functional.avg_pool2d(squares, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)[0].numpy()
+    # the strand lies across the gradient: twice its angle is half a turn further
+    clear = np.hypot(mean[0], mean[1]) / (mean[2] + 1e-5)
+    factor = np.where(clear > CLEAR, -np.asarray(hair) / (mean[2] + 1e-5), 0.0)
+    return Directions(mean[0] * factor, mean[1] * factor)
+
+
+def _reduced(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """A picture [H, W] at a smaller size."""
+    planes = torch.from_numpy(np.ascontiguousarray(values, np.float32))[None, None]
+    small: np.ndarray = functional.interpolate(planes, size, mode="bilinear", antialias=True)[0, 0].numpy()
+    return small
+
+
+def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView], head: HeadModel) -> HairSettings:
+    """Settings whose drawn colors are in the mean those of the first photo's hair, as bright and as tinted as it shows them."""
+    view = views[0]
+    side = min(1.0, COLOR_SIDE / max(view.hair.shape))
+    size = max(1, round(view.camera.height * side)), max(1, round(view.camera.width * side))
+    hair, counts = _reduced(view.hair, size), _reduced(view.counts, size)
+    full = (hair > _FULL) & (counts > _FULL)
+    if full.sum() < _FEW_PIXELS:
+        return settings
+    image = np.stack([_reduced(view.image[..., k], size) for k in range(3)], 2)
+    strands = WornHair(groom, settings, view.vertices, view.camera.resized(size[1], size[0]), head)
+    weights = strands.weights(full)
+    wanted = image[full].mean(0)
+
+    def distance(tried: HairSettings) -> float:
+        off = weights @ strands.gaussians(tried).colors - wanted
+        return float((off**2).sum() + _PULL * (tried.grey + 0.3 * tried.redness))
+
+    grid = itertools.product(np.linspace(0, 1, 6), (0.0, 0.4, 0.8), (0.0, 0.4))
+    best = min((settings.changed(melanin=m, grey=g, redness=r, dye=0.0) for m, g, r in grid), key=distance)
+    for step in (0.2, 0.1, 0.05, 0.025):
+        for name in ("melanin", "grey", "redness"):
+            around = [best.changed(**{name: getattr(best, name) + sign * step}) for sign in (-1, 1)]
+            best = min([best, *around], key=distance)
+    off = weights @ strands.gaussians(best).colors - wanted
+    if float(np.abs(off).max()) <= UNLIKELY:
+        return best
+    best = best.changed(dye=1.0)  # no pigment makes it
+    color = np.clip(wanted, 0.0, 1.0)
+    for _ in range(_ROUNDS):
+        best = best.changed(dye_red=float(color[0]), dye_green=float(color[1]), dye_blue=float(color[2]))
+        color = np.clip(color - (weights @ strands.gaussians(best).colors - wanted), 0.0, 1.0)
+    return best
+
+
+class WornHair:
+    """A groom on a posed head before a camera."""
+
+    def __init__(self, groom: Groom, settings: HairSettings, vertices: np.ndarray, camera: Camera, head: HeadModel) -> None:
+        self._camera, self._eye = camera, Eye.of(camera)
+        blocks = blocks_of(groom, np.asarray(head.v_template, np.float64), head.faces)
+        self._share = level_share(blocks, self._eye.pixels_per_metre())
+        self._hiding = Hiding.of(vertices, np.asarray(head.faces)[np.asarray(head.uv_islands) == _SKIN_ISLAND], camera)
+        self._posed = []
+        for block in blocks:
+            origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
+            self._posed.append((block, np.matmul(block.styled(settings), axes) + origin[:, None], axes))
+
+    def gaussians(self, settings: HairSettings) -> StrandGaussians:
+        """In the colors of settings."""
+        parts = [
+            strand_gaussians(block, points, axes, settings, self._share, self._eye, self._hiding)
+            for block, points, axes in self._posed
+        ]
+        return StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+    def drawn(self, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
+        """Premultiplied display sRGB [H, W, 3] and cover [H, W]."""
+        made = self.gaussians(settings)
+        picture = rasterize_arrays(GaussianArrays(*made, np.zeros((len(made.means), 0), np.float32)), self._camera)
+        return picture.rgb, picture.alpha
+
+    def weights(self, pixels: np.ndarray) -> np.ndarray:
+        """How much each Gaussian's color counts in the mean of some pixels [H, W], of those that strands cover; sums to 1."""
+        made = Gaussians(*(torch.from_numpy(part) for part in self.gaussians(HairSettings())))
+        made.colors = torch.zeros_like(made.colors, requires_grad=True)
+        shown = rasterize(made, self._camera).rgb[..., 0] * torch.from_numpy(pixels)
+        (gradient,) = torch.autograd.grad(shown.sum(), made.colors)
+        weights: np.ndarray = gradient[:, 0].numpy()
+        return weights / max(float(weights.sum()), 1e-6)

@@ -73,6 +73,10 @@ class Shot:
     displacement: np.ndarray | None = None
     light: dict[str, Any] = field(default_factory=dict)
 
+    def shown(self, bare: bool) -> list[View]:
+        """The views with the person's hair; or those without it, and of sources that have none of these what there is."""
+        return [view.bare or view for view in self.views] if bare else [view for view in self.views if not view.only_bare]
+
 
 @dataclass(frozen=True)
 class Picture:

@@ -131,6 +131,7 @@ class Evaluation:
 
         check_heads(scene, {str(dataset.folder): dataset.manifest.head for dataset in datasets})
         self.scene, self.datasets, self.settings, self.ablation = scene, tuple(datasets), settings, ablation
+        self.bare = scene.model.config.bare
         self._report: Share = nobody
         self._groups = triangle_groups(scene.head)
         self._fitted: dict[tuple[int, str], DrawnPerson] = {}
@@ -249,7 +250,7 @@ class Evaluation:
         known: list[tuple[Sample, DrawnPerson]] = []
         for dataset in self.datasets:
             people = {name: self.scene.person(dataset, name) for name in dataset.subjects}
-            for sample in samples((dataset,), SPLIT_OF[protocol]):
+            for sample in samples((dataset,), SPLIT_OF[protocol], bare=self.bare):
                 person = people[sample.shot.subject]
                 if person is not None:
                     known.append((sample, person))
@@ -295,7 +296,7 @@ class Evaluation:
         return people
 
     def _views_of(self, place: int, name: str) -> Iterator[Sample]:
-        yield from (s for s in samples((self.datasets[place],)) if s.shot.subject == name)
+        yield from (s for s in samples((self.datasets[place],), bare=self.bare) if s.shot.subject == name)
 
     def _regions(self, sample: Sample, view: LoadedView, shape: np.ndarray | None = None) -> dict[str, np.ndarray]:
         shape = sample.dataset.shape(sample.shot.subject) if shape is None else shape

@@ -104,9 +104,13 @@ def load(sample: Sample, size: int = 0) -> LoadedView:
     return LoadedView(small.camera, small.image.astype(np.float32) / 255.0, small.mask.astype(np.float32) / 255.0, small.depth)
 
 
-def samples(datasets: Iterable[CaptureDataset], *splits: str) -> list[Sample]:
-    """All views of the named splits."""
-    return [Sample(dataset, shot, view) for dataset in datasets for shot, view in dataset.views(*splits)]
+def samples(datasets: Iterable[CaptureDataset], *splits: str, bare: bool = False) -> list[Sample]:
+    """All views of the named splits (of all without a name), of people without their hair where it can be had."""
+    shots = ((dataset, shot) for dataset in datasets for shot in dataset.shots)
+    return [
+        Sample(dataset, shot, view)
+        for dataset, shot in shots for view in shot.shown(bare) if not splits or view.split in splits
+    ]  # fmt: skip
 
 
 def limited(candidates: Sequence[Sample], limit: int, seed: int = 0) -> list[Sample]:

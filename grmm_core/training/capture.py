@@ -83,7 +83,7 @@ class CapturedViews:
                 number, key = self._numbers.get((place, shot.subject)), (place, shot.subject, shot.number)
                 if number is not None and key not in self._seen:
                     self._seen.add(key)
-                    self._items += [(number, dataset, shot, view) for view in self._shown(shot)]
+                    self._items += [(number, dataset, shot, view) for view in shot.shown(self._bare)]
             for name in dataset.subjects:
                 number = self._numbers.get((place, name))
                 if number is None:
@@ -101,11 +101,6 @@ class CapturedViews:
         splits = np.array([view.split for _, _, _, view in self._items])
         self.training = np.flatnonzero(splits == TRAIN)
         self.validation = np.flatnonzero(np.isin(splits, VALIDATION_SPLITS))
-
-    def _shown(self, shot: Shot) -> list[CapturedView]:
-        if self._bare:
-            return [view.bare or view for view in shot.views]
-        return [view for view in shot.views if not view.only_bare]
 
     def load(self, index: int) -> View:
         """Return a view. Raises `FileFormatError` or `FileAccessError` naming the picture that cannot be used."""

@@ -429,3 +429,18 @@ def test_people_are_fitted_by_the_inversion(scene, folder, monkeypatch):
     assert all(np.isfinite(row.errors.psnr_mask) for row in result.rows)
     first = evaluation(scene, folder).run("reconstruction").rows[0]
     assert first.errors.psnr > 40.0
+
+
+def test_weights_of_bare_heads_are_judged_by_bare_heads(folder):
+    """Twins count where there are any, else what the source has; heads that are only bare are no truth for others."""
+    from dataclasses import replace
+
+    data = CaptureDataset(folder)
+    first, *others = data.shots
+    twins = tuple(replace(view, bare=replace(view, image="twin.png")) for view in first.views)
+    alone = replace(others[0], views=tuple(replace(view, bare=view) for view in others[0].views))
+    data.shots = [replace(first, views=twins), alone, *others[1:]]
+    haired, bare = samples([data]), samples([data], bare=True)
+    assert len(bare) == len(samples([CaptureDataset(folder)])) == len(haired) + len(alone.views)
+    assert [sample.view.image for sample in bare[: len(twins)]] == ["twin.png"] * len(twins)
+    assert not any(sample.shot is alone for sample in haired)

@@ -53,12 +53,17 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     from ..head import load_flame
     from ..training.capture import capture_views
     from ..training.config import load_config
+    from ..training.personal import of_the_weights
     from ..training.trainer import CHECKPOINT, Trainer
 
     settings = ({"refresh_every": FOLLOW_STEPS} if args.follow else {}) | _settings(args.set)
     config = load_config(args.config, settings)
     source, head = capture_views(
-        args.data, args.follow, load_flame(args.head) if args.head else None, config.person, config.bare
+        args.data,
+        args.follow,
+        load_flame(args.head) if args.head else None,
+        config.person,
+        config.bare or bool(config.person and of_the_weights(config).model.hairless),
     )
     person = _person(source.people, args.default_person)
     if (Path(args.out) / CHECKPOINT).exists() and not args.resume:

@@ -131,7 +131,7 @@ class Evaluation:
 
         check_heads(scene, {str(dataset.folder): dataset.manifest.head for dataset in datasets})
         self.scene, self.datasets, self.settings, self.ablation = scene, tuple(datasets), settings, ablation
-        self.bare = scene.model.config.bare
+        self.bare = scene.model.config.hairless
         self._report: Share = nobody
         self._groups = triangle_groups(scene.head)
         self._fitted: dict[tuple[int, str], DrawnPerson] = {}

@@ -19,7 +19,7 @@ from torch.nn import functional
 from ..avatar import Hair
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
-from ..hair.drawing import Hiding, StrandGaussians, level_share, strand_gaussians
+from ..hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from ..hair.groom import Groom
 from ..hair.mirror import mirrored
 from ..hair.packaged import groom_names, library_groom
@@ -276,18 +276,18 @@ class WornHair:
     def __init__(self, groom: Groom, settings: HairSettings, vertices: np.ndarray, camera: Camera, head: HeadModel) -> None:
         self._camera, self._eye = camera, Eye.of(camera)
         blocks = blocks_of(groom, np.asarray(head.v_template, np.float64), head.faces)
-        self._share = level_share(blocks, self._eye.pixels_per_metre())
+        shares = level_shares(blocks, self._eye.pixels_per_metre())
         self._hiding = Hiding.of(vertices, np.asarray(head.faces)[np.asarray(head.uv_islands) == _SKIN_ISLAND], camera)
         self._posed = []
-        for block in blocks:
+        for block, share in zip(blocks, shares, strict=True):
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
-            self._posed.append((block, np.matmul(block.styled(settings), axes) + origin[:, None], axes))
+            self._posed.append((block, np.matmul(block.styled(settings), axes) + origin[:, None], axes, share))
 
     def gaussians(self, settings: HairSettings) -> StrandGaussians:
         """In the colors of settings."""
         parts = [
-            strand_gaussians(block, points, axes, settings, self._share, self._eye, self._hiding)
-            for block, points, axes in self._posed
+            strand_gaussians(block, points, axes, settings, share, self._eye, self._hiding)
+            for block, points, axes, share in self._posed
         ]
         return StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 

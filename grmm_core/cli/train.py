@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     from ..avatar import save_avatar
     from ..head import load_flame
     from ..training.capture import capture_views
+    from ..training.captured_hair import captured_hair
     from ..training.config import load_config
     from ..training.personal import of_the_weights
     from ..training.trainer import CHECKPOINT, Trainer
@@ -83,7 +84,8 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
         return None
     path = Path(args.out) / (f"{config.person}{EXTENSION}" if config.person else f"{config.name}.safetensors")
     if config.person:
-        save_avatar(trainer.person_avatar(args.name or config.person, args.licence), path)
+        hair = captured_hair(source.datasets, config.person, head) if trainer.config.model.hairless else None
+        save_avatar(trainer.person_avatar(args.name or config.person, args.licence, hair), path)
     else:
         hours = round(trainer.seconds / 3600, 3)
         provenance: dict[str, Any] = {"seed": config.seed, "steps": trainer.step_count, "hours": hours}

@@ -34,6 +34,9 @@ class CapturedViews:
         only: The one person whose views are used, by name; everybody when empty.
         bare: Show people without hair, where the data can; views that only show a bare head are left out otherwise.
 
+    Attributes:
+        datasets: As given.
+
     Raises:
         ConfigError: A folder is given twice.
         FileFormatError: People have shapes of different lengths.
@@ -45,15 +48,15 @@ class CapturedViews:
         bare: bool = False,
     ) -> None:  # fmt: skip
         self._bare = bare
-        self._datasets = tuple(datasets)
+        self.datasets = tuple(datasets)
         self._items: list[tuple[int, CaptureDataset, Shot, CapturedView]] = []
         self._seen: set[tuple[int, str, int]] = set()
         self._cache: OrderedDict[int, View] = OrderedDict()
         self._room = cache_bytes
         self._numbers: dict[tuple[int, str], int] = {}
         names: list[str] = []
-        labels = _labels([dataset.folder for dataset in self._datasets])
-        for place, dataset in enumerate(self._datasets):
+        labels = _labels([dataset.folder for dataset in self.datasets])
+        for place, dataset in enumerate(self.datasets):
             trained = {shot.subject for shot, _ in dataset.views(TRAIN)}
             everybody = dataset.manifest.subjects if follow else dataset.subjects
             for name in everybody:
@@ -70,7 +73,7 @@ class CapturedViews:
 
     def refresh(self) -> int:
         """Look for shots that were added; returns the number of views known. Numbers of known views stay."""
-        for dataset in self._datasets:
+        for dataset in self.datasets:
             dataset.refresh()
         self._collect()
         return len(self._items)
@@ -78,7 +81,7 @@ class CapturedViews:
     def _collect(self) -> None:
         shapes: list[np.ndarray | None] = [None] * len(self.people)
         size, first = 0, ""
-        for place, dataset in enumerate(self._datasets):
+        for place, dataset in enumerate(self.datasets):
             for shot in dataset.shots:
                 number, key = self._numbers.get((place, shot.subject)), (place, shot.subject, shot.number)
                 if number is not None and key not in self._seen:

@@ -345,12 +345,13 @@ class Trainer:
             )  # fmt: skip
             save_weights(path, self.model, info)
 
-    def person_avatar(self, name: str, licence: str = "") -> Avatar:
+    def person_avatar(self, name: str, licence: str = "", hair: Hair | None = None) -> Avatar:
         """What a run for one person has trained, as an avatar with a thumbnail.
 
         Args:
             name: Display name.
             licence: What may be done with the avatar.
+            hair: What the person wears.
 
         Raises:
             ConfigError: The run is for many people.
@@ -361,7 +362,7 @@ class Trainer:
         with self.averaged():
             with torch.no_grad():
                 changes = {key: value - self.base[key] for key, value in self.parameters.items()}
-            return person_avatar(self.config.init_from, self.model, self.cast.person(0), changes, name, licence)
+            return person_avatar(self.config.init_from, self.model, self.cast.person(0), changes, name, licence, hair)
 
 
 def _differences(state: dict[str, Any], config: TrainConfig, views: int) -> list[str]:

@@ -1,0 +1,58 @@
+"""The hair of a captured person: the strands that the capture recorded, in colors that make them look as in its pictures.
+
+Weights that were trained on bare heads have no hair of their own; this is what an avatar of one person wears instead.
+Called by `grmm train person`. Imports torch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..avatar import Hair
+from ..data.dataset import CaptureDataset
+from ..data.layers import PART_LAYER, PARTS
+from ..data.types import Shot, View
+from ..fitting.hair_stage import HairView, with_colors
+from ..hair.settings import HairSettings
+
+if TYPE_CHECKING:
+    from ..head import HeadModel
+
+
+def captured_hair(datasets: Iterable[CaptureDataset], person: str, head: HeadModel) -> Hair | None:
+    """Return what a person wears; None where no capture has recorded it.
+
+    Colors are sought where a view shows the person with hair and says where it is, else they are the settings' own.
+
+    Args:
+        datasets: Captures; the first that has the person's strands counts.
+        person: Name.
+        head: Of the captures.
+
+    Raises:
+        FileAccessError, FileFormatError: A file is missing or damaged.
+    """
+    for dataset in datasets:
+        groom = dataset.groom(person)
+        if groom is None:
+            continue
+        shown = [
+            _hair_view(dataset, shot, view, head)
+            for shot in dataset.shots if shot.subject == person
+            for view in shot.shown(bare=False) if PART_LAYER in view.layers
+        ]  # fmt: skip
+        shown.sort(key=lambda view: -float(view.hair.sum()))
+        return Hair(groom, with_colors(HairSettings(), groom, shown, head) if shown else HairSettings())
+    return None
+
+
+def _hair_view(dataset: CaptureDataset, shot: Shot, view: View, head: HeadModel) -> HairView:
+    picture = dataset.picture(shot, view)
+    vertices = np.asarray(head.vertices(dataset.shape(shot.subject), shot.expression, shot.pose), np.float64)
+    if shot.displacement is not None:
+        vertices = vertices + shot.displacement
+    hair = dataset.layer(shot, view, PART_LAYER)[PARTS.index("hair")]
+    return HairView(view.camera, vertices, picture.over(0.0), hair, np.ones_like(hair))

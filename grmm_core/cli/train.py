@@ -49,8 +49,8 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     """Train, and write the weights at the end; of several processes the first one alone says so. Raises `GrmmError`s."""
-    from ..avatar import save_avatar
     from ..head import load_flame
+    from ..session.presenting import save_presented
     from ..training.capture import capture_views
     from ..training.captured_hair import captured_hair
     from ..training.config import load_config
@@ -85,7 +85,8 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     path = Path(args.out) / (f"{config.person}{EXTENSION}" if config.person else f"{config.name}.safetensors")
     if config.person:
         hair = captured_hair(source.datasets, config.person, head) if trainer.config.model.hairless else None
-        save_avatar(trainer.person_avatar(args.name or config.person, args.licence, hair), path)
+        avatar = trainer.person_avatar(args.name or config.person, args.licence, hair)
+        save_presented(avatar, path, config.init_from, args.head)
     else:
         hours = round(trainer.seconds / 3600, 3)
         provenance: dict[str, Any] = {"seed": config.seed, "steps": trainer.step_count, "hours": hours}

@@ -7,9 +7,7 @@ sought so that the drawn color is the photo's. What no photo shows is the groom'
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -17,18 +15,16 @@ import torch
 from torch.nn import functional
 
 from ..avatar import Hair
-from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
-from ..hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
-from ..hair.groom import Groom
+from ..hair.coloring import HairView, reduced, with_colors
 from ..hair.mirror import mirrored
 from ..hair.packaged import groom_names, library_groom
-from ..hair.ribbons import Eye, segments
+from ..hair.ribbons import segments
 from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
-from ..hair.strands import blocks_of, lengthened
-from ..splat.api import rasterize, rasterize_arrays
-from ..splat.types import GaussianArrays, Gaussians
+from ..hair.strands import lengthened
+from ..splat.api import rasterize_arrays
+from ..splat.types import GaussianArrays
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -43,32 +39,7 @@ ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
 CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
 BEHIND = 0.004  # metres below the skin that are still seen
 _SKIN_ISLAND = 0  # of the UV map
-COLOR_SIDE = 128  # pixels of the picture whose colors are compared
-_FULL = 0.9  # cover from which a pixel shows nothing but hair
-_FEW_PIXELS = 20
-_PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
-_ROUNDS = 4  # of finding a dye
-UNLIKELY = 0.04  # of a display color; if no pigment comes nearer, hair is dyed
 _WINDOW = 5  # px: over which a photo's directions are averaged
-
-
-@dataclass(frozen=True, eq=False)
-class HairView:
-    """What one photo says about hair.
-
-    Attributes:
-        camera: In head space.
-        vertices: Of the tracked head, posed, [V, 3].
-        image: Display sRGB, [H, W, 3].
-        hair: How much of each pixel is scalp hair, [H, W] 0..1.
-        counts: 0 where the photo says nothing (beyond its edge, behind a hat or a hand), [H, W].
-    """
-
-    camera: Camera
-    vertices: np.ndarray
-    image: np.ndarray
-    hair: np.ndarray
-    counts: np.ndarray
 
 
 class Match(NamedTuple):
@@ -166,10 +137,10 @@ class _Stage:
         size = max(1, round(height * scale)), max(1, round(width * scale))
         self.camera = view.camera.resized(size[1], size[0])
         self.vertices = view.vertices
-        self.counts = _reduced(view.counts, size)
-        self.hair = _reduced(view.hair, size)
+        self.counts = reduced(view.counts, size)
+        self.hair = reduced(view.hair, size)
         cosine, sine = directions(view.image, view.hair)
-        self.seen = Directions(_reduced(cosine, size), _reduced(sine, size))
+        self.seen = Directions(reduced(cosine, size), reduced(sine, size))
         island = np.asarray(head.faces)[np.asarray(head.uv_islands) == _SKIN_ISLAND]
         self.depth = triangle_depth(np.asarray(view.vertices)[island], self.camera)
         self.share = float((self.hair * self.counts).sum() / max((self.depth < EMPTY).sum(), 1))
@@ -226,82 +197,3 @@ def directions(image: np.ndarray, hair: np.ndarray) -> Directions:
     clear = np.hypot(mean[0], mean[1]) / (mean[2] + 1e-5)
     factor = np.where(clear > CLEAR, -np.asarray(hair) / (mean[2] + 1e-5), 0.0)
     return Directions(mean[0] * factor, mean[1] * factor)
-
-
-def _reduced(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """A picture [H, W] at a smaller size."""
-    planes = torch.from_numpy(np.ascontiguousarray(values, np.float32))[None, None]
-    small: np.ndarray = functional.interpolate(planes, size, mode="bilinear", antialias=True)[0, 0].numpy()
-    return small
-
-
-def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView], head: HeadModel) -> HairSettings:
-    """Settings whose drawn colors are in the mean those of the first photo's hair, as bright and as tinted as it shows them."""
-    view = views[0]
-    side = min(1.0, COLOR_SIDE / max(view.hair.shape))
-    size = max(1, round(view.camera.height * side)), max(1, round(view.camera.width * side))
-    hair, counts = _reduced(view.hair, size), _reduced(view.counts, size)
-    full = (hair > _FULL) & (counts > _FULL)
-    if full.sum() < _FEW_PIXELS:
-        return settings
-    image = np.stack([_reduced(view.image[..., k], size) for k in range(3)], 2)
-    strands = WornHair(groom, settings, view.vertices, view.camera.resized(size[1], size[0]), head)
-    weights = strands.weights(full)
-    wanted = image[full].mean(0)
-
-    def distance(tried: HairSettings) -> float:
-        off = weights @ strands.gaussians(tried).colors - wanted
-        return float((off**2).sum() + _PULL * (tried.grey + 0.3 * tried.redness))
-
-    grid = itertools.product(np.linspace(0, 1, 6), (0.0, 0.4, 0.8), (0.0, 0.4))
-    best = min((settings.changed(melanin=m, grey=g, redness=r, dye=0.0) for m, g, r in grid), key=distance)
-    for step in (0.2, 0.1, 0.05, 0.025):
-        for name in ("melanin", "grey", "redness"):
-            around = [best.changed(**{name: getattr(best, name) + sign * step}) for sign in (-1, 1)]
-            best = min([best, *around], key=distance)
-    off = weights @ strands.gaussians(best).colors - wanted
-    if float(np.abs(off).max()) <= UNLIKELY:
-        return best
-    best = best.changed(dye=1.0)  # no pigment makes it
-    color = np.clip(wanted, 0.0, 1.0)
-    for _ in range(_ROUNDS):
-        best = best.changed(dye_red=float(color[0]), dye_green=float(color[1]), dye_blue=float(color[2]))
-        color = np.clip(color - (weights @ strands.gaussians(best).colors - wanted), 0.0, 1.0)
-    return best
-
-
-class WornHair:
-    """A groom on a posed head before a camera."""
-
-    def __init__(self, groom: Groom, settings: HairSettings, vertices: np.ndarray, camera: Camera, head: HeadModel) -> None:
-        self._camera, self._eye = camera, Eye.of(camera)
-        blocks = blocks_of(groom, np.asarray(head.v_template, np.float64), head.faces)
-        shares = level_shares(blocks, self._eye.pixels_per_metre())
-        self._hiding = Hiding.of(vertices, np.asarray(head.faces)[np.asarray(head.uv_islands) == _SKIN_ISLAND], camera)
-        self._posed = []
-        for block, share in zip(blocks, shares, strict=True):
-            origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
-            self._posed.append((block, np.matmul(block.styled(settings), axes) + origin[:, None], axes, share))
-
-    def gaussians(self, settings: HairSettings) -> StrandGaussians:
-        """In the colors of settings."""
-        parts = [
-            strand_gaussians(block, points, axes, settings, share, self._eye, self._hiding)
-            for block, points, axes, share in self._posed
-        ]
-        return StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-
-    def drawn(self, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
-        """Premultiplied display sRGB [H, W, 3] and cover [H, W]."""
-        made = self.gaussians(settings)
-        picture = rasterize_arrays(GaussianArrays(*made, np.zeros((len(made.means), 0), np.float32)), self._camera)
-        return picture.rgb, picture.alpha
-
-    def weights(self, pixels: np.ndarray) -> np.ndarray:
-        """How much each Gaussian's color counts in the mean of some pixels [H, W], of those that strands cover; sums to 1."""
-        made = Gaussians(*(torch.from_numpy(part) for part in self.gaussians(HairSettings())))
-        made.colors = torch.zeros_like(made.colors, requires_grad=True)
-        shown = rasterize(made, self._camera).rgb[..., 0] * torch.from_numpy(pixels)
-        (gradient,) = torch.autograd.grad(shown.sum(), made.colors)
-        weights: np.ndarray = gradient[:, 0].numpy()
-        return weights / max(float(weights.sum()), 1e-6)

@@ -15,7 +15,7 @@ from ..avatar import Hair
 from ..data.dataset import CaptureDataset
 from ..data.layers import PART_LAYER, PARTS
 from ..data.types import Shot, View
-from ..fitting.hair_stage import HairView, with_colors
+from ..hair.coloring import HairView, with_colors
 from ..hair.settings import HairSettings
 
 if TYPE_CHECKING:

@@ -19,11 +19,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..avatar import AssetReference, Avatar, Provenance
+from ..avatar import AssetReference, Avatar, Hair, Provenance
 from ..avatar.types import MADE_BY, SHAPE_SIZE, half_rounded
 from ..errors import ConfigError
 from ..model.config import COLOR_CHANNELS
-from ..model.painting import presented
 from ..model.weights import load_weights
 from ..model.weights_file import read_info, resolve_weights
 from .warm_start import warm_start
@@ -88,8 +87,9 @@ def begin(config: TrainConfig, model: GRMM, people: tuple[str, ...], codes: Tens
 
 
 def person_avatar(
-    weights: str, model: GRMM, person: Person, changes: Mapping[str, Tensor], name: str, licence: str = ""
-) -> Avatar:
+    weights: str, model: GRMM, person: Person, changes: Mapping[str, Tensor], name: str, licence: str = "",
+    hair: Hair | None = None,
+) -> Avatar:  # fmt: skip
     """Put together what a run for one person has trained.
 
     Args:
@@ -99,6 +99,7 @@ def person_avatar(
         changes: Of the own maps, by name.
         name: Display name.
         licence: What may be done with the avatar.
+        hair: What the person wears.
 
     Raises:
         FileAccessError, FileFormatError: The weights are gone.
@@ -111,7 +112,7 @@ def person_avatar(
     with torch.no_grad():
         z_id = torch.as_tensor(person.z_id, dtype=model.dtype, device=model.device)
         changed[APPEARANCE][:, :COLOR_CHANNELS] += flesh_tones(model, z_id)
-    avatar = Avatar(
+    return Avatar(
         name=name,
         head=AssetReference(info.head_name, info.head_sha256),
         weights=AssetReference(info.name, info.sha256),
@@ -124,8 +125,8 @@ def person_avatar(
             date=datetime.datetime.now(datetime.UTC).date().isoformat(),
             licence=licence,
         ),
+        hair=hair,
     )
-    return presented(model, avatar)
 
 
 def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:

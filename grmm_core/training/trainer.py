@@ -50,7 +50,7 @@ from .views import View, ViewSource, choose, shrink
 from .warm_start import warm_start
 
 if TYPE_CHECKING:
-    from ..avatar import Avatar
+    from ..avatar import Avatar, Hair
     from ..head import HeadModel
 
 logger = logging.getLogger(__name__)
@@ -346,7 +346,7 @@ class Trainer:
             save_weights(path, self.model, info)
 
     def person_avatar(self, name: str, licence: str = "", hair: Hair | None = None) -> Avatar:
-        """What a run for one person has trained, as an avatar with a thumbnail.
+        """What a run for one person has trained, as an avatar without pictures.
 
         Args:
             name: Display name.

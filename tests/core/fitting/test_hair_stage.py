@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.fitting.hair_stage import HairView, WornHair, directions, fit_hair
+from grmm_core.fitting.hair_stage import directions, fit_hair
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
+from grmm_core.hair.coloring import HairView, WornHair
 from grmm_core.hair.mirror import mirrored
 from grmm_core.head import load_open_head
 

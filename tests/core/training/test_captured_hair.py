@@ -1,0 +1,56 @@
+"""What a captured person wears: the recorded strands, in the colors of the pictures that show them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grmm_core.data.dataset import CaptureDataset, Manifest, write_manifest, write_shot, write_subject
+from grmm_core.data.layers import PART_LAYER, PARTS
+from grmm_core.data.types import Picture, Shot, View
+from grmm_core.geometry.camera import Camera
+from grmm_core.hair import HairSettings, library_groom
+from grmm_core.hair.coloring import WornHair
+from grmm_core.head import load_open_head
+from grmm_core.training.captured_hair import captured_hair
+
+SIZE = 160
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """Ada, shown once with a bob of a known color; Bo, whose strands are known and never seen; Cy without a record."""
+    folder, head = tmp_path_factory.mktemp("capture"), load_open_head()
+    write_manifest(folder, Manifest(head.name, ["ada", "bo", "cy"]))
+    groom, camera = library_groom("bob"), Camera.orbit(SIZE, SIZE, 20.0)
+    vertices = np.asarray(head.v_template, np.float64)
+    color = HairSettings(melanin=0.2, redness=0.4)
+    rgb, alpha = WornHair(groom, color, vertices, camera, head).drawn(color)
+    parts = np.zeros((len(PARTS), SIZE, SIZE), np.float32)
+    parts[PARTS.index("hair")] = alpha
+    bare = View("c00", camera, "0000_00_bare.png", "", "train")
+    for name, worn in (("ada", groom), ("bo", groom), ("cy", None)):
+        write_subject(folder, name, np.zeros(300, np.float32), {}, worn)
+    view = View("c00", camera, "0000_00.png", "", "train", {PART_LAYER: "0000_00_parts.png"}, bare)
+    straight = np.where(alpha[..., None] > 0.01, rgb / np.maximum(alpha[..., None], 0.01), 0.0).clip(0, 1)
+    picture = Picture(straight, alpha, None, {PART_LAYER: parts}, Picture(straight, alpha, None))
+    write_shot(
+        folder,
+        Shot("ada", 0, "neutral", np.zeros(60), np.zeros(100), np.zeros((5, 3)), (view,), folder / "shots" / "ada"),
+        [picture],
+    )
+    return [CaptureDataset(folder)], color
+
+
+def test_strands_are_those_recorded_and_colors_those_shown(capture):
+    datasets, color = capture
+    hair = captured_hair(datasets, "ada", load_open_head())
+    assert len(hair.groom) == len(library_groom("bob"))
+    assert abs(hair.settings.melanin - color.melanin) < 0.1
+    assert hair.settings.dye == 0.0
+
+
+def test_unseen_colors_are_left_and_unrecorded_hair_is_none(capture):
+    datasets, _ = capture
+    assert captured_hair(datasets, "bo", load_open_head()).settings == HairSettings()
+    assert captured_hair(datasets, "cy", load_open_head()) is None

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..avatar import Avatar, PhotoRecord, save_avatar
+from ..avatar import Avatar, Hair, PhotoRecord
 from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
 from ..jobs.progress import ProgressCallback, Reporter
 from ..photo.load import PhotoFile, check_proportion
@@ -84,6 +84,8 @@ def fit(
         CancelledError: `cancelled` said so; the same request with `resume` goes on.
         SessionError: Out of memory.
     """
+    from ..session.presenting import save_presented
+
     begin = time.monotonic()
     report = Reporter(fit_stages(preset_named(request.preset), len(request.photos)), progress, cancelled)
     request.check_output()
@@ -97,7 +99,7 @@ def fit(
         done = False
         try:
             avatar, tracks = _make(request, job, photos, masks, report, on_faces)
-            save_avatar(avatar, request.output)
+            save_presented(avatar, request.output, request.weights or None, request.head or None)
             done = True
         except CancelledError as error:
             kept = "it can be resumed" if can_resume(folder) else "it had not found the person yet"
@@ -118,9 +120,10 @@ def _make(
     report.part("load")(0.0)
 
     from ..compute.devices import choose_device, limit_rasteriser_threads
-    from ..model.painting import presented
     from ..model.store import ModelStore
     from ..model.torch_loader import TorchLoader, with_deltas
+    from ..photo.parser import parse
+    from .hair_stage import fit_hair, hair_view
     from .invert import invert, photo_errors
 
     if request.threads:
@@ -138,6 +141,9 @@ def _make(
     )  # fmt: skip
     report.part("finish")(0.0)
     person = with_deltas(loaded.model, avatar.deltas, folder)
+    if loaded.model.config.hairless:
+        shown = [hair_view(track, parse(track, head), head) for track in tracks]
+        avatar = dataclasses.replace(avatar, hair=fit_hair(shown, head, report.part("finish")) or Hair(None))
     figures = {"rmse": photo_errors(person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(
@@ -145,7 +151,6 @@ def _make(
         provenance=dataclasses.replace(avatar.provenance, photos=job.photos, date=today),
         tracking={**avatar.tracking, **{key: np.array(values, np.float32) for key, values in figures.items()}},
     )
-    avatar = presented(person, avatar)
     report.check()
     return avatar, tracks
 

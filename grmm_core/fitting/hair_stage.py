@@ -7,6 +7,7 @@ sought so that the drawn color is the photo's. What no photo shows is the groom'
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,7 +17,7 @@ from torch.nn import functional
 
 from ..avatar import Hair
 from ..geometry.zbuffer import EMPTY, triangle_depth
-from ..hair.coloring import HairView, reduced, with_colors
+from ..hair.coloring import HairView, around_head, hiding_faces, reduced, with_colors
 from ..hair.mirror import mirrored
 from ..hair.packaged import groom_names, library_groom
 from ..hair.ribbons import segments
@@ -28,18 +29,28 @@ from ..splat.types import GaussianArrays
 
 if TYPE_CHECKING:
     from ..head import HeadModel
+    from ..photo.parser import PhotoParts
+    from .types import PhotoTrack
 
 SIDE = 160  # pixels: longer side of the pictures that are compared
 STRANDS, POINTS = 900, 10  # of a drawn candidate: enough for a silhouette
 LENGTHS = (0.6, 0.8, 1.0, 1.25)
 FINER = (0.9, 1.1)  # factors of the second round
-BALD = 0.06  # of the head's pixels: less hair is none
+BALD = 0.03  # of the head's pixels: less hair is none
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
 CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
 BEHIND = 0.004  # metres below the skin that are still seen
-_SKIN_ISLAND = 0  # of the UV map
+_SURE = 3  # power that labels are raised to
 _WINDOW = 5  # px: over which a photo's directions are averaged
+
+
+def hair_view(track: PhotoTrack, parts: PhotoParts, head: HeadModel) -> HairView:
+    """What a tracked photo says about hair."""
+    vertices = head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
+    labels = np.stack([getattr(parts, item.name) for item in dataclasses.fields(parts)])
+    hair = parts.hair**_SURE / np.maximum((labels**_SURE).sum(0), 1e-6)  # a small network's doubts are no thin hair
+    return HairView(track.camera, vertices, track.image, hair, track.valid * (1.0 - parts.hat) * (1.0 - parts.other))
 
 
 class Match(NamedTuple):
@@ -86,7 +97,7 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
 
 def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None) -> Match:
     """Compare all grooms with the photos; see `fit_hair`."""
-    stages = [_Stage(view, head) for view in views]
+    stages = [_Stage(around_head(view), head) for view in views]
     if max(stage.share for stage in stages) < BALD:
         return Match("", False, 1.0, 1.0, 1.0)
     names = groom_names()
@@ -141,8 +152,7 @@ class _Stage:
         self.hair = reduced(view.hair, size)
         cosine, sine = directions(view.image, view.hair)
         self.seen = Directions(reduced(cosine, size), reduced(sine, size))
-        island = np.asarray(head.faces)[np.asarray(head.uv_islands) == _SKIN_ISLAND]
-        self.depth = triangle_depth(np.asarray(view.vertices)[island], self.camera)
+        self.depth = triangle_depth(np.asarray(view.vertices)[hiding_faces(head)], self.camera)
         self.share = float((self.hair * self.counts).sum() / max((self.depth < EMPTY).sum(), 1))
 
     def drawn(self, points: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, Directions]:

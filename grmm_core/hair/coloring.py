@@ -27,12 +27,12 @@ if TYPE_CHECKING:
     from ..head import HeadModel
 
 COLOR_SIDE = 128  # pixels of the picture whose colors are compared
-_FULL = 0.9  # cover from which a pixel shows nothing but hair
+_FULL = 0.8  # cover from which a pixel shows nothing but hair
 _FEW_PIXELS = 20
 _PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
 _ROUNDS = 4  # of finding a dye
 UNLIKELY = 0.04  # of a display color; if no pigment comes nearer, hair is dyed
-_SKIN_ISLAND = 0  # of the UV map
+MARGIN = 0.3  # of the head's height, around it
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +54,27 @@ class HairView:
     counts: np.ndarray
 
 
+def hiding_faces(head: HeadModel) -> np.ndarray:
+    """Triangles behind which hair cannot be seen: all but lashes, [F, 3]."""
+    faces: np.ndarray = np.asarray(head.faces)
+    return faces[~head.marked("lashes")[faces].any(1)]
+
+
+def around_head(view: HairView) -> HairView:
+    """The part of a picture that a head with hair can fill."""
+    _, pixels = view.camera.project(view.vertices)
+    low, high = pixels.min(0), pixels.max(0)
+    margin = MARGIN * float(high[1] - low[1])
+    left, top = (max(0, int(edge - margin)) for edge in low)
+    right, bottom = (min(size, int(edge + margin) + 1) for edge, size in zip(high, view.hair.shape[::-1], strict=True))
+    if right - left < _FEW_PIXELS or bottom - top < _FEW_PIXELS:  # the head is outside
+        return view
+    rows, columns = slice(top, bottom), slice(left, right)
+    camera = view.camera.crop(left, top, right - left, bottom - top)
+    parts = (part[rows, columns] for part in (view.image, view.hair, view.counts))
+    return HairView(camera, view.vertices, *parts)
+
+
 def reduced(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     """A picture [H, W] at a smaller size."""
     planes = torch.from_numpy(np.ascontiguousarray(values, np.float32))[None, None]
@@ -63,7 +84,7 @@ def reduced(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView], head: HeadModel) -> HairSettings:
     """Settings whose drawn colors are in the mean those of the first photo's hair, as bright and as tinted as it shows them."""
-    view = views[0]
+    view = around_head(views[0])
     side = min(1.0, COLOR_SIDE / max(view.hair.shape))
     size = max(1, round(view.camera.height * side)), max(1, round(view.camera.width * side))
     hair, counts = reduced(view.hair, size), reduced(view.counts, size)
@@ -103,7 +124,7 @@ class WornHair:
         self._camera, self._eye = camera, Eye.of(camera)
         blocks = blocks_of(groom, np.asarray(head.v_template, np.float64), head.faces)
         shares = level_shares(blocks, self._eye.pixels_per_metre())
-        self._hiding = Hiding.of(vertices, np.asarray(head.faces)[np.asarray(head.uv_islands) == _SKIN_ISLAND], camera)
+        self._hiding = Hiding.of(vertices, hiding_faces(head), camera)
         self._posed = []
         for block, share in zip(blocks, shares, strict=True):
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))

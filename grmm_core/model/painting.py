@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..avatar import Avatar
-from ..controls.frame import Controls
 from ..geometry.camera import Camera
 from ..geometry.triangles import face_normals
 from ..geometry.zbuffer import triangle_depth
@@ -21,10 +19,10 @@ from ..head import HeadModel
 from ..pictures.images import quantize
 from ..pictures.sampling import bilinear
 from .layout import texel_layout
-from .portrait import portrait, portrait_camera, thumbnail
+from .portrait import portrait_camera
 
 if TYPE_CHECKING:
-    from .grmm import GRMM
+    pass
 
 PIXELS = 256
 """Side of the painting."""
@@ -110,16 +108,3 @@ def fill_unknown(picture: np.ndarray, known: np.ndarray) -> np.ndarray:
     places = np.stack(np.broadcast_arrays(columns[None, :] / 2 + 0.25, rows[:, None] / 2 + 0.25), -1)
     enlarged = bilinear(coarse, places) if min(coarse.shape[:2]) > 1 else np.broadcast_to(coarse[:1, :1], picture.shape)
     return np.where(known[..., None], picture, enlarged)
-
-
-def presented(model: GRMM, avatar: Avatar) -> Avatar:
-    """Return an avatar with the pictures of itself that its file carries; the model has the avatar's changes of the weights."""
-    import torch
-
-    def view(controls: Mapping[str, float], camera: Camera) -> View:
-        picture = portrait(model, avatar, controls, camera)
-        with torch.no_grad():
-            mesh = model.mesh(model.tensors(model.input_space().inputs(avatar, Controls().set_named(controls))))
-        return View(*(part.float().cpu().numpy() for part in (mesh.vertices, picture.image, picture.alpha)))
-
-    return avatar.with_pictures(thumbnail(model, avatar), paint(model.head_model, view))

@@ -13,14 +13,17 @@ from . import create_session
 
 
 def save_presented(
-    avatar: Avatar, path: str | os.PathLike[str], weights: str | os.PathLike[str], head: str | os.PathLike[str] | None = None
+    avatar: Avatar,
+    path: str | os.PathLike[str],
+    weights: str | os.PathLike[str] | None,
+    head: str | os.PathLike[str] | None = None,
 ) -> None:
     """Write an avatar with a thumbnail and a painting; the file appears whole or not at all.
 
     Args:
         avatar: Whose pictures are made anew.
         path: The `.grmm` file.
-        weights: Name or file of the weights that the avatar was made with.
+        weights: Name or file of the weights that the avatar was made with; None for the embedded ones.
         head: File of a head model other than the open one.
 
     Raises:

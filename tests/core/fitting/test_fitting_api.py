@@ -96,6 +96,16 @@ def test_a_photo_becomes_a_file_that_says_so(photo, make, tmp_path):
     assert result.rmse[0] == pytest.approx(float(load_avatar(result.path).tracking["rmse"][0]), rel=1e-5)
 
 
+def test_by_weights_without_hair_the_person_wears_strands(photo, make, tmp_path):
+    """The photo shows the embedded avatar, whose hair is short and dark."""
+    bare = write_tiny_weights(tmp_path / "bare.safetensors", hairless=True)
+    hair = load_avatar(make([photo], tmp_path / "anna.grmm", weights=bare).path).hair
+    assert hair.groom is not None
+    assert hair.scalp
+    assert hair.settings.melanin > 0.4
+    assert hair.settings.length < 1.3
+
+
 def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, make, tmp_path):
     output, seen = tmp_path / "a.grmm", []
     with pytest.raises(CancelledError, match="it can be resumed"):

@@ -17,7 +17,7 @@ import numpy as np
 from ..grmm_core.avatar import AssetReference
 from ..grmm_core.controls.frame import Controls, resolve
 from ..grmm_core.controls.names import ARKIT_NAMES
-from ..grmm_core.errors import ConfigError, FileAccessError, FileFormatError
+from ..grmm_core.errors import ConfigError, FileAccessError, FileFormatError, ShapeError
 from ..grmm_core.formats import SplatCloud, write_mesh
 from ..grmm_core.formats.avatars.binding import bind_to_mesh
 from ..grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
@@ -25,11 +25,16 @@ from ..grmm_core.formats.avatars.lam import LamAvatar
 from ..grmm_core.head import HeadModel, load_flame
 from ..grmm_core.performance import Performance, to_expression
 from ..grmm_core.performance.recording import record, record_expression
+from ..grmm_core.session import HairUse
 from ..grmm_core.session.exporting import flame_avatar, lam_avatar, morph_targets, splat_cloud
 from . import session_host
+from .engine.pipeline import hair_of
+from .hair.read import bound_strands
 from .rig.avatar import Avatar, avatar_of
 from .rig.identity import FLAME_PREFIX, load_head
+from .scene.avatars import DrawnAvatar
 from .scene.clouds import clouds_in
+from .scene.shot import AvatarShot
 from .splats.cloud import Cloud, is_cloud, resting_positions, triangles
 from .splats.rigged import PERSON_SHAPE, Puppet, is_puppet
 
@@ -73,16 +78,41 @@ def splats_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: S
     if isinstance(target, Cloud):
         return target.resting() if options.canonical else target.splats(depsgraph)
     info = session_host.open_avatar(target.source)
-    controls = _controls(target, depsgraph, options.canonical)
-    return splat_cloud(session_host.get_session(), info.id, controls, options.degree, options.lod)
+    controls, hair = _controls(target, depsgraph, options.canonical), hair_worn(target, depsgraph, not options.canonical)
+    return splat_cloud(session_host.get_session(), info.id, controls, options.degree, options.lod, hair)
+
+
+def hair_worn(avatar: Avatar, depsgraph: bpy.types.Depsgraph, moves: bool = True) -> HairUse:
+    """Return the hair of an avatar in the depsgraph's moment; see `engine.pipeline.hair_of`.
+
+    Raises:
+        ShapeError: It is to wear curves that cannot be hair; the sentence says why.
+    """
+    return hair_of(_shot(avatar, depsgraph), moves)
+
+
+def _shot(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> AvatarShot:
+    shot = DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph)
+    if shot.note:
+        raise ShapeError(shot.note)
+    return shot
+
+
+def hair_kept(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> HairUse:
+    """Return the hair of an avatar for its file: curves with what their modifiers do in this frame. Raises as `hair_worn`."""
+    shot = _shot(avatar, depsgraph)
+    curves = avatar.object.grmm.hair.curves
+    if shot.strands is not None and curves is not None:
+        shot = replace(shot, strands=bound_strands(avatar.object, curves, depsgraph, shot.model_to_world))
+    return hair_of(shot, moves=False)
 
 
 def lam_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: SplatOptions) -> LamAvatar:
     """Return an avatar as LAM's viewer shows it, in the pose of the depsgraph's moment. Raises as `splats_of`."""
     if isinstance(target, Cloud):
         raise FileFormatError("LAM files are of avatars that the ARKit shapes move; select a GRMM avatar.")
-    controls = _controls(target, depsgraph, options.canonical)
-    return lam_avatar(session_host.get_session(), session_host.open_avatar(target.source).id, controls, options.lod)
+    controls, hair = _controls(target, depsgraph, options.canonical), hair_worn(target, depsgraph, moves=False)
+    return lam_avatar(session_host.get_session(), session_host.open_avatar(target.source).id, controls, options.lod, hair=hair)
 
 
 def write_avatar_mesh(path: Path, avatar: Avatar, depsgraph: bpy.types.Depsgraph, canonical: bool, morphs: bool) -> int:
@@ -200,8 +230,9 @@ def gaussian_avatar(
         return GaussianAvatar(bound, replace(track, shape=shape, static_offset=offset))
     head = load_flame(bpy.path.abspath(flame))
     session, number = session_host.get_session(), session_host.open_avatar(avatar.source).id
-    controls = _controls(avatar, bpy.context.evaluated_depsgraph_get(), canonical=True)
-    return flame_avatar(session, number, controls, head, track, options.degree, options.lod)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    controls, hair = _controls(avatar, depsgraph, canonical=True), hair_worn(avatar, depsgraph, moves=False)
+    return flame_avatar(session, number, controls, head, track, options.degree, options.lod, hair)
 
 
 def save_gaussian_avatar(folder: Path, avatar: GaussianAvatar) -> None:

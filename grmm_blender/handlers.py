@@ -14,6 +14,7 @@ from bpy.app.handlers import persistent
 
 from ..grmm_core.errors import GrmmError
 from . import events, session_host
+from .hair import display
 from .rig import live, repaint
 from .rig.avatar import Avatar, avatar_of
 from .rig.channel_groups import group_channels
@@ -60,12 +61,15 @@ def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             group_channels(avatar)
     for avatar in _touched(depsgraph.updates):
         _update(avatar, depsgraph)
+    for obj in _hair_of(scene, depsgraph.updates):
+        display.follow_mode(obj)
 
 
 @persistent
 def _on_other_state(*_: object) -> None:
     """Another file, point of the undo history, or runtime: what was written last says nothing about it."""
     live.forget()
+    display.forget()
     _left_rigs.forget()
     _left_rigs.notice_deleted()
     if not bpy.app.background:
@@ -144,6 +148,13 @@ def _touched(updates: Iterable[bpy.types.DepsgraphUpdate]) -> list[Avatar]:
             if avatar is not None:
                 found[avatar.key] = avatar
     return list(found.values())
+
+
+def _hair_of(scene: bpy.types.Scene, updates: Iterable[bpy.types.DepsgraphUpdate]) -> list[bpy.types.Object]:
+    """Curves that were evaluated again and are the hair of an avatar."""
+    found = [update.id.original for update in updates if isinstance(update.id, bpy.types.Object) and update.id.type == "CURVES"]
+    worn = {avatar.object.grmm.hair.curves for avatar in avatars_in(scene)} if found else set()
+    return [obj for obj in found if obj in worn]
 
 
 def _is_playing() -> bool:

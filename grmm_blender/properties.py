@@ -50,8 +50,12 @@ def _label(name: str) -> str:
 _GROOMS = tuple((name, _label(name), f"Strands: {_label(name).lower()}") for name in groom_names())
 
 
+def _are_curves(_group: bpy.types.PropertyGroup, obj: bpy.types.Object) -> bool:
+    return obj.type == "CURVES"
+
+
 class GRMM_PG_hair(bpy.types.PropertyGroup):
-    """What hair an avatar wears; besides the groom one number for each of the core's `SETTINGS`."""
+    """What hair an avatar wears: a groom, or curves; besides one number for each of the core's `SETTINGS`."""
 
     groom: choice(
         "Hair",
@@ -59,6 +63,13 @@ class GRMM_PG_hair(bpy.types.PropertyGroup):
         (OWN_HAIR, "Own", "The hair that it comes with"),
         (NO_HAIR, "None", "A bald head"),
         *_GROOMS,
+        **_LIVE,
+    )
+    curves: bpy.props.PointerProperty(
+        type=bpy.types.Object,
+        name="Curves",
+        description="A Curves object on the head's surface that is the hair, in the place of the groom",
+        poll=_are_curves,
         **_LIVE,
     )
     __annotations__ |= {

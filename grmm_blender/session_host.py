@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
+from ..grmm_core.hair import Groom
 from ..grmm_core.session import (
     WORKER_PYTHON_VARIABLE,
     AvatarInfo,
@@ -89,6 +90,8 @@ _session: Session | None = None
 _last_error = ""
 _has_drawn = False
 _clouds: set[int] = set()  # ids of splat clouds in the session
+_KEPT_GROOMS = 4  # of each Curves object: a thread that began with one draws it to the end
+_grooms: dict[str, dict[str, int]] = {}  # in the session: by object, the places of its versions, the newest last
 changed: list[Callable[..., object]] = []
 """Called on the main thread when sessions are made otherwise from now on: what met an error then tries again."""
 
@@ -198,6 +201,21 @@ def open_cloud(key: str, version: str, arrays: CloudArrays) -> int:
     return number
 
 
+def put_groom(key: str, version: str, groom: Groom) -> str:
+    """Hand strands to the session, where this version of them is not there already; returns what `HairUse` names.
+
+    The session replaces what has the same name; so that no thread's strands are replaced while it draws, versions take turns.
+    """
+    session = get_session()
+    with _lock:
+        places = _grooms.setdefault(key, {})
+        place = places.pop(version, None)
+        if place is None:
+            place = len(places) if len(places) < _KEPT_GROOMS else places.pop(next(iter(places)))
+        places[version] = place
+    return session.put_groom(f"{key}.{place}", version, groom)
+
+
 def release_clouds() -> None:
     """Forget all splat clouds; called when another file is opened."""
     with _lock:
@@ -257,6 +275,7 @@ def shutdown() -> None:
     with _lock:
         session, _session = _session, None
         _clouds.clear()
+        _grooms.clear()
     if session is not None:
         session.close()
 

@@ -7,10 +7,12 @@
 ``add_flame``           add the user's own FLAME head
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV
 ``import_splats``       splat files and other projects' avatars
+``save_avatar``         avatar files
 ``export_splats``       splat files, meshes, GaussianAvatars' folders
 ``export_animation``    performance files; caches through Blender's Alembic and USD exporters
 ``fit``                 avatars from photos
 ``steps``               long work with progress and cancel
+``hair``                hair by its picture, and as Blender's curves
 ``drag_face``           handles of the face in the viewport
 ``keying``              the keying set of all controls
 ``edit``                reset, mirror, random expression and identity, independent copies
@@ -41,6 +43,7 @@ from . import (
     export_animation,
     export_splats,
     fit,
+    hair,
     import_performance,
     import_splats,
     keying,
@@ -49,6 +52,7 @@ from . import (
     pose_library,
     relink,
     residual,
+    save_avatar,
     turntable,
 )
 
@@ -57,6 +61,7 @@ PARTS = (
     add_flame,
     import_performance,
     import_splats,
+    save_avatar,
     export_splats,
     export_animation,
     edit,
@@ -66,6 +71,7 @@ PARTS = (
     motion,
     calibrate,
     relink,
+    hair,
     fit,
     composite,
     pose_library,

@@ -11,6 +11,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ..grmm_blender import exporting
 from ..grmm_blender.declare import Operator, choice, text
+from ..grmm_blender.hair.build import selected_curves
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.formats import formats, write_performance
@@ -96,7 +97,7 @@ def _selectable(context: bpy.types.Context) -> Avatar:
 
 
 class GRMM_OT_export_cache(FrameRange, Operator, ExportHelper):
-    """Write the active avatar's moving mesh, with its learned displacement, as Alembic or USD."""
+    """Write the active avatar's moving mesh with its learned displacement, and its strands as curves, as Alembic or USD."""
 
     bl_label = "Export Mesh Cache"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
@@ -110,7 +111,7 @@ class GRMM_OT_export_cache(FrameRange, Operator, ExportHelper):
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
-        """Select the head, and let Blender export it."""
+        """Select head and hair, and let Blender export them."""
         path = output_path(self.filepath, (".abc", ".usd", ".usdc", ".usda"), self.format)
         frames = self.frames(context)
         first, last = frames[0], frames[-1]
@@ -123,7 +124,7 @@ class GRMM_OT_export_cache(FrameRange, Operator, ExportHelper):
             avatar.object.select_set(True)
             context.view_layer.objects.active = avatar.object
             scene.frame_start, scene.frame_end = first, last  # all that the USD exporter looks at
-            with exporting.kept_frame(scene):
+            with exporting.kept_frame(scene), selected_curves(avatar):
                 self._export(path, first, last)
         except RuntimeError as error:  # how Blender's exporters say that they could not write
             reason = str(error).strip().rstrip(".")

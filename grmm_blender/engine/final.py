@@ -15,6 +15,7 @@ from bpy.app.handlers import persistent
 
 from ...grmm_core.errors import CancelledError, GrmmError
 from .. import events, session_host
+from ..hair import read
 from ..scene.cameras import Eye, render_region, scene_camera
 from ..scene.meshes import MeshCache
 from ..scene.shot import Frame, Region
@@ -102,6 +103,7 @@ def _view_values(
         frame = _take_frame(engine, depsgraph)
         if not frame.scene.avatars:
             engine.report({"WARNING"}, NO_AVATARS)
+        _report_notes(engine, frame)
         return pipeline.frame_values(frame, settings, items, region, engine.test_break, progress, _depths)
     # Blur: the mean of pictures spread evenly over the shutter time. Positions and codes cannot be averaged, so depth and
     # normals are those of the middle of the shutter.
@@ -114,6 +116,8 @@ def _view_values(
             _set_time(engine, start + offset)
             part = progress.part(step / steps, 1.0 / steps)
             frame = _take_frame(engine, depsgraph)
+            if step == 0:
+                _report_notes(engine, frame)
             found = pipeline.frame_values(frame, settings, items, region, engine.test_break, part, _depths)
             for item in items:
                 if item.kind in ("depth", "normal"):
@@ -126,6 +130,11 @@ def _view_values(
     finally:
         _set_time(engine, start)
     return total
+
+
+def _report_notes(engine: bpy.types.RenderEngine, frame: Frame) -> None:
+    for note in dict.fromkeys(shot.note for shot in frame.scene.avatars if shot.note):
+        engine.report({"WARNING"}, note)
 
 
 def _take_frame(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> Frame:
@@ -196,6 +205,7 @@ def _forget(*_: object) -> None:
     """Another file: what is kept of the scene is of no use any more."""
     _meshes.forget()
     _depths.clear()
+    read.forget()
     _before.clear()
 
 

@@ -15,7 +15,7 @@ MAX_NAME = 60  # characters; Blender cuts longer pass names
 FEATURES_IN_A_PASS = 4
 FEATURE_CHANNELS = 32  # the refinement network's input; weights with fewer leave the rest at zero
 
-Kind = Literal["combined", "depth", "mask", "avatar_mask", "raw", "normal", "features"]
+Kind = Literal["combined", "depth", "mask", "avatar_mask", "hair", "raw", "normal", "features"]
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ SESSION_PASSES: dict[Kind, tuple[str, ...]] = {
     "depth": ("depth", "alpha"),
     "mask": ("alpha",),
     "avatar_mask": ("mask",),
+    "hair": ("hair",),
     "raw": ("raw", "alpha"),
     "normal": ("normal",),
     "features": ("features",),
@@ -67,6 +68,8 @@ def layer_passes(view_layer: bpy.types.ViewLayer, avatar_names: list[str]) -> li
     if extra.use_mask:
         passes.append(RenderPass("mask", "Mask", "X", "VALUE"))
         passes += [RenderPass("avatar_mask", mask_pass_name(name), "X", "VALUE", avatar=name) for name in avatar_names]
+    if extra.use_hair:
+        passes.append(RenderPass("hair", "Hair", "X", "VALUE"))
     if extra.use_raw:
         passes.append(RenderPass("raw", "Raw", "RGBA", "COLOR"))
     if extra.use_features:

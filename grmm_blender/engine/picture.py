@@ -50,8 +50,8 @@ def pass_values(
         values = buffers["normal"].copy()
         values[visible.part] *= shown[visible.part] > 0
         return values
-    elif item.kind == "mask":
-        values = np.clip(buffers["alpha"], 0, 1)
+    elif item.kind in ("mask", "hair"):
+        values = np.clip(buffers["alpha" if item.kind == "mask" else "hair"], 0, 1)
     else:
         # Several instances of an avatar share its mask; one that this view layer hides has none.
         own = [index for index, name in enumerate(avatar_names) if name == item.avatar]

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...grmm_core.errors import CancelledError, FileAccessError, GrmmError
 from ...grmm_core.jobs.progress import Share, nobody
-from ...grmm_core.session import CancelCheck, Instance, RenderOptions
+from ...grmm_core.session import CancelCheck, HairUse, Instance, RenderOptions
 from .. import session_host
 from ..rig.avatar import missing_file
 from ..scene.shot import AvatarShot, Frame, Region
@@ -99,8 +99,22 @@ def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:
             else:
                 number = session_host.open_cloud(shot.cloud.key, shot.cloud.version, shot.cloud.arrays)
             instances.append(
-                Instance(number, shot.controls.validate(), shot.model_to_world, hair=shot.hair, response=shot.response)
+                Instance(number, shot.controls.validate(), shot.model_to_world, hair=hair_of(shot), response=shot.response)
             )
         except GrmmError as error:
             raise type(error)(f"{shot.name}: {error}") from error
     return instances
+
+
+def hair_of(shot: AvatarShot, moves: bool = True) -> HairUse:
+    """Return what an avatar wears, with its strands handed to the session.
+
+    Args:
+        shot: The avatar.
+        moves: Strands stand where Blender has them in this frame; else they follow the head from how they are at rest.
+    """
+    strands = shot.strands
+    if strands is None:
+        return shot.hair
+    groom = session_host.put_groom(strands.key, strands.version, strands.groom)
+    return HairUse(groom, shot.hair.settings, strands.points if moves else None)

@@ -121,6 +121,7 @@ class GRMM_PT_passes(_EnginePanel, bpy.types.Panel):
         column.prop(context.view_layer, "use_pass_z", text="Depth")
         column.prop(extra, "use_normal")
         column.prop(extra, "use_mask")
+        column.prop(extra, "use_hair")
         column = layout.column(heading="Model")
         column.prop(extra, "use_raw")
         column.prop(extra, "use_features")

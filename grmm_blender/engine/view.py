@@ -105,6 +105,9 @@ class ViewRenderer:
             return "No visible avatar"
         if self._picture is None:
             return session_host.loading("Loading the model")
+        note = "" if self._scene is None else next((shot.note for shot in self._scene.shot.avatars if shot.note), "")
+        if note:
+            return note
         return "Preview" if self._picture.level == "preview" else ""
 
     def start_again(self) -> None:

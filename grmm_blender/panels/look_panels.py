@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ...grmm_core.hair import SETTINGS
+from ..hair import message_of
 from ..properties import NO_HAIR, SCENE_LIGHT
 from ..rig.avatar import avatar_of
 from ..scene.lights import unread_world
@@ -63,9 +64,16 @@ class GRMM_PT_hair(_LookPanel):
             return
         layout, settings = self.layout, avatar.object.grmm.hair
         layout.use_property_split = not is_narrow(context)
-        layout.prop(settings, "groom")
+        choice = layout.column()
+        choice.active = settings.curves is None
+        choice.prop(settings, "groom")
+        layout.prop(settings, "curves")
+        layout.operator("grmm.hair_as_curves", icon="SCULPTMODE_HLT")
+        message = message_of(settings.curves) if settings.curves is not None else ""
+        if message:
+            draw_text(layout, message, context, icon="ERROR")
         column = layout.column()
-        column.active = settings.groom != NO_HAIR
+        column.active = settings.curves is not None or settings.groom != NO_HAIR
         for row in SETTINGS:
             column.prop(settings, row.name, slider=True)
 

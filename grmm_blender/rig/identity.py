@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...grmm_core.avatar import AssetReference, load_avatar
+from ...grmm_core.avatar import AssetReference, Hair, load_avatar
 from ...grmm_core.avatar.library import DEFAULT_NAME, library_file, library_path
 from ...grmm_core.controls.table import EXPRESSION, SHAPE, Z_EXP, Z_ID
 from ...grmm_core.errors import FileAccessError, FileFormatError
@@ -88,10 +88,7 @@ def read_identity(source: str) -> Identity:
     Raises:
         FileAccessError, FileFormatError: The file is missing, damaged, or of a head model that is not installed.
     """
-    if source == DEFAULT_SOURCE:
-        source = str(library_path(DEFAULT_NAME))
-    else:
-        source = str(library_file(source) or source)
+    source = avatar_file(source)
     if source.startswith(session_host.SAMPLE_PREFIX):
         return _random_person(source)
     if source.startswith(FLAME_PREFIX):
@@ -114,6 +111,17 @@ def _random_person(source: str) -> Identity:
     sizes = code_sizes(weights.config, head)
     person = sampled_avatar(weights, sizes[1], int(source.removeprefix(session_host.SAMPLE_PREFIX)))
     return Identity(person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1])
+
+
+def avatar_file(source: str) -> str:
+    """Return the `.grmm` file of a source, and the source itself where it has none."""
+    return str(library_path(DEFAULT_NAME) if source == DEFAULT_SOURCE else library_file(source) or source)
+
+
+def own_hair(source: str) -> Hair | None:
+    """Return the strands that an avatar has of its own, None where its hair is in its Gaussians. Raises as `read_identity`."""
+    file = avatar_file(source)
+    return None if file.startswith((session_host.SAMPLE_PREFIX, FLAME_PREFIX)) else load_avatar(file).hair
 
 
 def load_head(reference: AssetReference) -> HeadModel:

@@ -10,10 +10,12 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from ...grmm_core.errors import GrmmError
 from ...grmm_core.hair import SETTINGS, HairSettings
 from ...grmm_core.light.shading import Response
 from ...grmm_core.session import HairUse
 from ...grmm_core.session.wearing import GROOM_PREFIX
+from ..hair import StrandShot, read_strands
 from ..properties import NO_HAIR, OWN_HAIR, SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
 from ..splats.cloud import carries_splats
@@ -84,11 +86,24 @@ class DrawnAvatar:
         """Copy the avatar as it is in the depsgraph's moment."""
         controls, cuts = self.avatar.controls(depsgraph), is_holdout(self.object, depsgraph.view_layer)
         settings = self.object.evaluated_get(depsgraph).grmm
+        hair, strands, note = self._hair(settings.hair, depsgraph)
         return AvatarShot(
-            self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts,
-            hair=_hair_use(settings.hair.groom, tuple(getattr(settings.hair, row.name) for row in SETTINGS)),
+            self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts, hair=hair, strands=strands, note=note,
             response=_response(settings),
         )  # fmt: skip
+
+    def _hair(
+        self, settings: bpy.types.PropertyGroup, depsgraph: bpy.types.Depsgraph
+    ) -> tuple[HairUse, StrandShot | None, str]:
+        """What the avatar wears, the strands of its curves, and what is wrong with them: then the groom is there instead."""
+        groom, strands, note = settings.groom, None, ""
+        if settings.curves is not None:
+            try:
+                strands = read_strands(self.object, settings.curves, depsgraph, self.avatar.model_to_world(depsgraph))
+                groom = NO_HAIR
+            except GrmmError as error:
+                note = str(error)
+        return _hair_use(groom, tuple(getattr(settings, row.name) for row in SETTINGS)), strands, note
 
 
 def place_of(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> HeadPlace:

@@ -18,7 +18,7 @@ from .shot import Occluder, Occluders
 from .visibility import is_holdout, is_rendered
 
 MESH_TYPES = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
-_SOLID_DISPLAYS = {"SOLID", "TEXTURED"}
+SOLID_DISPLAYS = {"SOLID", "TEXTURED"}
 
 _Key = tuple[int, int]
 
@@ -172,7 +172,7 @@ class OccluderReader:
 
 def drawn_triangles(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Occluder | None:
     """Return the surface of a mesh object that solid viewports draw, None where they draw none."""
-    if obj.display_type not in _SOLID_DISPLAYS:
+    if obj.display_type not in SOLID_DISPLAYS:
         return None
     evaluated = obj.evaluated_get(depsgraph)
     triangles = _read(evaluated, None).triangles

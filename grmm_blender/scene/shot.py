@@ -14,6 +14,7 @@ from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.light.lamps import Lighting
 from ...grmm_core.light.shading import Response
 from ...grmm_core.session import HairUse
+from ..hair import StrandShot
 from ..splats import CloudShot
 
 WEARS_ITS_OWN = HairUse()
@@ -31,6 +32,8 @@ class AvatarShot:
         holdout: It cuts a hole instead of being drawn.
         cloud: Its Gaussians, for a cloud.
         hair: What it wears; the same choice is the same object, so that shots can be compared.
+        strands: Curves in the place of the groom of `hair`; None: there are none.
+        note: One sentence about what it should wear and cannot, or "".
         response: How it takes the scene's light; None: it stays in the studio's.
     """
 
@@ -42,6 +45,8 @@ class AvatarShot:
     cloud: CloudShot | None = None
     hair: HairUse = WEARS_ITS_OWN
     response: Response | None = None
+    strands: StrandShot | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -199,6 +199,6 @@ def same_shot(one: AvatarShot, other: AvatarShot) -> bool:
         other.cloud and (other.cloud.key, other.cloud.version),
     ) or not np.array_equal(one.model_to_world, other.model_to_world):
         return False
-    if one.hair is not other.hair:
+    if one.hair is not other.hair or one.strands is not other.strands or one.note != other.note:
         return False
     return one.controls.key() == other.controls.key()

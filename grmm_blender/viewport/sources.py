@@ -15,8 +15,8 @@ from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.session import CloudArrays, RenderOptions
 from ...grmm_core.session.harmonics import harmonic_basis
 from .. import session_host
-from ..engine.pipeline import open_instances
-from ..scene.meshes import drawn_triangles
+from ..engine.pipeline import hair_of, open_instances
+from ..scene.meshes import SOLID_DISPLAYS, drawn_triangles
 from ..scene.shot import AvatarShot
 from ..scene.walk import Drawn, walk
 from .arrays import Picture, WorldGaussians
@@ -66,7 +66,8 @@ class DrawnScene:
             if isinstance(shot, GrmmError):
                 message = str(shot)
                 continue
-            shots.append(shot)
+            message = shot.note or message
+            shots.append(_without_curves(shot, drawn, space))
             if use_meshes:
                 meshes |= {mesh: self._surface(mesh) for mesh in drawn.meshes if _is_visible(mesh, space)}
         return ViewportShot(tuple(shots), tuple(part for parts in meshes.values() for part in parts), message)
@@ -118,7 +119,7 @@ def world_gaussians(shot: AvatarShot, camera: Camera, lod: int) -> WorldGaussian
         return WorldGaussians.place(arrays.means, arrays.quats, arrays.scales, arrays.opacities, colors, shot.model_to_world)
     info = session_host.open_avatar(shot.source)
     direction = view_direction(shot, camera)
-    found = session_host.get_session().gaussians(info.id, shot.controls.validate(), direction, lod, hair=shot.hair)
+    found = session_host.get_session().gaussians(info.id, shot.controls.validate(), direction, lod, hair=hair_of(shot))
     return WorldGaussians.place(found.means, found.quats, found.scales, found.opacities, found.colors, shot.model_to_world)
 
 
@@ -166,6 +167,15 @@ def _cloud_colors(arrays: CloudArrays, camera: Camera) -> np.ndarray:
         basis = harmonic_basis(offsets / np.linalg.norm(offsets, axis=-1, keepdims=True).clip(1e-12), degree)  # [N, K]
         colors[part] = np.einsum("nk,nkc->nc", basis.astype(np.float32), arrays.harmonics[part]) + 0.5
     return colors.clip(0.0)
+
+
+def _without_curves(shot: AvatarShot, drawn: Drawn, space: bpy.types.SpaceView3D) -> AvatarShot:
+    """A shot without the strands that the viewport draws itself, as Blender's curves: nothing is to be seen twice."""
+    if shot.strands is None:
+        return shot
+    curves = drawn.object.grmm.hair.curves
+    shown = curves is not None and curves.display_type in SOLID_DISPLAYS and curves.visible_in_viewport_get(space)
+    return replace(shot, strands=None) if shown else shot
 
 
 def _is_visible(obj: bpy.types.Object, space: bpy.types.SpaceView3D) -> bool:

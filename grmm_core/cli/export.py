@@ -166,7 +166,7 @@ def _content(
 ) -> tuple[Any, dict[str, int]]:  # fmt: skip
     """What is written, and how much of it there is; `report` hears of expressions that are evaluated one by one."""
     if target.name == "lam":
-        made = lam_avatar(session, avatar.id, controls, args.lod, report)
+        made = lam_avatar(session, avatar.id, controls, args.lod, report, hair_of(args))
         return made, {"gaussians": made.cloud.count, "morphs": len(made.mesh.morphs)}
     if target.holds == "splats":
         cloud = splat_cloud(session, avatar.id, controls, args.sh_degree, args.lod, hair_of(args))

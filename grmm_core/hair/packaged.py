@@ -13,7 +13,7 @@ from .groom import Groom
 from .roots import GROUPS, SCALP
 
 GROOM_FOLDER = Path(__file__).resolve().parent.parent / "assets" / "grooms"
-GROOM_SUFFIX = ".npz"
+GROOM_SUFFIX, PICTURE_SUFFIX = ".npz", ".jpg"
 HEAD = "open_head"
 _NAME = re.compile(r"[a-z0-9_]{1,40}")
 

@@ -80,6 +80,11 @@ class HairSettings:
         return self.length, self.density, self.thickness, self.curl, self.frizz
 
     @property
+    def keeps_shape(self) -> bool:
+        """Whether strands keep the course that they have."""
+        return self.length == 1.0 and self.curl == self.frizz == 0.0
+
+    @property
     def color_key(self) -> tuple[float, ...]:
         """What the strands' color depends on, besides light and eye."""
         return tuple(getattr(self, name) for name in PIGMENTS)

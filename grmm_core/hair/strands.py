@@ -70,9 +70,10 @@ class StrandBlock:
         """Of the parents on average, metres."""
         return float(np.linalg.norm(np.diff(self.points, axis=1), axis=2).sum(1).mean())
 
-    def styled(self, settings: HairSettings) -> np.ndarray:
-        """The parents' points [M, K, 3] with length, waves and frizz as set; continuous in the settings."""
-        points, count = self.points, self.points.shape[1]
+    def styled(self, settings: HairSettings, points: np.ndarray | None = None) -> np.ndarray:
+        """The parents' points, or others in their place, [M, K, 3] with length, waves and frizz as set; continuous in these."""
+        points = self.points if points is None else points
+        count = points.shape[1]
         t = np.linspace(0, 1, count, dtype=np.float32)
         if settings.curl < 0:
             points = points + np.float32(-settings.curl) * (smoothed(points) - points)

@@ -78,7 +78,9 @@ def flame_avatar(
     return GaussianAvatar(bound, replace(track, static_offset=fit.offset))
 
 
-def lam_avatar(session: Session, avatar_id: int, controls: Controls, lod: int = 0, report: Share = nobody) -> LamAvatar:
+def lam_avatar(
+    session: Session, avatar_id: int, controls: Controls, lod: int = 0, report: Share = nobody, hair: HairUse = _OWN
+) -> LamAvatar:
     """Return an avatar as LAM's viewer shows it: splats that the ARKit shapes move.
 
     Args:
@@ -87,9 +89,12 @@ def lam_avatar(session: Session, avatar_id: int, controls: Controls, lod: int = 
         controls: The person at rest.
         lod: As `Session.gaussians`.
         report: Hears how much is done.
+        hair: What the avatar wears.
     """
-    cloud = splat_cloud(session, avatar_id, controls, 0, lod)
-    morphs = _moved(lambda raised: session.gaussians(avatar_id, raised, lod=lod).means, controls, ARKIT_NAMES, report)
+    cloud = splat_cloud(session, avatar_id, controls, 0, lod, hair)
+    morphs = _moved(
+        lambda raised: session.gaussians(avatar_id, raised, lod=lod, hair=hair).means, controls, ARKIT_NAMES, report
+    )
     return LamAvatar(Mesh(cloud.means, vertex_triangles(cloud.count), morphs=morphs), cloud)
 
 

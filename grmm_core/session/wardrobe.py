@@ -269,7 +269,11 @@ class Wardrobe:
         def make() -> tuple[np.ndarray, np.ndarray]:
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
             if layer.points is not None:
-                return block.resampled(layer.groom, layer.points), axes
+                moved = block.resampled(layer.groom, layer.points)
+                if not settings.keeps_shape:
+                    local = np.einsum("mkj,mij->mki", moved - origin[:, None], axes)
+                    moved = np.matmul(block.styled(settings, local), axes) + origin[:, None]
+                return moved, axes
             key = (target.id, "styled", number, *layer.key, *settings.shape_key, *rest.mesh_key)
             local = evaluator.cache.get(key, styled)[0]
             return np.matmul(local, axes) + origin[:, None], axes

@@ -1,0 +1,157 @@
+"""A Curves object from a groom: on the head's surface, so that Blender's hair tools work on it, and moving with the head.
+
+Blender's node *Deform Curves on Surface* carries the curves along. It compares the evaluated head with its resting mesh, for
+which the head keeps its resting positions as an attribute.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+
+from ...grmm_core.avatar import AssetReference, Hair
+from ...grmm_core.hair import SETTINGS, Groom, HairSettings, library_groom
+from ...grmm_core.hair.pigment import albedos
+from ...grmm_core.hair.roots import SCALP
+from ..properties import NO_HAIR, OWN_HAIR
+from ..rig.avatar import Avatar
+from ..rig.identity import load_head, own_hair
+from ..rig.mesh import UV_NAME, to_blender
+from .display import AS_SPLATS
+from .read import DEFORM_NODE, UV_COORDINATE, resting_vertices
+
+GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"
+_GLOSS = 0.35  # roughness of the material
+
+
+def worn_hair(avatar: Avatar) -> Hair | None:
+    """Return the groom that an avatar wears where there are no curves, with the panel's settings; None for trained hair.
+
+    Raises:
+        GrmmError: The avatar's file cannot be read.
+    """
+    panel = avatar.object.grmm.hair
+    settings = settings_of(panel)
+    if panel.groom == NO_HAIR:
+        return Hair(None, settings)
+    if panel.groom != OWN_HAIR:
+        return Hair(library_groom(panel.groom), settings)
+    own = own_hair(avatar.source)
+    if own is None or not own.scalp:
+        return None
+    scalp = None if own.groom is None else own.groom.select(own.groom.groups == SCALP)
+    return Hair(scalp, own.settings if settings == HairSettings() else settings)
+
+
+def settings_of(panel: bpy.types.PropertyGroup) -> HairSettings:
+    """The sliders of the Hair panel."""
+    return HairSettings(*(getattr(panel, row.name) for row in SETTINGS))
+
+
+@contextlib.contextmanager
+def selected_curves(avatar: Avatar) -> Iterator[None]:
+    """Select the curves that an avatar's hair is, for Blender's exporters; a groom becomes curves for so long."""
+    head = avatar.object
+    obj, kept = head.grmm.hair.curves, head.add_rest_position_attribute
+    worn = worn_hair(avatar) if obj is None else None
+    made = make_curves(avatar, worn.groom, worn.settings) if worn is not None and worn.groom is not None else None
+    obj = obj or made
+    hidden = obj is not None and obj.hide_get()
+    try:
+        if obj is not None:
+            obj.hide_set(False)
+            obj.select_set(True)
+        yield
+    finally:
+        if made is not None:
+            data, materials = made.data, list(made.data.materials)
+            bpy.data.objects.remove(made)
+            bpy.data.hair_curves.remove(data)
+            for material in materials:
+                bpy.data.materials.remove(material)
+            head.add_rest_position_attribute = kept
+        elif obj is not None:
+            obj.hide_set(hidden)
+
+
+def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | None = None) -> bpy.types.Object:
+    """Return a Curves object that stands on an avatar's head and is linked where the head is.
+
+    Args:
+        avatar: Whose mesh can be changed.
+        groom: Its strands, or None for no curves yet.
+        settings: Give the material its color.
+    """
+    head = avatar.object
+    data = bpy.data.hair_curves.new(f"{head.name} hair")
+    data.surface, data.surface_uv_map = head, _uv_map(head)
+    if groom is not None and len(groom):
+        _fill(data, head, groom)
+    data.materials.append(_material(data.name, settings or HairSettings()))
+    obj = bpy.data.objects.new(data.name, data)
+    for collection in head.users_collection:
+        collection.objects.link(obj)
+    obj.parent = head
+    obj.display_type = AS_SPLATS
+    obj.lock_location = obj.lock_rotation = obj.lock_scale = (True, True, True)
+    head.add_rest_position_attribute = True
+    modifier = obj.modifiers.new(MODIFIER_NAME, "NODES")
+    modifier.node_group = _deform_group()
+    return obj
+
+
+def _fill(data: bpy.types.Curves, head: bpy.types.Object, groom: Groom) -> None:
+    """Write a groom's strands, as they are on the resting mesh."""
+    model = load_head(AssetReference(head.grmm.head_name))
+    frames = groom.frames(np.asarray(model.v_template, float), np.asarray(model.faces))
+    points = to_blender(groom.posed(frames, resting_vertices(head)))
+    corners = np.asarray(model.uv, np.float64)[np.asarray(model.uv_faces)[groom.triangles]]  # [N, 3, 2]
+    places = (corners * groom.weights[..., None]).sum(1).astype(np.float32)
+    ends = 0.5 * groom.widths[groom.strand_of_point]
+    radii = ends[:, 0] + (ends[:, 1] - ends[:, 0]) * groom.along
+    data.add_curves(groom.counts.tolist())
+    data.attributes["position"].data.foreach_set("vector", points.ravel())
+    for name, kind, domain, field, values in (
+        (UV_COORDINATE, "FLOAT2", "CURVE", "vector", places),
+        ("radius", "FLOAT", "POINT", "value", radii.astype(np.float32)),
+    ):
+        (data.attributes.get(name) or data.attributes.new(name, kind, domain)).data.foreach_set(field, values.ravel())
+    data.update_tag()
+
+
+def _uv_map(head: bpy.types.Object) -> str:
+    layers = head.data.uv_layers
+    return UV_NAME if UV_NAME in layers else layers.active.name if layers.active is not None else ""
+
+
+def _deform_group() -> bpy.types.NodeTree:
+    """The node group that makes curves follow their surface; one for all."""
+    known = bpy.data.node_groups.get(GROUP_NAME)
+    if known is not None and any(node.bl_idname == DEFORM_NODE for node in known.nodes):
+        return known
+    group = bpy.data.node_groups.new(GROUP_NAME, "GeometryNodeTree")
+    for way in ("INPUT", "OUTPUT"):
+        group.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    nodes = [group.nodes.new(kind) for kind in ("NodeGroupInput", DEFORM_NODE, "NodeGroupOutput")]
+    for number, node in enumerate(nodes):
+        node.location.x = 220.0 * number
+    for before, after in itertools.pairwise(nodes):
+        group.links.new(before.outputs[0], after.inputs[0])
+    group.is_modifier = True
+    return group
+
+
+def _material(name: str, settings: HairSettings) -> bpy.types.Material:
+    """What Cycles and EEVEE draw the curves with, in the color that the settings have now."""
+    material = bpy.data.materials.new(name)
+    color = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0].mean(0)
+    material.diffuse_color = (*color, 1.0)
+    material.use_nodes = True
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    shader.inputs["Base Color"].default_value = (*color, 1.0)
+    shader.inputs["Roughness"].default_value = _GLOSS
+    return material

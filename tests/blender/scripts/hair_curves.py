@@ -1,0 +1,155 @@
+"""Hair as Blender's curves: hair_curves.py WEIGHTS FOLDER. Reports what the test judges."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from render_support import heads, load_png, new_scene, render
+from support import module, report
+
+weights, folder = sys.argv[1], Path(sys.argv[2])
+scene = new_scene(weights)
+head = heads(scene)[0]
+rig = head.parent
+hair = head.grmm.hair
+avatars = module("grmm_blender.scene.avatars")
+exporting = module("grmm_blender.exporting")
+count = 0
+
+
+def shot() -> np.ndarray:
+    global count
+    count += 1
+    return load_png(render(folder / f"{count}.png"))
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Mean difference of two pictures, of 255."""
+    return float(np.abs(one - other).mean())
+
+
+def worn():
+    """The avatar as the scene shows it now."""
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    avatar = avatars.avatars_in(scene)[0]
+    return avatars.DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph)
+
+
+def splats(hair_use=None) -> np.ndarray:
+    host, found = module("grmm_blender.session_host"), worn()
+    use = module("grmm_blender.engine.pipeline").hair_of(found) if hair_use is None else hair_use
+    return host.get_session().gaussians(host.open_avatar(found.source).id, found.controls, hair=use).means
+
+
+# A groom becomes curves: the same picture, at rest and with the head turned and the face moving.
+hair.groom, hair.melanin = "crop", 0.4
+plain = shot()
+head["jawOpen"], head["browInnerUp"], head["shape"][1] = 0.5, 1.0, 2.0
+rig.pose.bones["neck"].rotation_euler = (0.2, 0.4, 0.1)
+rig.location.x += 0.02
+head.update_tag()
+turned = shot()
+bpy.ops.grmm.hair_as_curves(sculpt=False)
+curves, data = hair.curves, hair.curves.data
+turned_curves, strands = shot(), worn().strands
+at_rest = module("grmm_core.hair").library_groom("crop")
+report(
+    turned=apart(turned_curves, turned),
+    moved=apart(turned, plain),
+    count=[len(data.curves), len(at_rest)],
+    surface=data.surface == head,
+    shown=curves.display_type,
+    points=list(strands.points.shape),
+)
+hair.curves = None
+report(groom_again=apart(shot(), turned))
+hair.curves = curves
+
+# Combed: what the head's curves say is what is drawn, also where geometry nodes have the last word.
+original = np.empty(3 * len(data.points), np.float32)
+data.attributes["position"].data.foreach_get("vector", original)
+along = np.concatenate([np.linspace(0, 1, curve.points_length) for curve in data.curves])
+combed = original.reshape(-1, 3) + along[:, None] * np.array([0.0, 0.0, 0.05])
+data.attributes["position"].data.foreach_set("vector", combed.astype(np.float32).ravel())
+data.update_tag()
+rise = worn().strands.points - strands.points
+report(
+    comb=apart(shot(), turned_curves),
+    rise=float(np.linalg.norm(rise, axis=1).max()),
+    version=worn().strands.version != strands.version,
+)
+group = bpy.data.node_groups.new("Thin", "GeometryNodeTree")
+for way in ("INPUT", "OUTPUT"):
+    group.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+start, end = group.nodes.new("NodeGroupInput"), group.nodes.new("NodeGroupOutput")
+lift, drop = group.nodes.new("GeometryNodeSetPosition"), group.nodes.new("GeometryNodeDeleteGeometry")
+chance = group.nodes.new("FunctionNodeRandomValue")
+chance.data_type, drop.domain = "BOOLEAN", "CURVE"
+lift.inputs["Offset"].default_value = (0.0, 0.0, 0.01)
+group.links.new(start.outputs[0], lift.inputs["Geometry"])
+group.links.new(lift.outputs[0], drop.inputs["Geometry"])
+group.links.new(next(socket for socket in chance.outputs if socket.type == "BOOLEAN"), drop.inputs["Selection"])
+group.links.new(drop.outputs[0], end.inputs[0])
+whole = worn().strands
+curves.modifiers.new("Thin", "NODES").node_group = group
+thin = worn().strands
+report(thin=len(thin.groom) / len(whole.groom), thin_picture=float(shot()[..., 3].max()))
+again = worn().strands
+report(kept=again.version == thin.version, same_shot=again is thin)
+
+# Files: the avatar's own, with what nodes do; splats; curves in USD.
+file = folder / "combed.grmm"
+bpy.ops.grmm.save_avatar(filepath=str(file))
+saved = module("grmm_core.avatar").load_avatar(file)
+report(
+    saved=len(saved.hair.groom) / len(thin.groom),
+    saved_bytes=file.stat().st_size,
+    melanin=saved.hair.settings.melanin,
+    here=len(splats()),
+    bald=len(splats(module("grmm_core.session").HairUse("none"))),
+)
+bpy.ops.grmm.export_splats(filepath=str(folder / "hair.ply"), format=".ply", pose="FRAME", degree=0)
+exported = exporting.splats_of(avatars.avatars_in(scene)[0], bpy.context.evaluated_depsgraph_get(), exporting.SplatOptions(0))
+resting = exporting.splats_of(
+    avatars.avatars_in(scene)[0], bpy.context.evaluated_depsgraph_get(), exporting.SplatOptions(0, canonical=True)
+)
+report(exported=exported.count, resting=resting.count, ply=(folder / "hair.ply").stat().st_size > 60 * exported.count)
+bpy.context.view_layer.objects.active = rig
+bpy.ops.grmm.export_cache(filepath=str(folder / "hair.usda"), first=1, last=2)
+text = (folder / "hair.usda").read_text("utf-8")
+report(usd=text.count("def BasisCurves"))
+hair.curves = None
+bpy.ops.grmm.export_cache(filepath=str(folder / "groom.usda"), first=1, last=1)
+text = (folder / "groom.usda").read_text("utf-8")
+report(usd_groom=text.count("def BasisCurves"), left=len(bpy.data.hair_curves), own_error="")
+hair.curves = curves
+
+# Hidden in the viewport and in renders, curves still are hair.
+curves.modifiers.remove(curves.modifiers["Thin"])
+seen = shot()
+curves.hide_render = True
+report(hidden=apart(shot(), seen))
+curves.hide_render = False
+curves.hide_set(True)
+report(hidden_points=worn().strands.points is None)
+curves.hide_set(False)
+
+# Sliders of the shape change what the curves are, too.
+hair.length = 0.4
+report(short=float((shot()[..., 3] > 128).mean()), long=float((seen[..., 3] > 128).mean()))
+hair.property_unset("length")
+
+# Sculpt mode shows Blender's curves; out of it, splats alone.
+for other in list(bpy.context.selected_objects):
+    other.select_set(False)
+bpy.context.view_layer.objects.active = rig
+bpy.ops.grmm.hair_as_curves()
+bpy.context.view_layer.update()
+report(mode=curves.mode, active=bpy.context.object == curves, edited=curves.display_type)
+bpy.ops.object.mode_set(mode="OBJECT")
+bpy.context.view_layer.update()
+report(after=curves.display_type)

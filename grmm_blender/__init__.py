@@ -11,6 +11,7 @@ imports torch or numba, or knows the operators. What is registered stands in the
 ``session_host``                        the one model session of this process (in-process, or a worker interpreter)
 ``rig``                                 the avatar as a Python object; head mesh, armature, shape keys, drivers, controls
 ``splats``                              splat clouds: imported splat files and other projects' avatars
+``hair``                                strands as Blender's Curves object, read and made; the choice of grooms with pictures
 ``motion``                              face bones, Look At, blinking and breathing
 ``properties``                          settings of avatars on Blender's objects
 ``scene``                               a scene as plain values: avatars, clouds, meshes, world, cameras; walked once

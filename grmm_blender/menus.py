@@ -9,9 +9,10 @@ import bpy
 
 _SECTIONS = (
     ("add_head", "open_avatar"),
+    ("wear_hair", "hair_as_curves"),
     ("random_expression", "mirror", "reset", "random_identity", "make_independent", "select_controls"),
     ("apply_pose", "save_pose", "create_pose_library"),
-    ("import_performance",),
+    ("import_performance", "save_avatar"),
     ("composite_set_up", "composite_remove", "portrait_camera", "turntable", "contact_sheet"),
 )
 

@@ -10,14 +10,15 @@ from typing import Any
 import bpy
 
 from ..grmm_core.controls.names import JOINT_NAMES
-from ..grmm_core.hair import SETTINGS, groom_names
+from ..grmm_core.hair import SETTINGS
 from .declare import choice, flag, number, text
+from .hair import grooms
+from .hair.grooms import HAIR_ITEMS, OWN_HAIR, label_of
 from .rig.avatar import Avatar, is_avatar
 from .rig.build import add_missing_controls, show_source
 from .rig.identity import DEFAULT_SOURCE
 
 SCENE_LIGHT = "SCENE"  # item of `lighting`
-OWN_HAIR, NO_HAIR = "OWN", "NONE"  # items of `groom` besides the names of grooms
 
 
 @bpy.app.handlers.persistent
@@ -43,27 +44,48 @@ _LIVE: dict[str, Any] = {"override": {"LIBRARY_OVERRIDABLE"}, "update": _changed
 _FACTOR: dict[str, Any] = {"default": 1.0, "min": 0.0, "soft_max": 3.0, **_LIVE}
 
 
-def _label(name: str) -> str:
-    return name.replace("_", " ").title()
-
-
-_GROOMS = tuple((name, _label(name), f"Strands: {_label(name).lower()}") for name in groom_names())
+_pictured: list[tuple[str, str, str, str | int, int]] = []  # Blender does not keep the texts of a list that is made for it
 
 
 def _are_curves(_group: bpy.types.PropertyGroup, obj: bpy.types.Object) -> bool:
     return obj.type == "CURVES"
 
 
+def _pictured_items(_group: bpy.types.PropertyGroup, _context: bpy.types.Context) -> list[tuple[str, str, str, str | int, int]]:
+    """The items of hair with their pictures."""
+    if not _pictured:
+        _pictured[:] = [
+            (*item, "USER" if item[0] == OWN_HAIR else grooms.icon_of(item[0].lower()), number)
+            for number, item in enumerate(HAIR_ITEMS)
+        ]
+    return _pictured
+
+
+def _picked(self: bpy.types.PropertyGroup) -> int:
+    return [name for name, *_ in HAIR_ITEMS].index(self.groom)
+
+
+def _pick(self: bpy.types.PropertyGroup, value: int) -> None:
+    wear(self, HAIR_ITEMS[value][0])
+
+
+def wear(hair: bpy.types.PropertyGroup, groom: str) -> None:
+    """Have an avatar wear a groom, one of `HAIR_ITEMS`; curves that were its hair stay in the scene as what they are."""
+    hair.curves = None
+    hair.groom = groom
+
+
 class GRMM_PG_hair(bpy.types.PropertyGroup):
     """What hair an avatar wears: a groom, or curves; besides one number for each of the core's `SETTINGS`."""
 
-    groom: choice(
-        "Hair",
-        "What hair the avatar wears",
-        (OWN_HAIR, "Own", "The hair that it comes with"),
-        (NO_HAIR, "None", "A bald head"),
-        *_GROOMS,
-        **_LIVE,
+    groom: choice("Hair", "What hair the avatar wears", *HAIR_ITEMS, **_LIVE)
+    picked: bpy.props.EnumProperty(
+        name="Hair",
+        description="What hair the avatar wears, in the place of curves as well",
+        items=_pictured_items,
+        get=_picked,
+        set=_pick,
+        options=set(),
     )
     curves: bpy.props.PointerProperty(
         type=bpy.types.Object,
@@ -73,7 +95,7 @@ class GRMM_PG_hair(bpy.types.PropertyGroup):
         **_LIVE,
     )
     __annotations__ |= {
-        row.name: number(_label(row.name), row.text, default=row.default, min=row.low, max=row.high, **_LIVE)
+        row.name: number(label_of(row.name), row.text, default=row.default, min=row.low, max=row.high, **_LIVE)
         for row in SETTINGS
     }  # fmt: skip
 
@@ -136,9 +158,12 @@ def register() -> None:
     """Attach the groups to Blender's types."""
     bpy.types.Object.grmm = bpy.props.PointerProperty(type=GRMM_PG_avatar, name="GRMM Avatar", override={"LIBRARY_OVERRIDABLE"})
     bpy.app.handlers.load_post.append(_complete)
+    grooms.register()
 
 
 def unregister() -> None:
     """Take the groups back; the values stay in the files."""
+    grooms.unregister()
+    _pictured.clear()
     bpy.app.handlers.load_post.remove(_complete)
     del bpy.types.Object.grmm

@@ -171,6 +171,8 @@ class GRMM_MT_add(bpy.types.Menu):
         layout.operator(GRMM_OT_add_head.bl_idname, text="Random Person", icon="COMMUNITY").person = "RANDOM"
         layout.operator(GRMM_OT_open_avatar.bl_idname, text="Avatar File...", icon="FILE_FOLDER")
         layout.operator("grmm.add_flame_head", text="FLAME Head...", icon="MONKEY")
+        layout.separator()
+        layout.menu("GRMM_MT_add_hair", icon="CURVES")
 
 
 def _menu(self: bpy.types.Menu, context: bpy.types.Context) -> None:

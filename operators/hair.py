@@ -6,8 +6,10 @@ from typing import ClassVar
 
 import bpy
 
-from ..grmm_blender.declare import Operator, flag
+from ..grmm_blender.declare import Operator, choice, flag
 from ..grmm_blender.hair.build import make_curves, worn_hair
+from ..grmm_blender.hair.grooms import HAIR_ITEMS, icon_of
+from ..grmm_blender.properties import wear
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.hair import SETTINGS
@@ -61,4 +63,34 @@ class GRMM_OT_hair_as_curves(Operator):
         return {"FINISHED"}
 
 
-CLASSES = (GRMM_OT_hair_as_curves,)
+class GRMM_OT_wear_hair(Operator):
+    """Have the active avatar wear a groom of strands, whatever it wore."""
+
+    bl_label = "GRMM Hair"
+
+    groom: choice("Hair", "What hair the avatar wears", *HAIR_ITEMS)
+    poll = polls(active_avatar)
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Change what it wears."""
+        avatar = active_avatar(context)
+        wear(avatar.object.grmm.hair, self.groom)
+        avatar.tag_edited()
+        return {"FINISHED"}
+
+
+class GRMM_MT_add_hair(bpy.types.Menu):
+    """Grooms by their pictures."""
+
+    bl_idname = "GRMM_MT_add_hair"
+    bl_label = "Hair"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """List what there is."""
+        for name, label, _ in HAIR_ITEMS:
+            self.layout.operator(GRMM_OT_wear_hair.bl_idname, text=label, icon_value=icon_of(name.lower())).groom = name
+        self.layout.separator()
+        self.layout.operator(GRMM_OT_hair_as_curves.bl_idname, icon="SCULPTMODE_HLT")
+
+
+CLASSES = (GRMM_OT_hair_as_curves, GRMM_OT_wear_hair, GRMM_MT_add_hair)

@@ -1,14 +1,15 @@
 """Hair in a scene: strands as Blender's Curves object on the head's surface, read from it and made from a groom.
 
-``shot``    strands of one frame as plain values
+``strands`` strands of one frame as plain values
 ``read``    from an evaluated Curves object to a shot
 ``build``   a Curves object from a groom
 ``display`` whether viewports show curves or splats
+``grooms``  the choice of hair, with pictures
 """
 
 from __future__ import annotations
 
 from .read import message_of, read_strands
-from .shot import StrandShot
+from .strands import StrandShot
 
 __all__ = ["StrandShot", "message_of", "read_strands"]

@@ -17,11 +17,11 @@ from ...grmm_core.avatar import AssetReference, Hair
 from ...grmm_core.hair import SETTINGS, Groom, HairSettings, library_groom
 from ...grmm_core.hair.pigment import albedos
 from ...grmm_core.hair.roots import SCALP
-from ..properties import NO_HAIR, OWN_HAIR
 from ..rig.avatar import Avatar
 from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
 from .display import AS_SPLATS
+from .grooms import NO_HAIR, OWN_HAIR
 from .read import DEFORM_NODE, UV_COORDINATE, resting_vertices
 
 GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"

@@ -23,7 +23,7 @@ from ...grmm_core.hair.groom import MAX_POINTS
 from ...grmm_core.hair.roots import RootFrames
 from ...grmm_core.session import HEAD_TO_BLENDER
 from ..rig.identity import load_head
-from .shot import StrandShot
+from .strands import StrandShot
 
 DEFORM_NODE = "GeometryNodeDeformCurvesOnSurface"
 UV_COORDINATE = "surface_uv_coordinate"  # Blender's name for the place of a root

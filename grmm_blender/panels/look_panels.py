@@ -6,12 +6,14 @@ import bpy
 
 from ...grmm_core.hair import SETTINGS
 from ..hair import message_of
-from ..properties import NO_HAIR, SCENE_LIGHT
+from ..hair.grooms import NO_HAIR
+from ..properties import SCENE_LIGHT
 from ..rig.avatar import avatar_of
 from ..scene.lights import unread_world
 from ..width import draw_text, is_narrow
 from .twins import CATEGORY
 
+_PICTURE = 5.0  # heights of a button
 _FACTORS = ("light_intensity", "skin_gloss", "skin_scattering", "shadow_softness")
 
 
@@ -66,6 +68,7 @@ class GRMM_PT_hair(_LookPanel):
         layout.use_property_split = not is_narrow(context)
         choice = layout.column()
         choice.active = settings.curves is None
+        choice.template_icon_view(settings, "picked", show_labels=True, scale=_PICTURE, scale_popup=_PICTURE)
         choice.prop(settings, "groom")
         layout.prop(settings, "curves")
         layout.operator("grmm.hair_as_curves", icon="SCULPTMODE_HLT")

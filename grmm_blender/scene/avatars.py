@@ -16,7 +16,8 @@ from ...grmm_core.light.shading import Response
 from ...grmm_core.session import HairUse
 from ...grmm_core.session.wearing import GROOM_PREFIX
 from ..hair import StrandShot, read_strands
-from ..properties import NO_HAIR, OWN_HAIR, SCENE_LIGHT
+from ..hair.grooms import NO_HAIR, OWN_HAIR
+from ..properties import SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
 from ..splats.cloud import carries_splats
 from .shot import WEARS_ITS_OWN, AvatarShot

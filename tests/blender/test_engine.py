@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from blender_process import RunBlender
-from exr import read_exr
+from exr import layers_of, read_exr
 from PIL import Image
 from tolerances import CHANNEL_STEP
 
@@ -46,19 +46,9 @@ def test_cameras(render_script, blender_version):
         assert values["covered"] > 0.05, name
 
 
-def _layers(channels: dict[str, np.ndarray], layer: str) -> dict[str, np.ndarray]:
-    """Group EXR channels "Layer.Pass.C" to {"Pass": [H, W, C]} in the order of the pass's letters."""
-    order = "RGBAXYZW"
-    passes: dict[str, dict[str, np.ndarray]] = {}
-    for name, values in channels.items():
-        parts = name.removeprefix(f"{layer}.").split(".")
-        passes.setdefault(parts[0], {})[parts[-1]] = values
-    return {name: np.stack([part[c] for c in sorted(part, key=order.index)], -1) for name, part in passes.items()}
-
-
 def test_passes(render_script, blender_version, tmp_path):
     result = render_script("engine_passes.py", python=blender_version)
-    passes = _layers(read_exr(tmp_path / "passes.exr"), result["layer"])
+    passes = layers_of(read_exr(tmp_path / "passes.exr"), result["layer"])
     with np.load(tmp_path / "expected.npz") as archive:
         wanted = dict(archive)
     first, second = result["heads"]
@@ -79,7 +69,7 @@ def test_passes(render_script, blender_version, tmp_path):
 @pytest.mark.parametrize("kind", ["crop", "keep"])
 def test_border_is_a_part_of_the_full_picture(render_script, blender_version, tmp_path, kind):
     result = render_script("engine_passes.py", kind, python=blender_version)
-    passes = _layers(read_exr(tmp_path / "passes.exr"), result["layer"])
+    passes = layers_of(read_exr(tmp_path / "passes.exr"), result["layer"])
     with np.load(tmp_path / "expected.npz") as archive:
         wanted = archive["combined"]
     height, width = wanted.shape[:2]

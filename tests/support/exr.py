@@ -71,3 +71,13 @@ def _channels(block: bytes) -> list[tuple[str, np.dtype]]:
         found.append((block[position:end].decode(), _TYPES[kind]))
         position = end + 17
     return found
+
+
+def layers_of(channels: dict[str, np.ndarray], layer: str) -> dict[str, np.ndarray]:
+    """Group EXR channels "Layer.Pass.C" to {"Pass": [H, W, C]} in the order of the pass's letters."""
+    order = "RGBAXYZW"
+    passes: dict[str, dict[str, np.ndarray]] = {}
+    for name, values in channels.items():
+        parts = name.removeprefix(f"{layer}.").split(".")
+        passes.setdefault(parts[0], {})[parts[-1]] = values
+    return {name: np.stack([part[c] for c in sorted(part, key=order.index)], -1) for name, part in passes.items()}

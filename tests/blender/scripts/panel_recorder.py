@@ -47,6 +47,10 @@ class Recorder:
     def menu_contents(self, name: str) -> None:
         drawn(getattr(bpy.types, name), self).draw(bpy.context)
 
+    def template_icon_view(self, data: object, path: str, **_: object) -> None:
+        assert getattr(data, path)
+        self.notes["properties"].append(path)
+
     def separator(self) -> None:
         pass
 

@@ -1,0 +1,48 @@
+"""The choice of hair: what there is, and a small picture of each, which Blender reads when it is shown for the first time."""
+
+from __future__ import annotations
+
+import bpy
+import bpy.utils.previews
+
+from ...grmm_core.hair import groom_names
+from ...grmm_core.hair.packaged import PICTURE_SUFFIX, groom_folder
+
+OWN_HAIR, NO_HAIR = "OWN", "NONE"  # besides the names of grooms
+
+
+def label_of(name: str) -> str:
+    """What people read for the name of a groom or of a setting."""
+    return name.replace("_", " ").title()
+
+
+HAIR_ITEMS = (
+    (OWN_HAIR, "Own", "The hair that it comes with"),
+    (NO_HAIR, "None", "A bald head"),
+    *((name, label_of(name), f"Strands: {label_of(name).lower()}") for name in groom_names()),
+)
+_pictures: bpy.utils.previews.ImagePreviewCollection | None = None
+
+
+def icon_of(name: str) -> int:
+    """Icon of a groom's picture by the groom's name, 0 where there is none or nothing is drawn."""
+    path = groom_folder() / f"{name}{PICTURE_SUFFIX}"
+    if _pictures is None or bpy.app.background or not path.is_file():
+        return 0
+    if name not in _pictures:
+        _pictures.load(name, str(path), "IMAGE")
+    return int(_pictures[name].icon_id)
+
+
+def register() -> None:
+    """Be ready to read pictures."""
+    global _pictures
+    _pictures = bpy.utils.previews.new()
+
+
+def unregister() -> None:
+    """Forget the pictures."""
+    global _pictures
+    if _pictures is not None:
+        bpy.utils.previews.remove(_pictures)
+    _pictures = None

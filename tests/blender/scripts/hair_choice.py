@@ -1,0 +1,59 @@
+"""Choosing hair by its picture: hair_choice.py WEIGHTS FOLDER. Reports what the test judges."""
+
+from __future__ import annotations
+
+import sys
+
+import bpy
+from render_support import heads, new_scene
+from support import module, report
+
+scene = new_scene(sys.argv[1])
+head = heads(scene)[0]
+hair = head.grmm.hair
+packaged, grooms = module("grmm_core.hair.packaged"), module("grmm_blender.hair.grooms")
+pictures = sorted(packaged.groom_folder().glob(f"*{packaged.PICTURE_SUFFIX}"))
+names = packaged.groom_names()
+menus: list[str] = []
+
+
+class Layout:
+    """Stands in for UILayout: notes menus."""
+
+    def menu(self, name: str, **_: object) -> None:
+        menus.append(name)
+
+    def separator(self) -> None:
+        pass
+
+    def operator(self, name: str, **_: object) -> object:
+        return type("Entry", (), {})()
+
+
+class Menu:
+    """Stands in for a menu that is drawn."""
+
+    layout = Layout()
+
+
+bpy.types.GRMM_MT_add.draw(Menu, bpy.context)
+bpy.types.GRMM_MT_add_hair.draw(Menu, bpy.context)
+wore = []
+hair.picked = "afro"
+wore.append(hair.groom)
+bpy.ops.grmm.wear_hair(groom="bob")
+wore.append(hair.groom)
+wore.append(hair.picked)
+bpy.ops.grmm.hair_as_curves(sculpt=False)
+curves = hair.curves
+hair.picked = "long"
+report(
+    pictures=len([path for path in pictures if path.stem in (*names, "none")]),
+    grooms=len(names),
+    bytes=sum(path.stat().st_size for path in pictures),
+    items=[name for name, *_ in grooms.HAIR_ITEMS][:3],
+    wore=wore,
+    curves_gone=hair.curves is None and hair.groom == "long",
+    still_there=curves.name in scene.objects,
+    menus=menus,
+)

@@ -15,9 +15,19 @@ from typing import TYPE_CHECKING, Any
 from ..controls.frame import Controls
 from ..errors import RuntimeMissingError
 from ..geometry.camera import Camera
+from ..hair.packaged import HEAD
 from ..jobs.progress import Reporter
 from ..jobs.stages import BENCHMARK
-from ..session import EngineName, Instance, RenderOptions, create_session, has_plain_engine, has_torch, make_local_session
+from ..session import (
+    EngineName,
+    HairUse,
+    Instance,
+    RenderOptions,
+    create_session,
+    has_plain_engine,
+    has_torch,
+    make_local_session,
+)
 from . import bench_model, bench_splat
 from .common import add_events, add_model, positive_int
 
@@ -30,6 +40,7 @@ QUICK_REPEATS = 3
 FRAME_SIZE = 512
 RESOLUTIONS = (256, 512, 1024)
 LODS = (0, 1, 2)
+HAIR = ("none", "groom:crop", "groom:long")
 CONFIGURATIONS = ("paper", "base", "small")
 CONFIGURATION_SIZE = 1024
 
@@ -77,6 +88,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             "caching": lambda: caching(session, avatar.id, repeats),
             "resolution": lambda: scaling(session, avatar.id, repeats, resolutions, "size"),
             "detail": lambda: scaling(session, avatar.id, repeats, LODS, "lod"),
+            **({"hair": lambda: scaling(session, avatar.id, repeats, HAIR, "hair")} if avatar.head_name == HEAD else {}),
         }
         with args.console.progress(BENCHMARK) as show:
             report = Reporter(BENCHMARK, show)
@@ -161,17 +173,18 @@ def frames(session: LocalSession, avatar_id: int) -> dict[str, Callable[[], obje
     return {name: frame(name) for name in ("nothing", "camera", "expression", "everything")}
 
 
-def scaling(session: LocalSession, avatar_id: int, repeats: int, values: tuple[int, ...], what: str) -> dict[str, Any]:
-    """Time whole frames, with new expressions, over picture sizes or levels of detail; ratios to the first."""
+def scaling(session: LocalSession, avatar_id: int, repeats: int, values: tuple[Any, ...], what: str) -> dict[str, Any]:
+    """Time whole frames, with new expressions, over picture sizes, levels of detail or hair; ratios to the first."""
     step = iter(range(1 << 30))
 
-    def frame(value: int) -> Callable[[], object]:
+    def frame(value: Any) -> Callable[[], object]:
         size = value if what == "size" else FRAME_SIZE
         options = RenderOptions(lod=value if what == "lod" else 0)
+        hair = HairUse(value) if what == "hair" else HairUse()
 
         def draw() -> None:
             controls = Controls().set_named({"jawOpen": 0.001 * (next(step) % 500)})
-            session.render([Instance(avatar_id, controls)], Camera.orbit(size, size), options)
+            session.render([Instance(avatar_id, controls, hair=hair)], Camera.orbit(size, size), options)
 
         return draw
 

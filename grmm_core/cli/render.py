@@ -120,7 +120,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         first, last = args.frames or (0, len(frames) - 1)
         if first >= len(frames):
             raise ConfigError(f"The performance has {len(frames)} frames, from 0 on; there is no frame {first}.")
-        wearing = repeat(hair)
+        wearing: Iterator[HairUse] = repeat(hair)
         if args.hair_swing is not None and played is not None:
             simulated = frames if args.hair_swing else frames[: last + 1]  # a bake holds all
             wearing = _swinging(session, avatar, hair, simulated, played.fps, args.hair_swing)

@@ -28,6 +28,7 @@ OPACITY = 0.97
 CELL = 6.0  # px: of the coarse depth that says what the head hides
 SLACK = 0.004  # metres below the skin that still count as seen
 _MAX_CELLS = 128
+_STRANDS = 512  # of a task
 
 
 class StrandGaussians(NamedTuple):
@@ -106,6 +107,7 @@ def strand_gaussians(
         hiding: What the head hides, or None.
         direction: Without an eye, the unit vector towards it that colors are for, [3]; None is from the front.
     """
+    from ..compute.threads import TASKS, for_each, pieces
     from .strand_kernels import hide, pose, segments_forward, shade_into
 
     radii, there = block.level(share, settings)
@@ -114,15 +116,23 @@ def strand_gaussians(
     where = np.empty((count, segments + 1, 3), np.float32)
     light = np.empty((count, segments + 1, 4), np.float32)
     points, axes = (np.ascontiguousarray(part, np.float32) for part in (points, axes))
-    pose(points, axes, owner, block.spread[:count], block.light, where, light)
-    total = count * segments
-    made = StrandGaussians(*(np.empty((total, *shape), np.float32) for shape in ((3,), (4,), (3,), (), (3,))))
+    made = StrandGaussians(*(np.empty((count * segments, *shape), np.float32) for shape in ((3,), (4,), (3,), (), (3,))))
     numbers = _far(direction) if eye is None else eye.numbers()
-    segments_forward(where, radii, OPACITY * there, numbers, eye is not None, *made[:4])
-    if hiding is not None:
-        hide(made.means, numbers, hiding.depth, hiding.cell, hiding.left, hiding.top, SLACK, made.opacities)
     albedo = albedos(settings, block.lock[owner], block.chance[:count, 1:])
-    shade_into(where, albedo, light, made.opacities, numbers, settings.sheen, made.colors)
+    opacities = OPACITY * there
+    parts = pieces(count, _STRANDS, TASKS)
+
+    def draw(task: int) -> None:
+        own = slice(*parts[task])
+        rows = slice(own.start * segments, own.stop * segments)
+        pose(points, axes, owner[own], block.spread[own], block.light, where[own], light[own])
+        some = StrandGaussians(*(array[rows] for array in made))
+        segments_forward(where[own], radii[own], opacities[own], numbers, eye is not None, *some[:4])
+        if hiding is not None:
+            hide(some.means, numbers, hiding.depth, hiding.cell, hiding.left, hiding.top, SLACK, some.opacities)
+        shade_into(where[own], albedo[own], light[own], some.opacities, numbers, settings.sheen, some.colors)
+
+    for_each(len(parts), draw)
     return made
 
 

@@ -78,8 +78,8 @@ class RootFrames:
     def at(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Origins [N, 3] and axes as rows [N, 3, 3] (along, across, out of the skin) on posed vertices [V, 3]."""
         near = np.asarray(vertices, float)[self.members]
-        along = _unit((self.first[..., None] * near).sum(1))
-        across = (self.second[..., None] * near).sum(1)
+        both = np.matmul(np.stack([self.first, self.second], 1), near)  # [U, 2, 3]
+        along, across = _unit(both[:, 0]), both[:, 1]
         out = _unit(np.cross(along, across))
         axes = np.stack([along, np.cross(out, along), out], 1)
         origin = (np.asarray(vertices, float)[self.corners] * self.weights[..., None]).sum(1)

@@ -122,21 +122,17 @@ class Swing:
         if state is None or np.abs(targets[:, 0] - state.targets[:, 0]).max(initial=0.0) > JUMP:
             state, count = still, round(STEPS * SETTLE * self.fps)
         obstacles = (Obstacle(self._bodies[0], turn, shift), Obstacle(self._bodies[1], np.eye(3), np.zeros(3)))
-        dt = np.float32(1.0 / (STEPS * self.fps))
-        numbers = (
-            self._rates,
-            np.float32(2.0 * DAMPING) * self._rates,
-            self._loose,
-            self._lengths,
-            gravity,
-            count,
-            dt,
-            self._clear,
-        )
+        dt = 1.0 / (STEPS * self.fps)
+        drags = np.float32(2.0 * DAMPING) * self._rates
+        springs = self._rates, drags, self._loose, self._lengths, gravity
         if self.compiled:
-            swing_into(state.places, state.speeds, state.targets, targets, *numbers, *_numbers(obstacles))
+            moved, numbers = (state.places, state.speeds, state.targets, targets), _numbers(obstacles)
+            swing_into(*moved, *springs, count, np.float32(dt), self._clear, *numbers)
         else:
-            found = swing_readable(state.places, state.speeds, state.targets, targets, *numbers, obstacles)
+            found = swing_readable(
+                state.places, state.speeds, state.targets, targets, *springs, count=count, dt=dt, clear=self._clear,
+                obstacles=obstacles,
+            )  # fmt: skip
             state.places, state.speeds = (part.astype(np.float32) for part in found)
         self._state = _State(state.places, state.speeds, targets, gravity)
         result = np.zeros((len(self.groom), PLACES, 3), np.float32)

@@ -40,7 +40,10 @@ def _raised(
                 dz += share * field[i + a, j + b, k + c, 3]
     if height >= wanted or height < -F(BURIED):
         return x, y, z
-    push = min(F(SOFT) * (wanted - height), F(MOST)) / max(math.sqrt(dx * dx + dy * dy + dz * dz), F(1e-6))
+    push = F(SOFT) * (wanted - height)
+    if push > F(MOST):
+        push = F(MOST)
+    push /= math.sqrt(dx * dx + dy * dy + dz * dz) + F(1e-6)
     dx, dy, dz = dx * push, dy * push, dz * push
     x += motion[0, 0] * dx + motion[1, 0] * dy + motion[2, 0] * dz
     y += motion[0, 1] * dx + motion[1, 1] * dy + motion[2, 1] * dz

@@ -109,6 +109,7 @@ BENCHMARK = JobStages(
         Stage("caching", "What is kept"),
         Stage("resolution", "Sizes"),
         Stage("detail", "Levels of detail"),
+        Stage("hair", "Hair of strands"),
         Stage("worker", "Worker"),
         Stage("rasteriser", "Rasteriser", 3.0),
     ),

@@ -224,8 +224,8 @@ class Wardrobe:
                 points = self._on_lids(head, layer, settings, vertices, block, points)
             parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction))
         joined = StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-        drawn = joined.opacities > 0
-        return Gaussians(*(self._engine.array(array[drawn]) for array in joined))
+        drawn = np.flatnonzero(joined.opacities > 0)
+        return Gaussians(*(self._engine.array(array.take(drawn, 0)) for array in joined))
 
     def dressed(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn | None, direction: np.ndarray, lod: int

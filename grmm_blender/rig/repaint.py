@@ -78,6 +78,8 @@ def stop() -> None:
 def _look() -> float | None:
     """Timer: put a painting in its place, or have one made when the model draws already."""
     global _looks
+    if bpy.app.is_job_running("RENDER"):
+        return LOOK_SECONDS  # not under a render that reads the materials
     found = _painter.take()
     waiting = [avatar for avatar in map(Avatar, _heads()) if avatar.has_network and is_plain(avatar.object.data)]
     if found is not None:
@@ -97,7 +99,7 @@ def _look() -> float | None:
 
 def _heads() -> list[bpy.types.Object]:
     heads = (obj for obj in bpy.data.objects if obj.type == "MESH" and obj.grmm.is_avatar)
-    return [obj for obj in heads if obj.is_editable and obj.data.is_editable]
+    return [obj for obj in heads if obj.is_editable and obj.data.is_editable and obj.mode == "OBJECT"]
 
 
 def _painting(source: str) -> np.ndarray:

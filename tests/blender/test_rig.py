@@ -74,6 +74,7 @@ def test_the_mesh_alone_is_painted_as_a_face(structure):
     assert max(abs(a - b) for a, b in zip(first["pixels"], second["pixels"], strict=True)) > 0.03
     assert structure["painted"]["kept"] == "of the user"
     assert structure["painted"]["plain"] != structure["painted"]["runtime"]  # drawn by the model where it can be
+    assert structure["painted"]["by_timer"] == [True, True, not structure["painted"]["runtime"]]
     before, after = structure["painted"]["left"]
     assert before == after  # a new painting takes the place of the old one
 

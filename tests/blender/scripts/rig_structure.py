@@ -169,7 +169,17 @@ def painted() -> dict:
     count = len(bpy.data.materials), len(bpy.data.images)
     module("grmm_blender.rig.build").change_identity(avatar, module("grmm_blender.rig.identity").read_identity("sample:4"))
     again = len(bpy.data.materials), len(bpy.data.images)
-    made = {"random": random, "plain": was_plain, "left": [count, again]}
+    repaint = module("grmm_blender.rig.repaint")
+    at_once, repaint.ask = repaint.ask, lambda avatar: None
+    module("grmm_blender.rig.build").change_identity(avatar, module("grmm_blender.rig.identity").read_identity("sample:3"))
+    repaint.ask, repaint._looks = at_once, 99
+    by_timer = []
+    for _ in range(2):  # as in a window: the first look has it painted on a thread, the second puts it in its place
+        by_timer.append(module("grmm_blender.rig.materials").is_plain(mesh))
+        repaint._look()
+        repaint._painter.wait(120)
+    by_timer.append(module("grmm_blender.rig.materials").is_plain(mesh))
+    made = {"random": random, "plain": was_plain, "left": [count, again], "by_timer": by_timer}
     runtime = module("grmm_blender.session_host").runtime_status().available
     return {"first": first, "second": second, "kept": kept, "runtime": runtime, **made}
 

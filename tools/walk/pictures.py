@@ -10,10 +10,9 @@ from pathlib import Path
 from PIL import Image
 
 from .blender import WalkedBlender
-from .steps import MIDDLE, add_head, install, open_panels, place, scroll_sidebar, start
+from .steps import HEAD, LAMP, STRANDS, STUDIO, add_head, install, open_panels, place, scroll_sidebar, start
 
 WAIT = 60.0  # seconds for splats, the first time
-SCROLLS = 14  # clicks of the wheel from the upper panels to the lower ones
 _SMILE = """
 head = next(o for o in bpy.context.scene.objects if "jawOpen" in o.keys())
 for name, value in {"mouthSmile": 0.65, "cheekSquint": 0.4}.items():
@@ -58,13 +57,10 @@ def take(blender: WalkedBlender, extension: Path, output: Path) -> None:
     blender.run(f"{_SIDEBAR}.active_panel_category = 'GRMM'\narea.tag_redraw()")
     _cut(blender, output / "window_rig.png", None, WAIT)
     _cut(blender, output / "panel_expression.png", "UI", 2)
-    left, top, right, bottom = place(blender, "UI")
-    for _ in range(SCROLLS):
-        blender.click((left + right) // 2, (top + bottom) // 2, 5)
-    blender.move(*MIDDLE)
-    _cut(blender, output / "panel_detail.png", "UI", 2)
+    blender.run(HEAD + STRANDS + LAMP)
     scroll_sidebar(blender)
-    _cut(blender, output / "panel_look.png", "UI", 2)
+    _cut(blender, output / "panel_detail.png", "UI", 5)
+    blender.run(HEAD + STUDIO)
     blender.run("area.spaces.active.show_region_ui = False\nbpy.ops.object.select_all(action='DESELECT')\n" + _CUBES)
     _cut(blender, output / "viewport_solid.png", "WINDOW", 10)
     blender.run(_HANDLES)

@@ -21,7 +21,7 @@ MIDDLE = (500, 400)  # pixels: in the viewport, beside its panels
 PHOTO = Path(__file__).resolve().parents[2] / "tests" / "data" / "photos" / "astronaut.jpg"
 RENDER_SECONDS, POSES_SECONDS, ESCAPE_SECONDS = 400.0, 400.0, 20.0
 SCROLLS = 60  # clicks of the wheel from the sidebar's upper panels to its end
-_HEAD = "head = next((o for o in bpy.context.scene.objects if 'jawOpen' in o.keys()), None)\n"
+HEAD = "head = next((o for o in bpy.context.scene.objects if 'jawOpen' in o.keys()), None)\n"
 _SELECT = """
 rig = next(o for o in bpy.context.scene.objects if o.type == "ARMATURE")
 bpy.ops.object.select_all(action="DESELECT")
@@ -35,12 +35,13 @@ for name in ("GRMM_PT_hair", "GRMM_PT_light"):
     panel.bl_options = set()
     bpy.utils.register_class(panel)
 """
-_STRANDS = """
+STRANDS = """
 head.grmm.hair.groom = "bob"
 head.grmm.hair.curl = 0.5
 head.grmm.hair.melanin = 0.3
 """
-_LAMP = """
+LAMP = """
+from mathutils import Vector
 head.grmm.lighting = "SCENE"
 lamp = next(o for o in bpy.context.scene.objects if o.type == "LIGHT")
 lamp.data.energy, lamp.data.shadow_soft_size = 30.0, 0.1
@@ -51,7 +52,7 @@ part = next(part for part in area.regions if part.type == {kind!r})
 result = [part.x, window.height - part.y - part.height, part.x + part.width, window.height - part.y]
 """
 _KEYED = "result = [head is not None, bool(head and head.animation_data and head.animation_data.action)]"
-_STUDIO = "head.grmm.lighting = 'STUDIO'; head.grmm.hair.groom = 'OWN'"
+STUDIO = "head.grmm.lighting = 'STUDIO'; head.grmm.hair.groom = 'OWN'"
 _DRAWN = """
 image = bpy.data.images.get("Render Result")
 result = bool(image and image.has_data) and not bpy.app.is_job_running("RENDER")
@@ -139,9 +140,9 @@ def panels(blender: WalkedBlender) -> None:
 
 def look(blender: WalkedBlender) -> None:
     """Choose hair of strands and change it by sliders, let the scene's lamp light the head, press F12."""
-    blender.run(_HEAD + _STRANDS)
+    blender.run(HEAD + STRANDS)
     blender.picture("hair", 10)
-    blender.run("from mathutils import Vector\n" + _HEAD + _LAMP)
+    blender.run(HEAD + LAMP)
     blender.run("area.spaces.active.shading.type = 'RENDERED'")
     blender.picture("light", 15)
     blender.run("area.spaces.active.shading.type = 'SOLID'")
@@ -150,7 +151,7 @@ def look(blender: WalkedBlender) -> None:
     _f12(blender)
     blender.picture("look_render", 2)
     _close_windows(blender)
-    blender.run(_HEAD + _STUDIO)
+    blender.run(HEAD + STUDIO)
 
 
 def open_panels(blender: WalkedBlender) -> None:
@@ -174,7 +175,7 @@ def place(blender: WalkedBlender, kind: str) -> tuple[int, int, int, int]:
 
 def sliders(blender: WalkedBlender) -> None:
     """Set sliders, as dragging them does."""
-    blender.run(_HEAD + "head['jawOpen'] = 0.6; head['mouthSmileLeft'] = 0.8; head.update_tag(); area.tag_redraw()")
+    blender.run(HEAD + "head['jawOpen'] = 0.6; head['mouthSmileLeft'] = 0.8; head.update_tag(); area.tag_redraw()")
     blender.picture("sliders", 5)
 
 
@@ -260,10 +261,10 @@ def undo(blender: WalkedBlender) -> None:
     blender.move(*MIDDLE)
     blender.key("ctrl", "z")
     blender.picture("undone", 4)
-    has_head, has_keys = blender.run(_HEAD + _KEYED)
+    has_head, has_keys = blender.run(HEAD + _KEYED)
     blender.key("ctrl", "shift", "z")
     blender.picture("redone", 4)
-    again = blender.run(_HEAD + _KEYED)
+    again = blender.run(HEAD + _KEYED)
     if not has_head or has_keys or again != [True, True]:
         raise WalkError(f"head and keys after undo are {has_head} and {has_keys}, after redo {again}")
 

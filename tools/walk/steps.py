@@ -52,7 +52,7 @@ part = next(part for part in area.regions if part.type == {kind!r})
 result = [part.x, window.height - part.y - part.height, part.x + part.width, window.height - part.y]
 """
 _KEYED = "result = [head is not None, bool(head and head.animation_data and head.animation_data.action)]"
-STUDIO = "head.grmm.lighting = 'STUDIO'; head.grmm.hair.groom = 'OWN'"
+STUDIO = "head.grmm.lighting = 'STUDIO'\nfor name in ('groom', 'curl', 'melanin'):\n    head.grmm.hair.property_unset(name)"
 _DRAWN = """
 image = bpy.data.images.get("Render Result")
 result = bool(image and image.has_data) and not bpy.app.is_job_running("RENDER")

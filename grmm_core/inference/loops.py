@@ -16,6 +16,12 @@ from ..model.packing import BLOCK
 from ..model.placing import HEIGHT, QW, QX, QY, QZ, WIDTH, X
 
 _OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
+# Pictures are crops or whole: with the types named one compiled form takes both.
+_PICTURE, _CHANNELS, _PLANES = "float32[:, :]", "float32[:, :, :]", "float32[:, :, ::1]"
+_FOLD_PIXELS = (
+    f"void({_CHANNELS}, {_CHANNELS}, {_PICTURE}, int64, float32[:, ::1], float32[::1], float32, {_PLANES}, int64, int64)"
+)
+_UNFOLD_RESIDUAL = f"void({_CHANNELS}, {_PICTURE}, {_PLANES}, int64, {_PLANES}, int64, int64)"
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
 _TINY = np.float32(1e-9)  # metres per unit of UV; keeps frames of degenerate triangles defined
 _BLOCKS = 128  # of a row of folded pixels at a time: what the layer sees of them stays in the nearest cache
@@ -55,6 +61,15 @@ def add_maps(weights: np.ndarray, maps: np.ndarray, out: np.ndarray, first: int,
 
 
 @compiled(nogil=True, **_OPTIONS)
+def _copy_columns(source: np.ndarray, out: np.ndarray) -> None:
+    """Transpose [n, C] into the first n columns of [C, >= n]."""
+    for channel in range(source.shape[1]):
+        column, target = source[:, channel], out[channel]
+        for x in range(len(column)):
+            target[x] = column[x]
+
+
+@compiled(nogil=True, signature_or_function=_FOLD_PIXELS, **_OPTIONS)
 def fold_pixels(
     rgb: np.ndarray, features: np.ndarray, depth: np.ndarray, fold: int, weight: np.ndarray, bias: np.ndarray,
     slope: np.float32, out: np.ndarray, first: int, last: int,
@@ -101,16 +116,7 @@ def fold_pixels(
                     target[x] = max(total[x], slope * total[x])
 
 
-@compiled(nogil=True, **_OPTIONS)
-def _copy_columns(source: np.ndarray, out: np.ndarray) -> None:
-    """Transpose [n, C] into the first n columns of [C, >= n]."""
-    for channel in range(source.shape[1]):
-        column, target = source[:, channel], out[channel]
-        for x in range(len(column)):
-            target[x] = column[x]
-
-
-@compiled(nogil=True, **_OPTIONS)
+@compiled(nogil=True, signature_or_function=_UNFOLD_RESIDUAL, **_OPTIONS)
 def unfold_residual(
     rgb: np.ndarray, alpha: np.ndarray, residual: np.ndarray, fold: int, out: np.ndarray, first: int, last: int
 ) -> None:

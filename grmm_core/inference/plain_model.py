@@ -249,7 +249,7 @@ class PlainModel:
 
         fold, grid = self.config.refine_unshuffle, refinement_grid(self.config)
         rows, columns = (-(-size // grid) * grid // fold for size in alpha.shape)
-        weight, bias = (self._file.arrays[f"refinement.entry.{name}"] for name in ("weight", "bias"))
+        weight, bias = (self._file.arrays[f"refinement.entry.{name}"].copy() for name in ("weight", "bias"))
         weight = np.pad(weight, ((0, 0), (0, -weight.shape[1] % 4)))
         entered = np.empty((1, len(weight), rows, columns), np.float32)
         options = fold, weight, bias, np.float32(SLOPE), entered[0]

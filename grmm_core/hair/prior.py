@@ -38,8 +38,10 @@ STRANDS, STRAND_POINTS = 6000, 32
 THICKNESS = 0.00012  # metres, of a head of `HAIRS`
 HAIRS = 36000
 LOCKS = 420
+GATHER = 1.5  # exponent of the place along a strand by which it joins its lock
 LONGER = 1.5  # factor at most by which what lies between courses of several directions is too short
 ALONE = 0.015  # metres to the next hairs' tips at which a strand is a stray one
+FACE, FEW = np.array([(-0.045, -0.08, 0.06), (0.045, 0.045, 0.2)]), 0.04  # metres; so small a share of hair there strays
 SHORT, LONG = 0.012, 0.05  # metres: shorter hair lies in no locks, hair so much longer does
 KERNEL = 5  # known grooms among which one is drawn
 HALF_LIFE = 0.35  # how far, of the way to another one, draws go at most
@@ -173,6 +175,9 @@ class HairPrior:
             points[:, 1:] += (lift[:, None] * up).reshape(len(points), -1, 3)
         points = body.pushed(points)
         company = nearest(points[:, -1], points[:, -1], NEAR)[1][:, -1] < ALONE
+        before = ((points > FACE[0]) & (points < FACE[1])).all(2).any(1)
+        if before.mean() < FEW:
+            company &= ~before
         points, keep = points[company], np.flatnonzero(keep)[company]
         width = THICKNESS * HAIRS / STRANDS
         template, faces, count = np.asarray(self.head.v_template, float), np.asarray(self.head.faces), len(points)
@@ -256,7 +261,7 @@ def _in_locks(points: np.ndarray, strength: float, g: np.random.Generator) -> np
     """Draw strands [N, K, 3] towards the leader of their lock, more and more along them."""
     leaders = g.choice(len(points), min(LOCKS, len(points)), replace=False)
     own = leaders[nearest(points[leaders, 0], points[:, 0] + g.normal(0, 0.002, (len(points), 3)), 1)[0][:, 0]]
-    t = np.linspace(0, 1, points.shape[1])[None, :, None] ** 0.8
+    t = np.linspace(0, 1, points.shape[1])[None, :, None] ** GATHER
     length = np.linalg.norm(points[:, -1] - points[:, 0], axis=1)
     pull = np.clip(strength, 0.0, 0.95) * np.clip((length - SHORT) / LONG, 0.0, 1.0)
     pull = pull * (np.linalg.norm(points[own, -1] - points[:, -1], axis=1) < 0.5 * length + 0.01)

@@ -1,4 +1,4 @@
-"""Long hair that lags behind a moving head and swings: a simulation that is the same wherever it is computed. Numba or numpy.
+"""Long hair that lags behind a moving head and swings: a simulation that gives the same each time. Numba or numpy.
 
 What swings are a few places along each strand. Each is drawn to where the groom has it on the posed head by a damped spring
 that is the slower the farther from the root it is, as a pendulum of that length would be; gravity counts by how it has turned

@@ -26,6 +26,7 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import present, to_numpy
 from ..geometry.rotations import euler_to_matrix
 from ..hair.groom import Groom
+from ..hair.packaged import HEAD
 from ..head.skinning import joint_transforms
 from ..model.people import default_avatar, sampled_avatar
 from ..model.portrait import THUMBNAIL_PIXELS, portrait_camera
@@ -51,7 +52,7 @@ from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .painter import painted
 from .sources import SourceKey, source_key
-from .wardrobe import Wardrobe
+from .wardrobe import Wardrobe, random_hair
 
 CACHE_BYTES = 512 << 20
 FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
@@ -248,6 +249,8 @@ class LocalSession:
         loaded = self.engine.store.default()
         size = loaded.model.z_exp_size
         made = sampled_avatar(loaded.info, size, int(key.name)) if key.kind == "sample" else default_avatar(loaded.info, size)
+        if key.kind == "sample" and loaded.model.config.hairless and loaded.info.head_name == HEAD:
+            made = dataclasses.replace(made, hair=random_hair(int(key.name)))
         return self._add(made, loaded, key)
 
     def _file_of(self, key: SourceKey) -> Path | None:

@@ -129,6 +129,21 @@ def test_heads_trained_without_hair_have_brows_and_lashes_unless_their_file_says
     assert crop[40:80, 70:90].sum() < 1  # the record has no brows
 
 
+def test_random_people_of_heads_without_hair_wear_some_of_their_seed(session, monkeypatch):
+    plain = session.sample(71)
+    assert plain.hair is None
+    model = session.target(plain.id).model
+    monkeypatch.setattr(model, "config", model.config.replace(hairless=True))
+    one, other = session.sample(72), session.sample(-73)
+    assert one.hair != other.hair
+    hair = session.target(one.id).avatar.hair
+    assert set(np.unique(hair.groom.groups)) == {0, 1, 3}
+    seen = session.render([Instance(one.id)], CAMERA, RenderOptions(passes=("hair",)))["hair"]
+    assert seen.max() > 0.5
+    for info in (plain, one, other):
+        session.release(info.id)
+
+
 def test_points_that_a_host_moved_are_drawn_where_they_are(session):
     info = session.open("default")
     groom = library_groom("crop")

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import ClassVar
 
 import bpy
+import numpy as np
 
+from ..grmm_blender import exporting, session_host
 from ..grmm_blender.declare import Operator, choice, flag
 from ..grmm_blender.hair.build import make_curves, worn_hair
 from ..grmm_blender.hair.grooms import HAIR_ITEMS, icon_of
+from ..grmm_blender.hair.swing import bake_path, hair_key, place_of_head
 from ..grmm_blender.properties import wear
 from ..grmm_blender.rig.avatar import Avatar
+from ..grmm_blender.scene.avatars import DrawnAvatar
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.hair import SETTINGS
-from .common import Result, active_avatar, check_object_mode, polls, reports_errors, require
+from ..grmm_core.hair.swing import write_bake
+from ..grmm_core.session.swinging import swinging
+from .common import FrameRange, Result, active_avatar, check_object_mode, polls, reports_errors, require
+from .steps import Step, SteppedOperator, Steps
 
 SCULPT = "SCULPT_CURVES"  # Blender's mode
 
@@ -79,6 +87,47 @@ class GRMM_OT_wear_hair(Operator):
         return {"FINISHED"}
 
 
+class GRMM_OT_bake_swing(SteppedOperator, FrameRange, Operator):
+    """Simulate the active avatar's hair while the animation plays, and keep it in a file beside the blend file."""
+
+    bl_label = "Bake Swing"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    poll = polls(_combable)
+
+    def steps(self, context: bpy.types.Context) -> Steps:
+        """Walk through the frames, simulate on a thread, then write."""
+        avatar, scene, frames = _combable(context), context.scene, self.frames(context)
+        hair = avatar.object.grmm.hair
+        if hair.curves is not None:
+            raise ConfigError("This hair is curves; simulate them in Blender, or take them out of the Hair panel.")
+        file = bake_path(avatar.object.name)
+        path = Path(bpy.path.abspath(file))
+        hair.swing = False  # what is baked is the hair that follows the head
+        controls, places = [], []
+        with exporting.kept_frame(scene):
+            for found in exporting.sample_controls(avatar, scene, frames):
+                controls.append(found)
+                places.append(place_of_head(avatar.model_to_world(context.evaluated_depsgraph_get())))
+                yield Step(0.3 * len(controls) / len(frames))
+        depsgraph = context.evaluated_depsgraph_get()
+        use = DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph).hair
+        rate = scene.render.fps / scene.render.fps_base
+        session, info = session_host.get_session(), session_host.open_avatar(avatar.source)
+        uses = swinging(session, info, use, controls, rate, places)
+        rows: list[np.ndarray] = []
+        for number in range(len(frames)):
+            worn = yield Step(0.3 + 0.65 * number / len(frames), "Simulating", lambda stopped: next(uses))
+            if worn.swing is None:
+                raise ConfigError("This hair does not swing: it is in the avatar's Gaussians; choose a groom of strands.")
+            rows.append(worn.swing)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_bake(path, rows, frames[0], rate)
+        hair.swing_file, hair.swing_of, hair.swing = file, hair_key(avatar.object), True
+        avatar.tag_edited()
+        return f"Baked {len(frames)} frames of hair to {path.name}"
+
+
 class GRMM_MT_add_hair(bpy.types.Menu):
     """Grooms by their pictures."""
 
@@ -93,4 +142,4 @@ class GRMM_MT_add_hair(bpy.types.Menu):
         self.layout.operator(GRMM_OT_hair_as_curves.bl_idname, icon="SCULPTMODE_HLT")
 
 
-CLASSES = (GRMM_OT_hair_as_curves, GRMM_OT_wear_hair, GRMM_MT_add_hair)
+CLASSES = (GRMM_OT_hair_as_curves, GRMM_OT_wear_hair, GRMM_OT_bake_swing, GRMM_MT_add_hair)

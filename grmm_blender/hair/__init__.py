@@ -5,6 +5,7 @@
 ``build``   a Curves object from a groom
 ``display`` whether viewports show curves or splats
 ``grooms``  the choice of hair, with pictures
+``swing``   hair that was baked while an animation played
 """
 
 from __future__ import annotations

@@ -72,6 +72,10 @@ class GRMM_PT_hair(_LookPanel):
         choice.prop(settings, "groom")
         layout.prop(settings, "curves")
         layout.operator("grmm.hair_as_curves", icon="SCULPTMODE_HLT")
+        row = layout.row(align=True)
+        row.active = settings.curves is None
+        row.prop(settings, "swing")
+        row.operator("grmm.bake_swing", icon="REC")
         message = message_of(settings.curves) if settings.curves is not None else ""
         if message:
             draw_text(layout, message, context, icon="ERROR")

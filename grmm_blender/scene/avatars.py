@@ -17,6 +17,7 @@ from ...grmm_core.session import HairUse
 from ...grmm_core.session.wearing import GROOM_PREFIX
 from ..hair import StrandShot, read_strands
 from ..hair.grooms import NO_HAIR, OWN_HAIR
+from ..hair.swing import swung
 from ..properties import SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
 from ..splats.cloud import carries_splats
@@ -104,7 +105,10 @@ class DrawnAvatar:
                 groom = NO_HAIR
             except GrmmError as error:
                 note = str(error)
-        return _hair_use(groom, tuple(getattr(settings, row.name) for row in SETTINGS)), strands, note
+        use = _hair_use(groom, tuple(getattr(settings, row.name) for row in SETTINGS))
+        if settings.curves is None:
+            use, note = swung(use, self.object.evaluated_get(depsgraph), depsgraph.scene.frame_current_final)
+        return use, strands, note
 
 
 def place_of(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> HeadPlace:

@@ -31,6 +31,7 @@ STIFF = 1.3  # how much faster than a pendulum of its length hair swings back
 DAMPING = 0.25  # of critical, relative to the head
 SHORTEST = 0.012  # metres: nearer to the root nothing swings
 JUMP = 0.08  # metres that roots may move in a frame; more is a cut, after which hair is at rest
+CARRIED = 0.6  # metres, likewise, of a head that is carried
 SETTLE = 1.0  # seconds that a first frame is held before what follows
 SUNK = 0.003  # metres below the skin
 CLEARANCE = 0.001  # metres above the skin
@@ -109,19 +110,27 @@ class Swing:
         for vertices in poses:
             yield self.step(np.asarray(vertices, float))
 
-    def step(self, vertices: np.ndarray) -> np.ndarray:
-        """The next frame, see `frames`."""
+    def step(self, vertices: np.ndarray, place: np.ndarray | None = None) -> np.ndarray:
+        """The next frame, see `frames`.
+
+        Args:
+            vertices: The posed head, [V, 3].
+            place: From the space of the vertices to one that does not move, y up, for a head that is carried or turned as a
+                whole, its shoulders with it; rigid, [4, 4]. What comes out is in the space of the vertices all the same.
+        """
         from .swing_kernel import raise_into, swing_into
 
+        about, by = (np.eye(3), np.zeros(3)) if place is None else (place[:3, :3], place[:3, 3])
+        vertices = vertices @ about.T + by
         turn, shift = _rigid_motion(vertices[self._rigid], np.asarray(self.rest, float)[self._rigid])
         targets = np.ascontiguousarray(self._sparse.posed(self._frames, vertices).reshape(-1, PLACES, 3), np.float32)
         down = np.array([0.0, -GRAVITY, 0.0])
         gravity = (down - down @ turn).astype(np.float32)  # what is not in the groom already
         still = _State(targets.copy(), np.zeros_like(targets), targets, gravity)
         state, count = self._state, STEPS
-        if state is None or np.abs(targets[:, 0] - state.targets[:, 0]).max(initial=0.0) > JUMP:
+        if state is None or np.abs(targets[:, 0] - state.targets[:, 0]).max(initial=0.0) > (JUMP if place is None else CARRIED):
             state, count = still, round(STEPS * SETTLE * self.fps)
-        obstacles = (Obstacle(self._bodies[0], turn, shift), Obstacle(self._bodies[1], np.eye(3), np.zeros(3)))
+        obstacles = (Obstacle(self._bodies[0], turn, shift), Obstacle(self._bodies[1], about.T, -by @ about))
         dt = 1.0 / (STEPS * self.fps)
         drags = np.float32(2.0 * DAMPING) * self._rates
         springs = self._rates, drags, self._loose, self._lengths, gravity
@@ -141,7 +150,7 @@ class Swing:
             raise_into(points, self._clear, *_numbers(obstacles))
         else:
             points[:, 1:] = _outside(points[:, 1:], np.ones_like(self._loose[:, 1:]), self._clear[:, :, 1:], obstacles)
-        result[self._rows] = points - targets
+        result[self._rows] = (points - targets) @ about.astype(np.float32)
         return result
 
 

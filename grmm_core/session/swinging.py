@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import importlib.util
 from collections.abc import Iterator, Sequence
+
+import numpy as np
 
 from ..avatar.file import load_avatar
 from ..avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_path
 from ..controls.frame import Controls
-from ..errors import ShapeError
+from ..errors import RuntimeMissingError, ShapeError
 from ..hair.groom import Groom
 from ..hair.packaged import library_groom
 from ..hair.prior import random_groom
@@ -19,7 +22,10 @@ from .sources import DEFAULT_SOURCE
 from .wearing import GROOM_PREFIX, OWN_HAIR, RANDOM_PREFIX, HairUse
 
 
-def swinging(session: Session, avatar: AvatarInfo, use: HairUse, frames: Sequence[Controls], fps: float) -> Iterator[HairUse]:
+def swinging(
+    session: Session, avatar: AvatarInfo, use: HairUse, frames: Sequence[Controls], fps: float,
+    places: Sequence[np.ndarray | None] | None = None,
+) -> Iterator[HairUse]:  # fmt: skip
     """Simulate a performance from its first frame on.
 
     Args:
@@ -28,13 +34,17 @@ def swinging(session: Session, avatar: AvatarInfo, use: HairUse, frames: Sequenc
         use: What it wears.
         frames: All of the performance.
         fps: Frames a second.
+        places: Where the head is in each frame, see `Swing.step`; None: where it always is.
 
     Yields:
         What to wear in each frame.
 
     Raises:
+        RuntimeMissingError: Numba is not installed here; a worker may have it, but the simulation runs with its caller.
         ShapeError: Hair that stands on another head than the open one.
     """
+    if importlib.util.find_spec("numba") is None:
+        raise RuntimeMissingError("Hair is simulated with numba, which is not in this Python; install the zip that brings it.")
     groom = worn_groom(avatar, use)
     if groom is None or not frames:
         yield from [use] * len(frames)
@@ -43,8 +53,8 @@ def swinging(session: Session, avatar: AvatarInfo, use: HairUse, frames: Sequenc
     if head.name != avatar.head_name:
         raise ShapeError(f"Hair swings on the head {head.name}, not {avatar.head_name}; leave the swing out.")
     swing = Swing(head, groom, session.deform(avatar.id, frames[0].at_rest()).vertices, fps)
-    for controls in frames:
-        yield dataclasses.replace(use, swing=swing.step(session.deform(avatar.id, controls).vertices))
+    for controls, place in zip(frames, places or [None] * len(frames), strict=True):
+        yield dataclasses.replace(use, swing=swing.step(session.deform(avatar.id, controls).vertices, place))
 
 
 def worn_groom(avatar: AvatarInfo, use: HairUse) -> Groom | None:

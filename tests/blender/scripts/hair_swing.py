@@ -1,0 +1,71 @@
+"""Hair that swings: hair_swing.py WEIGHTS FOLDER. Reports what the test judges."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from render_support import heads, load_png, new_scene, render
+from support import module, report
+
+weights, folder = sys.argv[1], Path(sys.argv[2])
+scene = new_scene(weights)
+head = heads(scene)[0]
+rig, hair = head.parent, head.grmm.hair
+avatars = module("grmm_blender.scene.avatars")
+scene.frame_start, scene.frame_end = 1, 8
+
+
+def worn(frame: int, part: float = 0.0):
+    """The avatar as the scene shows it in a frame."""
+    scene.frame_set(frame, subframe=part)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    avatar = avatars.avatars_in(scene)[0]
+    return avatars.DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph)
+
+
+def message_of(call) -> str:
+    try:
+        call()
+    except RuntimeError as error:
+        return str(error)
+    return ""
+
+
+def shot(frame: int) -> np.ndarray:
+    scene.frame_set(frame)
+    return load_png(render(folder / f"{frame}_{int(hair.swing)}.png"))
+
+
+hair.groom = "long"
+start = rig.location.x
+for frame, x in ((1, 0.0), (3, 0.0), (6, 0.15), (8, 0.15)):  # the whole person is pushed aside
+    rig.location.x = start + x
+    rig.keyframe_insert("location", frame=frame)
+report(unsaved=message_of(bpy.ops.grmm.bake_swing))
+bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
+plain = shot(6)
+scene.frame_set(3)
+missing = message_of(bpy.ops.grmm.bake_swing)
+report(missing=missing)
+if missing:
+    sys.exit()
+kept = scene.frame_current
+swung = shot(6)
+offsets = [worn(frame).hair.swing for frame in range(1, 9)]
+sizes = [float(np.linalg.norm(one, axis=2).max()) for one in offsets]
+between = worn(5, 0.5).hair.swing
+report(
+    frame=kept, file=(folder / "grmm_hair").is_dir(), sizes=sizes, roots=float(np.abs(offsets[5][:, 0]).max()),
+    lag=float(offsets[4][:, -1, 0].mean()), apart=float(np.abs(plain - swung).mean()), same=worn(6).hair is worn(6).hair,
+    between=float(np.abs(between - 0.5 * (offsets[4] + offsets[5])).max()),
+)  # fmt: skip
+hair.groom = "bob"
+report(other=[worn(6).note, worn(6).hair.swing is None])
+hair.groom = "long"
+next((folder / "grmm_hair").iterdir()).write_bytes(b"spoilt")
+report(spoilt=[worn(6).note, worn(6).hair.swing is None, float(np.abs(shot(6) - plain).mean())])
+hair.groom = "NONE"
+report(bald=message_of(bpy.ops.grmm.bake_swing))

@@ -185,13 +185,17 @@ def is_avatar(obj: bpy.types.Object | None) -> bool:
 
 
 def avatar_of(obj: bpy.types.Object | None) -> Avatar | None:
-    """Return the avatar that an object belongs to: its head, or the armature of one; None for anything else."""
+    """Return the avatar that an object belongs to: its head, the armature of one, or the curves that are its hair."""
     if is_avatar(obj):
         return Avatar(obj)
     if obj is not None and obj.type == "ARMATURE":
         for child in obj.children:
             if is_avatar(child) and Avatar(child).armature == obj:
                 return Avatar(child)
+    if obj is not None and obj.type == "CURVES":
+        head = obj.data.surface
+        if is_avatar(head) and head.grmm.hair.curves == obj:
+            return Avatar(head)
     return None
 
 

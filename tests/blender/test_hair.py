@@ -55,6 +55,7 @@ def test_hair_is_what_blender_evaluates_of_curves(hair_script):
     assert found["short"] < 0.99 * found["long"]
     assert found["mode"] == "SCULPT_CURVES"
     assert found["active"]
+    assert found["combed_avatar"]  # panels show the avatar whose hair is combed
     assert [found["shown"], found["edited"], found["after"]] == ["WIRE", "TEXTURED", "WIRE"]
 
 

@@ -149,6 +149,7 @@ for other in list(bpy.context.selected_objects):
 bpy.context.view_layer.objects.active = rig
 bpy.ops.grmm.hair_as_curves()
 bpy.context.view_layer.update()
+report(combed_avatar=module("grmm_blender.rig.avatar").avatar_of(curves).object == head)
 report(mode=curves.mode, active=bpy.context.object == curves, edited=curves.display_type)
 bpy.ops.object.mode_set(mode="OBJECT")
 bpy.context.view_layer.update()

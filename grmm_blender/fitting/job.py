@@ -53,7 +53,7 @@ class FitStatus:
         progress: The newest; its picture is the photo beside the fit.
         faces: What was found in each photo so far, in their order.
         avatar: Path of the finished avatar.
-        message: One sentence for the user once it has ended otherwise than well.
+        message: For the user once it has ended: one sentence why otherwise than well, or what of the photos was left out.
     """
 
     state: State = "running"
@@ -190,7 +190,9 @@ def _after(status: FitStatus, event: dict[str, Any]) -> FitStatus:
         if not (event.get("avatar") or event.get("pictures")):
             raise ValueError("neither an avatar nor pictures are named")
         progress = replace(status.progress, fraction=1.0, seconds_left=0.0)
-        return replace(status, state="done", progress=progress, avatar=str(event.get("avatar") or ""))
+        said = event.get("warnings")
+        message = " ".join(map(str, said)) if isinstance(said, list) else ""
+        return replace(status, state="done", progress=progress, avatar=str(event.get("avatar") or ""), message=message)
     if kind == "error":
         return replace(status, state="failed", message=str(event["message"]))
     return status

@@ -135,7 +135,8 @@ def add_to_scene(context: bpy.types.Context) -> str:
     if bpy.ops.ed.undo_push.poll():  # of everything at once: a step from before the camera would take it away
         bpy.ops.ed.undo_push(message="Add Avatar from Photos")
     beside = ", beside the head that was there" if moved else ""
-    watched.note = f"{header.name} is in the scene{beside}, with a camera that shows the photo."
+    left_out = watched.job.status.message
+    watched.note = f"{header.name} is in the scene{beside}, with a camera that shows the photo. {left_out}".rstrip()
     return watched.note
 
 

@@ -149,9 +149,11 @@ def _fit(request: FitRequest, console: Console, stop: StopOnSignal) -> dict[str,
         except MemoryError as error:
             raise SessionError("There is not enough memory; choose the preset fast or close other programs.") from error
     console.line(f"Wrote {result.path} in {result.seconds:.0f} s; color error {np.mean(result.rmse):.3f} in the photos.")
+    for sentence in result.warnings:
+        console.line(sentence)
     console.line("It shows a real person: use it only with that person's agreement.")
     return {
         "file": str(result.path), "avatar": str(result.path), "name": result.avatar.name, "seconds": result.seconds,
         "rmse": list(result.rmse), "landmark_error": list(result.landmark_error),
-        "photos": [photo.name for photo in result.avatar.provenance.photos],
+        "warnings": list(result.warnings), "photos": [photo.name for photo in result.avatar.provenance.photos],
     }  # fmt: skip

@@ -51,6 +51,7 @@ class FitResult:
         rmse: Root mean square color error in each photo's view, inside the mask.
         landmark_error: Mean landmark distance of each photo relative to the eye distance.
         tracks: What tracking found in the photos.
+        warnings: Sentences about what of the photos is not painted on the person.
     """
 
     path: Path
@@ -59,6 +60,7 @@ class FitResult:
     rmse: tuple[float, ...]
     landmark_error: tuple[float, ...]
     tracks: tuple[PhotoTrack, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 def fit(
@@ -98,7 +100,7 @@ def fit(
         folder = prepare(job, request)
         done = False
         try:
-            avatar, tracks = _make(request, job, photos, masks, report, on_faces)
+            avatar, tracks, warnings = _make(request, job, photos, masks, report, on_faces)
             save_presented(avatar, request.output, request.weights or None, request.head or None)
             done = True
         except CancelledError as error:
@@ -109,14 +111,14 @@ def fit(
                 shutil.rmtree(folder, ignore_errors=True)
     report("finish", 1.0)
     rmse, landmark_error = (tuple(float(value) for value in avatar.tracking[key]) for key in ("rmse", "landmark_error"))
-    return FitResult(request.output, avatar, time.monotonic() - begin, rmse, landmark_error, tuple(tracks))
+    return FitResult(request.output, avatar, time.monotonic() - begin, rmse, landmark_error, tuple(tracks), tuple(warnings))
 
 
 def _make(
     request: FitRequest, job: Job, photos: Sequence[PhotoFile], masks: Sequence[PhotoFile], report: Reporter,
     on_faces: FacesCallback | None,
-) -> tuple[Avatar, list[PhotoTrack]]:  # fmt: skip
-    """The avatar, complete but not written, and what tracking found."""
+) -> tuple[Avatar, list[PhotoTrack], list[str]]:  # fmt: skip
+    """The avatar, complete but not written, what tracking found, and what is left out of the skin."""
     report.part("load")(0.0)
 
     from ..compute.devices import choose_device, limit_rasteriser_threads
@@ -125,6 +127,7 @@ def _make(
     from ..photo.parser import parse
     from .hair_stage import fit_hair, hair_view
     from .invert import invert, photo_errors
+    from .photo_targets import left_out
 
     if request.threads:
         import torch
@@ -152,7 +155,7 @@ def _make(
         tracking={**avatar.tracking, **{key: np.array(values, np.float32) for key, values in figures.items()}},
     )
     report.check()
-    return avatar, tracks
+    return avatar, tracks, left_out(tracks, head)
 
 
 def _tracks(

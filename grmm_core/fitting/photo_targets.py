@@ -9,6 +9,7 @@ Called by `code_stage`, `decoder_stage`, `invert` and the evaluation. Imports to
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,46 +20,23 @@ from torch.nn import functional
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head import HeadModel
-from ..pictures.sampling import bilinear
-from .outline import skin_map
+from ..photo.parser import PhotoParts, parse
 from .types import PhotoTrack
 
 MARGIN_SIDE, MARGIN_TOP, MARGIN_BOTTOM = 0.18, 0.22, 0.03  # of the head's height in the picture, around the mesh
 BODY_BELOW_CHIN = -0.1  # of the head's height: collars and shoulders may begin so far above the chin
 SURELY_BODY = 0.12  # likewise: below this it is clothes
-HAIR_NEARER = 0.7  # a pixel is hair where it is so much nearer to the hair's color than to the clothes'
-COLORS_DIFFER = 0.15  # distance of these colors from which they can be told apart
 BODY_MASK = 0.05  # coverage above which a pixel counts as the person's
 MESH_MARGIN = 0.015  # of the head's height by which the mesh is widened before what lies outside counts as body
-_CHIN_LANDMARK, _FOREHEAD_LANDMARK = 152, 10
+_CHIN_LANDMARK = 152
 _SIDE_LANDMARKS = (234, 454)  # the face's sides before the ears
-_MOUTH_LANDMARKS = (61, 291)
-_BEARD_LANDMARKS = (18, 199, 200, 32, 262)  # between lower lip and chin
-_SKIN_LANDMARKS = (
-    50,
-    280,
-    205,
-    425,
-    101,
-    330,
-    36,
-    266,
-    118,
-    347,
-    4,
-    195,
-    9,
-    151,
-    108,
-    337,
-    69,
-    299,
-)  # cheeks, nose, forehead
-HAIR_LATERAL = 0.6  # of the face's half width: dark pixels nearer to the middle are brows, eyes, stubble, not hair before skin
+_ALIEN = {"glasses": "What glasses cover", "hat": "The hat or scarf", "other": "What is in front of the person"}
+_LIKELY = 0.5  # share of a pixel from which it is taken for a thing
+ALIEN_RIM = 0.008  # of the head's height by which glasses, hats and things are widened: their shadow, and the picture's blur
+HAIR_LATERAL = 0.6  # of the face's half width: nearer to the middle a fringe is short
 RIM = 0.006  # of the picture's height: how far from the outline hair may have the background's colors
 CLOTHES_RIM = 0.02  # of the head's height by which clothes are widened: there the coarse bust blurs their edge
 _INNER = 0.9  # coverage
-_FEW_PIXELS = 30
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
 
@@ -148,7 +126,7 @@ def fit_view(
     vertices = head.vertices(track.shape, track.expression, pose)
     pixels = project(vertices, track.camera)
     left, top, right, bottom = head_window(pixels, track.camera)
-    parts = _parts(track, vertices[head.faces], pixels)
+    parts = _areas(track, parse(track, head), vertices[head.faces], pixels)
     weight = track.valid * (1.0 - parts.body)
     camera = track.camera.crop(left, top, right - left, bottom - top)
     scale = min(1.0, side / max(camera.width, camera.height))
@@ -194,11 +172,11 @@ def head_window(pixels: np.ndarray, camera: Camera) -> tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
-class _Parts:
+class _Areas:
     """What a working picture shows of the person, each [H, W] of 0 and 1.
 
     Attributes:
-        body: Parts that the model does not have.
+        body: Parts that the model does not have, and what is in front of the person.
         empty: Of these, clothes beside the bust.
         hair: Hair over the side of the face.
         clothes: On neck and bust.
@@ -210,8 +188,8 @@ class _Parts:
     clothes: np.ndarray
 
 
-def _parts(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> _Parts:
-    """Tell clothes, hair and skin apart by where they are and by their colors."""
+def _areas(track: PhotoTrack, parts: PhotoParts, triangles: np.ndarray, pixels: np.ndarray) -> _Areas:
+    """Tell what can be a target from what cannot, by where it is and what the parser says."""
     camera = track.camera
     height = float(np.ptp(pixels[:, 1]))
     covered = torch.tensor(triangle_depth(triangles, camera) < EMPTY, dtype=torch.float32)
@@ -220,51 +198,41 @@ def _parts(track: PhotoTrack, triangles: np.ndarray, pixels: np.ndarray) -> _Par
     down = camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])  # the head's down on the picture
     down = down / max(float(np.linalg.norm(down)), 1e-6)
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-    chin, forehead = (track.landmarks_fitted[i] for i in (_CHIN_LANDMARK, _FOREHEAD_LANDMARK))
+    chin = track.landmarks_fitted[_CHIN_LANDMARK]
     below = (columns - chin[0]) * down[0] + (rows - chin[1]) * down[1]
-    outside = (track.mask > BODY_MASK) & ~widened
-    above = (columns - forehead[0]) * down[0] + (rows - forehead[1]) * down[1] < -0.05 * height
-    hair = _median(track, (track.mask > 0.5) & above)
-    clothes = _median(track, (track.mask > 0.5) & outside & (below > SURELY_BODY * height))
-    body = outside & (below > BODY_BELOW_CHIN * height)
-    if hair is not None and clothes is not None and np.linalg.norm(hair - clothes) > COLORS_DIFFER:
-        nearer = np.linalg.norm(track.image - hair, axis=-1) < HAIR_NEARER * np.linalg.norm(track.image - clothes, axis=-1)
-        body &= ~(nearer & (below < SURELY_BODY * height))
+    person = track.mask > BODY_MASK
+    body = person & ~widened & (below > BODY_BELOW_CHIN * height)
+    body &= ~((parts.hair > _LIKELY) & (below < SURELY_BODY * height))
     empty = body.copy()
     # nor does the rim where the model's bust ends and the person goes on
-    body |= (track.mask > BODY_MASK) & widened_rest & (below > SURELY_BODY * height)
-    skin = skin_map(track.image, track.landmarks_fitted[list(_SKIN_LANDMARKS)])
-    dressed = _widened(torch.tensor((skin < 0.5) & (below > 0.0), dtype=torch.float32), max(1, round(CLOTHES_RIM * height)))
-    side = _side_hair(track, hair, skin, (columns, rows), down)
-    return _Parts(*(part.astype(np.float32) for part in (body, empty, side, dressed & (below > 0.0))))
+    body |= person & widened_rest & (below > SURELY_BODY * height)
+    alien = torch.from_numpy(((parts.glasses + parts.hat + parts.other) > _LIKELY).astype(np.float32))
+    body |= _widened(alien, max(1, round(ALIEN_RIM * height)))
+    dressed = _widened(torch.from_numpy((parts.clothes > _LIKELY).astype(np.float32)), max(1, round(CLOTHES_RIM * height)))
+    side = (parts.hair > _LIKELY) & _before_the_face(track, (columns, rows), down) & (below < 0.0) & (track.mask > 0.5)
+    return _Areas(*(part.astype(np.float32) for part in (body, empty, side, dressed & (below > 0.0))))
 
 
-def _side_hair(
-    track: PhotoTrack, hair: np.ndarray | None, skin: np.ndarray, pixels: tuple[np.ndarray, np.ndarray], down: np.ndarray
-) -> np.ndarray:
-    """Pixels of hair over cheeks, temples and ears, [H, W] bool: nearer to the hair's color than to that of the skin.
-
-    Below the mouth only of people without a beard: there the same colors can be skin's.
-    """
+def _before_the_face(track: PhotoTrack, pixels: tuple[np.ndarray, np.ndarray], down: np.ndarray) -> np.ndarray:
+    """Pixels above the chin and to the side of the face's middle, [H, W] bool."""
     marks = track.landmarks_fitted
-    tone = np.median(bilinear(track.image, marks[list(_SKIN_LANDMARKS)]), axis=0)
-    if hair is None or np.linalg.norm(hair - tone) < COLORS_DIFFER:
-        return np.zeros(skin.shape, bool)
     middle = 0.5 * (marks[_SIDE_LANDMARKS[0]] + marks[_SIDE_LANDMARKS[1]])
     half = 0.5 * float(np.linalg.norm(marks[_SIDE_LANDMARKS[1]] - marks[_SIDE_LANDMARKS[0]]))
     across = (pixels[0] - middle[0]) * -down[1] + (pixels[1] - middle[1]) * down[0]
-    distance = np.linalg.norm(track.image - hair, axis=-1) - np.linalg.norm(track.image - tone, axis=-1)
-    bearded = np.median(bilinear(distance, marks[list(_BEARD_LANDMARKS)])) < 0.0
-    end = marks[list(_MOUTH_LANDMARKS)].mean(0) if bearded else marks[_CHIN_LANDMARK]  # below it: a beard, or clothes
-    above = (pixels[0] - end[0]) * down[0] + (pixels[1] - end[1]) * down[1] < 0.0
-    return (distance < 0.0) & (np.abs(across) > HAIR_LATERAL * half) & (skin < 0.5) & above & (track.mask > 0.5)
+    return np.abs(across) > HAIR_LATERAL * half
+
+
+def left_out(tracks: Sequence[PhotoTrack], head: HeadModel) -> list[str]:
+    """Sentences for the user about what of the photos is not painted on the person."""
+    sentences = []
+    for track in tracks:
+        parts = parse(track, head)
+        for name, text in _ALIEN.items():
+            if (getattr(parts, name) > _LIKELY).any():
+                sentences.append(f"{text} in {track.source or 'the photo'} is left out of the skin.")
+    return sentences
 
 
 def _widened(mask: torch.Tensor, reach: int) -> np.ndarray:
     """Pixels within `reach` of a mask [H, W], bool."""
     return functional.max_pool2d(mask[None, None], 2 * reach + 1, 1, reach)[0, 0].numpy() > 0.5
-
-
-def _median(track: PhotoTrack, pixels: np.ndarray) -> np.ndarray | None:
-    """Middle color of some pixels, [3]; None of too few."""
-    return np.median(track.image[pixels], axis=0) if int(pixels.sum()) >= _FEW_PIXELS else None

@@ -25,6 +25,8 @@ from .person import guided_filter
 SIZE = 128
 REACH = 0.2  # metres from the head's origin that are 1 in the channels of place
 EDGE_RADIUS, EDGE_EPSILON = 1.0 / 96.0, 4e-4  # of the guided filter: share of the side, squared intensity
+LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller finds are dark eyes, buttons, shadows
+LEAST_HAT = 0.35  # of hat and hair together; a smaller part is hair in another light
 MESH_PARTS = {
     "eyes": ("left_eyeball", "right_eyeball"), "mouth": ("mouth_interior", "upper_teeth", "lower_teeth", "tongue"),
     "lips": ("lips",), "brows": ("brows",), "ears": ("ears",), "scalp": ("scalp",), "neck": ("neck",), "skin": (),
@@ -96,7 +98,7 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
     mesh = mesh_channels(head, vertices, track.camera.resized(SIZE, SIZE))
     with torch.no_grad():
         logits = load_parser(INPUTS, len(LABELS))(network_input(small, torch.from_numpy(mesh)[None]))
-        shares = functional.interpolate(logits.softmax(1), pixels.shape[2:], mode="bilinear", align_corners=False)
+        shares = functional.interpolate(_believed(logits.softmax(1)), pixels.shape[2:], mode="bilinear", align_corners=False)
         radius = max(1, round(max(pixels.shape[2:]) * EDGE_RADIUS))
         sharp = guided_filter(pixels[:, :3].mean(1, keepdim=True), shares[0, :, None], radius, EDGE_EPSILON)[:, 0].clamp_min(
             0.0
@@ -105,6 +107,19 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
         sharp[0] += 1.0 - pixels[0, 4]
         sharp = sharp / sharp.sum(0, keepdim=True).clamp_min(1e-6)
     return PhotoParts(*sharp.numpy())
+
+
+def _believed(shares: Tensor) -> Tensor:
+    """Give what is too small to be glasses, a hat or a thing to the other labels; shares [1, L, S, S]."""
+    seen = (shares > 0.5).sum((0, 2, 3)).double()
+    glasses, hat, other, hair, background = (LABELS.index(name) for name in ("glasses", "hat", "other", "hair", "background"))
+    person = shares[0, 0].numel() - seen[background]
+    kept = torch.ones(len(LABELS))
+    kept[glasses] = float(seen[glasses] > LEAST_GLASSES * person)
+    kept[other] = float(seen[other] > LEAST_THING * person)
+    kept[hat] = float(seen[hat] > LEAST_HAT * (seen[hat] + seen[hair]))
+    shares = shares * kept[:, None, None] + 1e-6
+    return shares / shares.sum(1, keepdim=True)
 
 
 def network_input(picture: Tensor, mesh: Tensor) -> Tensor:
@@ -146,6 +161,7 @@ def face_parts(head: HeadModel) -> np.ndarray:
     """Number of the part that each triangle of a head belongs to, by most of its corners, [F]."""
     owner = np.full(len(head.faces), len(MESH_PARTS) - 1)
     for number, regions in reversed(list(enumerate(MESH_PARTS.values()))):
-        inside = np.isin(head.faces, np.concatenate([head.regions[name] for name in regions if name in head.regions] or [[]]))
+        members = [head.regions[name] for name in regions if name in head.regions]
+        inside = np.isin(head.faces, np.concatenate([np.zeros(0, int), *members]))
         owner[inside.sum(1) >= 2] = number
     return owner

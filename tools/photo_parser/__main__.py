@@ -43,6 +43,7 @@ def main() -> None:
     teach.add_argument("folder", type=Path)
     teach.add_argument("--minutes", type=float, default=60)
     teach.add_argument("--seed", type=int, default=1)
+    teach.add_argument("--rate", type=float, default=2e-3, help="of learning, at first")
     teach.add_argument("--check", type=Path, help="folder of samples to measure on")
     teach.add_argument("--start", type=Path, help="network to go on from")
     teach.add_argument("-o", "--output", type=Path, default=ASSET)
@@ -66,7 +67,7 @@ def main() -> None:
     def keep(network: ParserNetwork) -> None:
         save_network(network, args.output, {"seed": str(args.seed), "minutes": f"{args.minutes:g}"})
 
-    network = train(args.folder, 60 * args.minutes, args.seed, _say, keep, start)
+    network = train(args.folder, 60 * args.minutes, args.seed, _say, keep, args.rate, start)
     keep(network)
     if args.check:
         _say("  ".join(f"{name} {value:.2f}" for name, value in overlaps(network, args.check).items()))

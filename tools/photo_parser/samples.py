@@ -96,9 +96,9 @@ class Maker:
         blocks = self._grooms[int(g.integers(len(self._grooms)))] if self._grooms else ()
         settings = _settings(g)
         hair = np.array([0.02, 0.012, 0.006]) if haired else _hair_color(settings)
-        bald = not haired and g.random() < 0.08
+        bald = not haired and g.random() < 0.07
         if not haired:
-            _paint_scalp(drawn, found, skin, None if bald or g.random() < 0.25 else hair, g.uniform(0.35, 0.95))
+            _paint_scalp(drawn, found, skin, None if bald or g.random() < 0.05 else hair, g.uniform(0.35, 0.95))
         hat = Hat(g) if g.random() < (0.1 if haired else 0.2) else None
         hiding = dress(drawn, self.head, vertices, g, skin, hair)
         if not haired:
@@ -145,8 +145,8 @@ class Maker:
         u, v = np.meshgrid(left + at - camera.cx, top + at - camera.cy)
         u, v = c * u + s * v + camera.cx, c * v - s * u + camera.cy
         places = np.stack([u / view.camera.width, v / view.camera.height], -1) * 2 - 1
-        taken = functional.grid_sample(stack, torch.from_numpy(places[None]).float(), align_corners=False)
-        taken = functional.avg_pool2d(taken, fine)[0].permute(1, 2, 0).numpy()
+        sampled = functional.grid_sample(stack, torch.from_numpy(places[None]).float(), align_corners=False)
+        taken = functional.avg_pool2d(sampled, fine)[0].permute(1, 2, 0).numpy()
         inside = (np.abs(places) < 1).all(-1).reshape(size, fine, size, fine).min((1, 3))
         camera = replace(
             camera,
@@ -234,14 +234,9 @@ class Maker:
         """Somebody else in the background."""
         shot, view, _ = self.views[int(g.integers(len(self.views)))]
         picture = self.data.picture(shot, view)
-        small = (
-            torch.from_numpy(
-                np.concatenate([srgb_to_linear(picture.rgb) * picture.mask[..., None], picture.mask[..., None]], -1)
-            )
-            .permute(2, 0, 1)[None]
-            .float()
-        )
-        small = functional.interpolate(small, (SIZE, SIZE), mode="area")[0].permute(1, 2, 0).numpy()
+        pixels = np.concatenate([srgb_to_linear(picture.rgb) * picture.mask[..., None], picture.mask[..., None]], -1)
+        planes = torch.from_numpy(pixels.astype(np.float32)).permute(2, 0, 1)[None]
+        small = functional.interpolate(planes, (SIZE, SIZE), mode="area")[0].permute(1, 2, 0).numpy()
         shift = (int(g.integers(-20, 20)), int(g.choice([-1, 1])) * int(g.integers(35, 75)))
         small = np.roll(small, shift, (0, 1))
         return ground * (1 - small[..., 3:]) + small[..., :3] * np.exp(g.normal(0, 0.5))
@@ -273,9 +268,8 @@ class Maker:
             mask = functional.avg_pool2d(torch.from_numpy(mask)[None, None], 2)[0, 0].numpy()
         else:
             mask = blurred(cover[..., None], g.uniform(0.3, 2.5))[..., 0]
-            mask = smooth(
-                *sorted((g.uniform(0.0, 0.45), g.uniform(0.5, 1.0))), mask + 0.35 * noise(g, SIZE, 5, 6) * (g.random() < 0.5)
-            )
+            rough = 0.35 * noise(g, SIZE, 5, 6) * (g.random() < 0.5)
+            mask = smooth(g.uniform(0.0, 0.45), g.uniform(0.5, 1.0), mask + rough)
         shape = self.data.shape(shot.subject)
         tracked = np.zeros(self.head.shape_count)
         tracked[: len(shape)] = shape * g.uniform(0.4, 1.0) + g.normal(0, 0.25, len(shape)) * (np.arange(len(shape)) < 40)
@@ -302,7 +296,7 @@ def _settings(g: Generator) -> HairSettings:
     return HairSettings(
         length=float(g.choice([g.uniform(0.15, 0.45), np.clip(np.exp(g.normal(0.0, 0.35)), 0.2, 1.6)], p=[0.35, 0.65])),
         density=float(g.choice([1.0, g.uniform(0.4, 1.0)])),
-        thickness=g.uniform(0.8, 1.6), curl=g.uniform(-0.6, 0.8), frizz=g.random() ** 2, melanin=g.beta(2.0, 1.2),
+        thickness=g.uniform(0.8, 1.6), curl=g.uniform(-0.6, 0.8), frizz=g.random() ** 2, melanin=g.beta(1.6, 1.1),
         redness=g.random() ** 3, grey=float(g.choice([0.0, g.random(), 1.0], p=[0.55, 0.25, 0.2])), variation=g.random(),
         tips=g.uniform(-0.3, 0.5), dye=0.9 if dyed else 0.0, dye_red=g.random(), dye_green=g.random(), dye_blue=g.random(),
         sheen=g.uniform(0.0, 2.2),

@@ -18,7 +18,7 @@ from grmm_core.photo.parser_network import FORMAT, VERSION, ParserNetwork
 from .samples import IGNORED, Sample
 
 BATCH = 8
-RATE, DECAY = 2e-3, 1e-4
+DECAY = 1e-4
 PASTED = 0.25  # share of the samples that get another picture as their background
 AVERAGED = 0.99  # share of the running mean of weights that a step keeps
 MASK = 3  # channel of the person's mask; validity and the mesh's parts follow
@@ -38,7 +38,9 @@ class Shards:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self._read = folder, set[Path]()
-        self.pictures, self.meshes, self.labels = [], [], []
+        self.pictures: list[np.ndarray] = []
+        self.meshes: list[np.ndarray] = []
+        self.labels: list[np.ndarray] = []
 
     def refresh(self) -> int:
         """Read new files; returns the number of samples."""
@@ -81,7 +83,7 @@ def varied(picture: Tensor, mesh: Tensor, labels: Tensor, g: np.random.Generator
 
 def train(
     folder: Path, seconds: float, seed: int, report: Callable[[str], None], keep: Callable[[ParserNetwork], None],
-    start: dict[str, Tensor] | None = None,
+    rate: float, start: dict[str, Tensor] | None = None,
 ) -> ParserNetwork:  # fmt: skip
     """Train for a while on a folder's shards.
 
@@ -91,25 +93,27 @@ def train(
         seed: Of batches and variations.
         report: Called with a line of progress.
         keep: Called with the network now and then.
+        rate: Of learning, at first.
         start: Weights to begin with.
     """
     g = np.random.default_rng(seed)
     torch.manual_seed(seed)
-    shards, network = Shards(folder), ParserNetwork(INPUTS, len(LABELS)).to(memory_format=torch.channels_last)
+    shards, network = Shards(folder), ParserNetwork(INPUTS, len(LABELS))
     _first_guess(network)
     if start is not None:
         network.load_state_dict(start, strict=False)
     mean = torch.optim.swa_utils.AveragedModel(
         network, multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(AVERAGED), use_buffers=True
     )
+    average: ParserNetwork = mean.module  # type: ignore[assignment]
     weight = torch.tensor([RARE.get(name, 1.0) for name in LABELS])
-    optimizer = torch.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
+    optimizer = torch.optim.AdamW(network.parameters(), rate, weight_decay=DECAY)
     began, step, losses = time.monotonic(), 0, []
     while (share := (time.monotonic() - began) / seconds) < 1:
         if step % 50 == 0:
             count = shards.refresh()
         for group in optimizer.param_groups:
-            group["lr"] = RATE * (0.5 + 0.5 * np.cos(np.pi * share)) * min(1.0, (step + 1) / 30)
+            group["lr"] = rate * (0.5 + 0.5 * np.cos(np.pi * share)) * min(1.0, (step + 1) / 30)
         picture, mesh, labels = varied(*shards.batch(g.integers(count, size=BATCH)), g)
         with torch.autocast("cpu", torch.bfloat16):
             logits = network(network_input(picture, mesh).to(memory_format=torch.channels_last))
@@ -122,11 +126,10 @@ def train(
         losses.append(float(loss.detach()))
         step += 1
         if step % 100 == 0:
-            keep(mean.module)
+            keep(average)
         if step % 50 == 0:
             report(f"{step} steps, {count} samples, {100 * share:.0f} %, loss {np.mean(losses[-50:]):.3f}")
-    trained: ParserNetwork = mean.module.eval()
-    return trained
+    return average.eval()
 
 
 def _first_guess(network: ParserNetwork) -> None:
@@ -134,7 +137,6 @@ def _first_guess(network: ParserNetwork) -> None:
     with torch.no_grad():
         network.head.weight.mul_(0.1)
         network.direct.weight.zero_()
-        network.direct.bias.zero_()
         network.direct.weight[LABELS.index("background"), MASK] = -3.0
         for number, part in enumerate(MESH_PARTS):
             network.direct.weight[LABELS.index(STARTS.get(part, part)), MASK + 2 + number] = 3.0

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from photo_parts import parts_of
 
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
+from grmm_core.fitting import photo_targets
 from grmm_core.fitting.inpainting import facing, fill_colors, lid_exposure
 from grmm_core.fitting.objective import FIT_WEIGHTS, fit_loss
 from grmm_core.fitting.photo_targets import fit_view, project
@@ -67,6 +69,19 @@ def view_of(model, **changes):
     return fit_view(track(model.head_model, **changes), model.head_model, 0, SIZE, len(ALIGNED_NAMES), model.dtype)
 
 
+@pytest.fixture(autouse=True)
+def labels(monkeypatch):
+    """What the parser would say of such people, by their colors; it knows real ones only."""
+
+    def parse(photo, head):
+        rows = np.mgrid[:SIZE, :SIZE][0]
+        dark, blue = ((np.abs(photo.image - color).max(-1) < 0.01).astype(float) for color in (HAIR, CLOTH))
+        low = dark[int(photo.landmarks[14, 1]) + 2, int(photo.landmarks[14, 0])] * (rows > photo.landmarks[13, 1])
+        return parts_of(1.0 - photo.mask, hair=dark * (1 - low), beard=dark * low, clothes=blue)
+
+    monkeypatch.setattr(photo_targets, "parse", parse)
+
+
 def at(plane, view, head, landmark):
     """Value of a picture where a landmark is."""
     vertices = head.vertices(view.shape.numpy(), view.expression.numpy(), view.pose.numpy())
@@ -116,6 +131,25 @@ def test_hair_over_the_cheeks_is_told_from_skin_brows_and_beard(model):
     chin_row = int(project(head.landmark_positions(head.v_template, LANDMARK_COUNT)[[17]], bearded.camera)[0, 1])
     assert float(bearded.hair[chin_row].sum()) == 0.0, "beside a bearded chin dark pixels are the beard's"
     assert float(view.hair[chin_row].sum()) > 0.0
+
+
+def test_hats_are_left_out_of_the_skin_and_said(model, monkeypatch):
+    head, plain = model.head_model, photo_targets.parse
+    person = track(head)
+    rows = np.mgrid[:SIZE, :SIZE][0]
+    hat = ((rows < person.landmarks[10, 1]) & (person.mask > 0.5)).astype(float)
+
+    def parse(photo, head):
+        found = plain(photo, head)
+        return parts_of(found.background * (1 - hat), hair=found.hair * (1 - hat), clothes=found.clothes * (1 - hat), hat=hat)
+
+    assert photo_targets.left_out([person], head) == []
+    monkeypatch.setattr(photo_targets, "parse", parse)
+    assert photo_targets.left_out([person], head) == ["The hat or scarf in drawn.png is left out of the skin."]
+    view = view_of(model)
+    top = int(project(head.landmark_positions(head.v_template, LANDMARK_COUNT)[[10]], view.camera)[0, 1])
+    assert float(view.inside[: top - 2].sum()) == 0.0
+    assert at(view.measured, view, head, 1) == 1.0
 
 
 def test_only_open_eyes_fold_lids_away(model):

@@ -33,6 +33,7 @@ from grmm_core.model.grmm import GRMM
 from grmm_core.model.torch_loader import with_deltas
 from grmm_core.model.weights_file import WeightsInfo
 
+pytestmark = pytest.mark.usefixtures("only_skin")
 SIZE = 96
 QUICK = Preset("quick", CodeSettings(64, 48, 4, 1, 0, 10), DecoderSettings(((64, 8), (96, 10)), False))
 TUNING = Preset("tuning", CodeSettings(64, 48, 2, 1, 0, 2), DecoderSettings(((64, 12),), True))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from grmm_core.errors import FileFormatError
+from grmm_core.fitting.photo_targets import left_out
 from grmm_core.fitting.track import track_photos
 from grmm_core.head.open_head import load_open_head
 from grmm_core.photo import parser_network
@@ -47,13 +48,19 @@ def test_parts_cover_each_pixel_once(tracks, head):
 @pytest.mark.parametrize(
     ("name", "least"),
     [
-        ("astronaut", {"background": 0.9, "face": 0.75, "hair": 0.7, "clothes": 0.8}),
-        ("admiral", {"background": 0.9, "face": 0.8, "clothes": 0.8}),
+        ("astronaut", {"background": 0.9, "face": 0.8, "hair": 0.75, "clothes": 0.7}),
+        ("admiral", {"background": 0.9, "face": 0.8, "clothes": 0.8, "hat": 0.6}),
     ],
 )
 def test_portraits_are_labeled_as_drawn_by_hand(name, least, tracks, head, repository):
     found = overlaps_of(name, tracks, head, repository)
     assert {group for group, share in least.items() if found[group] < share} == set(), found
+
+
+def test_what_is_left_out_is_said(tracks, head):
+    said = left_out([tracks["admiral"], tracks["astronaut"]], head)
+    assert any("hat" in sentence and "admiral.jpg" in sentence for sentence in said)
+    assert not any("hat" in sentence and "astronaut.jpg" in sentence for sentence in said)
 
 
 def test_the_mesh_beside_the_picture_turns_with_the_head(tracks, head):

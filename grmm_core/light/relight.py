@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import functools
+
+import numpy as np
+
 from ..geometry.libraries import Array, library_of
 from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
+from .shadows import compiled_kernels
 
 _MOST = 0.5  # of a color that taking off the rig's highlights may cost
 
@@ -28,6 +33,36 @@ def relit(rgb: Array, alpha: Array, ratio: Array, highlights: Array) -> Array:
     seen = (alpha >= MIN_ALPHA)[..., None]
     result: Array = to_display(linear) * cover * seen
     return result
+
+
+def relit_pixels(rgb: np.ndarray, alpha: np.ndarray, channels: np.ndarray, start: int) -> np.ndarray:
+    """`relit` in one compiled pass where there is numba, within 1e-5.
+
+    Args:
+        rgb: [H, W, 3].
+        alpha: [H, W].
+        channels: [H, W, C].
+        start: The first of three channels of ratio, and behind them three of highlights.
+    """
+    kernels = compiled_kernels()
+    if kernels is None:
+        return relit(rgb, alpha, channels[..., start : start + 3], channels[..., start + 3 : start + 6])
+    from ..compute.threads import for_rows
+
+    out = np.empty(rgb.shape, np.float32)
+    flat = (np.ascontiguousarray(array, np.float32) for array in (rgb.reshape(-1, 3), alpha.reshape(-1)))
+    light = channels.reshape(-1, channels.shape[-1])
+    for_rows(kernels.relit, alpha.size, *flat, light, start, *_tables(), MIN_ALPHA, _MOST, out.reshape(-1, 3))
+    return out
+
+
+@functools.lru_cache(maxsize=1)
+def _tables() -> tuple[np.ndarray, np.ndarray]:
+    """Linear light by display values, and display values by the root of linear light."""
+    from .kernels import DISPLAY_END, LINEAR_END, TABLE
+
+    steps = np.arange(TABLE + 2) / TABLE
+    return to_linear(steps * LINEAR_END).astype(np.float32), to_display((steps * DISPLAY_END) ** 2).astype(np.float32)
 
 
 def to_linear(values: Array) -> Array:

@@ -1,20 +1,22 @@
 """Irradiance and highlights at Gaussians: everything linear in the lights' colors, kept apart from them.
 
 `transport` says what a unit of each lamp and of each harmonic of the surroundings gives at each Gaussian; `Transport.light`
-multiplies by colors, for numpy and torch alike, so that fitting can ask for gradients with respect to them.
+multiplies by colors, for numpy and torch alike, so that fitting can ask for gradients with respect to them. `shade` is both in
+one compiled pass, for pictures.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Generic
+from typing import Generic, NamedTuple
 
 import numpy as np
 
 from ..geometry.libraries import Array
-from .lamps import Area, Lamp, Point, Sun, arriving, half_angle
+from .lamps import Area, Lamp, Point, Spot, Sun, arriving, half_angle
 from .materials import WANDER, Materials
-from .shadows import Receivers
+from .shadows import Receivers, compiled_kernels
 from .surroundings import basis
 from .transfer import openness
 
@@ -73,7 +75,7 @@ class Transport(Generic[Array]):
 
 def transport(
     lamps: tuple[Lamp, ...], receivers: Receivers, seen: list[np.ndarray], materials: Materials, rows: np.ndarray,
-    eye: np.ndarray, response: Response = Response(),
+    eye: np.ndarray, response: Response = Response(), turn: np.ndarray | None = None,
 ) -> Transport[np.ndarray]:  # fmt: skip
     """Work out what arrives at Gaussians.
 
@@ -82,9 +84,11 @@ def transport(
         receivers: Gaussians with their normals.
         seen: Which part of each lamp they see, L times [N].
         materials: What they do with light.
-        rows: Rows of `transfer.transfer` at them, in the receivers' axes, [N, 9].
+        rows: Rows of `transfer.transfer` at them, [N, 9].
         eye: The viewer's place, [3] metres.
         response: Factors.
+        turn: From the axes of `rows`, which are those of the surroundings' coefficients, to the receivers', [3, 3]; None: they
+            are the same.
     """
     normals = receivers.normals
     view = eye - receivers.points
@@ -104,6 +108,7 @@ def transport(
         highlights.append(lobes * part * strength * (response.gloss * response.intensity))
     count = len(normals)
     mirror = 2.0 * (normals * view).sum(1, keepdims=True) * normals - view
+    mirror = mirror if turn is None else mirror @ turn
     fresnel = materials.reflectance + (1.0 - materials.reflectance) * (1.0 - facing) ** 5
     glossy = fresnel * materials.shine * openness(rows) * (response.gloss * response.intensity)
     return Transport(
@@ -112,6 +117,92 @@ def transport(
         (rows * response.intensity).astype(np.float32),
         (glossy[:, None] * basis(mirror) * _MIRROR_BANDS).astype(np.float32),
     )
+
+
+class Arrived(NamedTuple):
+    """What arrives at N Gaussians of all light together.
+
+    Attributes:
+        irradiance: W/m2, [N, 3].
+        highlights: Radiance towards the viewer, [N, 3].
+        share: Of the lamps' light, what nothing keeps off, [N, 1].
+    """
+
+    irradiance: np.ndarray
+    highlights: np.ndarray
+    share: np.ndarray
+
+
+def shade(
+    lamps: tuple[Lamp, ...], receivers: Receivers, seen: np.ndarray, materials: Materials, rows: np.ndarray, eye: np.ndarray,
+    harmonics: np.ndarray, response: Response = Response(), turn: np.ndarray | None = None,
+) -> Arrived:  # fmt: skip
+    """`transport` and `Transport.light` in one compiled pass where there is numba.
+
+    Args:
+        lamps: As in `transport`.
+        receivers: As there.
+        seen: Which part of each lamp they see, [L, N].
+        materials: As there.
+        rows: As there.
+        eye: As there.
+        harmonics: Coefficients of the surroundings, [9, 3].
+        response: As there.
+        turn: As there.
+    """
+    kernels = compiled_kernels()
+    if kernels is None:
+        parts = transport(lamps, receivers, list(seen), materials, rows, eye, response, turn)
+        irradiance, highlights = parts.light(colors_of(lamps), harmonics.astype(np.float32))
+        return Arrived(irradiance, highlights, arriving_share(lamps, parts, seen))
+    from ..compute.threads import for_rows
+
+    out = np.empty((len(receivers.points), 7), np.float32)
+    factors = np.array([response.intensity, response.gloss, *(WANDER * response.scattering)])
+    arrays = (
+        lamp_rows(lamps, receivers.centre), receivers.points, receivers.normals, seen, *vars(materials).values(), rows, eye,
+        np.eye(3) if turn is None else turn, harmonics, harmonics * _MIRROR_BANDS[:, None], factors,
+    )  # fmt: skip
+    for_rows(kernels.shade, len(out), *(np.ascontiguousarray(array, np.float32) for array in arrays), out)
+    return Arrived(out[:, :3], out[:, 3:6], out[:, 6:])
+
+
+def colors_of(lamps: tuple[Lamp, ...]) -> np.ndarray:
+    """Linear RGB of lamps, [L, 3] float32."""
+    return np.array([lamp.color for lamp in lamps], np.float32).reshape(-1, 3)
+
+
+def arriving_share(lamps: tuple[Lamp, ...], parts: Transport[np.ndarray], seen: np.ndarray) -> np.ndarray:
+    """Share of the lamps' light that nothing keeps off, [N, 1]; arguments as in `shade`."""
+    arrives = whole = np.full(parts.ambient.shape[0], 1e-6)
+    for lamp, amount, part in zip(lamps, parts.diffuse, seen, strict=True):
+        light = amount.mean(1) * float(np.mean(lamp.color))
+        arrives, whole = arrives + light, whole + light / np.maximum(part, 0.02)
+    return (arrives / whole)[:, None]
+
+
+def lamp_rows(lamps: tuple[Lamp, ...], centre: np.ndarray) -> np.ndarray:
+    """Lamps as numbers for `kernels`, [L, LAMP_VALUES]; `centre` [3] is where their size is seen from."""
+    from .kernels import AREA, COLOR, FADE, INNER, KIND, LAMP_VALUES, PLACE, POINT, POWER, SIZE, SPOT, SPREAD, SUN, TOWARDS
+
+    rows = np.zeros((len(lamps), LAMP_VALUES), np.float32)
+    for row, lamp in zip(rows, lamps, strict=True):
+        row[COLOR:], row[SIZE], row[POWER] = lamp.color, 0.5 * half_angle(lamp, _distance(lamp, centre)), lamp.strength
+        if isinstance(lamp, Sun):
+            row[KIND], row[PLACE:POWER] = SUN, lamp.direction
+            continue
+        assert isinstance(lamp, (Point, Area))
+        row[PLACE:POWER] = lamp.position
+        if isinstance(lamp, Area):
+            row[KIND], row[POWER], row[SPREAD] = AREA, lamp.strength / math.pi, lamp.area / math.pi
+            row[TOWARDS:INNER] = lamp.direction
+            continue
+        row[KIND], row[POWER], row[SPREAD] = POINT, lamp.strength / (4.0 * math.pi), lamp.radius**2
+        if isinstance(lamp, Spot):
+            inner = math.cos(0.5 * lamp.cone)
+            row[KIND], row[TOWARDS:INNER] = SPOT, lamp.direction
+            row[INNER], row[FADE] = inner, 1.0 / max((1.0 - inner) * lamp.blend, 1e-6)
+    return rows
 
 
 def ratio(scene: Array, rig: Array) -> Array:

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
+from typing import NamedTuple
 
 import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import triangle_depth
+from ..geometry.zbuffer_numpy import EMPTY
 from .lamps import Area, Lamp, Sun, half_angle
 
 RESOLUTION = 256  # pixels of a map that holds all receivers
 _BIAS = 0.0016  # metres along the normal: what the mesh's triangles and the Gaussians on it differ by
 _SOFT, _SOFTER = math.radians(1.5), math.radians(12.0)  # half angles from which 4 and 9 places on a lamp are looked from
 _FAR = 12.0  # metres: as far before the receivers a sun's occluders may stand
+_NEAR = 1e-3  # metres
+_MARGIN = 1.02  # of a map around its receivers
 
 
 @dataclass(frozen=True)
@@ -39,23 +43,85 @@ class Receivers:
     def around(points: np.ndarray, normals: np.ndarray) -> Receivers:
         """With the ball around the points."""
         centre = 0.5 * (points.min(0) + points.max(0))
-        return Receivers(points, normals, centre, float(np.linalg.norm(points - centre, axis=1).max()))
+        return Receivers(points, normals, centre, float(np.sqrt(((points - centre) ** 2).sum(1).max())))
 
 
-def visible(lamp: Lamp, receivers: Receivers, triangles: np.ndarray, softness: float = 1.0) -> np.ndarray:
+class Casters(NamedTuple):
+    """What throws shadows: triangles of a mesh.
+
+    Attributes:
+        vertices: [V, 3] metres.
+        faces: [T, 3].
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def and_triangles(self, corners: np.ndarray) -> Casters:
+        """With further triangles, [T, 3, 3] metres."""
+        if not len(corners):
+            return self
+        more = len(self.vertices) + np.arange(3 * len(corners)).reshape(-1, 3)
+        return Casters(np.concatenate([self.vertices, corners.reshape(-1, 3)]), np.concatenate([self.faces, more]))
+
+
+class _Map(NamedTuple):
+    """A shadow map: axes x right, y down, z forward.
+
+    Attributes:
+        turn: World to its axes, [3, 3].
+        shift: Added behind it, [3].
+        focal: Pixels; of an orthographic map pixels a metre.
+        flat: Whether it is orthographic.
+    """
+
+    turn: np.ndarray
+    shift: np.ndarray
+    focal: float
+    flat: bool
+
+    def single(self) -> tuple[np.ndarray, np.ndarray, float, bool, float]:
+        """What kernels take."""
+        return self.turn.astype(np.float32), self.shift.astype(np.float32), self.focal, self.flat, _NEAR
+
+
+def visible(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> np.ndarray:
     """Which part of a lamp each receiver sees, 0..1, [N] float32.
 
     Args:
         lamp: In the receivers' axes.
         receivers: Where.
-        triangles: Everything that throws shadows, [T, 3, 3] metres.
+        casters: Everything that throws shadows.
         softness: Factor of the lamp's size.
     """
-    if not lamp.shadow or not len(triangles):
+    if not lamp.shadow or not len(casters.faces):
         return np.ones(len(receivers.points), np.float32)
     places = _places(lamp, receivers, softness)
-    parts = [_seen_from(lamp, place, receivers, triangles) for place in places]
-    mean: np.ndarray = np.mean(parts, axis=0, dtype=np.float32)
+    parts = np.empty((len(places), len(receivers.points)), np.float32)
+    lift = _BIAS + 2.0 * (receivers.radius * _MARGIN + _BIAS) / RESOLUTION  # a pixel more
+    kernels = compiled_kernels()
+    if kernels is None:
+        for place, part in zip(places, parts, strict=True):
+            seen_from = _map_at(lamp, place, receivers)
+            part[:] = compared(drawn(casters, seen_from), receivers.points + receivers.normals * lift, seen_from)
+    else:
+        from ..compute.threads import for_each
+
+        points, normals = (np.ascontiguousarray(array, np.float32) for array in (receivers.points, receivers.normals))
+        meshes = np.ascontiguousarray(casters.vertices, np.float32), np.ascontiguousarray(casters.faces, np.int32)
+
+        def look(number: int) -> None:
+            seen_from = _map_at(lamp, places[number], receivers)
+            depth = np.full((RESOLUTION, RESOLUTION), EMPTY, np.float32)
+            crossing = np.empty(len(casters.faces), np.int32)
+            cut = kernels.draw_map(*meshes, *seen_from.single(), depth, crossing)
+            if cut:
+                some = casters._replace(faces=casters.faces[crossing[:cut]])
+                np.minimum(depth, drawn(some, seen_from), out=depth)
+            kernels.compared(depth, points, normals, lift, *seen_from.single(), parts[number])
+
+        for_each(len(places), look)
+    mean: np.ndarray = parts.mean(0, dtype=np.float32)
     return mean
 
 
@@ -88,71 +154,58 @@ def _axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return across, up / np.linalg.norm(up)
 
 
-def _seen_from(lamp: Lamp, place: np.ndarray, receivers: Receivers, triangles: np.ndarray) -> np.ndarray:
-    """Whether receivers see a place, with soft edges of about a pixel of the map, [N] 0..1."""
-    centre, radius = receivers.centre, receivers.radius * 1.02 + _BIAS
+def _map_at(lamp: Lamp, place: np.ndarray, receivers: Receivers) -> _Map:
+    """The map that holds all receivers as a place on a lamp sees them."""
+    centre, radius = receivers.centre, receivers.radius * _MARGIN + _BIAS
     if isinstance(lamp, Sun):
-        towards = place / np.linalg.norm(place)
-        eye, distance = centre + towards * (radius + _FAR), radius + _FAR
+        eye = centre + place / np.linalg.norm(place) * (radius + _FAR)
     else:
         eye = place
-        distance = float(np.linalg.norm(eye - centre))
+    distance = float(np.linalg.norm(eye - centre))
     across, up = _axes(eye - centre)
-    back = (eye - centre) / max(distance, 1e-9)
-    turn = np.stack([across, -up, -back])  # camera axes: x right, y down, z forward
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3], world_to_camera[:3, 3] = turn, -turn @ eye
+    turn = np.stack([across, -up, (centre - eye) / max(distance, 1e-9)])
     if isinstance(lamp, Sun):
-        focal, flat = RESOLUTION / (2.0 * radius), True
-    else:
-        # a lamp among the receivers cannot hold them all in one map: it sees a wide angle, and what lies beside is lit
-        spread = math.asin(min(radius / max(distance, 1e-6), 0.97))
-        focal, flat = RESOLUTION / (2.0 * math.tan(spread)), False
-    middle = RESOLUTION / 2.0
-    camera = Camera(world_to_camera, focal, focal, middle, middle, RESOLUTION, RESOLUTION, orthographic=flat)
-    depth = triangle_depth(triangles, camera, near=1e-3)
-    pixel = 2.0 * radius / RESOLUTION
-    lifted = receivers.points + receivers.normals * (_BIAS + pixel)
-    local = lifted @ turn.T + world_to_camera[:3, 3]
-    scale = focal if flat else focal / np.maximum(local[:, 2], 1e-4)
-    x, y = local[:, 0] * scale + middle, local[:, 1] * scale + middle
-    inside = (local[:, 2] > 1e-3) & (x >= 1) & (y >= 1) & (x < RESOLUTION - 1) & (y < RESOLUTION - 1)
-    found, rows = np.ones(len(x)), np.flatnonzero(inside)
-    compare = _compiled() or compared
-    found[rows] = compare(depth, x[rows], y[rows], local[rows, 2])
-    return found
+        return _Map(turn, -turn @ eye, RESOLUTION / (2.0 * radius), True)
+    # a lamp among the receivers cannot hold them all in one map: it sees a wide angle, and what lies beside is lit
+    spread = math.asin(min(radius / max(distance, 1e-6), 0.97))
+    return _Map(turn, -turn @ eye, RESOLUTION / (2.0 * math.tan(spread)), False)
 
 
 @functools.lru_cache(maxsize=1)
-def _compiled() -> Callable[..., np.ndarray] | None:
-    """The compiled twin of `compared`, or None without numba."""
+def compiled_kernels() -> ModuleType | None:
+    """The compiled twins of this room, or None without numba."""
     try:
-        from .shadow_kernel import compared as kernel
+        from . import kernels
     except ImportError:
         return None
-
-    def compare(depth: np.ndarray, *points: np.ndarray) -> np.ndarray:
-        seen = np.empty(len(points[0]))
-        kernel(depth, *points, seen)
-        return seen
-
-    return compare
+    return kernels
 
 
-def compared(depth: np.ndarray, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Share of the map around a place that is not nearer than it: comparisons of 3 x 3 pixels, weighted as a tent."""
-    height, width = depth.shape
-    left, top = np.floor(x - 0.5), np.floor(y - 0.5)
-    u, v = x - 0.5 - left, y - 0.5 - top
-    total = np.zeros_like(x)
+def drawn(casters: Casters, seen_from: _Map) -> np.ndarray:
+    """Depths of meshes on a map, [R, R] float32 metres; `EMPTY` where nothing is."""
+    world_to_camera = np.eye(4)
+    world_to_camera[:3, :3], world_to_camera[:3, 3] = seen_from.turn, seen_from.shift
+    middle, focal = RESOLUTION / 2.0, seen_from.focal
+    camera = Camera(world_to_camera, focal, focal, middle, middle, RESOLUTION, RESOLUTION, orthographic=seen_from.flat)
+    return triangle_depth(casters.vertices[casters.faces], camera, near=_NEAR)
+
+
+def compared(depth: np.ndarray, points: np.ndarray, seen_from: _Map) -> np.ndarray:
+    """Share of a map around points [N, 3] that is not nearer than they: 3 x 3 pixels, weighted as a tent; 1 outside, [N]."""
+    side = len(depth)
+    local = points @ seen_from.turn.T + seen_from.shift
+    scale = seen_from.focal if seen_from.flat else seen_from.focal / np.maximum(local[:, 2], 1e-4)
+    x, y = local[:, 0] * scale + side / 2.0, local[:, 1] * scale + side / 2.0
+    inside = (local[:, 2] > _NEAR) & (x >= 1) & (y >= 1) & (x < side - 1) & (y < side - 1)
+    left, top = np.floor(x[inside] - 0.5), np.floor(y[inside] - 0.5)
+    u, v = x[inside] - 0.5 - left, y[inside] - 0.5 - top
+    total, whole = np.zeros_like(u), np.zeros_like(u)
     for row in range(-1, 3):
         for column in range(-1, 3):
             weight = np.maximum(0.0, 1.5 - np.abs(column - u)) * np.maximum(0.0, 1.5 - np.abs(row - v))
-            at = depth[
-                np.clip(top + row, 0, height - 1).astype(np.int32), np.clip(left + column, 0, width - 1).astype(np.int32)
-            ]
-            total += weight * (at >= z)
-    reach = sum(np.maximum(0.0, 1.5 - np.abs(k - u)) for k in range(-1, 3))
-    down = sum(np.maximum(0.0, 1.5 - np.abs(k - v)) for k in range(-1, 3))
-    result: np.ndarray = total / (reach * down)
-    return result
+            place = np.clip(top + row, 0, side - 1).astype(int), np.clip(left + column, 0, side - 1).astype(int)
+            total += weight * (depth[place] >= local[inside, 2])
+            whole += weight
+    seen = np.ones(len(points))
+    seen[inside] = total / whole
+    return seen

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from .lamps import Sun
-from .shadows import Receivers, visible
+from .shadows import Casters, Receivers, visible
 from .surroundings import basis, sphere
 
 DIRECTIONS = 96
@@ -26,12 +26,12 @@ def transfer(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray, direc
         directions: How many directions are looked along.
     """
     receivers = Receivers.around(np.asarray(vertices, np.float64), np.asarray(normals, np.float64))
-    triangles = np.asarray(vertices)[faces]
+    casters = Casters(vertices, faces)
     total = np.zeros((len(vertices), 9))
     around, solid = sphere(directions)
     for towards, share in zip(around, solid, strict=True):
         cosine = np.maximum(receivers.normals @ towards, 0.0)
-        seen = visible(Sun(direction=tuple(towards)), receivers, triangles)
+        seen = visible(Sun(direction=tuple(towards)), receivers, casters)
         total += (cosine * seen * share)[:, None] * basis(towards)
     return total.astype(np.float32)
 

@@ -28,7 +28,7 @@ from ..errors import CancelledError
 from ..geometry.camera import Camera
 from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
-from ..light.relight import relit, to_linear
+from ..light.relight import relit, relit_pixels, to_linear
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
@@ -123,9 +123,15 @@ def compose(
     if _refines(options):
         refined = _refine(placed, raster, channels, options.coarse, check)
     if channels.light is not None:
-        light = _light_of(raster, channels.light)
-        refined = relit(refined, raster.alpha, light[..., RATIO], light[..., HIGHLIGHTS])
+        refined = _relit(refined, raster, channels.light)
     return _buffers(raster, refined, channels, options, evaluator.engine)
+
+
+def _relit(refined: Any, raster: RasterOutput[Any], which: slice) -> Any:
+    if isinstance(refined, np.ndarray):
+        return relit_pixels(refined, raster.alpha, present(raster.features), which.start)
+    light = _light_of(raster, which)
+    return relit(refined, raster.alpha, light[..., RATIO], light[..., HIGHLIGHTS])
 
 
 def _canceller(should_cancel: CancelCheck | None) -> Callable[[], None]:
@@ -166,7 +172,7 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
         count += 1
     light = None
     if any(_is_lit(item, options) for item in placed):
-        light = slice(count, count + LIGHT_CHANNELS)
+        light = slice(count, count + (LIGHT_CHANNELS if "shadow" in options.passes else SHADOW.start))
         count = light.stop
     return _Channels(features, normals, coverage, hair, light, count)
 
@@ -217,9 +223,8 @@ def _gaussians(
         if channels.hair is not None:
             stacked[count:, channels.hair] = 1.0
         if channels.light is not None:
-            stacked[:, channels.light] = evaluator.engine.array(
-                _light(item, evaluator, local_camera, options, strands, len(own))
-            )
+            light = _light(item, evaluator, local_camera, options, strands, len(own))
+            stacked[:, channels.light] = evaluator.engine.array(light[:, : channels.light.stop - channels.light.start])
     means, quats, scales = own.means, own.quats, own.scales
     if not single:
         to_camera = camera.world_to_camera @ model_to_world

@@ -19,8 +19,8 @@ from ..geometry.rotations import quaternion_to_matrix
 from ..light.hair_shading import strand_transport
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
-from ..light.shading import Response, Transport, ratio, transport
-from ..light.shadows import Receivers, visible
+from ..light.shading import Response, arriving_share, colors_of, ratio, shade
+from ..light.shadows import Casters, Receivers, compiled_kernels, visible
 from ..light.surroundings import TERMS
 from ..light.transfer import transfer, turn_between, vertex_normals
 from ..splat.types import Gaussians
@@ -37,7 +37,7 @@ class _Rest(NamedTuple):
     """What light does on a head at rest.
 
     Attributes:
-        transfer: At vertices, [V, 9].
+        transfer: At texels, [N, 9].
         rig: Irradiance of the studio's rig at texels, [N, 3].
         seen: Which part of the rig's lamps texels see, [L, N].
         vertices: [V, 3].
@@ -95,57 +95,44 @@ class LitAvatar:
         return np.concatenate(parts).astype(np.float32)
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
-        rest, materials = self._rest(), self._materials()
+        rest = self._rest()
         turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
-        seen = [self._seen(lamp) for lamp in self.lamps]
-        transfers = self._at_texels(rest.transfer)
-        scene = transport(self.lamps, self._receivers, seen, materials, transfers, eye, self._response)
-        irradiance, shine = scene.light(*self._colors(self._lighting, self.lamps, turn.T))
-        relative = ratio(irradiance, rest.rig[self._rows])
+        seen = np.array([self._seen(lamp) for lamp in self.lamps], np.float32).reshape(len(self.lamps), -1)
+        light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
+        scene = shade(*light, self._harmonics(self._lighting, turn.T), self._response, turn)
+        relative = ratio(scene.irradiance, rest.rig[self._rows])
         learned = self._learned((eye - self._centre) @ turn) * self._response.gloss
-        return np.concatenate([relative, shine - learned * relative, self._share(scene, seen)], 1)
+        return np.concatenate([relative, scene.highlights - learned * relative, scene.share], 1)
 
     def _strands(self, strands: Gaussians, eye: np.ndarray) -> np.ndarray:
         points = to_numpy(strands.means).astype(np.float64)
         tangents = quaternion_to_matrix(to_numpy(strands.quats))[..., 0]
-        outward = points - self._centre
-        outward /= np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+        outward = _unit(points - self._centre)
         receivers = Receivers.around(points, outward)
-        triangles = self._triangles
-        seen = [visible(lamp, receivers, triangles, 0.0) for lamp in self.lamps]  # a strand's own shadow has no width
-        scene = strand_transport(self.lamps, points, tangents, seen, self._centre, eye, self._response)
-        irradiance, shine = scene.light(*self._colors(self._lighting, self.lamps, np.eye(3)))
+        seen = np.array([visible(lamp, receivers, self._casters, 0.0) for lamp in self.lamps])  # a strand's shadow has no width
+        scene = strand_transport(self.lamps, points, tangents, list(seen), self._centre, eye, self._response)
+        irradiance, shine = scene.light(colors_of(self.lamps), self._harmonics(self._lighting))
         whole = [np.ones(len(points))] * len(STUDIO.lamps)
         rig = strand_transport(STUDIO.lamps, points, tangents, whole, self._centre, eye)
-        relative = ratio(irradiance, rig.light(*self._colors(STUDIO, STUDIO.lamps, np.eye(3)))[0])
-        return np.concatenate([relative, shine, self._share(scene, seen)], 1)
-
-    def _share(self, scene: Transport[np.ndarray], seen: list[np.ndarray]) -> np.ndarray:
-        """Share of the light that would arrive from the lamps without anything in its way, [N, 1]."""
-        count = scene.ambient.shape[0]
-        arrives = np.full(count, 1e-6)
-        whole = np.full(count, 1e-6)
-        for lamp, amount, part in zip(self.lamps, scene.diffuse, seen, strict=True):
-            light = amount.mean(1) * float(np.mean(lamp.color))
-            arrives += light
-            whole += light / np.maximum(part, 0.02)
-        return (arrives / whole)[:, None]
+        relative = ratio(irradiance, rig.light(colors_of(STUDIO.lamps), self._harmonics(STUDIO))[0])
+        return np.concatenate([relative, shine, arriving_share(self.lamps, scene, seen)], 1)
 
     @staticmethod
-    def _colors(lighting: Lighting, lamps: tuple[Lamp, ...], turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        colors = np.array([lamp.color for lamp in lamps], np.float32).reshape(-1, 3)
+    def _harmonics(lighting: Lighting, turn: np.ndarray | None = None) -> np.ndarray:
+        """Coefficients of the surroundings in the axes that `turn` leads to, [9, 3]."""
         around = lighting.surroundings
-        harmonics = np.zeros((TERMS, 3)) if around is None else around.turned(turn).coefficients
-        return colors, harmonics.astype(np.float32)
+        if around is None:
+            return np.zeros((TERMS, 3), np.float32)
+        return (around if turn is None else around.turned(turn)).coefficients.astype(np.float32)
 
     # --- what is kept ----------------------------------------------------------------------------------------------
 
     def _materials(self) -> Materials:
         def make() -> tuple[np.ndarray, ...]:
             layout = self._target.model.layout
-            return tuple(vars(materials_of(self._head, layout.face, layout.barycentric)).values())
+            return tuple(vars(materials_of(self._head, layout.face, layout.barycentric).taken(self._rows)).values())
 
-        return Materials(*self._evaluator.cache.get((self._target.id, "materials"), make)).taken(self._rows)
+        return Materials(*self._evaluator.cache.get((self._target.id, "materials", self._lod), make))
 
     def _rest(self) -> _Rest:
         def make() -> _Rest:
@@ -155,14 +142,15 @@ class LitAvatar:
             )
             vertices = to_numpy(self._evaluator.mesh(self._target, inputs).vertices).astype(np.float64)
             normals = vertex_normals(vertices, self._head.faces)
-            rows = transfer(vertices, normals, self._head.faces)
+            rows = self._all_texels(transfer(vertices, normals, self._head.faces))
             receivers = Receivers.around(self._all_texels(vertices), _unit(self._all_texels(normals)))
-            seen = [visible(lamp, receivers, vertices[self._head.faces]) for lamp in STUDIO.lamps]
+            casters = Casters(vertices, self._head.faces)
+            seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
             layout = self._target.model.layout
             materials = materials_of(self._head, layout.face, layout.barycentric)
-            scene = transport(STUDIO.lamps, receivers, seen, materials, self._all_texels(rows), np.array([0.0, 0.0, 1.0]))
-            rig = scene.light(*self._colors(STUDIO, STUDIO.lamps, np.eye(3)))[0]
-            return _Rest(rows, rig, np.stack(seen), vertices, normals)
+            eye = np.array([0.0, 0.0, 1.0])
+            rig = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, self._harmonics(STUDIO)).irradiance
+            return _Rest(rows, np.ascontiguousarray(rig), seen, vertices, normals)
 
         key = (self._target.id, "lit rest", *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, make)
@@ -177,17 +165,17 @@ class LitAvatar:
 
         def make() -> tuple[np.ndarray]:
             eye = direction * _VIEW_DISTANCE
-            transfers = self._at_texels(rest.transfer)
-            seen = list(rest.seen[:, self._rows])
-            rig = transport(STUDIO.lamps, self._resting(rest), seen, self._materials(), transfers, eye)
-            return (rig.light(*self._colors(STUDIO, STUDIO.lamps, np.eye(3)))[1],)
+            receivers = Receivers.around(self._at_texels(rest.vertices), _unit(self._at_texels(rest.normals)))
+            seen, rows = rest.seen[:, self._rows], rest.transfer[self._rows]
+            rig = shade(STUDIO.lamps, receivers, seen, self._materials(), rows, eye, self._harmonics(STUDIO))
+            return (np.ascontiguousarray(rig.highlights),)
 
         person = (*self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get((self._target.id, "learned", direction.tobytes(), self._lod, *person), make)[0]
 
     def _seen(self, lamp: Lamp) -> np.ndarray:
         def make() -> tuple[np.ndarray]:
-            return (visible(lamp, self._receivers, self._triangles, self._response.softness),)
+            return (visible(lamp, self._receivers, self._casters, self._response.softness),)
 
         mesh = (self._lod, *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
@@ -200,33 +188,49 @@ class LitAvatar:
     # --- geometry --------------------------------------------------------------------------------------------------
 
     @functools.cached_property
-    def _rows(self) -> np.ndarray:
-        if self._lod == 0:
-            return np.arange(len(self._target.model.layout))
-        return self._evaluator.blocks(self._target, self._lod).middle
+    def _rows(self) -> np.ndarray | slice:
+        """Texels that have a Gaussian at the level of detail."""
+        return slice(None) if self._lod == 0 else np.asarray(self._evaluator.blocks(self._target, self._lod).middle)
 
     def _rigid(self) -> np.ndarray:
         return np.asarray(self._head.regions.get(_RIGID, np.arange(len(self._vertices))))
 
     def _all_texels(self, values: np.ndarray) -> np.ndarray:
-        layout = self._target.model.layout
-        return np.einsum("nk,nkc->nc", layout.barycentric, values[self._head.faces[layout.face]])
+        """Values of vertices [V, C] at all texels, [N, C] float32."""
+        layout, kernels, corners = self._target.model.layout, compiled_kernels(), self._corners
+        if kernels is None:
+            return np.einsum("nk,nkc->nc", layout.barycentric, values[corners]).astype(np.float32)
+        from ..compute.threads import for_rows
+
+        out = np.empty((len(corners), values.shape[1]), np.float32)
+        for_rows(kernels.interpolate, len(out), np.ascontiguousarray(values, np.float32), corners, layout.barycentric, out)
+        return out
+
+    @functools.cached_property
+    def _corners(self) -> np.ndarray:
+        """Vertices of the face that each texel lies on, [N, 3]."""
+
+        def make() -> tuple[np.ndarray]:
+            return (self._head.faces[self._target.model.layout.face].astype(np.int32),)
+
+        return self._evaluator.cache.get((self._target.id, "texels' corners"), make)[0]
 
     def _at_texels(self, values: np.ndarray) -> np.ndarray:
         return self._all_texels(values)[self._rows]
 
     @functools.cached_property
     def _receivers(self) -> Receivers:
-        normals = vertex_normals(self._vertices, self._head.faces)
-        return Receivers.around(self._at_texels(self._vertices), _unit(self._at_texels(normals)))
+        def make() -> tuple[np.ndarray, np.ndarray]:
+            normals = vertex_normals(self._vertices, self._head.faces)
+            return self._at_texels(self._vertices), _unit(self._at_texels(normals))
 
-    def _resting(self, rest: _Rest) -> Receivers:
-        return Receivers.around(self._at_texels(rest.vertices), _unit(self._at_texels(rest.normals)))
+        key = (self._target.id, "receivers", self._lod, *self._inputs.mesh_key)
+        return Receivers.around(*self._evaluator.cache.get(key, make))
 
     @functools.cached_property
-    def _triangles(self) -> np.ndarray:
-        return np.concatenate([self._vertices[self._head.faces], self._lighting.occluders])
+    def _casters(self) -> Casters:
+        return Casters(self._vertices, self._head.faces).and_triangles(self._lighting.occluders)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-20)
+    return vectors / np.maximum(np.sqrt((vectors * vectors).sum(1, keepdims=True)), 1e-20)

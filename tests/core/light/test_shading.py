@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from grmm_core.head import load_open_head
-from grmm_core.light.lamps import Lighting, Sun, soft_box
+from grmm_core.light import kernels
+from grmm_core.light.lamps import Lighting, Point, Spot, Sun, soft_box
 from grmm_core.light.materials import SKIN, Materials, materials_of
-from grmm_core.light.relight import relit, to_display, to_linear
-from grmm_core.light.shading import MAX_RATIO, Response, Transport, ratio, transport
-from grmm_core.light.shadow_kernel import compared as kernel
-from grmm_core.light.shadows import Receivers, compared, visible
+from grmm_core.light.relight import relit, relit_pixels, to_display, to_linear
+from grmm_core.light.shading import MAX_RATIO, Response, Transport, arriving_share, colors_of, ratio, shade, transport
+from grmm_core.light.shadows import RESOLUTION, Casters, Receivers, _map_at, compared, drawn, visible
 from grmm_core.light.surroundings import Surroundings
 from grmm_core.light.transfer import openness, transfer, turn_between, vertex_normals
 from grmm_core.model.layout import texel_layout
@@ -51,23 +51,74 @@ def test_what_lies_behind_an_occluder_is_dark_and_a_wide_lamp_has_a_soft_edge():
     x = np.linspace(-0.1, 0.1, 401)
     receivers = Receivers.around(np.stack([x, 0 * x, 0 * x], -1), np.tile([0.0, 0.0, 1.0], (401, 1)))
     wall = np.array([[[0.0, -1.0, 0.3], [0.0, 1.0, 0.3], [-2.0, 0.0, 0.3]]])  # covers x < 0
-    sun = visible(Sun(direction=(0.0, 0.0, 1.0)), receivers, wall)
+    sun = visible(Sun(direction=(0.0, 0.0, 1.0)), receivers, walls(wall))
     assert sun[x < -0.004].max() == 0.0
     assert sun[x > 0.004].min() == 1.0
-    wide = visible(soft_box(0.0, 0.0, 1.5, 0.6, 10.0), receivers, wall)
+    wide = visible(soft_box(0.0, 0.0, 1.5, 0.6, 10.0), receivers, walls(wall))
     assert 0.2 < wide[200] < 0.8
     assert np.ptp(x[(wide > 0.05) & (wide < 0.95)]) > 5 * np.ptp(x[(sun > 0.05) & (sun < 0.95)])
     assert (np.diff(wide) > -1e-6).all()
 
 
-def test_the_compiled_comparison_is_the_readable_one():
+def walls(triangles):
+    return Casters(np.zeros((0, 3)), np.zeros((0, 3), int)).and_triangles(np.asarray(triangles, float))
+
+
+@pytest.mark.parametrize("lamp", [Sun(direction=(0.6, 0.8, 0.0)), Point(position=(0.5, 0.1, 0.3))], ids=["sun", "point"])
+def test_compiled_shadow_maps_are_the_readable_ones(lamp):
+    points, normals, faces = ball(48, 96)
+    receivers = Receivers.around(points, normals)
+    floor = [[[-2.0, -0.1, -2.0], [2.0, -0.1, -2.0], [0.0, -0.1, 2.0]], [[0.3, 0.1, 0.0], [0.7, 0.1, 0.4], [0.5, 0.12, 0.3]]]
+    casters = Casters(points, faces).and_triangles(np.array(floor))
+    place = np.array(lamp.direction if isinstance(lamp, Sun) else lamp.position)
+    seen_from = _map_at(lamp, place, receivers)
+    readable = drawn(casters, seen_from)
+    depth, crossing = np.full((RESOLUTION, RESOLUTION), 1e30, np.float32), np.empty(len(casters.faces), np.int32)
+    meshes = casters.vertices.astype(np.float32), casters.faces.astype(np.int32)
+    cut = kernels.draw_map(*meshes, *seen_from.single(), depth, crossing)
+    if cut:
+        np.minimum(depth, drawn(casters._replace(faces=casters.faces[crossing[:cut]]), seen_from), out=depth)
+    assert (np.abs(np.minimum(depth, 99.0) - np.minimum(readable, 99.0)) < 1e-3).mean() > 0.998  # but for edges
+    seen = np.empty(len(points), np.float32)
+    single = points.astype(np.float32), normals.astype(np.float32)
+    kernels.compared(depth, *single, 0.003, *seen_from.single(), seen)
+    np.testing.assert_allclose(seen, compared(depth, points + 0.003 * normals, seen_from), atol=2e-3)
+    assert 0.2 < seen.mean() < 0.8
+
+
+def test_compiled_light_is_the_readable_one():
+    points, normals, _ = ball()
     random = np.random.default_rng(0)
-    depth = random.random((16, 20)).astype(np.float32)
-    x, y, z = random.uniform(-1, 21, 200), random.uniform(-1, 17, 200), random.random(200)
-    seen = np.empty(200)
-    kernel(depth, x, y, z, seen)
-    np.testing.assert_allclose(seen, compared(depth, x, y, z), atol=1e-6)
-    assert 0.1 < seen.mean() < 0.9
+    receivers, rows = Receivers.around(points, normals), random.random((len(points), 9)).astype(np.float32)
+    lamps = (
+        soft_box(45, 35, 1.5, 0.5, 42), Sun((1.0, 0.5, 0.2), 2.0, direction=(0.6, 0.8, 0.0), angle=0.05),
+        Point((0.2, 0.4, 1.0), 20.0, position=(0.3, 0.1, 0.5), radius=0.02),
+        Spot(strength=30.0, position=(-0.5, 0.2, 0.6), direction=(0.6, -0.2, -0.75), cone=0.6),
+    )  # fmt: skip
+    seen = random.random((4, len(points))).astype(np.float32)
+    seen[:, ::3], seen[:, 1::3] = 0.0, 1.0
+    materials = Materials(*(random.uniform(0.1, 0.9, len(points)).astype(np.float32) for _ in range(6)))
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    harmonics, eye, response = random.random((9, 3)).astype(np.float32), np.array([0.1, 0.0, 1.0]), Response(1.3, 0.8, 2.0)
+    for some in (lamps, ()):
+        fast = shade(some, receivers, seen[: len(some)], materials, rows, eye, harmonics, response, turn)
+        parts = transport(some, receivers, list(seen[: len(some)]), materials, rows, eye, response, turn)
+        irradiance, highlights = parts.light(colors_of(some), harmonics)
+        np.testing.assert_allclose(fast.irradiance, irradiance, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(fast.highlights, highlights, rtol=5e-3, atol=1e-4)
+        np.testing.assert_allclose(fast.share, arriving_share(some, parts, seen[: len(some)]), atol=1e-4)
+
+
+def test_compiled_pixels_are_the_readable_ones():
+    random = np.random.default_rng(0)
+    alpha = random.random((9, 7)).astype(np.float32)
+    alpha[0] = 0.0
+    rgb, channels = random.random((9, 7, 3)) * alpha[..., None], random.random((9, 7, 8)) * 4.0 * alpha[..., None]
+    channels[..., 5:] -= alpha[..., None]
+    rgb, channels = rgb.astype(np.float32), channels.astype(np.float32)
+    np.testing.assert_allclose(
+        relit_pixels(rgb, alpha, channels, 2), relit(rgb, alpha, channels[..., 2:5], channels[..., 5:]), atol=1e-5
+    )
 
 
 def test_the_nose_throws_a_shadow_on_the_cheek_away_from_the_lamp():
@@ -75,7 +126,7 @@ def test_the_nose_throws_a_shadow_on_the_cheek_away_from_the_lamp():
     vertices = head.v_template.astype(float)
     receivers = Receivers.around(vertices, vertex_normals(vertices, head.faces))
     sun = Sun(direction=(math.sin(1.2), 0.1, math.cos(1.2)))
-    seen = visible(sun, receivers, vertices[head.faces])
+    seen = visible(sun, receivers, Casters(vertices, head.faces))
     beside = np.abs(vertices - [-0.022, -0.005, 0.095]).max(1) < 0.010  # at the right side of the nose
     mirrored = (np.abs(vertices - [0.022, -0.005, 0.095]).max(1) < 0.010) & (receivers.normals @ sun.direction > 0.3)
     assert seen[beside].mean() < 0.4
@@ -180,7 +231,7 @@ def test_softness_widens_a_lamp():
     receivers = Receivers.around(np.stack([x, 0 * x, 0 * x], -1), np.tile([0.0, 0.0, 1.0], (201, 1)))
     wall = np.array([[[0.0, -1.0, 0.3], [0.0, 1.0, 0.3], [-2.0, 0.0, 0.3]]])
     box = soft_box(0.0, 0.0, 1.5, 0.3, 10.0)
-    narrow, wide = (visible(box, receivers, wall, softness) for softness in (0.3, 3.0))
+    narrow, wide = (visible(box, receivers, walls(wall), softness) for softness in (0.3, 3.0))
     assert np.ptp(x[(wide > 0.1) & (wide < 0.9)]) > 2 * np.ptp(x[(narrow > 0.1) & (narrow < 0.9)])
-    assert visible(box, receivers, wall[:0]).min() == 1.0
+    assert visible(box, receivers, walls(wall[:0])).min() == 1.0
     assert Lighting().strongest((0.0, 0.0, 0.0)) == ()

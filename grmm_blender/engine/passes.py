@@ -15,7 +15,8 @@ MAX_NAME = 60  # characters; Blender cuts longer pass names
 FEATURES_IN_A_PASS = 4
 FEATURE_CHANNELS = 32  # the refinement network's input; weights with fewer leave the rest at zero
 
-Kind = Literal["combined", "depth", "mask", "avatar_mask", "hair", "raw", "normal", "features"]
+LightKind = Literal["diffuse", "specular", "shadow"]
+Kind = Literal["combined", "depth", "mask", "avatar_mask", "hair", "raw", "normal", "features", LightKind]
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,9 @@ SESSION_PASSES: dict[Kind, tuple[str, ...]] = {
     "raw": ("raw", "alpha"),
     "normal": ("normal",),
     "features": ("features",),
+    "diffuse": ("diffuse",),
+    "specular": ("specular",),
+    "shadow": ("shadow",),
 }
 """What `Session.render` must return for each kind."""
 
@@ -70,6 +74,10 @@ def layer_passes(view_layer: bpy.types.ViewLayer, avatar_names: list[str]) -> li
         passes += [RenderPass("avatar_mask", mask_pass_name(name), "X", "VALUE", avatar=name) for name in avatar_names]
     if extra.use_hair:
         passes.append(RenderPass("hair", "Hair", "X", "VALUE"))
+    if extra.use_light:
+        passes.append(RenderPass("diffuse", "Diffuse", "RGB", "COLOR"))
+        passes.append(RenderPass("specular", "Specular", "RGB", "COLOR"))
+        passes.append(RenderPass("shadow", "Shadow", "X", "VALUE"))
     if extra.use_raw:
         passes.append(RenderPass("raw", "Raw", "RGBA", "COLOR"))
     if extra.use_features:

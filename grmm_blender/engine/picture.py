@@ -50,6 +50,8 @@ def pass_values(
         values = buffers["normal"].copy()
         values[visible.part] *= shown[visible.part] > 0
         return values
+    elif item.kind in ("diffuse", "specular", "shadow"):
+        values = buffers[item.kind]
     elif item.kind in ("mask", "hair"):
         values = np.clip(buffers["alpha" if item.kind == "mask" else "hair"], 0, 1)
     else:

@@ -54,6 +54,12 @@ class GRMM_PassSettings(bpy.types.PropertyGroup):
 
     use_mask: flag("Mask", "Coverage of all avatars together, and of each avatar in a pass of its own", update=_update_passes)
     use_hair: flag("Hair", "Share of each pixel that strands of hair cover", update=_update_passes)
+    use_light: flag(
+        "Light",
+        "What light inside the skin gives and what surfaces mirror, which add up to the avatars' picture, and the share of the "
+        "lamps' light that no shadow keeps off",
+        update=_update_passes,
+    )
     use_raw: flag("Raw", "The splatted picture before the refinement network", update=_update_passes)
     use_normal: flag("Normal", "Normals of the head meshes in world space", update=_update_passes)
     use_features: flag(

@@ -122,6 +122,7 @@ class GRMM_PT_passes(_EnginePanel, bpy.types.Panel):
         column.prop(extra, "use_normal")
         column.prop(extra, "use_mask")
         column.prop(extra, "use_hair")
+        column.prop(extra, "use_light")
         column = layout.column(heading="Model")
         column.prop(extra, "use_raw")
         column.prop(extra, "use_features")

@@ -7,6 +7,7 @@ texture are not evaluated; the world's viewport color stands for them, and `unre
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import bpy
@@ -14,6 +15,7 @@ import numpy as np
 
 from ...grmm_core.errors import ConfigError
 from ...grmm_core.light.lamps import Area, Lamp, Lighting, Point, Spot, Sun
+from ...grmm_core.light.shading import Response
 from ...grmm_core.light.surroundings import Surroundings
 from ...grmm_core.pictures.color import srgb_to_linear
 from .shot import Occluder
@@ -30,12 +32,19 @@ class LightReader:
 
     def __init__(self) -> None:
         self._lamps: list[Lamp] = []
+        self._receivers: list[bpy.types.Collection | None] = []
 
     def visit(self, instance: bpy.types.DepsgraphObjectInstance) -> None:
         """Copy a lamp; everything else is passed over. What a render does not show is not in its depsgraph."""
         if instance.object.type == "LIGHT" and instance.show_self:
             matrix = np.array(instance.matrix_world, np.float64)
             self._lamps.append(lamp_of(instance.object.data, matrix, instance.object.name))
+            self._receivers.append(instance.object.original.light_linking.receiver_collection)
+
+    def linked(self, response: Response | None, head: bpy.types.Object) -> Response | None:
+        """How a head takes the light of the lamps that are linked to it, or to everything."""
+        kept_off = tuple(i for i, receivers in enumerate(self._receivers) if not _receives(receivers, head.original))
+        return replace(response, unlit_by=kept_off) if response is not None and kept_off else response
 
     def lighting(self, scene: bpy.types.Scene, occluders: tuple[Occluder, ...]) -> Lighting:
         """All light of a scene. Raises `ConfigError` for numbers that are no light, naming the lamp."""
@@ -48,6 +57,24 @@ class LightReader:
         return Lighting(
             tuple(self._lamps), world_light(scene), np.concatenate(kept) if kept else np.zeros((0, 3, 3), np.float32)
         )
+
+
+def _receives(collection: bpy.types.Collection | None, head: bpy.types.Object) -> bool:
+    """Whether a lamp with a collection of receivers lights a head: what it excludes never, what it includes alone."""
+    if collection is None:
+        return True
+    states = _link_states(collection)
+    return states.get(head.name_full, "EXCLUDE" if "INCLUDE" in states.values() else "INCLUDE") == "INCLUDE"
+
+
+def _link_states(collection: bpy.types.Collection) -> dict[str, str]:
+    """Whether objects of a collection are included or excluded, by full name; of nested ones their collection decides."""
+    states: dict[str, str] = {}
+    for child, link in zip(collection.children, collection.collection_children, strict=True):
+        states |= dict.fromkeys((obj.name_full for obj in child.all_objects), link.light_linking.link_state)
+    for obj, link in zip(collection.objects, collection.collection_objects, strict=True):
+        states[obj.name_full] = link.light_linking.link_state
+    return states
 
 
 def lamp_of(light: bpy.types.Light, matrix: np.ndarray, name: str) -> Lamp:

@@ -6,6 +6,7 @@ Every avatar, cloud and mesh that a picture may need is met once, whoever asks. 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import bpy
 
@@ -78,6 +79,10 @@ def read_scene(
 
     shown = [drawn for drawn in walk(depsgraph, visit) if is_rendered(drawn.object, view_layer)]
     shots = [drawn.shot(depsgraph) for drawn in shown]
+    if is_lit:
+        shots = [
+            replace(shot, response=lights.linked(shot.response, each.object)) for each, shot in zip(shown, shots, strict=True)
+        ]
     replaced = {mesh: shot.holdout for drawn, shot in zip(shown, shots, strict=True) for mesh in drawn.meshes}
     world = None if scene.render.film_transparent else world_color(scene)
     occluders, drawn_shots = reader.occluders(replaced), tuple(shot for shot in shots if not shot.holdout)

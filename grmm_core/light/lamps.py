@@ -172,6 +172,12 @@ class Lighting:
         occluders = self.occluders @ linear.T.astype(np.float32) + to_space[:3, 3].astype(np.float32)
         return Lighting(tuple(map(moved, self.lamps)), around, occluders)
 
+    def without(self, numbers: Sequence[int]) -> Lighting:
+        """The same light but for some of the lamps."""
+        if not numbers:
+            return self
+        return dataclasses.replace(self, lamps=tuple(lamp for i, lamp in enumerate(self.lamps) if i not in numbers))
+
     def strongest(self, at: Sequence[float], count: int = MAX_LAMPS) -> tuple[Lamp, ...]:
         """Lamps that count at a point, the suns of the surroundings included, strongest first, at most `count`."""
         every = (*self.lamps, *(() if self.surroundings is None else suns_of(self.surroundings)))

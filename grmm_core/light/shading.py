@@ -34,12 +34,17 @@ class Response:
         gloss: Of highlights.
         scattering: Of the way light takes inside the skin.
         softness: Of the size of lamps, where it makes shadows soft.
+        unlit_by: Numbers of lamps in `Lighting.lamps` that are not for this avatar.
     """
 
     intensity: float = 1.0
     gloss: float = 1.0
     scattering: float = 1.0
     softness: float = 1.0
+    unlit_by: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "unlit_by", tuple(self.unlit_by))
 
 
 @dataclass(frozen=True)
@@ -160,8 +165,9 @@ def shade(
     out = np.empty((len(receivers.points), 7), np.float32)
     factors = np.array([response.intensity, response.gloss, *(WANDER * response.scattering)])
     arrays = (
-        lamp_rows(lamps, receivers.centre), receivers.points, receivers.normals, seen, *vars(materials).values(), rows, eye,
-        np.eye(3) if turn is None else turn, harmonics, harmonics * _MIRROR_BANDS[:, None], factors,
+        lamp_rows(lamps, receivers.centre), receivers.points, receivers.normals, seen.reshape(len(lamps), len(out)),
+        *vars(materials).values(), rows, eye, np.eye(3) if turn is None else turn, harmonics,
+        harmonics * _MIRROR_BANDS[:, None], factors,
     )  # fmt: skip
     for_rows(kernels.shade, len(out), *(np.ascontiguousarray(array, np.float32) for array in arrays), out)
     return Arrived(out[:, :3], out[:, 3:6], out[:, 6:])

@@ -243,7 +243,7 @@ def _light(
     lighting, response = options.lighting, item.instance.response
     if isinstance(item, PlacedCloud) or lighting is None or response is None:
         return np.tile(UNLIT, (count, 1))
-    own = lighting.in_space(np.linalg.inv(item.instance.model_to_world))
+    own = lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
     return LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod).channels(camera.position, strands)
 
 

@@ -97,7 +97,7 @@ class LitAvatar:
     def _skin(self, eye: np.ndarray) -> np.ndarray:
         rest = self._rest()
         turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
-        seen = np.array([self._seen(lamp) for lamp in self.lamps], np.float32).reshape(len(self.lamps), -1)
+        seen = np.array([self._seen(lamp) for lamp in self.lamps], np.float32)
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
         scene = shade(*light, self._harmonics(self._lighting, turn.T), self._response, turn)
         relative = ratio(scene.irradiance, rest.rig[self._rows])

@@ -60,6 +60,9 @@ def test_passes(render_script, blender_version, tmp_path):
     np.testing.assert_allclose(passes["Mask"], wanted["alpha"], atol=1e-5)
     np.testing.assert_allclose(passes[f"Mask {first}"], wanted["mask"][..., :1], atol=1e-5)
     np.testing.assert_allclose(passes[f"Mask {second}"], wanted["mask"][..., 1:], atol=1e-5)
+    np.testing.assert_allclose(passes["Diffuse"], wanted["diffuse"], atol=2e-5)
+    np.testing.assert_allclose(passes["Shadow"], wanted["shadow"], atol=1e-5)
+    assert not passes["Specular"].any()  # in the studio's light all of a picture is diffuse
     np.testing.assert_allclose(passes["Features 00"], wanted["features"][..., :4], atol=1e-4)
     # Both avatars are in the picture, and the refinement did something.
     assert wanted["mask"].max(axis=(0, 1)).min() > 0.9
@@ -93,7 +96,8 @@ def test_avatars_take_the_scenes_light(render_script, blender_version):
     assert abs(result["flat"][0] - result["flat"][1]) < 0.3 * result["flat"][0]
     assert result["shaded"][1] < 0.3 * right
     assert result["shadow_goes"] <= CHANNEL_STEP
-    assert result["dark"] == result["intensity_off"] == 0
+    assert result["linked"] <= CHANNEL_STEP
+    assert result["dark"] == result["intensity_off"] == result["linked_to_others"] == result["excluded"] == 0
     assert result["blue"][2] > 2 * result["blue"][0]
     assert "POINT" in result["nan"]
     assert "correct it in the scene" in result["nan"]

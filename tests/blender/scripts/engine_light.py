@@ -63,6 +63,16 @@ report(shaded=sides(shot()))
 wall.hide_render = True
 report(shadow_goes=difference(shot(), lit))
 
+others = bpy.data.collections.new("Receivers")
+others.objects.link(wall)
+sun.light_linking.receiver_collection = others
+report(linked_to_others=float(shot()[..., :3].max()))
+others.objects.link(head)
+report(linked=difference(shot(), lit))
+others.collection_objects[-1].light_linking.link_state = "EXCLUDE"
+report(excluded=float(shot()[..., :3].max()))
+sun.light_linking.receiver_collection = None
+
 sun.hide_render = True
 report(dark=float(shot()[..., :3].max()))
 blue = lamp("POINT", (-1.5, -0.5, 0.0), 60.0, color=(0.1, 0.2, 1.0))

@@ -17,7 +17,7 @@ camera.location.x, camera.data.lens = 0.25, 45.0
 layer = scene.view_layers[0]
 layer.use_pass_z = True
 extra = layer.grmm_passes
-extra.use_mask = extra.use_raw = extra.use_normal = extra.use_features = True
+extra.use_light = extra.use_mask = extra.use_raw = extra.use_normal = extra.use_features = True
 settings = scene.render.image_settings
 set_multilayer_exr(settings)
 settings.exr_codec = "NONE"
@@ -30,7 +30,9 @@ scene.render.filepath = str(folder / "passes.exr")
 bpy.ops.render.render(write_still=True)
 
 bpy.context.view_layer.update()
-buffers = expected(scene, full_camera(scene), passes=("rgb", "alpha", "depth", "raw", "normal", "features", "mask"))
+buffers = expected(
+    scene, full_camera(scene), passes=("rgb", "alpha", "depth", "raw", "normal", "features", "mask", "diffuse", "shadow")
+)
 buffers["combined"] = module("grmm_core.pictures.color").scene_linear_premultiplied(buffers["rgb"], buffers["alpha"])
 np.savez(folder / "expected.npz", **buffers)
 report(heads=[head.name for head in heads(scene)], layer=layer.name)

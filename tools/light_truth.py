@@ -1,0 +1,186 @@
+"""Hold relighting against Cycles: `python -m tools.light_truth DATA [--sheet FILE]`.
+
+DATA is a capture with more lights: `grmm capture DATA --lights all --bare rest --layers ...`. Each view's picture in the even
+rig is relit for each of its other lights, as avatars are: irradiance and highlights at the texels of the exact mesh, splatted,
+applied in linear light. So the figures are those of the light alone, not of a model's colors. PSNR in dB, inside the mask and
+on the face without eyes and mouth; "unlit" is the picture in the rig held against the same truth. The studio's skin scatters
+no light unless `--subsurface` was given, so scattering is off here, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from grmm_core.data.dataset import CaptureDataset
+from grmm_core.data.layers import LIGHT_PREFIX
+from grmm_core.data.types import Shot, View
+from grmm_core.evaluation.regions import region_pixels, triangle_groups
+from grmm_core.head import load_open_head
+from grmm_core.light.lamps import STUDIO, Lighting, soft_box
+from grmm_core.light.materials import materials_of
+from grmm_core.light.relight import relit_pixels
+from grmm_core.light.shading import Response, ratio, shade
+from grmm_core.light.shadows import Casters, Receivers, visible
+from grmm_core.light.surroundings import Surroundings, sphere
+from grmm_core.light.transfer import transfer, turn_between, vertex_normals
+from grmm_core.model.layout import texel_layout
+from grmm_core.model.texels import TexelAnchor
+from grmm_core.pictures.images import write_png
+from grmm_core.splat import Gaussians, rasterize
+from grmm_studio.lights import SETUPS, Light
+
+GRID = 256
+COLUMNS, SHOWN = 6, 160  # of the sheet, and pixels of its pictures
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """Texels of a posed or resting head: its mesh, what they are for shadows, and their frames."""
+
+    vertices: np.ndarray
+    receivers: Receivers
+    casters: Casters
+    gaussians: Gaussians
+
+
+class Relighter:
+    """Relights the views of one capture."""
+
+    def __init__(self, data: CaptureDataset) -> None:
+        self._data, self._head = data, load_open_head()
+        self._layout = texel_layout(self._head.uv, self._head.uv_faces, GRID)
+        self._anchor = TexelAnchor(self._layout, self._head.faces, self._head.uv_faces, self._head.vertex_count)
+        self._materials = materials_of(self._head, self._layout.face, self._layout.barycentric)
+        self._groups = triangle_groups(self._head)
+        self._response = Response(scattering=0.0)
+
+    def results(self, shot: Shot, view: View) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
+        """By the name of the light: relit picture, truth, picture in the rig, [H, W, 3] over black, and pixels by region."""
+        picture = self._data.picture(shot, view)
+        rest = self._head.vertices(self._data.shape(shot.subject), np.zeros(1), np.zeros((5, 3)))
+        posed = self._head.vertices(self._data.shape(shot.subject), shot.expression, shot.pose)
+        still = self._surface(rest)
+        here = self._surface(posed if shot.displacement is None else posed + shot.displacement)
+        vertex_rows = transfer(still.vertices, vertex_normals(still.vertices, self._head.faces), self._head.faces)
+        rows = self._at_texels(vertex_rows)
+        scalp = self._head.regions["scalp"]
+        turn = turn_between(still.vertices[scalp], here.vertices[scalp])
+        eye = view.camera.position
+        rig, learned = self._light(STUDIO, still, rows, (eye - here.receivers.centre) @ turn, np.eye(3))
+        pixels = region_pixels(self._head, self._groups, here.vertices, view.camera, picture.mask, picture.depth)
+        pixels = {"mask": picture.mask > 0.9, "face": pixels["face"] & (picture.mask > 0.9)}
+        flat, found = np.asarray(picture.over(0.0), np.float32), {}
+        for layer in view.layers:
+            if layer.startswith(LIGHT_PREFIX):
+                name = layer.removeprefix(LIGHT_PREFIX)
+                irradiance, shine = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn)
+                relative = ratio(irradiance, rig)
+                relit = self._draw(here, view, relative, shine - learned * relative, flat, picture.mask)
+                truth = self._data.layer(shot, view, layer) * picture.mask[..., None]
+                found[name] = (relit.clip(0.0, 1.0), truth, flat, pixels)
+        return found
+
+    def _surface(self, vertices: np.ndarray) -> _Surface:
+        vertices = np.asarray(vertices, np.float32)
+        frames = self._anchor(torch.from_numpy(vertices))
+        normals = self._at_texels(vertex_normals(vertices, self._head.faces))
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        count = len(self._layout)
+        sides = torch.cat([frames.sizes * 0.6, frames.sizes.amin(-1, keepdim=True) * 0.35], -1)
+        gaussians = Gaussians(frames.positions, frames.quats, sides, torch.full((count,), 0.97), torch.zeros(count, 3))
+        receivers = Receivers.around(frames.positions.numpy(), normals)
+        return _Surface(vertices, receivers, Casters(vertices, self._head.faces), gaussians)
+
+    def _at_texels(self, values: np.ndarray) -> np.ndarray:
+        corners = self._head.faces[self._layout.face]
+        return np.einsum("nk,nkc->nc", self._layout.barycentric, values[corners]).astype(np.float32)
+
+    def _light(
+        self, light: Lighting, surface: _Surface, rows: np.ndarray, eye: np.ndarray, turn: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        lamps = light.strongest((0.0, 0.0, 0.0))
+        seen = np.array([visible(lamp, surface.receivers, surface.casters) for lamp in lamps], np.float32)
+        around = Surroundings.even((0.0, 0.0, 0.0)) if light.surroundings is None else light.surroundings.turned(turn.T)
+        arrived = shade(
+            lamps, surface.receivers, seen, self._materials, rows, eye, around.coefficients, self._response, turn
+        )  # fmt: skip
+        return arrived.irradiance, arrived.highlights
+
+    def _draw(
+        self, surface: _Surface, view: View, relative: np.ndarray, shine: np.ndarray, flat: np.ndarray, mask: np.ndarray
+    ) -> np.ndarray:
+        channels = torch.from_numpy(np.concatenate([relative, shine], 1).astype(np.float32))
+        drawn = rasterize(dataclasses.replace(surface.gaussians, features=channels), view.camera)
+        assert drawn.features is not None
+        light = (drawn.features / drawn.alpha.clamp(min=1e-3)[..., None]).numpy() * mask[..., None]
+        return relit_pixels(flat, mask, light, 0)
+
+
+def lighting_of(light: Light) -> Lighting:
+    """The studio's light as avatars take it; the three colors of the world as `grmm_studio.lamps` blends them."""
+    directions, solid = sphere(2000)
+    height = 0.5 * (directions[:, 1] + 1.0)
+    colors = np.array([light.ground, light.horizon, light.zenith])
+    radiance = np.stack([np.interp(height, (0.40, 0.5, 0.75), colors[:, k]) for k in range(3)], -1) * light.strength
+    lamps = tuple(soft_box(p.yaw, p.pitch, p.distance, p.side, p.power, p.color) for p in light.lamps)
+    return Lighting(lamps, Surroundings.of_directions(directions, radiance, solid))
+
+
+def measure(data: CaptureDataset, sheet: Path | None) -> dict[str, Any]:
+    """Figures of all views; writes a sheet of the first bare one: truth, relit and unlit below each other."""
+    relighter, kept = Relighter(data), defaultdict(list)
+    for shot, view in data.views():
+        for kind, each in {"bare": view.bare, "hair": view if view.image != (view.bare or view).image else None}.items():
+            if each is None:
+                continue
+            results = relighter.results(shot, each)
+            for name, (relit, truth, flat, pixels) in results.items():
+                for region, where in pixels.items():
+                    for what, image in (("relit", relit), ("unlit", flat)):
+                        kept[kind, region, what, name].append(float(-10 * np.log10(((image - truth)[where] ** 2).mean())))
+            print(shot.subject, shot.number, kind, flush=True)
+            if sheet is not None and kind == "bare":
+                write_png(sheet, _sheet([result[:3] for result in results.values()]))
+                sheet = None
+    table: dict[str, Any] = {}
+    for (kind, region, what, name), values in kept.items():
+        table.setdefault(f"{kind} {region}", {}).setdefault(name, {})[what] = round(float(np.mean(values)), 2)
+    for rows in table.values():
+        rows["mean"] = {what: round(float(np.mean([row[what] for row in rows.values()])), 2) for what in ("relit", "unlit")}
+    return table
+
+
+def _sheet(columns: list[tuple[np.ndarray, ...]]) -> np.ndarray:
+    from PIL import Image
+
+    def small(picture: np.ndarray) -> np.ndarray:
+        pixels = np.round(picture.clip(0.0, 1.0) * 255).astype(np.uint8)
+        return np.asarray(Image.fromarray(pixels).resize((SHOWN, SHOWN), Image.Resampling.LANCZOS))
+
+    stacks = [np.concatenate([small(picture) for picture in (truth, relit, flat)]) for relit, truth, flat in columns]
+    rows = [np.concatenate(stacks[k : k + COLUMNS], 1) for k in range(0, len(stacks), COLUMNS)]
+    return np.concatenate(rows)
+
+
+def main() -> int:
+    """Measure and print JSON."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--sheet", type=Path, help="PNG of the first view in all lights: Cycles, relit, and not relit")
+    args = parser.parse_args()
+    json.dump(measure(CaptureDataset(args.data), args.sheet), sys.stdout, indent=1)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -13,8 +13,9 @@ import numpy as np
 from ..compute.kernels import compiled
 
 _OPTIONS: dict[str, Any] = {"fastmath": True, "boundscheck": False, "error_model": "numpy", "nogil": True}
-_0, _1, _2, _HALF = np.float32(0.0), np.float32(1.0), np.float32(2.0), np.float32(0.5)
-_TINY, _PI = np.float32(1e-9), np.float32(math.pi)
+_single: Any = np.float32  # mypy cannot follow numpy's kinds of numbers through min and max
+_0, _1, _2, _HALF = _single(0.0), _single(1.0), _single(2.0), _single(0.5)
+_TINY, _PI = _single(1e-9), _single(math.pi)
 _LEVEL = np.float32(0.02)  # change of a face's reciprocal depth that counts as small
 # columns of a lamp's row; `shading.lamp_rows` writes them
 (KIND, PLACE, POWER, SPREAD, TOWARDS, INNER, FADE, SIZE, COLOR, LAMP_VALUES) = (0, 1, 4, 5, 6, 9, 10, 11, 12, 15)
@@ -179,9 +180,6 @@ def _extremes(depth: np.ndarray, nearest: np.ndarray, farthest: np.ndarray) -> N
             nearest[row, column], farthest[row, column] = _0, np.float32(3e38)
 
 
-# --- light at points ---------------------------------------------------------------------------------------------------------
-
-
 @compiled(inline="always", **_OPTIONS)
 def _arriving(lamps: np.ndarray, k: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Direction to a lamp and irradiance, as `lamps.arriving`."""
@@ -200,6 +198,52 @@ def _arriving(lamps: np.ndarray, k: int, x: float, y: float, z: float) -> tuple[
             share = min(max((along - lamps[k, INNER]) * lamps[k, FADE], _0), _1)
             strength *= share * share * (np.float32(3.0) - _2 * share)
     return dx, dy, dz, strength
+
+
+@compiled(**_OPTIONS)
+def march(
+    extinction: np.ndarray, low: np.ndarray, cell: float, steps: int, lamps: np.ndarray, points: np.ndarray, seen: np.ndarray,
+    first: int, last: int,
+) -> None:  # fmt: skip
+    """Dim what points see of a lamp by a cloud before it; see `hair_shading.through`.
+
+    Args:
+        extinction: At the middles of cells, 1/m, [X, Y, Z].
+        low: Corner of the grid, [3].
+        cell: Side of a cell and length of a step, metres.
+        steps: At most.
+        lamps: One row of `shading.lamp_rows`, [1, LAMP_VALUES].
+        points: [N, 3].
+        seen: Changed, [N].
+        first: Row of `points`.
+        last: The row after the last.
+    """
+    inverse, length = np.float32(1.0 / cell), np.float32(cell)
+    wide, high, deep = extinction.shape
+    for i in range(first, last):
+        if seen[i] <= _0:
+            continue
+        lx, ly, lz, _ = _arriving(lamps, 0, points[i, 0], points[i, 1], points[i, 2])
+        # in cells from the middle of the first one; half a step ahead
+        x = (points[i, 0] - low[0]) * inverse - _HALF + _HALF * lx
+        y = (points[i, 1] - low[1]) * inverse - _HALF + _HALF * ly
+        z = (points[i, 2] - low[2]) * inverse - _HALF + _HALF * lz
+        total = _0
+        for _step in range(steps):
+            if x >= _0 and y >= _0 and z >= _0:
+                a, b, c = int(x), int(y), int(z)
+                if a < wide - 1 and b < high - 1 and c < deep - 1:
+                    u, v, w = x - np.float32(a), y - np.float32(b), z - np.float32(c)
+                    near = (_1 - w) * extinction[a, b, c] + w * extinction[a, b, c + 1]
+                    beside = (_1 - w) * extinction[a, b + 1, c] + w * extinction[a, b + 1, c + 1]
+                    ahead = (_1 - w) * extinction[a + 1, b, c] + w * extinction[a + 1, b, c + 1]
+                    across = (_1 - w) * extinction[a + 1, b + 1, c] + w * extinction[a + 1, b + 1, c + 1]
+                    total += (_1 - u) * ((_1 - v) * near + v * beside) + u * ((_1 - v) * ahead + v * across)
+            x, y, z = x + lx, y + ly, z + lz
+        seen[i] *= math.exp(-total * length)
+
+
+# --- light at points ---------------------------------------------------------------------------------------------------------
 
 
 @compiled(inline="always", **_OPTIONS)

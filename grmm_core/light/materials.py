@@ -67,7 +67,7 @@ class Materials:
     shine: np.ndarray
     wander: np.ndarray
 
-    def taken(self, rows: np.ndarray) -> Materials:
+    def taken(self, rows: np.ndarray | slice) -> Materials:
         """Of some Gaussians only."""
         return Materials(*(array[rows] for array in vars(self).values()))
 

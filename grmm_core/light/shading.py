@@ -213,7 +213,13 @@ def lamp_rows(lamps: tuple[Lamp, ...], centre: np.ndarray) -> np.ndarray:
 
 def ratio(scene: Array, rig: Array) -> Array:
     """Irradiance relative to the rig's that colors were learned under, both [N, 3] W/m2: [N, 3]."""
-    result: Array = (scene / rig.clip(_DARKEST * float(rig.max()), None)).clip(0.0, MAX_RATIO)
+    result: Array = (scene / reached(rig)).clip(0.0, MAX_RATIO)
+    return result
+
+
+def reached(rig: Array) -> Array:
+    """The rig's irradiance [N, 3], no less than what colors can tell of."""
+    result: Array = rig.clip(_DARKEST * float(rig.max()), None)
     return result
 
 

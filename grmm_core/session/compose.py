@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -223,7 +224,7 @@ def _gaussians(
         if channels.hair is not None:
             stacked[count:, channels.hair] = 1.0
         if channels.light is not None:
-            light = _light(item, evaluator, local_camera, options, strands, len(own))
+            light = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own))
             stacked[:, channels.light] = evaluator.engine.array(light[:, : channels.light.stop - channels.light.start])
     means, quats, scales = own.means, own.quats, own.scales
     if not single:
@@ -237,14 +238,21 @@ def _gaussians(
 
 
 def _light(
-    item: Placed, evaluator: Evaluator, camera: Camera, options: RenderOptions, strands: Gaussians | None, count: int
-) -> np.ndarray:
+    item: Placed, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
+    strands: Gaussians | None, count: int,
+) -> np.ndarray:  # fmt: skip
     """What the scene's light does to one instance's Gaussians, [N, LIGHT_CHANNELS]; nothing where it is not lit."""
     lighting, response = options.lighting, item.instance.response
     if isinstance(item, PlacedCloud) or lighting is None or response is None:
         return np.tile(UNLIT, (count, 1))
     own = lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
-    return LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod).channels(camera.position, strands)
+    hair = None
+    if item.worn is not None and item.worn.layers:
+        settings = item.worn.settings[0]
+        given = tuple(hashlib.sha256(layer.points.tobytes()).digest() for layer in item.worn.layers if layer.points is not None)
+        pieces = functools.partial(wardrobe.covering, evaluator, item.target, item.inputs, item.worn)
+        hair = ((*item.worn.key, settings, *given), pieces)
+    return LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod, hair).channels(camera.position, strands)
 
 
 def _rotation(model_to_world: np.ndarray, like: Array) -> Array:

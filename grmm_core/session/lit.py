@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
+from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
 from ..geometry.rotations import quaternion_to_matrix
-from ..light.hair_shading import strand_transport
+from ..light.hair_shading import HairCloud, strand_transport
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
 from ..light.shading import Response, arriving_share, colors_of, ratio, shade
@@ -29,6 +30,7 @@ from .evaluator import Evaluator, Inputs, OpenAvatar
 RATIO, HIGHLIGHTS, SHADOW = slice(0, 3), slice(3, 6), slice(6, 7)
 LIGHT_CHANNELS = 7
 UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0], np.float32)  # what changes nothing
+Hair = tuple[Hashable, Callable[[], tuple[np.ndarray, np.ndarray]]]
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _RIGID = "scalp"  # region whose turn is the head's
 
@@ -61,13 +63,17 @@ class LitAvatar:
         lighting: In head space.
         response: How the avatar takes it.
         lod: Level of detail of the skin's Gaussians.
+        hair: What throws shadows on the skin besides the mesh: what identifies it, and middles and areas of its pieces
+            (`Wardrobe.covering`).
     """
 
     def __init__(
-        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, lighting: Lighting, response: Response, lod: int = 0
-    ) -> None:
+        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, lighting: Lighting, response: Response, lod: int = 0,
+        hair: Hair | None = None,
+    ) -> None:  # fmt: skip
         self._evaluator, self._target, self._inputs = evaluator, target, inputs
         self._lighting, self._response, self._lod = lighting, response, lod
+        self._hair = hair
         self._head = target.model.head_model
         self._vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
         self._centre = 0.5 * (self._vertices.min(0) + self._vertices.max(0))
@@ -89,7 +95,8 @@ class LitAvatar:
 
         around = self._lighting.surroundings
         light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key
-        key = (self._target.id, "lit", eye.tobytes(), self._response, self._lod, *light, *self._inputs.mesh_key)
+        worn = () if self._hair is None else self._hair[0]
+        key = (self._target.id, "lit", eye.tobytes(), self._response, self._lod, *light, worn, *self._inputs.mesh_key)
         skin = self._evaluator.cache.get(key, make)[0]
         parts = [skin] + ([] if strands is None else [self._strands(strands, eye)])
         return np.concatenate(parts).astype(np.float32)
@@ -175,9 +182,12 @@ class LitAvatar:
 
     def _seen(self, lamp: Lamp) -> np.ndarray:
         def make() -> tuple[np.ndarray]:
-            return (visible(lamp, self._receivers, self._casters, self._response.softness),)
+            seen = visible(lamp, self._receivers, self._casters, self._response.softness)
+            if lamp.shadow and self._cloud is not None:
+                seen *= self._cloud.through(lamp, self._receivers.points)
+            return (seen,)
 
-        mesh = (self._lod, *self._inputs.mesh_key)
+        mesh = (self._lod, () if self._hair is None else self._hair[0], *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
         return self._evaluator.cache.get(key, make)[0]
 
@@ -226,6 +236,19 @@ class LitAvatar:
 
         key = (self._target.id, "receivers", self._lod, *self._inputs.mesh_key)
         return Receivers.around(*self._evaluator.cache.get(key, make))
+
+    @functools.cached_property
+    def _cloud(self) -> HairCloud | None:
+        if self._hair is None:
+            return None
+        key, pieces = self._hair
+
+        def make() -> tuple[np.ndarray, ...]:
+            points, areas = pieces()
+            return tuple(HairCloud.of(points, areas)) if len(points) else (np.zeros((0, 0, 0)), np.zeros(3))
+
+        cloud = HairCloud(*self._evaluator.cache.get((self._target.id, "hair cloud", key, *self._inputs.mesh_key), make))
+        return cloud if cloud.extinction.size else None
 
     @functools.cached_property
     def _casters(self) -> Casters:

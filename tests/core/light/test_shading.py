@@ -10,6 +10,7 @@ import torch
 
 from grmm_core.head import load_open_head
 from grmm_core.light import kernels
+from grmm_core.light.hair_shading import CELL, HairCloud
 from grmm_core.light.lamps import Lighting, Point, Spot, Sun, soft_box
 from grmm_core.light.materials import SKIN, Materials, materials_of
 from grmm_core.light.relight import relit, relit_pixels, to_display, to_linear
@@ -107,6 +108,22 @@ def test_compiled_light_is_the_readable_one():
         np.testing.assert_allclose(fast.irradiance, irradiance, rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(fast.highlights, highlights, rtol=5e-3, atol=1e-4)
         np.testing.assert_allclose(fast.share, arriving_share(some, parts, seen[: len(some)]), atol=1e-4)
+
+
+@pytest.mark.parametrize("lamp", [Sun(direction=(0.48, 0.6, 0.64)), Point(position=(0.1, 0.3, 0.2))], ids=["sun", "point"])
+def test_hair_dims_what_lies_behind_it(lamp):
+    random = np.random.default_rng(0)
+    cloud = HairCloud.of(random.uniform(-0.05, 0.05, (4000, 3)), random.uniform(0.0, 5e-6, 4000))
+    points = np.concatenate([random.uniform(-0.12, 0.12, (300, 3)), [[-0.5, -0.5, -0.5]]])
+    seen = cloud.through(lamp, points)
+    np.testing.assert_allclose(seen, cloud.through_plain(lamp, points), atol=1e-4)
+    assert seen[-1] == 1.0
+    assert 0.1 < seen.min() < 0.8
+    # as much as cylinders in locks, which lie every way, keep off on a way through the middle
+    thick = HairCloud(np.full((30, 30, 30), 10.0, np.float32), np.full(3, -15 * CELL))
+    assert thick.through(Sun(direction=(0.0, 1.0, 0.0)), np.zeros((1, 3))) == pytest.approx(
+        math.exp(-10.0 * 14.5 * CELL), rel=0.05
+    )
 
 
 def test_compiled_pixels_are_the_readable_ones():

@@ -16,6 +16,7 @@ from grmm_core.light.shading import Response
 from grmm_core.light.surroundings import Surroundings
 from grmm_core.pictures.color import linear_to_srgb
 from grmm_core.session import HairUse, Instance, RenderOptions, create_session
+from grmm_core.session.wardrobe import Wardrobe
 
 CAMERA = Camera.orbit(128, 128, 10, fov=20)
 PASSES = ("rgb", "alpha", "linear", "diffuse", "specular", "shadow")
@@ -133,6 +134,15 @@ def test_strands_are_lit_with_the_skin(session):
     )
     top = slice(0, 40)
     assert halves(lit["linear"][top, :, :3])[0] > 1.5 * halves(back["linear"][top, :, :3])[0]
+
+
+def test_strands_throw_shadows_on_the_skin(session, monkeypatch):
+    above, hair = Lighting((Sun(direction=(0.5, 0.8, 0.33), strength=3.0),)), HairUse("groom:bob")
+    shaded = drawn(session, above, hair=hair)["shadow"]
+    monkeypatch.setattr(Wardrobe, "covering", lambda *_: (np.zeros((0, 3)), np.zeros(0)))
+    lit = drawn(session, above, hair=hair, controls=Controls().set_named({"jawOpen": 1e-4}))["shadow"]  # made anew
+    assert (lit - shaded).max() > 0.3
+    assert (shaded - lit).max() < 0.05
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,9 @@ from ..geometry.camera import Camera
 from ..hair.packaged import HEAD
 from ..jobs.progress import Reporter
 from ..jobs.stages import BENCHMARK
+from ..light.lamps import Lighting
+from ..light.parse import lighting_of
+from ..light.shading import Response
 from ..session import (
     EngineName,
     HairUse,
@@ -86,6 +89,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             **({"stages": lambda: stages(session, avatar.id, repeats)} if args.engine == "torch" else {}),
             **({"engines": lambda: engines(session, args, repeats)} if has_torch() and has_plain_engine() else {}),
             "caching": lambda: caching(session, avatar.id, repeats),
+            "light": lambda: light(session, avatar.id, repeats),
             "resolution": lambda: scaling(session, avatar.id, repeats, resolutions, "size"),
             "detail": lambda: scaling(session, avatar.id, repeats, LODS, "lod"),
             **({"hair": lambda: scaling(session, avatar.id, repeats, HAIR, "hair")} if avatar.head_name == HEAD else {}),
@@ -154,9 +158,19 @@ def engines(session: LocalSession, args: argparse.Namespace, repeats: int) -> di
     }
 
 
-def frames(session: LocalSession, avatar_id: int) -> dict[str, Callable[[], object]]:
+def light(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any]:
+    """Compare frames in four lights and a world with those in the studio's light, in turns: the ratio is lit over unlit."""
+    lighting = lighting_of(["lamp:45,35,42", "lamp:-40,10,7,1,0.8,0.6", "lamp:150,20,30", "sun:20,60,2", "world:0.05"])
+    calls = {"lit": frames(session, avatar_id, lighting), "unlit": frames(session, avatar_id)}
+    names = ("nothing", "camera", "expression")
+    times = best_times({f"{name} {which}": of[name] for which, of in calls.items() for name in names}, repeats)
+    return {name: {"ratio": times[f"{name} lit"] / times[f"{name} unlit"], "ms": 1e3 * times[f"{name} lit"]} for name in names}
+
+
+def frames(session: LocalSession, avatar_id: int, lighting: Lighting | None = None) -> dict[str, Callable[[], object]]:
     """Calls that draw a frame in which nothing, the camera, the expression, or everything has changed."""
     step = iter(range(1 << 30))
+    response, options = None if lighting is None else Response(), RenderOptions(lighting=lighting)
 
     def frame(name: str) -> Callable[[], object]:
         def draw() -> None:
@@ -166,7 +180,9 @@ def frames(session: LocalSession, avatar_id: int) -> dict[str, Callable[[], obje
             jaw = 0.001 * (number % 500) if name == "expression" else 0.0
             yaw = 0.1 * (number % 500) if name == "camera" else 0.0
             controls = Controls().set_named({"jawOpen": jaw})
-            session.render([Instance(avatar_id, controls)], Camera.orbit(FRAME_SIZE, FRAME_SIZE, yaw))
+            session.render(
+                [Instance(avatar_id, controls, response=response)], Camera.orbit(FRAME_SIZE, FRAME_SIZE, yaw), options
+            )
 
         return draw
 

@@ -107,6 +107,7 @@ BENCHMARK = JobStages(
         Stage("stages", "Stages of a frame"),
         Stage("engines", "With torch and without"),
         Stage("caching", "What is kept"),
+        Stage("light", "In lights"),
         Stage("resolution", "Sizes"),
         Stage("detail", "Levels of detail"),
         Stage("hair", "Hair of strands"),

@@ -23,7 +23,7 @@ _RENDER = (
     "use_border", "use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y",
     "use_motion_blur", "motion_blur_position", "motion_blur_shutter", "use_multiview", "views_format",
 )  # fmt: skip
-_SCENE = ("frame_start", "frame_end", "frame_step", "camera")
+_SCENE = ("frame_start", "frame_end", "frame_step", "camera", "world")
 _LAYER_FLAGS = ("exclude", "holdout", "indirect_only")
 _DELAY = 0.1  # seconds
 

@@ -94,7 +94,8 @@ def delit(colors: np.ndarray, weights: np.ndarray, skin: SkinParts) -> Delit:
         skin: Of the same points.
     """
     linear = np.asarray(to_linear(np.asarray(colors, np.float64)))
-    counted = (weights > 0) & (skin.rig == reached(skin.rig)).all(1)
+    told = (skin.rig == reached(skin.rig)).all(1)
+    counted = (weights > 0) & told
     tone = np.maximum(np.median(linear[counted], 0), 1e-4)
     lamps, harmonics = np.zeros((len(SUNS), 3)), np.zeros((TERMS, 3))
     for c in range(3):
@@ -103,7 +104,8 @@ def delit(colors: np.ndarray, weights: np.ndarray, skin: SkinParts) -> Delit:
         found = _robust(columns, linear[counted, c] / tone[c], weights[counted])
         lamps[:, c], harmonics[:, c] = found[: len(SUNS)], found[len(SUNS) :]
     irradiance, _ = skin.parts.light(lamps.astype(np.float32), harmonics.astype(np.float32))
-    relative = ratio(irradiance, skin.rig).clip(*_RANGE)
+    # where the rig hardly reaches, in nostrils and mouth, colors tell nothing about light and stay
+    relative = np.where(told[:, None], ratio(irradiance, skin.rig).clip(*_RANGE), 1.0)
     lit = (dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(lamps, SUNS, strict=True) if color.any())
     return Delit(np.asarray(to_display(linear / relative)), Lighting(tuple(lit), Surroundings(harmonics)), relative)
 

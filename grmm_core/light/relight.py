@@ -59,7 +59,7 @@ def relit_pixels(rgb: np.ndarray, alpha: np.ndarray, channels: np.ndarray, start
 @functools.lru_cache(maxsize=1)
 def _tables() -> tuple[np.ndarray, np.ndarray]:
     """Linear light by display values, and display values by the root of linear light."""
-    from .kernels import DISPLAY_END, LINEAR_END, TABLE
+    from .light_kernels import DISPLAY_END, LINEAR_END, TABLE
 
     steps = np.arange(TABLE + 2) / TABLE
     return to_linear(steps * LINEAR_END).astype(np.float32), to_display((steps * DISPLAY_END) ** 2).astype(np.float32)

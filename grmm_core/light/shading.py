@@ -188,8 +188,23 @@ def arriving_share(lamps: tuple[Lamp, ...], parts: Transport[np.ndarray], seen: 
 
 
 def lamp_rows(lamps: tuple[Lamp, ...], centre: np.ndarray) -> np.ndarray:
-    """Lamps as numbers for `kernels`, [L, LAMP_VALUES]; `centre` [3] is where their size is seen from."""
-    from .kernels import AREA, COLOR, FADE, INNER, KIND, LAMP_VALUES, PLACE, POINT, POWER, SIZE, SPOT, SPREAD, SUN, TOWARDS
+    """Lamps as numbers for `light_kernels`, [L, LAMP_VALUES]; `centre` [3] is where their size is seen from."""
+    from .light_kernels import (
+        AREA,
+        COLOR,
+        FADE,
+        INNER,
+        KIND,
+        LAMP_VALUES,
+        PLACE,
+        POINT,
+        POWER,
+        SIZE,
+        SPOT,
+        SPREAD,
+        SUN,
+        TOWARDS,
+    )
 
     rows = np.zeros((len(lamps), LAMP_VALUES), np.float32)
     for row, lamp in zip(rows, lamps, strict=True):

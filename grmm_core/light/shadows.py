@@ -175,10 +175,10 @@ def _map_at(lamp: Lamp, place: np.ndarray, receivers: Receivers) -> _Map:
 def compiled_kernels() -> ModuleType | None:
     """The compiled twins of this room, or None without numba."""
     try:
-        from . import kernels
+        from . import light_kernels
     except ImportError:
         return None
-    return kernels
+    return light_kernels
 
 
 def drawn(casters: Casters, seen_from: _Map) -> np.ndarray:

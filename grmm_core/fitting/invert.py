@@ -139,7 +139,7 @@ class _Inversion:
         """The photos at a size."""
         model = self.model
         return [
-            fit_view(track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device)
+            fit_view(track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless)
             for index, track in enumerate(self.tracks)
         ]
 
@@ -235,7 +235,9 @@ def photo_pictures(
     pictures = []
     z_id, shared = (torch.as_tensor(np.array(a), device=model.device) for a in (avatar.z_id, avatar.z_exp))
     for index, track in enumerate(tracks):
-        view = fit_view(track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device)
+        view = fit_view(
+            track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless
+        )
         own = torch.as_tensor(np.array(avatar.tracking["z_exp"][index]), device=model.device)
         gain, offset = torch.as_tensor(np.array(avatar.tracking["light"][index]), device=model.device)
         with torch.no_grad():

@@ -109,7 +109,7 @@ def aligned_weights(expression: np.ndarray, head: HeadModel, count: int) -> np.n
 
 def fit_view(
     track: PhotoTrack, head: HeadModel, index: int, side: int, aligned_count: int, dtype: torch.dtype,
-    device: torch.device | str = "cpu",
+    device: torch.device | str = "cpu", hairless: bool = False,
 ) -> FitView:  # fmt: skip
     """Prepare a photo.
 
@@ -121,13 +121,17 @@ def fit_view(
         aligned_count: Number of aligned expressions.
         dtype: Of the tensors.
         device: Of the tensors.
+        hairless: The model has no hair: hair and beard are no targets, but strands that are found elsewhere (`hair_stage`).
     """
     pose = head.pose_of(track.expression, track.pose)
     vertices = head.vertices(track.shape, track.expression, pose)
     pixels = project(vertices, track.camera)
     left, top, right, bottom = head_window(pixels, track.camera)
-    parts = _areas(track, parse(track, head), vertices[head.faces], pixels)
+    seen = parse(track, head)
+    parts = _areas(track, seen, vertices[head.faces], pixels)
     weight = track.valid * (1.0 - parts.body)
+    if hairless:
+        weight = weight * (seen.hair + seen.beard < _LIKELY)
     camera = track.camera.crop(left, top, right - left, bottom - top)
     scale = min(1.0, side / max(camera.width, camera.height))
     width, height = (max(_MULTIPLE, round(n * scale / _MULTIPLE) * _MULTIPLE) for n in (camera.width, camera.height))

@@ -26,7 +26,7 @@ from .strands import blocks_of
 if TYPE_CHECKING:
     from ..head import HeadModel
 
-COLOR_SIDE = 128  # pixels of the picture whose colors are compared
+COLOR_SIDE = 256  # pixels of the picture whose colors are compared
 _FULL = 0.8  # cover from which a pixel shows nothing but hair
 _FEW_PIXELS = 20
 _PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
@@ -102,7 +102,7 @@ def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView],
 
     grid = itertools.product(np.linspace(0, 1, 6), (0.0, 0.4, 0.8), (0.0, 0.4))
     best = min((settings.changed(melanin=m, grey=g, redness=r, dye=0.0) for m, g, r in grid), key=distance)
-    for step in (0.2, 0.1, 0.05, 0.025):
+    for step in (0.2, 0.1, 0.05, 0.1, 0.05, 0.025):
         for name in ("melanin", "grey", "redness"):
             around = [best.changed(**{name: getattr(best, name) + sign * step}) for sign in (-1, 1)]
             best = min([best, *around], key=distance)

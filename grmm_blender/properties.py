@@ -11,9 +11,9 @@ import bpy
 
 from ..grmm_core.controls.names import JOINT_NAMES
 from ..grmm_core.hair import SETTINGS
-from .declare import choice, flag, number, text
+from .declare import choice, flag, number, text, whole
 from .hair import grooms
-from .hair.grooms import HAIR_ITEMS, OWN_HAIR, label_of
+from .hair.grooms import HAIR_ITEMS, OWN_HAIR, PART_ITEMS, label_of
 from .rig.avatar import Avatar, is_avatar
 from .rig.build import add_missing_controls, show_source
 from .rig.identity import DEFAULT_SOURCE
@@ -94,6 +94,10 @@ class GRMM_PG_hair(bpy.types.PropertyGroup):
         poll=_are_curves,
         **_LIVE,
     )
+    seed: whole("Seed", "Number of the hair at random", min=0, max=999_999_999, **_LIVE)
+    __annotations__ |= {
+        part: choice(label_of(part), f"What {part} the avatar wears", *items, **_LIVE) for part, items in PART_ITEMS.items()
+    }
     swing: flag("Swing", "Long hair lags behind the moving head and swings, as it was baked", **_LIVE)
     swing_file: text("Baked Swing", "File of the baked hair", subtype="FILE_PATH", options={"PATH_SUPPORTS_BLEND_RELATIVE"})
     swing_of: text("Baked Hair", "The person and the hair that were baked", options={"HIDDEN"})

@@ -5,6 +5,7 @@ Shared by final renders and the viewport. Touches none of Blender's data, so tha
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -117,4 +118,4 @@ def hair_of(shot: AvatarShot, moves: bool = True) -> HairUse:
     if strands is None:
         return shot.hair
     groom = session_host.put_groom(strands.key, strands.version, strands.groom)
-    return HairUse(groom, shot.hair.settings, strands.points if moves else None)
+    return dataclasses.replace(shot.hair, groom=groom, points=strands.points if moves else None)

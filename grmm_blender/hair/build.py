@@ -16,12 +16,13 @@ import numpy as np
 from ...grmm_core.avatar import AssetReference, Hair
 from ...grmm_core.hair import SETTINGS, Groom, HairSettings, library_groom
 from ...grmm_core.hair.pigment import albedos
+from ...grmm_core.hair.prior import random_groom
 from ...grmm_core.hair.roots import SCALP
 from ..rig.avatar import Avatar
 from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
 from .display import AS_SPLATS
-from .grooms import NO_HAIR, OWN_HAIR
+from .grooms import NO_HAIR, OWN_HAIR, RANDOM_HAIR
 from .read import DEFORM_NODE, UV_COORDINATE, resting_vertices
 
 GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"
@@ -38,6 +39,8 @@ def worn_hair(avatar: Avatar) -> Hair | None:
     settings = settings_of(panel)
     if panel.groom == NO_HAIR:
         return Hair(None, settings)
+    if panel.groom == RANDOM_HAIR:
+        return Hair(random_groom(str(panel.seed)), settings)
     if panel.groom != OWN_HAIR:
         return Hair(library_groom(panel.groom), settings)
     own = own_hair(avatar.source)

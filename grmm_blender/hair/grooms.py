@@ -8,7 +8,8 @@ import bpy.utils.previews
 from ...grmm_core.hair import groom_names
 from ...grmm_core.hair.packaged import PICTURE_SUFFIX, groom_folder
 
-OWN_HAIR, NO_HAIR = "OWN", "NONE"  # besides the names of grooms
+OWN_HAIR, NO_HAIR, RANDOM_HAIR = "OWN", "NONE", "RANDOM"  # besides the names of grooms
+PARTS = ("brows", "beard", "lashes")  # chosen beside the hair
 
 
 def label_of(name: str) -> str:
@@ -20,7 +21,16 @@ HAIR_ITEMS = (
     (OWN_HAIR, "Own", "The hair that it comes with"),
     (NO_HAIR, "None", "A bald head"),
     *((name, label_of(name), f"Strands: {label_of(name).lower()}") for name in groom_names()),
+    (RANDOM_HAIR, "Random", "Hair that nobody has combed: every seed is another"),
 )
+PART_ITEMS = {
+    part: (
+        (OWN_HAIR, "Own", f"The {part} that it comes with"),
+        (NO_HAIR, "None", f"No {part} of strands"),
+        *((name, label_of(name), f"Strands: {label_of(name).lower()}") for name in groom_names(part)),
+    )
+    for part in PARTS
+}
 _pictures: bpy.utils.previews.ImagePreviewCollection | None = None
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from ...grmm_core.errors import FileAccessError, GrmmError
 from ...grmm_core.hair.swing import SwingBake
 from ...grmm_core.session import HairUse
+from .grooms import RANDOM_HAIR
 
 FOLDER = "grmm_hair"  # beside the blend file
 _TO_Y_UP = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # from Blender's axes
@@ -26,7 +27,8 @@ def bake_path(name: str) -> str:
 
 def hair_key(head: bpy.types.Object) -> str:
     """What a bake belongs to: the strands of another person or another groom swing otherwise."""
-    return f"{head.grmm.source}|{head.grmm.hair.groom}"
+    hair = head.grmm.hair
+    return f"{head.grmm.source}|{hair.groom}|{hair.seed if hair.groom == RANDOM_HAIR else 0}"
 
 
 def place_of_head(model_to_world: np.ndarray) -> np.ndarray:

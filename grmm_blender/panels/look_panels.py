@@ -6,7 +6,7 @@ import bpy
 
 from ...grmm_core.hair import SETTINGS
 from ..hair import message_of
-from ..hair.grooms import NO_HAIR
+from ..hair.grooms import NO_HAIR, PARTS, RANDOM_HAIR
 from ..properties import SCENE_LIGHT
 from ..rig.avatar import avatar_of
 from ..scene.lights import unread_world
@@ -70,6 +70,10 @@ class GRMM_PT_hair(_LookPanel):
         choice.active = settings.curves is None
         choice.template_icon_view(settings, "picked", show_labels=True, scale=_PICTURE, scale_popup=_PICTURE)
         choice.prop(settings, "groom")
+        if settings.groom == RANDOM_HAIR:
+            choice.prop(settings, "seed")
+        for part in PARTS:
+            layout.prop(settings, part)
         layout.prop(settings, "curves")
         layout.operator("grmm.hair_as_curves", icon="SCULPTMODE_HLT")
         row = layout.row(align=True)

@@ -14,9 +14,9 @@ from ...grmm_core.errors import GrmmError
 from ...grmm_core.hair import SETTINGS, HairSettings
 from ...grmm_core.light.shading import Response
 from ...grmm_core.session import HairUse
-from ...grmm_core.session.wearing import GROOM_PREFIX
+from ...grmm_core.session.wearing import GROOM_PREFIX, RANDOM_PREFIX
 from ..hair import StrandShot, read_strands
-from ..hair.grooms import NO_HAIR, OWN_HAIR
+from ..hair.grooms import NO_HAIR, OWN_HAIR, PARTS, RANDOM_HAIR
 from ..hair.swing import swung
 from ..properties import SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
@@ -36,15 +36,15 @@ def _response(settings: bpy.types.PropertyGroup) -> Response | None:
 
 
 @functools.lru_cache(maxsize=64)
-def _hair_use(groom: str, values: tuple[float, ...]) -> HairUse:
-    """What the panel's choice means to a session."""
+def _hair_use(groom: str, parts: tuple[str, ...], values: tuple[float, ...]) -> HairUse:
+    """What the panel's choice of hair and of its `PARTS` means to a session."""
     near = np.allclose(values, [row.default for row in SETTINGS], atol=1e-6)
     settings = None if near else HairSettings(*values)
-    if groom in (OWN_HAIR, NO_HAIR):
-        if groom == OWN_HAIR and settings is None:
-            return WEARS_ITS_OWN
-        return HairUse(groom.lower(), settings)
-    return HairUse(GROOM_PREFIX + groom, settings)
+    if {groom, *parts} == {OWN_HAIR} and settings is None:
+        return WEARS_ITS_OWN
+    own = {OWN_HAIR: OWN_HAIR.lower(), NO_HAIR: NO_HAIR.lower()}
+    named = own.get(groom) or (groom if groom.startswith(RANDOM_PREFIX) else GROOM_PREFIX + groom)
+    return HairUse(named, settings, **{part: own.get(name, name) for part, name in zip(PARTS, parts, strict=True)})
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,10 @@ class DrawnAvatar:
                 groom = NO_HAIR
             except GrmmError as error:
                 note = str(error)
-        use = _hair_use(groom, tuple(getattr(settings, row.name) for row in SETTINGS))
+        if groom == RANDOM_HAIR:
+            groom = f"{RANDOM_PREFIX}{settings.seed}"
+        parts, values = (tuple(getattr(settings, name) for name in names) for names in (PARTS, [row.name for row in SETTINGS]))
+        use = _hair_use(groom, parts, values)
         if settings.curves is None:
             use, note = swung(use, self.object.evaluated_get(depsgraph), depsgraph.scene.frame_current_final)
         return use, strands, note

@@ -107,6 +107,9 @@ def test_hair_is_swapped_by_one_click(hair_script):
     assert found["curves_gone"]
     assert found["still_there"]
     assert "GRMM_MT_add_hair" in found["menus"]
+    assert found["same"]
+    assert found["random"] == ["random:7", "bushy", "own", "own"]
+    assert found["beard"][0] == found["beard"][1] < found["beard"][2] - 1000
 
 
 def test_hair_swings_as_it_was_baked(hair_script):

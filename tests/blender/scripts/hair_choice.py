@@ -47,13 +47,51 @@ wore.append(hair.picked)
 bpy.ops.grmm.hair_as_curves(sculpt=False)
 curves = hair.curves
 hair.picked = "long"
+gone = hair.curves is None and hair.groom == "long"
+avatars = module("grmm_blender.scene.avatars")
+
+
+def worn():
+    """What the scene's avatar wears."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    avatar = avatars.avatars_in(scene)[0]
+    return avatars.DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph).hair
+
+
+def cover(beard: str) -> float:
+    """Mean cover of strands where a chin is bare or has a beard."""
+    host = module("grmm_blender.session_host")
+    hair.beard = beard
+    bpy.context.view_layer.update()
+    return float(
+        len(
+            host.get_session()
+            .gaussians(
+                host.open_avatar(head.grmm.source).id,
+                avatars.Avatar(head).controls(bpy.context.evaluated_depsgraph_get()),
+                hair=worn(),
+            )
+            .means
+        )
+    )
+
+
+same = worn() is worn()
+hair.groom, hair.seed, hair.brows = "RANDOM", 7, "bushy"
+bpy.context.view_layer.update()
+random = worn()
+report(
+    same=same,
+    random=[random.groom, random.brows, random.beard, random.lashes],
+    beard=[cover(name) for name in ("OWN", "NONE", "full")],
+)
 report(
     pictures=len([path for path in pictures if path.stem in (*names, "none")]),
     grooms=len(names),
     bytes=sum(path.stat().st_size for path in pictures),
     items=[name for name, *_ in grooms.HAIR_ITEMS][:3],
     wore=wore,
-    curves_gone=hair.curves is None and hair.groom == "long",
+    curves_gone=gone,
     still_there=curves.name in scene.objects,
     menus=menus,
 )

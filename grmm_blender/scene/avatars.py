@@ -44,7 +44,8 @@ def _hair_use(groom: str, parts: tuple[str, ...], values: tuple[float, ...]) -> 
         return WEARS_ITS_OWN
     own = {OWN_HAIR: OWN_HAIR.lower(), NO_HAIR: NO_HAIR.lower()}
     named = own.get(groom) or (groom if groom.startswith(RANDOM_PREFIX) else GROOM_PREFIX + groom)
-    return HairUse(named, settings, **{part: own.get(name, name) for part, name in zip(PARTS, parts, strict=True)})
+    brows, beard, lashes = (own.get(name, name) for name in parts)
+    return HairUse(named, settings, None, brows, beard, lashes)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@
 ``landmark_priors``    how exact landmarks are, how likely expressions and cameras
 ``landmark_stage``     camera, shape, expression and pose from landmarks
 ``outline``            where the skin ends in a photo: ears and cheeks
-``light``              spherical-harmonic light from the skin's colors
+``photo_light``        spherical-harmonic light from the skin's colors
 ``photometric_stage``  the refinement by outline
 ``track``              photos to tracks
 ``faces_picture``      the faces of a photo as a picture, to check the choice
@@ -16,8 +16,11 @@
 ``objective``          attributes drawn into a photo's camera, and their loss
 ``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light
 ``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest
+``hair_stage``         the groom that photos show, for weights without hair
+``delight``            skin colors as flat colors times a photo's light; not part of a fit yet
 ``invert``             tracks to an avatar by both stages
-``folder``             the work folder: whose state it holds, what is refused before work begins
+``folder``             the work folder: whose state it holds, what is refused before work begins; ``checkpoint``: the tuning's
+``batch``              a folder of people, here or on a cluster; ``result``: what a fit becomes in an avatar
 ``api``                all of it, for the command line and Blender
 
 From `request` to `photometric_stage`, and for `folder`, numpy is enough; the rest needs torch.

@@ -25,6 +25,7 @@ The map:
     occlusion.py  how much light reaches the inside;  pigment.py   colors of strands
     ribbons.py    strands as Gaussians and their shading, readable; strand_kernels.py compiled; gradients.py for PyTorch
     drawing.py    all of it for one picture
+    swing.py      long hair that lags behind a moving head, and bakes of it; swing_kernel.py compiled
     mirror.py     the other way round;  coloring.py   pigments that look as in a picture, for captures and photos
 
 The capture studio makes grooms and renders them; what draws or simulates hair reads the same record. Importing this package

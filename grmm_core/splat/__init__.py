@@ -9,6 +9,7 @@ Map:
     types.py      `Gaussians` in, `RasterOutput` out; the same as arrays
     rules.py      the constants of 3DGS that all backends share, and a camera's numbers (`View`)
     motion.py     gradients for the camera's pose
+    compensation.py   the opacities of antialiasing apart from a backend, for a part of a scene
     reference.py  backend "torch": plain PyTorch, any device and float type; the others are tested against it
     autograd.py   the PyTorch operation around a backend that has gradients of its own
     cpu/          backend "cpu": compiled with numba

@@ -99,13 +99,13 @@ def visible(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float 
     places = _places(lamp, receivers, softness)
     parts = np.empty((len(places), len(receivers.points)), np.float32)
     lift = _BIAS + 2.0 * (receivers.radius * _MARGIN + _BIAS) / RESOLUTION  # a pixel more
-    kernels = compiled_kernels()
-    if kernels is None:
+    if compiled_kernels() is None:
         for place, part in zip(places, parts, strict=True):
             seen_from = _map_at(lamp, place, receivers)
             part[:] = compared(drawn(casters, seen_from), receivers.points + receivers.normals * lift, seen_from)
     else:
         from ..compute.threads import for_each
+        from . import shadow_kernels as kernels
 
         points, normals = (np.ascontiguousarray(array, np.float32) for array in (receivers.points, receivers.normals))
         meshes = np.ascontiguousarray(casters.vertices, np.float32), np.ascontiguousarray(casters.faces, np.int32)

@@ -27,20 +27,19 @@ import numpy as np
 
 from ..errors import CancelledError
 from ..geometry.camera import Camera
-from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
+from ..geometry.libraries import Array, as_like, library_of, present, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
-from ..light.relight import relit, relit_pixels, to_linear
+from ..light.relight import relit, relit_pixels
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
-from ..pictures.color import MIN_ALPHA
 from ..splat.compensation import compensation
 from ..splat.types import Gaussians, RasterOutput
-from .api import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, CancelCheck, Instance, RenderOptions
+from .api import LIGHT_PASSES, LINEAR_PASS, CancelCheck, Instance, RenderOptions
 from .clouds import OpenCloud
-from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
+from .passes import Channels, buffers, empty, light_of
 from .wardrobe import Wardrobe, Worn
 
 NORMAL_CHANNELS = 3
@@ -75,27 +74,6 @@ class PlacedCloud:
 Placed = PlacedAvatar | PlacedCloud
 
 
-@dataclass(frozen=True)
-class _Channels:
-    """Where the extra channels of the joint rasterisation are.
-
-    Attributes:
-        features: Slice of each model's features, by the identity of the model.
-        normals: Slice of the normals, or None.
-        coverage: Slice of the coverages, one channel an instance, or None for a single instance.
-        hair: Number of the channel that is 1 on strands, or None where nobody has any or nobody asks.
-        light: Slice of the light (`lit`), or None where nobody is lit and nobody asks.
-        count: All channels.
-    """
-
-    features: dict[int, slice]
-    normals: slice | None
-    coverage: slice | None
-    hair: int | None
-    light: slice | None
-    count: int
-
-
 def compose(
     placed: Sequence[Placed],
     evaluator: Evaluator,
@@ -107,7 +85,7 @@ def compose(
     """Draw instances; see `api.Session.render` for the result. Call within `Engine.calling`."""
     check = _canceller(should_cancel)
     if not placed:
-        return _empty(camera, options)
+        return empty(camera, options)
     check()
     channels = _plan(placed, options)
     parts = []
@@ -125,13 +103,13 @@ def compose(
         refined = _refine(placed, raster, channels, options.coarse, check)
     if channels.light is not None:
         refined = _relit(refined, raster, channels.light)
-    return _buffers(raster, refined, channels, options, evaluator.engine)
+    return buffers(raster, refined, channels, options, evaluator.engine)
 
 
 def _relit(refined: Any, raster: RasterOutput[Any], which: slice) -> Any:
     if isinstance(refined, np.ndarray):
         return relit_pixels(refined, raster.alpha, present(raster.features), which.start)
-    light = _light_of(raster, which)
+    light = light_of(raster, which)
     return relit(refined, raster.alpha, light[..., RATIO], light[..., HIGHLIGHTS])
 
 
@@ -148,7 +126,7 @@ def _refines(options: RenderOptions) -> bool:
     return options.refine and any(name in options.passes for name in shown)
 
 
-def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
+def _plan(placed: Sequence[Placed], options: RenderOptions) -> Channels:
     wants_features = "features" in options.passes or _refines(options)
     features: dict[int, slice] = {}
     count = 0
@@ -175,7 +153,7 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> _Channels:
     if any(_is_lit(item, options) for item in placed):
         light = slice(count, count + (LIGHT_CHANNELS if "shadow" in options.passes else SHADOW.start))
         count = light.stop
-    return _Channels(features, normals, coverage, hair, light, count)
+    return Channels(features, normals, coverage, hair, light, count)
 
 
 def _is_lit(item: Placed, options: RenderOptions) -> bool:
@@ -184,7 +162,7 @@ def _is_lit(item: Placed, options: RenderOptions) -> bool:
 
 def _gaussians(
     item: Placed, index: int, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
-    channels: _Channels, single: bool,
+    channels: Channels, single: bool,
 ) -> Gaussians:  # fmt: skip
     """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space."""
     model_to_world = item.instance.model_to_world
@@ -268,7 +246,7 @@ def _at_origin(camera: Camera) -> Camera:
 
 
 def _refine(
-    placed: Sequence[Placed], raster: RasterOutput[Any], channels: _Channels, coarse: bool, check: Callable[[], None]
+    placed: Sequence[Placed], raster: RasterOutput[Any], channels: Channels, coarse: bool, check: Callable[[], None]
 ) -> Any:
     """Return the refined colors, premultiplied over black, [H, W, 3]."""
     coverage = None if channels.coverage is None else present(raster.features)[..., channels.coverage]  # [H, W, K]
@@ -335,94 +313,3 @@ def _covered_region(cover: Array, config: GRMMConfig, coarse: bool = False) -> t
         high = min(-(-(high + margin) // multiple) * multiple, cover.shape[1 - axis])
         bounds.append(slice(low, high))
     return bounds[0], bounds[1]
-
-
-def _buffers(
-    raster: RasterOutput[Any], refined: Any, channels: _Channels, options: RenderOptions, engine: Engine
-) -> dict[str, np.ndarray]:
-    alpha = raster.alpha
-    behind: Any = 0.0
-    if options.background is not None:
-        behind = (1.0 - alpha)[..., None] * as_like(options.background, alpha)
-    empty = as_like((EMPTY_DEPTH,), alpha)
-    makers: dict[str, Callable[[], Any]] = {
-        "rgb": lambda: refined + behind,
-        LINEAR_PASS: lambda: _linear(refined, alpha, engine, channels.light is not None),
-        "alpha": lambda: alpha[..., None],
-        "depth": lambda: library_of(alpha).where(alpha >= MIN_ALPHA, raster.depth, empty)[..., None],
-        "raw": lambda: raster.rgb + behind,
-        "normal": lambda: _unit_normals(present(raster.features)[..., channels.normals], alpha),
-        "features": lambda: _all_features(raster, channels),
-        "hair": lambda: (alpha * 0.0 if channels.hair is None else present(raster.features)[..., channels.hair])[..., None],
-        "mask": lambda: alpha[..., None] if channels.coverage is None else present(raster.features)[..., channels.coverage],
-    }
-    makers |= {name: functools.partial(_light_pass, name, raster, refined, channels) for name in LIGHT_PASSES}
-    return {name: to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
-
-
-def _linear(refined: Any, alpha: Any, engine: Engine, lit: bool) -> Any:
-    if not lit:
-        return engine.scene_linear(refined, alpha)
-    cover = alpha[..., None]  # light may be brighter than display white
-    linear = to_linear(refined / library_of(cover).clip(cover, MIN_ALPHA, None)) * cover
-    return library_of(cover).concatenate([linear, cover], -1)
-
-
-def _light_of(raster: RasterOutput, which: slice) -> Any:
-    assert raster.features is not None  # channels were asked for
-    return raster.features[..., which]
-
-
-def _light_pass(name: str, raster: RasterOutput, lit: Any, channels: _Channels) -> Any:
-    """One of `LIGHT_PASSES`; diffuse and specular add up to the picture in linear light."""
-    alpha = raster.alpha[..., None]
-    clip = library_of(alpha).clip
-    whole = to_linear(lit / clip(alpha, MIN_ALPHA, None)) * alpha
-    if channels.light is None:
-        return {"diffuse": whole, "specular": whole * 0.0, "shadow": alpha}[name]
-    light = _light_of(raster, channels.light)
-    if name == "shadow":
-        return light[..., SHADOW]
-    mirrored = library_of(alpha).minimum(clip(light[..., HIGHLIGHTS], 0.0, None), whole)
-    return mirrored if name == "specular" else whole - mirrored
-
-
-def _unit_normals(summed: Array, alpha: Array) -> Array:
-    library = library_of(summed)
-    length = (summed * summed).sum(-1)[..., None] ** 0.5
-    seen = (alpha[..., None] >= MIN_ALPHA) & (length > 0)
-    return library.where(seen, summed / library.clip(length, 1e-12, None), zeros((1,), summed))
-
-
-def _all_features(raster: RasterOutput[Any], channels: _Channels) -> Any:
-    """Return the features of all models, added up where their numbers differ (they cover different pixels)."""
-    width = max((part.stop - part.start for part in channels.features.values()), default=0)
-    total = zeros((*raster.alpha.shape, width), raster.alpha)
-    for part in channels.features.values():
-        total[..., : part.stop - part.start] += present(raster.features)[..., part]
-    return total
-
-
-def _empty(camera: Camera, options: RenderOptions) -> dict[str, np.ndarray]:
-    """Return the picture of no avatars."""
-    sizes = {
-        "rgb": 3,
-        LINEAR_PASS: 4,
-        "alpha": 1,
-        "depth": 1,
-        "raw": 3,
-        "normal": 3,
-        "features": 0,
-        "mask": 0,
-        "hair": 1,
-        "diffuse": 3,
-        "specular": 3,
-        "shadow": 1,
-    }
-    buffers = {name: np.zeros((camera.height, camera.width, sizes[name]), np.float32) for name in options.passes}
-    for name, buffer in buffers.items():
-        if name == "depth":
-            buffer[:] = EMPTY_DEPTH
-        elif name in ("rgb", "raw") and options.background is not None:
-            buffer[:] = options.background
-    return buffers

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from grmm_core.head import load_open_head
-from grmm_core.light import light_kernels as kernels
+from grmm_core.light import shadow_kernels as kernels
 from grmm_core.light.hair_shading import CELL, HairCloud
 from grmm_core.light.lamps import Lighting, Point, Spot, Sun, soft_box
 from grmm_core.light.materials import SKIN, Materials, materials_of

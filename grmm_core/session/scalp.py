@@ -19,7 +19,6 @@ from ..hair.settings import HairSettings
 from ..hair.strands import StrandBlock
 from ..head import HeadModel
 from ..model.config import METRES_PER_MM
-from ..model.layout import texel_layout
 from ..pictures.color import linear_to_srgb, srgb_to_linear
 from .evaluator import Evaluator, Inputs, OpenAvatar
 
@@ -151,7 +150,7 @@ def _smoothed(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
     def make() -> _Places:
         head = target.model.head_model
-        layout = texel_layout(head.uv, head.uv_faces, target.model.config.grid)
+        layout = target.model.layout
         corners = np.asarray(head.faces)[layout.face]
 
         def share(*names: str) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.tiny_model import write_tiny_weights
 
 from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileAccessError, ShapeError
@@ -194,3 +195,14 @@ def test_what_cannot_be_worn_is_said_and_the_avatar_still_draws(session):
     with pytest.raises(ShapeError, match="finite"):
         HairUse(points=np.full((3, 3), np.nan))
     assert drawn(session, HairUse())["alpha"].max() > 0.9
+
+
+@pytest.mark.parametrize("engine", ["torch", "plain"])
+def test_strands_lie_on_weights_whose_texels_are_their_own(engine, tmp_path):
+    weights = write_tiny_weights(tmp_path / "focused.safetensors", focus=True, hairless=True)
+    with create_session("local", engine=engine, weights=weights) as session:
+        info = session.open("default")
+        bare, dressed = (session.gaussians(info.id, Controls(), hair=use) for use in (HairUse("none"), BOB))
+        assert len(dressed.means) > len(bare.means) > info.gaussian_count // 2
+        cover = session.render([Instance(info.id, hair=BOB)], CAMERA, RenderOptions(passes=("hair",)))["hair"]
+    assert float((cover > 0.5).mean()) > 0.05

@@ -32,7 +32,7 @@ from .subjects import Subject, draw_subject
 if TYPE_CHECKING:
     from .scene import Studio
 
-STUDIO = 4  # raise whenever the pictures of a seed change: a capture is not continued with others
+STUDIO = 5  # raise whenever the pictures of a seed change: a capture is not continued with others
 UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
 MAX_SHOTS = 10_000  # their numbers have four digits in file names
 ROUND = 4  # shots of everybody before anybody's next ones

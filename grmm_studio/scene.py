@@ -34,6 +34,7 @@ from .textures import Atlas, SkinTextures, paint_skin
 from .wrinkles import LineField
 
 UPPER_GUM, LOWER_GUM = 0.0105, 0.0095  # crown heights in metres from the tips
+TIP_KNOTS = 12  # places along half an arch where the height of the tips is found
 
 
 @dataclass
@@ -242,13 +243,18 @@ class Studio:
         return self.mesh.spread(flags)
 
     def _crowns(self, rest: np.ndarray) -> np.ndarray:
-        """Metres from the gum line towards the tips, on the teeth."""
-        crown = np.zeros(len(rest))
+        """Metres from the gum line towards the tips, on the teeth.
+
+        The arches are curved: the lower molars end 12 mm above the incisors, so that tips are sought tooth by tooth.
+        """
+        crown, arcs = np.zeros(len(rest)), np.abs(fields.tooth_arc(rest))
         for name, height, sign in (("upper_teeth", UPPER_GUM, 1.0), ("lower_teeth", LOWER_GUM, -1.0)):
             own = self._mask(name) > 0.99
             if own.any():
-                y = sign * rest[own, 1]
-                crown[own] = y.min() + height - y
+                arc, y = arcs[own], sign * rest[own, 1]
+                knots = np.linspace(0.0, arc.max(), TIP_KNOTS)
+                tips = np.array([y[np.abs(arc - knot) <= knots[1]].min() for knot in knots])
+                crown[own] = np.interp(arc, knots, tips) + height - y
         return crown
 
     def _shader_rest(self, rest: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """`python -m tools.library WORK`: rebuild the avatars of `grmm_core/assets/avatars` from the embedded weights.
 
-Captures more pictures of four of the people whom the weights were trained on and trains each of them alone. Run it again to go
-on after an interruption. Needs bpy; an hour or two on two cores.
+Captures more pictures of sixteen of the people whom the weights were trained on, with and without hair, and trains each of them
+alone. Run it again to go on after an interruption. Needs bpy; two or three hours on two cores.
 """
 
 from __future__ import annotations
@@ -16,30 +16,46 @@ from grmm_core.avatar import EXTENSION
 from grmm_core.avatar.library import LIBRARY_FOLDER
 
 LICENCE = "CC0-1.0"
-SEED = 21  # of the embedded weights' capture
-PEOPLE = {  # name in the library to number in the capture and display name
-    "default": (42, "Default head"),
-    "short": (97, "Short hair"),
-    "beard": (15, "Bearded man"),
-    "afro": (46, "Woman with an afro"),
+SEED = 31  # of the embedded weights' capture
+PEOPLE = {  # name in the library to number in the capture and display name: women, then men
+    "layered": (9, "Woman, 31, layered hair"),
+    "long": (17, "Woman, 23, long hair"),
+    "curly": (19, "Woman, 19, curls"),
+    "default": (29, "Woman, 43, layered hair"),
+    "ringlets": (57, "Woman, 35, ringlets"),
+    "bun": (5, "Woman, 78, grey bun"),
+    "afro": (31, "Woman, 68, afro"),
+    "pixie": (89, "Woman, 44, pixie cut"),
+    "curls": (0, "Man, 35, curls"),
+    "locs": (18, "Man, 34, locs and goatee"),
+    "beard": (30, "Man, 46, full beard"),
+    "freckles": (64, "Man, 32, quiff and freckles"),
+    "grey": (100, "Man, 64, grey crop"),
+    "side_part": (134, "Man, 41, side parting and beard"),
+    "bald": (80, "Man, 37, bald"),
+    "slick": (4, "Man, 27, slicked back"),
 }
-CAPTURE = ("--subjects", "110", "--shots", "16", "--cameras", "5", "--size", "512", "--samples", "4", "--seed", str(SEED))
+CAPTURE = (
+    "--subjects", "168", "--shots", "12", "--cameras", "5", "--size", "512", "--samples", "4", "--seed", str(SEED),
+    "--bare", "rest", "--layers",
+)  # fmt: skip
 
 
 def main() -> int:
     """Capture, train and copy; returns the exit code of the first command that fails, or 0."""
     parser = argparse.ArgumentParser(description="Rebuild the avatars that come with the package.")
     parser.add_argument("work", type=Path, help="folder for pictures and training runs")
-    parser.add_argument("--minutes", type=float, default=15.0, help="of training a person (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=600, help="of training a person (default: %(default)s)")
+    parser.add_argument("--only", nargs="+", choices=tuple(PEOPLE), metavar="NAME", help="these avatars alone")
     arguments = parser.parse_args()
     data = arguments.work / "capture"
-    numbers = [str(number) for number, _ in PEOPLE.values()]
-    code = _grmm("capture", str(data), *CAPTURE, "--only", *numbers)
-    for name, (number, title) in PEOPLE.items():
+    chosen = {name: PEOPLE[name] for name in arguments.only or PEOPLE}
+    code = _grmm("capture", str(data), *CAPTURE, "--only", *(str(number) for number, _ in chosen.values()))
+    for name, (number, title) in chosen.items():
         person, run = f"s{SEED:04d}_{number:04d}", arguments.work / name
         code = code or _grmm(
             "train", "person", "--data", str(data), "--out", str(run), "--name", title, "--licence", LICENCE, "--resume",
-            "--set", f"person={person}", f"minutes={arguments.minutes}",
+            "--set", f"person={person}", f"steps={arguments.steps}",
         )  # fmt: skip
         if not code:
             shutil.copy2(run / f"{person}{EXTENSION}", LIBRARY_FOLDER / f"{name}{EXTENSION}")

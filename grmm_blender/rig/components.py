@@ -20,9 +20,9 @@ import numpy as np
 
 from ...grmm_core.controls.table import Z_EXP, Z_ID
 from ...grmm_core.errors import GrmmError
+from ...grmm_core.files.packing import unpack
 from ...grmm_core.head import HeadModel
 from ...grmm_core.model.config import BASIS_COLOR
-from ...grmm_core.model.packing import unpack
 from ...grmm_core.model.weights_file import WeightsFile, read_weights, resolve_weights
 from .. import session_host
 

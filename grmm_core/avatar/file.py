@@ -1,15 +1,17 @@
 """`.grmm` files: one avatar as a safetensors file with a JSON description. Nothing in it is ever executed.
 
-Layout, versions 1 and 2. Metadata of the tensor file (all strings):
+Layout, versions 1 to 3. Metadata of the tensor file (all strings):
 
 ``format``          "grmm-avatar"
-``format_version``  "2" for an avatar with hair of its own, else "1", which older readers know
+``format_version``  "3" where changes are packed in eight bits, else "2" for an avatar with hair of its own,
+                    else "1": the lowest that a reader must know
 ``avatar``          JSON object: name, head {name, sha256}, weights {name, sha256}, provenance {made_by, from_photos,
                     photos [{name, sha256}], date, licence}, camera or null, thumbnail (PNG, base64),
                     from version 2 on hair: {settings {name: number}, parts {part: settings}, scalp true/false} or null
 
 Tensors, float32: ``z_id`` [Z], ``z_exp`` [Y], ``shape`` [300], ``expression`` [<=100], ``pose`` [5, 3],
-``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact),
+``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact; from version 3 on
+maps [N, C] in int8, with float16 ``delta_scale/PARAMETER`` [C, ceil(N / 64)], see `files.packing`),
 ``hair/NAME`` the strands as `hair.compact` has them, ``hair/PART/NAME`` those of brows, beard and lashes, at most 1 MB in
 all; without them an avatar with hair settings has none.
 Uint8, where there is one: ``painting`` [P, P, 3]; what does not know it passes over it.
@@ -35,13 +37,13 @@ from ..geometry.camera import Camera
 from ..hair.compact import compact_parts, restored_parts
 from ..hair.roots import GROUPS
 from ..hair.settings import HairSettings
+from .deltas import SCALE, delta_tensors, deltas_of
 from .types import MAX_NAME_LENGTH, AssetReference, Avatar, Hair, PhotoRecord, Provenance
 
 FORMAT_NAME = "grmm-avatar"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 EXTENSION = ".grmm"
 _TRACKING = "tracking/"
-_DELTA = "delta/"
 _PAINTING = "painting"
 _HAIR = "hair/"
 _ARRAYS = ("z_id", "z_exp", "shape", "expression", "pose")
@@ -90,14 +92,15 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
         description["hair"] = {"settings": hair.settings.to_json(), "parts": parts, "scalp": hair.scalp}
     tensors = {name: getattr(avatar, name) for name in _ARRAYS}
     tensors |= {_TRACKING + name: array for name, array in avatar.tracking.items()}
-    tensors |= {_DELTA + name: _compact(array) for name, array in avatar.deltas.items()}
+    changes = delta_tensors(avatar.deltas)
+    tensors |= changes
     if avatar.painting.size:
         tensors[_PAINTING] = avatar.painting
     if hair is not None and hair.groom is not None:
         tensors |= {_HAIR + name: array for name, array in compact_parts(hair.groom).items()}
     metadata = {
         "format": FORMAT_NAME,
-        "format_version": "1" if hair is None else str(FORMAT_VERSION),
+        "format_version": "3" if any(name.startswith(SCALE) for name in changes) else "1" if hair is None else "2",
         "avatar": json.dumps(description, ensure_ascii=False, allow_nan=False),
     }
     write_tensors(path, tensors, metadata)
@@ -135,13 +138,13 @@ def load_avatar(path: str | os.PathLike[str]) -> Avatar:
             **{name: tensors[name] for name in _ARRAYS},
             camera=header.camera,
             tracking=_with_prefix(tensors, _TRACKING),
-            deltas=_with_prefix(tensors, _DELTA),
+            deltas=deltas_of(tensors),
             provenance=header.provenance,
             thumbnail=header.thumbnail,
             hair=None if header.hair is None else replace(header.hair, groom=restored_parts(_with_prefix(tensors, _HAIR))),
             **({_PAINTING: tensors[_PAINTING]} if _PAINTING in tensors else {}),
         )
-    except ShapeError as error:
+    except (ShapeError, FileFormatError) as error:
         raise _damaged(path, str(error).rstrip(".").replace(";", ",")) from error
 
 
@@ -223,13 +226,6 @@ def _hair(value: Any) -> Hair | None:
 
 def _settings(value: Any) -> HairSettings:
     return HairSettings().changed(**{_text(name): float(number) for name, number in value.items()})
-
-
-def _compact(array: np.ndarray) -> np.ndarray:
-    """Half precision where that loses nothing: fitting rounds its changes to it, which halves the file."""
-    with np.errstate(over="ignore"):
-        half = array.astype(np.float16)
-    return half if np.array_equal(half, array) else array
 
 
 def _with_prefix(tensors: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

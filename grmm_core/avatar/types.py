@@ -24,7 +24,6 @@ MAX_CODE_SIZE = 4096  # far above any configuration; refuses absurd files
 MAX_THUMBNAIL_BYTES = 4 << 20
 MAX_PAINTING = 2048  # pixels
 MAX_NAME_LENGTH = 200
-_HALF_MAX = 60000.0
 
 
 @dataclass(frozen=True)
@@ -152,11 +151,6 @@ class Avatar:
     def with_pictures(self, thumbnail: bytes, painting: np.ndarray) -> Avatar:
         """Return a copy that carries other pictures of itself."""
         return replace(self, thumbnail=thumbnail, painting=painting)
-
-
-def half_rounded(array: np.ndarray) -> np.ndarray:
-    """What half precision, in which deltas are stored, holds of an array, float32."""
-    return np.clip(array, -_HALF_MAX, _HALF_MAX).astype(np.float16).astype(np.float32)
 
 
 def _frozen(name: str, value: np.ndarray) -> np.ndarray:

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..avatar import AssetReference, Avatar, PhotoRecord, Provenance
-from ..avatar.types import MADE_BY, SHAPE_SIZE, half_rounded
+from ..avatar.deltas import rounded
+from ..avatar.types import MADE_BY, SHAPE_SIZE
 from ..controls.frame import ALIGNED_TO_ARKIT, Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera
@@ -59,7 +60,7 @@ def make_avatar(
         shape=shape,
         camera=cameras[0],
         tracking={**found, **tracking},
-        deltas={key: half_rounded(value) for key, value in deltas.items()},
+        deltas={key: rounded(value) for key, value in deltas.items()},
         provenance=Provenance(
             made_by=MADE_BY, from_photos=True, photos=tuple(PhotoRecord(track.source, "") for track in tracks), licence=LICENCE,
         ),

@@ -1,6 +1,6 @@
 """Compiled loops of the model that are neither convolutions nor the rasteriser; importing this module loads numba.
 
-Twins of the torch code in `model`: `CompressedRows` products of `model.sparse`, packed basis maps of `model.packing`, the UV
+Twins of the torch code in `model`: `CompressedRows` products of `model.sparse`, packed basis maps of `files.packing`, the UV
 corners of `model.texels`. All arrays are contiguous; sizes as in the argument lists. Each does the rows from
 `first` to `last` - 1: see `compute.threads.for_rows`.
 """
@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from ..model.packing import BLOCK
+from ..files.packing import BLOCK
 from ..model.placing import HEIGHT, QW, QX, QY, QZ, WIDTH, X
 
 _OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}

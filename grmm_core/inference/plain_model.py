@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from ..controls.names import JOINT_NAMES
+from ..files.packing import unpack
 from ..geometry.rotations import euler_to_axis_angle, euler_to_matrix
 from ..head.skinning import posed_vertices
 from ..model.config import BASIS_COLOR, BASIS_GROUPS, COLOR_CHANNELS, METRES_PER_MM, TRANSFORM_CHANNELS
 from ..model.inputs import InputSpace, ModelInputs
 from ..model.layout import CompressedRows, anchor_tables, compressed_rows, map_reader
-from ..model.packing import unpack
 from ..model.parameters import code_sizes
 from ..model.steps import Geometry, Mesh, Rest, depth_range, face_mask, normalise_depth, refinement_grid
 from ..model.weights_file import WeightsFile

@@ -13,13 +13,13 @@ The map:
 ``grmm``          `GRMM`: inputs -> mesh -> Gaussians -> picture, which everything draws with
 ``steps``         parts of the chain that are one text for torch and numpy
 ``detail``        levels of detail
-``weights_file``  weights files as arrays; ``packing`` stores their basis maps in eight bits
+``weights_file``  weights files as arrays, their basis maps in eight bits
 ``weights``       a model out of such a file, and back
 ``store``         weights in memory, with the changes of single avatars; ``torch_loader`` loads them for torch
 ``people``        avatars that weights know, or that are drawn from them
 ``portrait``      the portrait camera, portraits and thumbnails
 
-`config`, `parameters`, `inputs`, `layout`, `steps`, `detail`, `weights_file`, `packing`, `store`, `people` and `portrait` are
+`config`, `parameters`, `inputs`, `layout`, `steps`, `detail`, `weights_file`, `store`, `people` and `portrait` are
 imported without torch. Used by `inference`, `session`, `training`, `fitting` and `evaluation`. `docs/equations.md` lists which
 function holds which equation of the paper.
 """

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.overrides import TorchFunctionMode
 
+from ..files.packing import unpack
 from .grmm import GRMM
-from .packing import unpack
 from .weights_file import WeightsInfo, read_weights, write_weights
 
 if TYPE_CHECKING:

@@ -1,8 +1,8 @@
 """Weights files: a tensor file with the configuration, the head they belong to, the training people and the provenance.
 
-Parameters are stored in half precision, basis maps in eight bits (`packing`), the texel layout exactly. Files are read with
-numpy (`tensorfile`), never unpickled, and everything in them is checked against the configuration before memory is allocated
-on their word. Version 1 had basis maps in half precision; it is read as well. Needs numpy only.
+Parameters are stored in half precision, basis maps in eight bits (`files.packing`), the texel layout exactly. Files are read
+with numpy (`tensorfile`), never unpickled, and everything in them is checked against the configuration before memory is
+allocated on their word. Version 1 had basis maps in half precision; it is read as well. Needs numpy only.
 
 Used by `weights`, which makes a torch model of a file, and by inference without torch.
 """
@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import ConfigError, FileFormatError, ShapeError
+from ..files.packing import pack, scales_shape
 from ..files.tensorfile import read_metadata, read_tensors, write_tensors
 from .config import GRMMConfig
 from .layout import TexelLayout
-from .packing import pack, scales_shape
 from .parameters import code_sizes, parameter_shapes
 
 if TYPE_CHECKING:
@@ -150,7 +150,7 @@ class WeightsFile:
         head: Head model that it belongs to.
         layout: Active texels.
         arrays: Parameters by name, float32.
-        packed: Basis maps as they are stored: whole numbers [K, M] int8 and scales of blocks [K, B] float32 (`packing`).
+        packed: Basis maps as they are stored: whole numbers [K, M] int8 and scales of blocks [K, B] float32 (`files.packing`).
     """
 
     info: WeightsInfo

@@ -20,7 +20,8 @@ import torch
 from torch import Tensor, nn
 
 from ..avatar import AssetReference, Avatar, Hair, Provenance
-from ..avatar.types import MADE_BY, SHAPE_SIZE, half_rounded
+from ..avatar.deltas import rounded
+from ..avatar.types import MADE_BY, SHAPE_SIZE
 from ..errors import ConfigError
 from ..model.config import COLOR_CHANNELS
 from ..model.weights import load_weights
@@ -119,7 +120,7 @@ def person_avatar(
         z_id=person.z_id,
         z_exp=np.zeros(info.config.z_exp, np.float32),
         shape=shape,
-        deltas={key: half_rounded(value.cpu().numpy()) for key, value in changed.items()},
+        deltas={key: rounded(value.cpu().numpy()) for key, value in changed.items()},
         provenance=Provenance(
             made_by=MADE_BY,
             date=datetime.datetime.now(datetime.UTC).date().isoformat(),

@@ -136,7 +136,7 @@ def test_what_a_package_imports_is_declared(package, extras):
         "import grmm_core.performance, grmm_core.formats; grmm_core.formats.formats()",
         "from grmm_core.cli import main; main(['render', '--help'])",
         "import grmm_core.session, grmm_core.compute.devices",
-        "from grmm_core.model import config, detail, inputs, layout, packing, parameters, people, portrait, weights_file",
+        "from grmm_core.model import config, detail, inputs, layout, parameters, people, portrait, weights_file",
     ],
 )
 def test_importing_loads_nothing_heavy(statement):

@@ -14,6 +14,7 @@ from PIL import Image
 from safetensors import numpy as safetensors
 
 from grmm_core.avatar import load_avatar, read_avatar_header, save_avatar
+from grmm_core.avatar.deltas import rounded
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError, ShapeError
 from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.model.config import PRESETS
@@ -87,8 +88,26 @@ def edit(path, change):
 
 def test_a_newer_version_says_what_to_do(saved):
     edit(saved, lambda tensors, metadata: metadata.update(format_version="7"))
-    with pytest.raises(FileFormatError, match=r"format 7, newer than 2.*update GRMM"):
+    with pytest.raises(FileFormatError, match=r"format 7, newer than 3.*update GRMM"):
         load_avatar(saved)
+
+
+def test_changes_of_maps_take_a_byte_a_number_and_come_back_as_they_were_rounded(tmp_path):
+    g = np.random.default_rng(7)
+    maps = {"decoders.appearance_mean": g.normal(0, 0.1, (3000, 16)) * np.geomspace(1e-7, 1, 3000)[:, None]}
+    plain = {"decoders.few": g.normal(0, 1, (8, 3)), "decoders.row": g.normal(0, 1, 9000)}
+    deltas = {name: rounded(array.astype(np.float32)) for name, array in (maps | plain).items()}
+    assert np.abs(deltas["decoders.appearance_mean"] - maps["decoders.appearance_mean"]).max() < 0.5 / 255
+    path = tmp_path / "changed.grmm"
+    save_avatar(make_avatar(deltas=deltas), path)
+    back = load_avatar(path)
+    assert read_avatar_header(path).format_version == 3
+    assert read_tensors(path)[0]["delta/decoders.appearance_mean"].dtype == np.int8
+    for name, array in deltas.items():
+        np.testing.assert_array_equal(back.deltas[name], array)
+    edit(path, lambda tensors, metadata: tensors.update({"delta_scale/decoders.appearance_mean": np.ones((2, 2), np.float16)}))
+    with pytest.raises(FileFormatError, match=r"scales of .* do not fit"):
+        load_avatar(path)
 
 
 def test_other_tensor_files_are_named_as_such(tmp_path):

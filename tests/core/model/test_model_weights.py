@@ -8,10 +8,10 @@ import torch
 from model_fixtures import SHAPES, inputs, small_head
 
 from grmm_core.errors import FileAccessError, FileFormatError, ShapeError
+from grmm_core.files.packing import BLOCK, pack, unpack
 from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.model.config import PRESETS
 from grmm_core.model.grmm import GRMM
-from grmm_core.model.packing import BLOCK, pack, unpack
 from grmm_core.model.parameters import parameter_shapes
 from grmm_core.model.weights import load_weights, save_weights
 from grmm_core.model.weights_file import WeightsInfo, head_fingerprint, read_info

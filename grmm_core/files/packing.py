@@ -1,8 +1,8 @@
-"""Eight-bit storage of the basis maps, which are most of a weights file.
+"""Eight-bit storage of large maps: the basis maps of a weights file, the changes of an avatar.
 
 Blocks of 64 neighbouring numbers share one half-precision scale, so that a number is off by at most 1/254 of the largest of
 its block (the scheme that llama.cpp calls Q8_0). Half precision would need nearly twice the space for digits that no
-picture shows. Used by `weights`. Needs numpy only.
+picture shows. Needs numpy only.
 """
 
 from __future__ import annotations

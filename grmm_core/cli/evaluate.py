@@ -63,6 +63,9 @@ def add_parser(subparsers: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--ablation", metavar="WEIGHTS", help="second weights, trained without residuals, on the same views")
     parser.add_argument("--no-ablations", action="store_true", help="do not draw again with residual codes switched off")
+    parser.add_argument(
+        "--with-hair", action="store_true", help="draw people in the hair that their capture recorded, on pictures with hair"
+    )
     parser.add_argument("--no-regions", action="store_true", help="do not measure by region of the head")
     parser.add_argument(
         "--perceptual", default="auto", metavar="NETWORK",
@@ -130,7 +133,7 @@ def _open(args: argparse.Namespace) -> Evaluation:
     device = _device(args.device)
     settings = Settings(
         args.limit, args.people, args.size or 0, args.fit, not args.no_ablations, not args.no_regions,
-        _distances(args, device), args.seed,
+        _distances(args, device), args.with_hair, args.seed,
     )  # fmt: skip
     head = load_flame(args.head) if args.head else None
     datasets = [open_dataset(folder, head) for folder in args.data]

@@ -29,6 +29,7 @@ class Errors:
         rmse, rmse_mask: Root mean squared error of values 0..1.
         perceptual: Distance name to value, whole frame.
         regions: Region to (sum of squared errors over pixels and channels, number of values).
+        turned: Mean angle between directions of strands, degrees; NaN where nothing says.
     """
 
     psnr: float
@@ -39,6 +40,7 @@ class Errors:
     rmse_mask: float
     perceptual: dict[str, float] = field(default_factory=dict)
     regions: dict[str, tuple[float, int]] = field(default_factory=dict)
+    turned: float = math.nan
 
 
 @torch.no_grad()

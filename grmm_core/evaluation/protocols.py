@@ -20,13 +20,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..data.dataset import CaptureDataset
-from ..data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN
+from ..data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, Shot, View
 from ..errors import ConfigError, NoFaceError
 from ..jobs.progress import Share, nobody, within
 from ..pictures.images import quantize
-from .metrics import Distance, Errors, errors_of
+from .haired import Haired, turned_degrees
+from .metrics import MASK_LEVEL, Distance, Errors, errors_of
 from .person_fit import CODES, fit_person, fit_photo, track_shot
-from .regions import region_pixels, triangle_groups
+from .regions import HAIR, region_pixels, triangle_groups
 from .samples import LoadedView, Sample, limited, load, samples, source_view
 from .scene import FULL, DrawnPerson, Scene
 
@@ -54,6 +55,8 @@ class Settings:
         ablations: Also draw with residual codes switched off.
         regions: Also measure by region.
         distances: Perceptual networks by name.
+        hair: Draw people in the strands that their captures recorded, on the views that show hair; people are fitted from
+            views without, where the weights have none.
         seed: Of the choice of views.
     """
 
@@ -64,6 +67,7 @@ class Settings:
     ablations: bool = True
     regions: bool = True
     distances: Mapping[str, Distance] = field(default_factory=dict)
+    hair: bool = False
     seed: int = 0
 
 
@@ -131,10 +135,11 @@ class Evaluation:
 
         check_heads(scene, {str(dataset.folder): dataset.manifest.head for dataset in datasets})
         self.scene, self.datasets, self.settings, self.ablation = scene, tuple(datasets), settings, ablation
-        self.bare = scene.model.config.hairless
+        self._haired = Haired(scene, self.datasets) if settings.hair else None
         self._report: Share = nobody
         self._groups = triangle_groups(scene.head)
         self._fitted: dict[tuple[int, str], DrawnPerson] = {}
+        self._photos: dict[str, Sample] = {}
 
     def run(self, protocol: str, report: Share = nobody) -> Result:
         """Run one protocol.
@@ -152,6 +157,7 @@ class Evaluation:
         self._report = report
         if protocol == MONOCULAR and self.settings.method != CODES:
             return self._tracked_photos()
+        self._photos = {}
         chosen, source = self._fitted_views(protocol) if protocol in FITTED else (self._trained_views(protocol), {})
         rows: list[Row] = []
         rest = within(report, _FITTING_SHARE if protocol in FITTED else 0.0, 1.0)
@@ -173,6 +179,8 @@ class Evaluation:
         """
         view = load(sample, self.settings.size) if view is None else view
         truth, mask = self.scene.tensor(view.image), self.scene.tensor(view.mask)
+        if self._haired is not None:
+            return self._measure_haired(self._haired, sample, person, view)
         rendering = self.scene.draw(person, sample.shot, view.camera, photo=photo)
         own = person.shape if photo else None  # what the tracking found
         regions = self._regions(sample, view, own) if self.settings.regions else {}
@@ -193,12 +201,29 @@ class Evaluation:
             row.ablation = errors_of(image, truth, mask, distances=distances)
         return row
 
+    def _measure_haired(self, haired: Haired, sample: Sample, person: DrawnPerson, view: LoadedView) -> Row:
+        photo = self._photos.get(sample.shot.subject)
+
+        def seen(shot: Shot, shown: View) -> bool:
+            if photo is None:
+                return shown.split == TRAIN
+            return shot is photo.shot and shown.name == photo.view.name
+
+        image = haired.draw(person, sample.shot, view.camera, seen)
+        hair = sample.hair(self.settings.size)
+        regions = self._regions(sample, view) | {HAIR: hair > MASK_LEVEL} if self.settings.regions else {}
+        tensors = (self.scene.tensor(array) for array in (image, view.image, view.mask))
+        errors = errors_of(*tensors, regions, self.settings.distances)
+        errors.turned = turned_degrees(image, view.image, hair)
+        pictures = tuple(quantize(picture) for picture in (view.image, image, image))
+        return Row(sample, person, errors, errors, pictures=pictures)
+
     def _tracked_photos(self) -> Result:
         """The monocular protocol with the project's own tracking."""
         result = Result(MONOCULAR, [])
         people = self._people_to_fit(MONOCULAR)
         for number, (place, name) in enumerate(people):
-            photo = source_view(list(self._views_of(place, name)))
+            photo = source_view(list(self._views_of(place, name, self._fits_bare)))
             view = load(photo, self.settings.size)
             report = within(self._report, number / len(people), (number + 1) / len(people))
             report(0.0, f"fitting {name} from the photo alone")
@@ -221,7 +246,7 @@ class Evaluation:
     def fitted(self, place: int, name: str, report: Share = nobody) -> tuple[DrawnPerson, Sample]:
         """The held-out person `name` of the capture number `place`, fitted once, and the view used."""
         dataset = self.datasets[place]
-        source = source_view(list(self._views_of(place, name)))
+        source = source_view(list(self._views_of(place, name, self._fits_bare)))
         if (place, name) not in self._fitted:
             view = load(source, self.settings.size)
             self._fitted[place, name] = fit_person(
@@ -250,7 +275,7 @@ class Evaluation:
         known: list[tuple[Sample, DrawnPerson]] = []
         for dataset in self.datasets:
             people = {name: self.scene.person(dataset, name) for name in dataset.subjects}
-            for sample in samples((dataset,), SPLIT_OF[protocol], bare=self.bare):
+            for sample in samples((dataset,), SPLIT_OF[protocol], bare=self._bare):
                 person = people[sample.shot.subject]
                 if person is not None:
                     known.append((sample, person))
@@ -274,8 +299,8 @@ class Evaluation:
             self._report(begin, f"fitting {name}")
             persons[place, name], source[name] = self.fitted(place, name, within(self._report, begin, end))
             photo = source[name]
-            for sample in self._views_of(place, name):
-                same = sample.shot is photo.shot and sample.view is photo.view
+            for sample in self._views_of(place, name, self._bare):
+                same = sample.shot is photo.shot and sample.view.name == photo.view.name
                 fits = same if protocol == MONOCULAR else not same
                 if protocol == TRANSFER:
                     fits = sample.shot is not photo.shot and not sample.neutral
@@ -284,6 +309,7 @@ class Evaluation:
                     places[id(sample)] = (place, name)
         if not candidates:
             raise ConfigError(f"The held-out people have no views for the protocol {protocol}; capture more views of them.")
+        self._photos = source
         picked = limited(candidates, self.settings.limit, self.settings.seed)
         return [(sample, persons[places[id(sample)]]) for sample in picked], source
 
@@ -295,8 +321,18 @@ class Evaluation:
             )
         return people
 
-    def _views_of(self, place: int, name: str) -> Iterator[Sample]:
-        yield from (s for s in samples((self.datasets[place],), bare=self.bare) if s.shot.subject == name)
+    @property
+    def _fits_bare(self) -> bool:
+        """Whether people are fitted from pictures without hair."""
+        return self.scene.model.config.hairless
+
+    @property
+    def _bare(self) -> bool:
+        """Whether people are drawn and compared without hair."""
+        return self._fits_bare and not self.settings.hair
+
+    def _views_of(self, place: int, name: str, bare: bool) -> Iterator[Sample]:
+        yield from (s for s in samples((self.datasets[place],), bare=bare) if s.shot.subject == name)
 
     def _regions(self, sample: Sample, view: LoadedView, shape: np.ndarray | None = None) -> dict[str, np.ndarray]:
         shape = sample.dataset.shape(sample.shot.subject) if shape is None else shape

@@ -96,6 +96,7 @@ def _cells(values: Mapping[str, float], figures: Sequence[str]) -> list[str]:
 
 _TITLES = {
     "psnr": "PSNR", "psnr_mask": "PSNR in mask", "ssim": "SSIM", "ssim_mask": "SSIM in mask", "rmse": "RMSE",
+    "turned": "strands off, degrees",
 }  # fmt: skip
 _NAMES = ("psnr", "psnr_mask", "ssim", "ssim_mask", "rmse", "rmse_mask")
 
@@ -133,6 +134,8 @@ def _row(row: Row) -> dict[str, Any]:
     values: dict[str, Any] = {"view": sample.name, "person": row.person.name, "yaw": round(sample.yaw, 1)}
     values |= {"close-up": sample.close, "neutral": sample.neutral}
     values |= {name: getattr(errors, name) for name in _NAMES} | errors.perceptual
+    if math.isfinite(errors.turned):
+        values["turned"] = errors.turned
     values |= {"unrefined_psnr": row.raw.psnr, "unrefined_psnr_mask": row.raw.psnr_mask}
     values |= {f"{name}: psnr_mask": errors.psnr_mask for name, errors in row.variants.items()}
     if row.ablation is not None:
@@ -144,6 +147,8 @@ def _means(errors: Iterable[Errors]) -> dict[str, float]:
     every = list(errors)
     means = {name: _mean(getattr(e, name) for e in every) for name in _NAMES}
     distances = sorted({name for e in every for name in e.perceptual})
+    if any(math.isfinite(e.turned) for e in every):
+        means["turned"] = _mean(e.turned for e in every)
     return means | {name: _mean(e.perceptual[name] for e in every if name in e.perceptual) for name in distances}
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..data.dataset import CaptureDataset
+from ..data.layers import PART_LAYER, PARTS
 from ..data.types import Shot, View
 from ..errors import ConfigError
 from ..geometry.camera import Camera
@@ -56,6 +57,16 @@ class Sample:
     def neutral(self) -> bool:
         """Whether no expression is performed."""
         return float(np.abs(self.shot.aligned).max(initial=0.0)) < NEUTRAL_NORM
+
+    def hair(self, size: int = 0) -> np.ndarray:
+        """Cover of scalp hair in the picture, 0..1 [H, W] float32, reduced as `load` does; nothing where no layer says."""
+        camera, layers = self.view.camera, self.view.layers
+        if PART_LAYER not in layers:
+            return np.zeros((camera.height, camera.width), np.float32)
+        cover: np.ndarray = self.dataset.layer(self.shot, self.view, PART_LAYER)[PARTS.index("hair")]
+        step = max(1, round(max(cover.shape) / size)) if size else 1
+        rows, columns = (count // step * step for count in cover.shape)
+        return cover[:rows, :columns].reshape(rows // step, step, columns // step, step).mean((1, 3)).astype(np.float32)
 
 
 @dataclass(frozen=True)

@@ -40,11 +40,13 @@ class DrawnPerson(Person):
         name: For tables.
         model: The scene's model, or a copy with changed decoders.
         photo_code: z_exp as a whole in the photo that the person was fitted to, [Y], or None.
+        avatar: What the person came from, or None.
     """
 
     name: str
     model: GRMM
     photo_code: np.ndarray | None = None
+    avatar: Avatar | None = None
 
 
 class Scene:
@@ -116,7 +118,7 @@ class Scene:
             photo = expression_code(model.input_space().codes, aligned, avatar.z_exp + own, None)
         return DrawnPerson(
             avatar.z_id, avatar.shape[: self.head.shape_count], avatar.z_exp, avatar.expression,
-            name=avatar.name, model=model, photo_code=photo,
+            name=avatar.name, model=model, photo_code=photo, avatar=avatar,
         )  # fmt: skip
 
     def _trained_name(self, avatar: Avatar) -> str:

@@ -26,7 +26,7 @@ def default_avatar(weights: WeightsInfo, z_exp_size: int) -> Avatar:
         weights: What the weights file says.
         z_exp_size: Length of the model's residual expression code.
     """
-    return _avatar(f"{weights.name.capitalize()} head", weights, z_exp_size, weights.default_z_id, weights.default_shape)
+    return made_avatar(f"{weights.name.capitalize()} head", weights, z_exp_size, weights.default_z_id, weights.default_shape)
 
 
 def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int) -> Avatar:
@@ -60,10 +60,11 @@ def sampled_avatar(weights: WeightsInfo, z_exp_size: int, seed: int) -> Avatar:
         mix @ table + share * rest * (normal @ (table - table.mean(0)))
         for table, share in ((weights.z_id, CODE_VARIATION), (weights.shapes, 1.0))
     )
-    return _avatar(f"Sample {seed}", weights, z_exp_size, z_id, shape)
+    return made_avatar(f"Sample {seed}", weights, z_exp_size, z_id, shape)
 
 
-def _avatar(name: str, weights: WeightsInfo, z_exp_size: int, z_id: np.ndarray, shape: np.ndarray) -> Avatar:
+def made_avatar(name: str, weights: WeightsInfo, z_exp_size: int, z_id: np.ndarray, shape: np.ndarray) -> Avatar:
+    """An avatar of a given name, code [Z] and shape [S] on weights."""
     licence = weights.provenance.get("licence", "")
     padded = np.zeros(SHAPE_SIZE, np.float32)
     padded[: shape.size] = shape[:SHAPE_SIZE]

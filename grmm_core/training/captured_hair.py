@@ -6,7 +6,7 @@ Called by `grmm train person`. Imports torch.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,7 +22,12 @@ if TYPE_CHECKING:
     from ..head import HeadModel
 
 
-def captured_hair(datasets: Iterable[CaptureDataset], person: str, head: HeadModel) -> Hair | None:
+SeenIn = Callable[[Shot, View], bool]
+
+
+def captured_hair(
+    datasets: Iterable[CaptureDataset], person: str, head: HeadModel, seen: SeenIn = lambda shot, view: True
+) -> Hair | None:
     """Return what a person wears; None where no capture has recorded it.
 
     Colors are sought where a view shows the person with hair and says where it is, else they are the settings' own.
@@ -31,6 +36,7 @@ def captured_hair(datasets: Iterable[CaptureDataset], person: str, head: HeadMod
         datasets: Captures; the first that has the person's strands counts.
         person: Name.
         head: Of the captures.
+        seen: Which views may tell the colors.
 
     Raises:
         FileAccessError, FileFormatError: A file is missing or damaged.
@@ -42,7 +48,7 @@ def captured_hair(datasets: Iterable[CaptureDataset], person: str, head: HeadMod
         shown = [
             _hair_view(dataset, shot, view, head)
             for shot in dataset.shots if shot.subject == person
-            for view in shot.shown(bare=False) if PART_LAYER in view.layers
+            for view in shot.shown(bare=False) if PART_LAYER in view.layers and seen(shot, view)
         ]  # fmt: skip
         shown.sort(key=lambda view: -float(view.hair.sum()))
         return Hair(groom, with_colors(HairSettings(), groom, shown, head) if shown else HairSettings())

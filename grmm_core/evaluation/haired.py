@@ -1,0 +1,94 @@
+"""People with the strands that their capture recorded, drawn as a session draws them, for views that show hair.
+
+Weights of bare heads are judged on bare heads (`protocols`); this says how the whole person looks. Strands are the truth's own,
+so that the figures are those of drawing them; their colors are found in views that the model may know.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ..avatar import EXTENSION, Avatar, save_avatar
+from ..controls.frame import Controls, resolve
+from ..data.dataset import CaptureDataset
+from ..data.types import Shot
+from ..fitting.hair_stage import directions
+from ..geometry.camera import Camera
+from ..model.people import made_avatar
+from ..session import create_session
+from ..session.api import Instance, RenderOptions
+from ..training.captured_hair import SeenIn, captured_hair
+from .scene import DrawnPerson, Scene
+
+_LEAST = 200  # pixels of hair with a direction, below which a view says nothing about it
+
+
+class Haired:
+    """Draws people of one scene; to be closed.
+
+    Args:
+        scene: Model, on the CPU.
+        datasets: Captures whose people are drawn.
+    """
+
+    def __init__(self, scene: Scene, datasets: Sequence[CaptureDataset]) -> None:
+        self._scene, self._datasets = scene, datasets
+        self._session = create_session("local", weights=scene.path, device="cpu")
+        self._open: dict[int, tuple[DrawnPerson, int]] = {}
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+    def draw(self, person: DrawnPerson, shot: Shot, camera: Camera, seen: SeenIn) -> np.ndarray:
+        """Draw a person over black, display sRGB [H, W, 3].
+
+        Args:
+            person: Whom.
+            shot: Expression and pose.
+            camera: In head space.
+            seen: The views from which the hair's colors may be taken.
+        """
+        if id(person) not in self._open:
+            self._open[id(person)] = (person, self._opened(person, shot.subject, seen))
+        controls = Controls(aligned=shot.aligned)
+        plain = resolve(controls, self._scene.head)
+        expression = np.zeros_like(controls.expression)
+        more = (shot.expression - plain.expression)[: expression.size]
+        expression[: more.size] = more
+        controls = replace(controls, expression=expression, pose=(shot.pose - plain.pose).astype(np.float32))
+        instance = Instance(self._open[id(person)][1], controls)
+        return self._session.render([instance], camera, RenderOptions(background=(0.0, 0.0, 0.0)))["rgb"]
+
+    def _opened(self, person: DrawnPerson, subject: str, seen: SeenIn) -> int:
+        avatar = person.avatar or self._made(person)
+        if avatar.hair is None:
+            avatar = replace(avatar, hair=captured_hair(self._datasets, subject, self._scene.head, seen))
+        with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as folder:
+            path = Path(folder) / f"person{EXTENSION}"
+            save_avatar(avatar, path)
+            return self._session.open(path).id
+
+    def _made(self, person: DrawnPerson) -> Avatar:
+        return made_avatar(person.name, self._scene.info, self._scene.model.z_exp_size, person.z_id, person.shape)
+
+
+def turned_degrees(image: np.ndarray, truth: np.ndarray, hair: np.ndarray) -> float:
+    """Mean angle between the directions of strands where both pictures have a clear one, degrees; NaN where hardly any has.
+
+    Args:
+        image: [H, W, 3].
+        truth: [H, W, 3].
+        hair: Cover of hair in the truth, [H, W].
+    """
+    own, true = (np.stack(directions(picture, hair)) for picture in (image, truth))
+    sure = np.minimum(np.hypot(*own), np.hypot(*true)) > 1e-6
+    if sure.sum() < _LEAST:
+        return float("nan")
+    doubled = np.arctan2(own[1], own[0])[sure] - np.arctan2(true[1], true[0])[sure]
+    return float(np.degrees(np.abs((doubled + np.pi) % (2 * np.pi) - np.pi)).mean() / 2)

@@ -212,8 +212,8 @@ class Evaluation:
         image = haired.draw(person, sample.shot, view.camera, seen)
         hair = sample.hair(self.settings.size)
         regions = self._regions(sample, view) | {HAIR: hair > MASK_LEVEL} if self.settings.regions else {}
-        tensors = (self.scene.tensor(array) for array in (image, view.image, view.mask))
-        errors = errors_of(*tensors, regions, self.settings.distances)
+        drawn, truth, mask = (self.scene.tensor(array) for array in (image, view.image, view.mask))
+        errors = errors_of(drawn, truth, mask, regions, self.settings.distances)
         errors.turned = turned_degrees(image, view.image, hair)
         pictures = tuple(quantize(picture) for picture in (view.image, image, image))
         return Row(sample, person, errors, errors, pictures=pictures)

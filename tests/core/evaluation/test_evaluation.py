@@ -20,6 +20,7 @@ from grmm_core.data.dataset import CaptureDataset
 from grmm_core.errors import ConfigError, FileFormatError
 from grmm_core.evaluation import protocols, report
 from grmm_core.evaluation.disentanglement import smoothness, spread
+from grmm_core.evaluation.haired import turned_degrees
 from grmm_core.evaluation.lpips import SLICES, Lpips, load_lpips
 from grmm_core.evaluation.metrics import errors_of
 from grmm_core.evaluation.protocols import Evaluation, Settings
@@ -355,7 +356,7 @@ def test_everybody_whom_the_weights_do_not_know_is_held_out(scene, folder, tmp_p
         write_person(tmp_path, scene, name, scene.info.z_id[2], scene.info.shapes[2], ("train",))
     runs = Evaluation(scene, [CaptureDataset(folder), CaptureDataset(tmp_path)], Settings())
     assert runs.held_out() == [(0, HELD_OUT), (1, "s0009_0000")]
-    assert [s.shot.subject for s in runs._views_of(1, "s0009_0000")] == ["s0009_0000"]
+    assert [s.shot.subject for s in runs._views_of(1, "s0009_0000", bare=False)] == ["s0009_0000"]
 
 
 # --- fitting as users do ---------------------------------------------------------------------------------------------
@@ -444,3 +445,33 @@ def test_weights_of_bare_heads_are_judged_by_bare_heads(folder):
     assert len(bare) == len(samples([CaptureDataset(folder)])) == len(haired) + len(alone.views)
     assert [sample.view.image for sample in bare[: len(twins)]] == ["twin.png"] * len(twins)
     assert not any(sample.shot is alone for sample in haired)
+
+
+def test_people_wear_the_hair_that_their_capture_recorded(scene, folder, tmp_path):
+    import shutil
+
+    from grmm_core.hair.packaged import library_groom
+
+    data = tmp_path / "capture"
+    shutil.copytree(folder, data)
+    bald = evaluation(scene, data, hair=True).run("reconstruction").rows
+    for name in {row.sample.shot.subject for row in bald}:
+        np.savez(data / "subjects" / f"{name}_groom.npz", **library_groom("crop").pack())
+    haired = evaluation(scene, data, hair=True).run("reconstruction").rows
+    assert [row.sample.name for row in haired] == [row.sample.name for row in bald]
+    assert min(row.errors.psnr for row in bald) > 35.0  # as without a session
+    assert max(row.errors.psnr for row in haired) < 30.0
+
+
+def test_strands_are_turned_by_the_angle_between_them():
+    y, x = np.mgrid[0:64, 0:64] / 64.0
+
+    def stripes(degrees):
+        angle = np.radians(degrees)
+        return np.repeat(0.5 + 0.5 * np.sin(25.0 * (np.cos(angle) * x + np.sin(angle) * y))[..., None], 3, 2)
+
+    everywhere = np.ones((64, 64))
+    assert turned_degrees(stripes(20), stripes(20), everywhere) < 0.1
+    assert turned_degrees(stripes(20), stripes(50), everywhere) == pytest.approx(30.0, abs=1.5)
+    assert turned_degrees(stripes(10), stripes(170), everywhere) == pytest.approx(20.0, abs=1.5)  # a line has no sense
+    assert math.isnan(turned_degrees(stripes(20), np.ones((64, 64, 3)), everywhere))

@@ -21,6 +21,7 @@
 ``calibrate``           make the face of chosen frames the neutral one
 ``relink``              choose an avatar's file again
 ``composite``           Cycles or EEVEE scenes with their avatars
+``bake_world``          a world's light as a picture
 ``pose_library``        poses as assets
 ``portrait_camera``     a camera before the avatar
 ``turntable``           a camera around the avatar
@@ -35,6 +36,7 @@ from __future__ import annotations
 from . import (
     add_flame,
     add_head,
+    bake_world,
     calibrate,
     composite,
     contact_sheet,
@@ -74,6 +76,7 @@ PARTS = (
     hair,
     fit,
     composite,
+    bake_world,
     pose_library,
     portrait_camera,
     turntable,

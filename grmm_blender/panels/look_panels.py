@@ -52,6 +52,7 @@ class GRMM_PT_light(_LookPanel):
         unread = unread_world(context.scene) if settings.lighting == SCENE_LIGHT else ""
         if unread:
             draw_text(layout, unread, context, icon="INFO")
+            layout.operator("grmm.bake_world", icon="WORLD")
 
 
 class GRMM_PT_hair(_LookPanel):

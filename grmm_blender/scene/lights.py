@@ -1,7 +1,8 @@
 """The lamps and the world of a scene, as `grmm_core.light` has them, in Blender's world axes.
 
 Kept between pictures: what a world's picture gives, by image. Other node trees than a background of one color or an environment
-texture are not evaluated; the world's viewport color stands for them, and `unread_world` says so in the panel.
+texture are read as `baked_world` has them; until that is made the world's viewport color stands for them, and `unread_world`
+says so in the panel.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from ...grmm_core.light.lamps import Area, Lamp, Lighting, Point, Spot, Sun
 from ...grmm_core.light.shading import Response
 from ...grmm_core.light.surroundings import Surroundings
 from ...grmm_core.pictures.color import srgb_to_linear
+from . import baked_world
 from .shot import Occluder
 from .world import background_node
 
@@ -121,6 +123,9 @@ def world_light(scene: bpy.types.Scene) -> Surroundings | None:
     world = scene.world
     if world is None:
         return None
+    image = None if _is_plain(world) else baked_world.baked(world)
+    if image is not None:
+        return _of_image(image)
     background, plain = background_node(world), Surroundings.even(tuple(world.color))
     if background is None:
         return plain
@@ -140,15 +145,22 @@ def world_light(scene: bpy.types.Scene) -> Surroundings | None:
 def unread_world(scene: bpy.types.Scene) -> str:
     """What a world holds that is not read, in a sentence; "" where all of it is."""
     world = scene.world
-    background = None if world is None else background_node(world)
-    if world is None or background is None:
+    if world is None or _is_plain(world):
         return ""
+    if baked_world.baked(world) is None:
+        return "Avatars take this world's viewport color for its light until its nodes are baked"
+    return "" if baked_world.is_current(world) else "The world has changed since its light was baked"
+
+
+def _is_plain(world: bpy.types.World) -> bool:
+    """Whether a world is read without being baked: a color, or an environment texture with its mapping."""
+    background = background_node(world)
+    if background is None:
+        return world.node_tree is None or not getattr(world, "use_nodes", True)
     color = background.inputs["Color"]
     node = color.links[0].from_node if color.is_linked else None
     plain = node is None or (node.type == "TEX_ENVIRONMENT" and node.image is not None)
-    if plain and not background.inputs["Strength"].is_linked:
-        return ""
-    return "Avatars take this world's viewport color for its light; only a color or an environment texture is read"
+    return plain and not background.inputs["Strength"].is_linked
 
 
 def _of_image(image: bpy.types.Image) -> Surroundings:

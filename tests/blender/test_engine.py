@@ -107,6 +107,23 @@ def test_avatars_take_the_scenes_light(render_script, blender_version):
     assert np.ptp(result["cycles"]) > 0.2
 
 
+def test_a_world_of_other_nodes_is_baked(render_script, blender_version):
+    result = render_script("engine_world.py", python=blender_version)
+    assert "until its nodes are baked" in result["unread"]
+    np.testing.assert_allclose(result["unbaked"], 0.5, atol=1e-4)
+    assert result["finished"] == ["FINISHED"]
+    assert result["read"] == result["read_again"] == ""
+    # light that leans to one side, on a plane that faces it 2/3, across it 2 / (3 pi), away from it none
+    ways = np.repeat(np.eye(3), 2, 0) * np.array([1.0, -1.0] * 3)[:, None]
+    expected = np.where(ways > 0, 2 / 3, np.where(ways < 0, 0.0, 2 / (3 * np.pi)))
+    np.testing.assert_allclose(result["baked"], expected, atol=0.03)
+    assert result["left"] == [0, 1]
+    assert "changed" in result["changed"]
+    np.testing.assert_allclose(result["again"], 2 * expected, atol=0.06)
+    assert result["images"] == 1
+    assert result["missing"].startswith("ConfigError: The picture Sky of the world is missing")
+
+
 def test_avatars_wear_hair_of_strands(render_script, blender_version):
     result = render_script("engine_hair.py", python=blender_version)
     assert result["own"] <= CHANNEL_STEP

@@ -26,6 +26,7 @@ from grmm_core.data.layers import LIGHT_PREFIX
 from grmm_core.data.types import Shot, View
 from grmm_core.evaluation.regions import region_pixels, triangle_groups
 from grmm_core.head import load_open_head
+from grmm_core.light.bounce import Exchange, albedo_of, nearest_points
 from grmm_core.light.lamps import STUDIO, Lighting, soft_box
 from grmm_core.light.materials import materials_of
 from grmm_core.light.relight import relit_pixels
@@ -63,11 +64,13 @@ class Relighter:
         self._materials = materials_of(self._head, self._layout.face, self._layout.barycentric)
         self._groups = triangle_groups(self._head)
         self._response = Response(scattering=0.0)
+        corners = self._head.faces[self._layout.face]
+        self._near = nearest_points(corners, self._layout.barycentric, self._head.vertex_count)
 
     def results(self, shot: Shot, view: View) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
         """By the name of the light: relit picture, truth, picture in the rig, [H, W, 3] over black, and pixels by region."""
         picture = self._data.picture(shot, view)
-        rest = self._head.vertices(self._data.shape(shot.subject), np.zeros(1), np.zeros((5, 3)))
+        rest = np.asarray(self._head.vertices(self._data.shape(shot.subject), np.zeros(1), np.zeros((5, 3))), np.float64)
         posed = self._head.vertices(self._data.shape(shot.subject), shot.expression, shot.pose)
         still = self._surface(rest)
         here = self._surface(posed if shot.displacement is None else posed + shot.displacement)
@@ -77,6 +80,12 @@ class Relighter:
         turn = turn_between(still.vertices[scalp], here.vertices[scalp])
         eye = view.camera.position
         rig, learned = self._light(STUDIO, still, rows, (eye - here.receivers.centre) @ turn, np.eye(3))
+        skin = albedo_of(np.asarray(picture.over(0.0))[picture.mask > 0.9], rig)
+        exchange = Exchange.of(rest, vertex_normals(rest, self._head.faces), self._head.faces, vertex_rows)
+
+        def bounced(straight: np.ndarray) -> np.ndarray:
+            return straight + self._at_texels(exchange.bounced(straight[self._near], skin))
+
         pixels = region_pixels(self._head, self._groups, here.vertices, view.camera, picture.mask, picture.depth)
         pixels = {"mask": picture.mask > 0.9, "face": pixels["face"] & (picture.mask > 0.9)}
         flat, found = np.asarray(picture.over(0.0), np.float32), {}
@@ -84,7 +93,7 @@ class Relighter:
             if layer.startswith(LIGHT_PREFIX):
                 name = layer.removeprefix(LIGHT_PREFIX)
                 irradiance, shine = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn)
-                relative = ratio(irradiance, rig)
+                relative = ratio(bounced(irradiance), bounced(rig))
                 relit = self._draw(here, view, relative, shine - learned * relative, flat, picture.mask)
                 truth = self._data.layer(shot, view, layer) * picture.mask[..., None]
                 found[name] = (relit.clip(0.0, 1.0), truth, flat, pixels)

@@ -3,6 +3,7 @@
 ``lamps``         sun, point, spot and area lights in metres, watts and linear colors, as Blender means them
 ``surroundings``  a world: its spherical harmonics, and its strongest spots taken out as suns
 ``transfer``      how much of the light from everywhere reaches each vertex of a head that shadows itself
+``bounce``        light that skin throws on skin
 ``shadows``       which part of each lamp a point sees, by depth maps of meshes
 ``materials``     what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian

@@ -217,6 +217,35 @@ def shade(
         out[i, 6] = (arrives + np.float32(1e-6)) / (whole + np.float32(1e-6))
 
 
+@compiled(**OPTIONS)
+def relative(
+    light: np.ndarray, corners: np.ndarray, bounced: np.ndarray, weights: np.ndarray, rig: np.ndarray, learned: np.ndarray,
+    gloss: float, most: float, first: int, last: int,
+) -> None:  # fmt: skip
+    """Turn what arrives into what changes colors; see `shading.relative`.
+
+    Args:
+        light: Of `shade`; overwritten, [N, 7].
+        corners: [N, 3].
+        bounced: [V, 3].
+        weights: [N, 3].
+        rig: [N, 3].
+        learned: Highlights, [N, 3].
+        gloss: Their factor.
+        most: Of a ratio.
+        first: Row of `light`.
+        last: The row after the last.
+    """
+    shine, limit = np.float32(gloss), np.float32(most)
+    for i in range(first, last):
+        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        for k in range(3):
+            more = weights[i, 0] * bounced[a, k] + weights[i, 1] * bounced[b, k] + weights[i, 2] * bounced[c, k]
+            ratio = min(max((light[i, k] + more) / rig[i, k], _0), limit)
+            light[i, k] = ratio
+            light[i, 3 + k] -= shine * learned[i, k] * ratio
+
+
 # --- pictures ----------------------------------------------------------------------------------------------------------------
 
 TABLE, LINEAR_END, DISPLAY_END = 4096, 1.25, 1.5

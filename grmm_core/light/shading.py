@@ -128,14 +128,25 @@ class Arrived(NamedTuple):
     """What arrives at N Gaussians of all light together.
 
     Attributes:
-        irradiance: W/m2, [N, 3].
-        highlights: Radiance towards the viewer, [N, 3].
-        share: Of the lamps' light, what nothing keeps off, [N, 1].
+        values: What the properties are parts of, [N, 7] float32.
     """
 
-    irradiance: np.ndarray
-    highlights: np.ndarray
-    share: np.ndarray
+    values: np.ndarray
+
+    @property
+    def irradiance(self) -> np.ndarray:
+        """W/m2, [N, 3]."""
+        return self.values[:, :3]
+
+    @property
+    def highlights(self) -> np.ndarray:
+        """Radiance towards the viewer, [N, 3]."""
+        return self.values[:, 3:6]
+
+    @property
+    def share(self) -> np.ndarray:
+        """Of the lamps' light, what nothing keeps off, [N, 1]."""
+        return self.values[:, 6:]
 
 
 def shade(
@@ -159,7 +170,7 @@ def shade(
     if kernels is None:
         parts = transport(lamps, receivers, list(seen), materials, rows, eye, response, turn)
         irradiance, highlights = parts.light(colors_of(lamps), harmonics.astype(np.float32))
-        return Arrived(irradiance, highlights, arriving_share(lamps, parts, seen))
+        return Arrived(np.concatenate([irradiance, highlights, arriving_share(lamps, parts, seen)], 1).astype(np.float32))
     from ..compute.threads import for_rows
 
     out = np.empty((len(receivers.points), 7), np.float32)
@@ -170,7 +181,47 @@ def shade(
         harmonics * _MIRROR_BANDS[:, None], factors,
     )  # fmt: skip
     for_rows(kernels.shade, len(out), *(np.ascontiguousarray(array, np.float32) for array in arrays), out)
-    return Arrived(out[:, :3], out[:, 3:6], out[:, 6:])
+    return Arrived(out)
+
+
+class Learned(NamedTuple):
+    """What colors hold of the rig's light at N Gaussians.
+
+    Attributes:
+        rig: Its irradiance, as `reached` has it, [N, 3].
+        highlights: Its highlights, [N, 3].
+    """
+
+    rig: np.ndarray
+    highlights: np.ndarray
+
+
+def relative(
+    arrived: Arrived, bounced: np.ndarray, corners: np.ndarray, weights: np.ndarray, learned: Learned, gloss: float
+) -> np.ndarray:
+    """Light as it changes learned colors: `ratio`, highlights less those that are in the colors, share of the lamps' light.
+
+    Args:
+        arrived: Of the scene; may be overwritten.
+        bounced: Irradiance at vertices besides, [V, 3].
+        corners: Vertices around each Gaussian, [N, 3].
+        weights: Of them, [N, 3].
+        learned: At the Gaussians.
+        gloss: Factor of the highlights in colors.
+
+    Returns:
+        [N, 7] float32.
+    """
+    kernels = compiled_kernels()
+    if kernels is None:
+        light = ratio(arrived.irradiance + np.einsum("nk,nkc->nc", weights, bounced[corners]), learned.rig)
+        shine = arrived.highlights - gloss * learned.highlights * light
+        return np.concatenate([light, shine, arrived.share], 1).astype(np.float32)
+    from ..compute.threads import for_rows
+
+    arrays = (np.ascontiguousarray(array, np.float32) for array in (bounced, weights, *learned))
+    for_rows(kernels.relative, len(corners), arrived.values, corners, *arrays, float(gloss), MAX_RATIO)
+    return arrived.values
 
 
 def colors_of(lamps: tuple[Lamp, ...]) -> np.ndarray:

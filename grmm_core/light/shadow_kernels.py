@@ -14,20 +14,21 @@ from ..compute.kernels import compiled
 
 OPTIONS: dict[str, Any] = {"fastmath": True, "boundscheck": False, "error_model": "numpy", "nogil": True}
 single: Any = np.float32  # mypy cannot follow numpy's kinds of numbers through min and max
-_0, _1, _HALF = single(0.0), single(1.0), single(0.5)
+_0, _1, _2, _HALF, _MOST = single(0.0), single(1.0), single(2.0), single(0.5), single(1.5)
 _LEVEL = np.float32(0.02)  # change of a face's reciprocal depth that counts as small
 
 
 @compiled(**OPTIONS)
 def draw_map(
-    vertices: np.ndarray, faces: np.ndarray, turn: np.ndarray, shift: np.ndarray, focal: float, flat: bool, near: float,
-    depth: np.ndarray, crossing: np.ndarray,
+    vertices: np.ndarray, faces: np.ndarray, closed: int, turn: np.ndarray, shift: np.ndarray, focal: float, flat: bool,
+    near: float, depth: np.ndarray, crossing: np.ndarray,
 ) -> int:  # fmt: skip
     """Write the nearest depths of a mesh into a square map, as `geometry.zbuffer.triangle_depth` has them.
 
     Args:
         vertices: [V, 3].
         faces: [T, 3].
+        closed: Of them the first ones, of which only those that face the map are drawn.
         turn: World to the map's axes, [3, 3].
         shift: Added behind it, [3].
         focal: Pixels; of an orthographic map pixels a metre.
@@ -62,15 +63,15 @@ def draw_map(
             count += 1
             continue
         ax, ay, bx, by, cx, cy = seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1]
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if area == _0 or (t < closed and area > _0):  # rows count downwards: seen from outside, corners run clockwise
+            continue
         low_x, high_x, low_y, high_y = min(ax, bx, cx), max(ax, bx, cx), min(ay, by, cy), max(ay, by, cy)
         if not (high_x > _0 and high_y > _0 and low_x < side and low_y < side):
             continue
         left, right = max(math.ceil(low_x - _HALF), 0), min(math.floor(high_x - _HALF), side - 1)
         top, bottom = max(math.ceil(low_y - _HALF), 0), min(math.floor(high_y - _HALF), side - 1)
         if left > right or top > bottom:
-            continue
-        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if area == _0:
             continue
         inverse = _1 / area
         # barycentric coordinates of the second and third corner, and how they change by column and row
@@ -92,60 +93,84 @@ def draw_map(
     return count
 
 
+@compiled(inline="always", **OPTIONS)
+def _around(depth: np.ndarray, top: int, left: int, u: float, v: float, z: float) -> float:
+    """Share of the 4 x 4 pixels around a place that is not nearer than z, by a tent of 3 pixels."""
+    # the tent at the four columns: 1.5 less their distances
+    a, b, c, d = max(_HALF - u, _0), _MOST - u, _HALF + u, max(u - _HALF, _0)
+    total = _0
+    for row in range(4):
+        down = max(_MOST - abs(np.float32(row - 1) - v), _0)
+        r = top + row - 1
+        total += down * (
+            (a if depth[r, left - 1] >= z else _0) + (b if depth[r, left] >= z else _0)
+            + (c if depth[r, left + 1] >= z else _0) + (d if depth[r, left + 2] >= z else _0)
+        )  # fmt: skip
+    return total / ((a + b + c + d) * (max(_HALF - v, _0) + _2 + max(v - _HALF, _0)))
+
+
 @compiled(**OPTIONS)
 def compared(
-    depth: np.ndarray, points: np.ndarray, normals: np.ndarray, lift: float, turn: np.ndarray, shift: np.ndarray, focal: float,
-    flat: bool, near: float, seen: np.ndarray,
+    depths: np.ndarray, nearest: np.ndarray, farthest: np.ndarray, turns: np.ndarray, shifts: np.ndarray, focals: np.ndarray,
+    flat: bool, near: float, bias: float, away: float, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, first: int,
+    last: int,
 ) -> None:  # fmt: skip
-    """Compare points with a map; see `shadows.compared`.
+    """Compare points with maps; see `shadows.compared`, whose mean over the maps this is.
 
     Args:
-        depth: Map, [R, R].
-        points: [N, 3].
-        normals: [N, 3].
-        lift: How far along their normals the points are moved, metres.
-        turn: As in `draw_map`.
-        shift: As there.
-        focal: As there.
+        depths: Maps, [K, R, R].
+        nearest: Of `extremes`, [K, R, R].
+        farthest: Likewise.
+        turns: Of each map as in `draw_map`, [K, 3, 3].
+        shifts: Likewise, [K, 3].
+        focals: Likewise, [K].
         flat: As there.
         near: As there.
+        bias: See `shadows.lift`.
+        away: Likewise.
+        points: [N, 3].
+        normals: [N, 3].
         seen: Written, [N].
+        first: Row of `points`.
+        last: The row after the last.
     """
-    side = depth.shape[0]
-    middle, scale, far = np.float32(0.5 * side), np.float32(focal), np.float32(side - 1)
-    up, wide, closest = np.float32(lift), np.float32(1.5), np.float32(near)
-    nearest, farthest = np.empty_like(depth), np.empty_like(depth)
-    _extremes(depth, nearest, farthest)
-    for i in range(len(points)):
-        px, py, pz = points[i, 0] + up * normals[i, 0], points[i, 1] + up * normals[i, 1], points[i, 2] + up * normals[i, 2]
-        z = turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2]
-        factor = scale if flat else scale / max(z, np.float32(1e-4))
-        x = (turn[0, 0] * px + turn[0, 1] * py + turn[0, 2] * pz + shift[0]) * factor + middle
-        y = (turn[1, 0] * px + turn[1, 1] * py + turn[1, 2] * pz + shift[1]) * factor + middle
-        seen[i] = _1
-        if not (z > closest and x >= _1 and y >= _1 and x < far and y < far):
-            continue
-        left, top = int(x - _HALF), int(y - _HALF)
-        if nearest[top, left] >= z:
-            continue
-        if farthest[top, left] < z:
-            seen[i] = _0
-            continue
-        u, v = x - _HALF - np.float32(left), y - _HALF - np.float32(top)
-        total, whole = _0, _0
-        for row in range(-1, 3):
-            down = max(_0, wide - abs(np.float32(row) - v))
-            r = min(max(top + row, 0), side - 1)
-            for column in range(-1, 3):
-                weight = down * max(_0, wide - abs(np.float32(column) - u))
-                whole += weight
-                total += weight if depth[r, min(max(left + column, 0), side - 1)] >= z else _0
-        seen[i] = total / whole
+    side = depths.shape[1]
+    middle, far = np.float32(0.5 * side), np.float32(side - 2)
+    least, limit, closest = np.float32(bias), np.float32(away), np.float32(near)
+    share = _1 / np.float32(len(depths))
+    for i in range(first, last):
+        seen[i] = _0
+    for k in range(len(depths)):  # map by map: one of them stays near the processor
+        depth, low, high, scale = depths[k], nearest[k], farthest[k], focals[k]
+        ax, ay, az, a0 = turns[k, 0, 0], turns[k, 0, 1], turns[k, 0, 2], shifts[k, 0]
+        bx, by, bz, b0 = turns[k, 1, 0], turns[k, 1, 1], turns[k, 1, 2], shifts[k, 1]
+        cx, cy, cz, c0 = turns[k, 2, 0], turns[k, 2, 1], turns[k, 2, 2], shifts[k, 2]
+        for i in range(first, last):
+            px, py, pz, nx, ny, nz = points[i, 0], points[i, 1], points[i, 2], normals[i, 0], normals[i, 1], normals[i, 2]
+            ahead = cx * nx + cy * ny + cz * nz
+            if ahead > limit:
+                continue
+            z = cx * px + cy * py + cz * pz + c0
+            up = least + math.sqrt(max(_1 - ahead * ahead, _0)) * (_1 if flat else max(z, _0)) / scale
+            px, py, pz, z = px + up * nx, py + up * ny, pz + up * nz, z + up * ahead
+            factor = scale if flat else scale / max(z, np.float32(1e-4))
+            x = (ax * px + ay * py + az * pz + a0) * factor + middle
+            y = (bx * px + by * py + bz * pz + b0) * factor + middle
+            if not (z > closest and x >= _2 and y >= _2 and x < far and y < far):
+                seen[i] += share
+                continue
+            left, top = int(x - _HALF), int(y - _HALF)
+            if low[top, left] >= z:
+                seen[i] += share
+                continue
+            if high[top, left] < z:
+                continue
+            seen[i] += share * _around(depth, top, left, x - _HALF - np.float32(left), y - _HALF - np.float32(top), z)
 
 
 @compiled(**OPTIONS)
-def _extremes(depth: np.ndarray, nearest: np.ndarray, farthest: np.ndarray) -> None:
-    """Least and greatest of the 4 x 4 pixels from one before to two after each, [R, R]."""
+def extremes(depth: np.ndarray, nearest: np.ndarray, farthest: np.ndarray) -> None:
+    """Write the least and greatest of the 4 x 4 pixels from one before to two after each, [R, R]."""
     side = depth.shape[0]
     low, high = np.empty_like(depth), np.empty_like(depth)
     for row in range(side):
@@ -157,5 +182,3 @@ def _extremes(depth: np.ndarray, nearest: np.ndarray, farthest: np.ndarray) -> N
         for column in range(1, side - 2):
             nearest[row, column] = min(low[row, column - 1], low[row, column], low[row, column + 1], low[row, column + 2])
             farthest[row, column] = max(high[row, column - 1], high[row, column], high[row, column + 1], high[row, column + 2])
-        for column in (0, side - 2, side - 1):  # next to the edge everything is compared
-            nearest[row, column], farthest[row, column] = _0, np.float32(3e38)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from dataclasses import dataclass
 from types import ModuleType
@@ -16,11 +17,15 @@ from ..geometry.zbuffer_numpy import EMPTY
 from .lamps import Area, Lamp, Sun, half_angle
 
 RESOLUTION = 256  # pixels of a map that holds all receivers
-_BIAS = 0.0016  # metres along the normal: what the mesh's triangles and the Gaussians on it differ by
+_BIAS = 0.0003  # metres along the normal: what smooth normals and flat triangles differ by
+_AWAY = 0.4  # cosine between normal and a lamp's rays from which on a point is turned away
 _SOFT, _SOFTER = math.radians(1.5), math.radians(12.0)  # half angles from which 4 and 9 places on a lamp are looked from
+_SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+_LEAST = 0.002  # metres that a box reaches beyond its points, who are lifted
 _FAR = 12.0  # metres: as far before the receivers a sun's occluders may stand
 _NEAR = 1e-3  # metres
-_MARGIN = 1.02  # of a map around its receivers
+_MARGIN = 1.03  # of a map around its receivers
+_WIDEST = 0.97  # sine of half the widest angle of a map
 
 
 @dataclass(frozen=True)
@@ -30,20 +35,24 @@ class Receivers:
     Attributes:
         points: [N, 3] metres.
         normals: Outward unit normals, [N, 3].
-        centre: Of a ball around them, [3].
-        radius: Of it, metres.
+        centre: Of a box and a ball around them, [3].
+        corners: Of the box, from its centre, [8, 3].
+        radius: Of the ball, metres.
     """
 
     points: np.ndarray
     normals: np.ndarray
     centre: np.ndarray
+    corners: np.ndarray
     radius: float
 
     @staticmethod
     def around(points: np.ndarray, normals: np.ndarray) -> Receivers:
-        """With the ball around the points."""
-        centre = 0.5 * (points.min(0) + points.max(0))
-        return Receivers(points, normals, centre, float(np.sqrt(((points - centre) ** 2).sum(1).max())))
+        """With box and ball around the points."""
+        columns = [points[:, k] for k in range(3)]  # much faster than along the first axis
+        low, high = np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
+        centre, corners = 0.5 * (low + high), _SIGNS * (0.5 * (high - low) + _LEAST)
+        return Receivers(points, normals, centre, corners, float(np.linalg.norm(corners[0])))
 
 
 class Casters(NamedTuple):
@@ -52,17 +61,19 @@ class Casters(NamedTuple):
     Attributes:
         vertices: [V, 3] metres.
         faces: [T, 3].
+        closed: Of them the first ones, which light can meet from outside only: their backs need not be drawn.
     """
 
     vertices: np.ndarray
     faces: np.ndarray
+    closed: int = 0
 
     def and_triangles(self, corners: np.ndarray) -> Casters:
         """With further triangles, [T, 3, 3] metres."""
         if not len(corners):
             return self
         more = len(self.vertices) + np.arange(3 * len(corners)).reshape(-1, 3)
-        return Casters(np.concatenate([self.vertices, corners.reshape(-1, 3)]), np.concatenate([self.faces, more]))
+        return Casters(np.concatenate([self.vertices, corners.reshape(-1, 3)]), np.concatenate([self.faces, more]), self.closed)
 
 
 class _Map(NamedTuple):
@@ -80,10 +91,6 @@ class _Map(NamedTuple):
     focal: float
     flat: bool
 
-    def single(self) -> tuple[np.ndarray, np.ndarray, float, bool, float]:
-        """What kernels take."""
-        return self.turn.astype(np.float32), self.shift.astype(np.float32), self.focal, self.flat, _NEAR
-
 
 def visible(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> np.ndarray:
     """Which part of a lamp each receiver sees, 0..1, [N] float32.
@@ -97,32 +104,35 @@ def visible(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float 
     if not lamp.shadow or not len(casters.faces):
         return np.ones(len(receivers.points), np.float32)
     places = _places(lamp, receivers, softness)
-    parts = np.empty((len(places), len(receivers.points)), np.float32)
-    lift = _BIAS + 2.0 * (receivers.radius * _MARGIN + _BIAS) / RESOLUTION  # a pixel more
+    maps = [_map_at(lamp, place, receivers) for place in places]
     if compiled_kernels() is None:
-        for place, part in zip(places, parts, strict=True):
-            seen_from = _map_at(lamp, place, receivers)
-            part[:] = compared(drawn(casters, seen_from), receivers.points + receivers.normals * lift, seen_from)
-    else:
-        from ..compute.threads import for_each
-        from . import shadow_kernels as kernels
+        parts = [compared(drawn(casters, seen_from), receivers, seen_from) for seen_from in maps]
+        mean: np.ndarray = np.mean(parts, 0, np.float32)
+        return mean
+    from ..compute.threads import for_each, for_rows
+    from . import shadow_kernels as kernels
 
-        points, normals = (np.ascontiguousarray(array, np.float32) for array in (receivers.points, receivers.normals))
-        meshes = np.ascontiguousarray(casters.vertices, np.float32), np.ascontiguousarray(casters.faces, np.int32)
+    vertices, faces = np.ascontiguousarray(casters.vertices, np.float32), np.ascontiguousarray(casters.faces, np.int32)
+    turns, shifts = (np.array([getattr(each, name) for each in maps], np.float32) for name in ("turn", "shift"))
+    focals, flat = np.array([each.focal for each in maps], np.float32), isinstance(lamp, Sun)
+    depths, nearest, farthest = np.empty((3, len(maps), RESOLUTION, RESOLUTION), np.float32)
 
-        def look(number: int) -> None:
-            seen_from = _map_at(lamp, places[number], receivers)
-            depth = np.full((RESOLUTION, RESOLUTION), EMPTY, np.float32)
-            crossing = np.empty(len(casters.faces), np.int32)
-            cut = kernels.draw_map(*meshes, *seen_from.single(), depth, crossing)
-            if cut:
-                some = casters._replace(faces=casters.faces[crossing[:cut]])
-                np.minimum(depth, drawn(some, seen_from), out=depth)
-            kernels.compared(depth, points, normals, lift, *seen_from.single(), parts[number])
+    def look(number: int) -> None:
+        depth, crossing = depths[number], np.empty(len(faces), np.int32)
+        depth[:] = EMPTY
+        here = turns[number], shifts[number], focals[number], flat, _NEAR
+        cut = kernels.draw_map(vertices, faces, casters.closed, *here, depth, crossing)
+        if cut:
+            some = casters._replace(faces=casters.faces[crossing[:cut]])
+            np.minimum(depth, drawn(some, maps[number]), out=depth)
+        kernels.extremes(depth, nearest[number], farthest[number])
 
-        for_each(len(places), look)
-    mean: np.ndarray = parts.mean(0, dtype=np.float32)
-    return mean
+    for_each(len(maps), look)
+    seen = np.empty(len(receivers.points), np.float32)
+    points, normals = (np.ascontiguousarray(array, np.float32) for array in (receivers.points, receivers.normals))
+    these = depths, nearest, farthest, turns, shifts, focals, flat, _NEAR, _BIAS, _AWAY, points, normals
+    for_rows(kernels.compared, len(seen), *these, seen)
+    return seen
 
 
 def _places(lamp: Lamp, receivers: Receivers, softness: float) -> np.ndarray:
@@ -155,20 +165,21 @@ def _axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _map_at(lamp: Lamp, place: np.ndarray, receivers: Receivers) -> _Map:
-    """The map that holds all receivers as a place on a lamp sees them."""
-    centre, radius = receivers.centre, receivers.radius * _MARGIN + _BIAS
+    """The map that holds all receivers as a place on a lamp sees them, in pixels as small as their box allows."""
+    centre = receivers.centre
     if isinstance(lamp, Sun):
-        eye = centre + place / np.linalg.norm(place) * (radius + _FAR)
+        eye = centre + place / np.linalg.norm(place) * (receivers.radius + _FAR)
     else:
         eye = place
     distance = float(np.linalg.norm(eye - centre))
     across, up = _axes(eye - centre)
     turn = np.stack([across, -up, (centre - eye) / max(distance, 1e-9)])
+    x, y, z = np.abs(turn @ receivers.corners.T + (turn @ (centre - eye))[:, None])
     if isinstance(lamp, Sun):
-        return _Map(turn, -turn @ eye, RESOLUTION / (2.0 * radius), True)
+        return _Map(turn, -turn @ eye, RESOLUTION / (2.0 * _MARGIN * max(x.max(), y.max())), True)
     # a lamp among the receivers cannot hold them all in one map: it sees a wide angle, and what lies beside is lit
-    spread = math.asin(min(radius / max(distance, 1e-6), 0.97))
-    return _Map(turn, -turn @ eye, RESOLUTION / (2.0 * math.tan(spread)), False)
+    wide = max((x / z).max(), (y / z).max()) if distance > receivers.radius / _WIDEST else math.inf
+    return _Map(turn, -turn @ eye, RESOLUTION / (2.0 * _MARGIN * min(wide, math.tan(math.asin(_WIDEST)))), False)
 
 
 @functools.lru_cache(maxsize=1)
@@ -190,22 +201,30 @@ def drawn(casters: Casters, seen_from: _Map) -> np.ndarray:
     return triangle_depth(casters.vertices[casters.faces], camera, near=_NEAR)
 
 
-def compared(depth: np.ndarray, points: np.ndarray, seen_from: _Map) -> np.ndarray:
-    """Share of a map around points [N, 3] that is not nearer than they: 3 x 3 pixels, weighted as a tent; 1 outside, [N]."""
+def compared(depth: np.ndarray, receivers: Receivers, seen_from: _Map) -> np.ndarray:
+    """Share of a map around receivers that is not nearer than they: 3 x 3 pixels, weighted as a tent; 1 outside, [N].
+
+    Points are lifted along their normals: by `_BIAS`, and by what a pixel spans where the surface is steep to the rays, for the
+    pixels around hold other depths of the same surface. What is turned away from the lamp by more than `_AWAY` sees none of it.
+    """
+    ahead = receivers.normals @ seen_from.turn[2]
+    away = receivers.points @ seen_from.turn[2] + seen_from.shift[2]
+    pixel = (1.0 if seen_from.flat else np.maximum(away, 0.0)) / seen_from.focal
+    lift = _BIAS + pixel * np.sqrt(np.maximum(1.0 - ahead * ahead, 0.0))
+    points = receivers.points + lift[:, None] * receivers.normals
     side = len(depth)
     local = points @ seen_from.turn.T + seen_from.shift
     scale = seen_from.focal if seen_from.flat else seen_from.focal / np.maximum(local[:, 2], 1e-4)
     x, y = local[:, 0] * scale + side / 2.0, local[:, 1] * scale + side / 2.0
-    inside = (local[:, 2] > _NEAR) & (x >= 1) & (y >= 1) & (x < side - 1) & (y < side - 1)
+    inside = (local[:, 2] > _NEAR) & (x >= 2) & (y >= 2) & (x < side - 2) & (y < side - 2)
     left, top = np.floor(x[inside] - 0.5), np.floor(y[inside] - 0.5)
     u, v = x[inside] - 0.5 - left, y[inside] - 0.5 - top
     total, whole = np.zeros_like(u), np.zeros_like(u)
     for row in range(-1, 3):
         for column in range(-1, 3):
             weight = np.maximum(0.0, 1.5 - np.abs(column - u)) * np.maximum(0.0, 1.5 - np.abs(row - v))
-            place = np.clip(top + row, 0, side - 1).astype(int), np.clip(left + column, 0, side - 1).astype(int)
-            total += weight * (depth[place] >= local[inside, 2])
+            total += weight * (depth[(top + row).astype(int), (left + column).astype(int)] >= local[inside, 2])
             whole += weight
     seen = np.ones(len(points))
     seen[inside] = total / whole
-    return seen
+    return np.where(ahead > _AWAY, 0.0, seen)

@@ -17,10 +17,11 @@ import numpy as np
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
 from ..geometry.rotations import quaternion_to_matrix
+from ..light.bounce import Exchange, albedo_of, nearest_points
 from ..light.hair_shading import HairCloud, strand_transport
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
-from ..light.shading import Response, arriving_share, colors_of, ratio, shade
+from ..light.shading import Learned, Response, arriving_share, colors_of, ratio, reached, relative, shade
 from ..light.shadows import Casters, Receivers, compiled_kernels, visible
 from ..light.surroundings import TERMS
 from ..light.transfer import transfer, turn_between, vertex_normals
@@ -33,6 +34,8 @@ UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0], np.float32)  # what change
 Hair = tuple[Hashable, Callable[[], tuple[np.ndarray, np.ndarray]]]
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _RIGID = "scalp"  # region whose turn is the head's
+_LOOSE = ("neck", "lashes")  # regions that light can reach from inside
+_SKIN = "face"  # region whose color is the skin's
 
 
 class _Rest(NamedTuple):
@@ -40,7 +43,9 @@ class _Rest(NamedTuple):
 
     Attributes:
         transfer: At texels, [N, 9].
-        rig: Irradiance of the studio's rig at texels, [N, 3].
+        rig: Irradiance of the studio's rig at texels, as `reached` has it, [N, 3].
+        albedo: Of its skin, linear RGB, [3].
+        patch, area, givers, shares: Of `Exchange`.
         seen: Which part of the rig's lamps texels see, [L, N].
         vertices: [V, 3].
         normals: [V, 3].
@@ -48,9 +53,19 @@ class _Rest(NamedTuple):
 
     transfer: np.ndarray
     rig: np.ndarray
+    albedo: np.ndarray
+    patch: np.ndarray
+    area: np.ndarray
+    givers: np.ndarray
+    shares: np.ndarray
     seen: np.ndarray
     vertices: np.ndarray
     normals: np.ndarray
+
+    @property
+    def exchange(self) -> Exchange:
+        """What skin throws on skin."""
+        return Exchange(self.patch, self.area, self.givers, self.shares)
 
 
 class LitAvatar:
@@ -91,15 +106,14 @@ class LitAvatar:
         """
 
         def make() -> tuple[np.ndarray]:
-            return (self._skin(eye).astype(np.float32),)
+            return (self._skin(eye),)
 
         around = self._lighting.surroundings
         light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key
         worn = () if self._hair is None else self._hair[0]
         key = (self._target.id, "lit", eye.tobytes(), self._response, self._lod, *light, worn, *self._inputs.mesh_key)
         skin = self._evaluator.cache.get(key, make)[0]
-        parts = [skin] + ([] if strands is None else [self._strands(strands, eye)])
-        return np.concatenate(parts).astype(np.float32)
+        return skin if strands is None else np.concatenate([skin, self._strands(strands, eye)]).astype(np.float32)
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
         rest = self._rest()
@@ -107,9 +121,10 @@ class LitAvatar:
         seen = np.array([self._seen(lamp) for lamp in self.lamps], np.float32)
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
         scene = shade(*light, self._harmonics(self._lighting, turn.T), self._response, turn)
-        relative = ratio(scene.irradiance, rest.rig[self._rows])
-        learned = self._learned((eye - self._centre) @ turn) * self._response.gloss
-        return np.concatenate([relative, scene.highlights - learned * relative, scene.share], 1)
+        learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
+        bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
+        weights = self._target.model.layout.barycentric[self._rows]
+        return relative(scene, bounced, self._corners[self._rows], weights, learned, self._response.gloss)
 
     def _strands(self, strands: Gaussians, eye: np.ndarray) -> np.ndarray:
         points = to_numpy(strands.means).astype(np.float64)
@@ -149,15 +164,22 @@ class LitAvatar:
             )
             vertices = to_numpy(self._evaluator.mesh(self._target, inputs).vertices).astype(np.float64)
             normals = vertex_normals(vertices, self._head.faces)
-            rows = self._all_texels(transfer(vertices, normals, self._head.faces))
+            by_vertex = transfer(vertices, normals, self._head.faces)
+            rows = self._all_texels(by_vertex)
             receivers = Receivers.around(self._all_texels(vertices), _unit(self._all_texels(normals)))
-            casters = Casters(vertices, self._head.faces)
+            casters = self._casting(vertices)
             seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
             layout = self._target.model.layout
             materials = materials_of(self._head, layout.face, layout.barycentric)
             eye = np.array([0.0, 0.0, 1.0])
-            rig = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, self._harmonics(STUDIO)).irradiance
-            return _Rest(rows, np.ascontiguousarray(rig), seen, vertices, normals)
+            straight = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, self._harmonics(STUDIO)).irradiance
+            skin = np.isin(self._corners[:, 0], self._head.regions.get(_SKIN, np.arange(len(vertices))))
+            colors = to_numpy(self._evaluator.appearance(self._target, inputs, np.array([0.0, 0.0, 1.0]))[0])
+            albedo = albedo_of(colors[skin], straight[skin])
+            at_vertices = nearest_points(self._corners, layout.barycentric, len(vertices))
+            exchange = Exchange.of(vertices, normals, self._head.faces, by_vertex)
+            rig = straight + self._all_texels(exchange.bounced(straight[at_vertices], albedo))
+            return _Rest(rows, reached(rig), albedo, *exchange, seen, vertices, normals)
 
         key = (self._target.id, "lit rest", *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, make)
@@ -225,6 +247,16 @@ class LitAvatar:
 
         return self._evaluator.cache.get((self._target.id, "texels' corners"), make)[0]
 
+    @functools.cached_property
+    def _at_vertices(self) -> np.ndarray:
+        """Number of a texel, of those with a Gaussian, that is nearest to each vertex, [V]."""
+
+        def make() -> tuple[np.ndarray]:
+            weights = self._target.model.layout.barycentric[self._rows]
+            return (nearest_points(self._corners[self._rows], weights, len(self._vertices)),)
+
+        return self._evaluator.cache.get((self._target.id, "texels at vertices", self._lod), make)[0]
+
     def _at_texels(self, values: np.ndarray) -> np.ndarray:
         return self._all_texels(values)[self._rows]
 
@@ -252,8 +284,20 @@ class LitAvatar:
 
     @functools.cached_property
     def _casters(self) -> Casters:
-        return Casters(self._vertices, self._head.faces).and_triangles(self._lighting.occluders)
+        return self._casting(self._vertices).and_triangles(self._lighting.occluders)
+
+    def _casting(self, vertices: np.ndarray) -> Casters:
+        """The head's mesh, [V, 3], as what throws shadows."""
+
+        def make() -> tuple[np.ndarray, np.ndarray]:
+            faces, regions = self._head.faces.astype(np.int32), self._head.regions
+            loose = [regions[name] for name in _LOOSE if name in regions]
+            alone = np.isin(faces, np.concatenate(loose)).any(1) if loose else np.ones(len(faces), bool)
+            return faces[np.argsort(alone, kind="stable")], np.array((~alone).sum())
+
+        faces, closed = self._evaluator.cache.get((self._target.id, "casting faces"), make)
+        return Casters(vertices, faces, int(closed))
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.sqrt((vectors * vectors).sum(1, keepdims=True)), 1e-20)
+    return vectors / np.maximum(np.sqrt(np.einsum("nk,nk->n", vectors, vectors)), 1e-20)[:, None]

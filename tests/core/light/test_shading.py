@@ -9,12 +9,26 @@ import pytest
 import torch
 
 from grmm_core.head import load_open_head
+from grmm_core.light import shading
 from grmm_core.light import shadow_kernels as kernels
+from grmm_core.light.bounce import Exchange, albedo_of
 from grmm_core.light.hair_shading import CELL, HairCloud
 from grmm_core.light.lamps import Lighting, Point, Spot, Sun, soft_box
 from grmm_core.light.materials import SKIN, Materials, materials_of
 from grmm_core.light.relight import relit, relit_pixels, to_display, to_linear
-from grmm_core.light.shading import MAX_RATIO, Response, Transport, arriving_share, colors_of, ratio, shade, transport
+from grmm_core.light.shading import (
+    MAX_RATIO,
+    Arrived,
+    Learned,
+    Response,
+    Transport,
+    arriving_share,
+    colors_of,
+    ratio,
+    relative,
+    shade,
+    transport,
+)
 from grmm_core.light.shadows import RESOLUTION, Casters, Receivers, _map_at, compared, drawn, visible
 from grmm_core.light.surroundings import Surroundings
 from grmm_core.light.transfer import openness, transfer, turn_between, vertex_normals
@@ -76,14 +90,13 @@ def test_compiled_shadow_maps_are_the_readable_ones(lamp):
     readable = drawn(casters, seen_from)
     depth, crossing = np.full((RESOLUTION, RESOLUTION), 1e30, np.float32), np.empty(len(casters.faces), np.int32)
     meshes = casters.vertices.astype(np.float32), casters.faces.astype(np.int32)
-    cut = kernels.draw_map(*meshes, *seen_from.single(), depth, crossing)
+    place = seen_from.turn.astype(np.float32), seen_from.shift.astype(np.float32)
+    cut = kernels.draw_map(*meshes, 0, *place, seen_from.focal, seen_from.flat, 1e-3, depth, crossing)
     if cut:
         np.minimum(depth, drawn(casters._replace(faces=casters.faces[crossing[:cut]]), seen_from), out=depth)
     assert (np.abs(np.minimum(depth, 99.0) - np.minimum(readable, 99.0)) < 1e-3).mean() > 0.998  # but for edges
-    seen = np.empty(len(points), np.float32)
-    single = points.astype(np.float32), normals.astype(np.float32)
-    kernels.compared(depth, *single, 0.003, *seen_from.single(), seen)
-    np.testing.assert_allclose(seen, compared(depth, points + 0.003 * normals, seen_from), atol=2e-3)
+    seen = visible(lamp, receivers, casters)
+    assert (np.abs(seen - compared(depth, receivers, seen_from)) < 2e-3).mean() > 0.999  # but for ties
     assert 0.2 < seen.mean() < 0.8
 
 
@@ -108,6 +121,44 @@ def test_compiled_light_is_the_readable_one():
         np.testing.assert_allclose(fast.irradiance, irradiance, rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(fast.highlights, highlights, rtol=5e-3, atol=1e-4)
         np.testing.assert_allclose(fast.share, arriving_share(some, parts, seen[: len(some)]), atol=1e-4)
+
+
+def test_compiled_relative_light_is_the_readable_one(monkeypatch):
+    random = np.random.default_rng(0)
+    corners, weights = random.integers(0, 20, (50, 3)).astype(np.int32), random.dirichlet(np.ones(3), 50)
+    learned = Learned(random.uniform(0.1, 1.0, (50, 3)), random.random((50, 3)))
+    values, bounced = random.random((50, 7)).astype(np.float32), random.random((20, 3))
+    fast = relative(Arrived(values.copy()), bounced, corners, weights, learned, 0.7)
+    monkeypatch.setattr(shading, "compiled_kernels", lambda: None)
+    np.testing.assert_allclose(fast, relative(Arrived(values), bounced, corners, weights, learned, 0.7), rtol=1e-4, atol=1e-5)
+
+
+def test_a_lit_wall_lights_the_one_that_stands_on_it():
+    side = np.linspace(0.0, 0.1, 21)
+    u, v = (grid.ravel() for grid in np.meshgrid(side, side - 0.05, indexing="ij"))
+    cells = 21 * np.arange(20)[:, None, None] + np.arange(20)[:, None]
+    faces = np.concatenate([cells + np.array(corner) for corner in ([0, 21, 22], [0, 22, 1])]).reshape(-1, 3)
+    floor, wall = np.stack([u, 0 * u, v], -1), np.stack([0 * u, u, v], -1)
+    points, faces = np.concatenate([floor, wall]), np.concatenate([faces[:, ::-1], faces + len(floor)])
+    normals = np.repeat([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], len(floor), 0)
+    exchange = Exchange.of(points, normals, faces, transfer(points, normals, faces))
+    straight = np.zeros((len(points), 3))
+    straight[: len(floor)] = [2.0, 1.0, 0.0]
+    bounced = exchange.bounced(straight, np.array([0.5, 0.5, 0.5]))[len(floor) :]
+    inner, low, high = np.abs(v) < 0.02, (u > 0.005) & (u < 0.03), u > 0.07
+    assert 0.2 < bounced[inner & low, 0].mean() < 0.5  # a wide floor would give 2 * 0.5 / 2
+    assert bounced[inner & high, 0].mean() < 0.5 * bounced[inner & low, 0].mean()
+    np.testing.assert_allclose(bounced[:, 1], 0.5 * bounced[:, 0], rtol=1e-5)
+    assert not bounced[:, 2].any()
+    ball_points, ball_normals, ball_faces = ball()
+    alone = Exchange.of(ball_points, ball_normals, ball_faces, transfer(ball_points, ball_normals, ball_faces, 200))
+    assert alone.bounced(np.ones_like(ball_points), np.ones(3)).max() < 0.1
+
+
+def test_albedo_is_what_the_rig_shows():
+    rig = np.full((10, 3), math.pi) * [1.0, 2.0, 1.0]
+    colors = linear_to_srgb(np.tile([0.5, 0.5, 1.5], (10, 1)))
+    assert albedo_of(colors, rig) == pytest.approx([0.5, 0.25, 0.9], abs=1e-3)
 
 
 @pytest.mark.parametrize("lamp", [Sun(direction=(0.48, 0.6, 0.64)), Point(position=(0.1, 0.3, 0.2))], ids=["sun", "point"])

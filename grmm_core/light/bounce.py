@@ -1,0 +1,99 @@
+"""Light that skin throws on skin: one bounce between patches of a head at rest. Needs numpy only.
+
+What a vertex does not see of the surroundings is the head itself. How much that is says `transfer`; which skin it is say form
+factors of disks (Cohen and Wallace 1993), without a look at what stands between. Irradiance of light from all over a patch is
+taken as even.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .relight import to_linear
+from .transfer import openness
+
+PATCH = 0.02  # metres
+_GIVERS = 12  # patches that a vertex takes light from
+_MOST = 0.9  # albedo of the brightest skin
+
+
+class Exchange(NamedTuple):
+    """Which patches light which vertices.
+
+    Attributes:
+        patch: Of each vertex, [V].
+        area: Of each vertex, as a share of its patch, [V] float32.
+        givers: Patches that a vertex sees most of, [V, _GIVERS].
+        shares: Of what reaches a vertex from all around if it is even, what comes from each of them, [V, _GIVERS] float32.
+    """
+
+    patch: np.ndarray
+    area: np.ndarray
+    givers: np.ndarray
+    shares: np.ndarray
+
+    @staticmethod
+    def of(vertices: np.ndarray, normals: np.ndarray, faces: np.ndarray, rows: np.ndarray) -> Exchange:
+        """Find it.
+
+        Args:
+            vertices: Of a head at rest, [V, 3] metres.
+            normals: Outward unit normals, [V, 3].
+            faces: [F, 3].
+            rows: Of `transfer.transfer` at the vertices, [V, 9].
+        """
+        sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
+        doubled = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
+        area = np.bincount(faces.ravel(), np.repeat(doubled / 6.0, 3), len(vertices)) + 1e-12
+        cells = np.concatenate([np.floor(vertices / PATCH), normals > 0.0], 1)  # skin that faces the same way
+        patch = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
+        whole = np.bincount(patch, area)
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return np.stack([np.bincount(patch, area * values[:, k]) for k in range(3)], -1) / whole[:, None]
+
+        middles, facing = mean(vertices), mean(normals)
+        arriving = normals @ middles.T - (normals * vertices).sum(1)[:, None]  # cosines times distances, [V, P]
+        leaving = (facing * middles).sum(1) - vertices @ facing.T
+        squares = (vertices**2).sum(1)[:, None] + (middles**2).sum(1) - 2.0 * vertices @ middles.T + whole / math.pi
+        factors = np.maximum(arriving, 0.0) * np.maximum(-leaving, 0.0) * whole / squares**2
+        givers = np.argpartition(-factors, _GIVERS, axis=1)[:, :_GIVERS]
+        shares = np.take_along_axis(factors, givers, 1)
+        total = shares.sum(1)
+        shares *= np.where(total > 0.0, (1.0 - openness(rows)) / np.maximum(total, 1e-20), 0.0)[:, None]
+        return Exchange(patch, (area / whole[patch]).astype(np.float32), givers, shares.astype(np.float32))
+
+    def bounced(self, irradiance: np.ndarray, albedo: np.ndarray) -> np.ndarray:
+        """Irradiance at vertices of light that left skin once, [V, 3], of what arrives there straight, [V, 3]."""
+        count = int(self.patch.max()) + 1
+        means = np.stack([np.bincount(self.patch, self.area * irradiance[:, k], count) for k in range(3)], -1)
+        result: np.ndarray = np.einsum("vk,vkc->vc", self.shares, (means * albedo).astype(np.float32)[self.givers])
+        return result
+
+
+def albedo_of(colors: np.ndarray, rig: np.ndarray) -> np.ndarray:
+    """What skin throws back, linear RGB, [3].
+
+    Args:
+        colors: Of skin as learned under the rig, display sRGB, [K, 3].
+        rig: The rig's irradiance on it, [N, 3].
+    """
+    light = np.median(rig, 0) / math.pi
+    return np.clip(np.median(np.asarray(to_linear(np.asarray(colors, np.float64))), 0) / light, 0.0, _MOST)
+
+
+def nearest_points(corners: np.ndarray, barycentric: np.ndarray, count: int) -> np.ndarray:
+    """Which of N points on faces is nearest to each vertex, [count]; any where there is none on its faces.
+
+    Args:
+        corners: Vertices of the face that each point lies on, [N, 3].
+        barycentric: [N, 3].
+        count: Of vertices.
+    """
+    order = np.argsort(barycentric.ravel(), kind="stable")
+    found = np.zeros(count, np.int64)
+    found[corners.ravel()[order]] = order // 3  # of several the last one counts
+    return found

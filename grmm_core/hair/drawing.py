@@ -118,7 +118,7 @@ def strand_gaussians(
     points, axes = (np.ascontiguousarray(part, np.float32) for part in (points, axes))
     made = StrandGaussians(*(np.empty((count * segments, *shape), np.float32) for shape in ((3,), (4,), (3,), (), (3,))))
     numbers = _far(direction) if eye is None else eye.numbers()
-    albedo = albedos(settings, block.lock[owner], block.chance[:count, 1:])
+    albedo = albedos(settings, block.lock[owner], block.chance[:count, 1:], block.hairs, share)
     opacities = OPACITY * there
     parts = pieces(count, _STRANDS, TASKS)
 

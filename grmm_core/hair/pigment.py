@@ -12,27 +12,31 @@ ABSORPTION, BLOND = np.array([3.4, 4.1, 5.0]), np.array([0.62, 0.44, 0.235])
 GINGER, GINGER_ABSORPTION = np.array([0.34, 0.10, 0.025]), 1.6
 WHITE = np.array([0.46, 0.455, 0.45])
 ROOT_SHADE = 0.78  # of the color at the tip
-GREY_EDGE = 0.12  # share of the hairs that are on the way to grey
 
 
-def albedos(settings: HairSettings, lock: np.ndarray, chance: np.ndarray) -> np.ndarray:
+def albedos(settings: HairSettings, lock: np.ndarray, chance: np.ndarray, hairs: float = 1.0, share: float = 1.0) -> np.ndarray:
     """Return linear RGB at root and tip of each strand.
+
+    A drawn strand stands for a bundle: it is as grey as a sample of so many hairs, and differs from its neighbours as means do.
 
     Args:
         settings: Pigments.
         lock: Tone of the strand's lock, about -1..1, [N].
         chance: Even random numbers for grey and for tone, 0..1, [N, 2].
+        hairs: How many a strand stands for where all strands are drawn, which `variation` speaks of.
+        share: Of the strands that are drawn, 0..1.
 
     Returns:
         [N, 2, 3] float32.
     """
     s = settings
-    tone = 1.0 + s.variation * (0.55 * lock + 0.55 * (chance[:, 1] - 0.5))
+    tone = 1.0 + s.variation * (0.55 * lock + 0.55 * (chance[:, 1] - 0.5) * share**0.5)
     melanin = s.melanin * (1.0 + 0.12 * s.variation * lock)[:, None]
     pigmented = np.exp(-ABSORPTION * melanin) * BLOND
     red = GINGER * np.exp(-GINGER_ABSORPTION * melanin)
     color = (1 - s.redness) * pigmented + s.redness * red
-    grey = np.clip((s.grey * (1 + GREY_EDGE) - chance[:, 0]) / GREY_EDGE, 0.0, 1.0)[:, None]
+    off = (12.0 * s.grey * (1.0 - s.grey) / max(hairs / share, 1.0)) ** 0.5  # as wide as the binomial distribution
+    grey = np.clip(s.grey + off * (chance[:, 0] - 0.5), 0.0, 1.0)[:, None]
     color = (color + grey * (WHITE - color)) * np.maximum(tone, 0.1)[:, None]
     dyed = srgb_to_linear(np.array([s.dye_red, s.dye_green, s.dye_blue])) * np.maximum(tone, 0.1)[:, None]
     color = color + s.dye * (dyed - color)

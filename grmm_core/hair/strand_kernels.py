@@ -221,7 +221,7 @@ def shade_into(
         light: At the points, [N, K, 4].
         opacities: [N * (K-1)]; where it is 0, nothing is computed.
         eye: See the module.
-        sheen: Factor of the glints.
+        sheen: As in `ribbons.shade`.
         colors: Written, [N * (K-1), 3].
     """
     count = points.shape[1] - 1
@@ -273,7 +273,7 @@ def shade_into(
                 a, b = _ONE / (_ONE + a * a), _ONE / (_ONE + b * b)
                 white += reaching * flat * a * a
                 colored += reaching * flat * b * b
-            matte += F(sheen) * F(COLORED) * colored
+            matte += max(F(sheen) - _ONE, _ZERO) * F(COLORED) * colored
             white *= F(sheen) * F(WHITE)
             colors[row, 0], colors[row, 1] = _display(red * matte + white), _display(green * matte + white)
             colors[row, 2] = _display(blue * matte + white)

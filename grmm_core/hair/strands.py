@@ -17,6 +17,8 @@ from .occlusion import openness
 from .roots import GROUPS, SCALP, RootFrames
 from .settings import HairSettings
 
+HAIRS = 100_000  # on a head
+SOFT = 0.35  # power of the strands that a drawn one stands for: how much fainter it is, and wider
 FADE = 0.15  # share of a level's strands that are fading in
 POINTS = (4, 6, 8, 12, 16, 24, 32, 40)  # numbers of points that a group may be drawn with
 BEND = 0.0006  # metres that a coarser number of points may be off
@@ -65,6 +67,11 @@ class StrandBlock:
         """Gaussians of a strand."""
         return int(self.points.shape[1]) - 1
 
+    @property
+    def hairs(self) -> float:
+        """Of a real head, those that each strand stands for."""
+        return max(HAIRS / len(self), 1.0) if self.group == SCALP else 1.0
+
     @functools.cached_property
     def length(self) -> float:
         """Of the parents on average, metres."""
@@ -103,6 +110,8 @@ class StrandBlock:
     def level(self, share: float, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
         """Which strands are drawn and how wide each is, continuous in both arguments.
 
+        One that stands for several is a loose bundle: wider than these side by side, and by as much fainter.
+
         Args:
             share: 0..1 of the strands.
             settings: Density and thickness.
@@ -117,8 +126,8 @@ class StrandBlock:
         fade = max(FADE * top * (1.0 - share), 1e-6)
         there = np.clip((top - rank[:end]) / fade, 0.0, 1.0)
         wider = len(self) / max(float(there.sum()), 1e-6)
-        there = there * np.clip((settings.density * 1.08 - self.chance[:end, 0]) / 0.08, 0.0, 1.0)
-        radii = 0.5 * wider * settings.thickness * self.widths[self.owner[:end]]
+        there = there * np.clip((settings.density * 1.08 - self.chance[:end, 0]) / 0.08, 0.0, 1.0) / wider**SOFT
+        radii = 0.5 * wider ** (1.0 + SOFT) * settings.thickness * self.widths[self.owner[:end]]
         return np.ascontiguousarray(radii, np.float32), there.astype(np.float32)
 
 

@@ -11,6 +11,7 @@ from grmm_core.errors import ControlError, ShapeError
 from grmm_core.hair import SETTINGS, Groom, HairSettings, groom_from_curves, groom_names, library_groom
 from grmm_core.hair.compact import MAX_BYTES, compact, restored
 from grmm_core.hair.groom import MAX_POINTS
+from grmm_core.hair.pigment import albedos
 from grmm_core.hair.strands import blocks_of
 from grmm_core.head.open_head import load_open_head
 
@@ -94,6 +95,18 @@ def test_settings_change_strands_continuously(head):
         one, other = (block.level(s, HairSettings()) for s in (share, share * 1.002))
         covers = [float((radii * there[:, None]).sum()) for radii, there in (one, other)]
         assert covers[0] == pytest.approx(covers[1], rel=0.02)
+
+
+def test_strands_of_many_hairs_are_alike(head):
+    half, count = HairSettings(grey=0.5, variation=1.0), 2000
+    chance = np.random.default_rng(3).random((count, 2))
+    shown = {hairs: albedos(half, np.zeros(count), chance, hairs, 1.0 / hairs)[:, 0, 1] for hairs in (1.0, 4.0, 16.0)}
+    spread = {hairs: float(values.std() / values.mean()) for hairs, values in shown.items()}
+    assert spread[1.0] > 1.7 * spread[4.0] > 2.9 * spread[16.0]
+    assert shown[1.0].mean() == pytest.approx(shown[16.0].mean(), rel=0.03)
+    block = blocks_of(library_groom("crop"), head.v_template, head.faces)[0]
+    few, many = (block.level(share, HairSettings()) for share in (0.1, 0.9))
+    assert few[1].max() < 0.5 < 0.8 < many[1].max() <= 1.0
 
 
 def test_settings_have_limits():

@@ -89,8 +89,8 @@ def scale_of(camera: Camera) -> float:
     return Eye.of(camera).pixels_per_metre()
 
 
-@pytest.mark.parametrize("eye", ["perspective", "parallel"])
-def test_compiled_shading_is_the_readable_text(eye):
+@pytest.mark.parametrize(("eye", "sheen"), [("perspective", 1.0), ("parallel", 2.5)])
+def test_compiled_shading_is_the_readable_text(eye, sheen):
     from grmm_core.hair.strand_kernels import shade_into
 
     g = np.random.default_rng(7)
@@ -98,9 +98,9 @@ def test_compiled_shading_is_the_readable_text(eye):
     albedo = np.repeat(g.uniform(0.01, 0.5, (20, 1, 3)), 2, 1).astype(np.float32)
     light = np.concatenate([g.uniform(0.05, 0.9, (20, 1, 1)), g.normal(0, 0.3, (20, 1, 3))], 2).repeat(5, 1).astype(np.float32)
     colors = np.empty((80, 3), np.float32)
-    shade_into(points, albedo, light, np.ones(80, np.float32), EYES[eye].numbers(), 1.0, colors)
+    shade_into(points, albedo, light, np.ones(80, np.float32), EYES[eye].numbers(), sheen, colors)
     step = np.diff(points, axis=1)
     axes = step / np.linalg.norm(step, axis=2, keepdims=True)
     means = 0.5 * (points[:, 1:] + points[:, :-1])
-    shown = shade(means, axes, np.repeat(albedo[:, :1], 4, 1), light[:, 1:], EYES[eye], 1.0)
+    shown = shade(means, axes, np.repeat(albedo[:, :1], 4, 1), light[:, 1:], EYES[eye], sheen)
     np.testing.assert_allclose(colors.reshape(20, 4, 3), linear_to_srgb(np.clip(shown, 0, 1)), atol=2e-3)

@@ -19,18 +19,23 @@ import numpy as np
 import torch
 
 from ..avatar import Avatar
+from ..controls.frame import Controls
 from ..errors import GrmmError
 from ..fitting.api import fit
 from ..fitting.invert import invert, photo_pictures
 from ..fitting.presets import Preset
 from ..fitting.request import FitRequest
+from ..fitting.result import photo_controls
 from ..fitting.types import PhotoTrack
 from ..geometry.camera import Camera
+from ..head import HeadModel
 from ..jobs.progress import Progress, Share, nobody
 from ..model.grmm import GRMM
-from ..model.portrait import portrait
+from ..model.portrait import portrait_camera
 from ..model.torch_loader import with_deltas
 from ..pictures.images import write_png
+from ..session import Instance, RenderOptions, Session, create_session
+from .cleanliness import FROM_FRONT, SHEET, Shot, cleanliness, seam, seen_vertices
 from .identity import Identity
 from .metrics import Distance, errors_of
 from .person_fit import exact_track
@@ -38,13 +43,6 @@ from .report import sheet
 from .samples import Sample, load
 from .scene import DrawnPerson, Scene
 
-NEW_VIEWS = (-30.0, 30.0, 60.0)  # degrees
-EXPRESSIONS: dict[str, dict[str, float]] = {
-    "smile": {"mouthSmileLeft": 1.0, "mouthSmileRight": 1.0},
-    "jaw": {"jawOpen": 0.7},
-    "blink": {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
-    "pucker": {"mouthPucker": 1.0},
-}  # fmt: skip
 STAGES: dict[str, dict[str, Any]] = {
     "stage 1": {"second_stage": False},
     "stage 2": {},
@@ -54,7 +52,6 @@ COUNTS = (1, 2, 4)
 SHEET_PIXELS = 320
 MEASURED_PIXELS = 512
 _GREY = 0.5
-_DISTANCE, _FOV = 1.1, 20.0
 
 
 def evaluate_photo(
@@ -76,7 +73,7 @@ def evaluate_photo(
         report: Hears how much is done.
 
     Returns:
-        Figures of the photo, or the sentence why there is no avatar.
+        Figures of the photo and of `photo_sheet`, or the sentence why there is no avatar.
     """
 
     def show(progress: Progress) -> None:
@@ -91,10 +88,12 @@ def evaluate_photo(
     except GrmmError as error:
         return {"error": str(error)}
     model = with_deltas(scene.model, result.avatar.deltas, result.path)
-    write_png(out / f"{photo.stem}.png", photo_sheet(model, result.avatar, result.tracks[0]))
-    return {
-        **photo_figures(model, result.avatar, result.tracks, distances, identity), "seconds": round(result.seconds, 1),
-    }  # fmt: skip
+    with create_session("local", weights=weights, device=device, threads=threads or None) as session:
+        worn = Worn(session, result.path, result.avatar, scene.head)
+        figures = photo_figures(model, result.avatar, result.tracks, distances, identity, worn)
+        page, clean = photo_sheet(model, result.avatar, result.tracks[0], worn)
+    write_png(out / f"{photo.stem}.png", page)
+    return {**figures, **clean, "seconds": round(result.seconds, 1)}
 
 
 def photos_result(rows: Mapping[str, dict[str, Any]], preset: str) -> dict[str, Any]:
@@ -117,20 +116,49 @@ def photos_table(result: Mapping[str, Any]) -> str:
     return "\n".join([heading, "", *lines, ""])
 
 
+class Worn:
+    """A fitted avatar as a session draws it, with its strands.
+
+    Args:
+        session: With the weights of the avatar.
+        path: Of its file.
+        avatar: What is in it.
+        head: Its head model.
+    """
+
+    def __init__(self, session: Session, path: Path, avatar: Avatar, head: HeadModel) -> None:
+        self._session, self._id = session, session.open(path).id
+        self._avatar, self.head = avatar, head
+
+    def shot(self, controls: Controls, camera: Camera) -> Shot:
+        """One picture over grey."""
+        options = RenderOptions(passes=("rgb", "alpha", "hair"), background=(_GREY,) * 3)
+        drawn = self._session.render([Instance(self._id, controls)], camera, options)
+        vertices = np.asarray(self._session.deform(self._id, controls).vertices, np.float64)
+        return Shot(vertices, camera, drawn["rgb"], drawn["alpha"][..., 0], drawn["hair"][..., 0])
+
+    def photo(self, camera: Camera, index: int = 0) -> Shot:
+        """As one of the photos shows the person, in the light of the first."""
+        return self.shot(photo_controls(self._avatar, self.head, index), camera)
+
+
 def photo_figures(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], distances: Mapping[str, Distance] | None = None,
-    identity: Identity | None = None,
+    identity: Identity | None = None, worn: Worn | None = None,
 ) -> dict[str, float]:  # fmt: skip
     """Means over an avatar's photos: rmse, psnr, ssim on head and bare neck, distances of networks, landmark error.
 
-    `rmse_dressed` also has the clothes that are painted on neck and bust, whose texels are coarse.
+    On weights without hair that is bare skin, eyes and mouth, and `worn` draws brows and lashes over them. `rmse_dressed` also
+    has the clothes that other weights paint on neck and bust, whose texels are coarse.
     """
     figures: dict[str, list[float]] = {}
     for (view, drawn), track in zip(photo_pictures(model, avatar, tracks, MEASURED_PIXELS), tracks, strict=True):
         grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
         counts = view.weight[..., None]
-        shown = drawn.over(grey).image * counts
-        target = view.target(grey) * counts
+        shown = drawn.over(grey).image
+        if worn is not None and view.index == 0:
+            shown = torch.as_tensor(worn.photo(view.camera).rgb).to(shown)
+        shown, target = shown * counts, view.target(grey) * counts
         errors = errors_of(shown, target, view.measured, distances=distances)
         found = {"rmse": errors.rmse_mask, "psnr": errors.psnr_mask, "ssim": errors.ssim_mask, **errors.perceptual}
         found["rmse_dressed"] = errors_of(shown, target, view.inside).rmse_mask
@@ -141,17 +169,21 @@ def photo_figures(
     return {name: float(np.mean(values)) for name, values in figures.items()}
 
 
-def photo_sheet(model: GRMM, avatar: Avatar, track: PhotoTrack, pixels: int = SHEET_PIXELS) -> np.ndarray:
-    """Photo, fit, three new views; below the neutral face and four expressions. Returns uint8."""
-    view, drawn = photo_pictures(model, avatar, [track], pixels)[0]
-    upper = [view.image.cpu().numpy(), drawn.over((_GREY,) * 3).image.cpu().numpy()]
+def photo_sheet(
+    model: GRMM, avatar: Avatar, track: PhotoTrack, worn: Worn, pixels: int = SHEET_PIXELS
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Photo, fit, and the twelve views and expressions of `cleanliness.SHEET`, uint8; and how clean those are.
 
-    def seen(controls: Mapping[str, float], yaw: float = 0.0) -> np.ndarray:
-        camera = Camera.orbit(pixels, pixels, yaw=yaw, distance=_DISTANCE, fov=_FOV)
-        return portrait(model, avatar, controls, camera, (_GREY,) * 3).image.clamp(0, 1).cpu().numpy()
-
-    upper += [seen({}, yaw) for yaw in NEW_VIEWS]
-    return sheet([upper, [seen(values) for values in ({}, *EXPRESSIONS.values())]])
+    The figures are the worst view's `outside`, `holes` and `specks`, and the `seam`.
+    """
+    view, _ = photo_pictures(model, avatar, [track], pixels)[0]
+    seen = worn.photo(view.camera)
+    shots = [worn.shot(Controls().set_named(controls), portrait_camera(pixels, yaw, pitch)) for controls, yaw, pitch in SHEET]
+    rows = [view.image.cpu().numpy(), seen.rgb, *(shot.rgb for shot in shots)]
+    found = [cleanliness(shot, worn.head) for shot in shots]
+    clean = {name: max(one[name] for one in found) for name in found[0]}
+    known = seen_vertices(seen.vertices, view.camera, view.inside.cpu().numpy(), worn.head)
+    return sheet([rows[:7], rows[7:]]), {**clean, "seam": seam(shots[:FROM_FRONT], known, worn.head)}
 
 
 def compare_stages(

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..avatar import Avatar, Hair, PhotoRecord
+from ..avatar import Avatar, PhotoRecord
 from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
 from ..jobs.progress import ProgressCallback, Reporter
 from ..photo.load import PhotoFile, check_proportion
@@ -125,7 +125,7 @@ def _make(
     from ..model.store import ModelStore
     from ..model.torch_loader import TorchLoader, with_deltas
     from ..photo.parser import parse
-    from .hair_stage import fit_hair, hair_view
+    from .hair_stage import person_hair
     from .invert import invert, photo_errors
     from .photo_targets import left_out
 
@@ -145,8 +145,8 @@ def _make(
     report.part("finish")(0.0)
     person = with_deltas(loaded.model, avatar.deltas, folder)
     if loaded.model.config.hairless:
-        shown = [hair_view(track, parse(track, head), head) for track in tracks]
-        avatar = dataclasses.replace(avatar, hair=fit_hair(shown, head, report.part("finish")) or Hair(None))
+        hair = person_hair(tracks, [parse(track, head) for track in tracks], head, report.part("finish"))
+        avatar = dataclasses.replace(avatar, hair=hair)
     figures = {"rmse": photo_errors(person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(

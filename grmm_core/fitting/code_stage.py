@@ -23,7 +23,7 @@ from ..training.losses import Perceptual
 from .objective import FIT_WEIGHTS, decode, draw, fit_loss, photo_inputs, relit
 from .photo_targets import FitView
 from .presets import CodeSettings
-from .recoloring import PhotoLight, recolor, solve_light, solve_maps, unchanged
+from .recoloring import PhotoLight, normal_picture, recolor, solve_light, solve_maps, unchanged
 from .surface import Surface
 
 OUTLINE_WEIGHT, START_OUTLINE_WEIGHT = 1.0, 2.0  # of the coverage: codes decide how much hair there is, and how long
@@ -33,6 +33,7 @@ PHOTO_WEIGHT = 0.05  # of the squared offsets of single photos
 CODE_WEIGHTS = replace(FIT_WEIGHTS, alpha=OUTLINE_WEIGHT)
 RATE, EXPRESSION_RATE = 0.12, 0.02
 RECOLOR_EVERY = 6
+LIGHT_ROUNDS = 2  # of solving the light of several photos and the colors, in turns
 WARM = 0.25  # the rates grow over this share of the steps
 
 Tick = Callable[[float, "Picture | None"], None]
@@ -81,7 +82,7 @@ class Codes:
         z_exp: Offset that all photos share, [Y].
         photo_z_exp: Further offset of each photo, [P, Y].
         maps: Color maps of the groups, [3, 4, 3].
-        light: Exposure of the photos.
+        light: Of the photos.
     """
 
     z_id: Tensor
@@ -152,7 +153,7 @@ def _starts(
     with torch.no_grad():
         for number, w in enumerate(people):
             vertices, decoded = _Search(model, prior, [view], surface, light, None, w).decoded(view)
-            maps = solve_maps(model, [view], [vertices], [decoded], surface, light)
+            maps = solve_maps(model, [view], [vertices], [decoded], surface, [prior.mean.new_ones(3)])
             drawn = draw(model, view.camera, vertices, decoded.recolored(recolor(decoded.colors, maps, surface)))
             scored.append((float(fit_loss(drawn, view, background(0, view), start_weights, None)), number))
             report((number + 1) / len(people))
@@ -169,7 +170,7 @@ class _Search:
     ) -> None:  # fmt: skip
         self.model, self.prior, self.views, self.surface = model, prior, list(views), surface
         self.light, self.perceptual, self.fixed = light, perceptual, fixed
-        self.maps = unchanged(prior.mean)
+        self.maps, self.gains = unchanged(prior.mean), [prior.mean.new_ones(3)] * len(self.views)
         self.w = (prior.mean.new_zeros(len(prior.directions)) if start is None else start).clone().requires_grad_()
         self.z_exp = prior.mean.new_zeros(model.z_exp_size).requires_grad_()
         self.photo = prior.mean.new_zeros((len(views), model.z_exp_size)).requires_grad_()
@@ -189,17 +190,24 @@ class _Search:
 
     @torch.no_grad()
     def color(self) -> None:
-        """Solve the color maps for the present codes, and the exposures of several photos."""
+        """Solve the color maps for the present codes, and the light of several photos."""
         pairs = [self.decoded(view) for view in self.views]
         meshes, decoded = [vertices for vertices, _ in pairs], [attributes for _, attributes in pairs]
-        self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.light)
-        if len(self.views) > 1:
+        if len(self.views) == 1:
+            self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.gains)
+            return
+        # colors are the first photo's, in whose light they stand
+        ones = [part[:1] for part in (self.views, meshes, decoded)]
+        self.maps = solve_maps(self.model, *ones, self.surface, self.gains[:1])
+        for _ in range(LIGHT_ROUNDS):
             pictures = []
             for view, vertices, attributes in zip(self.views, meshes, decoded, strict=True):
-                drawn = draw(self.model, view.camera, vertices, self.recolored(attributes))
-                pictures.append((view, drawn.image, drawn.alpha))
+                recolored = self.recolored(attributes)
+                drawn = draw(self.model, view.camera, vertices, recolored, refined=False)
+                pictures.append((view, drawn.raw, normal_picture(self.model, view, vertices, recolored)))
             self.light = solve_light(pictures)
-            self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.light)
+            self.gains = [self.light.gain(view.index, normals) for view, _, normals in pictures]
+            self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.gains)
 
     def recolored(self, attributes: Attributes) -> Attributes:
         """Attributes with the colors that the maps give."""
@@ -209,7 +217,7 @@ class _Search:
         """Eq. 19 of one photo."""
         vertices, attributes = self.decoded(view)
         drawn = draw(self.model, view.camera, vertices, self.recolored(attributes))
-        drawn = relit(drawn, self.light.gain[view.index], self.light.offset[view.index])
+        drawn = relit(drawn, self.gains[view.index])
         value = fit_loss(drawn, view, background(step, view), CODE_WEIGHTS, self.perceptual)
         value = value + CODE_WEIGHT * self.w.square().sum() + EXPRESSION_WEIGHT * self.z_exp.square().sum()
         return value + PHOTO_WEIGHT * self.photo.square().sum(), drawn

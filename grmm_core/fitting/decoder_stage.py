@@ -32,19 +32,21 @@ from .locality import LOCALITY_WEIGHT, Locality
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .photo_targets import FitView
 from .presets import DecoderSettings
-from .recoloring import recolor
+from .recoloring import normal_picture, recolor
 from .surface import INNER, SCALP, SKIN, Surface
 
 NETWORKS = ("transform", "opacity", "appearance")
+SURFACE_NETWORKS = ("appearance",)  # of a model without hair: its skin is a closed surface, and stays one
 RATES = {"color": 0.012, "opacity": 0.06, "position": 0.012, "scale": 0.02, "networks": 3e-4}
 END_RATE = 0.15
-PULL = {  # of squared maps in skin, scalp, inner parts; positions in the model's unit (10 mm)
+PULL = {  # of squared maps in skin, scalp, inner parts; positions in 10 mm
     "color": (0.02, 0.02, 0.05), "opacity": (0.05, 0.002, 0.02), "position": (4.0, 0.02, 8.0), "scale": (0.2, 0.02, 0.4),
 }  # fmt: skip
 BLENDS = {"color": 1, "opacity": 2, "position": 3, "scale": 2}
 """How often a map is averaged with its neighbours before it is added. Several Gaussians make a pixel: without this, colors
 that cancel out in the photo would be found, and come out as speckles where another expression moves the Gaussians."""
 SHARPNESS = 0.5  # share of the colors' map that is added as it is: averaged alone it could not hold fine detail
+POSITION_MM = 10.0  # that a map of 1 moves a Gaussian
 SCALP_STRIDE = 8.0  # positions of hair go so much faster than those of skin: hair stands centimetres off
 VARIANTS, VARIANT_SHARE = 2, 0.5  # other expressions' codes in every second step, and how far towards them
 TRUSTED = ("color", "opacity")  # maps that texels of the skin take from photos that face them only
@@ -87,8 +89,10 @@ class Tuner:
     ) -> None:  # fmt: skip
         self.model, self.codes, self.surface, self.settings = model, codes, surface, settings
         self.levels, self.perceptual, self.locality_weight = [list(level) for level in levels], perceptual, locality
-        self.tuned = _tunable_copy(model) if settings.networks else model
+        self.networks = SURFACE_NETWORKS if model.config.hairless else NETWORKS
+        self.tuned = _tunable_copy(model, self.networks) if settings.networks else model
         self.step_count = 0
+        self._gains: dict[tuple[int, int], Tensor] = {}
         self.last_drawn = (0, 0)  # level and photo
         first = self.levels[0]
         with torch.no_grad():
@@ -101,11 +105,13 @@ class Tuner:
             name: torch.zeros(count, width, dtype=model.dtype, device=model.device, requires_grad=True)
             for name, width in WIDTHS.items()
         }
-        self.strides = torch.where(surface.group == SCALP, SCALP_STRIDE, 1.0).to(self.tint)[:, None]
+        strides = torch.where(surface.group == SCALP, SCALP_STRIDE, 1.0) * (POSITION_MM / model.config.position_unit_mm)
+        self.strides = strides.to(self.tint)[:, None]
         self.variants = self._variants(prior.mean)
         pulls = {name: torch.tensor([PULL[name][g] for g in (SKIN, SCALP, INNER)]).to(self.tint) for name in WIDTHS}
         self.pulls = {name: pull[surface.group][:, None] for name, pull in pulls.items()}  # [N, 1]
-        groups = [{"params": [value], "peak": RATES[name]} for name, value in self.maps.items()]
+        fixed = ("opacity",) if model.config.hairless else ()
+        groups = [{"params": [value], "peak": 0.0 if name in fixed else RATES[name]} for name, value in self.maps.items()]
         if settings.networks:
             groups.append({"params": self.network_parameters(), "peak": RATES["networks"]})
             self.locality = Locality(model, prior, codes, first[0]) if locality else None
@@ -122,8 +128,8 @@ class Tuner:
         return sum(steps for _, steps in self.settings.levels)
 
     def network_parameters(self) -> list[Tensor]:
-        """Parameters of those decoders that may change, `NETWORKS`; the others stay as they were trained."""
-        return [p for name in NETWORKS for p in getattr(self.tuned.decoders, name).parameters()]
+        """Parameters of those decoders that may change; the others stay as they were trained."""
+        return [p for name in self.networks for p in getattr(self.tuned.decoders, name).parameters()]
 
     def _variants(self, like: Tensor) -> list[list[tuple[Tensor, Tensor]]]:
         """For each photo expression codes other than its own, and the offsets that they give.
@@ -143,6 +149,16 @@ class Tuner:
                 others.append(own + VARIANT_SHARE * self.model.aligned_codes[pick].detach().to(like))
             variants.append([(code, self.model.offsets(inputs.z_id, code).detach()) for code in others])
         return variants
+
+    def gain(self, level: int, index: int) -> Tensor:
+        """Factor of a photo's light, [H, W, 3]; [3] of the first, which has none."""
+        if index == 0:
+            return torch.ones_like(self.tint[0])
+        if (level, index) not in self._gains:
+            view = self.levels[level][index]
+            normals = normal_picture(self.model, view, self.meshes[index], self.decoded[index])
+            self._gains[level, index] = self.codes.light.gain(index, normals)
+        return self._gains[level, index]
 
     def attributes(self, index: int, variant: int | None = None) -> Attributes:
         """Attributes of a photo's expression, or of one of its variants, with the maps."""
@@ -205,10 +221,10 @@ class Tuner:
         turn = self.step_count // len(self.inputs)
         refined = turn % REFINED_EVERY == REFINED_EVERY - 1
         variant = turn // 2 if turn % 2 else None
-        view, light = self.levels[level][index], self.codes.light
+        view = self.levels[level][index]
         self.optimiser.zero_grad(set_to_none=True)
         drawn = draw(self.model, view.camera, self.meshes[index], self.attributes(index, variant), refined)
-        drawn = relit(drawn, light.gain[index], light.offset[index])
+        drawn = relit(drawn, self.gain(level, index))
         pictures = ("image",) if refined else ("raw",)
         loss = fit_loss(drawn, view, background(self.step_count, view), FIT_WEIGHTS, self.perceptual, pictures)
         if self.locality is not None and self.step_count % LOCALITY_EVERY == 0:
@@ -227,16 +243,16 @@ class Tuner:
     @torch.no_grad()
     def match_colors(self, level: int, rounds: int) -> None:
         """Bring every shown Gaussian's color nearer to the photos at once (see `spread_to_colors`)."""
-        light = self.codes.light
         for turn in range(rounds):
             variant = turn if turn < rounds - 1 else None
             change, weight = torch.zeros_like(self.tint), torch.zeros_like(self.tint[:, :1])
             for index, view in enumerate(self.levels[level]):
                 attributes = self.attributes(index, variant)
                 drawn = draw(self.model, view.camera, self.meshes[index], attributes)
-                drawn = relit(drawn, light.gain[index], light.offset[index])
+                gain = self.gain(level, index)
+                drawn = relit(drawn, gain)
                 target = view.image * drawn.alpha[..., None]
-                both = 0.5 * ((target - drawn.image) + (target - drawn.raw)) / light.gain[index]
+                both = 0.5 * ((target - drawn.image) + (target - drawn.raw)) / gain
                 step = spread_to_colors(self.model, view, self.meshes[index], attributes, both * view.inside[..., None])
                 shown = self.seen_by[index][:, None]
                 change, weight = change + shown * step, weight + shown
@@ -320,13 +336,13 @@ class Tuner:
         return [parameter for group in self.optimiser.param_groups for parameter in group["params"]]
 
 
-def _tunable_copy(model: GRMM) -> GRMM:
-    """A model whose decoder networks are its own and need gradients; everything else is shared."""
-    own = {id(p) for name in NETWORKS for p in getattr(model.decoders, name).parameters()}
+def _tunable_copy(model: GRMM, networks: Sequence[str]) -> GRMM:
+    """A model some of whose decoder networks are its own and need gradients; everything else is shared."""
+    own = {id(p) for name in networks for p in getattr(model.decoders, name).parameters()}
     memo: dict[int, object] = {id(p): p for p in model.parameters() if id(p) not in own}
     memo |= {id(value): value for value in model.buffers()}
     memo[id(model.head_model)] = model.head_model
     tuned = copy.deepcopy(model, memo)
-    for name in NETWORKS:
+    for name in networks:
         getattr(tuned.decoders, name).requires_grad_(True)
     return tuned

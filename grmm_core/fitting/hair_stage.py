@@ -1,8 +1,9 @@
 """Which groom a photo shows: silhouette, orientation of the strands and color against the package's grooms.
 
 Every groom is drawn on the tracked head at small size, both ways round and at several lengths; the one whose cover and whose
-strands' directions agree best with the hair in all photos is kept, its length is refined, and its pigments are
-sought so that the drawn color is the photo's. What no photo shows is the groom's. Imports torch.
+strands' directions agree best with the hair in all photos is kept, its length and its volume are refined, and its pigments are
+sought so that the drawn color is the photo's. What no photo shows is the groom's; under a hat it is plain short hair.
+Brows, beard and lashes come from `face_hair`. Imports torch.
 """
 
 from __future__ import annotations
@@ -17,15 +18,18 @@ from torch.nn import functional
 
 from ..avatar import Hair
 from ..geometry.zbuffer import EMPTY, triangle_depth
-from ..hair.coloring import HairView, around_head, hiding_faces, reduced, with_colors
+from ..hair.coloring import HairView, WornHair, around_head, hiding_faces, reduced, with_colors
+from ..hair.groom import Groom, bind, join
 from ..hair.mirror import mirrored
 from ..hair.packaged import groom_names, library_groom
 from ..hair.ribbons import segments
 from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
 from ..hair.strands import lengthened
+from ..photo.parser import MESH_PARTS, part_map
 from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays
+from .face_hair import face_hair
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -35,8 +39,12 @@ if TYPE_CHECKING:
 SIDE = 160  # pixels: longer side of the pictures that are compared
 STRANDS, POINTS = 900, 10  # of a drawn candidate: enough for a silhouette
 LENGTHS = (0.6, 0.8, 1.0, 1.25)
-FINER = (0.9, 1.1)  # factors of the second round
-BALD = 0.03  # of the head's pixels: less hair is none
+FINER = (0.9, 1.0, 1.1)  # factors of the second round
+VOLUMES = (0.0, 0.12, 0.24, 0.36)  # by how much strands stand further from the middle of the head, as a share
+BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
+HATTED = 0.5  # of the scalp's pixels: if more are hidden, the person wears a hat
+UNDER_HATS = ("bob", "crop", "pixie")
+VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
 CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
@@ -53,6 +61,27 @@ def hair_view(track: PhotoTrack, parts: PhotoParts, head: HeadModel) -> HairView
     return HairView(track.camera, vertices, track.image, hair, track.valid * (1.0 - parts.hat) * (1.0 - parts.other))
 
 
+def person_hair(
+    tracks: Sequence[PhotoTrack],
+    parts: Sequence[PhotoParts],
+    head: HeadModel,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Hair:  # fmt: skip
+    """Scalp hair, brows, beard and lashes of the person in tracked and parsed photos.
+
+    Args:
+        tracks: Photos.
+        parts: What their pixels show.
+        head: Whose mesh the strands stand on.
+        progress: Hears the share that is done.
+    """
+    views = [hair_view(track, seen, head) for track, seen in zip(tracks, parts, strict=True)]
+    scalp = fit_hair(views, head, progress)
+    settings = HairSettings() if scalp is None else scalp.settings
+    grooms, own = face_hair(tracks[0], parts[0], views[0], head, settings)
+    return Hair(join(grooms if scalp is None or scalp.groom is None else [scalp.groom, *grooms]), settings, own)
+
+
 class Match(NamedTuple):
     """A groom against the photos.
 
@@ -62,6 +91,7 @@ class Match(NamedTuple):
         length: As in `HairSettings`.
         score: Agreement, at most 1.
         overlap: Intersection of drawn and seen cover over their union.
+        volume: One of `VOLUMES`.
     """
 
     name: str
@@ -69,6 +99,7 @@ class Match(NamedTuple):
     length: float
     score: float
     overlap: float
+    volume: float = 0.0
 
 
 class Directions(NamedTuple):
@@ -91,16 +122,49 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
         return None
     groom = library_groom(best.name, head.name)
     groom = mirrored(groom, head) if best.flipped else groom
-    settings = HairSettings(length=best.length)
-    return Hair(groom, with_colors(settings, groom, views, head))
+    groom = with_volume(groom, head, best.volume) if best.volume else groom
+    settings = with_colors(HairSettings(length=best.length), groom, views, head)
+    return Hair(groom, _varied(settings, groom, around_head(views[0]), head))
+
+
+def with_volume(groom: Groom, head: HeadModel, volume: float) -> Groom:
+    """A groom whose strands stand further from the head by a share of their distance from its middle."""
+    vertices = np.asarray(head.v_template, np.float64)
+    frames = groom.frames(vertices, head.faces)
+    posed = groom.posed(frames, vertices)
+    moved = _puffed(posed, groom.along[:, None], vertices[head.regions["scalp"]].mean(0), volume)
+    return bind(
+        vertices, head.faces, vertices, groom.triangles, groom.weights, moved, groom.offsets, groom.widths, groom.groups
+    )
+
+
+def _puffed(points: np.ndarray, along: np.ndarray, middle: np.ndarray, volume: float) -> np.ndarray:
+    """Points [..., 3] moved away from the middle, less near the roots (`along` 0, [..., 1]); nothing moves down."""
+    away = points - middle
+    away[..., 1] = np.maximum(away[..., 1], 0.0)
+    return points + volume * along * away
+
+
+def _varied(settings: HairSettings, groom: Groom, view: HairView, head: HeadModel) -> HairSettings:
+    """Settings with as much variation of color as hair in a photo has beside that of the drawn strands."""
+    scale = min(1.0, SIDE / max(view.hair.shape))
+    height, width = (max(1, round(n * scale)) for n in view.hair.shape)
+    camera = view.camera.resized(width, height)
+    rgb, cover = WornHair(groom, settings, view.vertices, camera, head).drawn(settings)
+    full = (np.minimum(cover, reduced(view.hair * view.counts, (height, width)))) > OPACITY
+    if full.sum() < SIDE:
+        return settings
+    seen, drawn = (float(reduced(image.mean(2), (height, width))[full].std()) for image in (view.image, rgb))
+    return settings.changed(variation=float(np.clip(settings.variation * seen / max(drawn, 1e-3), *VARIATION)))
 
 
 def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None) -> Match:
     """Compare all grooms with the photos; see `fit_hair`."""
     stages = [_Stage(around_head(view), head) for view in views]
-    if max(stage.share for stage in stages) < BALD:
+    hatted = min(stage.hidden for stage in stages) > HATTED
+    if max(stage.share for stage in stages) < (BALD_HATTED if hatted else BALD):
         return Match("", False, 1.0, 1.0, 1.0)
-    names = groom_names()
+    names = UNDER_HATS if hatted else groom_names()
     best = Match("", False, 1.0, -1.0, 0.0)
     for number, name in enumerate(names):
         progress(number / len(names))
@@ -109,7 +173,8 @@ def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[f
             for length in LENGTHS:
                 best = max(best, _judged(stages, candidate, length), key=_score)
     candidate = _Candidate(best.name, best.flipped, head)
-    tried = [_judged(stages, candidate, best.length * factor) for factor in FINER]
+    volumes = VOLUMES[:1] if hatted else VOLUMES
+    tried = [_judged(stages, candidate, best.length * factor, volume) for factor in FINER for volume in volumes]
     best = max([best, *tried], key=_score)
     progress(1.0)
     return best
@@ -123,7 +188,7 @@ class _Candidate:
     """A groom of the package thinned out for silhouettes, its strands as much wider."""
 
     def __init__(self, name: str, flipped: bool, head: HeadModel) -> None:
-        self.name, self.flipped = name, flipped
+        self.name, self.flipped, self.scalp = name, flipped, head.regions["scalp"]
         groom = library_groom(name, head.name)
         rows = np.flatnonzero(groom.groups == SCALP)
         kept = rows[np.argsort((np.arange(len(rows)) * 0.6180339887498949) % 1.0)[:STRANDS]]  # spread evenly
@@ -133,10 +198,14 @@ class _Candidate:
         self.frames = thin.frames(np.asarray(head.v_template, np.float64), head.faces)
         self.radii = (0.5 * len(rows) / max(len(thin), 1)) * thin.widths.astype(np.float32)
 
-    def points(self, vertices: np.ndarray, length: float) -> np.ndarray:
+    def points(self, vertices: np.ndarray, length: float, volume: float = 0.0) -> np.ndarray:
         """Strands on a posed head, [N, K, 3]."""
         origin, axes = (part.astype(np.float32) for part in self.frames.at(vertices))
-        return np.matmul(lengthened(self.local, length), axes) + origin[:, None]
+        posed: np.ndarray = np.matmul(lengthened(self.local, length), axes) + origin[:, None]
+        if not volume:
+            return posed
+        middle = vertices[self.scalp].mean(0).astype(np.float32)
+        return _puffed(posed, np.linspace(0, 1, POINTS, dtype=np.float32)[:, None], middle, volume)
 
 
 class _Stage:
@@ -154,6 +223,8 @@ class _Stage:
         self.seen = Directions(reduced(cosine, size), reduced(sine, size))
         self.depth = triangle_depth(np.asarray(view.vertices)[hiding_faces(head)], self.camera)
         self.share = float((self.hair * self.counts).sum() / max((self.depth < EMPTY).sum(), 1))
+        scalp = part_map(head, view.vertices, self.camera)[0] == tuple(MESH_PARTS).index("scalp")
+        self.hidden = float((1.0 - self.counts)[scalp].mean()) if scalp.any() else 0.0
 
     def drawn(self, points: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, Directions]:
         """Cover [H, W] and directions of strands [N, K, 3]."""
@@ -176,10 +247,10 @@ class _Stage:
         return picture.alpha, Directions(picture.features[..., 0], picture.features[..., 1])
 
 
-def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float) -> Match:
+def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, volume: float = 0.0) -> Match:
     scores, overlaps = [], []
     for stage in stages:
-        points = candidate.points(stage.vertices, length)
+        points = candidate.points(stage.vertices, length, volume)
         cover, way = stage.drawn(points, candidate.radii)
         both = np.minimum(cover, stage.hair) * stage.counts
         either = np.maximum(cover, stage.hair) * stage.counts
@@ -189,7 +260,7 @@ def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float) -> M
         turned = float(agree.sum() / max(clear.sum(), 1e-6)) if clear.sum() > 1.0 else 0.0
         overlaps.append(overlap)
         scores.append((overlap + ORIENTATION * overlap * turned) / (1.0 + ORIENTATION))
-    return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)), float(np.mean(overlaps)))
+    return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)), float(np.mean(overlaps)), volume)
 
 
 def directions(image: np.ndarray, hair: np.ndarray) -> Directions:

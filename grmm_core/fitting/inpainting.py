@@ -25,7 +25,10 @@ COLOR_REST = 5e-4  # pulls unseen colors to the general tone; the reach is some 
 SURELY_SEEN = (0.2, 0.6)  # below the first a texel's color counts as unknown, above the second as known
 LID_TRAVEL = (0.001, 0.003)  # metres that closing the eyes moves skin: below the first it was seen, above the second folded
 LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may be, and from where on it is not believed
+SURFACE_LID_SHADE = (0.15, 0.35)  # likewise on a closed surface, whose lids keep their crease and have lashes of their own
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
+FEATHER_TEXELS, FADES = 5.0, (0.05, 0.45)  # how far what was seen goes on before plain skin stands: length, smoothed knowledge
+HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
 HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
 SEEN_HAIR_RANGE = (0.03, 0.97)  # likewise of the seen hair itself: extremes cancel out in the photo's view only
@@ -92,9 +95,13 @@ def fill_colors(
     known = ((seen - SURELY_SEEN[0]) / (SURELY_SEEN[1] - SURELY_SEEN[0])).clamp(0, 1)
     around = _bare_skin(surface, start + changes, known * (1.0 - folded))
     darker = around.mean(1) - (start + changes).mean(1)
-    shade = ((darker - LID_SHADE[0]) / (LID_SHADE[1] - LID_SHADE[0])).clamp(0, 1)  # the fold's shadow, lashes, the iris
+    hairless = not bool((surface.group == SCALP).any())
+    low, high = SURFACE_LID_SHADE if hairless else LID_SHADE
+    shade = ((darker - low) / (high - low)).clamp(0, 1)  # the fold's shadow, lashes, the iris
     shown = torch.lerp(start + changes, around, (folded * shade)[:, None])
     skin_known = torch.maximum(known, folded * shade)
+    if hairless:
+        return _fill_surface(surface, start, changes, shown - tone, tone, skin_known, known)
     filled = tone + surface.fill(shown - tone, skin_known, rest=COLOR_REST)
     if bool((hairy > 0.0).any()):
         beside = tone + surface.fill(shown - tone, skin_known, mirrored=False, rest=COLOR_REST)
@@ -105,6 +112,26 @@ def fill_colors(
     outer = (shown - start) * (1.0 - unseen) + (filled - start) * unseen
     other = _plausible_hair(surface, start, surface.fill(changes, known), known)
     return torch.where((surface.group == SKIN)[:, None], outer, other)
+
+
+def _fill_surface(
+    surface: Surface, start: Tensor, changes: Tensor, shown: Tensor, tone: Tensor, skin_known: Tensor, known: Tensor
+) -> Tensor:
+    """Changes of color [N, 3] of a head without hair, whose skin fades from what was seen into an even tone.
+
+    Only plain skin is spread far: shadows of hair and chin stay where they were seen, and fade out beyond.
+    """
+    skin = surface.group == SKIN
+    sample = shown[skin & (skin_known > 0.5)].mean(1)
+    plain = skin_known
+    if len(sample) >= _FEW_TEXELS:
+        even = (shown.mean(1) - torch.quantile(sample, 0.5)).abs()
+        plain = skin_known * (1.0 - even / BARE_SKIN).clamp(0, 1)
+    beyond, between = (surface.fill(shown, part, rest=COLOR_REST) for part in (plain, skin_known))
+    inner = surface.smooth((skin_known / HALF_KNOWN).clamp(0, 1)[:, None], FEATHER_TEXELS)
+    seen = torch.lerp(between, shown, skin_known[:, None])  # with its small gaps, as between the lips
+    outer = tone + torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1)) - start
+    return torch.where(skin[:, None], outer, surface.fill(changes, known))
 
 
 def _bare_skin(surface: Surface, colors: Tensor, known: Tensor) -> Tensor:

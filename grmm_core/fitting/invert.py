@@ -33,7 +33,7 @@ from .locality import LOCALITY_WEIGHT
 from .objective import decode, photo_inputs, relit
 from .photo_targets import FitView, fit_view
 from .presets import Preset, preset_named
-from .recoloring import recolor
+from .recoloring import PhotoLight, normal_picture, recolor
 from .result import make_avatar
 from .surface import Surface, texel_surface
 from .types import PhotoTrack
@@ -193,7 +193,7 @@ class _Inversion:
         tracking = {
             "aligned": torch.stack([view.aligned for view in views]),
             "z_exp": codes.photo_z_exp,
-            "light": torch.stack([codes.light.gain, codes.light.offset], 1),
+            "light": codes.light.coefficients,
         }
         arrays = {name: value.cpu().numpy() for name, value in tracking.items()}
         avatar = make_avatar(
@@ -224,7 +224,7 @@ def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]
 def photo_pictures(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE
 ) -> list[tuple[FitView, Picture]]:
-    """An avatar drawn as each of its photos shows it, under that photo's exposure.
+    """An avatar drawn as each of its photos shows it, in that photo's light.
 
     Args:
         model: With the avatar's own changes (`model.torch_loader.with_deltas`).
@@ -239,10 +239,15 @@ def photo_pictures(
             track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless
         )
         own = torch.as_tensor(np.array(avatar.tracking["z_exp"][index]), device=model.device)
-        gain, offset = torch.as_tensor(np.array(avatar.tracking["light"][index]), device=model.device)
+        light = PhotoLight(torch.as_tensor(np.array(avatar.tracking["light"]), device=model.device))
         with torch.no_grad():
-            drawn = model.render(view.camera, photo_inputs(model, view, z_id, shared + own))
-        pictures.append((view, relit(drawn, gain, offset)))
+            inputs = photo_inputs(model, view, z_id, shared + own)
+            drawn = model.render(view.camera, inputs)
+            if index:
+                vertices = model.mesh(inputs).vertices
+                normals = normal_picture(model, view, vertices, decode(model, inputs, view.camera))
+                drawn = relit(drawn, light.gain(index, normals))
+        pictures.append((view, drawn))
     return pictures
 
 

@@ -37,10 +37,9 @@ def decode(model: GRMM, inputs: ModelInputs[Tensor], camera: Camera) -> Attribut
     return model.attributes(inputs, model.view_direction(camera))
 
 
-def relit(picture: Picture, gain: Tensor, offset: Tensor) -> Picture:
-    """A picture over black under a photo's own exposure: gain [3] and offset [3] of the straight colors."""
-    added = picture.alpha[..., None] * offset
-    return replace(picture, image=picture.image * gain + added, raw=picture.raw * gain + added)
+def relit(picture: Picture, gain: Tensor) -> Picture:
+    """A picture over black in a photo's own light: `gain` is a factor of its colors, [H, W, 3] or [3]."""
+    return replace(picture, image=picture.image * gain, raw=picture.raw * gain)
 
 
 def draw(model: GRMM, camera: Camera, vertices: Tensor, attributes: Attributes, refined: bool = True) -> Picture:

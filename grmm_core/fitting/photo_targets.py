@@ -4,6 +4,9 @@ The model has a head, a neck and the top of the shoulders. What else of the pers
 falls far below the chin) is no target: such pixels get weight 0 in every loss. The background is one: nothing of the avatar
 may be there, nor where clothes are seen beside the bust.
 
+A model without hair is a closed surface of skin. Of it a photo shows what neither hair nor cloth nor the mesh's own outline
+is near to; the rest is filled in later (`inpainting`), and nothing but skin is ever painted on it.
+
 Called by `code_stage`, `decoder_stage`, `invert` and the evaluation. Imports torch.
 """
 
@@ -20,6 +23,7 @@ from torch.nn import functional
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head import HeadModel
+from ..photo.glasses import thin_frames
 from ..photo.parser import PhotoParts, parse
 from .types import PhotoTrack
 
@@ -37,6 +41,11 @@ HAIR_LATERAL = 0.6  # of the face's half width: nearer to the middle a fringe is
 RIM = 0.006  # of the picture's height: how far from the outline hair may have the background's colors
 CLOTHES_RIM = 0.02  # of the head's height by which clothes are widened: there the coarse bust blurs their edge
 _INNER = 0.9  # coverage
+BARE = 0.15  # of a pixel: less hair, beard or cloth than this and it is skin
+SKIN_RIM = 0.008  # of the head's height that skin keeps from cloth and the outline, whose colors the blur mixes in
+HAIR_RIM = 0.016  # likewise from hair and hats
+SHADOW_RIM, SHADOW = 0.05, 0.88  # how far beside the face hair throws a shadow, of less than that of the face's lightness
+NECK_TINT, NECK_LIGHT = 0.05, 1.15  # how far a neck's chromaticity and how much its lightness may exceed the face's: collars do
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
 
@@ -129,9 +138,9 @@ def fit_view(
     left, top, right, bottom = head_window(pixels, track.camera)
     seen = parse(track, head)
     parts = _areas(track, seen, vertices[head.faces], pixels)
-    weight = track.valid * (1.0 - parts.body)
+    weight, empty = track.valid * (1.0 - parts.body), parts.empty
     if hairless:
-        weight = weight * (seen.hair + seen.beard < _LIKELY)
+        weight, empty = _bare(track, seen, vertices[head.faces], float(np.ptp(pixels[:, 1])), weight, empty)
     camera = track.camera.crop(left, top, right - left, bottom - top)
     scale = min(1.0, side / max(camera.width, camera.height))
     width, height = (max(_MULTIPLE, round(n * scale / _MULTIPLE) * _MULTIPLE) for n in (camera.width, camera.height))
@@ -150,7 +159,7 @@ def fit_view(
 
     return FitView(
         index, camera.resized(width, height), resized(track.image), resized(track.mask)[..., 0],
-        flags(weight), flags(parts.empty), flags(parts.hair), flags(parts.clothes),
+        flags(weight), flags(empty), flags(parts.hair), flags(parts.clothes),
         numbers(track.shape), numbers(track.expression), numbers(pose),
         numbers(aligned_weights(track.expression, head, aligned_count)),
     )  # fmt: skip
@@ -199,9 +208,7 @@ def _areas(track: PhotoTrack, parts: PhotoParts, triangles: np.ndarray, pixels: 
     covered = torch.tensor(triangle_depth(triangles, camera) < EMPTY, dtype=torch.float32)
     reach = max(1, round(MESH_MARGIN * height))
     widened, widened_rest = (_widened(part, reach) for part in (covered, 1.0 - covered))
-    down = camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])  # the head's down on the picture
-    down = down / max(float(np.linalg.norm(down)), 1e-6)
-    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
+    (columns, rows), down = _grid(track)
     chin = track.landmarks_fitted[_CHIN_LANDMARK]
     below = (columns - chin[0]) * down[0] + (rows - chin[1]) * down[1]
     person = track.mask > BODY_MASK
@@ -210,11 +217,47 @@ def _areas(track: PhotoTrack, parts: PhotoParts, triangles: np.ndarray, pixels: 
     empty = body.copy()
     # nor does the rim where the model's bust ends and the person goes on
     body |= person & widened_rest & (below > SURELY_BODY * height)
-    alien = torch.from_numpy(((parts.glasses + parts.hat + parts.other) > _LIKELY).astype(np.float32))
-    body |= _widened(alien, max(1, round(ALIEN_RIM * height)))
-    dressed = _widened(torch.from_numpy((parts.clothes > _LIKELY).astype(np.float32)), max(1, round(CLOTHES_RIM * height)))
+    alien = ((parts.glasses + parts.hat + parts.other) > _LIKELY) | thin_frames(track.image, track.landmarks)
+    body |= _widened(_plane(alien), max(1, round(ALIEN_RIM * height)))
+    dressed = _widened(_plane(parts.clothes > _LIKELY), max(1, round(CLOTHES_RIM * height)))
     side = (parts.hair > _LIKELY) & _before_the_face(track, (columns, rows), down) & (below < 0.0) & (track.mask > 0.5)
     return _Areas(*(part.astype(np.float32) for part in (body, empty, side, dressed & (below > 0.0))))
+
+
+def _grid(track: PhotoTrack) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Columns and rows of the pixels, [H, W] each, and the direction of the head's down on the picture, [2]."""
+    rows, columns = np.mgrid[: track.camera.height, : track.camera.width] + 0.5
+    down = track.camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])
+    return (columns, rows), down / max(float(np.linalg.norm(down)), 1e-6)
+
+
+def _bare(
+    track: PhotoTrack, parts: PhotoParts, triangles: np.ndarray, height: float, weight: np.ndarray, empty: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weight and empty pixels of a model without hair: skin that surely is, and the background."""
+    covered = triangle_depth(triangles, track.camera) < EMPTY
+    hair = parts.hair + parts.hat > BARE
+    other = (parts.clothes + parts.glasses > BARE) | (track.mask < _INNER) | ~covered | _foreign(track.image, parts)
+    skin = ~_widened(_plane(other), max(1, round(SKIN_RIM * height))) & ~_widened(
+        _plane(hair), max(1, round(HAIR_RIM * height))
+    )
+    background = (track.mask < BODY_MASK) & (track.valid > 0.5)
+    return weight * skin, np.maximum(empty, background).astype(np.float32)
+
+
+def _foreign(image: np.ndarray, parts: PhotoParts) -> np.ndarray:
+    """Pixels that were taken for neck and have colors that the face's skin does not, [H, W] bool."""
+    face = parts.skin > _LIKELY
+    if not face.any():
+        return np.zeros(face.shape, bool)
+    light = image.mean(2)
+    tint = image / np.maximum(image.sum(2, keepdims=True), 1e-3)
+    off = np.abs(tint - np.median(tint[face], 0)).max(2)
+    return (parts.neck > _LIKELY) & ((off > NECK_TINT) | (light > NECK_LIGHT * np.median(light[face])))
+
+
+def _plane(mask: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(mask.astype(np.float32))
 
 
 def _before_the_face(track: PhotoTrack, pixels: tuple[np.ndarray, np.ndarray], down: np.ndarray) -> np.ndarray:
@@ -232,7 +275,8 @@ def left_out(tracks: Sequence[PhotoTrack], head: HeadModel) -> list[str]:
     for track in tracks:
         parts = parse(track, head)
         for name, text in _ALIEN.items():
-            if (getattr(parts, name) > _LIKELY).any():
+            seen = (getattr(parts, name) > _LIKELY).any()
+            if seen or (name == "glasses" and thin_frames(track.image, track.landmarks).any()):
                 sentences.append(f"{text} in {track.source or 'the photo'} is left out of the skin.")
     return sentences
 

@@ -5,8 +5,8 @@ light one in the shade, and the avatar must look as the person does there. So sk
 affine map of the decoded colors (3 x 3 and an offset) that brings them to the photo's; it is solved in closed form, because
 splatting is linear in color. Stage 2 turns it into a map of colors.
 
-What is removed: the difference of each further photo from the first, a gain and an offset a channel (`PhotoLight`).
-What is left of the light (its direction) goes where each photo shows it, into stage 2's map.
+What is removed: the light of each further photo relative to the first, a factor of the colors that varies with the normals as
+nine spherical harmonics (`PhotoLight`). What that does not explain goes where each photo shows it, into stage 2's map.
 
 Called by `code_stage` and `decoder_stage`. Imports torch.
 """
@@ -24,8 +24,9 @@ from ..splat import rasterize
 from .photo_targets import FitView
 from .surface import GROUPS, INNER, SCALP, SKIN, Surface
 
-GAIN_RANGE = (0.4, 2.5)
-OFFSET_LIMIT = 0.3
+GAIN_RANGE = (0.2, 4.0)
+HARMONICS = 9
+_DARK, _LIGHT_RIDGE, _UNLIKELY = 0.03, 0.003, 0.2
 _PULL = {SKIN: 0.004, SCALP: 0.004, INNER: 0.05}  # towards no change, as a share of the person's pixels
 _OFFSET_PULL = 0.3  # of an offset, relative to the pull of the matrix
 _ROUNDS, _SOFTENING = 3, 0.06  # of iterated weights: photos have glasses, hats, highlights
@@ -35,19 +36,41 @@ _COLUMNS = 4  # red, green, blue, one
 
 @dataclass(frozen=True)
 class PhotoLight:
-    """Exposure of the photos relative to the first.
+    """Light of the photos relative to the first.
+
+    A ratio r of light is r^(1/2.2) of display values, nearly, so that the factor is applied to these; its logarithm is a sum of
+    harmonics, so that it is above 0 however they are found.
 
     Attributes:
-        gain: [P, 3]. offset: [P, 3].
+        coefficients: Of the factor's logarithm, those of the first photo 0, [P, 9, 3].
     """
 
-    gain: Tensor
-    offset: Tensor
+    coefficients: Tensor
 
     @staticmethod
     def even(count: int, like: Tensor) -> PhotoLight:
-        """The exposure of `count` photos that do not differ: gain 1, offset 0."""
-        return PhotoLight(like.new_ones((count, 3)), like.new_zeros((count, 3)))
+        """The light of `count` photos that do not differ."""
+        return PhotoLight(like.new_zeros((count, HARMONICS, 3)))
+
+    def gain(self, index: int, normals: Tensor) -> Tensor:
+        """Factor of a photo's colors at unit normals in head space [..., 3]: [..., 3]."""
+        return (harmonics(normals) @ self.coefficients[index]).exp().clamp(*GAIN_RANGE)
+
+
+def harmonics(normals: Tensor) -> Tensor:
+    """`photo_light.harmonics` of tensors, [..., 3] to [..., 9]."""
+    x, y, z = normals.unbind(-1)
+    ones = torch.ones_like(x)
+    return torch.stack([ones, x, y, z, x * y, x * z, y * z, x * x - y * y, 3.0 * z * z - 1.0], -1)
+
+
+@torch.no_grad()
+def normal_picture(model: GRMM, view: FitView, vertices: Tensor, attributes: Attributes) -> Tensor:
+    """Normals of the mesh in head space as a photo sees them, of length 1 or 0, [H, W, 3]."""
+    scene = model.gaussians(vertices, attributes)
+    scene.features = model.anchor(vertices).normals
+    seen = present(rasterize(scene, view.camera, antialiased=model.config.antialias).features)
+    return torch.nn.functional.normalize(seen, dim=-1)
 
 
 def unchanged(like: Tensor) -> Tensor:
@@ -62,7 +85,7 @@ def recolor(colors: Tensor, maps: Tensor, surface: Surface) -> Tensor:
 
 
 def solve_maps(
-    model: GRMM, views: list[FitView], meshes: list[Tensor], decoded: list[Attributes], surface: Surface, light: PhotoLight
+    model: GRMM, views: list[FitView], meshes: list[Tensor], decoded: list[Attributes], surface: Surface, gains: list[Tensor]
 ) -> Tensor:
     """The groups' color maps that bring the attributes nearest to the photos, robust least squares, [3, 4, 3].
 
@@ -72,21 +95,20 @@ def solve_maps(
         meshes: Posed vertices for each.
         decoded: Attributes for each.
         surface: Groups.
-        light: Exposure that each photo adds.
+        gains: Factor of each photo's light, [H, W, 3] or anything that spreads to that.
     """
     rows, targets, counts = [], [], []
-    for view, vertices, attributes in zip(views, meshes, decoded, strict=True):
+    for view, vertices, attributes, gain in zip(views, meshes, decoded, gains, strict=True):
         columns = torch.cat([attributes.colors, torch.ones_like(attributes.colors[:, :1])], 1)  # [N, 4]
         spread = (surface.membership[:, :, None] * columns[:, None]).flatten(1)  # [N, 12]
         scene = model.gaussians(vertices, attributes)
         scene.features = spread
         parts = present(rasterize(scene, view.camera, antialiased=model.config.antialias).features)  # [H, W, 12]
         inside = view.inside > 0.5
-        gain, offset = light.gain[view.index], light.offset[view.index]
-        parts, image = parts[inside], view.image[inside]
+        parts, image = parts[inside], (view.image / gain)[inside]
         alpha = parts[:, 3::_COLUMNS].sum(1, keepdim=True)  # uncovered pixels of the person say nothing
         rows.append(parts)
-        targets.append((image - offset) / gain * alpha)
+        targets.append(image * alpha)
         counts.append(alpha[:, 0])
     a, b, count = torch.cat(rows).double(), torch.cat(targets).double(), torch.cat(counts).double()
     identity = unchanged(a).flatten(0, 1)  # [12, 3]
@@ -103,19 +125,22 @@ def solve_maps(
 
 
 def solve_light(pictures: list[tuple[FitView, Tensor, Tensor]]) -> PhotoLight:
-    """Exposure of each photo relative to the avatar's colors; that of the first is none by definition.
+    """Light of each photo relative to the avatar's colors; that of the first is none by definition.
 
     Args:
-        pictures: For each photo the view, the avatar's picture over black [H, W, 3] and its coverage [H, W].
+        pictures: For each photo the view, the avatar's picture over black [H, W, 3] and `normal_picture` [H, W, 3].
     """
     light = PhotoLight.even(len(pictures), pictures[0][1])
-    for view, picture, alpha in pictures[1:]:
-        inside = (view.inside > 0.5) & (alpha > 0.5)
+    for view, picture, normals in pictures[1:]:
+        inside = (view.inside > 0.5) & (normals.norm(dim=-1) > 0.5)
         if int(inside.sum()) < _MIN_PIXELS:
             continue
-        ours, photo = picture[inside], view.image[inside]
-        mean, wanted = ours.mean(0), photo.mean(0)
-        gain = (photo.std(0) / ours.std(0).clamp(min=1e-4)).clamp(*GAIN_RANGE)
-        light.gain[view.index] = gain
-        light.offset[view.index] = (wanted - gain * mean).clamp(-OFFSET_LIMIT, OFFSET_LIMIT)
+        ratio = ((view.image[inside] + _DARK) / (picture[inside].clamp(min=0.0) + _DARK)).log()
+        columns = harmonics(normals[inside])
+        ridge = torch.diag(columns.new_tensor([0.0] + [_LIGHT_RIDGE] * (HARMONICS - 1))) * len(columns)
+        weight = torch.ones_like(ratio[:, :1])
+        for _ in range(_ROUNDS):  # teeth, glints and shadows say little
+            found = torch.linalg.solve(columns.T @ (weight * columns) + ridge, columns.T @ (weight * ratio))
+            weight = 1.0 / (1.0 + ((columns @ found - ratio).norm(dim=1, keepdim=True) / _UNLIKELY) ** 2)
+        light.coefficients[view.index] = found
     return light

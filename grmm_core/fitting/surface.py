@@ -1,7 +1,7 @@
 """The texels of a model as a surface: parts of the head, neighbours, mirror images; and filling in what no photo shows.
 
-Parts: skin, scalp (where hair grows) and the inner parts (eyes, teeth, tongue, mouth, lashes), whose colors a photo's skin
-says nothing about. `fill` spreads values from texels that a photo shows to those that none does, along the surface and
+Parts: skin, scalp (where Gaussians have hair) and the inner parts (eyes, teeth, tongue, mouth, lashes), whose colors a photo's
+skin says nothing about. `fill` spreads values from texels that a photo shows to those that none does, along the surface and
 across the plane of symmetry: the membrane of least bending by conjugate gradients.
 
 Called by `recoloring` and `decoder_stage`. Imports torch.
@@ -89,6 +89,8 @@ def texel_surface(model: GRMM) -> Surface:
     nearest = faces[np.arange(len(faces)), barycentric.argmax(1)]
     positions = np.einsum("nk,nkx->nx", barycentric, head.v_template[faces]).astype(np.float32)
     group, part = _parts(head, nearest)
+    if model.config.hairless:  # a scalp is skin
+        group[group == SCALP] = SKIN
     near, border = _grid_links(model.anchor.texel.cpu().numpy(), grid, part, positions)
     seams = _nearest(positions, border, border, part, SEAM_REACH)
     everything = np.arange(len(positions))

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from photo_parts import parts_of
 
-from grmm_core.fitting.hair_stage import directions, fit_hair
+from grmm_core.fitting.hair_stage import directions, fit_hair, person_hair, with_volume
+from grmm_core.fitting.photo_targets import project
+from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.hair.coloring import HairView, WornHair
 from grmm_core.hair.mirror import mirrored
+from grmm_core.hair.roots import BEARD, BROWS, LASHES
 from grmm_core.head import load_open_head
 
 SKIN = np.array([0.75, 0.56, 0.47])
@@ -55,3 +60,54 @@ def test_directions_are_those_of_stripes():
         seen = directions(np.repeat(stripes[..., None], 3, 2), np.ones((40, 40)))
         inner = (slice(8, -8),) * 2
         assert np.mean(seen.cosine[inner] * np.cos(2 * angle) + seen.sine[inner] * np.sin(2 * angle)) > 0.9
+
+
+def test_volume_lifts_strands_and_leaves_their_roots():
+    head = load_open_head()
+    vertices = np.asarray(head.v_template, np.float64)
+    groom = library_groom("bob")
+    flat, puffed = (one.posed(one.frames(vertices, head.faces), vertices) for one in (groom, with_volume(groom, head, 0.2)))
+    np.testing.assert_allclose(puffed[groom.offsets[:-1]], flat[groom.offsets[:-1]], atol=1e-5)
+    tips = groom.offsets[1:] - 1
+    assert float(np.ptp(puffed[tips, 0])) > 1.1 * float(np.ptp(flat[tips, 0]))
+    assert float(puffed[:, 1].min()) > float(flat[:, 1].min()) - 1e-4
+
+
+def face(drawn=(), yaw=10.0):
+    """A tracked bald head with groups of strands drawn on it, and what its pixels show."""
+    head = load_open_head()
+    vertices, camera = np.asarray(head.v_template, np.float64), Camera.orbit(288, 288, yaw, 0.0)
+    covered = (triangle_depth(vertices[head.faces], camera) < EMPTY).astype(np.float32)
+    image, beard = covered[..., None] * SKIN + (1 - covered[..., None]) * 0.5, np.zeros_like(covered)
+    for group, groom in drawn:
+        rgb, alpha = WornHair(groom, HairSettings(melanin=0.95), vertices, camera, head).drawn(HairSettings(melanin=0.95))
+        image = rgb + (1 - alpha[..., None]) * image
+        beard = alpha if group == BEARD else beard
+    marks = project(head.landmark_positions(vertices, LANDMARK_COUNT), camera)
+    zeros = {"shape": np.zeros(head.shape_count), "expression": np.zeros(head.expression_count), "pose": np.zeros((5, 3))}
+    track = PhotoTrack(
+        source="", image=image, mask=covered, valid=np.ones_like(covered), camera=camera, photo_camera=camera, landmarks=marks,
+        landmarks_fitted=marks, arkit=np.zeros(52), **zeros,
+    )  # fmt: skip
+    return track, parts_of(1.0 - covered, beard=beard * covered), head
+
+
+@pytest.mark.parametrize("name", ["thin", "bushy"])
+def test_brows_stand_where_the_photo_has_them(name):
+    track, parts, head = face([(BROWS, library_groom(name, part="brows"))])
+    hair = person_hair([track], [parts], head)
+    groups = hair.groom.groups
+    assert set(groups.tolist()) == {BROWS, LASHES}, "bald, and no beard"
+    share = (groups == BROWS).sum() / len(library_groom("bushy", part="brows"))
+    assert 0.05 < share < 0.75 if name == "thin" else share > 0.5
+    assert hair.parts["brows"].melanin > 0.6
+
+
+def test_a_beard_keeps_the_strands_that_the_photo_shows():
+    track, parts, head = face([(BEARD, library_groom("goatee", part="beard"))])
+    hair = person_hair([track], [parts], head)
+    beard = hair.groom.select(hair.groom.groups == BEARD)
+    assert len(beard) > 50
+    vertices = np.asarray(head.v_template, np.float64)
+    points = beard.posed(beard.frames(vertices, head.faces), vertices)
+    assert float(np.abs(points[:, 0]).max()) < 0.05, "none on the cheeks"

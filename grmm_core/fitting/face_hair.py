@@ -1,0 +1,108 @@
+"""Brows, beard and lashes of the person in a photo, as strands over the skin, which has their colors as well.
+
+Where the photo shows brows or a beard, the package's fullest groom of the part keeps its strands; elsewhere it loses them. So
+they have the person's outline and thickness, and their pigments are sought as those of scalp hair. Imports torch.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from ..geometry.zbuffer import EMPTY, triangle_depth
+from ..hair.coloring import HairView, hiding_faces, with_colors
+from ..hair.groom import Groom
+from ..hair.packaged import library_groom
+from ..hair.roots import BEARD, BROWS
+from ..hair.settings import HairSettings
+from ..photo.glasses import thin_frames
+from ..photo.parser import MESH_PARTS, PhotoParts, part_map
+
+if TYPE_CHECKING:
+    from ..head import HeadModel
+    from .types import PhotoTrack
+
+FULLEST = {"brows": "bushy", "beard": "full"}
+SHORT_BEARD = "short"
+HANGING = 0.08  # of a beard's pixels outside the bald head: from here on it is long
+LEAST_BEARD = 0.4  # of the pixels on the chin or above the lip; a shadow under the chin is none
+_CHIN, _UPPER_LIP = [18, 200, 199], [164, 167, 393]  # landmarks
+REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, and from how far skin they are told
+DARK = (0.1, 0.3)  # how much darker than that skin: from where on a pixel is brow, and wholly
+KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one strand to the next
+FEWEST = 0.05  # of the strands; fewer were no brows, and the plainest groom takes their place
+BEHIND = 0.004  # metres below the skin that are still seen
+
+
+def face_hair(
+    track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadModel, scalp: HairSettings
+) -> tuple[list[Groom], dict[str, HairSettings]]:
+    """Grooms of brows, lashes and, where there is one, beard, and the settings of brows and beard by name.
+
+    Args:
+        track: The photo.
+        parts: What its pixels show.
+        view: The same with the tracked head.
+        head: Whose mesh the strands stand on.
+        scalp: Of the person's hair: what colors begin from.
+    """
+    depth = triangle_depth(np.asarray(view.vertices)[hiding_faces(head)], track.camera)
+    covers = {"brows": brow_cover(track, parts, view, head)}
+    beard = parts.beard * view.counts
+    marks = np.clip(track.landmarks_fitted.astype(int), 0, (track.camera.width - 1, track.camera.height - 1))
+    if max(beard[marks[points, 1], marks[points, 0]].mean() for points in (_CHIN, _UPPER_LIP)) > LEAST_BEARD:
+        covers["beard"] = beard
+    grooms, own = [library_groom("natural", head.name, "lashes")], {}
+    for (name, cover), group in zip(covers.items(), (BROWS, BEARD), strict=False):
+        long = float((beard * (depth == EMPTY)).sum()) > HANGING * float(beard.sum())
+        groom = library_groom(SHORT_BEARD if name == "beard" and not long else FULLEST[name], head.name, name)
+        kept = _kept(groom, cover, depth, view, head)
+        groom = groom.select(kept) if kept.mean() > FEWEST else library_groom("thin", head.name, "brows")
+        grooms.append(groom)
+        shown = dataclasses.replace(view, hair=cover)
+        own[name] = with_colors(scalp.for_part(group), groom, [shown], head)
+    return grooms, own
+
+
+def brow_cover(track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadModel) -> np.ndarray:
+    """How much of each pixel is brow, [H, W] 0..1: what at the mesh's brows is darker than the skin around."""
+    height = float(np.ptp(track.camera.project(view.vertices)[1][:, 1]))
+    at_brows = part_map(head, view.vertices, track.camera)[0] == tuple(MESH_PARTS).index("brows")
+    region = functional.max_pool2d(torch.from_numpy(at_brows.astype(np.float32))[None, None], *_window(REACH * height))[
+        0, 0
+    ].numpy()
+    skin = (parts.skin > 0.5) * (1.0 - region)
+    light = np.asarray(track.image, np.float32).mean(2)
+    planes = torch.from_numpy(np.stack([light * skin, skin]).astype(np.float32))[None]
+    size, stride, padding = _window(AROUND * height)
+    lit, count = functional.avg_pool2d(planes, size, stride, padding)[0].numpy()
+    darker = 1.0 - light * count / np.maximum(lit, 1e-4)
+    cover: np.ndarray = np.clip((darker - DARK[0]) / (DARK[1] - DARK[0]), 0.0, 1.0) * region * (count > 1e-3)
+    return cover * (1.0 - parts.eyes) * view.counts * (1.0 - parts.hair) * ~thin_frames(track.image, track.landmarks)
+
+
+def _window(reach: float) -> tuple[int, int, int]:
+    """Size, stride and padding of a pooling that reaches so many pixels."""
+    pixels = max(1, round(reach))
+    return 2 * pixels + 1, 1, pixels
+
+
+def _kept(groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, head: HeadModel) -> np.ndarray:
+    """Which strands of a groom stand where a photo shows their part; of those that it does not show as many, [N] bool."""
+    posed = groom.posed(groom.frames(np.asarray(head.v_template, np.float64), head.faces), view.vertices)
+    local, pixels = view.camera.project(posed)
+    column, row = (np.clip(pixels[:, k].astype(int), 0, size - 1) for k, size in ((0, cover.shape[1]), (1, cover.shape[0])))
+    strand = groom.strand_of_point
+    mean, seen = (
+        np.bincount(strand, part, len(groom)) / groom.counts
+        for part in (cover[row, column], local[:, 2] < depth[row, column] + BEHIND)
+    )
+    chance = (np.arange(len(groom)) * 0.6180339887498949) % 1.0
+    shown = seen > 0.5
+    kept = mean > KEPT[0] + (KEPT[1] - KEPT[0]) * chance
+    share = float(kept[shown].mean()) if shown.any() else 1.0
+    return np.where(shown, kept, chance < share)

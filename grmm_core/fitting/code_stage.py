@@ -197,8 +197,7 @@ class _Search:
             self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.gains)
             return
         # colors are the first photo's, in whose light they stand
-        ones = [part[:1] for part in (self.views, meshes, decoded)]
-        self.maps = solve_maps(self.model, *ones, self.surface, self.gains[:1])
+        self.maps = solve_maps(self.model, self.views[:1], meshes[:1], decoded[:1], self.surface, self.gains[:1])
         for _ in range(LIGHT_ROUNDS):
             pictures = []
             for view, vertices, attributes in zip(self.views, meshes, decoded, strict=True):

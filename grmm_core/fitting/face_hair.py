@@ -35,6 +35,7 @@ REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, an
 DARK = (0.1, 0.3)  # how much darker than that skin: from where on a pixel is brow, and wholly
 KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one strand to the next
 FEWEST = 0.05  # of the strands; fewer were no brows, and the plainest groom takes their place
+SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
 BEHIND = 0.004  # metres below the skin that are still seen
 
 
@@ -92,8 +93,9 @@ def _window(reach: float) -> tuple[int, int, int]:
 
 
 def _kept(groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, head: HeadModel) -> np.ndarray:
-    """Which strands of a groom stand where a photo shows their part; of those that it does not show as many, [N] bool."""
-    posed = groom.posed(groom.frames(np.asarray(head.v_template, np.float64), head.faces), view.vertices)
+    """Which strands of a groom stand where a photo shows their part; hidden ones as those on the other side, [N] bool."""
+    frames = groom.frames(np.asarray(head.v_template, np.float64), head.faces)
+    posed = groom.posed(frames, view.vertices)
     local, pixels = view.camera.project(posed)
     column, row = (np.clip(pixels[:, k].astype(int), 0, size - 1) for k, size in ((0, cover.shape[1]), (1, cover.shape[0])))
     strand = groom.strand_of_point
@@ -103,6 +105,10 @@ def _kept(groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, he
     )
     chance = (np.arange(len(groom)) * 0.6180339887498949) % 1.0
     shown = seen > 0.5
-    kept = mean > KEPT[0] + (KEPT[1] - KEPT[0]) * chance
-    share = float(kept[shown].mean()) if shown.any() else 1.0
-    return np.where(shown, kept, chance < share)
+    kept: np.ndarray = shown & (mean > KEPT[0] + (KEPT[1] - KEPT[0]) * chance)
+    if shown.all() or not shown.any():
+        return kept
+    roots = torch.from_numpy(frames.at(np.asarray(head.v_template, np.float64))[0])
+    apart, nearest = torch.cdist(roots[~shown] * roots.new_tensor([-1.0, 1.0, 1.0]), roots[shown]).min(1)
+    kept[~shown] = kept[shown][nearest.numpy()] & (apart.numpy() < SIDES)
+    return kept

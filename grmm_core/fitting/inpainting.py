@@ -28,6 +28,7 @@ LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may
 SURFACE_LID_SHADE = (0.15, 0.35)  # likewise on a closed surface, whose lids keep their crease and have lashes of their own
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
 FEATHER_TEXELS, FADES = 5.0, (0.05, 0.45)  # how far what was seen goes on before plain skin stands: length, smoothed knowledge
+EDGE_TEXELS, EDGE = 12.0, (0.5, 0.75)  # likewise beside the face where what was seen last is darker than plain skin
 HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
 HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
@@ -42,7 +43,9 @@ def facing(model: GRMM, view: FitView, vertices: Tensor, surface: Surface) -> Te
     centre = torch.as_tensor(view.camera.position, dtype=model.dtype, device=model.device)
     cosine = (frames.normals * torch.nn.functional.normalize(centre - frames.positions, dim=1)).sum(1)
     frontal = ((cosine - GRAZING[0]) / (GRAZING[1] - GRAZING[0])).clamp(0, 1)
-    return torch.where(surface.group == SCALP, torch.ones_like(frontal), frontal)
+    lids = model.head_model.marked("lids")[_corners(model)].all(1) if model.config.hairless else np.zeros(len(frontal), bool)
+    whole = (surface.group == SCALP) | torch.as_tensor(lids, device=frontal.device)  # lids end where they turn away
+    return torch.where(whole, torch.ones_like(frontal), frontal)
 
 
 def lid_exposure(model: GRMM, view: FitView) -> Tensor:
@@ -55,9 +58,14 @@ def lid_exposure(model: GRMM, view: FitView) -> Tensor:
     shape, pose = view.shape.cpu().numpy(), np.zeros((5, 3), np.float32)
     moved = head.vertices(shape, closed, pose) - head.vertices(shape, expression, pose)
     travel = torch.as_tensor(np.linalg.norm(moved, axis=1).astype(np.float32))[:, None] * _lids(head)
-    corners = torch.as_tensor(np.ascontiguousarray(head.faces[model.anchor.face.cpu().numpy()]))  # [N, 3]
+    corners = torch.as_tensor(_corners(model))
     at_texels = (travel[corners][..., 0] * model.anchor.barycentric.cpu()).sum(1).to(view.image)
     return ((at_texels - LID_TRAVEL[0]) / (LID_TRAVEL[1] - LID_TRAVEL[0])).clamp(0, 1)
+
+
+def _corners(model: GRMM) -> np.ndarray:
+    """Vertices of the triangle under each texel, [N, 3]."""
+    return np.ascontiguousarray(model.head_model.faces[model.layout.face])
 
 
 def _lids(head: HeadModel) -> Tensor:
@@ -130,6 +138,10 @@ def _fill_surface(
     beyond, between = (surface.fill(shown, part, rest=COLOR_REST) for part in (plain, skin_known))
     inner = surface.smooth((skin_known / HALF_KNOWN).clamp(0, 1)[:, None], FEATHER_TEXELS)
     seen = torch.lerp(between, shown, skin_known[:, None])  # with its small gaps, as between the lips
+    far = surface.smooth((skin_known / HALF_KNOWN).clamp(0, 1)[:, None], EDGE_TEXELS)
+    dark = ((beyond - seen).mean(1, keepdim=True) / BARE_SKIN).clamp(0, 1)
+    edge = surface.beside[:, None] * ((EDGE[1] - far) / (EDGE[1] - EDGE[0])).clamp(0, 1)
+    seen = torch.lerp(seen, beyond, edge * dark)
     outer = tone + torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1)) - start
     return torch.where(skin[:, None], outer, surface.fill(changes, known))
 

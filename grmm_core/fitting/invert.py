@@ -232,7 +232,7 @@ def photo_pictures(
         tracks: Photos.
         side: Longer side of the picture.
     """
-    pictures = []
+    pictures: list[tuple[FitView, Picture]] = []
     z_id, shared = (torch.as_tensor(np.array(a), device=model.device) for a in (avatar.z_id, avatar.z_exp))
     for index, track in enumerate(tracks):
         view = fit_view(
@@ -242,7 +242,7 @@ def photo_pictures(
         light = PhotoLight(torch.as_tensor(np.array(avatar.tracking["light"]), device=model.device))
         with torch.no_grad():
             inputs = photo_inputs(model, view, z_id, shared + own)
-            drawn = model.render(view.camera, inputs)
+            drawn: Picture = model.render(view.camera, inputs)
             if index:
                 vertices = model.mesh(inputs).vertices
                 normals = normal_picture(model, view, vertices, decode(model, inputs, view.camera))

@@ -44,7 +44,8 @@ _INNER = 0.9  # coverage
 BARE = 0.15  # of a pixel: less hair, beard or cloth than this and it is skin
 SKIN_RIM = 0.008  # of the head's height that skin keeps from cloth and the outline, whose colors the blur mixes in
 HAIR_RIM = 0.016  # likewise from hair and hats
-SHADOW_RIM, SHADOW = 0.05, 0.88  # how far beside the face hair throws a shadow, of less than that of the face's lightness
+SHADOW_RIM = 0.05  # likewise: how far beside the face hair throws a shadow
+SHADOW = 0.88  # of the face's lightness: less is shadow there, and on the neck
 NECK_TINT, NECK_LIGHT = 0.05, 1.15  # how far a neck's chromaticity and how much its lightness may exceed the face's: collars do
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 

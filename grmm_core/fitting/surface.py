@@ -26,6 +26,7 @@ INNER_REGIONS = (
     "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "mouth_interior", "lashes",
 )  # fmt: skip
 SEAM_REACH = 0.004  # metres on the mean head between texels at the borders of the UV map's islands
+BESIDE = (0.045, 0.06)  # metres from the plane of symmetry: eyes and mouth are before the first, brows before the second
 MIRROR_REACH = 0.005  # metres; the mean head is nearly symmetric
 MIRROR_WEIGHT = 0.25  # of a link across the plane of symmetry; a neighbour has 1
 SEEN_WEIGHT = 40.0  # of a fully seen texel's own value
@@ -43,12 +44,14 @@ class Surface:
         links: Adjacency of neighbours, and of neighbours and mirror images: weights w, [N, N] sparse and symmetric.
         degrees: Row sums of both, [2, N].
         average: Mean of each texel and its neighbours, [N, N] sparse.
+        beside: How far it is beside the face's features, 0..1, [N].
     """
 
     group: Tensor
     links: tuple[FixedSparse, FixedSparse]
     degrees: Tensor
     average: FixedSparse
+    beside: Tensor
 
     @property
     def membership(self) -> Tensor:
@@ -108,6 +111,7 @@ def texel_surface(model: GRMM) -> Surface:
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
+        torch.tensor(np.interp(np.abs(positions[:, 0]), BESIDE, (0.0, 1.0)), dtype=model.dtype, device=model.device),
     )  # fmt: skip
 
 

@@ -36,8 +36,8 @@ def thin_frames(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
     across = (outer[1] - outer[0]) / unit
     down = np.array([-across[1], across[0]])
     rows, columns = np.mgrid[:height, :width] + 0.5
-    light = functional.avg_pool2d(torch.from_numpy(np.ascontiguousarray(image.mean(2), np.float32))[None, None], 3, 1, 1)
-    light = light[0, 0].numpy()
+    plane = torch.from_numpy(np.ascontiguousarray(image.mean(2), np.float32))[None, None]
+    light: np.ndarray = functional.avg_pool2d(plane, 3, 1, 1)[0, 0].numpy()
     upright = _lines(light, down, unit)
 
     inner = landmarks[list(_INNER)]

@@ -32,7 +32,7 @@ def test_wisps_holes_and_specks_are_found(head):
     wisp, hole, spotted = plain.alpha.copy(), plain.alpha.copy(), plain.rgb.copy()
     wisp[5:15, 5:15] = 1.0
     hole[70:76, 78:84] = 0.0
-    spotted[60, 70:90:4] = 0.2
+    spotted[44:54:5, 72:90:5] = 0.2
     assert cleanliness(shot(head, alpha=wisp), head)["outside"] > 0.005
     assert cleanliness(shot(head, alpha=wisp, hair=wisp * (1 - plain.alpha)), head)["outside"] == 0.0, "strands may stand off"
     assert cleanliness(shot(head, alpha=hole), head)["holes"] > 0.001

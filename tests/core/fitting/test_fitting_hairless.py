@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import pytest
 import torch
-from test_fitting_inpainting import at, labels, view_of  # noqa: F401 - a fixture
+from test_fitting_inpainting import SIZE, at, labels, track  # noqa: F401 - a fixture
 
+from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.fitting.inpainting import fill_colors
+from grmm_core.fitting.photo_targets import fit_view
 from grmm_core.fitting.surface import INNER, SKIN, texel_surface
 from grmm_core.head.open_head import load_open_head
 from grmm_core.model.config import PRESETS
@@ -24,6 +26,11 @@ def model():
 @pytest.fixture(scope="module")
 def surface(model):
     return texel_surface(model)
+
+
+def view_of(model, **changes):
+    person = track(model.head_model, **changes)
+    return fit_view(person, model.head_model, 0, SIZE, len(ALIGNED_NAMES), model.dtype, hairless=True)
 
 
 def test_hair_cloth_and_background_are_no_targets_and_the_background_stays_empty(model):
@@ -51,14 +58,17 @@ def test_skin_that_no_photo_shows_is_plain_and_what_is_seen_stays(model, surface
     shadow = skin & front & (places[:, 2] < 0.02)  # where the photo's hair begins
     changes[shadow] = -0.3
     filled = fill_colors(surface, start, changes, front.to(start), *torch.zeros(2, len(start)))
-    torch.testing.assert_close(filled[skin & front & (places[:, 2] > 0.01)], changes[skin & front & (places[:, 2] > 0.01)])
+    kept = skin & front & (surface.beside == 0.0)
+    assert int(kept.sum()) > 100
+    torch.testing.assert_close(filled[kept], changes[kept], atol=0.03, rtol=0.0)
+    assert float(filled[shadow & (surface.beside == 1.0)].max()) > -0.1, "shadows beside the face fade"
     assert float(filled[skin & (places[:, 2] < -0.05)].min()) > -0.03
 
 
 def test_lids_keep_their_crease_and_lose_what_is_black(model, surface):
     start = torch.full((model.gaussian_count, 3), 0.7)
     folded = (surface.group == SKIN) & (torch.arange(len(start)) % 7 == 0)
-    for darker, least, most in ((0.12, -0.13, -0.1), (0.5, -0.1, 0.0)):
+    for darker, least, most in ((0.12, -0.13, -0.1), (0.5, -0.1, 1e-6)):
         changes = torch.where(folded[:, None], -darker, 0.0).expand(-1, 3)
         filled = fill_colors(surface, start, changes, torch.ones(len(start)), folded.to(start), torch.zeros(len(start)))
         assert least < float(filled[folded].mean()) < most

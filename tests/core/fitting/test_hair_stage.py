@@ -100,7 +100,7 @@ def test_brows_stand_where_the_photo_has_them(name):
     assert set(groups.tolist()) == {BROWS, LASHES}, "bald, and no beard"
     share = (groups == BROWS).sum() / len(library_groom("bushy", part="brows"))
     assert 0.05 < share < 0.75 if name == "thin" else share > 0.5
-    assert hair.parts["brows"].melanin > 0.6
+    assert name == "thin" or hair.parts["brows"].melanin > 0.6
 
 
 def test_a_beard_keeps_the_strands_that_the_photo_shows():

@@ -62,13 +62,13 @@ def test_skin_that_no_photo_shows_is_plain_and_what_is_seen_stays(model, surface
     assert int(kept.sum()) > 100
     torch.testing.assert_close(filled[kept], changes[kept], atol=0.03, rtol=0.0)
     assert float(filled[shadow & (surface.beside == 1.0)].max()) > -0.1, "shadows beside the face fade"
-    assert float(filled[skin & (places[:, 2] < -0.05)].min()) > -0.03
+    assert float(filled[skin & (places[:, 2] < -0.05)].mean()) > -0.02
 
 
 def test_lids_keep_their_crease_and_lose_what_is_black(model, surface):
     start = torch.full((model.gaussian_count, 3), 0.7)
     folded = (surface.group == SKIN) & (torch.arange(len(start)) % 7 == 0)
-    for darker, least, most in ((0.2, -0.21, -0.19), (0.65, -0.1, 1e-6)):
+    for darker, least, most in ((0.12, -0.13, -0.1), (0.5, -0.1, 1e-6)):
         changes = torch.where(folded[:, None], -darker, 0.0).expand(-1, 3)
         filled = fill_colors(surface, start, changes, torch.ones(len(start)), folded.to(start), torch.zeros(len(start)))
         assert least < float(filled[folded].mean()) < most

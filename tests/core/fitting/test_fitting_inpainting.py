@@ -12,7 +12,7 @@ from grmm_core.fitting import photo_targets
 from grmm_core.fitting.inpainting import facing, fill_colors, lid_exposure
 from grmm_core.fitting.objective import FIT_WEIGHTS, fit_loss
 from grmm_core.fitting.photo_targets import fit_view, project
-from grmm_core.fitting.surface import SCALP, SKIN, texel_surface
+from grmm_core.fitting.surface import INNER, SCALP, SKIN, texel_surface
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
@@ -66,7 +66,8 @@ def track(head, blink=0.0, beard=False):
 
 
 def view_of(model, **changes):
-    return fit_view(track(model.head_model, **changes), model.head_model, 0, SIZE, len(ALIGNED_NAMES), model.dtype)
+    person, bare = track(model.head_model, **changes), model.config.hairless
+    return fit_view(person, model.head_model, 0, SIZE, len(ALIGNED_NAMES), model.dtype, hairless=bare)
 
 
 @pytest.fixture(autouse=True)
@@ -231,3 +232,60 @@ def test_grazing_skin_counts_less_than_skin_that_faces_the_camera(model, surface
     assert float(frontal[nose].mean()) > 0.8
     assert float(frontal[skin & (places[:, 2] < -0.05)].max()) == 0.0
     assert float(frontal[surface.group == SCALP].min()) == 1.0
+
+
+# --- weights without hair: bare skin alone is painted, it stays closed, what is unseen is plain ---
+
+
+@pytest.fixture(scope="module")
+def bare():
+    torch.manual_seed(0)
+    return (
+        GRMM(load_open_head(), PRESETS["tiny"].replace(grid=128, decoder_grid=16, hairless=True)).requires_grad_(False).eval()
+    )
+
+
+@pytest.fixture(scope="module")
+def bare_surface(bare):
+    return texel_surface(bare)
+
+
+def test_hair_cloth_and_background_are_no_targets_and_the_background_stays_empty(bare):
+    view, head = view_of(bare), bare.head_model
+    image = view.image.numpy()
+    painted = image[view.weight.numpy() > 0.5]
+    assert len(painted) > 500
+    assert float(abs(painted - [0.8, 0.6, 0.5]).max()) < 1e-5, "nothing but skin"
+    assert at(view.weight, view, head, 1) == 1.0
+    behind = view.mask.numpy() < 0.01
+    assert float(view.empty.numpy()[behind].mean()) > 0.99
+    assert float((view.empty * view.inside).sum()) == 0.0
+    bearded = view_of(bare, beard=True)
+    assert at(bearded.weight, bearded, head, 18) == 1.0, "a beard is painted under its strands"
+
+
+def test_a_scalp_is_skin(bare_surface):
+    assert set(bare_surface.group.unique().tolist()) == {SKIN, INNER}
+
+
+def test_skin_that_no_photo_shows_is_plain_and_what_is_seen_stays(bare, bare_surface):
+    places = bare.anchor(bare.head.v_template).positions
+    skin, front = bare_surface.group == SKIN, places[:, 2] > 0.0
+    start, changes = torch.full((bare.gaussian_count, 3), 0.7), torch.zeros(bare.gaussian_count, 3)
+    shadow = skin & front & (places[:, 2] < 0.02)  # where the photo's hair begins
+    changes[shadow] = -0.3
+    filled = fill_colors(bare_surface, start, changes, front.to(start), *torch.zeros(2, len(start)))
+    kept = skin & front & (bare_surface.beside == 0.0)
+    assert int(kept.sum()) > 100
+    torch.testing.assert_close(filled[kept], changes[kept], atol=0.03, rtol=0.0)
+    assert float(filled[shadow & (bare_surface.beside == 1.0)].max()) > -0.1, "shadows beside the face fade"
+    assert float(filled[skin & (places[:, 2] < -0.05)].mean()) > -0.02
+
+
+def test_lids_keep_their_crease_and_lose_what_is_black(bare, bare_surface):
+    start = torch.full((bare.gaussian_count, 3), 0.7)
+    folded = (bare_surface.group == SKIN) & (torch.arange(len(start)) % 7 == 0)
+    for darker, least, most in ((0.12, -0.13, -0.1), (0.5, -0.1, 1e-6)):
+        changes = torch.where(folded[:, None], -darker, 0.0).expand(-1, 3)
+        filled = fill_colors(bare_surface, start, changes, torch.ones(len(start)), folded.to(start), torch.zeros(len(start)))
+        assert least < float(filled[folded].mean()) < most

@@ -126,8 +126,8 @@ def compared(
         focals: Likewise, [K].
         flat: As there.
         near: As there.
-        bias: See `shadows.lift`.
-        away: Likewise.
+        bias: Least lift along normals, metres; see there.
+        away: Cosine between normal and rays from which on nothing is seen.
         points: [N, 3].
         normals: [N, 3].
         seen: Written, [N].

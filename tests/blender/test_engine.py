@@ -122,6 +122,9 @@ def test_a_world_of_other_nodes_is_baked(render_script, blender_version):
     np.testing.assert_allclose(result["again"], 2 * expected, atol=0.06)
     assert result["images"] == 1
     assert result["missing"].startswith("ConfigError: The picture Sky of the world is missing")
+    np.testing.assert_array_equal(result["black"], np.zeros((6, 3)))
+    assert result["nan"].startswith("ConfigError: The world's light has a strength that is not finite")
+    assert result["nothing"]
 
 
 def test_avatars_wear_hair_of_strands(render_script, blender_version):

@@ -47,7 +47,22 @@ missing.reload()
 texture = tree.nodes.new("ShaderNodeTexEnvironment")
 texture.image = missing
 tree.links.new(texture.outputs[0], background.inputs["Color"])
-try:
-    report(missing=str(light()))
-except Exception as error:  # noqa: BLE001 - whatever comes is reported
-    report(missing=f"{type(error).__name__}: {error}")
+
+
+def failure() -> str:
+    """What reading the world says."""
+    try:
+        return str(light())
+    except Exception as error:  # noqa: BLE001 - whatever comes is reported
+        return f"{type(error).__name__}: {error}"
+
+
+report(missing=failure())
+tree.links.remove(background.inputs["Color"].links[0])
+strength = background.inputs["Strength"]
+strength.default_value = 0.0
+report(black=light())
+strength.default_value = float("nan")
+report(nan=failure())
+scene.world = None
+report(nothing=lights.world_light(scene) is None)

@@ -1,14 +1,15 @@
 """`python -m tools.quality_views`: render the truth of the quality gate (`tests/data/quality`) anew. Needs bpy.
 
 Two people of the capture that the embedded weights were trained on, both also avatars of the library, in two expressions that
-were held out of either, from the front and from a direction held out. Small, with samples enough that noise does not count.
+were held out of either, without hair, from the front and from a direction held out. Small, with samples enough that noise
+does not count.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from grmm_core.controls.frame import Controls, resolve
@@ -28,8 +29,8 @@ FOLDER = Path(__file__).resolve().parent.parent / "tests" / "data" / "quality"
 class Settings:
     """How the views are made; stored in the manifest."""
 
-    seed: int = 21  # of the embedded weights' capture
-    people: tuple[int, ...] = (42, 15)  # default.grmm and beard.grmm
+    seed: int = 31  # of the embedded weights' capture
+    people: tuple[int, ...] = (29, 30)  # default.grmm and beard.grmm
     shots: tuple[int, ...] = (6, 13)  # held out, see `grmm_studio.capture`
     size: int = 256
     samples: int = 128
@@ -55,11 +56,9 @@ def render(folder: Path, settings: Settings) -> None:
             plan = make_shot(settings.seed, subject.index, number, 1, settings.size)
             controls = resolve(Controls(aligned=plan.aligned, pose=plan.pose), head)
             studio.set_shot(controls.expression, controls.pose)
-            pictures = [studio.render(camera) for camera in views.values()]
-            written = tuple(
-                View(name, camera, f"{number:04d}_{i:02d}.png", "", HELD_OUT_EXPRESSION)
-                for i, (name, camera) in enumerate(views.items())
-            )
+            pictures = [studio.render(camera, hair=False) for camera in views.values()]
+            plain = [View(*view, f"{number:04d}_{i:02d}.png", "", HELD_OUT_EXPRESSION) for i, view in enumerate(views.items())]
+            written = tuple(replace(view, bare=view) for view in plain)
             controls_of = (controls.aligned, controls.expression, controls.pose)
             write_shot(folder, Shot(subject.name, number, plan.kind, *controls_of, written, folder), pictures)
     studio.close()

@@ -153,6 +153,10 @@ class ModelStore(Generic[AnyModel]):
             )
         return self._load(self._default_path)
 
+    def knows(self, avatar: Avatar) -> bool:
+        """Whether the weights that an avatar was made for are installed."""
+        return self._find(avatar.weights) is not None
+
     def for_avatar(self, avatar: Avatar, path: Path) -> LoadedModel[AnyModel]:
         """Return the model that an avatar was made for, with the avatar's own changes of the weights.
 

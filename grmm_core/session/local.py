@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import logging
 import os
 import platform
 import threading
@@ -46,6 +47,7 @@ from .api import (
     SessionStatus,
     check_render_size,
 )
+from .carrying import can_carry, in_its_colors, without_changes
 from .clouds import OpenCloud
 from .compose import PlacedAvatar, PlacedCloud, compose
 from .engines import Engine
@@ -57,6 +59,9 @@ from .wardrobe import Wardrobe, random_hair
 CACHE_BYTES = 512 << 20
 FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
 _UNIT_TOLERANCE = 1e-3
+_NOBODY = 0  # no avatar has this number
+
+_log = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -244,7 +249,7 @@ class LocalSession:
             return self._infos[known]
         path = self._file_of(key)
         if path is not None:
-            avatar = load_avatar(path)
+            avatar = self._carried_over(load_avatar(path), path)
             return self._add(avatar, self.engine.store.for_avatar(avatar, path), key)
         loaded = self.engine.store.default()
         size = loaded.model.z_exp_size
@@ -252,6 +257,23 @@ class LocalSession:
         if key.kind == "sample" and loaded.model.config.hairless and loaded.info.head_name == HEAD:
             made = dataclasses.replace(made, hair=random_hair(int(key.name)))
         return self._add(made, loaded, key)
+
+    def _carried_over(self, avatar: Avatar, path: Path) -> Avatar:
+        """The avatar itself, or where its weights are not installed what can be carried over to the default ones."""
+        store = self.engine.store
+        if store.knows(avatar) or not can_carry(avatar, loaded := store.default()):
+            return avatar
+        plain = without_changes(avatar, loaded)
+        target = OpenAvatar(_NOBODY, plain, loaded, source_key(path))
+        try:
+            colors, _ = self.evaluator.appearance(target, self.evaluator.inputs(target, Controls()), FRONT)
+        finally:
+            self.evaluator.cache.drop(_NOBODY)
+        _log.warning(
+            "%s was made on the weights %r, which are not installed: its shape and colors were carried over to %r; "
+            "save it, or make it anew from its photos.", path, avatar.weights.name, loaded.info.name,
+        )  # fmt: skip
+        return in_its_colors(plain, loaded, to_numpy(colors))
 
     def _file_of(self, key: SourceKey) -> Path | None:
         """The `.grmm` file behind a source, or None where it is made from the weights alone."""

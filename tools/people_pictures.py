@@ -1,0 +1,70 @@
+"""`python -m tools.people_pictures`: make the pictures of the library's avatars and of random people in `docs/images` anew."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from grmm_core.avatar.library import LIBRARY_PREFIX, library_names
+from grmm_core.controls.frame import Controls
+from grmm_core.geometry.camera import Camera
+from grmm_core.pictures.images import quantize
+from grmm_core.session import create_session
+from grmm_core.session.api import Instance, RenderOptions, Session
+
+FOLDER = Path(__file__).resolve().parent.parent / "docs" / "images"
+PAPER = (0.86, 0.86, 0.86)
+YAWS = (-25.0, 20.0, 0.0, 35.0, -40.0, 10.0, -10.0, 28.0)
+# one after the other over the library: what an animator asks of everybody
+EXPRESSIONS: tuple[Mapping[str, float], ...] = (
+    {"laugh": 1.0}, {"visemeAA": 1.0}, {"browDownLeft": 1.0, "browDownRight": 1.0, "noseSneerLeft": 0.4, "noseSneerRight": 0.4},
+    {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0},
+)  # fmt: skip
+
+
+def camera(size: int, yaw: float, fov: float = 18.0) -> Camera:
+    """A head and its shoulders, square."""
+    return Camera.orbit(size, size, yaw=yaw, pitch=4.0, distance=1.1, fov=fov, target=(0.0, -0.005, 0.015))
+
+
+def drawn(session: Session, number: int, expression: Mapping[str, float], view: Camera) -> np.ndarray:
+    """One picture, uint8 [H, W, 3]."""
+    instance = Instance(number, Controls().set_named(expression))
+    return quantize(session.render([instance], view, RenderOptions(background=PAPER))["rgb"])
+
+
+def sheet(tiles: Sequence[np.ndarray], columns: int) -> Image.Image:
+    """Pictures of one size in rows."""
+    rows = [np.concatenate(tiles[i : i + columns], 1) for i in range(0, len(tiles), columns)]
+    return Image.fromarray(np.concatenate(rows))
+
+
+def main() -> int:
+    """Draw and write; returns 0."""
+    parser = argparse.ArgumentParser(description="Make the pictures of people in docs/images anew.")
+    parser.add_argument("--out", type=Path, default=FOLDER, help="folder (default: %(default)s)")
+    parser.add_argument("--size", type=int, default=224, help="pixels of each (default: %(default)s)")
+    arguments = parser.parse_args()
+    with create_session("local") as session:
+        names = library_names()
+        avatars = [session.open(LIBRARY_PREFIX + name).id for name in names]
+        plain = [drawn(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(avatars)]
+        moved = [
+            drawn(session, who, EXPRESSIONS[i % len(EXPRESSIONS)], camera(arguments.size, -YAWS[i % len(YAWS)]))
+            for i, who in enumerate(avatars)
+        ]
+        rows = [tile for i in range(0, len(plain), 8) for tile in (*plain[i : i + 8], *moved[i : i + 8])]
+        sheet(rows, 8).save(arguments.out / "library.jpg", quality=85)
+        people = [session.sample(seed).id for seed in range(24)]
+        tiles = [drawn(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(people)]
+        sheet(tiles, 8).save(arguments.out / "random_people.jpg", quality=85)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

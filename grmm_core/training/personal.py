@@ -109,10 +109,13 @@ def person_avatar(
     shape = np.zeros(SHAPE_SIZE, np.float32)
     known = person.shape[:SHAPE_SIZE]
     shape[: known.size] = known
-    changed = {key: value.clone() for key, value in changes.items()}
+    # single teeth are seen a few times, in another shadow each time: what that teaches is blots
+    seen = ~in_the_mouth(model)[:, None]
+    changed = {key: value * seen for key, value in changes.items()}
     with torch.no_grad():
         z_id = torch.as_tensor(person.z_id, dtype=model.dtype, device=model.device)
-        changed[APPEARANCE][:, :COLOR_CHANNELS] += flesh_tones(model, z_id)
+        colors = changed[APPEARANCE][:, :COLOR_CHANNELS]
+        colors += flesh_tones(model, z_id, colors - changes[APPEARANCE][:, :COLOR_CHANNELS])
     return Avatar(
         name=name,
         head=AssetReference(info.head_name, info.head_sha256),
@@ -130,7 +133,13 @@ def person_avatar(
     )
 
 
-def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:
+def in_the_mouth(model: GRMM) -> Tensor:
+    """Which texels are teeth, gums, tongue and the mouth's inside, [N] bool."""
+    head, face = model.head_model, model.anchor.face.cpu().numpy()
+    return torch.from_numpy(head.marked(*MOUTH_REGIONS)[head.faces[face]].any(1)).to(model.device)
+
+
+def flesh_tones(model: GRMM, z_id: Tensor, moved: Tensor | None = None) -> Tensor:
     """What brings colors in the mouth to red >= green, blue: teeth, gums and tongue are never greener than red.
 
     Molars are seen rarely and in the dark; what else happens to be drawn there gives them any color.
@@ -138,15 +147,15 @@ def flesh_tones(model: GRMM, z_id: Tensor) -> Tensor:
     Args:
         model: As trained.
         z_id: The person's code, [Z].
+        moved: Added to the model's colors before, [N, 3].
 
     Returns:
         To be added to the colors, display sRGB, [N, 3].
     """
-    head, face = model.head_model, model.anchor.face.cpu().numpy()
-    texels = torch.from_numpy(head.marked(*MOUTH_REGIONS)[head.faces[face]].any(1)).to(model.device)  # [N]
     colors, _ = model.appearance(z_id, z_id.new_tensor(FRONT))
+    colors = colors if moved is None else colors + moved
     limited = torch.minimum(colors, colors[:, :1])
-    return torch.where(texels[:, None], limited - colors, torch.zeros_like(colors))
+    return torch.where(in_the_mouth(model)[:, None], limited - colors, torch.zeros_like(colors))
 
 
 def _listed(names: Sequence[str], most: int = 8) -> str:

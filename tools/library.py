@@ -45,7 +45,7 @@ def main() -> int:
     """Capture, train and copy; returns the exit code of the first command that fails, or 0."""
     parser = argparse.ArgumentParser(description="Rebuild the avatars that come with the package.")
     parser.add_argument("work", type=Path, help="folder for pictures and training runs")
-    parser.add_argument("--steps", type=int, default=600, help="of training a person (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=400, help="of training a person (default: %(default)s)")
     parser.add_argument("--only", nargs="+", choices=tuple(PEOPLE), metavar="NAME", help="these avatars alone")
     arguments = parser.parse_args()
     data = arguments.work / "capture"

@@ -111,7 +111,8 @@ def _tables(path: Path, stamp: int) -> dict[str, tuple[Component, ...]]:
             if name == Z_ID and colors:
                 tint, change = _describe_color({part: each[k] for part, each in colors.items()})
                 if change / _SEEN_COLOR > effect:
-                    label, effect = tint, change / _SEEN_COLOR
+                    bald = file.info.config.hairless  # what is seen there is skin
+                    label, effect = tint.replace("Hair", "Scalp") if bald else tint, change / _SEEN_COLOR
             if effect < 1.0:
                 label = ""  # it moves the mesh by less than can be seen, and no mean color
             made.append(Component(k, label, effect, float(spread[k])))

@@ -82,7 +82,8 @@ def _light_pass(name: str, raster: RasterOutput, lit: Any, channels: Channels) -
     """One of `LIGHT_PASSES`; diffuse and specular add up to the picture in linear light."""
     alpha = raster.alpha[..., None]
     clip = library_of(alpha).clip
-    whole = to_linear(lit / clip(alpha, MIN_ALPHA, None)) * alpha
+    straight = lit / clip(alpha, MIN_ALPHA, None)
+    whole = to_linear(clip(straight, 0.0, 1.0) if channels.light is None else straight) * alpha  # light alone goes beyond white
     if channels.light is None:
         return {"diffuse": whole, "specular": whole * 0.0, "shadow": alpha}[name]
     light = light_of(raster, channels.light)

@@ -17,7 +17,7 @@ from support import empty_scene, enable, module, report
 def avatar_file(folder: Path) -> Path:
     """An avatar as a fit writes it: with the camera of its photo."""
     avatar_module, camera = module("grmm_core.avatar"), module("grmm_core.geometry.camera").Camera
-    source = module("grmm_core.avatar.library").library_file("library:short")
+    source = module("grmm_core.avatar.library").library_file("library:long")
     avatar = dataclasses.replace(avatar_module.load_avatar(source), name="Ada", camera=camera.orbit(256, 256))
     avatar_module.save_avatar(avatar, folder / "ada.grmm")
     return folder / "ada.grmm"

@@ -214,7 +214,7 @@ def test_sample_makes_an_avatar_that_renders(grmm, render, weights, tmp_path):
 
 def test_info_describes_the_default_avatar(grmm):
     facts = json.loads(grmm("info", "default", "--json")[1])
-    assert (facts["name"], facts["kind"], facts["painted"]) == ("Default head", "grmm-avatar", True)
+    assert (facts["name"], facts["kind"], facts["painted"]) == ("Woman, 43, layered hair", "grmm-avatar", True)
 
 
 def test_info_describes_weights(grmm, weights):

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from support.tiny_model import write_tiny_weights
 
+from grmm_core.avatar import Hair, load_avatar, save_avatar
+from grmm_core.avatar.library import library_path
 from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileAccessError, ShapeError
 from grmm_core.geometry.camera import Camera
@@ -16,6 +18,7 @@ from grmm_core.session import HairUse, Instance, RenderOptions, create_session
 
 CAMERA = Camera.orbit(160, 160, 20, fov=24)
 BOB = HairUse("groom:bob")
+NONE = HairUse("none", brows="none", beard="none", lashes="none")
 
 
 @pytest.fixture(scope="module", params=["torch", "plain"])
@@ -30,8 +33,8 @@ def drawn(session, use: HairUse, camera: Camera = CAMERA, passes=("rgb", "alpha"
 
 
 def test_the_hair_pass_is_the_cover_of_the_strands(session):
-    own, bob, bald = (drawn(session, use) for use in (HairUse(), BOB, HairUse("none")))
-    assert not own["hair"].any()
+    own, bob, bald = (drawn(session, use) for use in (HairUse(), BOB, NONE))
+    assert own["hair"].max() > 0.9
     assert not bald["hair"].any()
     behind = drawn(session, BOB, Camera.orbit(160, 160, 180, fov=24))
     skin = behind["alpha"] > 0.5
@@ -79,7 +82,7 @@ def test_a_file_holds_the_hair(session, tmp_path):
     assert (tmp_path / "bob.grmm").stat().st_size - (tmp_path / "plain.grmm").stat().st_size < 1 << 20
     found = session.open(tmp_path / "bob.grmm")
     assert found.hair == use.settings
-    assert session.open(tmp_path / "plain.grmm").hair is None
+    assert session.open(tmp_path / "plain.grmm").hair == info.hair
     again = session.render([Instance(found.id)], CAMERA, RenderOptions(passes=("rgb", "hair")))
     worn = drawn(session, use)
     assert float(np.abs(again["hair"] - worn["hair"]).mean()) < 0.01
@@ -89,16 +92,17 @@ def test_a_file_holds_the_hair(session, tmp_path):
 def test_brows_lashes_and_beard_are_chosen_beside_the_hairstyle(session, tmp_path):
     info = session.open("default")
     face = Camera.orbit(160, 160, 0, distance=0.5, fov=24)
-    none, some = (drawn(session, use, face) for use in (HairUse(), HairUse(brows="bushy", beard="full")))
-    assert not none["hair"].any()  # they are in the Gaussians of these weights
+    bearded = replace(NONE, brows="bushy", beard="full")
+    none, some = (drawn(session, use, face) for use in (NONE, bearded))
+    assert not none["hair"].any()
     rows = some["hair"][..., 0].sum(1)
     assert rows[:80].max() > 2.0  # brows
     assert rows[100:].max() > 10.0  # beard
-    np.testing.assert_allclose(some["alpha"][:20], none["alpha"][:20], atol=1e-3)  # the scalp's hair is in the Gaussians
-    grey = drawn(session, HairUse(brows="bushy", beard="full", parts={"beard": HairSettings(melanin=0.0, grey=1.0)}), face)
+    np.testing.assert_allclose(some["alpha"][:20], none["alpha"][:20], atol=1e-3)  # the scalp stays bald
+    grey = drawn(session, replace(bearded, parts={"beard": HairSettings(melanin=0.0, grey=1.0)}), face)
     assert grey["rgb"][100:].sum() > some["rgb"][100:].sum() + 10
     np.testing.assert_allclose(grey["rgb"][:60], some["rgb"][:60], atol=0.02)
-    session.save(info.id, tmp_path / "bearded.grmm", HairUse(brows="bushy", beard="full"))
+    session.save(info.id, tmp_path / "bearded.grmm", bearded)
     again = session.render(
         [Instance(session.open(tmp_path / "bearded.grmm").id)], face, RenderOptions(passes=("hair", "alpha"))
     )
@@ -111,37 +115,34 @@ def test_brows_lashes_and_beard_are_chosen_beside_the_hairstyle(session, tmp_pat
         HairUse(parts={"nose": HairSettings()})
 
 
-def test_heads_trained_without_hair_have_brows_and_lashes_unless_their_file_says_else(session, monkeypatch, tmp_path):
-    info = session.open("default")
-    session.save(info.id, tmp_path / "browless.grmm", HairUse("groom:crop"))
-    target = session.target(info.id)
-    monkeypatch.setattr(target.model, "config", target.model.config.replace(hairless=True))
-    face = Camera.orbit(160, 160, 0, distance=0.5, fov=24)
-    usual = drawn(session, HairUse(), face)["hair"]
-    named = drawn(session, HairUse(brows="natural", lashes="natural"), face)["hair"]
-    np.testing.assert_array_equal(usual, named)
+def test_heads_trained_without_hair_have_brows_and_lashes_unless_their_file_says_else(session, tmp_path):
+    plain = replace(load_avatar(library_path("default")), hair=None)
+    save_avatar(plain, tmp_path / "plain.grmm")
+    save_avatar(replace(plain, hair=Hair(library_groom("crop"), HairSettings())), tmp_path / "browless.grmm")
+    face, own = Camera.orbit(160, 160, 0, distance=0.5, fov=24), HairUse()
+
+    def hair(name: str, use: HairUse = own) -> np.ndarray:
+        instance = Instance(session.open(tmp_path / f"{name}.grmm").id, hair=use)
+        return session.render([instance], face, RenderOptions(passes=("hair",)))["hair"]
+
+    usual = hair("plain")
+    np.testing.assert_array_equal(usual, hair("plain", HairUse(brows="natural", lashes="natural")))
     assert usual[:80].sum() > 50
     assert not usual[110:].any()
-    assert not drawn(session, HairUse(brows="none", lashes="none"), face)["hair"].any()
-    crop = session.render([Instance(session.open(tmp_path / "browless.grmm").id)], face, RenderOptions(passes=("hair",)))[
-        "hair"
-    ]
+    assert not hair("plain", HairUse(brows="none", lashes="none")).any()
+    crop = hair("browless")
     assert crop[:20].sum() > 50
     assert crop[40:80, 70:90].sum() < 1  # the record has no brows
 
 
-def test_random_people_of_heads_without_hair_wear_some_of_their_seed(session, monkeypatch):
-    plain = session.sample(71)
-    assert plain.hair is None
-    model = session.target(plain.id).model
-    monkeypatch.setattr(model, "config", model.config.replace(hairless=True))
+def test_random_people_of_heads_without_hair_wear_some_of_their_seed(session):
     one, other = session.sample(72), session.sample(-73)
     assert one.hair != other.hair
     hair = session.target(one.id).avatar.hair
     assert set(np.unique(hair.groom.groups)) == {0, 1, 3}
     seen = session.render([Instance(one.id)], CAMERA, RenderOptions(passes=("hair",)))["hair"]
     assert seen.max() > 0.5
-    for info in (plain, one, other):
+    for info in (one, other):
         session.release(info.id)
 
 

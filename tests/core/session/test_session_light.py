@@ -21,6 +21,7 @@ from grmm_core.session.wardrobe import Wardrobe
 
 CAMERA = Camera.orbit(128, 128, 10, fov=20)
 PASSES = ("rgb", "alpha", "linear", "diffuse", "specular", "shadow")
+BALD = HairUse("none", brows="none", beard="none", lashes="none")  # what strands do with light has tests of its own
 LEFT = Lighting((Sun(direction=(1.0, 0.0, 0.0), strength=3.0),))
 
 
@@ -30,7 +31,7 @@ def session(request):
         yield session
 
 
-def drawn(session, lighting, response=Response(), controls=Controls(), hair=HairUse(), matrix=None, camera=CAMERA):  # noqa: B008
+def drawn(session, lighting, response=Response(), controls=Controls(), hair=BALD, matrix=None, camera=CAMERA):  # noqa: B008
     placed = Instance(
         session.open("default").id, controls, np.eye(4) if matrix is None else matrix, hair=hair, response=response
     )
@@ -44,7 +45,7 @@ def halves(picture):
 
 
 def test_unlit_avatars_are_drawn_as_ever(session):
-    plain = session.render([Instance(session.open("default").id)], CAMERA, RenderOptions(passes=PASSES))
+    plain = session.render([Instance(session.open("default").id, hair=BALD)], CAMERA, RenderOptions(passes=PASSES))
     same = drawn(session, LEFT, response=None)
     for name in ("rgb", "alpha", "linear"):
         np.testing.assert_array_equal(same[name], plain[name])
@@ -142,7 +143,8 @@ def test_a_slow_turn_of_a_lamp_does_not_flicker(session, lamp, most):
     steps = [b - a for a, b in itertools.pairwise(frames)]
     first = [np.abs(step).mean() for step in steps]
     assert max(first) < 2.0 * np.mean(first)
-    assert max(np.abs(step).max() for step in steps) < 0.35
+    # the edge of a hard shadow crosses a pixel of opaque skin in one step; no more than these may jump
+    assert max((np.abs(step).max(-1) > 0.35).mean() for step in steps) < 1e-3
     assert max(np.abs(b - a).mean() for a, b in itertools.pairwise(steps)) < most * np.mean(first)
 
 

@@ -100,7 +100,8 @@ def test_brows_stand_where_the_photo_has_them(name):
     assert set(groups.tolist()) == {BROWS, LASHES}, "bald, and no beard"
     share = (groups == BROWS).sum() / len(library_groom("bushy", part="brows"))
     assert 0.05 < share < 0.75 if name == "thin" else share > 0.5
-    assert name == "thin" or hair.parts["brows"].melanin > 0.6
+    # the skin between strands takes part in their color: black brows (0.95) are found dark brown, blond ones would be below 0.3
+    assert name == "thin" or hair.parts["brows"].melanin > 0.5
 
 
 def test_a_beard_keeps_the_strands_that_the_photo_shows():

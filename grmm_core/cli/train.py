@@ -65,6 +65,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
         load_flame(args.head) if args.head else None,
         config.person,
         config.bare or bool(config.person and of_the_weights(config).model.hairless),
+        bool(config.losses.get("detail")),
     )
     person = _person(source.people, args.default_person)
     if (Path(args.out) / CHECKPOINT).exists() and not args.resume:

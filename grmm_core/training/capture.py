@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from PIL import Image, ImageFilter
 
 from ..data.dataset import CaptureDataset
+from ..data.layers import PART_LAYER, PARTS
 from ..data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, Shot
 from ..data.types import View as CapturedView
 from ..errors import ConfigError, FileFormatError, TrainingError
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from ..head import HeadModel
 
 CACHE_BYTES = 6 << 30
+_DETAILS = ("eyes", "teeth", "mouth")
 VALIDATION_SPLITS = (HELD_OUT_EXPRESSION, HELD_OUT_CAMERA)
 
 
@@ -33,6 +36,7 @@ class CapturedViews:
         cache_bytes: Limit of the memory for pictures.
         only: The one person whose views are used, by name; everybody when empty.
         bare: Show people without hair, where the data can; views that only show a bare head are left out otherwise.
+        detail: Also say where eyes, teeth and inner mouth are, where the data has part masks.
 
     Attributes:
         datasets: As given.
@@ -45,9 +49,9 @@ class CapturedViews:
 
     def __init__(
         self, datasets: Sequence[CaptureDataset], follow: bool = False, cache_bytes: int = CACHE_BYTES, only: str = "",
-        bare: bool = False,
+        bare: bool = False, detail: bool = False,
     ) -> None:  # fmt: skip
-        self._bare = bare
+        self._bare, self._detail = bare, detail
         self.datasets = tuple(datasets)
         self._items: list[tuple[int, CaptureDataset, Shot, CapturedView]] = []
         self._seen: set[tuple[int, str, int]] = set()
@@ -128,9 +132,19 @@ class CapturedViews:
             shot.pose,
             view.split,
             shot.displacement,
+            detail=self._details(dataset, shot, view) if self._detail else None,
         )
         self._keep(index, loaded)
         return loaded
+
+    @staticmethod
+    def _details(dataset: CaptureDataset, shot: Shot, view: CapturedView) -> np.ndarray | None:
+        """`View.detail`; grown by a fiftieth of the picture, so that lids and lips' edges belong to it."""
+        if PART_LAYER not in view.layers:
+            return None
+        parts = dataset.layer(shot, view, PART_LAYER)[[PARTS.index(name) for name in _DETAILS]].sum(0)
+        covered = Image.fromarray(np.round(parts.clip(0, 1) * 255.0).astype(np.uint8))
+        return np.asarray(covered.filter(ImageFilter.MaxFilter(max(covered.size) // 100 * 2 + 1)))
 
     def _keep(self, index: int, view: View) -> None:
         self._cache[index] = view
@@ -145,6 +159,7 @@ def capture_views(
     head: HeadModel | None = None,
     only: str = "",
     bare: bool = False,
+    detail: bool = False,
 ) -> tuple[CapturedViews, HeadModel]:
     """Open data folders of any known format, and the head model that they were made with.
 
@@ -154,6 +169,7 @@ def capture_views(
         head: The user's FLAME for data with FLAME parameters; the open head when None.
         only: See `CapturedViews`.
         bare: See `CapturedViews`.
+        detail: See `CapturedViews`.
 
     Raises:
         FileAccessError, FileFormatError: A folder is missing or not a capture.
@@ -168,7 +184,7 @@ def capture_views(
     for dataset in datasets:
         if dataset.manifest.head != head.name:
             raise ConfigError(f"{dataset.folder} was made with the head model {dataset.manifest.head!r}, not {head.name!r}.")
-    return CapturedViews(datasets, follow, only=only, bare=bare), head
+    return CapturedViews(datasets, follow, only=only, bare=bare, detail=detail), head
 
 
 def _labels(folders: Sequence[Path]) -> list[str]:
@@ -187,4 +203,4 @@ def _labels(folders: Sequence[Path]) -> list[str]:
 
 
 def _size(view: View) -> int:
-    return view.image.nbytes + view.mask.nbytes + (0 if view.depth is None else view.depth.nbytes)
+    return sum(array.nbytes for array in (view.image, view.mask, view.depth, view.detail) if array is not None)

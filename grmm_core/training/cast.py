@@ -43,7 +43,8 @@ class Cast:
         """What the rendering over a color [3] should be."""
         mask = self.tensor(view.mask) / 255.0
         image = self.tensor(view.image) / 255.0 + (1.0 - mask)[..., None] * self.tensor(background)
-        return Target(image, mask, None if view.depth is None else self.tensor(view.depth), self._vertices(view))
+        detail = None if view.detail is None else self.tensor(view.detail) / 255.0
+        return Target(image, mask, None if view.depth is None else self.tensor(view.depth), self._vertices(view), detail)
 
     def _vertices(self, view: View) -> Tensor | None:
         """Where the posed mesh should be, [V, 3] metres, where the data knows."""

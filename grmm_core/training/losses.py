@@ -29,7 +29,7 @@ _MM_PER_METRE = 1e3
 
 TERMS = (
     "raw_l1", "raw_ssim", "raw_perceptual", "image_l1", "image_ssim", "image_perceptual", "depth", "alpha", "scale", "code",
-    "laplacian", "position", "rotation", "log_scale", "vertices", "color", "opacity",
+    "laplacian", "position", "rotation", "log_scale", "vertices", "color", "opacity", "raw_detail", "image_detail",
 )  # fmt: skip
 """Names of all terms that `total_loss` can return."""
 
@@ -54,6 +54,7 @@ class LossWeights:
         vertices: Mean squared distance of the posed vertices from the true ones, square millimetres, where the data knows them.
         color: Mean squared excess of the Gaussians' colors beyond 0..1: such colors cancel out here and clip elsewhere.
         opacity: Mean of what the Gaussians' opacities lack to `OPAQUE`: keeps a surface from dissolving into fog.
+        detail: L1 again of both pictures where eyes, teeth and the inner mouth are: few pixels that everybody looks at.
     """
 
     l1: float = 0.8
@@ -71,6 +72,7 @@ class LossWeights:
     vertices: float = 0.0
     color: float = 0.0
     opacity: float = 0.0
+    detail: float = 0.0
 
 
 @dataclass
@@ -82,12 +84,14 @@ class Target:
         mask: Coverage 0..1, [H, W], or None.
         depth: Metres, 0 where unknown or empty, [H, W], or None.
         vertices: Of the posed mesh, metres, [V, 3], or None.
+        detail: Coverage 0..1 by eyes, teeth and inner mouth, [H, W], or None.
     """
 
     image: Tensor
     mask: Tensor | None = None
     depth: Tensor | None = None
     vertices: Tensor | None = None
+    detail: Tensor | None = None
 
 
 def total_loss(
@@ -119,6 +123,9 @@ def total_loss(
         if factor:
             parts = reconstruction_terms(picture, target.image, weights, perceptual)
             terms |= {f"{name}_{part}": (factor * weight, value) for part, (weight, value) in parts.items()}
+            if weights.detail and target.detail is not None:
+                within = target.detail[..., None]
+                terms[f"{name}_detail"] = (factor * weights.detail, l1_loss(picture * within, target.image * within))
     if weights.depth and target.depth is not None:
         terms["depth"] = (weights.depth, depth_loss(rendering.depth, rendering.alpha, target.depth))
     if weights.alpha and target.mask is not None:

@@ -38,6 +38,7 @@ class View:
         displacement: What was added to the posed vertices of the mesh model, metres, [V, 3], or None where it is not known.
         depths: Smallest and largest depth of the whole picture, metres: what the refinement network's depth is scaled by when
             only a part of the picture is drawn, as it is in use. None where it is not known.
+        detail: Coverage by eyes, teeth and inner mouth and a few pixels around, [H, W] uint8, or None where it is not known.
     """
 
     subject: int
@@ -52,6 +53,7 @@ class View:
     split: str = ""
     displacement: np.ndarray | None = None
     depths: tuple[float, float] | None = None
+    detail: np.ndarray | None = None
 
 
 class ViewSource(Protocol):
@@ -129,8 +131,10 @@ def shrink(view: View, size: int) -> View:
         # a mean across a silhouette would lie in empty space
         depth = np.where(valid.all((1, 3)), grid.mean((1, 3)), 0.0).astype(np.float32)
     camera = view.camera.crop(0, 0, columns * factor, rows * factor).resized(columns, rows)
-    image, mask = ((blocks(a).mean((1, 3)) + 0.5).astype(np.uint8) for a in (view.image, view.mask))
-    return replace(view, camera=camera, image=image, mask=mask, depth=depth)
+    image, mask, detail = (
+        None if a is None else (blocks(a).mean((1, 3)) + 0.5).astype(np.uint8) for a in (view.image, view.mask, view.detail)
+    )
+    return replace(view, camera=camera, image=image, mask=mask, depth=depth, detail=detail)
 
 
 def random_crop(view: View, size: int, rng: np.random.Generator) -> View:
@@ -167,5 +171,5 @@ def _window(view: View, x: int, y: int, width: int, height: int) -> View:
     window = (slice(y, y + height), slice(x, x + width))
     return replace(
         view, camera=view.camera.crop(x, y, width, height), image=view.image[window], mask=view.mask[window],
-        depth=None if view.depth is None else view.depth[window],
+        **{name: None if (a := getattr(view, name)) is None else a[window] for name in ("depth", "detail")},
     )  # fmt: skip

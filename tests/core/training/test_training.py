@@ -163,7 +163,9 @@ def test_vertices_colors_and_opacities_are_held_to_the_truth(head, source, tmp_p
         pair.model.decoders.appearance_mean[:5, :3] = 2.0
         pair.model.decoders.opacity_mean[7] = -50.0
     rendering, target = pair.cast.draw(view, background, True), pair.cast.target(view, background)
-    weights = LossWeights(vertices=1.0, color=1.0, opacity=1.0)
+    weights = LossWeights(vertices=1.0, color=1.0, opacity=1.0, detail=2.0)
+    target.detail = torch.zeros(target.image.shape[:2])
+    target.detail[3:9, 4:7] = 0.5
     terms = total_loss(rendering, target, pair.laplacian, weights)[1]
     plain = pair.model.vertices(*(torch.as_tensor(a) for a in (source.shapes[view.subject], view.expression, view.pose)))
     apart = (rendering.mesh.vertices - plain).detach().numpy() - moved
@@ -174,6 +176,9 @@ def test_vertices_colors_and_opacities_are_held_to_the_truth(head, source, tmp_p
     lacking = (OPAQUE - rendering.gaussians.opacities.detach().numpy()).clip(0)
     assert lacking[7] == pytest.approx(OPAQUE)
     assert float(terms["opacity"]) == pytest.approx(lacking.mean(), rel=1e-4)
+    for name, picture in (("raw_detail", rendering.raw), ("image_detail", rendering.image)):
+        wrong = (picture - target.image).detach().abs()[3:9, 4:7].sum() * 0.5 / target.image.numel()
+        assert float(terms[name]) == pytest.approx(float(wrong), rel=1e-4)
 
 
 def test_a_crop_is_refined_by_the_depths_of_its_whole_picture(head, source, tmp_path):

@@ -15,7 +15,8 @@ import torch
 from model_fixtures import ColoredSpheres, small_head
 
 from grmm_core.cli import main
-from grmm_core.data.dataset import write_manifest, write_shot, write_subject
+from grmm_core.data.dataset import CaptureDataset, write_manifest, write_shot, write_subject
+from grmm_core.data.layers import PART_LAYER, PARTS
 from grmm_core.data.types import Manifest, Picture, Shot, View
 from grmm_core.errors import ConfigError, FileFormatError, TrainingError
 from grmm_core.files.tensorfile import write_tensors
@@ -26,6 +27,7 @@ from grmm_core.training.losses import weights_from
 from grmm_core.training.metrics_log import METRICS
 from grmm_core.training.perceptual import MobileNetFeatures, VGG19Features, load_perceptual
 from grmm_core.training.trainer import Trainer
+from grmm_core.training.views import random_crop, shrink
 
 SIZE = 24
 
@@ -53,8 +55,6 @@ def folder(tmp_path):
 
 
 def open_views(folder, **options):
-    from grmm_core.data.dataset import CaptureDataset
-
     return CapturedViews([CaptureDataset(folder)], **options)
 
 
@@ -69,6 +69,21 @@ def test_captured_views(folder):
     np.testing.assert_allclose(view.depth, 1.1, atol=1e-4)
     assert source.shapes[view.subject, 0] == 0.5
     assert source.load(int(source.validation[0])).split == "expression"
+
+
+def test_eyes_and_mouths_are_known_where_part_masks_are(folder):
+    shot, view = CapturedViews([CaptureDataset(folder)])._items[0][2:]
+    parts = np.zeros((len(PARTS), SIZE, SIZE), np.float32)
+    parts[PARTS.index("teeth"), 10, 7], parts[PARTS.index("hair"), 2, 2] = 1.0, 1.0
+    picture = Picture(np.zeros((SIZE, SIZE, 3), np.float32), np.ones((SIZE, SIZE), np.float32), None, {PART_LAYER: parts})
+    write_shot(folder, replace(shot, views=(replace(view, depth="", layers={PART_LAYER: "0000_00_parts.png"}),)), [picture])
+    source = open_views(folder, detail=True)
+    masked, plain = (source.load(int(index)) for index in source.training)
+    assert np.argwhere(masked.detail).tolist() == [[10, 7]]  # in so small a picture it does not grow
+    assert plain.detail is None
+    assert open_views(folder).load(int(source.training[0])).detail is None
+    assert random_crop(masked, 16, np.random.default_rng(0)).detail.shape == (16, 16)
+    assert shrink(masked, SIZE // 2).detail[5, 3] == 64
 
 
 def test_a_running_capture_is_followed(folder):
@@ -285,6 +300,7 @@ from grmm_core.errors import CancelledError, ConfigError
 from grmm_core.training.config import train_config
 from grmm_core.training.processes import join
 from grmm_core.training.trainer import Trainer
+from grmm_core.training.views import random_crop, shrink
 rank, world = join("cpu")
 folder = Path({out!r}) / str(world)
 def trainer(folder, **settings):

@@ -15,7 +15,8 @@ from grmm_core.controls.frame import Controls
 from grmm_core.geometry.camera import Camera
 from grmm_core.pictures.images import quantize
 from grmm_core.session import create_session
-from grmm_core.session.api import Instance, RenderOptions, Session
+from grmm_core.session.api import Session
+from grmm_core.session.values import Instance, RenderOptions
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "images"
 PAPER = (0.86, 0.86, 0.86)

@@ -17,7 +17,7 @@ from ...grmm_core.formats.avatars.binding import bind_to_mesh, place_on_mesh
 from ...grmm_core.formats.splats.cloud import SplatCloud
 from ...grmm_core.geometry.rotations import multiply_quaternions
 from ...grmm_core.session import HEAD_TO_BLENDER, CloudArrays
-from ...grmm_core.session.api import CLOUD_TERMS
+from ...grmm_core.session.values import CLOUD_TERMS
 from ..wrapper import ObjectWrapper
 
 POSITION, ROTATION, SCALE, OPACITY, TRIANGLE = "position", "rotation", "scale", "opacity", "triangle"

@@ -1,7 +1,7 @@
 """Gaussians in world space as arrays: placing, packing for textures, sorting. Plain numpy; knows no Blender.
 
-A texel is four floats; a Gaussian takes three: centre and two packed colors, four of the covariance, two of the covariance and
-the packed rest. Two values of 12 bits share a float, which holds 24 bits exactly.
+A texel is four floats; a Gaussian takes three: centre and two packed colors, four of the covariance, two of the covariance, the
+packed rest and whether it is antialiased. Two values of 12 bits share a float, which holds 24 bits exactly.
 """
 
 from __future__ import annotations
@@ -53,12 +53,14 @@ class WorldGaussians:
         covariances: xx, xy, xz, yy, yz, zz in square metres, [N, 6] float32.
         colors: Display sRGB, [N, 3] float32.
         opacities: 0..1, [N] float32.
+        antialiased: 1 where the opacity is compensated for the dilation (`splat.compensation`), else 0, [N] float32.
     """
 
     means: np.ndarray
     covariances: np.ndarray
     colors: np.ndarray
     opacities: np.ndarray
+    antialiased: np.ndarray
 
     def __len__(self) -> int:
         return len(self.means)
@@ -71,6 +73,7 @@ class WorldGaussians:
         opacities: np.ndarray,
         colors: np.ndarray,
         model_to_world: np.ndarray,
+        antialiased: bool = False,
     ) -> WorldGaussians:
         """Bring Gaussians from a model's space into the world; those with numbers that are not finite are left out.
 
@@ -81,6 +84,7 @@ class WorldGaussians:
             opacities: [N].
             colors: [N, 3].
             model_to_world: Any affine placement, [4, 4].
+            antialiased: Compensate all their opacities for the dilation.
         """
         linear = np.asarray(model_to_world, np.float64)[:3, :3]
         axes = (linear.astype(np.float32) @ _rotations(quats)) * scales[:, None, :]  # [N, 3, 3]
@@ -88,19 +92,19 @@ class WorldGaussians:
         six = covariance.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
         world = means.astype(np.float64) @ linear.T + np.asarray(model_to_world, np.float64)[:3, 3]
         keep = np.isfinite(world).all(-1) & np.isfinite(six).all(-1) & np.isfinite(colors).all(-1) & np.isfinite(opacities)
+        flags = np.full(len(world), antialiased, np.float32)
         if keep.all():
-            return WorldGaussians(world, six, colors, opacities)
-        return WorldGaussians(world[keep], six[keep], colors[keep], opacities[keep])
+            return WorldGaussians(world, six, colors, opacities, flags)
+        return WorldGaussians(world[keep], six[keep], colors[keep], opacities[keep], flags[keep])
 
     @staticmethod
     def concatenate(parts: list[WorldGaussians]) -> WorldGaussians:
         """Join several; they are then sorted together."""
         if len(parts) == 1:
             return parts[0]
-        empty = WorldGaussians(
-            np.zeros((0, 3)), np.zeros((0, 6), np.float32), np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
-        )
-        names = ("means", "covariances", "colors", "opacities")
+        nothing = np.zeros(0, np.float32)
+        empty = WorldGaussians(np.zeros((0, 3)), nothing.reshape(0, 6), nothing.reshape(0, 3), nothing, nothing)
+        names = ("means", "covariances", "colors", "opacities", "antialiased")
         return WorldGaussians(*(np.concatenate([getattr(part, name) for part in (empty, *parts)]) for name in names))
 
 
@@ -139,6 +143,7 @@ def pack(gaussians: WorldGaussians) -> Packed:
     mine[:, 1] = covariances[:, :4]
     mine[:, 2, :2] = covariances[:, 4:]
     mine[:, 2, 2] = levels[:, 2] * _PACK_BASE + levels[:, 3]
+    mine[:, 2, 3] = gaussians.antialiased[::step]
     return Packed(origin, offsets, values.reshape(-1, TEXTURE_WIDTH, 4))
 
 

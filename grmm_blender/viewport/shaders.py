@@ -1,7 +1,8 @@
 """The GLSL of the splat viewport, made once for a graphics context.
 
-The projection follows `grmm_core.splat.rules` (EWA as in 3DGS, 0.3 px^2 dilation, cut at a cover of 1/255, cap 0.999). Cameras
-are the core's: x right, y down, z forward, pixels from the upper left corner.
+The projection follows `grmm_core.splat.rules` (EWA as in 3DGS, 0.3 px^2 dilation, cut at a cover of 1/255, cap 0.999, and the
+opacity compensation of antialiasing where a Gaussian asks for it). Cameras are the core's: x right, y down, z forward, pixels
+from the upper left corner.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import functools
 
 import gpu
 
-from ...grmm_core.splat.rules import ALPHA_MAX, ALPHA_MIN, DILATION
+from ...grmm_core.splat.rules import ALPHA_MAX, ALPHA_MIN, COMPENSATION_MIN, DILATION
 from .arrays import PACK_STEPS, TEXELS, TEXTURE_WIDTH
 
 _CONSTANTS = f"""
@@ -18,6 +19,7 @@ const int WIDTH = {TEXTURE_WIDTH};
 const int TEXELS = {TEXELS};
 const float STEPS = {PACK_STEPS}.0;
 const float DILATION = {DILATION};
+const float COMPENSATION_MIN = {COMPENSATION_MIN!r};
 const float ALPHA_MIN = {ALPHA_MIN!r};
 const float ALPHA_MAX = {ALPHA_MAX};
 """
@@ -61,6 +63,10 @@ void main()
   float b = dot(along_x, spread_y);
   float c = dot(along_y, spread_y) + DILATION;
   float det = max(a * c - b * b, DILATION * DILATION);
+  if (third.w > 0.5) {
+    float area = (a - DILATION) * (c - DILATION) - b * b;
+    opacity *= sqrt(clamp(area / det, COMPENSATION_MIN, 1.0));
+  }
   float reach = 2.0 * log(max(opacity / ALPHA_MIN, 1e-30));
 
   if (centre.z < size_near.z || reach <= 0.0) {

@@ -120,7 +120,9 @@ def world_gaussians(shot: AvatarShot, camera: Camera, lod: int) -> WorldGaussian
     info = session_host.open_avatar(shot.source)
     direction = view_direction(shot, camera)
     found = session_host.get_session().gaussians(info.id, shot.controls.validate(), direction, lod, hair=hair_of(shot))
-    return WorldGaussians.place(found.means, found.quats, found.scales, found.opacities, found.colors, shot.model_to_world)
+    return WorldGaussians.place(
+        found.means, found.quats, found.scales, found.opacities, found.colors, shot.model_to_world, info.antialiased
+    )
 
 
 def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:

@@ -21,7 +21,7 @@ from ..fitting.hair_stage import directions
 from ..geometry.camera import Camera
 from ..model.people import made_avatar
 from ..session import create_session
-from ..session.api import Instance, RenderOptions
+from ..session.values import Instance, RenderOptions
 from ..training.captured_hair import SeenIn, captured_hair
 from .scene import DrawnPerson, Scene
 

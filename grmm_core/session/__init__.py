@@ -12,22 +12,21 @@ import sys
 from typing import TYPE_CHECKING, Literal
 
 from ..errors import ConfigError, RuntimeMissingError
-from .api import (
+from ..splat.types import GaussianArrays
+from .api import CancelCheck, Session
+from .values import (
     EMPTY_DEPTH,
     HEAD_TO_BLENDER,
     MAX_LOD,
     PASS_NAMES,
     AvatarInfo,
-    CancelCheck,
     CloudArrays,
     Deformation,
-    GaussianArrays,
-    HairUse,
     Instance,
     RenderOptions,
-    Session,
     SessionStatus,
 )
+from .wearing import HairUse
 
 if TYPE_CHECKING:
     from .local import LocalSession

@@ -27,21 +27,12 @@ from ..controls.frame import Controls
 from ..errors import GrmmError, SessionError
 from ..geometry.camera import Camera
 from ..hair.groom import Groom
-from .api import (
-    AvatarInfo,
-    CancelCheck,
-    CloudArrays,
-    Deformation,
-    GaussianArrays,
-    HairUse,
-    Instance,
-    RenderOptions,
-    SessionStatus,
-    check_render_size,
-)
+from ..splat.types import GaussianArrays
+from .api import CancelCheck
 from .process import WorkerDiedError, WorkerProcess
 from .sources import SourceKey, source_key
-from .wearing import PUT_PREFIX
+from .values import AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
+from .wearing import PUT_PREFIX, HairUse
 
 CLOSE_GRACE = 0.5  # seconds that closing waits for another thread's call
 CALL_TIMEOUT = 600.0  # seconds; a picture of a film's size on an old machine stays below

@@ -14,9 +14,9 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..geometry.libraries import Array, as_like, library_of, to_numpy, zeros
 from ..splat.types import Gaussians
-from .api import CloudArrays
 from .engines import Engine
 from .harmonics import harmonic_basis
+from .values import CloudArrays
 
 _SEED = 20  # of the order in which a cloud is thinned out; any constant
 _CONSTANT_TERM = float(harmonic_basis(np.array([[0.0, 0.0, 1.0]]), 0)[0, 0])

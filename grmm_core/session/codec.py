@@ -25,8 +25,10 @@ from ..hair.settings import HairSettings
 from ..light.lamps import Area, Lighting, Point, Spot, Sun
 from ..light.shading import Response
 from ..light.surroundings import SunSpot, Surroundings
-from .api import AvatarInfo, CloudArrays, Deformation, GaussianArrays, HairUse, Instance, RenderOptions, SessionStatus
+from ..splat.types import GaussianArrays
 from .arena import SharedArena
+from .values import AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus
+from .wearing import HairUse
 
 MAX_MESSAGE_BYTES = 16 << 20
 _LENGTH = struct.Struct("<I")

@@ -35,11 +35,12 @@ from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_
 from ..model.store import Model
 from ..splat.compensation import compensation
 from ..splat.types import Gaussians, RasterOutput
-from .api import LIGHT_PASSES, LINEAR_PASS, CancelCheck, Instance, RenderOptions
+from .api import CancelCheck
 from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
 from .passes import Channels, buffers, empty, light_of
+from .values import LIGHT_PASSES, LINEAR_PASS, Instance, RenderOptions
 from .wardrobe import Wardrobe, Worn
 
 NORMAL_CHANNELS = 3

@@ -34,19 +34,8 @@ from ..model.portrait import THUMBNAIL_PIXELS, portrait_camera
 from ..model.store import LoadedModel
 from ..pictures.color import straight_rgba
 from ..pictures.images import encode_png, quantize
-from .api import (
-    MAX_LOD,
-    AvatarInfo,
-    CancelCheck,
-    CloudArrays,
-    Deformation,
-    GaussianArrays,
-    HairUse,
-    Instance,
-    RenderOptions,
-    SessionStatus,
-    check_render_size,
-)
+from ..splat.types import GaussianArrays
+from .api import CancelCheck
 from .carrying import can_carry, in_its_colors, without_changes
 from .clouds import OpenCloud
 from .compose import PlacedAvatar, PlacedCloud, compose
@@ -54,7 +43,9 @@ from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .painter import painted
 from .sources import SourceKey, source_key
+from .values import MAX_LOD, AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
 from .wardrobe import Wardrobe, random_hair
+from .wearing import HairUse
 
 CACHE_BYTES = 512 << 20
 FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
@@ -309,6 +300,7 @@ class LocalSession:
             provenance=MappingProxyType(dataclasses.asdict(avatar.provenance)),
             thumbnail=avatar.thumbnail,
             hair=None if avatar.hair is None else avatar.hair.settings,
+            antialiased=model.config.antialias,
         )
         self._avatars[target.id] = target
         self._infos[target.id] = info

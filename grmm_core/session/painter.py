@@ -10,7 +10,8 @@ from ..controls.frame import Controls
 from ..geometry.camera import Camera
 from ..head import HeadModel
 from ..model.painting import View, paint
-from .api import Instance, Session
+from .api import Session
+from .values import Instance
 
 
 def painted(session: Session, avatar_id: int, head: HeadModel) -> np.ndarray:

@@ -14,9 +14,9 @@ from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, 
 from ..light.relight import to_linear
 from ..pictures.color import MIN_ALPHA
 from ..splat.types import RasterOutput
-from .api import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, RenderOptions
 from .engines import Engine
 from .lit import HIGHLIGHTS, SHADOW
+from .values import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, RenderOptions
 
 
 @dataclass(frozen=True)

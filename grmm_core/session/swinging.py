@@ -17,8 +17,9 @@ from ..hair.packaged import library_groom
 from ..hair.prior import random_groom
 from ..hair.swing import Swing
 from ..head import load_open_head
-from .api import AvatarInfo, Session
+from .api import Session
 from .sources import DEFAULT_SOURCE
+from .values import AvatarInfo
 from .wearing import GROOM_PREFIX, OWN_HAIR, RANDOM_PREFIX, HairUse
 
 

@@ -42,23 +42,28 @@ def _camera(stored: dict[str, np.ndarray], name: str) -> Camera:
     return Camera(stored[f"{name}_matrix"], fx, fy, cx, cy, int(width), int(height), bool(orthographic))
 
 
-def _rasterized(stored: dict[str, np.ndarray], camera: Camera, placement: np.ndarray, prefix: str = "") -> np.ndarray:
+def _rasterized(
+    stored: dict[str, np.ndarray], camera: Camera, placement: np.ndarray, prefix: str = "", antialiased: bool = False
+) -> np.ndarray:
     import torch
 
     from grmm_core.splat import Gaussians, rasterize
 
     names = ("means", "quats", "scales", "opacities", "colors")
     gaussians = Gaussians(*(torch.from_numpy(stored[prefix + name]) for name in names))
-    found = rasterize(gaussians, camera.transformed(placement), backend="cpu")
+    found = rasterize(gaussians, camera.transformed(placement), backend="cpu", antialiased=antialiased)
     return np.concatenate([found.rgb.numpy(), found.alpha.numpy()[..., None]], -1)
 
 
-@pytest.mark.parametrize("kind", ["perspective", "orthographic", "avatar"])
-def test_pictures_are_those_of_the_rasteriser(drawn, kind):
+@pytest.mark.parametrize(
+    ("kind", "antialiased"),
+    [("perspective", False), ("perspective", True), ("orthographic", False), ("orthographic", True), ("avatar", False)],
+)
+def test_pictures_are_those_of_the_rasteriser(drawn, kind, antialiased):
     _, stored = drawn
     prefix = "avatar_" if kind == "avatar" else ""
-    wanted = _rasterized(stored, _camera(stored, kind), stored[f"{prefix}placement"], prefix)
-    error = np.abs(stored[kind] - wanted)
+    wanted = _rasterized(stored, _camera(stored, kind), stored[f"{prefix}placement"], prefix, antialiased)
+    error = np.abs(stored[f"{kind}_antialiased" if antialiased else kind] - wanted)
     assert (wanted[..., 3] > 0.5).mean() > 0.1
     assert error.mean() < MEAN_ERROR
     assert np.quantile(error, 0.999) < TAIL_ERROR

@@ -57,8 +57,8 @@ opacities = rng.uniform(0.02, 1.0, count).astype(np.float32)
 colors = rng.uniform(size=(count, 3)).astype(np.float32)
 placement = np.diag([1.5, 1.5, 1.5, 1.0])
 placement[:3, 3] = (1000.0, -2000.0, 30.0)
-world = arrays.WorldGaussians.place(local, quats, scales, opacities, colors, placement)
-packed = arrays.pack(world)
+worlds = [arrays.WorldGaussians.place(local, quats, scales, opacities, colors, placement, flag) for flag in (False, True)]
+packed, antialiased = map(arrays.pack, worlds)
 stored |= {"means": local, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors, "placement": placement}
 view = np.linalg.inv(placement @ np.diag([1 / 1.5] * 3 + [1]))
 view[2, 3] -= 0.8  # OpenGL: in front is negative z
@@ -71,6 +71,7 @@ for kind in ("perspective", "orthographic"):
     picture = drawing.SplatPicture()
     order = arrays.depth_order(packed, camera)
     stored[kind] = in_buffer(lambda: picture.draw(packed, order, camera, projection))  # noqa: B023 - called at once
+    stored[f"{kind}_antialiased"] = in_buffer(lambda: picture.draw(antialiased, order, camera, projection))  # noqa: B023
     store_camera(kind, camera)
 depths = packed.offsets @ camera.world_to_camera[2, :3].astype(np.float32)
 ordered = depths[order.reshape(-1)[:count].astype(int)]

@@ -67,7 +67,8 @@ def world_gaussians(shot, camera, lod):
     log.append([shot.name, lod, float(np.linalg.norm(sources.view_direction(shot, camera)))])
     if plan.error is not None:
         raise plan.error
-    return arrays.WorldGaussians(np.eye(3), np.ones((3, 6), np.float32), np.ones((3, 3), np.float32), np.ones(3, np.float32))
+    ones = np.ones(3, np.float32)
+    return arrays.WorldGaussians(np.eye(3), np.ones((3, 6), np.float32), np.ones((3, 3), np.float32), ones, ones)
 
 
 sources.world_gaussians = world_gaussians
@@ -105,9 +106,8 @@ report(defect=list(jobs.take().messages))
 # More than fits is thinned out; what is not finite is left out.
 arrays.MAX_GAUSSIANS = 100
 many = 1001
-large = arrays.WorldGaussians(
-    np.zeros((many, 3)), np.zeros((many, 6), np.float32), np.zeros((many, 3), np.float32), np.zeros(many, np.float32)
-)
+none = np.zeros(many, np.float32)
+large = arrays.WorldGaussians(np.zeros((many, 3)), np.zeros((many, 6), np.float32), np.zeros((many, 3), np.float32), none, none)
 means = np.array([[0.0, 0, 0], [np.nan, 0, 0], [1, 0, 0]], np.float32)
 placed = arrays.WorldGaussians.place(means, np.eye(4, dtype=np.float32)[[0, 0, 0]], np.ones((3, 3), np.float32),
                                      np.ones(3, np.float32), np.ones((3, 3), np.float32), np.eye(4))  # fmt: skip

@@ -27,7 +27,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
 from grmm_core.model.weights_file import resolve_weights
 from grmm_core.session import create_session
-from grmm_core.session.api import HairUse
+from grmm_core.session.wearing import HairUse
 from grmm_core.splat import Gaussians, rasterize
 from grmm_core.training.losses import psnr_of
 

@@ -12,7 +12,7 @@ from grmm_core.avatar.library import library_path
 from grmm_core.errors import FileFormatError
 from grmm_core.geometry.camera import Camera
 from grmm_core.session import create_session
-from grmm_core.session.api import Instance
+from grmm_core.session.values import Instance
 
 LOST = AssetReference("early", "ab" * 32)
 

@@ -8,7 +8,7 @@ import pytest
 from grmm_core.geometry.camera import Camera
 from grmm_core.pictures.color import scene_linear_premultiplied
 from grmm_core.session import Instance, RenderOptions, create_session
-from grmm_core.session.api import LINEAR_PASS
+from grmm_core.session.values import LINEAR_PASS
 
 CAMERA = Camera.orbit(96, 96)
 CLOSE = {"rtol": 0.0, "atol": 5e-6}

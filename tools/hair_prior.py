@@ -23,11 +23,9 @@ from grmm_core.hair.prior import (
     HairPrior,
     between,
     described,
-    evened,
     mixed,
-    nearest,
 )
-from grmm_core.hair.strands import smoothed
+from grmm_core.hair.strands import evened, nearest, smoothed
 from grmm_core.head import HeadModel, load_open_head
 from grmm_studio.fields import scalp_density
 from grmm_studio.grooming import scalp_hairs
@@ -54,15 +52,17 @@ def _people(someone: Subject, count: int) -> Iterator[Subject]:
         yield replace(
             someone, index=index, hair_style=STYLES_LEARNED[index % len(STYLES_LEARNED)], macros=macros,
             hair_length=float(g.uniform(0.7, 1.3)), hair_curl=float(g.beta(1.2, 2.0)), hair_volume=float(g.uniform(0.7, 1.4)),
-            hairline=float(g.normal(0, 0.003)), part=float(g.choice([-1, 1]) * g.uniform(0.2, 0.8)),
+            hairline=float(g.normal(0, 0.003)), part=float(g.uniform(0.42, 0.58)),
         )  # fmt: skip
 
 
-def _guides(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles and weights of guides, evenly over where hair grows."""
+def _guides(head: HeadModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Triangles and weights of guides, evenly over where hair grows, and how dense it grows at each vertex, uint8."""
     faces, template = np.asarray(head.faces), np.asarray(head.v_template, float)
-    hairy = scalp_density(template, 0.0, 0.0, 1)[faces].max(1) > 0.05
-    hairy &= ~np.isin(faces, head.regions["ears"]).any(1) & (np.asarray(head.uv_islands) == 0)
+    growth = scalp_density(template, 0.0, 0.0, 1)
+    growth[faces[np.asarray(head.uv_islands) != 0]] = 0.0
+    growth[head.regions["ears"]] = 0.0
+    hairy = growth[faces].max(1) > 0.05
     among = np.flatnonzero(hairy)
     corners = template[faces[among]]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -75,7 +75,7 @@ def _guides(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     for _ in range(GUIDES - 1):  # the farthest from all that are there
         far = np.minimum(far, ((places - places[kept[-1]]) ** 2).sum(1))
         kept.append(int(far.argmax()))
-    return among[chosen[kept]], weights[kept]
+    return among[chosen[kept]], weights[kept], np.round(255 * growth).astype(np.uint8)
 
 
 def _off(prior: HairPrior, strands: np.ndarray, known: Description) -> tuple[float, float]:
@@ -106,7 +106,7 @@ def main() -> int:
     head = load_open_head()
     mesh = RenderMesh.build(head)
     someone, neutral = average_person(head)
-    triangles, weights = _guides(head)
+    triangles, weights, growth = _guides(head)
     corners = np.asarray(head.v_template, float)[np.asarray(head.faces)[triangles]]
     places = (corners * weights[..., None]).sum(1)
     known, held = [], []
@@ -128,10 +128,10 @@ def main() -> int:
     codes = (u[:, :COMPONENTS] * np.sqrt(len(rows))).astype(np.float16)
     with atomic_write(PRIOR_FILE) as file:
         np.savez_compressed(
-            file, triangles=triangles.astype(np.int32), weights=weights.astype(np.float32), mean=mean.astype(np.float16),
-            basis=whole, basis_step=step.astype(np.float32), codes=codes,
+            file, triangles=triangles.astype(np.int32), weights=weights.astype(np.float32), growth=growth,
+            mean=mean.astype(np.float16), basis=whole, basis_step=step.astype(np.float32), codes=codes,
         )  # fmt: skip
-    prior = HairPrior(triangles, weights, mean, whole * step[:, None], codes.astype(float), head)
+    prior = HairPrior(triangles, weights, growth / 255.0, mean, whole * step[:, None], codes.astype(float), head)
     sys.stdout.write(
         f"{PRIOR_FILE}: {len(rows)} grooms, {COMPONENTS} components hold {(s[:COMPONENTS] ** 2).sum() / (s**2).sum():.3f}, "
         f"{PRIOR_FILE.stat().st_size >> 10} kB\n"

@@ -6,6 +6,7 @@ the skin, and negative inside. An ear counts as the bulge around it: hair lies o
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,13 +17,16 @@ from .occlusion import sample
 CELL = 0.008  # metres
 MARGIN = 0.05  # metres around the skin
 EAR = 0.018  # metres: how far around a vertex of an ear its hull is the highest that there is
-REACH = 0.015  # metres: see `strand_kernels.heights_into`
+REACH = 0.015  # metres: see `body_kernels.heights_into`
 BURIED = 0.05  # metres: what is deeper is left, it is no strand on a head
 # of contact while hair swings: share of what it is inside the skin that a step pushes out, metres at most, and the share of
 # its speed that it keeps
 SOFT, MOST, SLIDE = 0.5, 0.002, 0.3
+BUST = 0.075  # metres above the lowest vertex: an edge of the skin below that is the rim
+RAGGED, ABOVE = 0.010, 0.006  # metres: how far locks end apart at the rim, and how far above it on average
 _INSIDE = ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
 _ROUNDS = 3  # of pushing
+TINY = 1e-6
 
 
 @dataclass(frozen=True)
@@ -38,23 +42,35 @@ class Body:
     field: np.ndarray
 
     @staticmethod
-    def of(head: HeadModel, vertices: np.ndarray, among: np.ndarray | None = None) -> Body:
+    def of(head: HeadModel, vertices: np.ndarray, among: np.ndarray | None = None, near: np.ndarray | None = None) -> Body:
         """Measure a head.
 
         Args:
             head: For its topology.
             vertices: The head, metres, [V, 3].
             among: Which vertices count, [V] bool; all of the outer skin when None.
+            near: Points [P, 3] around which heights are asked, up to `BLOCK` cells away; anywhere when None.
         """
-        from .strand_kernels import heights_into
+        from ..compute.threads import for_rows
+        from .body_kernels import BLOCK, heights_into
 
         points, normals, kept = _skin(head, np.asarray(vertices, float))
         kept = kept if among is None else kept & among
         points, normals = points[kept], normals[kept]
         low = points.min(0) - MARGIN
         size = np.ceil((points.max(0) + MARGIN - low) / CELL).astype(int) + 1
-        heights = np.empty(tuple(size), np.float32)
-        heights_into(*(np.ascontiguousarray(part, np.float32) for part in (points, normals, low)), CELL, REACH, heights)
+        heights = np.full(tuple(size), MARGIN, np.float32)
+        blocks = -(-size // BLOCK)
+        wanted = np.full(tuple(blocks), near is None)
+        if near is not None:
+            wanted[tuple(np.clip(((near - low) / (CELL * BLOCK)).astype(int), 0, blocks - 1).T)] = True
+            for axis in range(3):  # and the blocks around these
+                some = np.moveaxis(wanted, axis, 0)
+                before = some.copy()
+                some[1:] |= before[:-1]
+                some[:-1] |= before[1:]
+        planes = (np.ascontiguousarray(part, np.float32) for part in (points, normals, low))
+        for_rows(heights_into, int(blocks[0]), *planes, CELL, REACH, wanted, heights, smallest=1)
         slope = np.stack(np.gradient(heights, CELL), -1)
         slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
         return Body(low, np.concatenate([heights[..., None], slope], -1).astype(np.float32))
@@ -69,17 +85,70 @@ class Body:
 
     def pushed(self, strands: np.ndarray, clearance: float = 0.001) -> np.ndarray:
         """Strands [N, K, 3], root first, moved out to a clearance in metres, their first fifth less and less."""
+        from ..compute.threads import for_rows
+        from .body_kernels import push
+
         count = strands.shape[1]
         t = np.minimum(np.arange(count) / (0.2 * (count - 1)), 1.0)
-        wanted = np.broadcast_to(clearance * (2.0 * t * t * (3.0 - 2.0 * t) - 1.0), strands.shape[:2])[:, 1:].ravel()
-        points = strands[:, 1:].reshape(-1, 3).astype(np.float32)
-        for _ in range(_ROUNDS):
-            heights, direction = self.heights(points)
-            push = np.where(heights > -BURIED, np.maximum(wanted - heights, 0.0), 0.0)
-            if not push.any():
-                break
-            points = points + push[:, None] * direction
-        return np.concatenate([strands[:, :1], points.reshape(len(strands), count - 1, 3)], 1).astype(np.float32)
+        wanted = (clearance * (2.0 * t * t * (3.0 - 2.0 * t) - 1.0)).astype(np.float32)
+        points = np.array(strands, np.float32, order="C")
+        low = self.low.astype(np.float32)
+        for_rows(
+            push, len(points), self.field, low, np.float32(CELL), np.float32(BURIED), wanted, _ROUNDS, points, smallest=256
+        )
+        return points
+
+
+@dataclass(frozen=True)
+class Rim:
+    """The edge at which a bust ends, around its middle; hair ends there too, as below it nothing hides it.
+
+    Attributes:
+        middle: x and z, metres, [2].
+        angles: Around it, ascending, radians, [A].
+        heights: There, metres, [A].
+    """
+
+    middle: np.ndarray
+    angles: np.ndarray
+    heights: np.ndarray
+
+    @staticmethod
+    def of(head: HeadModel, vertices: np.ndarray) -> Rim:
+        """Find the rim of a head with vertices [V, 3]."""
+        edge = vertices[_edge(head)]
+        edge = edge[edge[:, 1] < vertices[:, 1].min() + BUST]
+        middle = edge[:, [0, 2]].mean(0) if len(edge) else np.zeros(2)
+        angles = np.arctan2(*(edge[:, [0, 2]] - middle).T)
+        order = np.argsort(angles)
+        return Rim(middle, angles[order], edge[order, 1])
+
+    def ended(self, strands: np.ndarray, lock: np.ndarray) -> np.ndarray:
+        """Strands [N, K, 3] cut where they get below the rim, each lock, -1..1 [N], somewhat higher or lower."""
+        if not len(self.angles):
+            return strands
+        x, z = strands[..., 0] - self.middle[0], strands[..., 2] - self.middle[1]
+        height = np.interp(np.arctan2(x, z), self.angles, self.heights, period=2 * np.pi)
+        over = strands[..., 1] - height - ABOVE - RAGGED * lock[:, None]
+        over[:, 0] = np.maximum(over[:, 0], TINY)
+        some = np.flatnonzero((over < 0).any(1))
+        last = (over[some] < 0).argmax(1)  # the first point that is below
+        part = over[some, last - 1] / (over[some, last - 1] - over[some, last])
+        count = strands.shape[1]
+        at = np.linspace(0, 1, count) * (last - 1 + part)[:, None]
+        base = np.minimum(at.astype(int), count - 2)
+        part = (at - base)[..., None].astype(strands.dtype)
+        result = strands.copy()
+        result[some] = strands[some[:, None], base] * (1 - part) + strands[some[:, None], base + 1] * part
+        return result
+
+
+@functools.lru_cache(maxsize=4)
+def _edge(head: HeadModel) -> np.ndarray:
+    """Vertices on the border of the outer skin, [E]."""
+    faces = np.asarray(head.faces)[np.asarray(head.uv_islands) == 0]
+    edges, number = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), 1), axis=0, return_counts=True)
+    return np.unique(edges[number == 1])
 
 
 def _skin(head: HeadModel, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -320,55 +320,6 @@ def march(dim: np.ndarray, places: np.ndarray, directions: np.ndarray, steps: in
 
 
 @compiled(**_OPTIONS)
-def heights_into(
-    points: np.ndarray, normals: np.ndarray, low: np.ndarray, cell: float, reach: float, heights: np.ndarray
-) -> None:
-    """Mean height of the cells of a grid above planes, near planes far more than others.
-
-    Args:
-        points: On the planes, [N, 3].
-        normals: Of them, [N, 3].
-        low: The first cell, [3].
-        cell: Edge of a cell, metres.
-        reach: How much farther than the nearest a plane may be that counts, metres.
-        heights: Written, [X, Y, Z].
-    """
-    block = 4  # cells along the side of a block, for which the planes are chosen together
-    chosen = np.empty(len(points), np.int32)
-    for bi in range(0, heights.shape[0], block):
-        for bj in range(0, heights.shape[1], block):
-            for bk in range(0, heights.shape[2], block):
-                half = F(0.5 * (block - 1))
-                x, y, z = F(bi) + half, F(bj) + half, F(bk) + half
-                x, y, z = low[0] + F(cell) * x, low[1] + F(cell) * y, low[2] + F(cell) * z
-                nearest = F(1e9)
-                for n in range(len(points)):
-                    dx, dy, dz = x - points[n, 0], y - points[n, 1], z - points[n, 2]
-                    nearest = min(nearest, dx * dx + dy * dy + dz * dz)
-                limit = math.sqrt(nearest) + F(2.0) * F(1.7320508) * half * F(cell) + F(reach)
-                count = 0
-                for n in range(len(points)):
-                    dx, dy, dz = x - points[n, 0], y - points[n, 1], z - points[n, 2]
-                    if dx * dx + dy * dy + dz * dz < limit * limit:
-                        chosen[count] = n
-                        count += 1
-                for i in range(bi, min(bi + block, heights.shape[0])):
-                    for j in range(bj, min(bj + block, heights.shape[1])):
-                        for k in range(bk, min(bk + block, heights.shape[2])):
-                            x, y, z = low[0] + F(cell) * F(i), low[1] + F(cell) * F(j), low[2] + F(cell) * F(k)
-                            total, weights = _ZERO, _ZERO
-                            for c in range(count):
-                                n = chosen[c]
-                                dx, dy, dz = x - points[n, 0], y - points[n, 1], z - points[n, 2]
-                                near = _ONE / (dx * dx + dy * dy + dz * dz + F(1e-5))
-                                near *= near
-                                near *= near
-                                weights += near
-                                total += near * (dx * normals[n, 0] + dy * normals[n, 1] + dz * normals[n, 2])
-                            heights[i, j, k] = total / weights
-
-
-@compiled(**_OPTIONS)
 def hide(means: np.ndarray, eye: np.ndarray, depth: np.ndarray, cell: float, left: float, top: float, slack: float,
          opacities: np.ndarray) -> None:  # fmt: skip
     """Set the opacity to 0 of Gaussians that a head hides.

@@ -14,18 +14,26 @@ import numpy as np
 
 from .groom import Groom
 from .occlusion import openness
-from .roots import GROUPS, SCALP, RootFrames
+from .roots import BEARD, GROUPS, SCALP, RootFrames
 from .settings import HairSettings
 
 HAIRS = 100_000  # on a head
 SOFT = 0.35  # power of the strands that a drawn one stands for: how much fainter it is, and wider
+SOFTEST = 0.9  # likewise of the shortest: wide bundles of these are dots
+STUBBLE, CROPPED = 0.004, 0.02  # metres: strands so short are the shortest, longer ones are not short
 FADE = 0.15  # share of a level's strands that are fading in
 POINTS = (4, 6, 8, 12, 16, 24, 32, 40)  # numbers of points that a group may be drawn with
 BEND = 0.0006  # metres that a coarser number of points may be off
-FINEST = 0.00012  # metres: parents are split until strands are about this wide
-MOST_CHILDREN = 5
+FINEST, SHORN = 0.00012, 0.6  # metres: parents are split until strands are about this wide; of short hair, share of it
+FEW = 0.03  # of the scalp's strands: so few long or short ones are not told apart
+MOST_CHILDREN = 8
 LOCKS = 400  # of differing color
-ROOT_SPREAD, TIP_SPREAD = 0.62, 0.45  # of the distance between parents, how far their children are at root and tip
+ROOT_SPREAD, TIP_SPREAD = 0.95, 0.45  # of the distance between parents, how far their children are at root and tip
+TOGETHER = 0.33  # share of the former that is left at the tip
+SHORTER = 0.3  # of its length by which a child of a short parent is shorter at most
+BEARD_HAIRS, BEARD_WIDE, BEARD_CHILDREN = 12_000, 0.00009, 4  # of a beard, the diameter of long ones, and children at most
+BEARD_SHORTER, BEARD_FLAT = 0.65, 0.5  # as `SHORTER`, so that beards end softly; share of its height that a beard loses
+COMBED, AROUND = 0.6, 12  # how far hairs of a beard go the way of so many around them
 CURL = 0.007  # metres: radius of the waves of the setting 1
 FRIZZ = 0.006  # metres, likewise
 _GOLDEN, _PLASTIC, _THIRD = 0.6180339887498949, 0.7548776662466927, 0.5698402909980532
@@ -33,11 +41,12 @@ _GOLDEN, _PLASTIC, _THIRD = 0.6180339887498949, 0.7548776662466927, 0.5698402909
 
 @dataclass(frozen=True)
 class StrandBlock:
-    """The strands of one group: M parents of K points and N strands.
+    """Strands of one group: M parents of K points and N strands.
 
     Attributes:
         group: Number in `roots.GROUPS`.
         rows: The parents' numbers in the groom, [M].
+        part: Share of the group's parents that these are; shorn hair has a block of its own.
         frames: Of the parents' roots.
         points: The parents, in the frames of their roots, metres, float32 [M, K, 3].
         widths: Diameters of a strand at root and tip where all are drawn, metres, float32 [M, 2].
@@ -50,6 +59,7 @@ class StrandBlock:
 
     group: int
     rows: np.ndarray
+    part: float
     frames: RootFrames
     points: np.ndarray
     widths: np.ndarray
@@ -70,12 +80,22 @@ class StrandBlock:
     @property
     def hairs(self) -> float:
         """Of a real head, those that each strand stands for."""
-        return max(HAIRS / len(self), 1.0) if self.group == SCALP else 1.0
+        return max(HAIRS * self.part / len(self), 1.0) if self.group == SCALP else 1.0
 
     @functools.cached_property
+    def lengths(self) -> np.ndarray:
+        """Of the parents, metres, [M]."""
+        return lengths_of(self.points)
+
+    @property
     def length(self) -> float:
         """Of the parents on average, metres."""
-        return float(np.linalg.norm(np.diff(self.points, axis=1), axis=2).sum(1).mean())
+        return float(self.lengths.mean())
+
+    @functools.cached_property
+    def softness(self) -> np.ndarray:
+        """Power of the strands that a drawn one stands for by which it is fainter and wider, of the parents, float32 [M]."""
+        return (SOFT + (SOFTEST - SOFT) * _short(self.lengths)).astype(np.float32)
 
     def styled(self, settings: HairSettings, points: np.ndarray | None = None) -> np.ndarray:
         """The parents' points, or others in their place, [M, K, 3] with length, waves and frizz as set; continuous in these."""
@@ -86,7 +106,7 @@ class StrandBlock:
             points = points + np.float32(-settings.curl) * (smoothed(points) - points)
         if settings.length != 1.0:
             points = lengthened(points, settings.length)
-        long = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1)
+        long = lengths_of(points)
         swing = (np.minimum(long / 0.12, 1.0)[:, None] * t).astype(np.float32)
         phase = 6.2831853 * self.chance[: len(points), :, None]
         if settings.curl > 0:
@@ -126,8 +146,9 @@ class StrandBlock:
         fade = max(FADE * top * (1.0 - share), 1e-6)
         there = np.clip((top - rank[:end]) / fade, 0.0, 1.0)
         wider = len(self) / max(float(there.sum()), 1e-6)
-        there = there * np.clip((settings.density * 1.08 - self.chance[:end, 0]) / 0.08, 0.0, 1.0) / wider**SOFT
-        radii = 0.5 * wider ** (1.0 + SOFT) * settings.thickness * self.widths[self.owner[:end]]
+        fainter = (np.float32(wider) ** self.softness)[self.owner[:end]]
+        there = there * np.clip((settings.density * 1.08 - self.chance[:end, 0]) / 0.08, 0.0, 1.0) / fainter
+        radii = (0.5 * wider * settings.thickness * fainter)[:, None] * self.widths[self.owner[:end]]
         return np.ascontiguousarray(radii, np.float32), there.astype(np.float32)
 
 
@@ -149,26 +170,54 @@ def blocks_of(groom: Groom, vertices: np.ndarray, faces: np.ndarray) -> tuple[St
         rows = np.flatnonzero(groom.groups == group)
         if len(rows):
             rows = rows[np.argsort((np.arange(len(rows)) * _GOLDEN) % 1.0)]
-            made.append(_block(groom.select(rows), rows, group, vertices, faces))
+            some = groom.select(rows)
+            count = points_needed(some)
+            even = some.resampled(count)
+            posed = even.posed(even.frames(vertices, faces), vertices).reshape(len(even), count, 3)
+            seen = openness(posed, even.widths.mean(1), vertices, faces)
+            long = lengths_of(posed) > CROPPED
+            apart = group == SCALP and FEW < long.mean() < 1.0 - FEW  # each with levels of detail of its own
+            for part in (long, ~long) if apart else (np.ones(len(rows), bool),):
+                made.append(_block(some.select(part), rows[part], group, part.mean(), vertices, faces, seen[part]))
     return tuple(made)
 
 
-def _block(groom: Groom, rows: np.ndarray, group: int, vertices: np.ndarray, faces: np.ndarray) -> StrandBlock:
+def _block(
+    groom: Groom, rows: np.ndarray, group: int, part: float, vertices: np.ndarray, faces: np.ndarray, seen: np.ndarray
+) -> StrandBlock:  # fmt: skip
     count = points_needed(groom)
     groom = groom.resampled(count)
     frames = groom.frames(vertices, faces)
     posed = groom.posed(frames, vertices).reshape(len(groom), count, 3)
     widths = groom.widths.astype(np.float32)
-    seen = openness(posed, widths.mean(1), vertices, faces)
+    seen = evened(seen, count)
     _, axes = frames.at(vertices)
     light = np.concatenate([seen[..., :1], np.einsum("mij,mkj->mki", axes, seen[..., 1:])], 2).astype(np.float32)
-    children = 1
+    local = groom.points.reshape(len(groom), count, 3)
+    lengths, children = lengths_of(local), 1
     if group == SCALP:
-        children = int(np.clip(round(float(widths[:, 0].mean()) / FINEST), 1, MOST_CHILDREN))
+        fine = FINEST if lengths.mean() > CROPPED else SHORN * FINEST
+        children = int(np.clip(round(float(widths[:, 0].mean()) / fine), 1, MOST_CHILDREN))
+    elif group == BEARD:  # a record has too few: they are more by these, and finer where they are long
+        children = int(np.clip(round(BEARD_HAIRS / len(groom)), 1, BEARD_CHILDREN))
+        finer = np.minimum(widths, widths * (BEARD_WIDE / widths[:, :1].clip(1e-6)))
+        widths = widths + (1.0 - _short(lengths))[:, None] * (children * finer - widths)
     g = np.random.default_rng(len(groom))
     total = len(groom) * children
     owner = np.tile(np.arange(len(groom), dtype=np.int32), children)
     spread = _spread(groom, owner, vertices, faces, g)
+    if group in (SCALP, BEARD):
+        fresh = slice(len(groom), total)  # the children
+        shorter = _short(lengths)[:, None] * SHORTER if group == SCALP else np.full((len(groom), 1), BEARD_SHORTER)
+        left = 1.0 - g.random((total, 1))[fresh] * shorter[owner[fresh]]
+        ends = local[:, -1].astype(float)
+        if group == BEARD:  # one that was grown hair by hair stands off, each its own way
+            way = posed[:, -1] - posed[:, 0]
+            others = way[nearest(posed[:, 0], posed[:, 0], min(AROUND, len(groom)))[0]].mean(1)
+            ends += COMBED * np.einsum("mij,mj->mi", axes, others - way)
+            ends[:, 2] -= BEARD_FLAT * ends[:, 2].clip(0.0)
+            spread[:, 1] += (ends - local[:, -1])[owner]
+        spread[fresh, 1] += (left - 1.0) * ends[owner[fresh]]
     numbers = np.arange(total)
     chance = np.stack([(numbers * step + 0.37) % 1.0 for step in (_PLASTIC, _THIRD, _GOLDEN)], 1)
     tips = posed[:, -1] + 0.4 * posed[:, 0]
@@ -177,11 +226,21 @@ def _block(groom: Groom, rows: np.ndarray, group: int, vertices: np.ndarray, fac
         [((part[:, None] - seeds) ** 2).sum(2).argmin(1) for part in np.array_split(tips, len(tips) // 512 + 1)]
     )
     lock = np.clip(g.normal(0, 0.5, len(seeds)), -1, 1)[near]
-    local = groom.points.reshape(len(groom), count, 3)
     return StrandBlock(
-        group, rows, frames, local, widths / children, light, lock.astype(np.float32), owner, spread.astype(np.float32),
+        group, rows, part, frames, local, widths / children, light, lock.astype(np.float32), owner, spread.astype(np.float32),
         chance.astype(np.float32),
     )  # fmt: skip
+
+
+def lengths_of(points: np.ndarray) -> np.ndarray:
+    """Of strands [M, K, 3], metres [M]."""
+    lengths: np.ndarray = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1)
+    return lengths
+
+
+def _short(lengths: np.ndarray) -> np.ndarray:
+    """How far strands of lengths in metres count as short, 1..0."""
+    return np.clip((CROPPED - lengths) / (CROPPED - STUBBLE), 0.0, 1.0)
 
 
 def points_needed(groom: Groom) -> int:
@@ -207,7 +266,7 @@ def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.nda
     total = len(owner)
     angle, far = g.uniform(0, 2 * np.pi, total), np.sqrt(g.random(total))
     root = np.stack([far * np.cos(angle), far * np.sin(angle), np.zeros(total)], 1) * ROOT_SPREAD
-    tip = 0.5 * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
+    tip = TOGETHER * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
     spread = apart * np.stack([root, tip], 1)
     spread[: len(groom)] = 0.0
     return spread
@@ -241,3 +300,23 @@ def across(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     side = np.cross(along, np.array([0.31, 0.42, 0.85], np.float32))
     side /= np.maximum(np.linalg.norm(side, axis=2, keepdims=True), 1e-12)
     return side, np.cross(along, side)
+
+
+def nearest(points: np.ndarray, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers and distances of the nearest `points` [N, 3] of each place [P, 3], near ones first, [P, count] each."""
+    order, apart = [], []
+    for part in np.array_split(places, len(places) // 256 + 1):
+        far = ((part[:, None] - points) ** 2).sum(2)
+        first = np.argpartition(far, min(count, far.shape[1] - 1), axis=1)[:, :count]
+        first = np.take_along_axis(first, np.take_along_axis(far, first, 1).argsort(1), 1)
+        order.append(first)
+        apart.append(np.sqrt(np.take_along_axis(far, first, 1)))
+    return np.concatenate(order), np.concatenate(apart)
+
+
+def evened(strands: np.ndarray, count: int) -> np.ndarray:
+    """Strands [N, K, 3] with `count` points by number."""
+    at = np.linspace(0, strands.shape[1] - 1, count)
+    base = np.minimum(at.astype(int), strands.shape[1] - 2)
+    part = (at - base)[:, None]
+    return strands[:, base] * (1 - part) + strands[:, base + 1] * part

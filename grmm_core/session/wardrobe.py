@@ -18,7 +18,7 @@ from ..controls.frame import Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
-from ..hair.body import Body
+from ..hair.body import Body, Rim
 from ..hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
@@ -277,16 +277,17 @@ class Wardrobe:
         vertices: np.ndarray, number: int, block: StrandBlock,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Parents' points in head space and their roots' axes."""
-        rest = _at_rest(evaluator, target, inputs)
+        rest, head = _at_rest(evaluator, target, inputs), target.model.head_model
 
         def styled() -> tuple[np.ndarray]:
             local = block.styled(settings)
             if block.group != SCALP:
                 return (local,)
             still = to_numpy(evaluator.mesh(target, rest).vertices)
-            body = Body(*evaluator.cache.get((target.id, "body", *rest.mesh_key), lambda: _body(target, still)))
             origin, axes = (part.astype(np.float32) for part in block.frames.at(still))
-            fitted = body.pushed(np.matmul(local, axes) + origin[:, None])
+            placed = np.matmul(local, axes) + origin[:, None]
+            fitted = Body.of(head, still, near=placed.reshape(-1, 3)).pushed(placed)
+            fitted = Rim.of(head, still).ended(fitted, block.lock)
             return (np.matmul(fitted - origin[:, None], axes.transpose(0, 2, 1)),)
 
         def make() -> tuple[np.ndarray, np.ndarray]:
@@ -342,12 +343,6 @@ def _kept(known: dict[tuple[Hashable, ...], Kept], key: tuple[Hashable, ...], ma
 def with_channels(strands: Gaussians, count: int) -> Gaussians:
     """Strands with `count` feature channels of zeros."""
     return dataclasses.replace(strands, features=zeros((len(strands), count), strands.means))
-
-
-def _body(target: OpenAvatar, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What hair stays outside of on a person at rest, as the cache keeps it."""
-    body = Body.of(target.model.head_model, vertices)
-    return body.low, body.field
 
 
 def _at_rest(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Inputs:

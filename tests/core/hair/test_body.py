@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grmm_core.hair import library_groom
-from grmm_core.hair.body import Body
+from grmm_core.hair.body import BURIED, Body, Rim
 from grmm_core.head import load_open_head
 
 
@@ -57,3 +57,38 @@ def test_hair_of_the_mean_head_is_pushed_out_of_a_larger_one(head):
     before, after = (body.heights(part[:, 5:].reshape(-1, 3))[0] for part in (points, body.pushed(points)))
     assert (before < 0).mean() > 0.1
     assert (after < -0.0005).mean() < 0.005
+
+
+def test_pushing_is_what_heights_say(body):
+    """The compiled loop against heights: up along their slope, three times, less near the root."""
+    g = np.random.default_rng(1)
+    strands = np.cumsum(g.normal(0, 0.01, (300, 12, 3)), 1) + np.array([0.0, 0.05, 0.0])
+    t = np.minimum(np.arange(12) / 2.2, 1.0)
+    wanted = np.tile(0.001 * (2.0 * t * t * (3.0 - 2.0 * t) - 1.0), (300, 1))[:, 1:].ravel()
+    expected = strands[:, 1:].reshape(-1, 3)
+    for _ in range(3):
+        heights, up = body.heights(expected)
+        expected = expected + np.where(heights > -BURIED, np.maximum(wanted - heights, 0.0), 0.0)[:, None] * up
+    np.testing.assert_allclose(body.pushed(strands)[:, 1:].reshape(-1, 3), expected, atol=2e-5)
+
+
+def test_heights_near_given_points_are_those_of_the_whole(head, body):
+    template = np.asarray(head.v_template, float)
+    points = template[head.regions["scalp"]] * 1.05
+    some = Body.of(head, template, near=points)
+    assert (some.field[..., 0] != body.field[..., 0]).any()
+    np.testing.assert_allclose(some.heights(points)[0], body.heights(points)[0], atol=1e-6)
+    np.testing.assert_allclose(some.heights(points)[1], body.heights(points)[1], atol=1e-5)
+
+
+def test_hair_ends_at_the_rim_of_the_bust(head):
+    rim = Rim.of(head, np.asarray(head.v_template, float))
+    t = np.linspace(0, 1, 20)[:, None]
+    down = np.array([[[0.0, 0.1, -0.13]], [[0.11, 0.1, 0.0]], [[0.0, 0.1, 0.07]]]) + t * [0.0, -0.4, 0.0]
+    short = down[:, :6]
+    ended = rim.ended(np.concatenate([down, down]), np.array([-1.0, -1.0, -1.0, 1.0, 1.0, 1.0]))
+    assert (ended[:, -1, 1] > -0.18).all()
+    assert (ended[:, -1, 1] < -0.1).all()
+    assert (ended[3:, -1, 1] > ended[:3, -1, 1] + 0.01).all()
+    np.testing.assert_allclose(ended[:, 0], np.concatenate([down, down])[:, 0])
+    np.testing.assert_array_equal(rim.ended(short, np.zeros(3)), short)

@@ -16,7 +16,7 @@ from grmm_core.controls.frame import Controls, resolve
 from grmm_core.data.claims import claim
 from grmm_core.data.dataset import read_manifest, shot_record, write_manifest, write_shot, write_subject
 from grmm_core.data.layers import ALBEDO, LIGHT_PREFIX, NORMAL, PART_LAYER
-from grmm_core.data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Manifest, Picture, Shot, View
+from grmm_core.data.types import Manifest, Picture, Shot, View
 from grmm_core.errors import ConfigError
 from grmm_core.files.access import TEMPORARY_PATTERN
 from grmm_core.geometry.camera import Camera
@@ -26,7 +26,7 @@ from grmm_core.jobs.progress import ProgressCallback, Reporter, Share
 from grmm_core.jobs.stages import CAPTURE
 
 from .lights import RIG, draw_light, lights_named
-from .shots import HELD_OUT_CAMERAS, MAX_CAMERAS, expression_pool, make_shot
+from .shots import MAX_CAMERAS, expression_pool, held_out, make_shot, view_split
 from .subjects import Subject, draw_subject
 
 if TYPE_CHECKING:
@@ -39,9 +39,7 @@ ROUND = 4  # shots of everybody before anybody's next ones
 # Blender's images of a person cannot be removed one by one (see `materials.Nodes.image`), so the studio is built anew after so
 # many people; each takes about 100 MB. A person who comes back must then be prepared again, which takes some seconds.
 PEOPLE_IN_STUDIO = 24
-HELD_OUT_EVERY = 12  # one person of so many is held out
 TWINS_OF = ("", "all", "rest", "only")  # values of `CaptureSettings.bare`
-HELD_OUT_SHOTS = (6, 13)  # numbers modulo 15: expressions that are not trained on
 
 
 @dataclass(frozen=True)
@@ -96,22 +94,6 @@ class Outcome:
     def in_work(self) -> int:
         """Shots that other processes hold; to be made again where those end early."""
         return self.total - self.complete
-
-
-def held_out(index: int) -> bool:
-    """Whether a person is held out from training."""
-    return index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
-
-
-def view_split(subject: int, number: int, camera_name: str) -> str:
-    """Split of a view: held-out people, then expressions, then cameras, then training."""
-    if held_out(subject):
-        return HELD_OUT_PERSON
-    if number % 15 in HELD_OUT_SHOTS:
-        return HELD_OUT_EXPRESSION
-    if camera_name in {f"c{i:02d}" for i in HELD_OUT_CAMERAS}:
-        return HELD_OUT_CAMERA
-    return TRAIN
 
 
 def job_order(subjects: int, shots: int) -> Iterator[tuple[int, range]]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES, MIXTURE_NAMES
+from grmm_core.data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN
 from grmm_core.errors import ConfigError
 from grmm_core.geometry.camera import Camera
 
@@ -20,6 +21,8 @@ CLOSE_SHARE = 0.45  # of the views
 DISTANCE = 1.1  # metres
 FULL_FOV, CLOSE_FOV = 23.0, 12.0  # degrees
 HELD_OUT_CAMERAS = (5, 14)  # of 24
+HELD_OUT_EVERY = 12  # one person of so many is held out
+HELD_OUT_SHOTS = (6, 13)  # numbers modulo 15: expressions that are not trained on
 NEUTRAL, SINGLE, MIX = "neutral", "single", "mix"
 # eyelids and mouth must be seen open and shut often: drawn more often than the rest
 FREQUENT = (
@@ -70,6 +73,22 @@ class Shot:
     pose: np.ndarray
     cameras: tuple[Camera, ...]
     camera_names: tuple[str, ...]
+
+
+def held_out(index: int) -> bool:
+    """Whether a person is held out from training."""
+    return index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+
+
+def view_split(subject: int, number: int, camera_name: str) -> str:
+    """Split of a view: held-out people, then expressions, then cameras, then training."""
+    if held_out(subject):
+        return HELD_OUT_PERSON
+    if number % 15 in HELD_OUT_SHOTS:
+        return HELD_OUT_EXPRESSION
+    if camera_name in {f"c{i:02d}" for i in HELD_OUT_CAMERAS}:
+        return HELD_OUT_CAMERA
+    return TRAIN
 
 
 def expression_pool(names: str) -> tuple[str, ...]:

@@ -19,11 +19,11 @@ from .identity import Identity
 
 PART = "grmm_part"  # custom property of a material: which part of a head it was made for
 _PLAIN_FACE = "grmm_plain"  # custom property of an image: a plain face where there could be a painting
-# part, words of its regions; of parts that heads share: color (linear), roughness
+# part, words of its regions; of parts that heads share: color (linear) and alpha, roughness
 _PLAIN = (
     ("Teeth", ("teeth",), (0.72, 0.68, 0.58, 1.0), 0.25),
     ("Mouth", ("mouth_interior", "tongue"), (0.38, 0.11, 0.1, 1.0), 0.35),
-    ("Lashes", ("lash",), (0.03, 0.02, 0.015, 1.0), 0.6),
+    ("Lashes", ("lash",), (0.03, 0.02, 0.015, 0.3), 0.6),  # sheets: opaque ones look like paint on the lids
 )
 _PAINTED = {"Skin": 0.5, "Eyes": 0.1, "Irises": 0.1, "Pupils": 0.1, "Lips": 0.35, "Hair": 0.7}  # roughness
 _IRIS, _PUPIL = np.cos(np.radians((IRIS_DEGREES, PUPIL_DEGREES)))
@@ -147,5 +147,6 @@ def _made(name: str, part: str, color: tuple[float, ...], roughness: float) -> t
     material.diffuse_color, material.roughness = color, roughness
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Base Color"].default_value = color
+    shader.inputs["Alpha"].default_value = color[3]
     shader.inputs["Roughness"].default_value = roughness
     return material, shader

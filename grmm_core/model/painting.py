@@ -8,7 +8,7 @@ most from those that look straight at it. Needs numpy only; whoever calls `paint
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,9 +20,6 @@ from ..pictures.images import quantize
 from ..pictures.sampling import bilinear
 from .layout import texel_layout
 from .portrait import portrait_camera
-
-if TYPE_CHECKING:
-    pass
 
 PIXELS = 256
 """Side of the painting."""

@@ -8,7 +8,7 @@
 ``materials``     what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``hair_shading``  the same for strands
-``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting
+``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting; ``strand_light_kernel`` strands
 ``relight``       both applied to a picture in linear light
 ``parse``         lights in words, for the command line
 

@@ -2,7 +2,7 @@
 
 A strand lights up where it lies across the light; a mass of them is bright on the lamp's side and dark on the other. Highlights
 stand where the strand mirrors the lamp, wide along the head and narrow along the strand. What hair keeps off the skin is that
-of a cloud on a grid of cells.
+of a cloud on a grid of cells. What head and things keep off hair is known on a coarser grid (`LightGrid`), whatever the camera.
 """
 
 from __future__ import annotations
@@ -11,18 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..geometry.rotations import quaternion_to_matrix
 from .lamps import Lamp, arriving
-from .shading import Response, Transport, lamp_rows
+from .shading import Arrived, Response, Transport, arriving_share, colors_of, lamp_rows
 from .shadows import compiled_kernels
 from .surroundings import BANDS, basis
 
-_WANDER = 0.35  # how far light reaches around a mass of hair
-_LOBES = ((120.0, 0.030), (18.0, 0.012))  # exponent and strength: reflected at the surface, and from inside
-_THROUGH = 0.5  # of the light of a lamp behind: what comes through the rim
+WANDER = 0.35  # how far light reaches around a mass of hair
+LOBES = ((120.0, 0.030), (18.0, 0.012))  # exponent and strength: reflected at the surface, and from inside
+THROUGH = 0.5  # of the light of a lamp behind: what comes through the rim
 
 CELL = 0.006  # metres
 REACH = 0.16  # metres that light is followed through hair
 _LOCKS = 0.55  # of the extinction of evenly spread cylinders: strands lie in locks, with gaps between
+GRID = 0.012  # metres between places where hair's light is known
 
 
 class HairCloud(NamedTuple):
@@ -74,6 +76,92 @@ class HairCloud(NamedTuple):
         return np.exp(-CELL * total).astype(np.float32)
 
 
+class LightGrid(NamedTuple):
+    """Places all over hair where it is known which part of each lamp reaches them.
+
+    Attributes:
+        low: The first place, [3] metres.
+        size: Places along x, y and z.
+    """
+
+    low: np.ndarray
+    size: tuple[int, int, int]
+
+    @staticmethod
+    def around(low: np.ndarray, high: np.ndarray) -> LightGrid:
+        """A grid of a box with corners [3] metres; its places stay where they are when the box changes."""
+        first, last = np.floor(low / GRID).astype(int), np.ceil(high / GRID).astype(int)
+        across, up, ahead = (last - first + 1).tolist()
+        return LightGrid(first * GRID, (across, up, ahead))
+
+    @property
+    def points(self) -> np.ndarray:
+        """All places, [X * Y * Z, 3] metres."""
+        return self.low + GRID * np.stack(np.unravel_index(np.arange(np.prod(self.size)), self.size), -1)
+
+    def coordinates(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """What leads to numbers of places from points whose place in the grid's axes is turn @ point + shift, [3, 4]."""
+        return np.concatenate([turn, (shift - self.low)[:, None]], 1) / GRID
+
+
+class Reaching(NamedTuple):
+    """Which part of each lamp reaches hair.
+
+    Attributes:
+        parts: On a grid, lamps last, [X, Y, Z, L] float32.
+        coordinates: Of `LightGrid`, [3, 4].
+    """
+
+    parts: np.ndarray
+    coordinates: np.ndarray
+
+    def at(self, points: np.ndarray) -> np.ndarray:
+        """Between the grid's places, beside it as at its edge, [L, N]; points [N, 3]."""
+        size = np.array(self.parts.shape[:3])
+        at = np.clip(points @ self.coordinates[:, :3].T + self.coordinates[:, 3], 0.0, size - 1.001)
+        low = np.floor(at).astype(int)
+        total = np.zeros((len(points), self.parts.shape[3]))
+        for corner in np.ndindex(2, 2, 2):
+            weight = np.where(corner, at - low, 1.0 - (at - low)).prod(1)
+            total += weight[:, None] * self.parts[tuple((low + corner).T)]
+        return total.T
+
+
+def strand_light(
+    lamps: tuple[Lamp, ...], points: np.ndarray, quats: np.ndarray, reaching: Reaching, centre: np.ndarray, eye: np.ndarray,
+    harmonics: np.ndarray, response: Response = Response(),  # noqa: B008 - frozen
+) -> Arrived:  # fmt: skip
+    """`strand_transport` and `Transport.light` in one compiled pass where there is numba.
+
+    Args:
+        lamps: In the points' axes.
+        points: [N, 3] metres.
+        quats: wxyz, of which x leads along the strand, [N, 4].
+        reaching: Which part of the lamps they see.
+        centre: As in `strand_transport`.
+        eye: As there.
+        harmonics: Coefficients of the surroundings, [9, 3].
+        response: As there.
+    """
+    kernels = compiled_kernels()
+    if kernels is None:
+        tangents, seen = quaternion_to_matrix(quats)[..., 0], reaching.at(points)
+        transport = strand_transport(lamps, points, tangents, list(seen), centre, eye, response)
+        irradiance, shine = transport.light(colors_of(lamps), harmonics.astype(np.float32))
+        return Arrived(np.concatenate([irradiance, shine, arriving_share(lamps, transport, seen)], 1).astype(np.float32))
+    from ..compute.threads import for_rows
+    from .strand_light_kernel import shade
+
+    out = np.empty((len(points), 7), np.float32)
+    factors = np.array([response.intensity, response.gloss])
+    arrays = (
+        lamp_rows(lamps, centre), points, quats, reaching.parts, reaching.coordinates, centre, eye,
+        harmonics * BANDS[:, None], factors,
+    )  # fmt: skip
+    for_rows(shade, len(out), *(np.ascontiguousarray(array, np.float32) for array in arrays), out)
+    return Arrived(out)
+
+
 def strand_transport(
     lamps: tuple[Lamp, ...], points: np.ndarray, tangents: np.ndarray, seen: list[np.ndarray], centre: np.ndarray,
     eye: np.ndarray, response: Response = Response(),  # noqa: B008 - frozen
@@ -98,14 +186,14 @@ def strand_transport(
     for lamp, part in zip(lamps, seen, strict=True):
         towards, strength = arriving(lamp, points)
         across = np.sqrt(np.clip(1.0 - (tangents * towards).sum(1) ** 2, 0.0, 1.0))
-        facing = np.clip(((outward * towards).sum(1) + _WANDER) / (1.0 + _WANDER), 0.0, 1.0)
-        behind = _THROUGH * rim * np.clip(-(view * towards).sum(1), 0.0, 1.0)
+        facing = np.clip(((outward * towards).sum(1) + WANDER) / (1.0 + WANDER), 0.0, 1.0)
+        behind = THROUGH * rim * np.clip(-(view * towards).sum(1), 0.0, 1.0)
         amount = (across * (facing * part + behind) * strength * response.intensity)[:, None]
         diffuse.append(np.broadcast_to(amount, (len(points), 3)))
         half = towards + view
         half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         mirrored = np.clip(1.0 - (tangents * half).sum(1) ** 2, 0.0, 1.0)
-        shine = sum(weight * mirrored ** (0.5 * power) for power, weight in _LOBES)
+        shine = sum(weight * mirrored ** (0.5 * power) for power, weight in LOBES)
         highlights.append(shine * facing * part * strength * (response.gloss * response.intensity))
     count = len(points)
     return Transport(

@@ -6,6 +6,7 @@ All arrays are contiguous float32 but for indices. What takes `first` and `last`
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def interpolate(
 
 
 @compiled(inline="always", **OPTIONS)
-def _arriving(lamps: np.ndarray, k: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+def arriving(lamps: np.ndarray, k: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Direction to a lamp and irradiance, as `lamps.arriving`."""
     if lamps[k, KIND] == SUN:
         return lamps[k, PLACE], lamps[k, PLACE + 1], lamps[k, PLACE + 2], lamps[k, POWER]
@@ -74,7 +75,7 @@ def march(
     for i in range(first, last):
         if seen[i] <= _0:
             continue
-        lx, ly, lz, _ = _arriving(lamps, 0, points[i, 0], points[i, 1], points[i, 2])
+        lx, ly, lz, _ = arriving(lamps, 0, points[i, 0], points[i, 1], points[i, 2])
         # in cells from the middle of the first one; half a step ahead
         x = (points[i, 0] - low[0]) * inverse - _HALF + _HALF * lx
         y = (points[i, 1] - low[1]) * inverse - _HALF + _HALF * ly
@@ -95,6 +96,16 @@ def march(
 
 
 # --- light at points ---------------------------------------------------------------------------------------------------------
+
+
+@compiled(inline="always", **OPTIONS)
+def harmonics_of(x: float, y: float, z: float) -> tuple[Any, ...]:
+    """`surroundings.basis` of a unit vector."""
+    return (
+        np.float32(0.282095), np.float32(0.488603) * y, np.float32(0.488603) * z, np.float32(0.488603) * x,
+        np.float32(1.092548) * x * y, np.float32(1.092548) * y * z, np.float32(0.315392) * (np.float32(3.0) * z * z - _1),
+        np.float32(1.092548) * x * z, np.float32(0.546274) * (x * x - y * y),
+    )  # fmt: skip
 
 
 @compiled(inline="always", **OPTIONS)
@@ -157,7 +168,7 @@ def shade(
         wb = min(max(wander[i] * factors[4], _0), np.float32(0.9))
         red, green, blue, shine_r, shine_g, shine_b, arrives, whole = _0, _0, _0, _0, _0, _0, _0, _0
         for k in range(len(lamps)):
-            lx, ly, lz, strength = _arriving(lamps, k, px, py, pz)
+            lx, ly, lz, strength = arriving(lamps, k, px, py, pz)
             cosine, part = nx * lx + ny * ly + nz * lz, seen[k, i]
             if strength <= _0 or (part <= _0 and cosine + wr <= _0):
                 continue
@@ -200,11 +211,7 @@ def shade(
         x = turn[0, 0] * qx + turn[1, 0] * qy + turn[2, 0] * qz
         y = turn[0, 1] * qx + turn[1, 1] * qy + turn[2, 1] * qz
         z = turn[0, 2] * qx + turn[1, 2] * qy + turn[2, 2] * qz
-        basis = (
-            np.float32(0.282095), np.float32(0.488603) * y, np.float32(0.488603) * z, np.float32(0.488603) * x,
-            np.float32(1.092548) * x * y, np.float32(1.092548) * y * z, np.float32(0.315392) * (np.float32(3.0) * z * z - _1),
-            np.float32(1.092548) * x * z, np.float32(0.546274) * (x * x - y * y),
-        )  # fmt: skip
+        basis = harmonics_of(x, y, z)
         for c in range(3):
             even, mirrored = _0, _0
             for k in range(9):

@@ -168,6 +168,70 @@ def compared(
             seen[i] += share * _around(depth, top, left, x - _HALF - np.float32(left), y - _HALF - np.float32(top), z)
 
 
+@compiled(inline="always", **OPTIONS)
+def _passing(depth: np.ndarray, row: int, column: int, end: float, slope: float) -> float:
+    return min(max((depth[row, column] + end) * slope, _0), _1)
+
+
+@compiled(**OPTIONS)
+def softly(
+    depths: np.ndarray, nearest: np.ndarray, farthest: np.ndarray, turns: np.ndarray, shifts: np.ndarray, focals: np.ndarray,
+    flat: bool, near: float, shallow: float, deep: float, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, first: int,
+    last: int,
+) -> None:  # fmt: skip
+    """As `compared` for points in hair, without normals; see `shadows.softly`.
+
+    Args:
+        depths: See `compared`.
+        nearest: There.
+        farthest: There.
+        turns: There.
+        shifts: There.
+        focals: There.
+        flat: There.
+        near: There.
+        shallow: Metres behind what throws a shadow to where points are lit.
+        deep: From where they are dark.
+        points: [N, 3].
+        normals: Not read.
+        seen: Written, [N].
+        first: Row of `points`.
+        last: The row after the last.
+    """
+    side = depths.shape[1]
+    middle, far, closest = np.float32(0.5 * side), np.float32(side - 2), np.float32(near)
+    share, slope = _1 / np.float32(len(depths)), np.float32(1.0 / (deep - shallow))
+    lit, dark = np.float32(shallow), np.float32(deep)
+    for i in range(first, last):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        total = _0
+        for k in range(len(depths)):
+            z = turns[k, 2, 0] * px + turns[k, 2, 1] * py + turns[k, 2, 2] * pz + shifts[k, 2]
+            scale = focals[k] if flat else focals[k] / max(z, np.float32(1e-4))
+            x = (turns[k, 0, 0] * px + turns[k, 0, 1] * py + turns[k, 0, 2] * pz + shifts[k, 0]) * scale + middle
+            y = (turns[k, 1, 0] * px + turns[k, 1, 1] * py + turns[k, 1, 2] * pz + shifts[k, 1]) * scale + middle
+            if not (z > closest and x >= _2 and y >= _2 and x < far and y < far):
+                total += share
+                continue
+            left, top = int(x - _HALF), int(y - _HALF)
+            if nearest[k, top, left] >= z - lit:
+                total += share
+                continue
+            if farthest[k, top, left] <= z - dark:
+                continue
+            u, v, end, depth = x - _HALF - np.float32(left), y - _HALF - np.float32(top), dark - z, depths[k]
+            a, b, c, d = max(_HALF - u, _0), _MOST - u, _HALF + u, max(u - _HALF, _0)
+            part = _0
+            for row in range(4):
+                r = top + row - 1
+                part += max(_MOST - abs(np.float32(row - 1) - v), _0) * (
+                    a * _passing(depth, r, left - 1, end, slope) + b * _passing(depth, r, left, end, slope)
+                    + c * _passing(depth, r, left + 1, end, slope) + d * _passing(depth, r, left + 2, end, slope)
+                )  # fmt: skip
+            total += share * part / ((a + b + c + d) * (max(_HALF - v, _0) + _2 + max(v - _HALF, _0)))
+        seen[i] = total
+
+
 @compiled(**OPTIONS)
 def extremes(depth: np.ndarray, nearest: np.ndarray, farthest: np.ndarray) -> None:
     """Write the least and greatest of the 4 x 4 pixels from one before to two after each, [R, R]."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 from typing import NamedTuple
@@ -25,6 +26,7 @@ _LEAST = 0.002  # metres that a box reaches beyond its points, who are lifted
 _FAR = 12.0  # metres: as far before the receivers a sun's occluders may stand
 _NEAR = 1e-3  # metres
 _MARGIN = 1.03  # of a map around its receivers
+_SHALLOW, _DEEP = 0.008, 0.030  # metres behind what throws a shadow: to where hair is lit, and from where it is dark
 _WIDEST = 0.97  # sine of half the widest angle of a map
 
 
@@ -92,47 +94,102 @@ class _Map(NamedTuple):
     flat: bool
 
 
-def visible(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> np.ndarray:
-    """Which part of a lamp each receiver sees, 0..1, [N] float32.
+class Maps(NamedTuple):
+    """Depth maps from places on a lamp.
+
+    Attributes:
+        depths: Metres, [K, R, R] float32; `EMPTY` where nothing is.
+        nearest, farthest: Of `shadow_kernels.extremes`, likewise; without numba not filled.
+        each: Where the maps look from.
+    """
+
+    depths: np.ndarray
+    nearest: np.ndarray
+    farthest: np.ndarray
+    each: tuple[_Map, ...]
+
+    def seen(self, receivers: Receivers) -> np.ndarray:
+        """Which part of the lamp receivers see, 0..1, [N] float32."""
+        if compiled_kernels() is None:
+            parts = [compared(depth, receivers, one) for depth, one in zip(self.depths, self.each, strict=True)]
+            mean: np.ndarray = np.mean(parts, 0, np.float32)
+            return mean
+        from . import shadow_kernels as kernels
+
+        return self._for_points(kernels.compared, receivers.points, receivers.normals, _BIAS, _AWAY)
+
+    def reaching(self, points: np.ndarray) -> np.ndarray:
+        """Which part of the lamp's light reaches points [N, 3] among hair, 0..1, [N] float32.
+
+        Hair lets light in: a point is lit down to `_SHALLOW` metres behind what the map holds and dark from `_DEEP` on, so that
+        shadows on strands are soft and wander smoothly. Points need no normals, and those just inside a head are lit as the
+        hair on it.
+        """
+        if compiled_kernels() is None:
+            parts = [softly(depth, points, one) for depth, one in zip(self.depths, self.each, strict=True)]
+            mean: np.ndarray = np.mean(parts, 0, np.float32)
+            return mean
+        from . import shadow_kernels as kernels
+
+        return self._for_points(kernels.softly, points, points, _SHALLOW, _DEEP)
+
+    def _for_points(self, kernel: Callable[..., None], points: np.ndarray, normals: np.ndarray, *limits: float) -> np.ndarray:
+        from ..compute.threads import for_rows
+
+        seen = np.empty(len(points), np.float32)
+        points, normals = (np.ascontiguousarray(array, np.float32) for array in (points, normals))
+        turns, shifts, focals = _numbers(self.each)
+        these = self.depths, self.nearest, self.farthest, turns, shifts, focals, self.each[0].flat, _NEAR, *limits
+        for_rows(kernel, len(seen), *these, points, normals, seen)
+        return seen
+
+
+def maps_of(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> Maps:
+    """Draw what throws shadows as a lamp sees it.
 
     Args:
         lamp: In the receivers' axes.
-        receivers: Where.
+        receivers: What the maps are to hold.
         casters: Everything that throws shadows.
         softness: Factor of the lamp's size.
     """
-    if not lamp.shadow or not len(casters.faces):
-        return np.ones(len(receivers.points), np.float32)
-    places = _places(lamp, receivers, softness)
-    maps = [_map_at(lamp, place, receivers) for place in places]
+    each = tuple(_map_at(lamp, place, receivers) for place in _places(lamp, receivers, softness))
+    depths, nearest, farthest = np.empty((3, len(each), RESOLUTION, RESOLUTION), np.float32)
     if compiled_kernels() is None:
-        parts = [compared(drawn(casters, seen_from), receivers, seen_from) for seen_from in maps]
-        mean: np.ndarray = np.mean(parts, 0, np.float32)
-        return mean
-    from ..compute.threads import for_each, for_rows
+        for depth, one in zip(depths, each, strict=True):
+            depth[:] = drawn(casters, one)
+        return Maps(depths, nearest, farthest, each)
+    from ..compute.threads import for_each
     from . import shadow_kernels as kernels
 
     vertices, faces = np.ascontiguousarray(casters.vertices, np.float32), np.ascontiguousarray(casters.faces, np.int32)
-    turns, shifts = (np.array([getattr(each, name) for each in maps], np.float32) for name in ("turn", "shift"))
-    focals, flat = np.array([each.focal for each in maps], np.float32), isinstance(lamp, Sun)
-    depths, nearest, farthest = np.empty((3, len(maps), RESOLUTION, RESOLUTION), np.float32)
+    turns, shifts, focals = _numbers(each)
 
     def look(number: int) -> None:
         depth, crossing = depths[number], np.empty(len(faces), np.int32)
         depth[:] = EMPTY
-        here = turns[number], shifts[number], focals[number], flat, _NEAR
+        here = turns[number], shifts[number], focals[number], each[0].flat, _NEAR
         cut = kernels.draw_map(vertices, faces, casters.closed, *here, depth, crossing)
         if cut:
             some = casters._replace(faces=casters.faces[crossing[:cut]])
-            np.minimum(depth, drawn(some, maps[number]), out=depth)
+            np.minimum(depth, drawn(some, each[number]), out=depth)
         kernels.extremes(depth, nearest[number], farthest[number])
 
-    for_each(len(maps), look)
-    seen = np.empty(len(receivers.points), np.float32)
-    points, normals = (np.ascontiguousarray(array, np.float32) for array in (receivers.points, receivers.normals))
-    these = depths, nearest, farthest, turns, shifts, focals, flat, _NEAR, _BIAS, _AWAY, points, normals
-    for_rows(kernels.compared, len(seen), *these, seen)
-    return seen
+    for_each(len(each), look)
+    return Maps(depths, nearest, farthest, each)
+
+
+def visible(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> np.ndarray:
+    """Which part of a lamp each receiver sees, 0..1, [N] float32; arguments as of `maps_of`."""
+    if not lamp.shadow or not len(casters.faces):
+        return np.ones(len(receivers.points), np.float32)
+    return maps_of(lamp, receivers, casters, softness).seen(receivers)
+
+
+def _numbers(each: tuple[_Map, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Turns [K, 3, 3], shifts [K, 3] and focal lengths [K] of maps, as the kernels read them."""
+    turns, shifts = (np.array([getattr(one, name) for one in each], np.float32) for name in ("turn", "shift"))
+    return turns, shifts, np.array([one.focal for one in each], np.float32)
 
 
 def _places(lamp: Lamp, receivers: Receivers, softness: float) -> np.ndarray:
@@ -212,8 +269,21 @@ def compared(depth: np.ndarray, receivers: Receivers, seen_from: _Map) -> np.nda
     pixel = (1.0 if seen_from.flat else np.maximum(away, 0.0)) / seen_from.focal
     lift = _BIAS + pixel * np.sqrt(np.maximum(1.0 - ahead * ahead, 0.0))
     points = receivers.points + lift[:, None] * receivers.normals
-    side = len(depth)
     local = points @ seen_from.turn.T + seen_from.shift
+    return np.where(ahead > _AWAY, 0.0, _tent(depth, local, seen_from, lambda there, z: there >= z))
+
+
+def softly(depth: np.ndarray, points: np.ndarray, seen_from: _Map) -> np.ndarray:
+    """As `compared` for points in hair: 1 down to `_SHALLOW` metres behind a pixel's depth, 0 from `_DEEP` on, [N]."""
+    local = points @ seen_from.turn.T + seen_from.shift
+    return _tent(depth, local, seen_from, lambda there, z: np.clip((there + _DEEP - z) / (_DEEP - _SHALLOW), 0.0, 1.0))
+
+
+def _tent(
+    depth: np.ndarray, local: np.ndarray, seen_from: _Map, passing: Callable[[np.ndarray, np.ndarray], np.ndarray]
+) -> np.ndarray:  # fmt: skip
+    """Mean of what passes 3 x 3 pixels, of their depths and points' own, weighted as a tent; 1 beside the map, [N]."""
+    side = len(depth)
     scale = seen_from.focal if seen_from.flat else seen_from.focal / np.maximum(local[:, 2], 1e-4)
     x, y = local[:, 0] * scale + side / 2.0, local[:, 1] * scale + side / 2.0
     inside = (local[:, 2] > _NEAR) & (x >= 2) & (y >= 2) & (x < side - 2) & (y < side - 2)
@@ -223,8 +293,8 @@ def compared(depth: np.ndarray, receivers: Receivers, seen_from: _Map) -> np.nda
     for row in range(-1, 3):
         for column in range(-1, 3):
             weight = np.maximum(0.0, 1.5 - np.abs(column - u)) * np.maximum(0.0, 1.5 - np.abs(row - v))
-            total += weight * (depth[(top + row).astype(int), (left + column).astype(int)] >= local[inside, 2])
+            total += weight * passing(depth[(top + row).astype(int), (left + column).astype(int)], local[inside, 2])
             whole += weight
-    seen = np.ones(len(points))
+    seen = np.ones(len(local))
     seen[inside] = total / whole
-    return np.where(ahead > _AWAY, 0.0, seen)
+    return seen

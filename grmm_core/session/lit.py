@@ -16,13 +16,12 @@ import numpy as np
 
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
-from ..geometry.rotations import quaternion_to_matrix
 from ..light.bounce import Exchange, albedo_of, nearest_points
-from ..light.hair_shading import HairCloud, strand_transport
+from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
-from ..light.shading import Learned, Response, arriving_share, colors_of, ratio, reached, relative, shade
-from ..light.shadows import Casters, Receivers, compiled_kernels, visible
+from ..light.shading import Learned, Response, reached, relative, shade
+from ..light.shadows import Casters, Receivers, compiled_kernels, maps_of, visible
 from ..light.surroundings import TERMS
 from ..light.transfer import transfer, turn_between, vertex_normals
 from ..splat.types import Gaussians
@@ -33,6 +32,7 @@ LIGHT_CHANNELS = 7
 UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0], np.float32)  # what changes nothing
 Hair = tuple[Hashable, Callable[[], tuple[np.ndarray, np.ndarray]]]
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
+_AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _RIGID = "scalp"  # region whose turn is the head's
 _LOOSE = ("neck", "lashes")  # regions that light can reach from inside
 _SKIN = "face"  # region whose color is the skin's
@@ -104,21 +104,23 @@ class LitAvatar:
         Returns:
             [N, LIGHT_CHANNELS] float32: irradiance relative to the rig's, highlights, share of the lamps' light that arrives.
         """
-
-        def make() -> tuple[np.ndarray]:
-            return (self._skin(eye),)
-
         around = self._lighting.surroundings
         light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key
         worn = () if self._hair is None else self._hair[0]
-        key = (self._target.id, "lit", eye.tobytes(), self._response, self._lod, *light, worn, *self._inputs.mesh_key)
-        skin = self._evaluator.cache.get(key, make)[0]
-        return skin if strands is None else np.concatenate([skin, self._strands(strands, eye)]).astype(np.float32)
+        key = (eye.tobytes(), self._response, *light, worn, *self._inputs.mesh_key)
+        cache, owner = self._evaluator.cache, self._target.id
+        skin: np.ndarray = cache.get((owner, "lit", self._lod, *key), lambda: (self._skin(eye),))[0]
+        if strands is None:
+            return skin
+        points, quats = to_numpy(strands.means), to_numpy(strands.quats)
+        these = hashlib.blake2b(np.ascontiguousarray(points).data, digest_size=16).digest()  # combed, swinging, thinned out
+        hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, eye),))[0]
+        return np.concatenate([skin, hair])
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
         rest = self._rest()
         turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
-        seen = np.array([self._seen(lamp) for lamp in self.lamps], np.float32)
+        seen = np.array([self._seen(lamp)[0] for lamp in self.lamps], np.float32)
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
         scene = shade(*light, self._harmonics(self._lighting, turn.T), self._response, turn)
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
@@ -126,18 +128,18 @@ class LitAvatar:
         weights = self._target.model.layout.barycentric[self._rows]
         return relative(scene, bounced, self._corners[self._rows], weights, learned, self._response.gloss)
 
-    def _strands(self, strands: Gaussians, eye: np.ndarray) -> np.ndarray:
-        points = to_numpy(strands.means).astype(np.float64)
-        tangents = quaternion_to_matrix(to_numpy(strands.quats))[..., 0]
-        outward = _unit(points - self._centre)
-        receivers = Receivers.around(points, outward)
-        seen = np.array([visible(lamp, receivers, self._casters, 0.0) for lamp in self.lamps])  # a strand's shadow has no width
-        scene = strand_transport(self.lamps, points, tangents, list(seen), self._centre, eye, self._response)
-        irradiance, shine = scene.light(colors_of(self.lamps), self._harmonics(self._lighting))
-        whole = [np.ones(len(points))] * len(STUDIO.lamps)
-        rig = strand_transport(STUDIO.lamps, points, tangents, whole, self._centre, eye)
-        relative = ratio(irradiance, rig.light(colors_of(STUDIO.lamps), self._harmonics(STUDIO))[0])
-        return np.concatenate([relative, shine, arriving_share(self.lamps, scene, seen)], 1)
+    def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray) -> np.ndarray:
+        """What lights strands, as `channels` has it, less what their colors hold of the rig's."""
+        grid = self._grid
+        parts = np.stack([self._seen(lamp)[1] for lamp in self.lamps], -1) if self.lamps else np.zeros((*grid.size, 0))
+        here = Reaching(parts, grid.coordinates(np.eye(3), np.zeros(3)))
+        scene = strand_light(
+            self.lamps, points, quats, here, self._centre, eye, self._harmonics(self._lighting), self._response
+        )  # fmt: skip
+        rig = strand_light(STUDIO.lamps, points, quats, self._rig_in_hair(), self._centre, eye, self._harmonics(STUDIO))
+        nothing, nowhere = np.zeros((1, 3), np.float32), np.zeros((len(points), 3), np.int32)  # no skin lights hair
+        learned = Learned(reached(rig.irradiance), rig.highlights)
+        return relative(scene, nothing, nowhere, nowhere, learned, self._response.gloss)
 
     @staticmethod
     def _harmonics(lighting: Lighting, turn: np.ndarray | None = None) -> np.ndarray:
@@ -202,16 +204,41 @@ class LitAvatar:
         person = (*self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get((self._target.id, "learned", direction.tobytes(), self._lod, *person), make)[0]
 
-    def _seen(self, lamp: Lamp) -> np.ndarray:
-        def make() -> tuple[np.ndarray]:
-            seen = visible(lamp, self._receivers, self._casters, self._response.softness)
-            if lamp.shadow and self._cloud is not None:
-                seen *= self._cloud.through(lamp, self._receivers.points)
-            return (seen,)
+    def _seen(self, lamp: Lamp) -> tuple[np.ndarray, np.ndarray]:
+        """Which part of a lamp the skin sees, [N], and the places of `_grid`, [X, Y, Z]; empty where no hair is worn."""
+
+        def make() -> tuple[np.ndarray, np.ndarray]:
+            grid, skin = self._grid, self._receivers
+            if not lamp.shadow or not len(self._casters.faces):
+                return np.ones(len(skin.points), np.float32), np.ones(grid.size, np.float32)
+            held = skin
+            if self._hair is not None and len(self._lighting.occluders):  # beside the head only these throw shadows
+                held = Receivers.around(grid.points, grid.points)
+            maps = maps_of(lamp, held, self._casters, self._response.softness)
+            seen = maps.seen(skin)
+            if self._cloud is not None:
+                seen *= self._cloud.through(lamp, skin.points)
+            return seen, maps.reaching(grid.points).reshape(grid.size)
 
         mesh = (self._lod, () if self._hair is None else self._hair[0], *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
-        return self._evaluator.cache.get(key, make)[0]
+        return self._evaluator.cache.get(key, make)
+
+    def _rig_in_hair(self) -> Reaching:
+        """Which part of the rig's lamps reaches hair on the head at rest, carried along by the head's turn."""
+        rest, rigid = self._rest(), self._rigid()
+        grid = LightGrid.around(rest.vertices.min(0) - _AROUND, rest.vertices.max(0) + _AROUND)
+
+        def make() -> tuple[np.ndarray]:
+            receivers = Receivers.around(self._all_texels(rest.vertices), _unit(self._all_texels(rest.normals)))
+            casters = self._casting(rest.vertices)
+            parts = [maps_of(lamp, receivers, casters).reaching(grid.points).reshape(grid.size) for lamp in STUDIO.lamps]
+            return (np.stack(parts, -1),)
+
+        key = (self._target.id, "rig in hair", *self._inputs.identity_key, *self._inputs.shape_key)
+        back = turn_between(rest.vertices[rigid], self._vertices[rigid]).T
+        shift = rest.vertices[rigid].mean(0) - back @ self._vertices[rigid].mean(0)
+        return Reaching(self._evaluator.cache.get(key, make)[0], grid.coordinates(back, shift))
 
     @functools.cached_property
     def _occluders_key(self) -> bytes:
@@ -281,6 +308,17 @@ class LitAvatar:
 
         cloud = HairCloud(*self._evaluator.cache.get((self._target.id, "hair cloud", key, *self._inputs.mesh_key), make))
         return cloud if cloud.extinction.size else None
+
+    @functools.cached_property
+    def _grid(self) -> LightGrid:
+        """Places all over head and hair; none where no hair is worn."""
+        if self._hair is None:
+            return LightGrid(np.zeros(3), (0, 0, 0))
+        low, high = self._vertices.min(0), self._vertices.max(0)
+        if self._cloud is not None:
+            reach = self._cloud.low + CELL * np.array(self._cloud.extinction.shape)
+            low, high = np.minimum(low, self._cloud.low), np.maximum(high, reach)
+        return LightGrid.around(low, high)
 
     @functools.cached_property
     def _casters(self) -> Casters:

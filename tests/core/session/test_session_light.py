@@ -158,6 +158,22 @@ def test_strands_are_lit_with_the_skin(session):
     assert halves(lit["linear"][top, :, :3])[0] > 1.5 * halves(back["linear"][top, :, :3])[0]
 
 
+def test_in_the_studios_rig_strands_look_as_unlit_ones(session, monkeypatch):
+    monkeypatch.setattr(Wardrobe, "covering", lambda *_: (np.zeros((0, 3)), np.zeros(0)))  # whose shadow colors have not
+    anew = Controls().set_named({"jawOpen": 2e-4})
+    plain, lit = (drawn(session, light, hair=HairUse("groom:bob"), controls=anew) for light in (None, STUDIO))
+    crown = np.s_[:36]
+    covered = lit["alpha"][crown][..., 0] > 0.9
+    assert np.abs(lit["rgb"] - plain["rgb"])[crown][covered].mean() < 0.003
+
+
+def test_light_on_strands_turns_smoothly_with_a_hard_sun(session):
+    suns = (Sun(direction=(math.sin(turn), 0.3, math.cos(turn)), strength=3.0) for turn in np.radians(np.arange(60.0, 76.0)))
+    crown = np.s_[:36]
+    frames = [drawn(session, Lighting((sun,)), hair=HairUse("groom:bob"))["rgb"][crown] for sun in suns]
+    assert max(np.abs(b - a).max() for a, b in itertools.pairwise(frames)) < 0.05
+
+
 def test_strands_throw_shadows_on_the_skin(session, monkeypatch):
     above, hair = Lighting((Sun(direction=(0.5, 0.8, 0.33), strength=3.0),)), HairUse("groom:bob")
     shaded = drawn(session, above, hair=hair)["shadow"]

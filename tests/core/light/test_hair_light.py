@@ -1,0 +1,58 @@
+"""Light that reaches strands, and what they do with it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grmm_core.light import hair_shading, shadows
+from grmm_core.light.hair_shading import GRID, LightGrid, Reaching, strand_light
+from grmm_core.light.lamps import Point, Spot, Sun, soft_box
+from grmm_core.light.shading import Response
+from grmm_core.light.shadows import Casters, Receivers, maps_of
+
+PANE = np.array([[[-0.05, -0.05, 0.05], [0.05, -0.05, 0.05], [0.05, 0.05, 0.05]]])
+NOTHING = Casters(np.zeros((0, 3)), np.zeros((0, 3), int))
+
+
+def test_compiled_light_at_strands_is_the_readable_one(monkeypatch):
+    random = np.random.default_rng(0)
+    points, quats = random.uniform(-0.15, 0.15, (200, 3)), random.normal(size=(200, 4))
+    quats /= np.linalg.norm(quats, axis=1, keepdims=True)
+    lamps = (
+        soft_box(45, 35, 1.5, 0.5, 42), Sun((1.0, 0.5, 0.2), 2.0, direction=(0.6, 0.8, 0.0)),
+        Point((0.2, 0.4, 1.0), 20.0, position=(0.3, 0.1, 0.5), radius=0.02),
+        Spot(strength=30.0, position=(-0.5, 0.2, 0.6), direction=(0.6, -0.2, -0.75), cone=0.6),
+    )  # fmt: skip
+    grid = LightGrid.around(np.full(3, -0.1), np.full(3, 0.1))  # some points lie beside it
+    turn = np.linalg.qr(random.normal(size=(3, 3)))[0]
+    harmonics, centre, eye = random.random((9, 3)), np.array([0.0, 0.02, 0.0]), np.array([0.1, 0.0, 1.0])
+    for some in (lamps, ()):
+        parts = random.random((*grid.size, len(some))).astype(np.float32)
+        reaching = Reaching(parts, grid.coordinates(turn, np.array([0.01, 0.0, 0.02])))
+        arguments = some, points, quats, reaching, centre, eye, harmonics, Response(1.3, 0.8)
+        fast = strand_light(*arguments)
+        with monkeypatch.context() as patch:
+            patch.setattr(hair_shading, "compiled_kernels", lambda: None)
+            np.testing.assert_allclose(fast.values, strand_light(*arguments).values, rtol=2e-3, atol=2e-4)
+
+
+@pytest.mark.parametrize("lamp", [Sun(direction=(0.1, 0.0, 0.99)), soft_box(20.0, 10.0, 1.0, 0.5, 10.0)], ids=["sun", "box"])
+def test_hair_behind_a_pane_is_lit_just_behind_it_and_dark_further_off_alike_without_numba(monkeypatch, lamp):
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (300, 3))
+    points[:3] = [[0.02, -0.02, 0.06], [0.02, -0.02, 0.045], [0.02, -0.02, 0.0]]
+    maps = maps_of(lamp, Receivers.around(points, points), NOTHING.and_triangles(PANE))
+    reaching = maps.reaching(points)
+    assert reaching[0] == reaching[1] == 1.0
+    assert reaching[2] < 0.01
+    monkeypatch.setattr(shadows, "compiled_kernels", lambda: None)
+    np.testing.assert_allclose(reaching, maps.reaching(points), atol=2e-3)
+
+
+def test_the_light_between_places_changes_evenly_and_places_stay_where_they_are():
+    small, large = (LightGrid.around(np.full(3, -half), np.full(3, half)) for half in (0.05, 0.08))
+    assert {tuple(place) for place in small.points.round(6)} <= {tuple(place) for place in large.points.round(6)}
+    wave = Reaching(small.points[:, :1].reshape(*small.size, 1), small.coordinates(np.eye(3), np.zeros(3)))
+    x = np.linspace(-0.05, 0.05, 7)
+    np.testing.assert_allclose(wave.at(np.stack([x, 0 * x, 0 * x], -1))[0], x, atol=1e-6)
+    assert wave.at(np.array([[1.0, 0.0, 0.0]]))[0, 0] == pytest.approx(0.06, abs=GRID * 0.01)

@@ -17,9 +17,9 @@ from .shading import Arrived, Response, Transport, arriving_share, colors_of, la
 from .shadows import compiled_kernels
 from .surroundings import BANDS, basis
 
-WANDER = 0.35  # how far light reaches around a mass of hair
-LOBES = ((120.0, 0.030), (18.0, 0.012))  # exponent and strength: reflected at the surface, and from inside
-THROUGH = 0.5  # of the light of a lamp behind: what comes through the rim
+_WANDER = 0.35  # how far light reaches around a mass of hair
+_LOBES = ((120.0, 0.030), (18.0, 0.012))  # exponent and strength: reflected at the surface, and from inside
+_THROUGH = 0.5  # of the light of a lamp behind: what comes through the rim
 
 CELL = 0.006  # metres
 REACH = 0.16  # metres that light is followed through hair
@@ -153,7 +153,7 @@ def strand_light(
     from .strand_light_kernel import shade
 
     out = np.empty((len(points), 7), np.float32)
-    factors = np.array([response.intensity, response.gloss])
+    factors = np.array([response.intensity, response.gloss, _WANDER, _THROUGH, *(strength for _, strength in _LOBES)])
     arrays = (
         lamp_rows(lamps, centre), points, quats, reaching.parts, reaching.coordinates, centre, eye,
         harmonics * BANDS[:, None], factors,
@@ -186,14 +186,14 @@ def strand_transport(
     for lamp, part in zip(lamps, seen, strict=True):
         towards, strength = arriving(lamp, points)
         across = np.sqrt(np.clip(1.0 - (tangents * towards).sum(1) ** 2, 0.0, 1.0))
-        facing = np.clip(((outward * towards).sum(1) + WANDER) / (1.0 + WANDER), 0.0, 1.0)
-        behind = THROUGH * rim * np.clip(-(view * towards).sum(1), 0.0, 1.0)
+        facing = np.clip(((outward * towards).sum(1) + _WANDER) / (1.0 + _WANDER), 0.0, 1.0)
+        behind = _THROUGH * rim * np.clip(-(view * towards).sum(1), 0.0, 1.0)
         amount = (across * (facing * part + behind) * strength * response.intensity)[:, None]
         diffuse.append(np.broadcast_to(amount, (len(points), 3)))
         half = towards + view
         half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         mirrored = np.clip(1.0 - (tangents * half).sum(1) ** 2, 0.0, 1.0)
-        shine = sum(weight * mirrored ** (0.5 * power) for power, weight in LOBES)
+        shine = sum(weight * mirrored ** (0.5 * power) for power, weight in _LOBES)
         highlights.append(shine * facing * part * strength * (response.gloss * response.intensity))
     count = len(points)
     return Transport(

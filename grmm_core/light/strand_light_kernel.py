@@ -10,24 +10,20 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from .hair_shading import LOBES, THROUGH, WANDER
 from .light_kernels import COLOR, OPTIONS, arriving, harmonics_of
 from .shadow_kernels import single
 
 _0, _1, _2, _TINY = single(0.0), single(1.0), single(2.0), single(1e-9)
-_WANDER, _THROUGH = single(WANDER), single(THROUGH)
-_SURFACE, _INSIDE = single(LOBES[0][1]), single(LOBES[1][1])
-assert [exponent for exponent, _ in LOBES] == [120.0, 18.0]  # `_lobes` multiplies them out
 
 
 @compiled(inline="always", **OPTIONS)
-def _lobes(square: float) -> float:
-    """Both lobes of the squared cosine between the strand's normal plane and the half vector."""
+def _lobes(square: float, surface: float, inside: float) -> float:
+    """Both of `hair_shading.LOBES`, multiplied out, of the squared cosine between normal plane and half vector."""
     two = square * square
     four = two * two
     eight = four * four
     sixteen = eight * eight
-    return _SURFACE * sixteen * sixteen * sixteen * eight * four + _INSIDE * eight * square
+    return surface * sixteen * sixteen * sixteen * eight * four + inside * eight * square
 
 
 @compiled(**OPTIONS)
@@ -46,12 +42,12 @@ def shade(
         centre: Of the head, [3].
         eye: [3].
         colors: Coefficients of the surroundings for irradiance, [9, 3].
-        factors: Of all light and of highlights, [2].
+        factors: Of all light and of highlights, how far light reaches around, share through the rim, strength of lobes, [6].
         out: Written: irradiance (3), highlights (3), share of the lamps' light that arrives (1), [N, 7].
         first: Row of `out`.
         last: The row after the last.
     """
-    intensity, gloss = factors[0], factors[1]
+    intensity, gloss, reach, rims, surface, inside = factors[0], factors[1], factors[2], factors[3], factors[4], factors[5]
     count, corners = len(lamps), np.empty(8, np.float32)
     part = np.empty(count, np.float32)
     most_x, most_y, most_z = (
@@ -86,14 +82,14 @@ def shade(
         vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
         along_view = tx * vx + ty * vy + tz * vz
         rim = _1 - min(abs(ox * vx + oy * vy + oz * vz), _1)
-        rim *= rim * _THROUGH
+        rim *= rim * rims
         red, green, blue, shine_r, shine_g, shine_b, arrives, whole = _0, _0, _0, _0, _0, _0, _0, _0
         for k in range(count):
             lx, ly, lz, strength = arriving(lamps, k, px, py, pz)
             if strength <= _0:
                 continue
             along, opposite = tx * lx + ty * ly + tz * lz, vx * lx + vy * ly + vz * lz
-            facing = (ox * lx + oy * ly + oz * lz + _WANDER) / (_1 + _WANDER)
+            facing = (ox * lx + oy * ly + oz * lz + reach) / (_1 + reach)
             facing = min(max(facing, _0), _1) * part[k]
             strength *= intensity
             amount = math.sqrt(max(_1 - along * along, _0)) * (facing + rim * max(-opposite, _0)) * strength
@@ -104,7 +100,7 @@ def shade(
             if facing > _0:  # the half vector's length is that of two unit vectors' sum
                 lean = along + along_view
                 square = min(max(_1 - lean * lean / max(_2 + _2 * opposite, np.float32(1e-6)), _0), _1)
-                shine = _lobes(square) * facing * strength * gloss
+                shine = _lobes(square, surface, inside) * facing * strength * gloss
                 shine_r, shine_g, shine_b = shine_r + shine * lr, shine_g + shine * lg, shine_b + shine * lb
         basis = harmonics_of(ox, oy, oz)
         for channel in range(3):

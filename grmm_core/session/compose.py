@@ -38,10 +38,10 @@ from ..splat.types import Gaussians, RasterOutput
 from .api import CancelCheck
 from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
-from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
+from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, Hair, LitAvatar
 from .passes import Channels, buffers, empty, light_of
 from .values import LIGHT_PASSES, LINEAR_PASS, Instance, RenderOptions
-from .wardrobe import Wardrobe, Worn
+from .wardrobe import Wardrobe, Worn, at_rest
 
 NORMAL_CHANNELS = 3
 _MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined
@@ -229,8 +229,9 @@ def _light(
     if item.worn is not None and item.worn.layers:
         settings = item.worn.settings[0]
         given = tuple(hashlib.sha256(layer.points.tobytes()).digest() for layer in item.worn.layers if layer.points is not None)
-        pieces = functools.partial(wardrobe.covering, evaluator, item.target, item.inputs, item.worn)
-        hair = ((*item.worn.key, settings, *given), pieces)
+        inputs = item.inputs if given else at_rest(evaluator, item.target, item.inputs)
+        pieces = functools.partial(wardrobe.covering, evaluator, item.target, inputs, item.worn)
+        hair = Hair((*item.worn.key, settings, *given), pieces, bool(given))
     return LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod, hair).channels(camera.position, strands)
 
 

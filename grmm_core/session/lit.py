@@ -30,12 +30,25 @@ from .evaluator import Evaluator, Inputs, OpenAvatar
 RATIO, HIGHLIGHTS, SHADOW = slice(0, 3), slice(3, 6), slice(6, 7)
 LIGHT_CHANNELS = 7
 UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0], np.float32)  # what changes nothing
-Hair = tuple[Hashable, Callable[[], tuple[np.ndarray, np.ndarray]]]
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _RIGID = "scalp"  # region whose turn is the head's
 _LOOSE = ("neck", "lashes")  # regions that light can reach from inside
 _SKIN = "face"  # region whose color is the skin's
+
+
+class Hair(NamedTuple):
+    """What throws shadows on the skin besides the mesh.
+
+    Attributes:
+        key: What identifies it.
+        pieces: Gives middles and areas of its pieces (`Wardrobe.covering`).
+        moves: They are where this frame's strands are; else on the head at rest, to be carried along by the head's turn.
+    """
+
+    key: Hashable
+    pieces: Callable[[], tuple[np.ndarray, np.ndarray]]
+    moves: bool
 
 
 class _Rest(NamedTuple):
@@ -78,8 +91,7 @@ class LitAvatar:
         lighting: In head space.
         response: How the avatar takes it.
         lod: Level of detail of the skin's Gaussians.
-        hair: What throws shadows on the skin besides the mesh: what identifies it, and middles and areas of its pieces
-            (`Wardrobe.covering`).
+        hair: What throws shadows on the skin besides the mesh.
     """
 
     def __init__(
@@ -106,7 +118,7 @@ class LitAvatar:
         """
         around = self._lighting.surroundings
         light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key
-        worn = () if self._hair is None else self._hair[0]
+        worn = () if self._hair is None else self._hair.key
         key = (eye.tobytes(), self._response, *light, worn, *self._inputs.mesh_key)
         cache, owner = self._evaluator.cache, self._target.id
         skin: np.ndarray = cache.get((owner, "lit", self._lod, *key), lambda: (self._skin(eye),))[0]
@@ -216,17 +228,20 @@ class LitAvatar:
                 held = Receivers.around(grid.points, grid.points)
             maps = maps_of(lamp, held, self._casters, self._response.softness)
             seen = maps.seen(skin)
-            if self._cloud is not None:
-                seen *= self._cloud.through(lamp, skin.points)
+            if self._cloud is not None:  # known on cells that are no finer than the mesh
+                moved, places = self._to_cloud, self._vertices
+                there = Lighting((lamp,)).in_space(moved).lamps[0]
+                through = self._cloud.through(there, places @ moved[:3, :3].T + moved[:3, 3])
+                seen *= self._at_texels(through[:, None])[:, 0]
             return seen, maps.reaching(grid.points).reshape(grid.size)
 
-        mesh = (self._lod, () if self._hair is None else self._hair[0], *self._inputs.mesh_key)
+        mesh = (self._lod, () if self._hair is None else self._hair.key, *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
         return self._evaluator.cache.get(key, make)
 
     def _rig_in_hair(self) -> Reaching:
         """Which part of the rig's lamps reaches hair on the head at rest, carried along by the head's turn."""
-        rest, rigid = self._rest(), self._rigid()
+        rest, back = self._rest(), self._to_rest
         grid = LightGrid.around(rest.vertices.min(0) - _AROUND, rest.vertices.max(0) + _AROUND)
 
         def make() -> tuple[np.ndarray]:
@@ -236,9 +251,7 @@ class LitAvatar:
             return (np.stack(parts, -1),)
 
         key = (self._target.id, "rig in hair", *self._inputs.identity_key, *self._inputs.shape_key)
-        back = turn_between(rest.vertices[rigid], self._vertices[rigid]).T
-        shift = rest.vertices[rigid].mean(0) - back @ self._vertices[rigid].mean(0)
-        return Reaching(self._evaluator.cache.get(key, make)[0], grid.coordinates(back, shift))
+        return Reaching(self._evaluator.cache.get(key, make)[0], grid.coordinates(back[:3, :3], back[:3, 3]))
 
     @functools.cached_property
     def _occluders_key(self) -> bytes:
@@ -300,14 +313,29 @@ class LitAvatar:
     def _cloud(self) -> HairCloud | None:
         if self._hair is None:
             return None
-        key, pieces = self._hair
+        key, pieces, moves = self._hair
 
         def make() -> tuple[np.ndarray, ...]:
             points, areas = pieces()
             return tuple(HairCloud.of(points, areas)) if len(points) else (np.zeros((0, 0, 0)), np.zeros(3))
 
-        cloud = HairCloud(*self._evaluator.cache.get((self._target.id, "hair cloud", key, *self._inputs.mesh_key), make))
+        place = self._inputs.mesh_key if moves else (*self._inputs.identity_key, *self._inputs.shape_key)
+        cloud = HairCloud(*self._evaluator.cache.get((self._target.id, "hair cloud", key, moves, *place), make))
         return cloud if cloud.extinction.size else None
+
+    @functools.cached_property
+    def _to_rest(self) -> np.ndarray:
+        """From head space to the axes of the head at rest, by the turn and the way of its rigid part, [4, 4]."""
+        rest, posed = self._rest().vertices[self._rigid()], self._vertices[self._rigid()]
+        back = np.eye(4)
+        back[:3, :3] = turn_between(rest, posed).T
+        back[:3, 3] = rest.mean(0) - back[:3, :3] @ posed.mean(0)
+        return back
+
+    @property
+    def _to_cloud(self) -> np.ndarray:
+        """From head space to the axes of `_cloud`, [4, 4]."""
+        return np.eye(4) if self._hair is None or self._hair.moves else self._to_rest
 
     @functools.cached_property
     def _grid(self) -> LightGrid:
@@ -316,8 +344,9 @@ class LitAvatar:
             return LightGrid(np.zeros(3), (0, 0, 0))
         low, high = self._vertices.min(0), self._vertices.max(0)
         if self._cloud is not None:
-            reach = self._cloud.low + CELL * np.array(self._cloud.extinction.shape)
-            low, high = np.minimum(low, self._cloud.low), np.maximum(high, reach)
+            corners = self._cloud.low + CELL * np.array(list(np.ndindex(2, 2, 2))) * self._cloud.extinction.shape
+            corners = (corners - self._to_cloud[:3, 3]) @ self._to_cloud[:3, :3]
+            low, high = np.minimum(low, corners.min(0)), np.maximum(high, corners.max(0))
         return LightGrid.around(low, high)
 
     @functools.cached_property

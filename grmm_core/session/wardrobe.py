@@ -178,7 +178,7 @@ class Wardrobe:
         head = target.model.head_model
 
         def bare() -> Skin:
-            return bare_skin(evaluator, target, _at_rest(evaluator, target, inputs))
+            return bare_skin(evaluator, target, at_rest(evaluator, target, inputs))
 
         def make() -> Cap:
             skin = evaluator.cache.get((target.id, "skin", *inputs.identity_key), bare)
@@ -277,7 +277,7 @@ class Wardrobe:
         vertices: np.ndarray, number: int, block: StrandBlock,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Parents' points in head space and their roots' axes."""
-        rest, head = _at_rest(evaluator, target, inputs), target.model.head_model
+        rest, head = at_rest(evaluator, target, inputs), target.model.head_model
 
         def styled() -> tuple[np.ndarray]:
             local = block.styled(settings)
@@ -345,7 +345,7 @@ def with_channels(strands: Gaussians, count: int) -> Gaussians:
     return dataclasses.replace(strands, features=zeros((len(strands), count), strands.means))
 
 
-def _at_rest(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Inputs:
+def at_rest(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Inputs:
     """The inputs of the person at rest."""
     rest = evaluator.inputs(target, Controls())
     return dataclasses.replace(inputs, z_exp=rest.z_exp, expression=rest.expression, pose=rest.pose, strength=rest.strength)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...grmm_core.avatar import AssetReference, Hair
 from ...grmm_core.hair import SETTINGS, Groom, HairSettings, library_groom
-from ...grmm_core.hair.pigment import albedos
+from ...grmm_core.hair.pigment import ABSORPTION, BLOND, GINGER, GINGER_ABSORPTION, ROOT_SHADE, WHITE, albedos
 from ...grmm_core.hair.prior import random_groom
 from ...grmm_core.hair.roots import SCALP
 from ..rig.avatar import Avatar
@@ -94,7 +94,7 @@ def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | No
     data.surface, data.surface_uv_map = head, _uv_map(head)
     if groom is not None and len(groom):
         _fill(data, head, groom)
-    data.materials.append(_material(data.name, settings or HairSettings()))
+    data.materials.append(_material(data.name, head, settings or HairSettings()))
     obj = bpy.data.objects.new(data.name, data)
     for collection in head.users_collection:
         collection.objects.link(obj)
@@ -148,8 +148,8 @@ def _deform_group() -> bpy.types.NodeTree:
     return group
 
 
-def _material(name: str, settings: HairSettings) -> bpy.types.Material:
-    """What Cycles and EEVEE draw the curves with, in the color that the settings have now."""
+def _material(name: str, head: bpy.types.Object, settings: HairSettings) -> bpy.types.Material:
+    """What Cycles and EEVEE draw the curves with: in the color of the panel's sliders, where these are what is worn."""
     material = bpy.data.materials.new(name)
     color = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0].mean(0)
     material.diffuse_color = (*color, 1.0)
@@ -157,4 +157,20 @@ def _material(name: str, settings: HairSettings) -> bpy.types.Material:
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Base Color"].default_value = (*color, 1.0)
     shader.inputs["Roughness"].default_value = _GLOSS
+    if settings == settings_of(head.grmm.hair):
+        for channel in range(3):
+            _drive_color(shader.inputs["Base Color"], channel, head)
     return material
+
+
+def _drive_color(socket: bpy.types.NodeSocket, channel: int, head: bpy.types.Object) -> None:
+    """Let a channel of a color follow the sliders: `pigment.albedos`, in what Blender computes without running scripts."""
+    driver = socket.driver_add("default_value", channel).driver
+    dye = ("dye_red", "dye_green", "dye_blue")[channel]
+    for letter, name in zip("mrgdxt", ("melanin", "redness", "grey", "dye", dye, "tips"), strict=True):
+        variable = driver.variables.new()
+        variable.name = letter
+        variable.targets[0].id, variable.targets[0].data_path = head, f"grmm.hair.{name}"
+    grown = f"(1-r)*{BLOND[channel]}*exp(-{ABSORPTION[channel]}*m)+r*{GINGER[channel]}*exp(-{GINGER_ABSORPTION}*m)"
+    color = f"((({grown})*(1-g)+g*{WHITE[channel]})*(1-d)+d*pow((x+.055)/1.055,2.4))"
+    driver.expression = f"{color}*.5*({ROOT_SHADE}+(1+1.2*max(t,0))*(1+.7*min(t,0)))+.025*max(t,0)"

@@ -10,7 +10,7 @@ from ..compute.kernels import compiled
 
 _OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy", "nogil": True}
 F = np.float32
-_ONE, _ZERO = F(1.0), F(0.0)
+_ONE, _ZERO, _OUTSIDE = F(1.0), F(0.0), F(1e9)
 BLOCK = 4  # cells along the side of a block, for which the planes are chosen together
 
 
@@ -69,6 +69,27 @@ def heights_into(
                             heights[i, j, k] = total / weights
 
 
+@compiled(boundscheck=False, error_model="numpy", nogil=True)
+def sampled(field: np.ndarray, u: float, v: float, w: float) -> tuple[float, float, float, float]:
+    """Height and direction between the cells of a field [X, Y, Z, 4]; as high as can be outside of it."""
+    if u < _ZERO or v < _ZERO or w < _ZERO:
+        return _OUTSIDE, _ZERO, _ZERO, _ZERO
+    i, j, k = int(u), int(v), int(w)
+    if i >= field.shape[0] - 1 or j >= field.shape[1] - 1 or k >= field.shape[2] - 1:
+        return _OUTSIDE, _ZERO, _ZERO, _ZERO
+    u, v, w = u - F(i), v - F(j), w - F(k)
+    height, dx, dy, dz = _ZERO, _ZERO, _ZERO, _ZERO
+    for a in range(2):
+        for b in range(2):
+            for c in range(2):
+                share = (u if a else _ONE - u) * (v if b else _ONE - v) * (w if c else _ONE - w)
+                height += share * field[i + a, j + b, k + c, 0]
+                dx += share * field[i + a, j + b, k + c, 1]
+                dy += share * field[i + a, j + b, k + c, 2]
+                dz += share * field[i + a, j + b, k + c, 3]
+    return height, dx, dy, dz
+
+
 @compiled(**_OPTIONS)
 def push(
     field: np.ndarray, low: np.ndarray, cell: float, buried: float, wanted: np.ndarray, rounds: int, points: np.ndarray,
@@ -93,21 +114,7 @@ def push(
                 u = (points[n, m, 0] - low[0]) / cell
                 v = (points[n, m, 1] - low[1]) / cell
                 w = (points[n, m, 2] - low[2]) / cell
-                if u < _ZERO or v < _ZERO or w < _ZERO:
-                    break
-                i, j, k = int(u), int(v), int(w)
-                if i >= field.shape[0] - 1 or j >= field.shape[1] - 1 or k >= field.shape[2] - 1:
-                    break
-                u, v, w = u - F(i), v - F(j), w - F(k)
-                height, dx, dy, dz = _ZERO, _ZERO, _ZERO, _ZERO
-                for a in range(2):
-                    for b in range(2):
-                        for c in range(2):
-                            share = (u if a else _ONE - u) * (v if b else _ONE - v) * (w if c else _ONE - w)
-                            height += share * field[i + a, j + b, k + c, 0]
-                            dx += share * field[i + a, j + b, k + c, 1]
-                            dy += share * field[i + a, j + b, k + c, 2]
-                            dz += share * field[i + a, j + b, k + c, 3]
+                height, dx, dy, dz = sampled(field, u, v, w)
                 if height >= wanted[m] or height < -buried:
                     break
                 out = (wanted[m] - height) / max(math.sqrt(dx * dx + dy * dy + dz * dz), F(1e-6))

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..compute.kernels import compiled
 from .body import BURIED, CELL, MOST, SLIDE, SOFT
+from .body_kernels import sampled
 
 _OPTIONS = {"boundscheck": False, "error_model": "numpy", "nogil": True}
 F = np.float32
@@ -23,21 +24,7 @@ def _raised(
     py = motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3]
     pz = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3]
     u, v, w = (px - low[0]) / F(CELL), (py - low[1]) / F(CELL), (pz - low[2]) / F(CELL)
-    if u < _ZERO or v < _ZERO or w < _ZERO:
-        return x, y, z
-    i, j, k = int(u), int(v), int(w)
-    if i >= field.shape[0] - 1 or j >= field.shape[1] - 1 or k >= field.shape[2] - 1:
-        return x, y, z
-    u, v, w = u - F(i), v - F(j), w - F(k)
-    height, dx, dy, dz = _ZERO, _ZERO, _ZERO, _ZERO
-    for a in range(2):
-        for b in range(2):
-            for c in range(2):
-                share = (u if a else _ONE - u) * (v if b else _ONE - v) * (w if c else _ONE - w)
-                height += share * field[i + a, j + b, k + c, 0]
-                dx += share * field[i + a, j + b, k + c, 1]
-                dy += share * field[i + a, j + b, k + c, 2]
-                dz += share * field[i + a, j + b, k + c, 3]
+    height, dx, dy, dz = sampled(field, u, v, w)
     if height >= wanted or height < -F(BURIED):
         return x, y, z
     push = F(SOFT) * (wanted - height)

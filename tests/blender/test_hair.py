@@ -31,6 +31,8 @@ def test_hair_is_what_blender_evaluates_of_curves(hair_script):
     # The same strands by Blender's node and by the core, on a turned head with another shape and expression.
     assert found["count"][0] == found["count"][1]
     assert found["surface"]
+    assert np.abs(np.subtract(found["before"], found["color"])).max() > 0.05
+    np.testing.assert_allclose(found["painted"], found["color"], atol=1e-3)
     assert found["turned"] < 0.3 < 3 < found["moved"]
     assert found["groom_again"] == 0
     assert found["comb"] > 1

@@ -56,6 +56,19 @@ turned = shot()
 bpy.ops.grmm.hair_as_curves(sculpt=False)
 curves, data = hair.curves, hair.curves.data
 turned_curves, strands = shot(), worn().strands
+
+# Other engines draw them in the color of the sliders.
+painted = next(node for node in data.materials[0].node_tree.nodes if node.type == "BSDF_PRINCIPLED").inputs["Base Color"]
+before = list(painted.default_value)[:3]
+hair.melanin, hair.redness, hair.grey, hair.dye, hair.dye_red, hair.tips = 0.2, 0.6, 0.3, 0.25, 0.9, -0.4
+bpy.context.view_layer.update()
+core_hair, pigment = module("grmm_core.hair"), module("grmm_core.hair.pigment")
+mixed = core_hair.HairSettings(melanin=0.2, redness=0.6, grey=0.3, dye=0.25, dye_red=0.9, tips=-0.4)
+color = pigment.albedos(mixed, np.zeros(1), np.full((1, 2), 0.5))[0].mean(0)
+report(painted=list(painted.default_value)[:3], before=before, color=[float(value) for value in color])
+for name in ("melanin", "redness", "grey", "dye", "dye_red", "tips"):
+    hair.property_unset(name)
+hair.melanin = 0.4
 at_rest = module("grmm_core.hair").library_groom("crop")
 report(
     turned=apart(turned_curves, turned),

@@ -71,4 +71,5 @@ def _cut(blender: WalkedBlender, path: Path, kind: str | None, wait: float) -> N
     """Save what a region of the viewport shows, or the whole window where it is None."""
     shot = Image.open(blender.picture(path.stem, wait)).convert("RGB")
     part = shot if kind is None else shot.crop(place(blender, kind))
-    part.quantize(256, dither=Image.Dither.FLOYDSTEINBERG).save(path, optimize=True)
+    # by k-means: the red of lips is a small part of the screen
+    part.quantize(256, kmeans=8, dither=Image.Dither.NONE).save(path, optimize=True)

@@ -93,12 +93,12 @@ def sheets(session: Session, size: int, out: Path) -> None:
 def main() -> int:
     """Draw and write; returns 0."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("picture", nargs="*", default=list(PICTURES), choices=[*PICTURES, "sheets"], help="which")
+    parser.add_argument("picture", nargs="*", choices=[*PICTURES, "sheets"], help="which (default: all but sheets)")
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder (default: %(default)s)")
     parser.add_argument("--size", type=int, default=1024, help="pixels of each picture in a sheet (default: %(default)s)")
     arguments = parser.parse_args()
     with create_session("local") as session:
-        for name in arguments.picture:
+        for name in arguments.picture or PICTURES:
             if name == "sheets":
                 sheets(session, arguments.size, arguments.out)
                 continue

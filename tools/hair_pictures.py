@@ -1,4 +1,4 @@
-"""`python -m tools.hair_pictures [PICTURE...]`: make the pictures of hair in `docs/images` anew; "sheets" shows grooms closely.
+"""`python -m tools.hair_pictures [PICTURE]`: make the pictures of hair in `docs/images` anew; "sheets" shows grooms closely.
 
 `hair`: every groom; `hair_skins`: six on three skins; `hair_parts`: beards, hair at random, hair that swings. `sheets` writes
 each groom on three skins from four sides to `--out`, at 1024 pixels a side unless told, for looking.
@@ -93,12 +93,14 @@ def sheets(session: Session, size: int, out: Path) -> None:
 def main() -> int:
     """Draw and write; returns 0."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("picture", nargs="*", choices=[*PICTURES, "sheets"], help="which (default: all but sheets)")
+    parser.add_argument(
+        "picture", choices=["all", *PICTURES, "sheets"], nargs="?", default="all", help="which (default: all but sheets)"
+    )
     parser.add_argument("--out", type=Path, default=FOLDER, help="folder (default: %(default)s)")
     parser.add_argument("--size", type=int, default=1024, help="pixels of each picture in a sheet (default: %(default)s)")
     arguments = parser.parse_args()
     with create_session("local") as session:
-        for name in arguments.picture or PICTURES:
+        for name in PICTURES if arguments.picture == "all" else (arguments.picture,):
             if name == "sheets":
                 sheets(session, arguments.size, arguments.out)
                 continue

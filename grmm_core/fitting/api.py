@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..avatar import Avatar, PhotoRecord
-from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
+from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError
 from ..jobs.progress import ProgressCallback, Reporter
 from ..photo.load import PhotoFile, check_proportion
 from .folder import TRACKS_FILE, Job, can_resume, check_photos_differ, check_writable, prepare
@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 
 FacesCallback = Callable[[Path, np.ndarray], None]
 """Called for each photo with its path and the faces' boxes, [K, 4] pixels: left, top, right, bottom."""
+
+MOST_TURNED = 55.0  # degrees: of a face that is turned further in every photo, half would be a guess
 
 logger = logging.getLogger(__name__)
 
@@ -128,6 +130,7 @@ def _make(
     from .hair_stage import person_hair
     from .invert import invert, photo_errors
     from .photo_targets import left_out
+    from .scalp import shaded_scalp
 
     if request.threads:
         import torch
@@ -138,6 +141,7 @@ def _make(
     loaded = ModelStore(request.weights or None, TorchLoader(choose_device(request.device)), request.head or None).default()
     head, folder = loaded.model.head_model, request.work_folder
     tracks = _tracks(request, job, photos, masks, head, report, on_faces)
+    check_turned(tracks)
     avatar = invert(
         tracks, loaded.model, head, request.preset, info=loaded.info, name=request.name or request.output.stem, work=folder,
         report=report,
@@ -146,7 +150,8 @@ def _make(
     person = with_deltas(loaded.model, avatar.deltas, folder)
     if loaded.model.config.hairless:
         hair = person_hair(tracks, [parse(track, head) for track in tracks], head, report.part("finish"))
-        avatar = dataclasses.replace(avatar, hair=hair)
+        avatar = shaded_scalp(person, dataclasses.replace(avatar, hair=hair))
+        person = with_deltas(loaded.model, avatar.deltas, folder)
     figures = {"rmse": photo_errors(person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(
@@ -200,6 +205,18 @@ def job_of(request: FitRequest, photos: Sequence[PhotoFile], masks: Sequence[Pho
     for photo, mask in zip(photos, masks, strict=False):
         check_proportion((mask.width, mask.height), (photo.width, photo.height), photo.path.name)
     return Job(records, faces_by_photo(request), tuple(mask.sha256() for mask in masks), request.weights, request.head)
+
+
+def check_turned(tracks: Sequence[PhotoTrack]) -> None:
+    """Refuse a person of whom every photo shows the side only. Raises `NoFaceError`."""
+    sides = [track.camera.view_direction(np.zeros(3)) for track in tracks]  # in head axes, whose z is to the front
+    degrees = [abs(float(np.degrees(np.arctan2(side[0], side[2])))) for side in sides]
+    least = int(np.argmin(degrees))
+    if degrees[least] > MOST_TURNED:
+        raise NoFaceError(
+            f"The face in {tracks[least].source or 'the photo'} is turned by {degrees[least]:.0f} degrees; add a photo from at "
+            f"most {MOST_TURNED:.0f} degrees beside the front."
+        )
 
 
 def check_face(photo: Path, face: int, count: int) -> None:

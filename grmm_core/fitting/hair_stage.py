@@ -19,7 +19,7 @@ from torch.nn import functional
 from ..avatar import Hair
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..hair.coloring import HairView, WornHair, around_head, hiding_faces, reduced, with_colors
-from ..hair.groom import Groom, bind, join
+from ..hair.groom import Groom, join
 from ..hair.mirror import mirrored
 from ..hair.packaged import groom_names, library_groom
 from ..hair.ribbons import segments
@@ -30,6 +30,7 @@ from ..photo.parser import MESH_PARTS, part_map
 from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays
 from .face_hair import face_hair
+from .hair_shape import Course, bent, field_to, offsets, with_hairline
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -40,7 +41,9 @@ SIDE = 160  # pixels: longer side of the pictures that are compared
 STRANDS, POINTS = 900, 10  # of a drawn candidate: enough for a silhouette
 LENGTHS = (0.6, 0.8, 1.0, 1.25)
 FINER = (0.9, 1.0, 1.1)  # factors of the second round
-VOLUMES = (0.0, 0.12, 0.24, 0.36)  # by how much strands stand further from the middle of the head, as a share
+BENT = 2  # grooms that are bent to the photos; what they cost to bend is in their score
+SHY = 0.4  # of the score for each metre from roots to tips: what a photo cannot show, as before the forehead, is short
+INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe is small, and seen first
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
 HATTED = 0.5  # of the scalp's pixels: if more are hidden, the person wears a hat
 UNDER_HATS = ("bob", "crop", "pixie")
@@ -90,16 +93,14 @@ class Match(NamedTuple):
         flipped: The other way round.
         length: As in `HairSettings`.
         score: Agreement, at most 1.
-        overlap: Intersection of drawn and seen cover over their union.
-        volume: One of `VOLUMES`.
+        field: That bends it to the photos, see `hair_shape`; None leaves it.
     """
 
     name: str
     flipped: bool
     length: float
     score: float
-    overlap: float
-    volume: float = 0.0
+    field: torch.Tensor | None = None
 
 
 class Directions(NamedTuple):
@@ -122,27 +123,11 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
         return None
     groom = library_groom(best.name, head.name)
     groom = mirrored(groom, head) if best.flipped else groom
-    groom = with_volume(groom, head, best.volume) if best.volume else groom
+    if best.field is not None:
+        groom, best = bent(groom, best.length, best.field, head), best._replace(length=1.0)
+    groom = with_hairline(groom, [_Stage(around_head(view), head) for view in views], head)
     settings = with_colors(HairSettings(length=best.length), groom, views, head)
     return Hair(groom, _varied(settings, groom, around_head(views[0]), head))
-
-
-def with_volume(groom: Groom, head: HeadModel, volume: float) -> Groom:
-    """A groom whose strands stand further from the head by a share of their distance from its middle."""
-    vertices = np.asarray(head.v_template, np.float64)
-    frames = groom.frames(vertices, head.faces)
-    posed = groom.posed(frames, vertices)
-    moved = _puffed(posed, groom.along[:, None], vertices[head.regions["scalp"]].mean(0), volume)
-    return bind(
-        vertices, head.faces, vertices, groom.triangles, groom.weights, moved, groom.offsets, groom.widths, groom.groups
-    )
-
-
-def _puffed(points: np.ndarray, along: np.ndarray, middle: np.ndarray, volume: float) -> np.ndarray:
-    """Points [..., 3] moved away from the middle, less near the roots (`along` 0, [..., 1]); nothing moves down."""
-    away = points - middle
-    away[..., 1] = np.maximum(away[..., 1], 0.0)
-    return points + volume * along * away
 
 
 def _varied(settings: HairSettings, groom: Groom, view: HairView, head: HeadModel) -> HairSettings:
@@ -163,21 +148,27 @@ def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[f
     stages = [_Stage(around_head(view), head) for view in views]
     hatted = min(stage.hidden for stage in stages) > HATTED
     if max(stage.share for stage in stages) < (BALD_HATTED if hatted else BALD):
-        return Match("", False, 1.0, 1.0, 1.0)
+        return Match("", False, 1.0, 1.0)
     names = UNDER_HATS if hatted else groom_names()
-    best = Match("", False, 1.0, -1.0, 0.0)
+    tried: dict[tuple[str, bool], Match] = {}
     for number, name in enumerate(names):
-        progress(number / len(names))
+        progress(0.6 * number / len(names))
         for flipped in (False, True):
             candidate = _Candidate(name, flipped, head)
-            for length in LENGTHS:
-                best = max(best, _judged(stages, candidate, length), key=_score)
-    candidate = _Candidate(best.name, best.flipped, head)
-    volumes = VOLUMES[:1] if hatted else VOLUMES
-    tried = [_judged(stages, candidate, best.length * factor, volume) for factor in FINER for volume in volumes]
-    best = max([best, *tried], key=_score)
+            tried[name, flipped] = max((_judged(stages, candidate, length) for length in LENGTHS), key=_score)
+    ranked = sorted(tried.values(), key=_score, reverse=True)
+    candidate = _Candidate(ranked[0].name, ranked[0].flipped, head)
+    best = max([ranked[0], *(_judged(stages, candidate, ranked[0].length * factor) for factor in FINER)], key=_score)
+    if hatted:
+        return best
+    found = []
+    for number, match in enumerate([best, *ranked[1:BENT]]):
+        progress(0.6 + 0.4 * number / BENT)
+        candidate = _Candidate(match.name, match.flipped, head)
+        field = field_to(candidate.course(stages, match.length), stages)
+        found.append(_judged(stages, candidate, match.length, field))
     progress(1.0)
-    return best
+    return max(found, key=_score)
 
 
 def _score(match: Match) -> float:
@@ -188,24 +179,28 @@ class _Candidate:
     """A groom of the package thinned out for silhouettes, its strands as much wider."""
 
     def __init__(self, name: str, flipped: bool, head: HeadModel) -> None:
-        self.name, self.flipped, self.scalp = name, flipped, head.regions["scalp"]
+        self.name, self.flipped, self.template = name, flipped, np.asarray(head.v_template, np.float64)
         groom = library_groom(name, head.name)
         rows = np.flatnonzero(groom.groups == SCALP)
         kept = rows[np.argsort((np.arange(len(rows)) * 0.6180339887498949) % 1.0)[:STRANDS]]  # spread evenly
         thin = groom.select(np.sort(kept)).resampled(POINTS)
         thin = mirrored(thin, head) if flipped else thin
         self.local = thin.points.reshape(len(thin), POINTS, 3)
-        self.frames = thin.frames(np.asarray(head.v_template, np.float64), head.faces)
+        self.frames = thin.frames(self.template, head.faces)
         self.radii = (0.5 * len(rows) / max(len(thin), 1)) * thin.widths.astype(np.float32)
 
-    def points(self, vertices: np.ndarray, length: float, volume: float = 0.0) -> np.ndarray:
+    def points(self, vertices: np.ndarray, length: float) -> np.ndarray:
         """Strands on a posed head, [N, K, 3]."""
         origin, axes = (part.astype(np.float32) for part in self.frames.at(vertices))
         posed: np.ndarray = np.matmul(lengthened(self.local, length), axes) + origin[:, None]
-        if not volume:
-            return posed
-        middle = vertices[self.scalp].mean(0).astype(np.float32)
-        return _puffed(posed, np.linspace(0, 1, POINTS, dtype=np.float32)[:, None], middle, volume)
+        return posed
+
+    def course(self, stages: Sequence[_Stage], length: float) -> Course:
+        """Strands ready to be bent to photos."""
+        rest = self.frames.at(self.template)[1]
+        turns = [np.matmul(rest.transpose(0, 2, 1), self.frames.at(stage.vertices)[1]) for stage in stages]
+        posed = [self.points(stage.vertices, length) for stage in stages]
+        return Course(self.points(self.template, length), posed, turns, self.radii, OPACITY)
 
 
 class _Stage:
@@ -222,6 +217,7 @@ class _Stage:
         cosine, sine = directions(view.image, view.hair)
         self.seen = Directions(reduced(cosine, size), reduced(sine, size))
         self.depth = triangle_depth(np.asarray(view.vertices)[hiding_faces(head)], self.camera)
+        self.weights = self.counts * (1.0 + INSIDE * (self.depth < EMPTY))
         self.share = float((self.hair * self.counts).sum() / max((self.depth < EMPTY).sum(), 1))
         scalp = part_map(head, view.vertices, self.camera)[0] == tuple(MESH_PARTS).index("scalp")
         self.hidden = float((1.0 - self.counts)[scalp].mean()) if scalp.any() else 0.0
@@ -247,20 +243,21 @@ class _Stage:
         return picture.alpha, Directions(picture.features[..., 0], picture.features[..., 1])
 
 
-def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, volume: float = 0.0) -> Match:
-    scores, overlaps = [], []
-    for stage in stages:
-        points = candidate.points(stage.vertices, length, volume)
+def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, field: torch.Tensor | None = None) -> Match:
+    scores = []
+    course = candidate.course(stages, length)
+    for stage, posed, turn in zip(stages, course.posed, course.turns, strict=True):
+        points = posed if field is None else posed + np.matmul(offsets(field, course.rest), turn).astype(np.float32)
         cover, way = stage.drawn(points, candidate.radii)
-        both = np.minimum(cover, stage.hair) * stage.counts
-        either = np.maximum(cover, stage.hair) * stage.counts
+        both = np.minimum(cover, stage.hair) * stage.weights
+        either = np.maximum(cover, stage.hair) * stage.weights
         overlap = float(both.sum() / max(either.sum(), 1e-6))
         clear = np.hypot(*stage.seen) * np.hypot(*way) * stage.counts
         agree = (stage.seen.cosine * way.cosine + stage.seen.sine * way.sine) * stage.counts
         turned = float(agree.sum() / max(clear.sum(), 1e-6)) if clear.sum() > 1.0 else 0.0
-        overlaps.append(overlap)
         scores.append((overlap + ORIENTATION * overlap * turned) / (1.0 + ORIENTATION))
-    return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)), float(np.mean(overlaps)), volume)
+    reach = float(np.linalg.norm(course.rest[:, -1] - course.rest[:, 0], axis=1).mean())
+    return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)) - SHY * reach, field)
 
 
 def directions(image: np.ndarray, hair: np.ndarray) -> Directions:

@@ -45,7 +45,7 @@ BARE = 0.15  # of a pixel: less hair, beard or cloth than this and it is skin
 SKIN_RIM = 0.008  # of the head's height that skin keeps from cloth and the outline, whose colors the blur mixes in
 HAIR_RIM = 0.016  # likewise from hair and hats
 SHADOW_RIM = 0.05  # likewise: how far beside the face hair throws a shadow
-SHADOW = 0.88  # of the face's lightness: less is shadow there, and on the neck
+SHADOW = 0.88  # of the face's lightness: less is shadow there
 NECK_TINT, NECK_LIGHT = 0.05, 1.15  # how far a neck's chromaticity and how much its lightness may exceed the face's: collars do
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
@@ -243,7 +243,18 @@ def _bare(
         _plane(hair), max(1, round(HAIR_RIM * height))
     )
     background = (track.mask < BODY_MASK) & (track.valid > 0.5)
-    return weight * skin, np.maximum(empty, background).astype(np.float32)
+    return weight * (skin & ~_shaded(track, parts, hair, height)), np.maximum(empty, background).astype(np.float32)
+
+
+def _shaded(track: PhotoTrack, parts: PhotoParts, hair: np.ndarray, height: float) -> np.ndarray:
+    """Pixels beside the face's middle on which hair throws its shadow, [H, W] bool."""
+    face = parts.skin > _LIKELY
+    if not face.any() or not hair.any():
+        return np.zeros(face.shape, bool)
+    light = track.image.mean(2)
+    grid, down = _grid(track)
+    near = _widened(_plane(hair), max(1, round(SHADOW_RIM * height)))
+    return near & (light < SHADOW * np.median(light[face])) & _before_the_face(track, grid, down)
 
 
 def _foreign(image: np.ndarray, parts: PhotoParts) -> np.ndarray:

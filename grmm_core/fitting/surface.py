@@ -27,6 +27,7 @@ INNER_REGIONS = (
 )  # fmt: skip
 SEAM_REACH = 0.004  # metres on the mean head between texels at the borders of the UV map's islands
 BESIDE = (0.045, 0.06)  # metres from the plane of symmetry: eyes and mouth are before the first, brows before the second
+BELOW = (0.035, 0.05)  # metres below the lips: the chin is before the first, its underside beyond the second
 MIRROR_REACH = 0.005  # metres; the mean head is nearly symmetric
 MIRROR_WEIGHT = 0.25  # of a link across the plane of symmetry; a neighbour has 1
 SEEN_WEIGHT = 40.0  # of a fully seen texel's own value
@@ -44,7 +45,7 @@ class Surface:
         links: Adjacency of neighbours, and of neighbours and mirror images: weights w, [N, N] sparse and symmetric.
         degrees: Row sums of both, [2, N].
         average: Mean of each texel and its neighbours, [N, N] sparse.
-        beside: How far it is beside the face's features, 0..1, [N].
+        beside: How far it is beside the face's features or below the chin, 0..1, [N].
     """
 
     group: Tensor
@@ -111,8 +112,17 @@ def texel_surface(model: GRMM) -> Surface:
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
-        torch.tensor(np.interp(np.abs(positions[:, 0]), BESIDE, (0.0, 1.0)), dtype=model.dtype, device=model.device),
+        torch.tensor(_beside(head, positions), dtype=model.dtype, device=model.device),
     )  # fmt: skip
+
+
+def _beside(head: HeadModel, positions: np.ndarray) -> np.ndarray:
+    """See `Surface.beside`; positions on the mean head, metres, [N, 3]."""
+    beside = np.interp(np.abs(positions[:, 0]), BESIDE, (0.0, 1.0))
+    if "lips" not in head.regions:
+        return beside
+    lips = float(head.v_template[head.regions["lips"], 1].min())
+    return np.maximum(beside, np.interp(lips - positions[:, 1], BELOW, (0.0, 1.0)))
 
 
 def _average(edges: np.ndarray, count: int) -> FixedSparse:

@@ -20,6 +20,7 @@ from ..splat.types import GaussianArrays, Gaussians
 from .drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from .groom import Groom
 from .ribbons import Eye
+from .roots import SCALP
 from .settings import HairSettings
 from .strands import blocks_of
 
@@ -29,9 +30,11 @@ if TYPE_CHECKING:
 COLOR_SIDE = 256  # pixels of the picture whose colors are compared
 _FULL = 0.8  # cover from which a pixel shows nothing but hair
 _FEW_PIXELS = 20
+_BARE, _NEAR = 0.05, 0.02  # cover below which a pixel is skin, and how near to hair that is looked for, of the picture's height
+_CLOSED, _MOST_BETWEEN = 0.1, 0.6  # share of skin between strands below which none shows, and what is believed of it
 _PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
 _ROUNDS = 4  # of finding a dye
-UNLIKELY = 0.04  # of a display color; if no pigment comes nearer, hair is dyed
+UNLIKELY = 0.02  # of a display color; if no pigment comes nearer, hair is dyed
 MARGIN = 0.3  # of the head's height, around it
 
 
@@ -95,6 +98,8 @@ def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView],
     strands = WornHair(groom, settings, view.vertices, view.camera.resized(size[1], size[0]), head)
     weights = strands.weights(full)
     wanted = image[full].mean(0)
+    if len(groom) and (groom.groups != SCALP).all():  # brows and beards let the skin through, and so do drawn ones
+        wanted = _without_skin(image, hair, full, strands.drawn(settings)[1])
 
     def distance(tried: HairSettings) -> float:
         off = weights @ strands.gaussians(tried).colors - wanted
@@ -115,6 +120,21 @@ def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView],
         best = best.changed(dye_red=float(color[0]), dye_green=float(color[1]), dye_blue=float(color[2]))
         color = np.clip(color - (weights @ strands.gaussians(best).colors - wanted), 0.0, 1.0)
     return best
+
+
+def _without_skin(image: np.ndarray, hair: np.ndarray, full: np.ndarray, cover: np.ndarray) -> np.ndarray:
+    """Mean color [3] of hair in the pixels `full` of a photo, less the skin that shows between strands that cover so much."""
+    mean, between = image[full].mean(0), 1.0 - float(cover[full].mean())
+    near = np.zeros_like(full)
+    rows, columns = np.nonzero(full)
+    reach = max(2, round(_NEAR * len(full)))
+    near[max(0, rows.min() - reach) : rows.max() + reach, max(0, columns.min() - reach) : columns.max() + reach] = True
+    skin = near & (hair < _BARE)
+    if between < _CLOSED or skin.sum() < _FEW_PIXELS:
+        return mean
+    between = min(between, _MOST_BETWEEN)
+    color: np.ndarray = np.clip((mean - between * np.median(image[skin], 0)) / (1.0 - between), 0.0, 1.0)
+    return color
 
 
 class WornHair:

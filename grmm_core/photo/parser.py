@@ -27,6 +27,10 @@ REACH = 0.2  # metres from the head's origin that are 1 in the channels of place
 EDGE_RADIUS, EDGE_EPSILON = 1.0 / 96.0, 4e-4  # of the guided filter: share of the side, squared intensity
 LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller finds are dark eyes, buttons, shadows
 LEAST_HAT = 0.35  # of hat and hair together; a smaller part is hair in another light
+AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair
+# hair or skin by color: steps of each channel, share from which a label is sure, share of the picture that must be, a color's
+# likelihood that is none, how much a color can say, and the share of either from which on the other is not asked
+COLORS, SURE, LEAST_SURE, LEAST_LIKELY, STRONGEST, DOUBT = 24, 0.8, 0.002, 1e-6, 20.0, 0.08
 MESH_PARTS = {
     "eyes": ("left_eyeball", "right_eyeball"), "mouth": ("mouth_interior", "upper_teeth", "lower_teeth", "tongue"),
     "lips": ("lips",), "brows": ("brows",), "ears": ("ears",), "scalp": ("scalp",), "neck": ("neck",), "skin": (),
@@ -106,7 +110,42 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
         sharp *= pixels[0, 4:5]  # beyond the photo's edge there is background
         sharp[0] += 1.0 - pixels[0, 4]
         sharp = sharp / sharp.sum(0, keepdim=True).clamp_min(1e-6)
-    return PhotoParts(*sharp.numpy())
+        eyes = torch.from_numpy(mesh[[tuple(MESH_PARTS).index(name) for name in ("eyes", "brows", "mouth")]]).amax(0)
+        features = functional.max_pool2d(eyes[None, None], 2 * AROUND_EYES + 1, 1, AROUND_EYES)
+        features = functional.interpolate(features, pixels.shape[2:])[0, 0]
+    return PhotoParts(*_by_color(sharp, pixels[0, :3], features).numpy())
+
+
+def _by_color(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
+    """Divide what is hair or skin, the network does not know which, by the colors of what surely is one or the other.
+
+    Args:
+        shares: Of the labels, [L, H, W].
+        picture: [3, H, W].
+        features: 1 around eyes, brows and mouth, whose colors are neither's, [H, W].
+    """
+    hair, skin = (LABELS.index(name) for name in ("hair", "skin"))
+    both = shares[hair] + shares[skin]
+    smooth = functional.avg_pool2d(picture[None], 3, 1, 1, count_include_pad=False)[0]
+    cell = (smooth.clamp(0, 1) * (COLORS - 1)).round().long()
+    number = ((cell[0] * COLORS + cell[1]) * COLORS + cell[2]).flatten()
+    likely = []
+    for label in (hair, skin):
+        sure = (shares[label] * (shares[label] > SURE)).flatten()
+        if float(sure.sum()) < LEAST_SURE * sure.numel():
+            return shares
+        counted = torch.bincount(number, sure, COLORS**3).reshape(1, 1, COLORS, COLORS, COLORS)
+        for _ in range(2):
+            counted = functional.avg_pool3d(counted, 3, 1, 1)
+        likely.append((counted.flatten() / counted.sum())[number].reshape(both.shape) + LEAST_LIKELY)
+    evidence = (likely[0] / likely[1]).log()[None, None]
+    ratio = functional.avg_pool2d(evidence, 5, 1, 2, count_include_pad=False)[0, 0].exp().clamp(1.0 / STRONGEST, STRONGEST)
+    told = shares[hair] / both.clamp_min(1e-6)
+    doubtful = (told > DOUBT) & (told < 1.0 - DOUBT) & (features < 0.5)
+    told = torch.where(doubtful, told * ratio / (told * ratio + 1.0 - told), told)
+    divided = shares.clone()
+    divided[hair], divided[skin] = both * told, both * (1.0 - told)
+    return divided
 
 
 def _believed(shares: Tensor) -> Tensor:

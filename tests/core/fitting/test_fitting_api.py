@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,10 +24,11 @@ from grmm_core.avatar import PhotoRecord, load_avatar, read_avatar_header
 from grmm_core.avatar.library import library_path
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError, ShapeError
 from grmm_core.fitting import presets
-from grmm_core.fitting.api import FitResult, fit
+from grmm_core.fitting.api import FitResult, check_turned, fit
 from grmm_core.fitting.folder import TRACKS_FILE, Job, can_resume, prepare
 from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset
 from grmm_core.fitting.request import FitRequest
+from grmm_core.geometry.camera import Camera
 from grmm_core.jobs.progress import Progress
 from grmm_core.jobs.stages import FIT
 from grmm_core.model import store
@@ -42,7 +44,6 @@ def weights(tmp_path_factory):
 @pytest.fixture(scope="module")
 def photo(tmp_path_factory):
     """A picture of the embedded avatar: a face that nobody owns, found by the same networks as a real one."""
-    from grmm_core.geometry.camera import Camera
     from grmm_core.session import create_session
     from grmm_core.session.api import Instance, RenderOptions
 
@@ -106,6 +107,16 @@ def test_by_weights_without_hair_the_person_wears_strands(photo, make, tmp_path)
     own = load_avatar(library_path("default")).hair.settings
     assert abs(hair.settings.melanin - own.melanin) < 0.15
     assert hair.settings.length < 1.3
+
+
+def test_a_face_from_the_side_alone_is_refused_in_one_sentence():
+    def turned(yaw):
+        return SimpleNamespace(source="anna.jpg", camera=Camera.orbit(64, 64, yaw, 10.0))
+
+    check_turned([turned(-50.0)])
+    check_turned([turned(80.0), turned(20.0)])  # another photo shows the front
+    with pytest.raises(NoFaceError, match=r"anna\.jpg is turned by 70 degrees; add a photo"):
+        check_turned([turned(-70.0), turned(85.0)])
 
 
 def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, make, tmp_path):

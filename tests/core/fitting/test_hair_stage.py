@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from photo_parts import parts_of
 
-from grmm_core.fitting.hair_stage import directions, fit_hair, person_hair, with_volume
+from grmm_core.fitting.hair_shape import NODES, bent
+from grmm_core.fitting.hair_stage import directions, fit_hair, person_hair
 from grmm_core.fitting.photo_targets import project
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
@@ -17,6 +19,7 @@ from grmm_core.hair.mirror import mirrored
 from grmm_core.hair.roots import BEARD, BROWS, LASHES
 from grmm_core.head import load_open_head
 
+AXES = torch.tensor([1.0, 0.0, 0.0])[:, None, None, None]
 SKIN = np.array([0.75, 0.56, 0.47])
 
 
@@ -38,11 +41,10 @@ def test_a_packaged_groom_is_found_again_with_its_color(name, flipped, settings)
     groom = mirrored(library_groom(name), head) if flipped else library_groom(name)
     hair = fit_hair([photo(groom, settings, yaw) for yaw in (-20.0, 35.0)], head)
     assert len(hair.groom) == len(groom)
-    np.testing.assert_allclose(hair.groom.points, groom.points, atol=1e-6)
-    assert abs(hair.settings.length - 1.0) < 0.3
     shown, again = (photo(groom, made, -20.0) for made in (settings, hair.settings))
     full = (shown.hair > 0.95) & (again.hair > 0.95)
     np.testing.assert_allclose(again.image[full].mean(0), shown.image[full].mean(0), atol=0.05)
+    assert np.minimum(shown.hair, again.hair).sum() > 0.85 * np.maximum(shown.hair, again.hair).sum()
 
 
 def test_a_head_without_hair_is_bald():
@@ -62,15 +64,27 @@ def test_directions_are_those_of_stripes():
         assert np.mean(seen.cosine[inner] * np.cos(2 * angle) + seen.sine[inner] * np.sin(2 * angle)) > 0.9
 
 
-def test_volume_lifts_strands_and_leaves_their_roots():
+def test_a_field_moves_tips_and_leaves_roots():
     head = load_open_head()
     vertices = np.asarray(head.v_template, np.float64)
     groom = library_groom("bob")
-    flat, puffed = (one.posed(one.frames(vertices, head.faces), vertices) for one in (groom, with_volume(groom, head, 0.2)))
-    np.testing.assert_allclose(puffed[groom.offsets[:-1]], flat[groom.offsets[:-1]], atol=1e-5)
-    tips = groom.offsets[1:] - 1
-    assert float(np.ptp(puffed[tips, 0])) > 1.1 * float(np.ptp(flat[tips, 0]))
-    assert float(puffed[:, 1].min()) > float(flat[:, 1].min()) - 1e-4
+    field = torch.zeros(3, *NODES[::-1])
+    field[2] = -0.02
+    moved = bent(groom, 1.0, field, head)
+    flat, back = (one.posed(one.frames(vertices, head.faces), vertices) for one in (groom.resampled(moved.counts[0]), moved))
+    first, last = moved.offsets[:-1], moved.offsets[1:] - 1
+    np.testing.assert_allclose(back[first], flat[first], atol=1e-4)
+    assert abs(float(np.median(back[last, 2] - flat[last, 2])) + 0.02) < 0.003
+
+
+def test_hair_swells_to_the_outline_that_a_photo_shows():
+    head = load_open_head()
+    wide = bent(library_groom("bob"), 1.0, 0.02 * torch.linspace(-1, 1, NODES[0]).expand(3, *NODES[::-1]) * AXES, head)
+    view = photo(wide, HairSettings(melanin=0.5), 0.0)
+    hair = fit_hair([view], head)
+    again, plain = (photo(one, HairSettings(melanin=0.5), 0.0).hair for one in (hair.groom, library_groom("bob")))
+    off = [float(np.abs(view.hair - cover).sum()) for cover in (again, plain)]
+    assert off[0] < 0.8 * off[1]
 
 
 def face(drawn=(), yaw=10.0):
@@ -100,8 +114,7 @@ def test_brows_stand_where_the_photo_has_them(name):
     assert set(groups.tolist()) == {BROWS, LASHES}, "bald, and no beard"
     share = (groups == BROWS).sum() / len(library_groom("bushy", part="brows"))
     assert 0.05 < share < 0.75 if name == "thin" else share > 0.5
-    # the skin between strands takes part in their color: black brows (0.95) are found dark brown, blond ones would be below 0.3
-    assert name == "thin" or hair.parts["brows"].melanin > 0.5
+    assert name == "thin" or hair.parts["brows"].melanin > 0.6  # of 0.95; blond ones would be below 0.3
 
 
 def test_a_beard_keeps_the_strands_that_the_photo_shows():

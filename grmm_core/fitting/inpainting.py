@@ -29,7 +29,8 @@ SURFACE_LID_SHADE = (0.15, 0.35)  # likewise on a closed surface, whose lids kee
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
 FEATHER_TEXELS, FADES = 5.0, (0.05, 0.45)  # how far what was seen goes on before plain skin stands: length, smoothed knowledge
 EDGE_TEXELS, EDGE = 12.0, (0.5, 0.75)  # likewise beside the face where what was seen last is darker than plain skin
-SHADING_TEXELS, SHADING = 5.0, 0.045  # beside the face and below it: how much smooth shading, over so many texels, is kept
+# beside the face and below it: smooth shading over so many texels, how much of it is kept, and what more where it is well seen
+SHADING_TEXELS, SHADING, WELL_SEEN = 5.0, 0.06, 0.5
 HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
 HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
@@ -144,7 +145,8 @@ def _fill_surface(
     edge = surface.beside[:, None] * ((EDGE[1] - far) / (EDGE[1] - EDGE[0])).clamp(0, 1)
     seen = torch.lerp(seen, beyond, edge * dark)
     off = surface.smooth(seen, SHADING_TEXELS) - beyond  # shadows of hair, chin and collar would turn with the head
-    seen = seen - surface.beside[:, None] * (off - SHADING * torch.tanh(off / SHADING))
+    doubted = surface.beside[:, None] * (1.0 - WELL_SEEN * far.clamp(0, 1))
+    seen = seen - doubted * (off - SHADING * torch.tanh(off / SHADING))
     outer = tone + torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1)) - start
     return torch.where(skin[:, None], outer, surface.fill(changes, known))
 

@@ -130,7 +130,7 @@ def _make(
     from .hair_stage import person_hair
     from .invert import invert, photo_errors
     from .photo_targets import left_out
-    from .scalp import shaded_scalp
+    from .root_shade import shaded_scalp
 
     if request.threads:
         import torch

@@ -9,6 +9,7 @@ import bpy
 from ...grmm_core.avatar import AssetReference
 from ...grmm_core.controls.table import ARRAYS, CONTROLS, EXPRESSIONS, SLIDERS, Z_EXP, Z_ID
 from ...grmm_core.errors import FileFormatError, GrmmError
+from ...grmm_core.hair import SETTINGS
 from ...grmm_core.head import HeadModel
 from . import armature, drivers, live, mesh, repaint
 from .avatar import Avatar
@@ -40,6 +41,9 @@ def build_avatar(context: bpy.types.Context, source: str, identity: Identity) ->
     obj.grmm.source = source  # before it is an avatar: nothing has to be brought in step
     obj.grmm.head_name = identity.reference or head.name
     obj.grmm.live_detail = identity.z_exp_size > 0
+    if identity.hair is not None:  # the sliders change what is there, and a new curl leaves the color
+        for row in SETTINGS:
+            setattr(obj.grmm.hair, row.name, getattr(identity.hair, row.name))
     obj.grmm.is_avatar = True
     obj.grmm.known_path = known_path(Avatar(obj))
     rig.location = context.scene.cursor.location

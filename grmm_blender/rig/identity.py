@@ -16,6 +16,7 @@ from ...grmm_core.avatar import AssetReference, Hair, load_avatar
 from ...grmm_core.avatar.library import DEFAULT_NAME, library_file, library_path
 from ...grmm_core.controls.table import EXPRESSION, SHAPE, Z_EXP, Z_ID
 from ...grmm_core.errors import FileAccessError, FileFormatError
+from ...grmm_core.hair import HairSettings
 from ...grmm_core.head import HeadModel, load_flame, load_open_head
 from ...grmm_core.model.parameters import code_sizes
 from ...grmm_core.model.people import sampled_avatar
@@ -41,6 +42,7 @@ class Identity:
         z_id_size, z_exp_size: Length of the residual codes.
         painting: The person on the head's UV map, `Avatar.painting`, or None for a plain face.
         reference: What the rig stores as its head model, for `load_head`; empty for the head's name.
+        hair: Length, color and so on of the strands that the avatar has of its own, or None.
         offset: What the person's resting mesh has beyond the shape coefficients, metres, [V, 3], or None.
     """
 
@@ -53,6 +55,7 @@ class Identity:
     offset: np.ndarray | None = None
     painting: np.ndarray | None = None
     reference: str = ""
+    hair: HairSettings | None = None
 
     @property
     def sizes(self) -> dict[str, int]:
@@ -101,7 +104,9 @@ def read_identity(source: str) -> Identity:
         raise FileFormatError(f"{source} does not fit the head model {head.name!r}; make the avatar anew.")
     painting = avatar.painting if avatar.painting.size else None
     sizes = avatar.z_id.size, avatar.z_exp.size
-    return Identity(avatar.name, head, avatar.shape[: head.shape_count], avatar.expression, *sizes, painting=painting)
+    hair = None if avatar.hair is None else avatar.hair.settings
+    shape = avatar.shape[: head.shape_count]
+    return Identity(avatar.name, head, shape, avatar.expression, *sizes, painting=painting, hair=hair)
 
 
 def _random_person(source: str) -> Identity:

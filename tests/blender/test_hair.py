@@ -102,6 +102,7 @@ def test_the_hair_pass_of_curves_holds_behind_holdouts_in_borders_and_in_blur(ha
 
 def test_hair_is_swapped_by_one_click(hair_script):
     found = hair_script("hair_choice.py")
+    assert found["own"][0] == found["own"][1]  # sliders begin with what the person has
     assert found["pictures"] == found["grooms"] + 1
     assert found["bytes"] < 300_000
     assert found["items"] == ["OWN", "NONE", "afro"]

@@ -38,6 +38,14 @@ class Menu:
 
 bpy.types.GRMM_MT_add.draw(Menu, bpy.context)
 bpy.types.GRMM_MT_add_hair.draw(Menu, bpy.context)
+own = module("grmm_blender.rig.identity").own_hair("default").settings
+bpy.ops.grmm.add_head()
+added = bpy.context.object.children[0].grmm.hair
+names_of_settings = [row.name for row in module("grmm_core.hair").SETTINGS]
+report(own=[[round(float(getattr(values, name)), 5) for name in names_of_settings] for values in (own, added)])
+for part in (bpy.context.object.children[0], bpy.context.object):
+    bpy.data.objects.remove(part)
+bpy.context.view_layer.objects.active = head
 wore = []
 hair.picked = "afro"
 wore.append(hair.groom)

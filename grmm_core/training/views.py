@@ -131,9 +131,8 @@ def shrink(view: View, size: int) -> View:
         # a mean across a silhouette would lie in empty space
         depth = np.where(valid.all((1, 3)), grid.mean((1, 3)), 0.0).astype(np.float32)
     camera = view.camera.crop(0, 0, columns * factor, rows * factor).resized(columns, rows)
-    image, mask, detail = (
-        None if a is None else (blocks(a).mean((1, 3)) + 0.5).astype(np.uint8) for a in (view.image, view.mask, view.detail)
-    )
+    image, mask = ((blocks(a).mean((1, 3)) + 0.5).astype(np.uint8) for a in (view.image, view.mask))
+    detail = None if view.detail is None else (blocks(view.detail).mean((1, 3)) + 0.5).astype(np.uint8)
     return replace(view, camera=camera, image=image, mask=mask, depth=depth, detail=detail)
 
 
@@ -169,7 +168,8 @@ def crop_to_person(view: View, margin: int) -> View:
 
 def _window(view: View, x: int, y: int, width: int, height: int) -> View:
     window = (slice(y, y + height), slice(x, x + width))
+    depth, detail = (None if a is None else a[window] for a in (view.depth, view.detail))
     return replace(
-        view, camera=view.camera.crop(x, y, width, height), image=view.image[window], mask=view.mask[window],
-        **{name: None if (a := getattr(view, name)) is None else a[window] for name in ("depth", "detail")},
+        view, camera=view.camera.crop(x, y, width, height), image=view.image[window], mask=view.mask[window], depth=depth,
+        detail=detail,
     )  # fmt: skip

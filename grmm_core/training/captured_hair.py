@@ -16,11 +16,13 @@ from ..data.dataset import CaptureDataset
 from ..data.layers import PART_LAYER, PARTS
 from ..data.types import Shot, View
 from ..hair.coloring import HairView, with_colors
+from ..hair.roots import BEARD, BROWS, GROUPS, SCALP
 from ..hair.settings import HairSettings
 
 if TYPE_CHECKING:
     from ..head import HeadModel
 
+_LOOSE = 2.0  # brows and beards cover little more than half of the skin where they are densest
 
 SeenIn = Callable[[Shot, View], bool]
 
@@ -45,20 +47,33 @@ def captured_hair(
         groom = dataset.groom(person)
         if groom is None:
             continue
-        shown = [
-            _hair_view(dataset, shot, view, head)
+        views = [
+            (dataset, shot, view)
             for shot in dataset.shots if shot.subject == person
             for view in shot.shown(bare=False) if PART_LAYER in view.layers and seen(shot, view)
         ]  # fmt: skip
-        shown.sort(key=lambda view: -float(view.hair.sum()))
-        return Hair(groom, with_colors(HairSettings(), groom, shown, head) if shown else HairSettings())
+        settings, parts = HairSettings(), {}
+        for group in (SCALP, BROWS, BEARD):
+            some = groom.select(groom.groups == group) if group else groom
+            shown = [_hair_view(*view, head, GROUPS[group]) for view in views] if len(some) else []
+            if shown:
+                clearest = max(shown, key=lambda view: float(view.hair.sum()))
+                colored = with_colors(settings.for_part(group), some, [clearest], head)
+                if group == SCALP:
+                    settings = colored
+                elif colored != settings.for_part(group):
+                    parts[GROUPS[group]] = colored.changed(dye=settings.dye)  # pigment alone, so that its sliders act
+        return Hair(groom, settings, parts)
     return None
 
 
-def _hair_view(dataset: CaptureDataset, shot: Shot, view: View, head: HeadModel) -> HairView:
+def _hair_view(dataset: CaptureDataset, shot: Shot, view: View, head: HeadModel, part: str) -> HairView:
+    """A view and where it shows scalp hair, brows or beard; of the last two, skin between the hairs belongs to them."""
     picture = dataset.picture(shot, view)
     vertices = np.asarray(head.vertices(dataset.shape(shot.subject), shot.expression, shot.pose), np.float64)
     if shot.displacement is not None:
         vertices = vertices + shot.displacement
-    hair = dataset.layer(shot, view, PART_LAYER)[PARTS.index("hair")]
+    hair = dataset.layer(shot, view, PART_LAYER)[PARTS.index("hair" if part == GROUPS[SCALP] else part)]
+    if part != GROUPS[SCALP]:
+        hair = np.clip(hair * _LOOSE, 0.0, 1.0)
     return HairView(view.camera, vertices, picture.over(0.0), hair, np.ones_like(hair))

@@ -11,23 +11,29 @@ from grmm_core.data.types import Picture, Shot, View
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.hair.coloring import WornHair
+from grmm_core.hair.groom import join
 from grmm_core.head import load_open_head
 from grmm_core.training.captured_hair import captured_hair
 
-SIZE = 160
+SIZE = 320
+BROWS = HairSettings(melanin=0.8)
 
 
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory):
-    """Ada, shown once with a bob of a known color; Bo, whose strands are known and never seen; Cy without a record."""
+    """Ada, shown once with a bob and brows of known colors; Bo, whose strands are known and never seen; Cy without a record."""
     folder, head = tmp_path_factory.mktemp("capture"), load_open_head()
     write_manifest(folder, Manifest(head.name, ["ada", "bo", "cy"]))
-    groom, camera = library_groom("bob"), Camera.orbit(SIZE, SIZE, 20.0)
+    scalp, brows = library_groom("bob"), library_groom("bushy", head.name, "brows")
+    groom, camera = join([scalp, brows]), Camera.orbit(SIZE, SIZE, 10.0, fov=14.0)
     vertices = np.asarray(head.v_template, np.float64)
     color = HairSettings(melanin=0.2, redness=0.4)
-    rgb, alpha = WornHair(groom, color, vertices, camera, head).drawn(color)
+    rgb, alpha = WornHair(scalp, color, vertices, camera, head).drawn(color)
+    dark, cover = WornHair(brows, BROWS, vertices, camera, head).drawn(BROWS)
     parts = np.zeros((len(PARTS), SIZE, SIZE), np.float32)
-    parts[PARTS.index("hair")] = alpha
+    parts[PARTS.index("hair")], parts[PARTS.index("brows")] = alpha, cover * (1.0 - alpha)
+    behind = np.broadcast_to(np.array([0.75, 0.55, 0.45]), rgb.shape) * (1.0 - cover[..., None]) + dark
+    rgb, alpha = rgb + (1.0 - alpha[..., None]) * behind, np.ones_like(alpha)
     bare = View("c00", camera, "0000_00_bare.png", "", "train")
     for name, worn in (("ada", groom), ("bo", groom), ("cy", None)):
         write_subject(folder, name, np.zeros(300, np.float32), {}, worn)
@@ -45,9 +51,11 @@ def capture(tmp_path_factory):
 def test_strands_are_those_recorded_and_colors_those_shown(capture):
     datasets, color = capture
     hair = captured_hair(datasets, "ada", load_open_head())
-    assert len(hair.groom) == len(library_groom("bob"))
+    assert len(hair.groom) == len(library_groom("bob")) + len(library_groom("bushy", part="brows"))
     assert abs(hair.settings.melanin - color.melanin) < 0.1
     assert hair.settings.dye == 0.0
+    assert set(hair.parts) == {"brows"}
+    assert abs(hair.parts["brows"].melanin - BROWS.melanin) < 0.15
 
 
 def test_unseen_colors_are_left_and_unrecorded_hair_is_none(capture):

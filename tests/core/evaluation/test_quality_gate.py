@@ -35,13 +35,15 @@ WEIGHTS = resolve_weights("default")
 BALD = HairUse("none", brows="none", beard="none", lashes="none")
 # PSNR in dB over black at 256 pixels: means over views, and of all pixels of a region; of avatars, on their own person.
 PSNR = {
-    None: {"frame": 32.00, "mask": 30.26, "mouth": 23.13, "eyes": 24.03, "hair": 29.30, "face": 31.35, "neck": 30.48},
-    "default": {"frame": 31.79, "mask": 30.36, "mouth": 22.68, "eyes": 23.66, "hair": 30.15, "face": 31.49, "neck": 30.96},
-    "beard": {"frame": 32.04, "mask": 30.26, "mouth": 24.83, "eyes": 25.90, "hair": 29.14, "face": 31.08, "neck": 30.08},
+    None: {"frame": 32.13, "mask": 30.53, "mouth": 24.18, "eyes": 24.27, "hair": 29.68, "face": 31.65, "neck": 30.76},
+    "default": {"frame": 31.72, "mask": 30.60, "mouth": 23.25, "eyes": 23.90, "hair": 30.29, "face": 31.66, "neck": 31.09},
+    "beard": {"frame": 32.34, "mask": 30.65, "mouth": 27.54, "eyes": 25.58, "hair": 29.41, "face": 31.87, "neck": 30.46},
 }
 # Median opacity of the face's Gaussians; median depth spread of what is blended at a pixel of the face, millimetres.
-FOG = {"default": (0.904, 1.13), "long": (0.905, 1.06), "beard": (0.904, 1.28), "afro": (0.902, 1.07)}
-PHOTO_RMSE = 0.0392  # of values 0..1 in the photo's own view, preset fast
+FOG = {"default": (0.907, 1.11), "long": (0.906, 1.03), "beard": (0.906, 1.27), "afro": (0.905, 1.05)}
+# Of values 0..1 in the photo's own view, preset fast. It was 0.0392 while hair was painted into the Gaussians; strands that fill the
+# photo's outline look right from all sides and are worse where a fringe's hairs fall otherwise than in the photo.
+PHOTO_RMSE = 0.0521
 
 
 @pytest.mark.parametrize("avatar", PSNR)

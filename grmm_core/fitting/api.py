@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 FacesCallback = Callable[[Path, np.ndarray], None]
 """Called for each photo with its path and the faces' boxes, [K, 4] pixels: left, top, right, bottom."""
 
-MOST_TURNED = 55.0  # degrees: of a face that is turned further in every photo, half would be a guess
+_MOST_TURNED = 55.0  # degrees: of a face that is turned further in every photo, half would be a guess
 
 logger = logging.getLogger(__name__)
 
@@ -212,10 +212,10 @@ def check_turned(tracks: Sequence[PhotoTrack]) -> None:
     sides = [track.camera.view_direction(np.zeros(3)) for track in tracks]  # in head axes, whose z is to the front
     degrees = [abs(float(np.degrees(np.arctan2(side[0], side[2])))) for side in sides]
     least = int(np.argmin(degrees))
-    if degrees[least] > MOST_TURNED:
+    if degrees[least] > _MOST_TURNED:
         raise NoFaceError(
             f"The face in {tracks[least].source or 'the photo'} is turned by {degrees[least]:.0f} degrees; add a photo from at "
-            f"most {MOST_TURNED:.0f} degrees beside the front."
+            f"most {_MOST_TURNED:.0f} degrees beside the front."
         )
 
 

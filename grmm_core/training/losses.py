@@ -29,7 +29,8 @@ _MM_PER_METRE = 1e3
 
 TERMS = (
     "raw_l1", "raw_ssim", "raw_perceptual", "image_l1", "image_ssim", "image_perceptual", "depth", "alpha", "scale", "code",
-    "laplacian", "position", "rotation", "log_scale", "vertices", "color", "opacity", "raw_detail", "image_detail",
+    "laplacian", "position", "rotation", "log_scale", "vertices", "color", "opacity",
+    "raw_detail", "image_detail",
 )  # fmt: skip
 """Names of all terms that `total_loss` can return."""
 

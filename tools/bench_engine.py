@@ -52,7 +52,8 @@ def measure(frames: int, size: int) -> dict[str, Any]:
     layer = scene.view_layers[0]
     layer.use_pass_z = layer.grmm_passes.use_mask = layer.grmm_passes.use_raw = layer.grmm_passes.use_normal = True
     result["mesh and passes"] = _timed(scene, frames)
-    result["view"] = _view_parts(scene, frames, size)
+    result["view"] = {level: _view_parts(scene, frames, size, level) for level in ("final", "playing")}
+    result["played"] = _played(scene, frames, size)
     result["session"] = _module("grmm_blender.session_host").get_session().status().kind
     return result
 
@@ -102,8 +103,11 @@ def _timed(scene: Any, frames: int) -> dict[str, Any]:
     }
 
 
-def _view_parts(scene: Any, frames: int, size: int) -> dict[str, float]:
-    """Least milliseconds of the parts of a refined frame on the rendered view's path, but for drawing the texture."""
+def _view_parts(scene: Any, frames: int, size: int, level: str) -> dict[str, float]:
+    """Least milliseconds of the parts of a refined frame on the rendered view's path, but for drawing the texture.
+
+    Of a still picture ("final") or of a frame of playback ("playing"), one after the other.
+    """
     import bpy
 
     jobs = _module("grmm_blender.engine.view_jobs").ViewJobs()
@@ -124,7 +128,7 @@ def _view_parts(scene: Any, frames: int, size: int) -> dict[str, float]:
             frame = frame_type(found.shot, camera, (0.01, 100.0))
             request = jobs._wanted = requests(frame, found.preview, found.final)
             jobs._in_the_way = False  # as the frame change has asked
-            jobs._publish(request, "final", frame, found.final)
+            jobs._publish(request, level, frame, getattr(found, level))
             marks.append(time.perf_counter())
             parts = [after - before for before, after in itertools.pairwise(marks)]
             rows.append((*parts, core[-1][0], parts[2] - core[-1][0], sum(parts)))
@@ -132,6 +136,28 @@ def _view_parts(scene: Any, frames: int, size: int) -> dict[str, float]:
         session.render = render
     names = ("frame change", "scene", "picture", "of it session", "of it engine", "in all")
     return {name: 1e3 * min(column) for name, column in zip(names, zip(*rows[WARM_UP:], strict=True), strict=True)}
+
+
+def _played(scene: Any, frames: int, size: int) -> float:
+    """Milliseconds a frame of playback, in the mean: Blender makes the next frame while this one is drawn, as in a window."""
+    import bpy
+
+    jobs = _module("grmm_blender.engine.view_jobs").ViewJobs()
+    renderer = _module("grmm_blender.engine.view").ViewRenderer(jobs)
+    requests, frame_type = _module("grmm_blender.engine.view_jobs").ViewRequest, _module("grmm_blender.scene.shot").Frame
+    camera = _module("grmm_core.geometry.camera").Camera.orbit(size, size)
+    started = 0.0
+    for number in range(WARM_UP + 4 * frames):
+        scene.frame_set(2 + number % 190)
+        found = renderer._copy(bpy.context.evaluated_depsgraph_get())
+        frame = frame_type(found.shot, camera, (0.01, 100.0))
+        if number and not (jobs.wait(60.0) and jobs.take()):
+            raise BuildError(f"A frame of playback was not drawn: {jobs.error}")
+        if number == WARM_UP:
+            started = time.perf_counter()
+        jobs.request(requests(frame, found.preview, found.final, 0.0, found.playing, 60.0))
+    jobs.wait(60.0)
+    return 1e3 * (time.perf_counter() - started) / (4 * frames)
 
 
 def _frame(scene: Any, number: int) -> None:
@@ -167,8 +193,12 @@ def main() -> int:
         print(f"bench_engine: {error}", file=sys.stderr)
         return 1
     print(f"Blender {result['blender']}, {result['size']} x {result['size']}, session: {result['session']}")
-    parts = ", ".join(f"{name} {ms:.1f}" for name, ms in result["view"].items())
-    print(f"  refined frame of the rendered view, least, ms: {parts}")
+    for level, measured in result["view"].items():
+        parts = ", ".join(f"{name} {ms:.1f}" for name, ms in measured.items())
+        print(f"  refined frame of the rendered view ({level}), least, ms: {parts}")
+    print(
+        f"  playback, {4 * frames} frames in the mean: {result['played']:.1f} ms a frame, {1e3 / result['played']:.1f} a second"
+    )
     scenes = {name: value for name, value in result.items() if isinstance(value, dict) and "ms" in value}
     for name, values in scenes.items():
         ms, overhead = values["ms"], values["overhead"]

@@ -31,11 +31,15 @@ class DrawSettings:
         refine: Run the refinement network.
         lod: Level of detail, see `RenderOptions`.
         samples: Samples per pixel and direction along the edges of meshes.
+        strands: See `RenderOptions`.
+        coarse: See `RenderOptions`.
     """
 
     refine: bool = True
     lod: int = 0
     samples: int = 3
+    strands: float = 1.0
+    coarse: bool = False
 
 
 def frame_values(
@@ -72,7 +76,10 @@ def frame_values(
     if occluders:
         hiding = (OccluderDepths() if depths is None else depths).of(occluders, frame.camera, settings.samples, frame.clip)
     wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if hiding is not None else []))))
-    options = RenderOptions(refine=settings.refine, passes=wanted, lod=settings.lod, lighting=frame.scene.lighting)
+    options = RenderOptions(
+        refine=settings.refine, passes=wanted, lod=settings.lod, lighting=frame.scene.lighting, strands=settings.strands,
+        coarse=settings.coarse,
+    )  # fmt: skip
     buffers = session_host.get_session().render(instances, frame.camera, options, should_cancel)
     session_host.note_drawn()
     progress(DRAWN, "putting the scene in front")

@@ -31,6 +31,7 @@ from .view_jobs import ViewJobs, ViewPicture, ViewRequest
 
 _POLL_SECONDS = 0.03
 _EDGE_SAMPLES = 2
+PLAYED_STRANDS = 0.4  # share of the strands in a frame of playback
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class _Scene:
     shot: SceneShot
     preview: DrawSettings
     final: DrawSettings
+    playing: DrawSettings
 
 
 class ViewRenderer:
@@ -50,7 +52,7 @@ class ViewRenderer:
         self._jobs = jobs or ViewJobs()
         self._meshes = MeshCache()
         self._scene: _Scene | None = None
-        self._shown: tuple[_Scene, Camera] | None = None
+        self._shown: tuple[_Scene, Camera, bool] | None = None
         self._picture: ViewPicture | None = None
         self._texture: gpu.types.GPUTexture | None = None
         self._avatars: gpu.types.GPUTexture | None = None  # of the picture, made when it is needed
@@ -138,14 +140,16 @@ class ViewRenderer:
             read_scene(depsgraph, use_meshes=settings.use_occlusion, kept=self._meshes),
             DrawSettings(refine=False, lod=int(settings.viewport_detail), samples=1),
             DrawSettings(refine=settings.use_viewport_refine, samples=_EDGE_SAMPLES),
+            DrawSettings(refine=settings.use_viewport_refine, samples=1, strands=PLAYED_STRANDS, coarse=True),
         )
 
     def _request(self, context: bpy.types.Context, scene: _Scene) -> None:
         camera = view_camera(context.region, context.region_data)
         # During a final render the model is busy; the viewport keeps its picture.
-        if self._is_shown(camera) or bpy.app.is_job_running("RENDER"):
+        playing = context.screen.is_animation_playing
+        if self._is_shown(camera, playing) or bpy.app.is_job_running("RENDER"):
             return
-        self._shown = (scene, camera)
+        self._shown = (scene, camera, playing)
         space = context.space_data
         clip, setback = (space.clip_start, space.clip_end), 0.0
         if camera.orthographic:
@@ -155,10 +159,11 @@ class ViewRenderer:
             matrix[2, 3] += setback
             camera, clip = replace(camera, world_to_camera=matrix), (clip[0], 2.0 * clip[1])
         frame = Frame(scene.shot, camera, clip)
-        self._jobs.request(ViewRequest(frame, scene.preview, scene.final, setback))
+        seconds = context.scene.render.fps_base / context.scene.render.fps if playing else None
+        self._jobs.request(ViewRequest(frame, scene.preview, scene.final, setback, scene.playing, seconds))
 
-    def _is_shown(self, camera: Camera) -> bool:
-        if self._shown is None or self._shown[0] is not self._scene:
+    def _is_shown(self, camera: Camera, playing: bool) -> bool:
+        if self._shown is None or self._shown[0] is not self._scene or self._shown[2] != playing:
             return False
         return same_camera(self._shown[1], camera)
 

@@ -1,5 +1,8 @@
 """Pictures for the rendered viewport, drawn on a thread: a cheap one at once, a good one when the view rests.
 
+A frame of playback is one picture in between, refined, and drawn while Blender makes the next frame; a cheap one where that
+takes longer than a frame may.
+
 One `ViewJobs` a viewport. The newest request wins: a preview that has begun is finished, so that playback shows something, but
 a good picture is given up as soon as there is a newer request, or as soon as Blender's main thread needs the model for the
 rig (`give_way`). The thread ends when there is nothing left to do. Touches none of Blender's data.
@@ -9,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import time
 import weakref
 from dataclasses import dataclass
 from typing import Literal
@@ -17,6 +21,7 @@ import numpy as np
 
 from ...grmm_core.errors import CancelledError, GrmmError
 from ..latest_request import LatestRequestThread, WaitForRest
+from ..pace import Pace
 from ..scene.shot import Frame, Region
 from . import picture, pipeline
 from .occlusion import OccluderDepths
@@ -25,6 +30,7 @@ from .pipeline import DrawSettings
 
 REST_SECONDS = 0.15  # without a newer request before the good picture is begun
 PREVIEW_PIXELS = 320 * 240  # what a preview is scaled down to
+PLAYING_PIXELS = 512 * 512  # what a frame of playback is scaled down to
 _PASSES = [
     RenderPass("combined", "Combined", "RGBA", "COLOR"),
     RenderPass("mask", "Mask", "X", "VALUE"),
@@ -33,7 +39,8 @@ _PASSES = [
 
 _log = logging.getLogger(__name__)
 
-Level = Literal["preview", "final"]
+Level = Literal["preview", "playing", "final"]
+_WAYS: tuple[Level, Level] = ("playing", "preview")  # to draw a frame of playback, by the numbers of `Pace`
 
 
 @dataclass(frozen=True)
@@ -45,12 +52,23 @@ class ViewRequest:
         preview: How the cheap picture is drawn.
         final: How the good picture is drawn.
         setback: How much farther back than the viewport's the camera of `frame` stands, metres.
+        playing: How a frame of playback is drawn.
+        seconds: What a frame of playback may take; None where the scene is not played.
     """
 
     frame: Frame
     preview: DrawSettings
     final: DrawSettings
     setback: float = 0.0
+    playing: DrawSettings = dataclasses.field(default_factory=DrawSettings)
+    seconds: float | None = None
+
+    def smaller(self, pixels: int) -> Frame:
+        """The frame with a picture of at most so many pixels."""
+        camera = self.frame.camera
+        scale = min(1.0, (pixels / (camera.width * camera.height)) ** 0.5)
+        size = max(1, round(camera.width * scale)), max(1, round(camera.height * scale))
+        return dataclasses.replace(self.frame, camera=camera.resized(*size))
 
 
 @dataclass(frozen=True)
@@ -86,6 +104,8 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
         self._error = ""
         self._closed = False
         self._depths = OccluderDepths()
+        self._pace = Pace()  # of playback
+        self._played = False
         self._in_the_way = False  # the good picture that is being drawn keeps the main thread from the model
         _live.add(self)
 
@@ -137,11 +157,14 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
                 self._error = message
 
     def _draw(self, request: ViewRequest) -> bool:
-        """Draw both pictures of a request; returns whether that was done."""
-        camera = request.frame.camera
-        scale = min(1.0, (PREVIEW_PIXELS / (camera.width * camera.height)) ** 0.5)
-        small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
-        self._publish(request, "preview", dataclasses.replace(request.frame, camera=small), request.preview)
+        """Draw a frame of playback, or both pictures of a request; returns whether that was done."""
+        played, self._played = self._played, request.seconds is not None
+        if request.seconds is not None:
+            if not played:
+                self._pace.forget()
+            self._play(request, request.seconds, played)
+            return True
+        self._publish(request, "preview", request.smaller(PREVIEW_PIXELS), request.preview)
         while True:
             with self._changed:
                 self._in_the_way = False
@@ -155,6 +178,15 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
                     continue  # it only gave way
                 raise
             return True
+
+    def _play(self, request: ViewRequest, seconds: float, known: bool) -> None:
+        """Draw a frame of playback; how long the first one takes says little of those that follow."""
+        way = min(self._pace.level(0, seconds) or 0, 1)
+        started = time.perf_counter()
+        pixels, settings = ((PLAYING_PIXELS, request.playing), (PREVIEW_PIXELS, request.preview))[way]
+        self._publish(request, _WAYS[way], request.smaller(pixels), settings)
+        if known:
+            self._pace.record(way, time.perf_counter() - started)
 
     def _publish(self, request: ViewRequest, level: Level, frame: Frame, settings: DrawSettings) -> None:
         def given_up() -> bool:

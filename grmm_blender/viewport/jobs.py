@@ -18,10 +18,10 @@ import numpy as np
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
 from ..latest_request import LatestRequestThread, WaitForRest
+from ..pace import PICTURE, Pace
 from ..scene.shot import AvatarShot
 from . import arrays, sources
 from .arrays import Packed, Picture
-from .pace import PICTURE, Pace
 from .sources import ViewportShot
 
 REST_SECONDS = 0.2  # without a newer request before full detail is made

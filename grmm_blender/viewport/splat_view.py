@@ -12,11 +12,11 @@ import numpy as np
 from ...grmm_core.geometry.camera import Camera
 from .. import session_host
 from ..engine.settings import DETAIL_ITEMS
+from ..pace import PICTURE
 from ..scene.cameras import same_camera, view_camera
 from .changes import CHANGES
 from .drawing import SplatPicture
 from .jobs import Drawable, SplatJobs, SplatRequest, same_shot
-from .pace import PICTURE
 from .settings import FULL, HOLD_RATE, MESH
 from .sources import DrawnScene, ViewportShot, moved_since
 

@@ -93,7 +93,7 @@ def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float) -> list
 
 def strand_gaussians(
     block: StrandBlock, points: np.ndarray, axes: np.ndarray, settings: HairSettings, share: float,
-    eye: Eye | None = None, hiding: Hiding | None = None, direction: np.ndarray | None = None,
+    eye: Eye | None = None, hiding: Hiding | None = None, direction: np.ndarray | None = None, detail: float = 1.0,
 ) -> StrandGaussians:  # fmt: skip
     """Return the Gaussians of a block.
 
@@ -106,11 +106,12 @@ def strand_gaussians(
         eye: From where they are seen; None for opacities without antialiasing.
         hiding: What the head hides, or None.
         direction: Without an eye, the unit vector towards it that colors are for, [3]; None is from the front.
+        detail: Share of these strands that is drawn, see `StrandBlock.level`.
     """
     from ..compute.threads import TASKS, for_each, pieces
     from .strand_kernels import hide, pose, segments_forward, shade_into
 
-    radii, there = block.level(share, settings)
+    radii, there = block.level(share, settings, detail)
     count, segments = len(there), block.segments
     owner = block.owner[:count]
     where = np.empty((count, segments + 1, 3), np.float32)

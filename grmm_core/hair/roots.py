@@ -75,15 +75,18 @@ class RootFrames:
             faces[np.asarray(triangles, int)], np.asarray(weights, float), patch.reshape(-1), members, first, second
         )
 
-    def at(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Origins [N, 3] and axes as rows [N, 3, 3] (along, across, out of the skin) on posed vertices [V, 3]."""
+    def at(self, vertices: np.ndarray, count: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Origins [N, 3] and axes as rows [N, 3, 3] (along, across, out of the skin) on posed vertices [V, 3].
+
+        Of the first `count` roots, if that is given.
+        """
         near = np.asarray(vertices, float)[self.members]
         both = np.matmul(np.stack([self.first, self.second], 1), near)  # [U, 2, 3]
         along, across = _unit(both[:, 0]), both[:, 1]
         out = _unit(np.cross(along, across))
         axes = np.stack([along, np.cross(out, along), out], 1)
-        origin = (np.asarray(vertices, float)[self.corners] * self.weights[..., None]).sum(1)
-        return origin, axes[self.patch]
+        origin = np.einsum("nij,ni->nj", np.asarray(vertices, float)[self.corners[:count]], self.weights[:count])
+        return origin, axes[self.patch[:count]]
 
 
 class _Patch(NamedTuple):

@@ -36,6 +36,8 @@ BEARD_SHORTER, BEARD_FLAT = 0.65, 0.5  # as `SHORTER`, so that beards end softly
 COMBED, AROUND = 0.6, 12  # how far hairs of a beard go the way of so many around them
 CURL = 0.007  # metres: radius of the waves of the setting 1
 FRIZZ = 0.006  # metres, likewise
+_PARENT_STEPS = 16
+_WIDER = 0.6  # power of the share of its strands that a level draws by which these are wider
 _GOLDEN, _PLASTIC, _THIRD = 0.6180339887498949, 0.7548776662466927, 0.5698402909980532
 
 
@@ -127,7 +129,15 @@ class StrandBlock:
         moved = replace(groom, points=points).select(self.rows).resampled(self.points.shape[1])
         return moved.points.reshape(self.points.shape)
 
-    def level(self, share: float, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
+    def parents(self, share: float, detail: float = 1.0) -> int:
+        """How many parents, the first ones, a level is made from; a little more, so that few numbers occur."""
+        step = -(-len(self.points) // _PARENT_STEPS)
+        return min(-(-self._end(share, detail) // step) * step, len(self.points))
+
+    def _end(self, share: float, detail: float) -> int:
+        return int(np.ceil(min(int(np.ceil(_top(share) * len(self))), len(self)) * detail))
+
+    def level(self, share: float, settings: HairSettings, detail: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Which strands are drawn and how wide each is, continuous in both arguments.
 
         One that stands for several is a loose bundle: wider than these side by side, and by as much fainter.
@@ -135,21 +145,28 @@ class StrandBlock:
         Args:
             share: 0..1 of the strands.
             settings: Density and thickness.
+            detail: 0..1 of the strands of that level, a little wider and not fainter: so hair keeps its look.
 
         Returns:
             Number of strands n as a slice's end is the length of what is returned: half the diameters [n, 2] float32 at root
             and tip, and weights 0..1 [n] by which strands are there.
         """
-        top = share / (1.0 - FADE * (1.0 - share))  # with every strand asked for, none is fading in
+        top, end = _top(share), self._end(share, 1.0)
         rank = (np.arange(len(self), dtype=np.float32) + 0.5) / len(self)
-        end = min(int(np.ceil(top * len(self))), len(self))
         fade = max(FADE * top * (1.0 - share), 1e-6)
         there = np.clip((top - rank[:end]) / fade, 0.0, 1.0)
         wider = len(self) / max(float(there.sum()), 1e-6)
         fainter = (np.float32(wider) ** self.softness)[self.owner[:end]]
         there = there * np.clip((settings.density * 1.08 - self.chance[:end, 0]) / 0.08, 0.0, 1.0) / fainter
-        radii = (0.5 * wider * settings.thickness * fainter)[:, None] * self.widths[self.owner[:end]]
+        end = self._end(share, detail)
+        there, wider = there[:end], wider * detail**-_WIDER
+        radii = (0.5 * wider * settings.thickness * fainter[:end])[:, None] * self.widths[self.owner[:end]]
         return np.ascontiguousarray(radii, np.float32), there.astype(np.float32)
+
+
+def _top(share: float) -> float:
+    """Up to which rank strands are drawn; with every strand asked for, none is fading in."""
+    return share / (1.0 - FADE * (1.0 - share))
 
 
 def blocks_of(groom: Groom, vertices: np.ndarray, faces: np.ndarray) -> tuple[StrandBlock, ...]:

@@ -3,7 +3,6 @@
 ``onnx_graph``   ONNX models made in memory
 ``onnx_networks``the map decoders and the refinement network as such graphs
 ``loops``        compiled loops (loads numba)
-``resize``       pictures of half and double size
 ``plain_model``  `PlainModel`, the twin of `model.grmm.GRMM`
 ``loader``       weights files and avatars' changes to such models
 

@@ -22,6 +22,9 @@ _FOLD_PIXELS = (
     f"void({_CHANNELS}, {_CHANNELS}, {_PICTURE}, int64, float32[:, ::1], float32[::1], float32, {_PLANES}, int64, int64)"
 )
 _UNFOLD_RESIDUAL = f"void({_CHANNELS}, {_PICTURE}, {_PLANES}, int64, {_PLANES}, int64, int64)"
+_MIX = f"void({_CHANNELS}, {_CHANNELS}, {_CHANNELS}, {_PICTURE}, {_PICTURE}, float32, int64, int64)"
+_HALVE = f"void({_CHANNELS}, {_PICTURE}, {_PICTURE}, {_CHANNELS}, {_PLANES}, int64, int64)"
+_ENLARGE = f"void({_PLANES}, {_PICTURE}, {_CHANNELS}, {_PICTURE}, float32, {_PLANES}, int64, int64)"
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
 _TINY = np.float32(1e-9)  # metres per unit of UV; keeps frames of degenerate triangles defined
 _BLOCKS = 128  # of a row of folded pixels at a time: what the layer sees of them stays in the nearest cache
@@ -139,6 +142,92 @@ def unfold_residual(
                 before, after = rgb[row, shift::fold, channel], out[row, shift::fold, channel]
                 for x in range(len(cover)):
                     after[x] = before[x] + cover[x] * change[x]
+
+
+@compiled(nogil=True, signature_or_function=_HALVE, **_OPTIONS)
+def halve(
+    rgb: np.ndarray, depth: np.ndarray, alpha: np.ndarray, features: np.ndarray, out: np.ndarray, first: int, last: int
+) -> None:
+    """Averages over 2 x 2 pixels, twin of `model.refine.halved`; a last odd row or column stands alone.
+
+    Args:
+        rgb: [H, W, 3].
+        depth: [H, W].
+        alpha: [H, W].
+        features: [H, W, F].
+        out: Written, all of them in this order, [ceil(H / 2), ceil(W / 2), 5 + F].
+        first: Row of `out`.
+        last: The row after the last.
+    """
+    height, width, quarter = alpha.shape[0], alpha.shape[1], np.float32(0.25)
+    for y in range(first, last):
+        top, low = 2 * y, min(2 * y + 1, height - 1)
+        for x in range(out.shape[1]):
+            left, right = 2 * x, min(2 * x + 1, width - 1)
+            for c in range(3):
+                out[y, x, c] = (rgb[top, left, c] + rgb[low, left, c] + rgb[top, right, c] + rgb[low, right, c]) * quarter
+            out[y, x, 3] = (depth[top, left] + depth[low, left] + depth[top, right] + depth[low, right]) * quarter
+            out[y, x, 4] = (alpha[top, left] + alpha[low, left] + alpha[top, right] + alpha[low, right]) * quarter
+            for c in range(features.shape[2]):
+                upper = features[top, left, c] + features[top, right, c]
+                out[y, x, 5 + c] = (upper + features[low, left, c] + features[low, right, c]) * quarter
+
+
+@compiled(nogil=True, signature_or_function=_ENLARGE, **_OPTIONS)
+def enlarge(
+    change: np.ndarray, cover: np.ndarray, rgb: np.ndarray, alpha: np.ndarray, least: np.float32, out: np.ndarray,
+    first: int, last: int,
+) -> None:  # fmt: skip
+    """Add a small picture's change to a picture of double size, bilinearly, as a residual times alpha.
+
+    Args:
+        change: Residual times alpha, [h, w, 3].
+        cover: Alpha of the small picture, [h, w].
+        rgb: [H, W, 3].
+        alpha: [H, W].
+        least: What is divided by at least.
+        out: Written, [H, W, 3].
+        first: Row of `out`.
+        last: The row after the last.
+    """
+    rows, columns, near, far = cover.shape[0], cover.shape[1], np.float32(0.75), np.float32(0.25)
+    for row in range(first, last):
+        y = row // 2
+        other_y = min(max(y + 2 * (row % 2) - 1, 0), rows - 1)
+        for column in range(out.shape[1]):
+            x = column // 2
+            other_x = min(max(x + 2 * (column % 2) - 1, 0), columns - 1)
+            a, b, c, d = near * near, near * far, far * near, far * far
+            total = a * cover[y, x] + b * cover[y, other_x] + c * cover[other_y, x] + d * cover[other_y, other_x]
+            share = alpha[row, column] / max(total, least)
+            for k in range(3):
+                moved = a * change[y, x, k] + b * change[y, other_x, k]
+                moved += c * change[other_y, x, k] + d * change[other_y, other_x, k]
+                out[row, column, k] = rgb[row, column, k] + share * moved
+
+
+@compiled(nogil=True, signature_or_function=_MIX, **_OPTIONS)
+def mix(
+    before: np.ndarray, refined: np.ndarray, picture: np.ndarray, share: np.ndarray, alpha: np.ndarray, least: np.float32,
+    first: int, last: int,
+) -> None:  # fmt: skip
+    """Add what refinement changed to a picture, by share / alpha, at most 1, of each pixel.
+
+    Args:
+        before: [H, W, 3].
+        refined: [H, W, 3].
+        picture: Changed in place, [H, W, 3].
+        share: Cover that is refined, [H, W].
+        alpha: Cover, [H, W]; at least `least` is divided by.
+        least: Positive.
+        first: Row of the picture.
+        last: The row after the last.
+    """
+    for y in range(first, last):
+        for x in range(picture.shape[1]):
+            weight = min(share[y, x] / max(alpha[y, x], least), _ONE)
+            for channel in range(3):
+                picture[y, x, channel] += (refined[y, x, channel] - before[y, x, channel]) * weight
 
 
 @compiled(nogil=True, **_OPTIONS)

@@ -26,7 +26,6 @@ from ..model.steps import Geometry, Mesh, Rest, depth_range, face_mask, normalis
 from ..model.weights_file import WeightsFile
 from ..splat.types import RasterOutput
 from .onnx_networks import SLOPE, Network, map_decoder, refinement
-from .resize import doubled, halved
 
 _NECK, _JAW = JOINT_NAMES.index("neck"), JOINT_NAMES.index("jaw")
 _PARTS = {"position": slice(0, 3), "rotation": slice(3, 7), "scale": slice(7, 10)}  # of the offsets
@@ -227,6 +226,9 @@ class PlainModel:
 
     def refine(self, raster: RasterOutput[np.ndarray], limits: np.ndarray | None = None, coarse: bool = False) -> np.ndarray:
         """Psi_ref (eq. 14) on a picture that was rasterised over black; see `GRMM.refine`."""
+        from ..compute.threads import for_rows
+        from .loops import enlarge, halve
+
         rgb, alpha, far = np.asarray(raster.rgb), np.asarray(raster.alpha), np.asarray(raster.depth)
         features = np.asarray(raster.features) if self.config.features else np.zeros((*alpha.shape, 0), np.float32)
         if "refinement" not in self._networks:
@@ -236,11 +238,15 @@ class PlainModel:
         depth = normalise_depth(far, alpha, limits)
         if not coarse:
             return self._refined(rgb, features, depth, alpha)
-        small = halved(np.concatenate([rgb, depth[..., None], alpha[..., None], features], -1))
+        rows, columns = (-(-size // 2) for size in alpha.shape)
+        small = np.empty((rows, columns, 5 + features.shape[2]), np.float32)
+        for_rows(halve, rows, rgb, depth, alpha, features, small, smallest=_ROWS_MIN)
         refined = self._refined(small[..., :3], small[..., 5:], small[..., 3], small[..., 4])
         # The network's change is a residual times alpha. Enlarging both keeps the residual whole across the silhouette.
-        enlarged = doubled(np.concatenate([refined - small[..., :3], small[..., 4:5]], -1), *alpha.shape)
-        return rgb + alpha[..., None] * (enlarged[..., :3] / np.maximum(enlarged[..., 3:], _THIN_COVER))
+        refined -= small[..., :3]
+        larger = np.empty(rgb.shape, np.float32)
+        for_rows(enlarge, len(rgb), refined, small[..., 4], rgb, alpha, np.float32(_THIN_COVER), larger, smallest=_ROWS_MIN)
+        return larger
 
     def _refined(self, rgb: np.ndarray, features: np.ndarray, depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """The network on rgb [H, W, 3], features [H, W, F], depth and alpha [H, W] of any size."""

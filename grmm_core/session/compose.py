@@ -45,6 +45,7 @@ from .wardrobe import Wardrobe, Worn, at_rest
 
 NORMAL_CHANNELS = 3
 _MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined
+_ROWS = 32  # of a picture, in a task of a thread
 _MIN_SKIN = 2e-3  # cover of skin between strands that is not worth refining
 
 
@@ -176,7 +177,8 @@ def _gaussians(
         cap = None
         if item.worn is not None:
             cap = wardrobe.cap(evaluator, item.target, item.inputs, item.worn)
-            strands = wardrobe.gaussians(evaluator, item.target, item.inputs, item.worn, local_camera, options.lod)
+            use = options.lod, options.strands
+            strands = wardrobe.gaussians(evaluator, item.target, item.inputs, item.worn, local_camera, *use)
         own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap)
     count = len(own)
     features = own.features
@@ -266,8 +268,8 @@ def _refine(
             own = [k for k, item in enumerate(placed) if item.model is model]
             share = present(coverage)[..., own].sum(-1)  # [H, W]
         if strands is not None:  # no network has seen strands: they stay as they are
-            clip = library_of(strands).clip
-            share = clip((raster.alpha if share is None else share) - strands - _MIN_SKIN, 0.0, None)
+            skin = (raster.alpha if share is None else share) - strands - _MIN_SKIN
+            share = skin * (skin > 0.0)
         region = _covered_region(raster.alpha if share is None else share, model.config, coarse)
         if region is None:
             continue
@@ -284,10 +286,21 @@ def _refine(
         if share is None:
             result[rows, columns] = refined
         else:
-            clip = library_of(share).clip
-            weight = clip(share[rows, columns] / clip(part.alpha, _MIN_SHARE, None), None, 1.0)
-            result[rows, columns] += (refined - part.rgb) * weight[..., None]
+            _mix(result[rows, columns], refined, part, share[rows, columns])
     return result
+
+
+def _mix(result: Any, refined: Any, part: RasterOutput[Any], share: Any) -> None:
+    """Blend what refinement changed into a part of a picture, by the cover that is its own."""
+    if isinstance(result, np.ndarray):
+        from ..compute.threads import for_rows
+        from ..inference.loops import mix
+
+        for_rows(mix, len(result), part.rgb, refined, result, share, part.alpha, np.float32(_MIN_SHARE), smallest=_ROWS)
+        return
+    clip = library_of(share).clip
+    weight = clip(share / clip(part.alpha, _MIN_SHARE, None), None, 1.0)
+    result += (refined - part.rgb) * weight[..., None]
 
 
 def _ranges(raster: RasterOutput[Any], coverage: Any) -> Any:

@@ -170,6 +170,7 @@ class RenderOptions:
         passes: Buffers to return, see `Session.render`.
         lod: Level of detail: 0 every Gaussian, each further level a quarter of them (larger ones), up to `MAX_LOD`.
         background: Display sRGB behind the avatars, or None for transparent.
+        strands: Share 0..1 of the strands of scalp and beard to draw, in their places and wider. For playback: a still has all.
         coarse: Refine at half the resolution, for previews: a quarter of the network's time, a little softer.
         lighting: Light of the scene in the world's axes, for the instances that have a `response`; None: the studio's.
     """
@@ -178,6 +179,7 @@ class RenderOptions:
     passes: tuple[str, ...] = ("rgb", "alpha")
     lod: int = 0
     background: tuple[float, float, float] | None = None
+    strands: float = 1.0
     coarse: bool = False
     lighting: Lighting | None = None
 
@@ -189,6 +191,8 @@ class RenderOptions:
             raise ConfigError(f"There is no render pass {name!r}; choose from {', '.join(PASS_NAMES)}.")
         if not 0 <= self.lod <= MAX_LOD:
             raise ConfigError(f"The level of detail is {self.lod}; it must be 0 to {MAX_LOD}.")
+        if not 0.0 < self.strands <= 1.0:
+            raise ConfigError(f"The share of the strands is {self.strands}; it must be above 0 and up to 1.")
         if self.background is not None:
             color = np.asarray(self.background, np.float64)
             if color.shape != (3,) or not np.isfinite(color).all():

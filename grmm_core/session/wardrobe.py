@@ -25,7 +25,7 @@ from ..hair.lashes import Lashes
 from ..hair.packaged import library_groom
 from ..hair.prior import random_groom
 from ..hair.ribbons import Eye
-from ..hair.roots import GROUPS, LASHES, SCALP
+from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
 from ..hair.strands import StrandBlock, blocks_of
 from ..hair.swing import swung
@@ -190,7 +190,7 @@ class Wardrobe:
 
     def gaussians(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, camera: Camera | None, lod: int = 0,
-        direction: np.ndarray | None = None,
+        detail: float = 1.0, direction: np.ndarray | None = None,
     ) -> Gaussians | None:  # fmt: skip
         """Return the strands' Gaussians in head space as the engine's arrays; None where there are no strands.
 
@@ -201,6 +201,7 @@ class Wardrobe:
             worn: What.
             camera: In head space; None for exports, which have no picture: all around, opacities as they are.
             lod: See `api.RenderOptions.lod`.
+            detail: See `api.RenderOptions.strands`.
             direction: Without a camera, the unit vector towards the eye that colors are for, [3].
         """
         head = target.model.head_model
@@ -217,12 +218,14 @@ class Wardrobe:
         parts = []
         for (layer, number, block), share in zip(ready, shares, strict=True):
             settings = worn.settings[block.group]
-            points, axes = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block)
+            fewer = detail if block.group in (SCALP, BEARD) else 1.0
+            count = block.parents(share, fewer)
+            points, axes = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block, count)
             if block.group == SCALP and layer.swing is not None:
-                points = swung(points, layer.swing[block.rows])
+                points = swung(points, layer.swing[block.rows[: len(points)]])
             if block.group == LASHES and layer.points is None:
                 points = self._on_lids(head, layer, settings, vertices, block, points)
-            parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction))
+            parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer))
         joined = StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         drawn = np.flatnonzero(joined.opacities > 0)
         return Gaussians(*(self._engine.array(array.take(drawn, 0)) for array in joined))
@@ -233,7 +236,7 @@ class Wardrobe:
         """All Gaussians for a view direction in head space, those of strands last and without features."""
         cap = None if worn is None else self.cap(evaluator, target, inputs, worn)
         own = evaluator.gaussians(target, inputs, direction, lod, cap)
-        strands = None if worn is None else self.gaussians(evaluator, target, inputs, worn, None, lod, direction)
+        strands = None if worn is None else self.gaussians(evaluator, target, inputs, worn, None, lod, direction=direction)
         if strands is None or own.features is None:
             return own
         return Gaussians.concatenate([own, with_channels(strands, own.features.shape[1])])
@@ -274,9 +277,9 @@ class Wardrobe:
 
     def _posed(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, layer: Layer, settings: HairSettings,
-        vertices: np.ndarray, number: int, block: StrandBlock,
+        vertices: np.ndarray, number: int, block: StrandBlock, count: int | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
-        """Parents' points in head space and their roots' axes."""
+        """Parents' points in head space and their roots' axes; of the first `count` where these are made anew."""
         rest, head = at_rest(evaluator, target, inputs), target.model.head_model
 
         def styled() -> tuple[np.ndarray]:
@@ -291,7 +294,7 @@ class Wardrobe:
             return (np.matmul(fitted - origin[:, None], axes.transpose(0, 2, 1)),)
 
         def make() -> tuple[np.ndarray, np.ndarray]:
-            origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
+            origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices, some))
             if layer.points is not None:
                 moved = block.resampled(layer.groom, layer.points)
                 if not settings.keeps_shape:
@@ -300,11 +303,14 @@ class Wardrobe:
                 return moved, axes
             key = (target.id, "styled", number, *layer.key, *settings.shape_key, *rest.mesh_key)
             local = evaluator.cache.get(key, styled)[0]
-            return np.matmul(local, axes) + origin[:, None], axes
+            return np.matmul(local[:some], axes) + origin[:, None], axes
 
+        some = None if layer.points is not None else count
         if layer.points is not None:
             return make()
-        return evaluator.cache.get((target.id, "strands", number, *layer.key, *settings.shape_key, *inputs.mesh_key), make)
+        return evaluator.cache.get(
+            (target.id, "strands", number, some, *layer.key, *settings.shape_key, *inputs.mesh_key), make
+        )
 
     def _on_lids(
         self, head: HeadModel, layer: Layer, settings: HairSettings, vertices: np.ndarray, block: StrandBlock,

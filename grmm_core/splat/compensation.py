@@ -1,12 +1,14 @@
 """Mip-Splatting's opacity compensation apart from a backend: for some Gaussians of a scene, before it is drawn as a whole.
 
 The rasterisers' own switch, `antialiased`, holds for everything they draw; a scene may hold avatars trained with it beside
-others, splat files and strands (which bring a factor of their own). For arrays of numpy or torch alike.
+others, splat files and strands (which bring a factor of their own). For numpy's arrays compiled, for tensors with gradients.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from ..geometry.libraries import Array, as_like, library_of
 from ..geometry.rotations import quaternion_to_matrix
@@ -25,6 +27,8 @@ def compensation(means: Array, quats: Array, scales: Array, camera: Camera) -> A
         scales: Standard deviations, [N, 3].
         camera: From where they are seen.
     """
+    if isinstance(means, np.ndarray):
+        return _compiled(means, quats, scales, camera)
     library, view = library_of(means), View.of(camera)
     rotation = as_like(view.rotation, means)
     seen = means @ rotation.T + as_like(view.translation, means)
@@ -43,3 +47,14 @@ def compensation(means: Array, quats: Array, scales: Array, camera: Camera) -> A
     dilated = area + DILATION * ((first * first).sum(-1) + (second * second).sum(-1)) + DILATION**2
     result: Array = library.clip(area / dilated, COMPENSATION_MIN, None) ** 0.5
     return result
+
+
+def _compiled(means: np.ndarray, quats: np.ndarray, scales: np.ndarray, camera: Camera) -> np.ndarray:
+    from ..compute.threads import for_rows
+    from .cpu.projection import compensate
+    from .cpu.records import camera_array
+
+    factors = np.empty(len(means), np.float32)
+    parts = (np.ascontiguousarray(part, np.float32) for part in (means, quats, scales))
+    for_rows(compensate, len(means), *parts, camera_array(View.of(camera), True), factors)
+    return factors

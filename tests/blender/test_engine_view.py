@@ -21,6 +21,15 @@ def test_pictures_are_made_on_a_thread_and_the_newest_request_wins(run_blender: 
     assert found["superseded"] == ["begin final c 640x480", "cancelled final c 640x480", "begin preview d 320x240"]
     assert found["gave_way"] == ["begin final d 640x480", "cancelled final d 640x480", "begin final d 640x480"]
     assert found["afterwards"] == "final d turned"
+    small, large = "512x512", "277x277"
+    assert found["playing"] == [
+        *(f"begin playing {name} {small}" for name in "pqr"), f"begin preview s {large}", f"begin preview stop {large}",
+        "begin final stop 1024x1024", f"begin playing t {small}", f"begin playing u {small}", f"begin preview v {large}",
+    ]  # fmt: skip
+    assert found["playing_levels"] == [
+        "playing p turned", "playing q turned", "playing r turned", "preview s turned", "preview stop turned",
+        "final stop turned", "playing t turned", "playing u turned", "preview v turned",
+    ]  # fmt: skip
     assert found["errors"][0] == "The model worker ended."
     assert found["errors"][1] == ""
     assert "ZeroDivisionError" in found["errors"][2]

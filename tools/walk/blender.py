@@ -23,6 +23,17 @@ KEYS: dict[str, int | str] = {
 }  # fmt: skip
 SIZE = (1600, 1000)
 START_SECONDS = 120.0
+SETTLE_SECONDS = 600.0  # the first splats take minutes on a busy machine
+_BUSY = """
+import sys
+found = {end: module for name, module in list(sys.modules.items()) for end in ("viewport.overlay", "engine.view")
+         if name.endswith("grmm_blender." + end)}
+splats, rendered = (getattr(module, "_viewports", None) for module in map(found.get, ("viewport.overlay", "engine.view")))
+waiting = list(rendered or ())
+if area.type == "VIEW_3D" and area.spaces.active.shading.type in ("SOLID", "MATERIAL"):
+    waiting = [view.jobs for view in (splats or {}).values()]
+result = any(one.busy for one in waiting)
+"""
 
 
 class WalkError(Exception):
@@ -135,9 +146,20 @@ class WalkedBlender:
         self._command(["xdotool", "click", str(button)])
         time.sleep(0.3)
 
-    def picture(self, title: str, wait: float = 1.5) -> Path:
-        """Wait for Blender to draw and save the screen as a numbered PNG."""
+    def settle(self) -> None:
+        """Wait until no viewport has splats or pictures under way. Raises `WalkError` where that does not end."""
+        deadline, still = time.monotonic() + SETTLE_SECONDS, 0
+        while still < 2:  # what has just ended may ask for more with the next draw
+            still = 0 if self.run(_BUSY, SETTLE_SECONDS) else still + 1
+            if time.monotonic() > deadline:
+                raise WalkError(f"the viewport is not finished after {SETTLE_SECONDS:.0f} s")
+            time.sleep(0.5)
+
+    def picture(self, title: str, wait: float = 1.5, settled: bool = True) -> Path:
+        """Wait for Blender to draw, unless `settled` is off also for all that viewports wait for, and save a numbered PNG."""
         time.sleep(wait)
+        if settled:
+            self.settle()
         self._pictures += 1
         path = self.output / f"{self._pictures:02d}_{title}.png"
         inside = self.shared / "shot.png"

@@ -12,7 +12,6 @@ from PIL import Image
 from .blender import WalkedBlender
 from .steps import HEAD, LAMP, STRANDS, STUDIO, add_head, install, open_panels, place, scroll_sidebar, start
 
-WAIT = 60.0  # seconds for splats, the first time
 _SMILE = """
 head = next(o for o in bpy.context.scene.objects if "jawOpen" in o.keys())
 for name, value in {"mouthSmile": 0.65, "cheekSquint": 0.4}.items():
@@ -55,7 +54,7 @@ def take(blender: WalkedBlender, extension: Path, output: Path) -> None:
     blender.run("area.spaces.active.show_region_ui = True")
     blender.picture("sidebar", 3)
     blender.run(f"{_SIDEBAR}.active_panel_category = 'GRMM'\narea.tag_redraw()")
-    _cut(blender, output / "window_rig.png", None, WAIT)
+    _cut(blender, output / "window_rig.png", None, 2)
     _cut(blender, output / "panel_expression.png", "UI", 2)
     blender.run(HEAD + STRANDS + LAMP)
     scroll_sidebar(blender)

@@ -84,7 +84,7 @@ def install(blender: WalkedBlender) -> None:
 def add_head(blender: WalkedBlender) -> None:
     """Add the default head into the startup scene."""
     blender.run("bpy.ops.grmm.add_head('INVOKE_DEFAULT', True)", 120)
-    blender.picture("added", 10)
+    blender.picture("added", 10, settled=False)
 
 
 def first_render(blender: WalkedBlender) -> None:
@@ -189,7 +189,7 @@ def random_and_reset(blender: WalkedBlender) -> None:
 def poses(blender: WalkedBlender) -> None:
     """Make the pose library beside Blender, then apply a pose."""
     blender.run("bpy.ops.grmm.create_pose_library('INVOKE_DEFAULT', True)")
-    blender.picture("poses_being_made", 4)
+    blender.picture("poses_being_made", 4, settled=False)
     deadline = time.monotonic() + POSES_SECONDS
     while blender.run("result = any(o.bl_idname == 'GRMM_OT_create_pose_library' for o in window.modal_operators)"):
         if time.monotonic() > deadline:
@@ -222,7 +222,7 @@ def performance(blender: WalkedBlender) -> None:
     blender.run("bpy.context.scene.frame_set(26)")
     blender.picture("performance", 4)
     blender.run("bpy.ops.screen.animation_play()")
-    blender.picture("playing", 6)
+    blender.picture("playing", 6, settled=False)
     blender.run("bpy.ops.screen.animation_cancel(restore_frame=False)")
     blender.picture("stopped", 4)
 
@@ -233,7 +233,7 @@ def escape(blender: WalkedBlender) -> None:
     blender.run(f"bpy.context.scene.render.filepath = {folder!r}\nbpy.context.scene.render.resolution_percentage = 50")
     blender.move(*MIDDLE)
     blender.key("ctrl", "F12")
-    blender.picture("animation", 8)
+    blender.picture("animation", 8, settled=False)
     begin = time.monotonic()
     blender.key("Escape")
     while blender.run("result = bpy.app.is_job_running('RENDER')"):

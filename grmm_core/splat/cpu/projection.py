@@ -140,6 +140,22 @@ def _expand(camera: np.ndarray, flat: np.ndarray) -> None:
 
 
 @kernel
+def compensate(
+    means: np.ndarray, quats: np.ndarray, scales: np.ndarray, camera: np.ndarray, factors: np.ndarray, low: int, high: int
+) -> None:
+    """Write antialiasing's factor on opacity of the Gaussians low..high, float32, to `factors` [N]."""
+    flat = np.ones(SCRATCH * DOUBLES)
+    for i in range(low, high, DOUBLES):
+        count = min(DOUBLES, high - i)
+        _transpose(i, count, means, MEAN, flat)
+        _transpose(i, count, quats, QUAT, flat)
+        _transpose(i, count, scales, SCALE, flat)
+        _expand(camera, flat)
+        for j in range(count):
+            factors[i + j] = flat[COMPENSATION * DOUBLES + j]
+
+
+@kernel
 def _record(i: int, lane: int, flat: np.ndarray, opacity: Any, camera: np.ndarray, geometry: np.ndarray) -> Any:
     """Fill the record of Gaussian i, in a lane of `_expand`; return (seen, tile rectangle x0, y0, x1, y1, ends exclusive)."""
     nothing = (False, 0, 0, 0, 0)

@@ -49,7 +49,8 @@ def context() -> SimpleNamespace:
         view_matrix=camera.matrix_world.inverted(), window_matrix=camera.calc_matrix_camera(depsgraph, x=SIZE[0], y=SIZE[1])
     )
     region = SimpleNamespace(width=SIZE[0], height=SIZE[1], as_pointer=lambda: 1)
-    return SimpleNamespace(region=region, region_data=space, space_data=SimpleNamespace(clip_start=0.01, clip_end=100.0))
+    space_data, screen = SimpleNamespace(clip_start=0.01, clip_end=100.0), SimpleNamespace(is_animation_playing=False)
+    return SimpleNamespace(region=region, region_data=space, space_data=space_data, screen=screen)
 
 
 rested = False

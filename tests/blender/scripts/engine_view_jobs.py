@@ -34,7 +34,7 @@ def wait_for_rest(is_outdated: Callable[[], bool]) -> None:
 
 def frame_values(frame, settings, items, region, should_cancel, depths):
     """Stands in for the pipeline: begins, waits to be let go on, and looks whether it was cancelled."""
-    kind = "final" if settings.refine else "preview"
+    kind = "final" if settings.refine and settings.strands == 1.0 else "playing" if settings.refine else "preview"
     name = f"{kind} {frame.scene.avatars[0]} {region.width}x{region.height}"
     log.append(f"begin {name}")
     started.release()
@@ -53,9 +53,10 @@ def frame_values(frame, settings, items, region, should_cancel, depths):
 pipeline.frame_values = frame_values
 
 
-def request(name: str, width: int = 640, height: int = 480):
+def request(name: str, width: int = 640, height: int = 480, seconds: float | None = None):
     frame = shot.Frame(shot.SceneShot((name,)), camera_module.Camera.orbit(width, height), (0.1, 100.0))
-    return view_jobs.ViewRequest(frame, pipeline.DrawSettings(refine=False, lod=1), pipeline.DrawSettings())
+    ways = pipeline.DrawSettings(refine=False, lod=1), pipeline.DrawSettings()
+    return view_jobs.ViewRequest(frame, *ways, playing=pipeline.DrawSettings(strands=0.5), seconds=seconds)
 
 
 def begun() -> None:
@@ -133,6 +134,17 @@ begun(), step()
 until(lambda: not jobs.busy or jobs.has_news)
 jobs.wait(PATIENCE)
 report(gave_way=section(), afterwards=take())
+
+# A frame of playback is one refined picture of 512 x 512 pixels at most; where that takes longer than a frame may, cheap ones
+# follow until the next playback. A still picture follows when it is stopped.
+levels = []
+for name, seconds in (("p", 1e3), ("q", 1e3), ("r", 1e3), ("s", 1e-9), ("stop", None), ("t", 1e-9), ("u", 1e-9), ("v", 1e-9)):
+    jobs.request(request(name, 1024, 1024, seconds))
+    for _ in range(1 if seconds else 2):
+        begun(), step()
+        levels.append(take())
+    jobs.wait(PATIENCE)
+report(playing=section(), playing_levels=levels)
 
 # Errors are for the user: ours as they are, defects with their name; the next request starts afresh.
 plan.error = errors.SessionError("The model worker ended.")

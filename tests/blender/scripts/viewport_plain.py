@@ -16,7 +16,7 @@ camera_class = module("grmm_core.geometry.camera").Camera
 controls_class = module("grmm_core.controls.frame").Controls
 errors = module("grmm_core.errors")
 jobs_module = module("grmm_blender.viewport.jobs")
-pace_class = module("grmm_blender.viewport.pace").Pace
+pace_class = module("grmm_blender.pace").Pace
 shot_class = module("grmm_blender.scene.shot").AvatarShot
 sources = module("grmm_blender.viewport.sources")
 

@@ -14,7 +14,7 @@ from tiny_model import write_tiny_weights
 from grmm_core.avatar import Avatar
 from grmm_core.controls.frame import Controls
 from grmm_core.inference.loader import PlainLoader
-from grmm_core.inference.resize import doubled, halved
+from grmm_core.inference.loops import enlarge, halve
 from grmm_core.model import refine
 from grmm_core.model.torch_loader import TorchLoader
 from grmm_core.splat.types import RasterOutput
@@ -121,10 +121,15 @@ def test_an_avatars_changes(pair):
 
 
 def test_halves_and_doubles_are_those_of_torch():
-    picture = np.random.default_rng(3).random((7, 10, 4), np.float32)
-    tensor = torch.from_numpy(picture)
-    compare(halved(picture), refine.halved(tensor))
-    compare(doubled(halved(picture), 7, 10), refine.doubled(refine.halved(tensor), 7, 10))
+    g = np.random.default_rng(3)
+    picture, cover = g.random((7, 10, 7), np.float32), g.random((7, 10), np.float32)
+    small = np.empty((4, 5, 7), np.float32)
+    halve(picture[..., :3], picture[..., 3], picture[..., 4], picture[..., 5:], small, 0, 4)
+    compare(small, refine.halved(torch.from_numpy(picture)))
+    larger = np.empty((7, 10, 3), np.float32)
+    enlarge(small[..., :3].copy(), small[..., 4], picture[..., :3], cover, np.float32(1e-6), larger, 0, 7)
+    doubled = refine.doubled(torch.from_numpy(small), 7, 10).numpy()
+    compare(larger, torch.from_numpy(picture[..., :3] + cover[..., None] * doubled[..., :3] / doubled[..., 4:5]))
 
 
 def test_a_picture_needs_no_torch(tmp_path):

@@ -11,7 +11,7 @@ from support.tiny_model import write_tiny_weights
 from grmm_core.avatar import Hair, load_avatar, save_avatar
 from grmm_core.avatar.library import library_path
 from grmm_core.controls.frame import Controls
-from grmm_core.errors import FileAccessError, ShapeError
+from grmm_core.errors import ConfigError, FileAccessError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.session import HairUse, Instance, RenderOptions, create_session
@@ -179,6 +179,17 @@ def test_nothing_pops_in_a_zoom(session):
         steps.append(float(drawn(session, BOB, camera, refine=False)["hair"].sum()) / width**2)
     change = np.abs(np.diff(steps)) / np.mean(steps)
     assert change.max() < 0.03
+
+
+def test_a_frame_of_playback_keeps_the_look_of_hair_with_fewer_strands(session):
+    camera = Camera.orbit(256, 256, 20, fov=24)
+    full, fewer = (drawn(session, HairUse(), camera, refine=False, strands=share) for share in (1.0, 0.4))
+    assert full["hair"].sum() == pytest.approx(fewer["hair"].sum(), rel=0.06)
+    assert 1e-4 < np.abs(full["rgb"] - fewer["rgb"]).mean() < 0.012
+    bald = [drawn(session, NONE, camera, refine=False, strands=share)["rgb"] for share in (1.0, 0.4)]
+    np.testing.assert_array_equal(*bald)
+    with pytest.raises(ConfigError, match="share of the strands"):
+        RenderOptions(strands=0.0)
 
 
 def test_what_cannot_be_worn_is_said_and_the_avatar_still_draws(session):

@@ -8,7 +8,7 @@ longer than that, a way may take `SHARE` of Blender's own time, so that splats n
 
 from __future__ import annotations
 
-from ...grmm_core.session import MAX_LOD
+from ..grmm_core.session import MAX_LOD
 
 PICTURE = MAX_LOD + 1
 """The way after the coarsest Gaussians."""

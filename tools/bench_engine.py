@@ -196,9 +196,8 @@ def main() -> int:
     for level, measured in result["view"].items():
         parts = ", ".join(f"{name} {ms:.1f}" for name, ms in measured.items())
         print(f"  refined frame of the rendered view ({level}), least, ms: {parts}")
-    print(
-        f"  playback, {4 * frames} frames in the mean: {result['played']:.1f} ms a frame, {1e3 / result['played']:.1f} a second"
-    )
+    played = result["played"]
+    print(f"  playback in the rendered view, in the mean: {played:.1f} ms a frame, {1e3 / played:.1f} a second")
     scenes = {name: value for name, value in result.items() if isinstance(value, dict) and "ms" in value}
     for name, values in scenes.items():
         ms, overhead = values["ms"], values["overhead"]

@@ -170,18 +170,18 @@ class RenderOptions:
         passes: Buffers to return, see `Session.render`.
         lod: Level of detail: 0 every Gaussian, each further level a quarter of them (larger ones), up to `MAX_LOD`.
         background: Display sRGB behind the avatars, or None for transparent.
-        strands: Share 0..1 of the strands of scalp and beard to draw, in their places and wider. For playback: a still has all.
         coarse: Refine at half the resolution, for previews: a quarter of the network's time, a little softer.
         lighting: Light of the scene in the world's axes, for the instances that have a `response`; None: the studio's.
+        strands: Share 0..1 of the strands of scalp and beard to draw, in their places and wider. For playback: a still has all.
     """
 
     refine: bool = True
     passes: tuple[str, ...] = ("rgb", "alpha")
     lod: int = 0
     background: tuple[float, float, float] | None = None
-    strands: float = 1.0
     coarse: bool = False
     lighting: Lighting | None = None
+    strands: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passes", tuple(self.passes))

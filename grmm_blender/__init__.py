@@ -7,7 +7,7 @@ imports torch or numba, or knows the operators. What is registered stands in the
 ``declare``                             Blender's properties and operators by what users see of them
 ``wrapper``                             Python objects that stand for one object of Blender's
 ``progress_bar`` ``width``              progress bars in panels; sentences in lines that fit a panel
-``latest_request``                      work on a thread for the latest of many requests
+``latest_request`` ``pace``             work on a thread for the latest of many requests; what holds the frame rate
 ``session_host``                        the one model session of this process (in-process, or a worker interpreter)
 ``rig``                                 the avatar as a Python object; head mesh, armature, shape keys, drivers, controls
 ``splats``                              splat clouds: imported splat files and other projects' avatars

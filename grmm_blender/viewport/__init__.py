@@ -17,7 +17,6 @@ the viewport with one depth for each pixel, so that it hides objects and is hidd
 ``jobs``       the thread
 ``arrays``     Gaussians as arrays in world space, packing, sorting (numpy only)
 ``sources``    what a viewport shows: avatars and splat clouds
-``pace``       which level of detail holds the frame rate (plain Python)
 ``panel``      user interface
 =============  =================================================================================
 

@@ -211,17 +211,9 @@ def mix(
     before: np.ndarray, refined: np.ndarray, picture: np.ndarray, share: np.ndarray, alpha: np.ndarray, least: np.float32,
     first: int, last: int,
 ) -> None:  # fmt: skip
-    """Add what refinement changed to a picture, by share / alpha, at most 1, of each pixel.
+    """Add what refinement changed, `refined` less `before`, to a picture, all [H, W, 3], by share / alpha, at most 1.
 
-    Args:
-        before: [H, W, 3].
-        refined: [H, W, 3].
-        picture: Changed in place, [H, W, 3].
-        share: Cover that is refined, [H, W].
-        alpha: Cover, [H, W]; at least `least` is divided by.
-        least: Positive.
-        first: Row of the picture.
-        last: The row after the last.
+    `share` [H, W] is the cover that is refined, `alpha` [H, W] all cover; at least `least` is divided by. Rows of the picture.
     """
     for y in range(first, last):
         for x in range(picture.shape[1]):

@@ -1,6 +1,7 @@
-"""`python -m tools.grooms [PART...]`: rebuild `grmm_core/assets/grooms` by the studio's generators, on the mean head.
+"""`python -m tools.grooms [PART or STYLE...]`: rebuild `grmm_core/assets/grooms` by the studio's generators, on the mean head.
 
-For the scalp one for each style but bald, a minute or two; brows, beards and lashes by `FACE`. Needs scipy, not bpy.
+For the scalp one for each style but bald, a minute or two; brows, beards and lashes by `FACE`. Of the many strands that a
+generator draws, those with evenly spread roots are kept: short hair of random roots is speckled. Needs scipy, not bpy.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from grmm_core.files.access import atomic_write
 from grmm_core.hair.compact import compact
@@ -20,6 +22,7 @@ from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from grmm_core.hair.strands import points_needed
 from grmm_core.head import HeadModel, load_open_head
 from grmm_studio.grooming import make_groom
+from grmm_studio.grooms import KNOTS
 from grmm_studio.mesh import RenderMesh
 from grmm_studio.styles import BALD, STYLES
 from grmm_studio.subjects import SHAPE_COUNT, Subject, draw_subject
@@ -27,6 +30,7 @@ from grmm_studio.subjects import SHAPE_COUNT, Subject, draw_subject
 STRANDS = 7000
 MAX_BYTES = 430_000  # of one before it is compressed: all of them together stay below 9 MB
 BEARD_STRANDS, BEARD_DRAWS = 9000, 4
+AROUND = 12  # roots, as far as which says how dense hair is somewhere
 CURL = 0.35  # a person's own, where a style has one
 # styles are cut differently on women; these are a woman's
 WOMENS = (
@@ -65,13 +69,13 @@ FACE: dict[int, dict[str, dict[str, Any]]] = {
 }
 
 
-def _people(someone: Subject, groups: list[int]) -> Iterator[tuple[int, str, Subject]]:
-    """Part, name and wearer of each groom."""
-    for name in STYLES if SCALP in groups else ():
+def _people(someone: Subject, wanted: set[str]) -> Iterator[tuple[int, str, Subject]]:
+    """Part, name and wearer of each groom of the parts and styles that are wanted."""
+    for name in STYLES if GROUPS[SCALP] in wanted else wanted.intersection(STYLES):
         macros = {**someone.macros, "female": float(name in WOMENS), "age": 30.0}
         yield SCALP, name, replace(someone, hair_style=name, macros=macros)
     for group, rows in FACE.items():
-        for name, values in rows.items() if group in groups else ():
+        for name, values in rows.items() if GROUPS[group] in wanted else ():
             yield group, name, replace(someone, **values)
 
 
@@ -81,8 +85,27 @@ def _dense(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, s
     while not found or (group == BEARD and sum(map(len, found)) < BEARD_STRANDS and len(found) < BEARD_DRAWS):
         groom = make_groom(head, mesh, neutral, replace(subject, index=len(found)))
         on_ear = np.isin(np.asarray(head.faces)[groom.triangles], head.regions["ears"]).any(1)
-        found.append(groom.select((groom.groups == group) & (~on_ear | (group != BEARD))))
-    return join(found)
+        found.append(groom.select((groom.groups == group) & (~on_ear | (group not in (SCALP, BEARD)))))
+    groom = join(found)
+    return _even(groom, neutral, head) if group == SCALP and subject.hair_style not in KNOTS else groom
+
+
+def _even(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
+    """Some `STRANDS` of a groom, wider by what is missing, whose roots keep apart the more the thinner hair grows there."""
+    roots = groom.frames(vertices, head.faces).at(vertices)[0]
+    tree = cKDTree(roots)
+    apart = tree.query(roots, AROUND + 1)[0][:, -1]
+    low, high = 0.0, 4.0
+    while True:  # in all of these rounds the same strands are asked first
+        factor, taken, free = 0.5 * (low + high), [], np.ones(len(roots), bool)
+        for i, near in enumerate(tree.query_ball_point(roots, factor * apart)):
+            if free[i]:
+                taken.append(i)
+                free[near] = False
+        if abs(len(taken) - STRANDS) < 0.01 * STRANDS or high - low < 1e-3:
+            some = groom.select(np.array(taken))
+            return replace(some, widths=(some.widths * (len(groom) / len(some))).astype(np.float32))
+        low, high = (factor, high) if len(taken) > STRANDS else (low, factor)
 
 
 def _write(group: int, name: str, groom: Groom) -> None:
@@ -110,8 +133,7 @@ def main() -> int:
     head = load_open_head()
     mesh = RenderMesh.build(head)
     someone, neutral = average_person(head)
-    groups = [GROUPS.index(name) for name in sys.argv[1:] or GROUPS]
-    for group, name, subject in _people(someone, groups):
+    for group, name, subject in _people(someone, set(sys.argv[1:] or GROUPS)):
         _write(group, name, _dense(head, mesh, neutral, group, subject))
     return 0
 

@@ -281,9 +281,11 @@ def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.nda
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
     apart = np.sqrt(area / max(len(groom), 1))
     total = len(owner)
-    angle, far = g.uniform(0, 2 * np.pi, total), np.sqrt(g.random(total))
+    turn, far = np.arange(total) // len(groom) / (total // len(groom)), np.sqrt(g.random(total))
+    angle = 2 * np.pi * (g.random(len(groom))[owner] + turn)
     root = np.stack([far * np.cos(angle), far * np.sin(angle), np.zeros(total)], 1) * ROOT_SPREAD
-    tip = TOGETHER * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
+    short = _short(lengths_of(groom.points.reshape(len(groom), -1, 3)))[owner, None]  # does not hang together in wisps
+    tip = (TOGETHER + (1.0 - TOGETHER) * short) * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
     spread = apart * np.stack([root, tip], 1)
     spread[: len(groom)] = 0.0
     return spread

@@ -128,6 +128,7 @@ def _make(
     from ..model.torch_loader import TorchLoader, with_deltas
     from ..photo.parser import parse
     from .hair_stage import person_hair
+    from .hair_texture import textured, trimmed
     from .invert import invert, photo_errors
     from .photo_targets import left_out
     from .root_shade import shaded_scalp
@@ -149,9 +150,11 @@ def _make(
     report.part("finish")(0.0)
     person = with_deltas(loaded.model, avatar.deltas, folder)
     if loaded.model.config.hairless:
-        hair = person_hair(tracks, [parse(track, head) for track in tracks], head, report.part("finish"))
-        avatar = shaded_scalp(person, dataclasses.replace(avatar, hair=hair))
+        parts = [parse(track, head) for track in tracks]
+        hair = person_hair(tracks, parts, head, report.part("finish"))
+        avatar = shaded_scalp(person, trimmed(person, dataclasses.replace(avatar, hair=hair), tracks, parts))
         person = with_deltas(loaded.model, avatar.deltas, folder)
+        avatar = textured(person, avatar, tracks, parts)
     figures = {"rmse": photo_errors(person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(

@@ -28,11 +28,12 @@ if TYPE_CHECKING:
     from ..head import HeadModel
 
 LOW, HIGH = np.array([-0.2, -0.25, -0.2]), np.array([0.2, 0.25, 0.2])  # metres of the mean head: corners of the lattice
-NODES = (9, 11, 9)
+NODES = (9, 11, 9), (17, 21, 17)  # a coarse lattice first, then a fine one
 FOLLOWS = 0.05  # metres along a strand from which on it follows the field wholly
-STEPS, RATE = 32, 0.0035  # of the descent; metres
+STEPS, RATES = (32, 24), (0.0035, 0.002)  # of the descent on each; metres
 LEVELS = ((1, 1.0), (5, 2.0), (15, 2.0))  # px over which cover is averaged, and what that counts
-SMOOTH, SMALL = 0.6, 0.004  # weights of the field's curvature and length, in centimetres, beside the share of wrong cover
+# weights of a field's curvature on each lattice and of its length, in centimetres, beside the share of wrong cover
+SMOOTH, SMALL = (0.6, 6.0), 0.004
 NEAR, SKIN = 2, 0.15  # px around a root that must show skin, and of how much hair that is
 MOST_BARE = 0.2  # of the strands: if more seem to stand on skin, the photo is not to be believed
 BEHIND = 0.004  # metres below the skin that are still seen
@@ -68,25 +69,28 @@ class Course(NamedTuple):
 
 def field_to(course: Course, photos: Sequence[Seen]) -> Tensor:
     """Find the displacements [3, Z, Y, X] in metres on the lattice with which strands cover what the photos show as hair."""
-    field = torch.zeros(3, *NODES[::-1], requires_grad=True)
-    descent = torch.optim.Adam([field], RATE)
+    field = torch.zeros(3, *NODES[0][::-1])
     share = torch.from_numpy(_share(course.rest))[..., None]
     radii = torch.from_numpy(np.ascontiguousarray(course.radii, np.float32))
     posed = [torch.from_numpy(np.ascontiguousarray(part, np.float32)) for part in course.posed]
     turns = [torch.from_numpy(np.ascontiguousarray(part, np.float32)) for part in course.turns]
     wanted = [torch.from_numpy(np.stack([photo.hair, photo.counts]).astype(np.float32)) for photo in photos]
-    for _ in range(STEPS):
-        descent.zero_grad()
-        moved = share * _sampled(field, course.rest)
-        loss = _roughness(field)
-        for photo, points, turn, (hair, counts) in zip(photos, posed, turns, wanted, strict=True):
-            cover = _cover(points + moved @ turn, radii, course.opacity, photo)
-            off = ((cover - hair) * counts)[None, None]
-            area = (hair * counts).sum().clamp_min(1.0) * len(photos)
-            for size, weight in LEVELS:
-                loss = loss + weight * (functional.avg_pool2d(off, size, 1, size // 2) ** 2).sum() / area
-        loss.backward()
-        descent.step()
+    for nodes, steps, rate, smooth in zip(NODES, STEPS, RATES, SMOOTH, strict=True):
+        start = functional.interpolate(field[None], nodes[::-1], mode="trilinear", align_corners=True)[0]
+        field = start.detach().requires_grad_(True)
+        descent = torch.optim.Adam([field], rate)
+        for _ in range(steps):
+            descent.zero_grad()
+            moved = share * _sampled(field, course.rest)
+            loss = _roughness(field, smooth)
+            for photo, points, turn, (hair, counts) in zip(photos, posed, turns, wanted, strict=True):
+                cover = _cover(points + moved @ turn, radii, course.opacity, photo)
+                off = ((cover - hair) * counts)[None, None]
+                area = (hair * counts).sum().clamp_min(1.0) * len(photos)
+                for size, weight in LEVELS:
+                    loss = loss + weight * (functional.avg_pool2d(off, size, 1, size // 2) ** 2).sum() / area
+            loss.backward()
+            descent.step()
     return field.detach()
 
 
@@ -136,11 +140,11 @@ def _sampled(field: Tensor, points: np.ndarray) -> Tensor:
     return found[0, :, 0].permute(1, 2, 0)
 
 
-def _roughness(field: Tensor) -> Tensor:
+def _roughness(field: Tensor, smooth: float) -> Tensor:
     """What a field costs by itself."""
     bends = [100.0 * field.diff(2, axis) for axis in (1, 2, 3)]
-    bent: Tensor = sum(((part**2).mean() for part in bends), SMALL / SMOOTH * ((100.0 * field) ** 2).mean())
-    return SMOOTH * bent
+    bent: Tensor = sum(((part**2).mean() for part in bends), SMALL / smooth * ((100.0 * field) ** 2).mean())
+    return smooth * bent
 
 
 def _cover(points: Tensor, radii: Tensor, opacity: float, photo: Seen) -> Tensor:

@@ -52,7 +52,7 @@ OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
 CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
 BEHIND = 0.004  # metres below the skin that are still seen
-_SURE = 3  # power that labels are raised to
+_SURE = 8  # power that labels are raised to
 _WINDOW = 5  # px: over which a photo's directions are averaged
 
 

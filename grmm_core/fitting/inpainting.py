@@ -169,11 +169,11 @@ def _plausible_hair(surface: Surface, start: Tensor, changes: Tensor, known: Ten
     sample = colors[scalp & (known > 0.5)]
     if len(sample) < _FEW_TEXELS:
         return changes
-    unseen, seen = (_within(colors, sample, limits) for limits in (HAIR_RANGE, SEEN_HAIR_RANGE))
+    unseen, seen = (within(colors, sample, limits) for limits in (HAIR_RANGE, SEEN_HAIR_RANGE))
     return torch.where(scalp[:, None], torch.lerp(unseen, seen, known[:, None]) - start, changes)
 
 
-def _within(colors: Tensor, sample: Tensor, quantiles: tuple[float, float]) -> Tensor:
+def within(colors: Tensor, sample: Tensor, quantiles: tuple[float, float]) -> Tensor:
     """Colors [N, 3] whose lightness and tint keep to the quantiles of a sample's [M, 3]."""
 
     def parts(values: Tensor) -> tuple[Tensor, Tensor]:

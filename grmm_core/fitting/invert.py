@@ -22,6 +22,7 @@ from ..head import HeadModel
 from ..jobs.progress import Reporter
 from ..jobs.stages import FIT
 from ..model.grmm import GRMM, Picture
+from ..model.inputs import ModelInputs
 from ..model.weights_file import WeightsInfo
 from ..pictures.images import encode_png, quantize
 from ..training.losses import Perceptual
@@ -30,8 +31,8 @@ from .code_stage import Codes, code_prior, fit_codes
 from .decoder_stage import Tuner
 from .folder import PREVIEW_FILE
 from .locality import LOCALITY_WEIGHT
-from .objective import decode, photo_inputs, relit
-from .photo_targets import FitView, fit_view
+from .objective import decode, relit
+from .photo_targets import FitView, aligned_weights, fit_view
 from .presets import Preset, preset_named
 from .recoloring import PhotoLight, normal_picture, recolor
 from .result import make_avatar
@@ -221,6 +222,23 @@ def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]
         return {"decoders.appearance_mean": torch.cat([tint, tint.new_zeros(len(tint), model.config.features)], 1)}
 
 
+def photo_model_inputs(
+    model: GRMM, avatar: Avatar, track: PhotoTrack, index: int = 0
+) -> tuple[ModelInputs[Tensor], ModelInputs[Tensor]]:  # fmt: skip
+    """Inputs that draw an avatar as one of its photos shows it, and those of the person at rest."""
+
+    def tensor(values: np.ndarray) -> Tensor:
+        return torch.as_tensor(np.array(values), device=model.device, dtype=model.dtype)
+
+    z_id, shared, own = (tensor(part) for part in (avatar.z_id, avatar.z_exp, avatar.tracking["z_exp"][index]))
+    turned = model.head_model.pose_of(track.expression, track.pose)
+    expression, pose, shape = (tensor(part) for part in (track.expression, turned, track.shape))
+    aligned = tensor(aligned_weights(track.expression, model.head_model, len(ALIGNED_NAMES)))
+    still, upright, nothing = (torch.zeros_like(part) for part in (expression, pose, aligned))
+    resting = model.performed(z_id, shape, still, upright, nothing, shared)
+    return model.performed(z_id, shape, expression, pose, aligned, shared + own), resting
+
+
 def photo_pictures(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE
 ) -> list[tuple[FitView, Picture]]:
@@ -233,15 +251,13 @@ def photo_pictures(
         side: Longer side of the picture.
     """
     pictures: list[tuple[FitView, Picture]] = []
-    z_id, shared = (torch.as_tensor(np.array(a), device=model.device) for a in (avatar.z_id, avatar.z_exp))
     for index, track in enumerate(tracks):
         view = fit_view(
             track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless
         )
-        own = torch.as_tensor(np.array(avatar.tracking["z_exp"][index]), device=model.device)
         light = PhotoLight(torch.as_tensor(np.array(avatar.tracking["light"]), device=model.device))
         with torch.no_grad():
-            inputs = photo_inputs(model, view, z_id, shared + own)
+            inputs = photo_model_inputs(model, avatar, track, index)[0]
             drawn: Picture = model.render(view.camera, inputs)
             if index:
                 vertices = model.mesh(inputs).vertices

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..head import HeadModel
 from .occlusion import sample
+from .roots import RootFrames
 
 CELL = 0.008  # metres
 MARGIN = 0.05  # metres around the skin
@@ -134,13 +135,38 @@ class Rim:
         some = np.flatnonzero((over < 0).any(1))
         last = (over[some] < 0).argmax(1)  # the first point that is below
         part = over[some, last - 1] / (over[some, last - 1] - over[some, last])
-        count = strands.shape[1]
-        at = np.linspace(0, 1, count) * (last - 1 + part)[:, None]
-        base = np.minimum(at.astype(int), count - 2)
-        part = (at - base)[..., None].astype(strands.dtype)
         result = strands.copy()
-        result[some] = strands[some[:, None], base] * (1 - part) + strands[some[:, None], base + 1] * part
+        result[some] = cut(strands[some], (last - 1 + part) / (strands.shape[1] - 1))
         return result
+
+
+def on_person(head: HeadModel, still: np.ndarray, frames: RootFrames, local: np.ndarray, lock: np.ndarray) -> np.ndarray:
+    """Scalp hair [M, K, 3] in the frames of its roots, pushed out of a person's skin and ended at the bust's rim.
+
+    Args:
+        head: For its topology.
+        still: The person at rest, metres, [V, 3].
+        frames: Of the roots.
+        local: The strands.
+        lock: See `Rim.ended`.
+    """
+    origin, axes = (part.astype(np.float32) for part in frames.at(still))
+    placed = np.matmul(local, axes) + origin[:, None]
+    fitted = Body.of(head, still, near=placed.reshape(-1, 3)).pushed(placed)
+    fitted = Rim.of(head, still).ended(fitted, lock)
+    result: np.ndarray = np.matmul(fitted - origin[:, None], axes.transpose(0, 2, 1))
+    return result
+
+
+def cut(strands: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Strands [N, K, 3] of which the first part is left, each of its own share 0..1 [N], with as many points."""
+    count = strands.shape[1]
+    at = np.linspace(0, 1, count) * ((count - 1) * shares)[:, None]
+    base = np.minimum(at.astype(int), count - 2)
+    part = (at - base)[..., None].astype(strands.dtype)
+    rows = np.arange(len(strands))[:, None]
+    result: np.ndarray = strands[rows, base] * (1 - part) + strands[rows, base + 1] * part
+    return result
 
 
 @functools.lru_cache(maxsize=4)

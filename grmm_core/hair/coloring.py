@@ -17,6 +17,7 @@ from torch.nn import functional
 from ..geometry.camera import Camera
 from ..splat.api import rasterize, rasterize_arrays
 from ..splat.types import GaussianArrays, Gaussians
+from .body import on_person
 from .drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from .groom import Groom
 from .ribbons import Eye
@@ -138,9 +139,21 @@ def _without_skin(image: np.ndarray, hair: np.ndarray, full: np.ndarray, cover: 
 
 
 class WornHair:
-    """A groom on a posed head before a camera."""
+    """A groom on a posed head before a camera.
 
-    def __init__(self, groom: Groom, settings: HairSettings, vertices: np.ndarray, camera: Camera, head: HeadModel) -> None:
+    Args:
+        groom: The strands.
+        settings: Of their shape.
+        vertices: Posed, [V, 3].
+        camera: In head space.
+        head: Whose mesh it is.
+        still: The person at rest, [V, 3], outside of whose skin scalp hair is kept as sessions do it; None leaves it.
+    """
+
+    def __init__(
+        self, groom: Groom, settings: HairSettings, vertices: np.ndarray, camera: Camera, head: HeadModel,
+        still: np.ndarray | None = None,
+    ) -> None:  # fmt: skip
         self._camera, self._eye = camera, Eye.of(camera)
         blocks = blocks_of(groom, np.asarray(head.v_template, np.float64), head.faces)
         shares = level_shares(blocks, self._eye.pixels_per_metre())
@@ -148,7 +161,12 @@ class WornHair:
         self._posed = []
         for block, share in zip(blocks, shares, strict=True):
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices))
-            self._posed.append((block, np.matmul(block.styled(settings), axes) + origin[:, None], axes, share))
+            local = block.styled(settings)
+            if still is not None and block.group == SCALP:
+                local = on_person(head, still, block.frames, local, block.lock)
+            if still is not None:  # every stored strand is drawn, so that each can be seen
+                share = max(share, len(block.points) / len(block))
+            self._posed.append((block, np.matmul(local, axes) + origin[:, None], axes, share))
 
     def gaussians(self, settings: HairSettings) -> StrandGaussians:
         """In the colors of settings."""
@@ -157,6 +175,16 @@ class WornHair:
             for block, points, axes, share in self._posed
         ]
         return StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+    def pieces(self, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
+        """The groom's strand of each Gaussian of `gaussians`, [G], and where on it that is, 0..1 [G]."""
+        rows, places = [], []
+        for block, _, _, share in self._posed:
+            owner = block.rows[block.owner[: len(block.level(share, settings)[1])]]
+            rows.append(np.repeat(owner, block.segments))
+            middles = (np.arange(block.segments) + 0.5) / block.segments
+            places.append(np.tile(np.minimum(settings.length * middles, 1.0), len(owner)))
+        return np.concatenate(rows), np.concatenate(places)
 
     def drawn(self, settings: HairSettings) -> tuple[np.ndarray, np.ndarray]:
         """Premultiplied display sRGB [H, W, 3] and cover [H, W]."""

@@ -2,6 +2,7 @@
 
 Along a strand, each point is predicted from the two before it, and what is off is kept in one byte a coordinate, in steps that
 suit the strand. Rounding feeds back into the prediction, so that errors do not add up: every point is within half a step.
+Tints are kept in steps of 1/127.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..errors import ShapeError
-from .groom import Groom, join
+from .groom import TINTS, Groom, join
 from .roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 
 MAX_BYTES = 1 << 20  # of a groom in a file
@@ -30,7 +31,8 @@ def compact(groom: Groom, max_bytes: int = MAX_BYTES, points: int | None = None)
         points: Of a strand; as many as the longest has, up to 40, when None.
     """
     count = int(np.clip(points or groom.counts.max(initial=_FEWEST), _FEWEST, _MOST_POINTS))
-    each = 4 + 2 * 2 + 6 + 2 + 4 + 1 + 3 * (count - 1)
+    tinted = groom.tints is not None and bool(groom.tints.any())
+    each = 4 + 2 * 2 + 6 + 2 + 4 + 1 + 3 * (count - 1) + 3 * TINTS * tinted
     fitting = max_bytes // each
     if len(groom) > fitting:
         groom = groom.level(fitting / len(groom))
@@ -50,7 +52,8 @@ def compact(groom: Groom, max_bytes: int = MAX_BYTES, points: int | None = None)
         guess = 2 * last - before if k > 1 else last
         off[:, k - 1] = np.clip(np.round((path[:, k] - guess) / step[:, None]), -127, 127).astype(np.int8)
         before, last = last, guess + off[:, k - 1] * step[:, None]
-    return {
+    own = {} if groom.tints is None or not tinted else {"tints": np.round(np.clip(groom.tints, -1, 1) * 127).astype(np.int8)}
+    return own | {
         "triangles": groom.triangles.astype(np.int32), "weights": np.round(groom.weights[:, :2] * 65535).astype(np.uint16),
         "root": root, "step": np.round(step / 1e-6).astype(np.uint16), "off": off, "groups": groom.groups.astype(np.uint8),
         "widths": np.round(np.clip(groom.widths * 1e6, 0, 65535)).astype(np.uint16),
@@ -97,6 +100,7 @@ def restored(arrays: Mapping[str, np.ndarray]) -> Groom:
             arrays["triangles"].astype(np.int32), weights, np.arange(count + 1) * points,
             path.reshape(-1, 3).astype(np.float32),
             (arrays["widths"] * 1e-6).astype(np.float32), arrays["groups"].astype(np.uint8),
+            arrays["tints"].astype(np.float32) / 127 if "tints" in arrays else None,
         )  # fmt: skip
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise ShapeError(f"The arrays of a groom do not fit together ({error}); make it again.") from error

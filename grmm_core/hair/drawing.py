@@ -120,7 +120,7 @@ def strand_gaussians(
     made = StrandGaussians(*(np.empty((count * segments, *shape), np.float32) for shape in ((3,), (4,), (3,), (), (3,))))
     numbers = _far(direction) if eye is None else eye.numbers()
     albedo = albedos(settings, block.lock[owner], block.chance[:count, 1:], block.hairs, share)
-    opacities = OPACITY * there
+    opacities, tints = OPACITY * there, block.tinted(settings.length)
     parts = pieces(count, _STRANDS, TASKS)
 
     def draw(task: int) -> None:
@@ -132,6 +132,8 @@ def strand_gaussians(
         if hiding is not None:
             hide(some.means, numbers, hiding.depth, hiding.cell, hiding.left, hiding.top, SLACK, some.opacities)
         shade_into(where[own], albedo[own], light[own], some.opacities, numbers, settings.sheen, some.colors)
+        if tints is not None:
+            np.clip(some.colors + tints[owner[own]].reshape(-1, 3), 0.0, 1.0, out=some.colors)
 
     for_each(len(parts), draw)
     return made

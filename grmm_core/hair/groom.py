@@ -7,7 +7,7 @@ strand i owns the rows `offsets[i]` to `offsets[i + 1]` of `points`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ MAX_POINTS = 8_000_000
 MAX_EXTENT = 2.0  # metres from the root
 QUANTUM = 2.0e-5  # metres; of packed points
 WIDEST = 6.0  # how much wider the strands of a coarse level may get
+TINTS = 8  # places along a strand, evenly from root to tip, at which its own colors are known
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,8 @@ class Groom:
         points: In the frame of the root (see `roots`), metres, root first, float32, [P, 3].
         widths: Diameter at root and tip, metres, float32, [N, 2].
         groups: One of `roots.GROUPS` each, uint8, [N].
+        tints: What is added to the display color that settings, light and eye give, as where a photo shows streaks, at
+            `TINTS` places along each strand, float32, [N, TINTS, 3]; None for nothing anywhere.
     """
 
     triangles: np.ndarray
@@ -39,10 +42,14 @@ class Groom:
     points: np.ndarray
     widths: np.ndarray
     groups: np.ndarray
+    tints: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         count = len(self.triangles)
-        for name, shape in (("weights", (count, 3)), ("offsets", (count + 1,)), ("widths", (count, 2)), ("groups", (count,))):
+        shapes = {"weights": (count, 3), "offsets": (count + 1,), "widths": (count, 2), "groups": (count,)}
+        if self.tints is not None:
+            shapes["tints"] = (count, TINTS, 3)
+        for name, shape in shapes.items():
             if getattr(self, name).shape != shape:
                 raise ShapeError(f"A groom of {count} strands has {name} of size {getattr(self, name).shape}, not {shape}.")
         if self.points.ndim != 2 or self.points.shape[1] != 3 or len(self.points) > MAX_POINTS:
@@ -51,7 +58,7 @@ class Groom:
             )
         if self.offsets[0] != 0 or self.offsets[-1] != len(self.points) or (count and np.diff(self.offsets).min() < 2):
             raise ShapeError("Every strand needs two points or more, and every point a strand.")
-        for name in ("weights", "points", "widths"):
+        for name in ("weights", "points", "widths", *(("tints",) if self.tints is not None else ())):
             if not np.isfinite(getattr(self, name)).all():
                 raise ShapeError(f"The hair's {name} have values that are not finite.")
         if len(self.points) and float(np.abs(self.points).max()) > MAX_EXTENT:
@@ -101,6 +108,7 @@ class Groom:
             self.points[rows],
             self.widths[numbers],
             self.groups[numbers],
+            None if self.tints is None else self.tints[numbers],
         )
 
     def level(self, share: float) -> Groom:
@@ -115,8 +123,7 @@ class Groom:
             raise ShapeError(f"A share of {share} of the hair cannot be kept; use more than 0 and at most 1.")
         rank = (np.arange(len(self)) * 0.6180339887498949) % 1.0  # spread evenly, whatever the order of the strands
         thin = self.select(rank < share)
-        widths = (thin.widths * min(1.0 / share, WIDEST)).astype(np.float32)
-        return Groom(thin.triangles, thin.weights, thin.offsets, thin.points, widths, thin.groups)
+        return replace(thin, widths=(thin.widths * min(1.0 / share, WIDEST)).astype(np.float32))
 
     def resampled(self, count: int) -> Groom:
         """The same strands with `count` points each, evenly spaced along them; roots and tips stay."""
@@ -129,10 +136,10 @@ class Groom:
         ends = np.stack([travelled[self.offsets[:-1]], travelled[self.offsets[1:] - 1]], 1)
         at = ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * np.linspace(0, 1, count)
         points = np.stack([np.interp(at.ravel(), travelled, self.points[:, k]) for k in range(3)], 1).astype(np.float32)
-        return Groom(self.triangles, self.weights, np.arange(len(self) + 1) * count, points, self.widths, self.groups)
+        return replace(self, offsets=np.arange(len(self) + 1) * count, points=points)
 
     def pack(self) -> dict[str, np.ndarray]:
-        """Arrays for a file: points as differences along the strand in steps of `QUANTUM`, widths in micrometres."""
+        """Arrays for a capture's file: points as differences along the strand in steps of `QUANTUM`, no tints."""
         steps = np.round(self.points / QUANTUM).astype(np.int32)
         steps = np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))
         first = np.round(self.points[self.offsets[:-1]] / QUANTUM).astype(np.int32)
@@ -195,4 +202,5 @@ def join(grooms: Sequence[Groom]) -> Groom:
     offsets = np.concatenate([[0], *(g.offsets[1:] + start for g, start in zip(grooms, starts, strict=False))])
     names = ("triangles", "weights", "points", "widths", "groups")
     joined = {name: np.concatenate([getattr(g, name) for g in grooms]) for name in names}
-    return Groom(offsets=offsets, **joined)
+    tints = [np.zeros((len(g), TINTS, 3), np.float32) if g.tints is None else g.tints for g in grooms]
+    return Groom(offsets=offsets, **joined, tints=np.concatenate(tints) if any(g.tints is not None for g in grooms) else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import TYPE_CHECKING
 
@@ -55,4 +56,5 @@ def mirrored(groom: Groom, head: HeadModel) -> Groom:
     weights = np.take_along_axis(groom.weights, corners[groom.triangles], 1)
     vertices = np.asarray(head.v_template, np.float64)
     points = groom.posed(groom.frames(vertices, head.faces), vertices) * _FLIP
-    return bind(vertices, head.faces, vertices, other, weights, points, groom.offsets, groom.widths, groom.groups)
+    across = bind(vertices, head.faces, vertices, other, weights, points, groom.offsets, groom.widths, groom.groups)
+    return dataclasses.replace(across, tints=groom.tints)

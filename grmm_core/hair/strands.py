@@ -57,6 +57,7 @@ class StrandBlock:
         owner: Parent of each strand, int32 [N].
         spread: How far each is from it at root and tip, axes of the root, metres, float32 [N, 2, 3].
         chance: Even random numbers 0..1 for density, grey and tone, float32 [N, 3].
+        tints: The parents' own colors, see `Groom.tints`, float32 [M, TINTS, 3], or None; their children have the same.
     """
 
     group: int
@@ -70,6 +71,7 @@ class StrandBlock:
     owner: np.ndarray
     spread: np.ndarray
     chance: np.ndarray
+    tints: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.owner)
@@ -98,6 +100,21 @@ class StrandBlock:
     def softness(self) -> np.ndarray:
         """Power of the strands that a drawn one stands for by which it is fainter and wider, of the parents, float32 [M]."""
         return (SOFT + (SOFTEST - SOFT) * _short(self.lengths)).astype(np.float32)
+
+    @functools.cached_property
+    def segment_tints(self) -> np.ndarray | None:
+        """`tints` of each segment of the parents at their stored length, float32 [M, K - 1, 3], or None."""
+        return self._tinted(1.0)
+
+    def tinted(self, length: float) -> np.ndarray | None:
+        """Likewise with strands so many times as long: what is cut takes its colors along, what grows on keeps the tip's."""
+        return self.segment_tints if length == 1.0 else self._tinted(length)
+
+    def _tinted(self, length: float) -> np.ndarray | None:
+        if self.tints is None:
+            return None
+        middles = (np.arange(self.segments) + 0.5) / self.segments
+        return between(self.tints, np.minimum(length * middles, 1.0)).astype(np.float32)
 
     def styled(self, settings: HairSettings, points: np.ndarray | None = None) -> np.ndarray:
         """The parents' points, or others in their place, [M, K, 3] with length, waves and frizz as set; continuous in these."""
@@ -245,7 +262,7 @@ def _block(
     lock = np.clip(g.normal(0, 0.5, len(seeds)), -1, 1)[near]
     return StrandBlock(
         group, rows, part, frames, local, widths / children, light, lock.astype(np.float32), owner, spread.astype(np.float32),
-        chance.astype(np.float32),
+        chance.astype(np.float32), groom.tints if groom.tints is not None and groom.tints.any() else None,
     )  # fmt: skip
 
 
@@ -334,8 +351,13 @@ def nearest(points: np.ndarray, places: np.ndarray, count: int) -> tuple[np.ndar
 
 
 def evened(strands: np.ndarray, count: int) -> np.ndarray:
-    """Strands [N, K, 3] with `count` points by number."""
-    at = np.linspace(0, strands.shape[1] - 1, count)
+    """Strands [N, K, C] with `count` points by number."""
+    return between(strands, np.linspace(0, 1, count))
+
+
+def between(strands: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """What strands [N, K, C] have at places 0..1 [P] between the first and the last of their points, [N, P, C]."""
+    at = places * (strands.shape[1] - 1)
     base = np.minimum(at.astype(int), strands.shape[1] - 2)
     part = (at - base)[:, None]
     return strands[:, base] * (1 - part) + strands[:, base + 1] * part

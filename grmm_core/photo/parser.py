@@ -28,6 +28,8 @@ EDGE_RADIUS, EDGE_EPSILON = 1.0 / 96.0, 4e-4  # of the guided filter: share of t
 LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller finds are dark eyes, buttons, shadows
 LEAST_HAT = 0.35  # of hat and hair together; a smaller part is hair in another light
 AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair
+# of the face: larger pieces of skin that hair parts from eyes and mouth are skin; more hair than one part in so many parts them
+MOST_APART, PASSED = 0.12, 3.0
 # hair or skin by color: steps of each channel, share from which a label is sure, share of the picture that must be, a color's
 # likelihood that is none, how much a color can say, and the share of either from which on the other is not asked
 COLORS, SURE, LEAST_SURE, LEAST_LIKELY, STRONGEST, DOUBT = 24, 0.8, 0.002, 1e-6, 20.0, 0.08
@@ -110,10 +112,33 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
         sharp *= pixels[0, 4:5]  # beyond the photo's edge there is background
         sharp[0] += 1.0 - pixels[0, 4]
         sharp = sharp / sharp.sum(0, keepdim=True).clamp_min(1e-6)
-        eyes = torch.from_numpy(mesh[[tuple(MESH_PARTS).index(name) for name in ("eyes", "brows", "mouth")]]).amax(0)
-        features = functional.max_pool2d(eyes[None, None], 2 * AROUND_EYES + 1, 1, AROUND_EYES)
+        eyes = torch.from_numpy(mesh[[tuple(MESH_PARTS).index(name) for name in ("eyes", "mouth")]]).amax(0)[None, None]
+        features = functional.max_pool2d(eyes, 2 * AROUND_EYES + 1, 1, AROUND_EYES)
         features = functional.interpolate(features, pixels.shape[2:])[0, 0]
-    return PhotoParts(*_by_color(sharp, pixels[0, :3], features).numpy())
+        divided = _by_color(sharp, pixels[0, :3], features)
+    return PhotoParts(*_enclosed(divided, eyes).numpy())
+
+
+def _enclosed(shares: Tensor, features: Tensor) -> Tensor:
+    """Give small pieces of skin that hair parts from the face, as glints in a fringe, to the hair.
+
+    Args:
+        shares: Of the labels, [L, H, W].
+        features: 1 at eyes and mouth, [1, 1, S, S].
+    """
+    hair, skin = (LABELS.index(name) for name in ("hair", "skin"))
+    small = functional.interpolate(shares[None], (SIZE, SIZE), mode="area")[0]
+    face = (small[skin] + small[LABELS.index("brows")] > PASSED * small[hair])[None, None].float()
+    reached = features
+    for _ in range(SIZE):  # from eyes and mouth over everything that is no hair
+        reached = torch.minimum(functional.max_pool2d(reached, 3, 1, 1), torch.maximum(face, features))
+    apart = 1.0 - functional.max_pool2d(reached, 3, 1, 1)
+    if float((apart * small[skin]).sum()) > MOST_APART * float(small[skin].sum()):
+        return shares
+    apart = functional.interpolate(apart, shares.shape[1:], mode="bilinear")[0, 0]
+    divided = shares.clone()
+    divided[hair], divided[skin] = shares[hair] + apart * shares[skin], (1.0 - apart) * shares[skin]
+    return divided
 
 
 def _by_color(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from ..controls.frame import Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
-from ..hair.body import Body, Rim
+from ..hair.body import on_person
 from ..hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
@@ -287,11 +287,7 @@ class Wardrobe:
             if block.group != SCALP:
                 return (local,)
             still = to_numpy(evaluator.mesh(target, rest).vertices)
-            origin, axes = (part.astype(np.float32) for part in block.frames.at(still))
-            placed = np.matmul(local, axes) + origin[:, None]
-            fitted = Body.of(head, still, near=placed.reshape(-1, 3)).pushed(placed)
-            fitted = Rim.of(head, still).ended(fitted, block.lock)
-            return (np.matmul(fitted - origin[:, None], axes.transpose(0, 2, 1)),)
+            return (on_person(head, still, block.frames, local, block.lock),)
 
         def make() -> tuple[np.ndarray, np.ndarray]:
             origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices, some))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from photo_parts import parts_of
 
+from grmm_core.fitting import hair_texture as texture
 from grmm_core.fitting.hair_shape import NODES, bent
 from grmm_core.fitting.hair_stage import directions, fit_hair, person_hair
 from grmm_core.fitting.photo_targets import project
@@ -18,6 +21,7 @@ from grmm_core.hair.coloring import HairView, WornHair
 from grmm_core.hair.mirror import mirrored
 from grmm_core.hair.roots import BEARD, BROWS, LASHES
 from grmm_core.head import load_open_head
+from grmm_core.splat import Gaussians, rasterize
 
 AXES = torch.tensor([1.0, 0.0, 0.0])[:, None, None, None]
 SKIN = np.array([0.75, 0.56, 0.47])
@@ -54,6 +58,35 @@ def test_a_head_without_hair_is_bald():
     assert fit_hair([nothing], head) is None
 
 
+def test_streaks_of_a_photo_are_found_and_fade_where_it_shows_nothing():
+    head = load_open_head()
+    groom, settings = library_groom("bob"), HairSettings(melanin=0.7)
+    places = texture.places_of(groom, head)
+    streaked = np.sin(places[..., :1] / 0.008) * np.array([0.2, 0.15, 0.1])
+    camera, vertices = Camera.orbit(256, 256, 10.0, 6.0), np.asarray(head.v_template, np.float64)
+
+    def strands(tints):
+        worn = WornHair(replace(groom, tints=tints), settings, vertices, camera, head, vertices)
+        return worn, Gaussians(*(torch.from_numpy(part) for part in worn.gaussians(settings)))
+
+    skin, (_, true), (worn, plain) = torch.full((256, 256, 3), 0.5), strands(streaked.astype(np.float32)), strands(None)
+    shown = rasterize(true, camera)
+    image = shown.rgb + (1.0 - shown.alpha)[..., None] * skin
+    rows, where = (torch.from_numpy(part) for part in worn.pieces(settings))
+    seen = texture.Photo(image, shown.alpha, torch.ones_like(shown.alpha), skin, plain, rows, where, camera)
+    found, known = texture.reconstructed([texture.Onto(seen, len(groom))], len(groom))
+    tints = texture.spread(places, found, known)
+
+    again, before = (rasterize(one, camera).rgb for one in (strands(tints)[1], plain))
+    full = shown.alpha > 0.95
+    off, was = (float((one - shown.rgb)[full].square().mean().sqrt()) for one in (again, before))
+    assert off < 0.35 * was
+    back = places[..., 2].min(1) < -0.06
+    assert np.abs(tints[back]).mean() < 0.2 * np.abs(tints[known > 0.5]).mean()
+    assert (known[back] < 0.1).mean() > 0.9
+    assert np.isfinite(tints).all()
+
+
 def test_directions_are_those_of_stripes():
     y, x = np.mgrid[0:40, 0:40] * 1.0
     for degrees in (0.0, 30.0, 90.0, 150.0):
@@ -68,7 +101,7 @@ def test_a_field_moves_tips_and_leaves_roots():
     head = load_open_head()
     vertices = np.asarray(head.v_template, np.float64)
     groom = library_groom("bob")
-    field = torch.zeros(3, *NODES[::-1])
+    field = torch.zeros(3, *NODES[-1][::-1])
     field[2] = -0.02
     moved = bent(groom, 1.0, field, head)
     flat, back = (one.posed(one.frames(vertices, head.faces), vertices) for one in (groom.resampled(moved.counts[0]), moved))
@@ -79,7 +112,7 @@ def test_a_field_moves_tips_and_leaves_roots():
 
 def test_hair_swells_to_the_outline_that_a_photo_shows():
     head = load_open_head()
-    wide = bent(library_groom("bob"), 1.0, 0.02 * torch.linspace(-1, 1, NODES[0]).expand(3, *NODES[::-1]) * AXES, head)
+    wide = bent(library_groom("bob"), 1.0, 0.02 * torch.linspace(-1, 1, NODES[-1][0]).expand(3, *NODES[-1][::-1]) * AXES, head)
     view = photo(wide, HairSettings(melanin=0.5), 0.0)
     hair = fit_hair([view], head)
     again, plain = (photo(one, HairSettings(melanin=0.5), 0.0).hair for one in (hair.groom, library_groom("bob")))

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from grmm_core.errors import ShapeError
-from grmm_core.hair.groom import QUANTUM, Groom, bind, join
+from grmm_core.geometry.camera import Camera
+from grmm_core.hair import HairSettings
+from grmm_core.hair.coloring import WornHair
+from grmm_core.hair.compact import MAX_BYTES, compact_parts, restored_parts
+from grmm_core.hair.groom import QUANTUM, TINTS, Groom, bind, join
 from grmm_core.hair.roots import BEARD, LASHES, SCALP
 from grmm_core.head.open_head import load_open_head
 
@@ -100,6 +106,42 @@ def test_selecting_and_joining_are_inverse(strands):
         np.testing.assert_array_equal(getattr(again, name), getattr(groom, name))
     np.testing.assert_array_equal(groom.along[groom.offsets[:-1]], 0)
     np.testing.assert_array_equal(groom.along[groom.offsets[1:] - 1], 1)
+
+
+def test_strands_keep_their_own_colors(strands, head):
+    groom, _ = strands
+    tints = np.random.default_rng(3).uniform(-0.5, 0.5, (len(groom), TINTS, 3)).astype(np.float32)
+    streaked = replace(groom, tints=tints)
+    some = np.flatnonzero(np.arange(len(groom)) % 3 == 1)
+    np.testing.assert_array_equal(streaked.select(some).resampled(9).tints, tints[some])
+    np.testing.assert_array_equal(join([groom, streaked]).tints, np.concatenate([0 * tints, tints]))
+    packed = compact_parts(streaked)
+    again = restored_parts(packed)
+    assert sum(array.nbytes for array in packed.values()) <= MAX_BYTES
+    np.testing.assert_allclose(again.tints, tints[np.argsort(groom.groups, kind="stable")], atol=0.5 / 127 + 1e-6)
+    assert restored_parts(compact_parts(groom)).tints is None
+    with pytest.raises(ShapeError, match="tints of size"):
+        replace(groom, tints=tints[:, 1:])
+
+
+def test_own_colors_ride_on_what_settings_give(strands, head):
+    """Whatever the pigments, the share of the strands and their length: the same is added, at the same place of the strand."""
+    groom, _ = strands
+    groom = groom.select(groom.groups == SCALP)
+    tints = np.zeros((len(groom), TINTS, 3), np.float32)
+    tints[:, TINTS // 2 :, 0] = 0.1  # red from the middle on
+    vertices, camera = np.asarray(head.v_template, float), Camera.orbit(64, 64)
+    for settings in (HairSettings(melanin=0.5), HairSettings(melanin=0.8, length=0.5)):
+        plain, streaked = (
+            WornHair(one, settings, vertices, camera, head).gaussians(settings) for one in (groom, replace(groom, tints=tints))
+        )
+        added = streaked.colors - plain.colors
+        _, places = WornHair(groom, settings, vertices, camera, head).pieces(settings)
+        wanted = np.interp(places, np.linspace(0, 1, TINTS), tints[0, :, 0])
+        seen = plain.opacities > 0
+        np.testing.assert_allclose(added[seen, 0], wanted[seen], atol=1e-5)
+        np.testing.assert_allclose(added[seen, 1:], 0.0, atol=1e-6)
+        assert added[seen, 0].max() == pytest.approx(0.1 if settings.length == 1.0 else 0.0, abs=0.05)
 
 
 def test_packing_loses_half_a_quantum(strands):

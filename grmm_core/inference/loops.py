@@ -25,6 +25,7 @@ _UNFOLD_RESIDUAL = f"void({_CHANNELS}, {_PICTURE}, {_PLANES}, int64, {_PLANES}, 
 _MIX = f"void({_CHANNELS}, {_CHANNELS}, {_CHANNELS}, {_PICTURE}, {_PICTURE}, float32, int64, int64)"
 _HALVE = f"void({_CHANNELS}, {_PICTURE}, {_PICTURE}, {_CHANNELS}, {_PLANES}, int64, int64)"
 _ENLARGE = f"void({_PLANES}, {_PICTURE}, {_CHANNELS}, {_PICTURE}, float32, {_PLANES}, int64, int64)"
+_LINEAR = f"void({_CHANNELS}, {_PICTURE}, float32, float32[::1], {_PLANES}, int64, int64)"
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
 _TINY = np.float32(1e-9)  # metres per unit of UV; keeps frames of degenerate triangles defined
 _BLOCKS = 128  # of a row of folded pixels at a time: what the layer sees of them stays in the nearest cache
@@ -191,19 +192,50 @@ def enlarge(
         last: The row after the last.
     """
     rows, columns, near, far = cover.shape[0], cover.shape[1], np.float32(0.75), np.float32(0.25)
+    line = np.empty((4, columns + 2), np.float32)  # between two rows of the small picture, by channel, its ends twice
     for row in range(first, last):
         y = row // 2
-        other_y = min(max(y + 2 * (row % 2) - 1, 0), rows - 1)
-        for column in range(out.shape[1]):
-            x = column // 2
-            other_x = min(max(x + 2 * (column % 2) - 1, 0), columns - 1)
-            a, b, c, d = near * near, near * far, far * near, far * far
-            total = a * cover[y, x] + b * cover[y, other_x] + c * cover[other_y, x] + d * cover[other_y, other_x]
-            share = alpha[row, column] / max(total, least)
+        other = min(max(y + 2 * (row % 2) - 1, 0), rows - 1)
+        for x in range(columns):
             for k in range(3):
-                moved = a * change[y, x, k] + b * change[y, other_x, k]
-                moved += c * change[other_y, x, k] + d * change[other_y, other_x, k]
-                out[row, column, k] = rgb[row, column, k] + share * moved
+                line[k, x + 1] = near * change[y, x, k] + far * change[other, x, k]
+            line[3, x + 1] = near * cover[y, x] + far * cover[other, x]
+        line[:, 0], line[:, columns + 1] = line[:, 1], line[:, columns]
+        for side in range(2):
+            for x in range((out.shape[1] + 1 - side) // 2):
+                column, aside = 2 * x + side, x + 2 * side
+                share = alpha[row, column] / max(near * line[3, x + 1] + far * line[3, aside], least)
+                for k in range(3):
+                    moved = near * line[k, x + 1] + far * line[k, aside]
+                    out[row, column, k] = rgb[row, column, k] + share * moved
+
+
+@compiled(nogil=True, signature_or_function=_LINEAR, **_OPTIONS)
+def premultiplied_linear(
+    rgb: np.ndarray, alpha: np.ndarray, least: np.float32, curve: np.ndarray, out: np.ndarray, first: int, last: int
+) -> None:
+    """`color.scene_linear_premultiplied` of rows of a picture, by a table.
+
+    Args:
+        rgb: Premultiplied display sRGB, [H, W, 3].
+        alpha: [H, W]; colors below `least` are left black.
+        least: See `color.MIN_ALPHA`.
+        curve: Linear values of 0..1 in even steps; between two of them it is straight.
+        out: Written, [H, W, 4].
+        first: Row of the picture.
+        last: The row after the last.
+    """
+    steps = np.float32(len(curve) - 1)
+    for y in range(first, last):
+        for x in range(alpha.shape[1]):
+            cover = min(max(alpha[y, x], np.float32(0.0)), _ONE)
+            scale = steps / cover if cover >= least else np.float32(0.0)
+            for k in range(3):
+                place = min(max(rgb[y, x, k] * scale, np.float32(0.0)), steps)
+                at = min(int(place), len(curve) - 2)
+                low = curve[at]
+                out[y, x, k] = cover * (low + (curve[at + 1] - low) * (place - np.float32(at)))
+            out[y, x, 3] = cover
 
 
 @compiled(nogil=True, signature_or_function=_MIX, **_OPTIONS)

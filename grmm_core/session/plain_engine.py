@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from contextlib import AbstractContextManager, nullcontext
 
@@ -13,11 +14,12 @@ from ..geometry.camera import Camera
 from ..inference.loader import PlainLoader
 from ..inference.plain_model import PlainModel
 from ..model.store import ModelStore
-from ..pictures.color import scene_linear_premultiplied
+from ..pictures.color import MIN_ALPHA, srgb_to_linear
 from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays, Gaussians, RasterOutput
 
 _BAND = 32  # rows of a picture, in a task of a thread
+_STEPS = 8192
 
 
 class PlainEngine:
@@ -64,14 +66,14 @@ class PlainEngine:
     def scene_linear(self, rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """See `Engine.scene_linear`."""
         from ..compute.threads import for_rows
+        from ..inference.loops import premultiplied_linear
 
-        result = np.zeros((*alpha.shape, 4), np.float32)
-
-        def band(first: int, last: int) -> None:
-            covered = np.flatnonzero(alpha[first:last].max(0) > 0.0)
-            if len(covered):
-                part = slice(first, last), slice(covered[0], covered[-1] + 1)
-                result[part] = scene_linear_premultiplied(rgb[part], alpha[part][..., None])
-
-        for_rows(band, len(alpha), smallest=_BAND)
+        result = np.empty((*alpha.shape, 4), np.float32)
+        for_rows(premultiplied_linear, len(alpha), rgb, alpha, np.float32(MIN_ALPHA), _curve(), result, smallest=_BAND)
         return result
+
+
+@functools.cache
+def _curve() -> np.ndarray:
+    """Linear values of display sRGB in even steps, so many that a straight line between two is exact to 1e-7."""
+    return srgb_to_linear(np.linspace(0.0, 1.0, _STEPS))

@@ -12,6 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
+from torch.nn import functional
 
 from ..avatar import EXTENSION, Avatar, save_avatar
 from ..controls.frame import Controls, resolve
@@ -25,6 +27,9 @@ from ..session.values import Instance, RenderOptions
 from ..training.captured_hair import SeenIn, captured_hair
 from .scene import DrawnPerson, Scene
 
+_WINDOW, _CLEAR = 9, 0.5  # px and coherence, of `turned_degrees`
+_BINOMIAL = (0.0625, 0.25, 0.375, 0.25, 0.0625)
+_COVERED = 0.1  # share of a pixel without hair, below which it counts as covered
 _LEAST = 200  # pixels of hair with a direction, below which a view says nothing about it
 
 
@@ -79,16 +84,31 @@ class Haired:
 
 
 def turned_degrees(image: np.ndarray, truth: np.ndarray, hair: np.ndarray) -> float:
-    """Mean angle between the directions of strands where both pictures have a clear one, degrees; NaN where hardly any has.
+    """Mean angle between the directions of strands where the truth has a clear one, degrees; NaN where it hardly has any.
+
+    Pictures are blurred a little, borders of hair left out, and directions averaged over a window so large that the grain of
+    a truth of few samples has no clear one: of white noise, 3 % of the pixels do (49 % in 5 unblurred pixels at 0.25).
 
     Args:
         image: [H, W, 3].
         truth: [H, W, 3].
         hair: Cover of hair in the truth, [H, W].
     """
-    own, true = (np.stack(directions(picture, hair)) for picture in (image, truth))
-    sure = np.minimum(np.hypot(*own), np.hypot(*true)) > 1e-6
+    edge = 2 * (_WINDOW // 2) + 5
+    outside = functional.max_pool2d(torch.from_numpy(1.0 - np.asarray(hair, np.float32))[None, None], edge, 1, edge // 2)
+    inside = (outside[0, 0].numpy() < _COVERED).astype(float)
+    true = np.stack(directions(_soft(truth), inside, _WINDOW, _CLEAR))
+    sure = np.hypot(*true) > 0
     if sure.sum() < _LEAST:
         return float("nan")
+    own = np.stack(directions(_soft(image), inside, _WINDOW, 0.0))
     doubled = np.arctan2(own[1], own[0])[sure] - np.arctan2(true[1], true[0])[sure]
     return float(np.degrees(np.abs((doubled + np.pi) % (2 * np.pi) - np.pi)).mean() / 2)
+
+
+def _soft(image: np.ndarray) -> np.ndarray:
+    """A picture [H, W, 3] blurred by one pixel of standard deviation."""
+    height, width = image.shape[:2]
+    padded = np.pad(image, ((2, 2), (2, 2), (0, 0)), mode="edge")
+    down = sum(weight * padded[k : k + height] for k, weight in enumerate(_BINOMIAL))
+    return np.asarray(sum(weight * down[:, k : k + width] for k, weight in enumerate(_BINOMIAL)))

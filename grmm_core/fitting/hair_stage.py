@@ -260,18 +260,20 @@ def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, fiel
     return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)) - SHY * reach, field)
 
 
-def directions(image: np.ndarray, hair: np.ndarray) -> Directions:
+def directions(image: np.ndarray, hair: np.ndarray, window: int = _WINDOW, clear: float = CLEAR) -> Directions:
     """Directions of strands by the structure tensor of the lightness (Bigun and Granlund 1987), clear ones of length 1.
 
     Args:
         image: [H, W, 3].
         hair: Cover, [H, W]; nothing is said elsewhere.
+        window: Pixels over which the tensor is averaged, odd.
+        clear: Coherence, 0..1, above which a direction is clear.
     """
     grey = np.asarray(image, np.float64).mean(2)
     down, across = np.gradient(grey)
     squares = torch.from_numpy(np.stack([across**2 - down**2, 2 * across * down, across**2 + down**2]))[None]
-    mean = functional.avg_pool2d(squares, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)[0].numpy()
+    mean = functional.avg_pool2d(squares, window, 1, window // 2, count_include_pad=False)[0].numpy()
     # the strand lies across the gradient: twice its angle is half a turn further
-    clear = np.hypot(mean[0], mean[1]) / (mean[2] + 1e-5)
-    factor = np.where(clear > CLEAR, -np.asarray(hair) / (mean[2] + 1e-5), 0.0)
+    coherence = np.hypot(mean[0], mean[1]) / (mean[2] + 1e-5)
+    factor = np.where(coherence > clear, -np.asarray(hair) / (mean[2] + 1e-5), 0.0)
     return Directions(mean[0] * factor, mean[1] * factor)

@@ -475,3 +475,6 @@ def test_strands_are_turned_by_the_angle_between_them():
     assert turned_degrees(stripes(20), stripes(50), everywhere) == pytest.approx(30.0, abs=1.5)
     assert turned_degrees(stripes(10), stripes(170), everywhere) == pytest.approx(20.0, abs=1.5)  # a line has no sense
     assert math.isnan(turned_degrees(stripes(20), np.ones((64, 64, 3)), everywhere))
+    grain = np.random.default_rng(0).normal(0, 0.3, (64, 64, 1))
+    assert turned_degrees(stripes(20), stripes(50) + grain, everywhere) == pytest.approx(30.0, abs=3.0)
+    assert math.isnan(turned_degrees(stripes(20), np.repeat(grain, 3, 2), everywhere))  # grain has no direction

@@ -28,13 +28,15 @@ from typing import Any
 
 import numpy as np
 
+from ..avatar import EXTENSION, load_avatar
 from ..controls.frame import Controls
 from ..errors import ConfigError
 from ..files.access import atomic_write_bytes
 from ..formats.sequence import frame_path
 from ..geometry.camera import Camera
 from ..hair.swing import SwingBake, write_bake
-from ..light.parse import FORMS, lighting_of
+from ..light.lamps import Lighting
+from ..light.parse import FORMS, PHOTO_WORD, lighting_of
 from ..light.shading import Response
 from ..model.portrait import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from ..pictures.color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
@@ -100,11 +102,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if path.suffix.lower() not in SUFFIXES:
         raise ConfigError(f"{path} does not end in {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}; choose one of these formats.")
     check_folder(path)
-    controls, hair, lighting = controls_of(args), hair_of(args), lighting_of(args.light)
+    controls, hair, (lighting, response) = controls_of(args), hair_of(args), _light(args)
     played = performance_of(args)
     if played is None and (args.hair_swing is not None or args.frames is not None):
         raise ConfigError("Hair swings, and frames are chosen, in a performance; name one with --performance.")
-    response = None if lighting is None else Response()
     width, height = args.size
     camera = Camera.orbit(width, height, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
@@ -145,6 +146,23 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         "refined": options.refine,
         "seconds": round(seconds, 4),
     }
+
+
+def _light(args: argparse.Namespace) -> tuple[Lighting | None, Response | None]:
+    """What `--light` says, and how the avatar takes it."""
+    word, _, number = args.light[0].partition(":") if len(args.light) == 1 else ("", "", "")
+    if word != PHOTO_WORD:
+        lighting = lighting_of(args.light)
+        return lighting, None if lighting is None else Response()
+    from ..fitting.photo_light import MATT
+    from ..fitting.result import photo_light
+
+    if Path(args.avatar).suffix != EXTENSION or (not number.isdecimal() and number):
+        raise ConfigError("--light photo, or photo:2 and so on, is for an avatar's file that was made from photos; name one.")
+    light = photo_light(load_avatar(args.avatar), int(number or 1) - 1).lighting
+    if light is None:
+        raise ConfigError(f"{args.avatar} does not know the light of its photo; make it from the photo again.")
+    return light, MATT
 
 
 def _swinging(

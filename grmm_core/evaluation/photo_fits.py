@@ -23,13 +23,15 @@ from ..controls.frame import Controls
 from ..errors import GrmmError
 from ..fitting.api import fit
 from ..fitting.invert import invert, photo_pictures
+from ..fitting.photo_light import MATT
 from ..fitting.presets import Preset
 from ..fitting.request import FitRequest
-from ..fitting.result import photo_controls
+from ..fitting.result import photo_controls, photo_light
 from ..fitting.types import PhotoTrack
 from ..geometry.camera import Camera
 from ..head import HeadModel
 from ..jobs.progress import Progress, Share, nobody
+from ..light.lamps import Lighting
 from ..model.grmm import GRMM
 from ..model.portrait import portrait_camera
 from ..model.torch_loader import with_deltas
@@ -130,16 +132,17 @@ class Worn:
         self._session, self._id = session, session.open(path).id
         self._avatar, self.head = avatar, head
 
-    def shot(self, controls: Controls, camera: Camera) -> Shot:
-        """One picture over grey."""
-        options = RenderOptions(passes=("rgb", "alpha", "hair"), background=(_GREY,) * 3)
-        drawn = self._session.render([Instance(self._id, controls)], camera, options)
+    def shot(self, controls: Controls, camera: Camera, lighting: Lighting | None = None) -> Shot:
+        """One picture over grey, in the studio's light or that of a photo."""
+        options = RenderOptions(passes=("rgb", "alpha", "hair"), background=(_GREY,) * 3, lighting=lighting)
+        drawn = self._session.render([Instance(self._id, controls, response=MATT)], camera, options)
         vertices = np.asarray(self._session.deform(self._id, controls).vertices, np.float64)
         return Shot(vertices, camera, drawn["rgb"], drawn["alpha"][..., 0], drawn["hair"][..., 0])
 
     def photo(self, camera: Camera, index: int = 0) -> Shot:
-        """As one of the photos shows the person, in the light of the first."""
-        return self.shot(photo_controls(self._avatar, self.head, index), camera)
+        """As one of the photos shows the person, in its light."""
+        light = photo_light(self._avatar, index).lighting
+        return self.shot(photo_controls(self._avatar, self.head, index), camera, light)
 
 
 def photo_figures(

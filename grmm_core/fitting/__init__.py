@@ -17,7 +17,6 @@
 ``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light
 ``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest
 ``hair_stage``         the groom that photos show, for weights without hair; ``face_hair``: brows, beard and lashes
-``delight``            skin colors as flat colors times a photo's light; not part of a fit yet
 ``invert``             tracks to an avatar by both stages
 ``folder``             the work folder: whose state it holds, what is refused before work begins; ``checkpoint``: the tuning's
 ``batch``              a folder of people, here or on a cluster; ``result``: what a fit becomes in an avatar

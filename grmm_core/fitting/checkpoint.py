@@ -22,7 +22,6 @@ from .code_stage import Codes
 from .decoder_stage import Tuner
 from .folder import CODES_FILE, DECODERS_FILE
 from .presets import Preset
-from .recoloring import PhotoLight
 from .types import PhotoTrack
 
 FORMAT, VERSION = "grmm-fit", "1"
@@ -52,7 +51,6 @@ def save_codes(folder: Path, key: str, codes: Codes) -> None:
     """Write stage 1's result, to be found by `load_codes` with the same key. Raises `FileAccessError`."""
     _write(folder / CODES_FILE, key, {
         "z_id": codes.z_id, "z_exp": codes.z_exp, "photo_z_exp": codes.photo_z_exp, "maps": codes.maps,
-        "light": codes.light.coefficients,
     })  # fmt: skip
 
 
@@ -63,7 +61,7 @@ def load_codes(folder: Path, key: str, like: Tensor) -> Codes | None:
         return None
     try:
         z_id, z_exp, photo_z_exp, maps = (tensors[name] for name in ("z_id", "z_exp", "photo_z_exp", "maps"))
-        return Codes(z_id, z_exp, photo_z_exp, maps, PhotoLight(tensors["light"]))
+        return Codes(z_id, z_exp, photo_z_exp, maps)
     except KeyError:
         logger.warning("%s is incomplete; the codes are searched anew", folder / CODES_FILE)
         return None

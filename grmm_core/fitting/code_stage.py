@@ -23,7 +23,7 @@ from ..training.losses import Perceptual
 from .objective import FIT_WEIGHTS, decode, draw, fit_loss, photo_inputs, relit
 from .photo_targets import FitView
 from .presets import CodeSettings
-from .recoloring import PhotoLight, normal_picture, recolor, solve_light, solve_maps, unchanged
+from .recoloring import PhotoLight, recolor, solve_maps, unchanged
 from .surface import Surface
 
 OUTLINE_WEIGHT, START_OUTLINE_WEIGHT = 1.0, 2.0  # of the coverage: codes decide how much hair there is, and how long
@@ -33,7 +33,6 @@ PHOTO_WEIGHT = 0.05  # of the squared offsets of single photos
 CODE_WEIGHTS = replace(FIT_WEIGHTS, alpha=OUTLINE_WEIGHT)
 RATE, EXPRESSION_RATE = 0.12, 0.02
 RECOLOR_EVERY = 6
-LIGHT_ROUNDS = 2  # of solving the light of several photos and the colors, in turns
 WARM = 0.25  # the rates grow over this share of the steps
 
 Tick = Callable[[float, "Picture | None"], None]
@@ -82,14 +81,12 @@ class Codes:
         z_exp: Offset that all photos share, [Y].
         photo_z_exp: Further offset of each photo, [P, Y].
         maps: Color maps of the groups, [3, 4, 3].
-        light: Of the photos.
     """
 
     z_id: Tensor
     z_exp: Tensor
     photo_z_exp: Tensor
     maps: Tensor
-    light: PhotoLight
 
     def inputs(self, model: GRMM, view: FitView) -> ModelInputs[Tensor]:
         """The model's inputs for a photo: its tracked frame with the shared identity code and its own expression code."""
@@ -98,7 +95,7 @@ class Codes:
 
 def fit_codes(
     model: GRMM, prior: CodePrior, views: Sequence[FitView], small: Sequence[FitView], surface: Surface,
-    settings: CodeSettings, tick: Tick, perceptual: Perceptual | None = None,
+    light: PhotoLight, settings: CodeSettings, tick: Tick, perceptual: Perceptual | None = None,
 ) -> Codes:  # fmt: skip
     """Minimise eq. 19.
 
@@ -108,19 +105,19 @@ def fit_codes(
         views: Photos.
         small: The same at a lower resolution, for choosing the start.
         surface: Texels' groups.
+        light: Of the photos.
         settings: Steps.
         tick: Progress.
         perceptual: Distance of two pictures, or None.
     """
-    light = PhotoLight.even(len(views), prior.mean)
     if not model.config.residuals:  # eq. 21: the tracked coefficients are the codes
         z_exp = prior.mean.new_zeros(model.z_exp_size)
         search = _Search(model, prior, views, surface, light, perceptual, fixed=views[0].shape)
         search.color()
-        return Codes(views[0].shape, z_exp, z_exp.new_zeros((len(views), len(z_exp))), search.maps, search.light)
+        return Codes(views[0].shape, z_exp, z_exp.new_zeros((len(views), len(z_exp))), search.maps)
     total = settings.starts * settings.trial_steps + settings.steps
     share = 0.3 if settings.candidates else 0.0
-    starts = _starts(model, prior, small, surface, settings, lambda f: tick(share * f, None))
+    starts = _starts(model, prior, small, surface, light, settings, lambda f: tick(share * f, None))
     done = 0
     searches = []
     for start in starts:
@@ -140,21 +137,22 @@ def fit_codes(
 
 
 def _starts(
-    model: GRMM, prior: CodePrior, views: Sequence[FitView], surface: Surface, settings: CodeSettings,
+    model: GRMM, prior: CodePrior, views: Sequence[FitView], surface: Surface, light: PhotoLight, settings: CodeSettings,
     report: Callable[[float], None],
 ) -> list[Tensor]:  # fmt: skip
     """The mean and the people whose recolored pictures of the first photo come nearest, each [R]."""
     people = prior.people
     if settings.candidates < len(people):
         people = people[torch.linspace(0, len(people) - 1, settings.candidates).round().long()]
-    light = PhotoLight.even(len(views), prior.mean)
     view, scored = views[0], []
     start_weights = replace(FIT_WEIGHTS, alpha=START_OUTLINE_WEIGHT)
     with torch.no_grad():
         for number, w in enumerate(people):
             vertices, decoded = _Search(model, prior, [view], surface, light, None, w).decoded(view)
-            maps = solve_maps(model, [view], [vertices], [decoded], surface, [prior.mean.new_ones(3)])
+            here = light.picture(model, view, vertices, decoded)
+            maps = solve_maps(model, [view], [vertices], [decoded], surface, [here])
             drawn = draw(model, view.camera, vertices, decoded.recolored(recolor(decoded.colors, maps, surface)))
+            drawn = relit(drawn, here)
             scored.append((float(fit_loss(drawn, view, background(0, view), start_weights, None)), number))
             report((number + 1) / len(people))
     nearest = [people[number] for _, number in sorted(scored)]
@@ -170,10 +168,11 @@ class _Search:
     ) -> None:  # fmt: skip
         self.model, self.prior, self.views, self.surface = model, prior, list(views), surface
         self.light, self.perceptual, self.fixed = light, perceptual, fixed
-        self.maps, self.gains = unchanged(prior.mean), [prior.mean.new_ones(3)] * len(self.views)
+        self.maps = unchanged(prior.mean)
         self.w = (prior.mean.new_zeros(len(prior.directions)) if start is None else start).clone().requires_grad_()
         self.z_exp = prior.mean.new_zeros(model.z_exp_size).requires_grad_()
         self.photo = prior.mean.new_zeros((len(views), model.z_exp_size)).requires_grad_()
+        self.lit: list[Tensor] = []  # by photo
         self.recent = float("inf")
         self.restart()
 
@@ -190,23 +189,11 @@ class _Search:
 
     @torch.no_grad()
     def color(self) -> None:
-        """Solve the color maps for the present codes, and the light of several photos."""
+        """Solve the color maps for the present codes."""
         pairs = [self.decoded(view) for view in self.views]
         meshes, decoded = [vertices for vertices, _ in pairs], [attributes for _, attributes in pairs]
-        if len(self.views) == 1:
-            self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.gains)
-            return
-        # colors are the first photo's, in whose light they stand
-        self.maps = solve_maps(self.model, self.views[:1], meshes[:1], decoded[:1], self.surface, self.gains[:1])
-        for _ in range(LIGHT_ROUNDS):
-            pictures = []
-            for view, vertices, attributes in zip(self.views, meshes, decoded, strict=True):
-                recolored = self.recolored(attributes)
-                drawn = draw(self.model, view.camera, vertices, recolored, refined=False)
-                pictures.append((view, drawn.raw, normal_picture(self.model, view, vertices, recolored)))
-            self.light = solve_light(pictures)
-            self.gains = [self.light.gain(view.index, normals) for view, _, normals in pictures]
-            self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.gains)
+        self.lit = [self.light.picture(self.model, view, *pair) for view, pair in zip(self.views, pairs, strict=True)]
+        self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.lit)
 
     def recolored(self, attributes: Attributes) -> Attributes:
         """Attributes with the colors that the maps give."""
@@ -216,7 +203,7 @@ class _Search:
         """Eq. 19 of one photo."""
         vertices, attributes = self.decoded(view)
         drawn = draw(self.model, view.camera, vertices, self.recolored(attributes))
-        drawn = relit(drawn, self.gains[view.index])
+        drawn = relit(drawn, self.lit[view.index])
         value = fit_loss(drawn, view, background(step, view), CODE_WEIGHTS, self.perceptual)
         value = value + CODE_WEIGHT * self.w.square().sum() + EXPRESSION_WEIGHT * self.z_exp.square().sum()
         return value + PHOTO_WEIGHT * self.photo.square().sum(), drawn
@@ -241,9 +228,7 @@ class _Search:
         photo = self.photo.detach()
         # what all photos share belongs to the person
         shared = photo.mean(0) if len(photo) > 1 else torch.zeros_like(photo[0])
-        return Codes(
-            self.prior.code(self.w).detach(), (self.z_exp + shared).detach(), photo - shared, self.maps.detach(), self.light
-        )
+        return Codes(self.prior.code(self.w).detach(), (self.z_exp + shared).detach(), photo - shared, self.maps.detach())
 
 
 def background(step: int, view: FitView) -> Tensor:

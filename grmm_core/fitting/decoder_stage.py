@@ -24,6 +24,7 @@ import torch
 from torch import Tensor
 
 from ..geometry.libraries import present
+from ..light.relight import unlit
 from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
@@ -32,7 +33,7 @@ from .locality import LOCALITY_WEIGHT, Locality
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .photo_targets import FitView
 from .presets import DecoderSettings
-from .recoloring import normal_picture, recolor
+from .recoloring import PhotoLight, recolor
 from .surface import INNER, SCALP, SKIN, Surface
 
 NETWORKS = ("transform", "opacity", "appearance")
@@ -78,6 +79,7 @@ class Tuner:
         codes: Result of stage 1.
         levels: The photos at each level's size.
         surface: Texels.
+        light: Of the photos.
         settings: Steps, and whether networks are tuned.
         locality: Factor of L_loc; 0 leaves it out (the ablation).
         perceptual: Distance of two pictures, or None.
@@ -85,14 +87,14 @@ class Tuner:
 
     def __init__(
         self, model: GRMM, prior: CodePrior, codes: Codes, levels: Sequence[Sequence[FitView]], surface: Surface,
-        settings: DecoderSettings, locality: float = LOCALITY_WEIGHT, perceptual: Perceptual | None = None,
+        light: PhotoLight, settings: DecoderSettings, locality: float = LOCALITY_WEIGHT, perceptual: Perceptual | None = None,
     ) -> None:  # fmt: skip
-        self.model, self.codes, self.surface, self.settings = model, codes, surface, settings
+        self.model, self.codes, self.surface, self.light, self.settings = model, codes, surface, light, settings
         self.levels, self.perceptual, self.locality_weight = [list(level) for level in levels], perceptual, locality
         self.networks = SURFACE_NETWORKS if model.config.hairless else NETWORKS
         self.tuned = _tunable_copy(model, self.networks) if settings.networks else model
         self.step_count = 0
-        self._gains: dict[tuple[int, int], Tensor] = {}
+        self._lit: dict[tuple[int, int], Tensor] = {}
         self.last_drawn = (0, 0)  # level and photo
         first = self.levels[0]
         with torch.no_grad():
@@ -150,15 +152,12 @@ class Tuner:
             variants.append([(code, self.model.offsets(inputs.z_id, code).detach()) for code in others])
         return variants
 
-    def gain(self, level: int, index: int) -> Tensor:
-        """Factor of a photo's light, [H, W, 3]; [3] of the first, which has none."""
-        if index == 0:
-            return torch.ones_like(self.tint[0])
-        if (level, index) not in self._gains:
+    def lit(self, level: int, index: int) -> Tensor:
+        """A photo's light, [H, W, 3]."""
+        if (level, index) not in self._lit:
             view = self.levels[level][index]
-            normals = normal_picture(self.model, view, self.meshes[index], self.decoded[index])
-            self._gains[level, index] = self.codes.light.gain(index, normals)
-        return self._gains[level, index]
+            self._lit[level, index] = self.light.picture(self.model, view, self.meshes[index], self.decoded[index])
+        return self._lit[level, index]
 
     def attributes(self, index: int, variant: int | None = None) -> Attributes:
         """Attributes of a photo's expression, or of one of its variants, with the maps."""
@@ -224,7 +223,7 @@ class Tuner:
         view = self.levels[level][index]
         self.optimiser.zero_grad(set_to_none=True)
         drawn = draw(self.model, view.camera, self.meshes[index], self.attributes(index, variant), refined)
-        drawn = relit(drawn, self.gain(level, index))
+        drawn = relit(drawn, self.lit(level, index))
         pictures = ("image",) if refined else ("raw",)
         loss = fit_loss(drawn, view, background(self.step_count, view), FIT_WEIGHTS, self.perceptual, pictures)
         if self.locality is not None and self.step_count % LOCALITY_EVERY == 0:
@@ -249,10 +248,8 @@ class Tuner:
             for index, view in enumerate(self.levels[level]):
                 attributes = self.attributes(index, variant)
                 drawn = draw(self.model, view.camera, self.meshes[index], attributes)
-                gain = self.gain(level, index)
-                drawn = relit(drawn, gain)
-                target = view.image * drawn.alpha[..., None]
-                both = 0.5 * ((target - drawn.image) + (target - drawn.raw)) / gain
+                target = unlit(view.image, self.lit(level, index)) * drawn.alpha[..., None]
+                both = 0.5 * ((target - drawn.image) + (target - drawn.raw))
                 step = spread_to_colors(self.model, view, self.meshes[index], attributes, both * view.inside[..., None])
                 shown = self.seen_by[index][:, None]
                 change, weight = change + shown * step, weight + shown
@@ -269,7 +266,7 @@ class Tuner:
             tested = contributions(self.model, view, self.meshes[index], attributes, view.weight)
             frontal = facing(self.model, view, self.meshes[index], self.surface)
             self.frontal_by[index] = frontal
-            self.seen_by[index] = frontal * shown / (shown + HALF_SEEN_PIXELS)
+            self.seen_by[index] = frontal * self.light.tells(index) * shown / (shown + HALF_SEEN_PIXELS)
             self.seen = torch.maximum(self.seen, self.seen_by[index])
             self.seen_shape = torch.maximum(self.seen_shape, tested / (tested + HALF_SEEN_PIXELS))
 

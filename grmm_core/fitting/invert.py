@@ -32,10 +32,11 @@ from .decoder_stage import Tuner
 from .folder import PREVIEW_FILE
 from .locality import LOCALITY_WEIGHT
 from .objective import decode, relit
+from .photo_light import Light, found_lights, kept_lights
 from .photo_targets import FitView, aligned_weights, fit_view
 from .presets import Preset, preset_named
-from .recoloring import PhotoLight, normal_picture, recolor
-from .result import make_avatar
+from .recoloring import PhotoLight, recolor
+from .result import LIGHT, make_avatar, photo_light
 from .surface import Surface, texel_surface
 from .types import PhotoTrack
 
@@ -126,12 +127,16 @@ class _Inversion:
         self.model.requires_grad_(False)
         try:
             surface = texel_surface(self.model)
-            codes = self._codes(surface)
+            views = self.views(self.preset.decoders.levels[0][0])
+            pictures = [(view.camera, view.image.cpu().numpy(), _bare_pixels(view)) for view in views]
+            lights, ratios = found_lights(self.model.head_model, self.model.layout, self.tracks, pictures)
+            light = PhotoLight(torch.as_tensor(ratios).to(views[0].image))
+            codes = self._codes(surface, light)
             if self.second_stage:
-                deltas = self._decoders(codes, surface)
+                deltas = self._decoders(codes, surface, light)
             else:
                 deltas = _tint_only(self.model, codes, surface, self.views(self.preset.codes.side))
-            return self._avatar(codes, deltas)
+            return self._avatar(codes, deltas, lights)
         finally:
             for parameter, needed in zip(self.model.parameters(), was, strict=True):
                 parameter.requires_grad_(needed)
@@ -144,7 +149,7 @@ class _Inversion:
             for index, track in enumerate(self.tracks)
         ]
 
-    def _codes(self, surface: Surface) -> Codes:
+    def _codes(self, surface: Surface, light: PhotoLight) -> Codes:
         like = self.model.anchor.barycentric
         known = None if self.work is None else load_codes(self.work, self.codes_key, like)
         if known is not None:
@@ -158,18 +163,18 @@ class _Inversion:
             self.report.check()
 
         codes = fit_codes(
-            self.model, code_prior(self.info, self.model), views, self.views(settings.small_side), surface, settings, tick,
-            self.perceptual,
+            self.model, code_prior(self.info, self.model), views, self.views(settings.small_side), surface, light, settings,
+            tick, self.perceptual,
         )  # fmt: skip
         if self.work is not None:
             save_codes(self.work, self.codes_key, codes)
         return codes
 
-    def _decoders(self, codes: Codes, surface: Surface) -> dict[str, Tensor]:
+    def _decoders(self, codes: Codes, surface: Surface, light: PhotoLight) -> dict[str, Tensor]:
         settings = self.preset.decoders
         levels = [self.views(side) for side, _ in settings.levels]
         prior = code_prior(self.info, self.model)
-        tuner = Tuner(self.model, prior, codes, levels, surface, settings, self.locality, self.perceptual)
+        tuner = Tuner(self.model, prior, codes, levels, surface, light, settings, self.locality, self.perceptual)
         if self.work is not None and resume_tuner(self.work, self.decoders_key, tuner):
             logger.info("going on after step %d of %d", tuner.step_count, tuner.total)
 
@@ -189,14 +194,11 @@ class _Inversion:
             save_tuner(self.work, self.decoders_key, tuner)
         self.saved = time.monotonic()
 
-    def _avatar(self, codes: Codes, deltas: dict[str, Tensor]) -> Avatar:
+    def _avatar(self, codes: Codes, deltas: dict[str, Tensor], lights: Sequence[Light]) -> Avatar:
         views = self.views(self.preset.decoders.levels[-1][0])
-        tracking = {
-            "aligned": torch.stack([view.aligned for view in views]),
-            "z_exp": codes.photo_z_exp,
-            "light": codes.light.coefficients,
-        }
+        tracking = {"aligned": torch.stack([view.aligned for view in views]), "z_exp": codes.photo_z_exp}
         arrays = {name: value.cpu().numpy() for name, value in tracking.items()}
+        arrays |= {LIGHT + name: np.stack([getattr(light, name) for light in lights]) for name in Light._fields}
         avatar = make_avatar(
             self.name, self.tracks, self.info, codes.z_id.cpu().numpy(), codes.z_exp.cpu().numpy(),
             {name: value.cpu().numpy() for name, value in deltas.items()}, arrays,
@@ -239,6 +241,12 @@ def photo_model_inputs(
     return model.performed(z_id, shape, expression, pose, aligned, shared + own), resting
 
 
+def _bare_pixels(view: FitView) -> np.ndarray:
+    """Pixels that show skin and no hair before it, 0..1, [H, W]."""
+    bare: np.ndarray = (view.measured * (1.0 - view.hair)).cpu().numpy()
+    return bare
+
+
 def photo_pictures(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE
 ) -> list[tuple[FitView, Picture]]:
@@ -251,18 +259,18 @@ def photo_pictures(
         side: Longer side of the picture.
     """
     pictures: list[tuple[FitView, Picture]] = []
+    known = [photo_light(avatar, index) for index in range(len(tracks))]
+    ratios = kept_lights(model.head_model, model.layout, tracks, known)
+    lights = PhotoLight(torch.as_tensor(ratios, dtype=model.dtype, device=model.device))
     for index, track in enumerate(tracks):
         view = fit_view(
             track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless
         )
-        light = PhotoLight(torch.as_tensor(np.array(avatar.tracking["light"]), device=model.device))
         with torch.no_grad():
             inputs = photo_model_inputs(model, avatar, track, index)[0]
             drawn: Picture = model.render(view.camera, inputs)
-            if index:
-                vertices = model.mesh(inputs).vertices
-                normals = normal_picture(model, view, vertices, decode(model, inputs, view.camera))
-                drawn = relit(drawn, light.gain(index, normals))
+            vertices, decoded = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
+            drawn = relit(drawn, lights.picture(model, view, vertices, decoded))
         pictures.append((view, drawn))
     return pictures
 

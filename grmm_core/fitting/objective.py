@@ -16,6 +16,7 @@ from torch import Tensor
 
 from ..geometry.camera import Camera
 from ..geometry.libraries import present
+from ..light import relight
 from ..model.grmm import GRMM, Attributes, Picture
 from ..model.inputs import ModelInputs
 from ..splat import rasterize
@@ -37,9 +38,11 @@ def decode(model: GRMM, inputs: ModelInputs[Tensor], camera: Camera) -> Attribut
     return model.attributes(inputs, model.view_direction(camera))
 
 
-def relit(picture: Picture, gain: Tensor) -> Picture:
-    """A picture over black in a photo's own light: `gain` is a factor of its colors, [H, W, 3] or [3]."""
-    return replace(picture, image=picture.image * gain, raw=picture.raw * gain)
+def relit(picture: Picture, light: Tensor) -> Picture:
+    """A picture over black in a photo's own light (`recoloring.PhotoLight.picture`), [H, W, 3], as a session lights it."""
+    spread = light * picture.alpha.detach()[..., None]
+    image, raw = (relight.relit(rgb, picture.alpha, spread, torch.zeros_like(rgb)) for rgb in (picture.image, picture.raw))
+    return replace(picture, image=image, raw=raw)
 
 
 def draw(model: GRMM, camera: Camera, vertices: Tensor, attributes: Attributes, refined: bool = True) -> Picture:

@@ -1,69 +1,283 @@
-"""The light of a photo in nine spherical-harmonic coefficients, from the skin's colors.
+"""The light of a photo, apart from the person's flat colors: what is seen is flat colors x light, as a session lights avatars.
 
-Ramamoorthi and Hanrahan, "An Efficient Representation for Irradiance Environment Maps", 2001: nine coefficients describe what a
-matt surface reflects to better than a few percent. Skin color and light cannot be told apart in one photo, so the coefficients
-hold their product. Used by `photometric_stage`. Needs numpy only.
+Skin of one person is taken as one tone with marks on it; what varies smoothly and with the normals is light. The light is that
+of surroundings (nine coefficients a color, Ramamoorthi and Hanrahan 2001) and of a few directions with shadows, none of which
+may take light away, found by robust least squares; what it does not explain, highlights too, stays in the flat colors. Tone and
+light are known as a product only: in the light of the first photo the median of the seen skin is as in the studio's rig.
+
+Used by `invert` and `result`. Needs numpy only.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from ..geometry.camera import Camera
-from ..geometry.triangles import vertex_normals
 from ..geometry.zbuffer import triangle_depth
-from ..head.head_model import HeadModel
-from ..pictures.color import srgb_to_linear
+from ..head import HeadModel
+from ..light.lamps import STUDIO, Lighting, Sun
+from ..light.materials import materials_of
+from ..light.relight import to_display, to_linear
+from ..light.resting import RestLight, Texels, casters_of
+from ..light.shading import Learned, Response, reached, relative, shade, transport
+from ..light.shadows import visible
+from ..light.surroundings import TERMS, Surroundings, sphere
+from ..light.transfer import turn_between, vertex_normals
+from ..model.layout import TexelLayout
 from ..pictures.sampling import bilinear
-from .outline import visible_skin_vertices
+from .types import PhotoTrack
 
-COEFFICIENTS = 9
-_RIDGE = 0.02  # of the mean square: keeps directions that the face does not show near zero
-_ROBUST_STEPS, _ROBUST_CUT = 6, 2.5
-_MIN_SAMPLES = 60
+SUNS = tuple(Sun(direction=tuple(d), angle=1.0) for d in sphere(24)[0] if d[2] > -0.3 and d[1] > -0.5)
+"""Directions that light may come from, in head axes; as wide as soft boxes and windows."""
+MATT = Response(gloss=0.0)
+"""How an avatar takes the light of its photo, whose highlights are in its colors."""
+_EVEN = 0.05  # of the weight of what is seen: that light is even all over the skin, for what the photo does not show
+_TINT = 0.1  # of the mean square: keeps the light's color one
+_RIDGE = 0.1  # likewise: keeps lights small that the face hardly shows
+_ROUNDS, _CUT = 6, 5.0  # of robust weights
+_NOT_SKIN = ("lips", "lids", "brows", "lashes", "mouth_interior")
+_FACING = 0.25  # cosine between normal and view from which skin tells its color
+_BEHIND = 0.004  # metres behind the mesh's depth that still are its surface
+_FEW = 60  # texels: less skin tells no light
 
 
-def harmonics(normals: np.ndarray) -> np.ndarray:
-    """Real spherical harmonics up to order 2, unnormalised: 1, x, y, z, xy, xz, yz, x^2 - y^2, 3 z^2 - 1; [N, 3] to [N, 9]."""
-    x, y, z = normals[:, 0], normals[:, 1], normals[:, 2]
-    return np.stack([np.ones_like(x), x, y, z, x * y, x * z, y * z, x * x - y * y, 3.0 * z * z - 1.0], axis=1)
+class Light(NamedTuple):
+    """The light of one photo.
+
+    Attributes:
+        suns: Linear RGB of each of `SUNS`, [L, 3] W/m2.
+        around: Coefficients of the surroundings' radiance in head axes, [9, 3].
+        tone: Of the skin in the studio's rig, linear RGB, [3].
+        level: Of the studio's rig, where neither suns nor surroundings could be found, [3].
+    """
+
+    suns: np.ndarray
+    around: np.ndarray
+    tone: np.ndarray
+    level: np.ndarray
+
+    @staticmethod
+    def studio(tone: np.ndarray | float = 1.0, level: np.ndarray | float = 1.0) -> Light:
+        """The studio's light, stronger or weaker."""
+        dark = np.zeros((len(SUNS), 3), np.float32), np.zeros((TERMS, 3), np.float32)
+        return Light(*dark, *(np.full(3, value, np.float32) for value in (tone, level)))
+
+    @property
+    def known(self) -> bool:
+        """Whether it was found."""
+        return bool(np.any(self.suns) or np.any(self.around))
+
+    @property
+    def lighting(self) -> Lighting | None:
+        """As a session takes it, head axes; None is the studio's."""
+        if not self.known:
+            return None if np.all(self.level == 1.0) else STUDIO.scaled(tuple(self.level))
+        lit = (dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(self.suns, SUNS, strict=True) if color.any())
+        return Lighting(tuple(lit), Surroundings(np.asarray(self.around, np.float64)))
 
 
-def estimate_light(
-    head: HeadModel, vertices: np.ndarray, camera: Camera, image: np.ndarray, mask: np.ndarray
-) -> np.ndarray | None:
-    """Light times mean skin color, by robust least squares over the visible skin.
+class Seen(NamedTuple):
+    """Skin in a photo.
 
-    The color of skin with normal n (head space) is `harmonics(n) @ light` in linear RGB. Highlights, freckles and stubble
-    count as outliers.
+    Attributes:
+        colors: Of texels, display sRGB, [N, 3].
+        weights: How much each counts, 0 where it is no skin or is not seen, [N].
+    """
+
+    colors: np.ndarray
+    weights: np.ndarray
+
+
+class PhotoHead:
+    """What light does on a head as a photo shows it.
 
     Args:
         head: Head model.
-        vertices: Its posed vertices, [V, 3], metres.
-        camera: The picture's.
-        image: The picture, display sRGB 0..1, [H, W, 3].
-        mask: Where the person is, 0..1, [H, W].
+        texels: Of the avatar.
+        rest: Vertices of the person at rest, [V, 3] metres.
+        posed: As in the photo, likewise.
+        eye: Place of the camera, [3].
+        tone: Of the skin, display sRGB, [3].
+    """
+
+    def __init__(
+        self, head: HeadModel, texels: Texels, rest: np.ndarray, posed: np.ndarray, eye: np.ndarray, tone: np.ndarray
+    ) -> None:  # fmt: skip
+        rest, posed = np.asarray(rest, np.float64), np.asarray(posed, np.float64)
+        self._materials = materials_of(head, *texels[:2])
+        self._rest = RestLight.of(head, texels, self._materials, rest, np.tile(tone, (len(texels.face), 1)))
+        self._texels, self._eye = texels, eye
+        self._receivers = texels.receivers(posed, vertex_normals(posed, head.faces))
+        rigid = head.regions.get("scalp", np.arange(len(rest)))
+        self._turn = turn_between(rest[rigid], posed[rigid])
+        casters = casters_of(head, posed)
+        self._seen = np.stack([visible(sun, self._receivers, casters) for sun in SUNS])
+        skin = _skin(head)[texels.corners].all(1)
+        self._told = skin & (self._rest.rig > reached(self._rest.rig).min(0)).all(1)
+
+    def ratio(self, light: Light) -> np.ndarray:
+        """Irradiance relative to the rig's at the texels, [N, 3] float32."""
+        suns = tuple(dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(light.suns, SUNS, strict=True))
+        around = Surroundings(np.asarray(light.around, np.float64)).turned(self._turn.T).coefficients
+        rest, corners = self._rest, self._texels.corners
+        scene = shade(suns, self._receivers, self._seen, self._materials, rest.transfer, self._eye, around, MATT, self._turn)
+        near = np.zeros(len(rest.vertices), int)
+        near[corners.ravel()] = np.repeat(np.arange(len(corners)), 3)
+        bounced = rest.exchange.bounced(scene.irradiance[near], rest.albedo)
+        learned = Learned(rest.rig, np.zeros_like(rest.rig))
+        return relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, :3]
+
+    def solve(self, seen: Seen, tone: np.ndarray | None = None) -> Light:
+        """Find the light of a photo.
+
+        Args:
+            seen: Its skin.
+            tone: As another photo of the person has it, linear RGB, [3]; None: that of this one.
+        """
+        linear = np.asarray(to_linear(np.asarray(seen.colors, np.float64)))
+        counted = (seen.weights > 0) & self._told
+        own = tone is None
+        level = np.maximum(np.median(linear[counted], 0), 1e-4)
+        tone = level if tone is None else tone
+        parts = transport(
+            SUNS, self._receivers, list(self._seen), self._materials, self._rest.transfer, self._eye, MATT, self._turn
+        )  # fmt: skip
+        direct = np.concatenate([parts.diffuse.transpose(1, 0, 2), np.repeat(parts.ambient[:, :, None], 3, 2)], 1)
+        columns = direct / self._rest.rig[:, None].astype(np.float64)  # [N, U, 3]
+        here, wanted, weights, rest = columns[counted], linear[counted] / level, seen.weights[counted], columns[self._told]
+        grey = _robust(here.mean(2), wanted.mean(1), weights, rest.mean(2), None)
+        found = np.stack([_robust(here[:, :, c], wanted[:, c], weights, rest[:, :, c], grey) for c in range(3)], 1)
+        found *= level / tone
+        suns, around = found[: len(SUNS)].astype(np.float32), Surroundings(found[len(SUNS) :]).turned(self._turn).coefficients
+        light = Light(suns, around.astype(np.float32), tone, np.ones(3, np.float32))
+        if own:
+            middle = np.median(self.ratio(light)[counted], 0)
+            light = light._replace(suns=light.suns / middle, around=light.around / middle)
+        return light
+
+
+def _skin(head: HeadModel) -> np.ndarray:
+    """Vertices of bare skin, [V] bool; of a head that has no such regions all but a few."""
+    bare = head.marked("face", "neck")
+    return (bare if bare.any() else ~bare) & ~head.marked(*_NOT_SKIN)
+
+
+def seen_skin(
+    head: HeadModel, texels: Texels, posed: np.ndarray, camera: Camera, picture: np.ndarray, inside: np.ndarray
+) -> Seen:  # fmt: skip
+    """Skin of a posed head in a picture.
+
+    Args:
+        head: Head model.
+        texels: Points on it.
+        posed: Vertices, [V, 3] metres.
+        camera: Of the picture.
+        picture: Display sRGB, [H, W, 3].
+        inside: Pixels that are the person's, 0..1, [H, W].
+    """
+    posed = np.asarray(posed, np.float64)
+    points = texels.receivers(posed, vertex_normals(posed, head.faces))
+    local, pixels = camera.project(points.points.astype(np.float64))
+    rays = points.points - camera.position
+    facing = -(points.normals * rays).sum(1) / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
+    column = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
+    row = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
+    there = (pixels >= 0.0).all(1) & (pixels < [camera.width, camera.height]).all(1)
+    near = local[:, 2] < triangle_depth(posed[head.faces], camera)[row, column] + _BEHIND
+    seen = there & near & (facing > _FACING) & _skin(head)[texels.corners].all(1)
+    return Seen(bilinear(picture, pixels), seen * facing.clip(0.0, 1.0) * (inside[row, column] > 0.5))
+
+
+def found_lights(
+    head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrack],
+    pictures: Sequence[tuple[Camera, np.ndarray, np.ndarray]],
+) -> tuple[list[Light], np.ndarray]:  # fmt: skip
+    """Find the light of each photo of a person; the first gives the skin's tone.
+
+    Args:
+        head: Head model.
+        layout: Texels of the avatar.
+        tracks: Photos.
+        pictures: Of each its camera, colors and bare pixels as in `seen_skin`.
 
     Returns:
-        [9, 3], or None where too little skin is seen.
+        The lights, and their `PhotoHead.ratio`, [P, N, 3] float32.
     """
-    vertices = np.asarray(vertices, np.float64)
-    chosen = visible_skin_vertices(head, vertices, camera, triangle_depth(vertices[head.faces], camera))
-    pixels = camera.project(vertices[chosen])[1]
-    seen = bilinear(mask, pixels) > 0.9
-    chosen, pixels = chosen[seen], pixels[seen]
-    if len(chosen) < _MIN_SAMPLES:
-        return None
-    basis = harmonics(vertex_normals(vertices, head.faces)[chosen])  # [N, 9]
-    colors = srgb_to_linear(bilinear(image, pixels)).astype(np.float64)  # [N, 3]
-    weights = np.ones(len(chosen))
-    ridge = np.eye(COEFFICIENTS) * _RIDGE
-    ridge[0, 0] = 0.0
-    light = np.zeros((COEFFICIENTS, 3))
-    for _ in range(_ROBUST_STEPS):
-        weighted = basis * weights[:, None]
-        light = np.linalg.solve(weighted.T @ basis / weights.sum() + ridge, weighted.T @ colors / weights.sum())
-        distance = np.linalg.norm(basis @ light - colors, axis=1)
-        scale = max(1.48 * float(np.median(distance)), 1e-4)
-        weights = 1.0 / (1.0 + (distance / (_ROBUST_CUT * scale)) ** 2) ** 2
-    return light
+    texels = Texels.of(head, layout.face, layout.barycentric)
+    lights: list[Light] = []
+    ratios: list[np.ndarray] = []
+    tone = None
+    for track, (camera, picture, inside) in zip(tracks, pictures, strict=True):
+        seen = seen_skin(head, texels, _posed(head, track), camera, picture, inside)
+        colors, light = seen.colors[seen.weights > 0], Light.studio()
+        if len(colors) >= _FEW:
+            middle = np.median(colors, 0)
+            here = _photo_head(head, texels, track, middle)
+            if "face" in head.regions:
+                light = here.solve(seen, tone)
+            else:  # what is light and what is color cannot be told
+                level = np.maximum(np.asarray(to_linear(middle)), 1e-4)
+                light = Light.studio(level if tone is None else tone, 1.0 if tone is None else level / tone)
+            tone = light.tone
+        lights.append(light)
+        ratios.append(here.ratio(light) if light.known else np.tile(light.level, (len(layout), 1)))
+    return lights, np.stack(ratios)
+
+
+def kept_lights(head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrack], lights: Sequence[Light]) -> np.ndarray:
+    """`PhotoHead.ratio` of lights that were found before, [P, N, 3] float32; arguments as of `found_lights`."""
+    texels = Texels.of(head, layout.face, layout.barycentric)
+    ratios = [
+        _photo_head(head, texels, track, np.asarray(to_display(light.tone))).ratio(light)
+        if light.known
+        else np.tile(light.level, (len(layout), 1))
+        for track, light in zip(tracks, lights, strict=True)
+    ]
+    return np.stack(ratios)
+
+
+def _posed(head: HeadModel, track: PhotoTrack) -> np.ndarray:
+    return head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
+
+
+def _photo_head(head: HeadModel, texels: Texels, track: PhotoTrack, tone: np.ndarray) -> PhotoHead:
+    rest = head.vertices(track.shape, np.zeros(1), np.zeros((5, 3)))
+    return PhotoHead(head, texels, rest, _posed(head, track), track.camera.position, tone)
+
+
+def _robust(
+    columns: np.ndarray, wanted: np.ndarray, weights: np.ndarray, everywhere: np.ndarray, near: np.ndarray | None
+) -> np.ndarray:
+    """Least squares of [K, U] unknowns, those of lamps not below zero; outliers (brows, marks, highlights) count little.
+
+    The same columns of all skin [M, U] are pulled to 1, and unknowns to those of `near` [U].
+    """
+    trust = np.ones(len(wanted))
+    share = _EVEN / len(everywhere)
+    for _ in range(_ROUNDS):
+        weighted = columns * (weights * trust / weights.sum())[:, None]
+        square, right = weighted.T @ columns, weighted.T @ wanted
+        square += share * everywhere.T @ everywhere
+        right += share * everywhere.sum(0)
+        pull = (_RIDGE if near is None else _TINT) * np.trace(square) / len(square)
+        square += pull * np.eye(len(square))
+        found = _not_below_zero(square, right if near is None else right + pull * near)
+        off = columns @ found - wanted
+        scale = max(1.48 * float(np.median(np.abs(off))), 1e-3)
+        trust = 1.0 / (1.0 + (off / (_CUT * scale)) ** 2) ** 2
+    return found
+
+
+def _not_below_zero(square: np.ndarray, right: np.ndarray) -> np.ndarray:
+    kept = np.ones(len(square), bool)
+    while True:
+        found = np.zeros(len(square))
+        found[kept] = np.linalg.solve(square[np.ix_(kept, kept)], right[kept])
+        worst = int(found[: len(SUNS)].argmin())
+        if found[worst] >= 0.0:
+            return found
+        kept[worst] = False

@@ -1,12 +1,12 @@
 """Color and light: what of a photo's light an avatar keeps, and what is taken out.
 
-What is baked: the first photo's light, exposure and white balance. One picture cannot tell a dark skin in bright light from a
+What is kept is the exposure and white balance of the first photo: one picture cannot tell a dark skin in bright light from a
 light one in the shade, and the avatar must look as the person does there. So skin, hair and the inner parts each get an
 affine map of the decoded colors (3 x 3 and an offset) that brings them to the photo's; it is solved in closed form, because
 splatting is linear in color. Stage 2 turns it into a map of colors.
 
-What is removed: the light of each further photo relative to the first, a factor of the colors that varies with the normals as
-nine spherical harmonics (`PhotoLight`). What that does not explain goes where each photo shows it, into stage 2's map.
+What is taken out is the light of every photo (`photo_light`): the avatar's colors are flat, and pictures are compared with a
+photo in its light (`PhotoLight`). What that does not explain goes where each photo shows it, into stage 2's map.
 
 Called by `code_stage` and `decoder_stage`. Imports torch.
 """
@@ -19,16 +19,16 @@ import torch
 from torch import Tensor
 
 from ..geometry.libraries import present
+from ..light.relight import unlit
 from ..model.grmm import GRMM, Attributes
+from ..pictures.color import MIN_ALPHA
 from ..splat import rasterize
 from .photo_targets import FitView
 from .surface import GROUPS, INNER, SCALP, SKIN, Surface
 
-GAIN_RANGE = (0.2, 4.0)
-HARMONICS = 9
-_DARK, _LIGHT_RIDGE, _UNLIKELY = 0.03, 0.003, 0.2
 _PULL = {SKIN: 0.004, SCALP: 0.004, INNER: 0.05}  # towards no change, as a share of the person's pixels
 _OFFSET_PULL = 0.3  # of an offset, relative to the pull of the matrix
+DIM = (0.2, 0.5)  # of the rig's light: below the first colors are not believed, above the second wholly
 _ROUNDS, _SOFTENING = 3, 0.06  # of iterated weights: photos have glasses, hats, highlights
 _MIN_PIXELS = 50.0
 _COLUMNS = 4  # red, green, blue, one
@@ -36,41 +36,26 @@ _COLUMNS = 4  # red, green, blue, one
 
 @dataclass(frozen=True)
 class PhotoLight:
-    """Light of the photos relative to the first.
-
-    A ratio r of light is r^(1/2.2) of display values, nearly, so that the factor is applied to these; its logarithm is a sum of
-    harmonics, so that it is above 0 however they are found.
+    """Light of the photos at the texels.
 
     Attributes:
-        coefficients: Of the factor's logarithm, those of the first photo 0, [P, 9, 3].
+        ratio: Irradiance relative to the rig's, [P, N, 3].
     """
 
-    coefficients: Tensor
+    ratio: Tensor
 
-    @staticmethod
-    def even(count: int, like: Tensor) -> PhotoLight:
-        """The light of `count` photos that do not differ."""
-        return PhotoLight(like.new_zeros((count, HARMONICS, 3)))
+    def tells(self, index: int) -> Tensor:
+        """How far a photo tells the texels' colors, 0..1, [N]: in deep shadow, which light is never known well, it does not."""
+        return ((self.ratio[index].amin(-1) - DIM[0]) / (DIM[1] - DIM[0])).clamp(0, 1)
 
-    def gain(self, index: int, normals: Tensor) -> Tensor:
-        """Factor of a photo's colors at unit normals in head space [..., 3]: [..., 3]."""
-        return (harmonics(normals) @ self.coefficients[index]).exp().clamp(*GAIN_RANGE)
-
-
-def harmonics(normals: Tensor) -> Tensor:
-    """`photo_light.harmonics` of tensors, [..., 3] to [..., 9]."""
-    x, y, z = normals.unbind(-1)
-    ones = torch.ones_like(x)
-    return torch.stack([ones, x, y, z, x * y, x * z, y * z, x * x - y * y, 3.0 * z * z - 1.0], -1)
-
-
-@torch.no_grad()
-def normal_picture(model: GRMM, view: FitView, vertices: Tensor, attributes: Attributes) -> Tensor:
-    """Normals of the mesh in head space as a photo sees them, of length 1 or 0, [H, W, 3]."""
-    scene = model.gaussians(vertices, attributes)
-    scene.features = model.anchor(vertices).normals
-    seen = present(rasterize(scene, view.camera, antialiased=model.config.antialias).features)
-    return torch.nn.functional.normalize(seen, dim=-1)
+    @torch.no_grad()
+    def picture(self, model: GRMM, view: FitView, vertices: Tensor, attributes: Attributes) -> Tensor:
+        """A photo's light at its pixels, [H, W, 3]; 1 where nothing is drawn."""
+        scene = model.gaussians(vertices, attributes)
+        scene.features = self.ratio[view.index]
+        drawn = rasterize(scene, view.camera, antialiased=model.config.antialias)
+        cover = drawn.alpha[..., None]
+        return torch.where(cover > MIN_ALPHA, present(drawn.features) / cover.clamp(min=MIN_ALPHA), torch.ones_like(cover))
 
 
 def unchanged(like: Tensor) -> Tensor:
@@ -85,7 +70,7 @@ def recolor(colors: Tensor, maps: Tensor, surface: Surface) -> Tensor:
 
 
 def solve_maps(
-    model: GRMM, views: list[FitView], meshes: list[Tensor], decoded: list[Attributes], surface: Surface, gains: list[Tensor]
+    model: GRMM, views: list[FitView], meshes: list[Tensor], decoded: list[Attributes], surface: Surface, lights: list[Tensor]
 ) -> Tensor:
     """The groups' color maps that bring the attributes nearest to the photos, robust least squares, [3, 4, 3].
 
@@ -95,17 +80,17 @@ def solve_maps(
         meshes: Posed vertices for each.
         decoded: Attributes for each.
         surface: Groups.
-        gains: Factor of each photo's light, [H, W, 3] or anything that spreads to that.
+        lights: `PhotoLight.picture` of each.
     """
     rows, targets, counts = [], [], []
-    for view, vertices, attributes, gain in zip(views, meshes, decoded, gains, strict=True):
+    for view, vertices, attributes, light in zip(views, meshes, decoded, lights, strict=True):
         columns = torch.cat([attributes.colors, torch.ones_like(attributes.colors[:, :1])], 1)  # [N, 4]
         spread = (surface.membership[:, :, None] * columns[:, None]).flatten(1)  # [N, 12]
         scene = model.gaussians(vertices, attributes)
         scene.features = spread
         parts = present(rasterize(scene, view.camera, antialiased=model.config.antialias).features)  # [H, W, 12]
         inside = view.inside > 0.5
-        parts, image = parts[inside], (view.image / gain)[inside]
+        parts, image = parts[inside], unlit(view.image[inside], light[inside])
         alpha = parts[:, 3::_COLUMNS].sum(1, keepdim=True)  # uncovered pixels of the person say nothing
         rows.append(parts)
         targets.append(image * alpha)
@@ -122,25 +107,3 @@ def solve_maps(
         weight = (count / (residual + _SOFTENING) * _SOFTENING)[:, None]
         solution = torch.linalg.solve(a.T @ (weight * a) + ridge, a.T @ (weight * b) + ridge @ identity)
     return solution.view(GROUPS, _COLUMNS, 3).to(meshes[0])
-
-
-def solve_light(pictures: list[tuple[FitView, Tensor, Tensor]]) -> PhotoLight:
-    """Light of each photo relative to the avatar's colors; that of the first is none by definition.
-
-    Args:
-        pictures: For each photo the view, the avatar's picture over black [H, W, 3] and `normal_picture` [H, W, 3].
-    """
-    light = PhotoLight.even(len(pictures), pictures[0][1])
-    for view, picture, normals in pictures[1:]:
-        inside = (view.inside > 0.5) & (normals.norm(dim=-1) > 0.5)
-        if int(inside.sum()) < _MIN_PIXELS:
-            continue
-        ratio = ((view.image[inside] + _DARK) / (picture[inside].clamp(min=0.0) + _DARK)).log()
-        columns = harmonics(normals[inside])
-        ridge = torch.diag(columns.new_tensor([0.0] + [_LIGHT_RIDGE] * (HARMONICS - 1))) * len(columns)
-        weight = torch.ones_like(ratio[:, :1])
-        for _ in range(_ROUNDS):  # teeth, glints and shadows say little
-            found = torch.linalg.solve(columns.T @ (weight * columns) + ridge, columns.T @ (weight * ratio))
-            weight = 1.0 / (1.0 + ((columns @ found - ratio).norm(dim=1, keepdim=True) / _UNLIKELY) ** 2)
-        light.coefficients[view.index] = found
-    return light

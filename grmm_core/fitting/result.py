@@ -18,11 +18,13 @@ from ..controls.frame import ALIGNED_TO_ARKIT, Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..head import HeadModel
+from .photo_light import Light
 from .types import PhotoTrack
 
 if TYPE_CHECKING:
     from ..model.weights_file import WeightsInfo
 
+LIGHT = "light_"  # before the names of a `photo_light.Light`'s parts in an avatar's arrays
 LICENCE = "Shows a real person. To be used only with that person's agreement."
 
 
@@ -39,7 +41,7 @@ def make_avatar(
         z_id: [Z].
         z_exp: [Y].
         deltas: Changes of the weights by parameter name; rounded to half precision, in which they are stored.
-        tracking: Further arrays, one row a photo: aligned [P, 60], z_exp [P, Y], light [P, 2, 3], rmse [P].
+        tracking: Further arrays, one row a photo: aligned [P, 60], z_exp [P, Y], those of `photo_light.Light`, rmse [P].
     """
     shape = np.zeros(SHAPE_SIZE, np.float32)
     shape[: len(tracks[0].shape)] = tracks[0].shape[:SHAPE_SIZE]
@@ -88,6 +90,18 @@ def photo_controls(avatar: Avatar, head: HeadModel, index: int = 0) -> Controls:
         pose=_row(avatar, "pose", index).copy(),
         z_exp=_row(avatar, "z_exp", index).copy(),
     )
+
+
+def photo_light(avatar: Avatar, index: int = 0) -> Light:
+    """Light of a photo, in the axes of the head; the studio's where it is not known, as of avatars of earlier versions.
+
+    Raises:
+        ShapeError: The avatar has no such photo.
+    """
+    if LIGHT + "suns" not in avatar.tracking:
+        _row(avatar, "pose", index)
+        return Light.studio()
+    return Light(*(_row(avatar, LIGHT + name, index) for name in Light._fields))
 
 
 def _row(avatar: Avatar, name: str, index: int) -> np.ndarray:

@@ -21,8 +21,7 @@ from ..photo.load import Photo, PhotoFile, check_proportion
 from ..photo.person import person_mask
 from .landmark_priors import FULL_FRAME
 from .landmark_stage import LandmarkFit, Observation, fit_landmarks
-from .photo_light import estimate_light
-from .photometric_stage import Appearance, posed, refine
+from .photometric_stage import Appearance, refine
 from .point_rig import LandmarkRig
 from .types import PhotoTrack
 
@@ -201,7 +200,6 @@ def _track(item: AnalysedPhoto, face: Face, fit: LandmarkFit, index: int, pictur
         landmarks=(face.landmarks[:, :2] - origin) * picture.scale,
         landmarks_fitted=(fit.landmarks[index] - origin) * picture.scale,
         arkit=face.arkit,
-        light=estimate_light(rig.head, posed(fit, index, rig), camera, picture.image, picture.mask),
         presence=face.presence,
     )
 

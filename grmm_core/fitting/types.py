@@ -18,7 +18,6 @@ from ..geometry.camera import Camera
 FORMAT = "grmm-tracks"
 VERSION = 1
 LANDMARK_COUNT = 478
-LIGHT_SHAPE = (9, 3)
 _CAMERAS = ("camera", "photo_camera")
 
 
@@ -42,7 +41,6 @@ class PhotoTrack:
         landmarks: MediaPipe's 478 landmarks as found, pixels of the working picture, [478, 2].
         landmarks_fitted: The head model's, likewise.
         arkit: The 52 ARKit coefficients as the network reported them (a start value, no measurement), [52].
-        light: Spherical-harmonic light of the photometric stage, linear RGB, [9, 3], or None.
         presence: Confidence that the landmarks are a face's, 0..1.
     """
 
@@ -58,7 +56,6 @@ class PhotoTrack:
     landmarks: np.ndarray
     landmarks_fitted: np.ndarray
     arkit: np.ndarray
-    light: np.ndarray | None = None
     presence: float = 1.0
 
     def __post_init__(self) -> None:
@@ -67,8 +64,6 @@ class PhotoTrack:
             "image": (height, width, 3), "mask": (height, width), "valid": (height, width), "pose": (5, 3), "arkit": (52,),
             "landmarks": (LANDMARK_COUNT, 2), "landmarks_fitted": (LANDMARK_COUNT, 2),
         }  # fmt: skip
-        if self.light is not None:
-            wanted["light"] = LIGHT_SHAPE
         for item in fields(self):
             value = getattr(self, item.name)
             if not isinstance(value, np.ndarray):
@@ -135,8 +130,7 @@ def load_tracks(path: str | os.PathLike[str]) -> list[PhotoTrack]:
                 presence=float(tensors[f"{index}.presence"]),
                 camera=_camera(tensors, f"{index}.camera"),
                 photo_camera=_camera(tensors, f"{index}.photo_camera"),
-                **{name: tensors[f"{index}.{name}"] for name in arrays if name != "light"},
-                light=tensors.get(f"{index}.light"),
+                **{name: tensors[f"{index}.{name}"] for name in arrays},
             )
             for index in range(int(metadata["count"]))
         ]

@@ -172,6 +172,12 @@ class Lighting:
         occluders = self.occluders @ linear.T.astype(np.float32) + to_space[:3, 3].astype(np.float32)
         return Lighting(tuple(map(moved, self.lamps)), around, occluders)
 
+    def scaled(self, factor: Vector) -> Lighting:
+        """The same light times linear RGB."""
+        lamps = (dataclasses.replace(lamp, color=tuple(np.multiply(lamp.color, factor))) for lamp in self.lamps)
+        around = None if self.surroundings is None else self.surroundings.scaled(factor)
+        return dataclasses.replace(self, lamps=tuple(lamps), surroundings=around)
+
     def without(self, numbers: Sequence[int]) -> Lighting:
         """The same light but for some of the lamps."""
         if not numbers:

@@ -2,6 +2,7 @@
 
 ======================================  ======================================================================================
 ``studio``                              the rig that colors were learned under (the default): nothing is relit
+``photo[:NUMBER]``                      the light of a photo that the avatar was made from; by `cli.render`
 ``sun:YAW,PITCH,STRENGTH[,R,G,B]``      parallel light from a direction, W/m2
 ``lamp:YAW,PITCH,WATTS[,R,G,B]``        a soft box of half a metre, 1.5 m from the head
 ``world:STRENGTH[,R,G,B]``              even light from everywhere
@@ -23,8 +24,8 @@ from ..errors import ConfigError
 from .lamps import WHITE, Lamp, Lighting, Sun, Vector, soft_box
 from .surroundings import Surroundings
 
-STUDIO_WORD = "studio"
-FORMS = "studio, sun:YAW,PITCH,STRENGTH, lamp:YAW,PITCH,WATTS, world:STRENGTH or env:FILE.exr"
+STUDIO_WORD, PHOTO_WORD = "studio", "photo"
+FORMS = "studio, photo, sun:YAW,PITCH,STRENGTH, lamp:YAW,PITCH,WATTS, world:STRENGTH or env:FILE.exr"
 LAMP_DISTANCE, LAMP_SIDE = 1.5, 0.5  # metres
 _NUMBERS = {"sun": 3, "lamp": 3, "world": 1}
 

@@ -11,6 +11,7 @@ from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_
 from .shadows import compiled_kernels
 
 _MOST = 0.5  # of a color that taking off the rig's highlights may cost
+_DARKEST = 0.2  # of the rig's light: in deeper shadow colors are noise
 
 
 def relit(rgb: Array, alpha: Array, ratio: Array, highlights: Array) -> Array:
@@ -32,6 +33,13 @@ def relit(rgb: Array, alpha: Array, ratio: Array, highlights: Array) -> Array:
     linear = lit + library.maximum(highlights / cover, -_MOST * lit)
     seen = (alpha >= MIN_ALPHA)[..., None]
     result: Array = to_display(linear) * cover * seen
+    return result
+
+
+def unlit(rgb: Array, ratio: Array) -> Array:
+    """The inverse of `relit` without highlights: straight display sRGB [..., 3] in a light as the rig shows it."""
+    library = library_of(rgb)
+    result: Array = to_display(to_linear(rgb) / library.clip(ratio, _DARKEST, None))
     return result
 
 

@@ -118,10 +118,17 @@ class Surroundings:
         spots = (SunSpot(rotation @ spot.direction, spot.irradiance, spot.angle) for spot in self.spots)
         return Surroundings(turned, tuple(spots))
 
-    def scaled(self, factor: float) -> Surroundings:
-        """The same light, stronger or weaker."""
-        spots = (SunSpot(spot.direction, spot.irradiance * factor, spot.angle) for spot in self.spots)
-        return _checked(Surroundings(self.coefficients * factor, tuple(spots)))
+    def scaled(self, factor: float | tuple[float, float, float]) -> Surroundings:
+        """The same light times a number or linear RGB."""
+        spots = (SunSpot(spot.direction, spot.irradiance * np.asarray(factor), spot.angle) for spot in self.spots)
+        return _checked(Surroundings(self.coefficients * np.asarray(factor), tuple(spots)))
+
+
+def coefficients_of(surroundings: Surroundings | None, turn: np.ndarray | None = None) -> np.ndarray:
+    """Coefficients in the axes that a rotation [3, 3] leads to, [9, 3] float32; zeros of a black world."""
+    if surroundings is None:
+        return np.zeros((TERMS, 3), np.float32)
+    return (surroundings if turn is None else surroundings.turned(turn)).coefficients.astype(np.float32)
 
 
 def sphere(count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -16,14 +16,15 @@ import numpy as np
 
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
-from ..light.bounce import Exchange, albedo_of, nearest_points
+from ..light.bounce import nearest_points
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
+from ..light.resting import RestLight, Texels, casting_faces, unit
 from ..light.shading import Learned, Response, reached, relative, shade
-from ..light.shadows import Casters, Receivers, compiled_kernels, maps_of, visible
-from ..light.surroundings import TERMS
-from ..light.transfer import transfer, turn_between, vertex_normals
+from ..light.shadows import Casters, Receivers, maps_of
+from ..light.surroundings import coefficients_of
+from ..light.transfer import turn_between, vertex_normals
 from ..splat.types import Gaussians
 from .evaluator import Evaluator, Inputs, OpenAvatar
 
@@ -33,8 +34,6 @@ UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0], np.float32)  # what change
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _RIGID = "scalp"  # region whose turn is the head's
-_LOOSE = ("neck", "lashes")  # regions that light can reach from inside
-_SKIN = "face"  # region whose color is the skin's
 
 
 class Hair(NamedTuple):
@@ -49,36 +48,6 @@ class Hair(NamedTuple):
     key: Hashable
     pieces: Callable[[], tuple[np.ndarray, np.ndarray]]
     moves: bool
-
-
-class _Rest(NamedTuple):
-    """What light does on a head at rest.
-
-    Attributes:
-        transfer: At texels, [N, 9].
-        rig: Irradiance of the studio's rig at texels, as `reached` has it, [N, 3].
-        albedo: Of its skin, linear RGB, [3].
-        patch, area, givers, shares: Of `Exchange`.
-        seen: Which part of the rig's lamps texels see, [L, N].
-        vertices: [V, 3].
-        normals: [V, 3].
-    """
-
-    transfer: np.ndarray
-    rig: np.ndarray
-    albedo: np.ndarray
-    patch: np.ndarray
-    area: np.ndarray
-    givers: np.ndarray
-    shares: np.ndarray
-    seen: np.ndarray
-    vertices: np.ndarray
-    normals: np.ndarray
-
-    @property
-    def exchange(self) -> Exchange:
-        """What skin throws on skin."""
-        return Exchange(self.patch, self.area, self.givers, self.shares)
 
 
 class LitAvatar:
@@ -134,11 +103,11 @@ class LitAvatar:
         turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
         seen = np.array([self._seen(lamp)[0] for lamp in self.lamps], np.float32)
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
-        scene = shade(*light, self._harmonics(self._lighting, turn.T), self._response, turn)
+        scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn)
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
-        weights = self._target.model.layout.barycentric[self._rows]
-        return relative(scene, bounced, self._corners[self._rows], weights, learned, self._response.gloss)
+        corners, weights = self._texels.corners[self._rows], self._texels.barycentric[self._rows]
+        return relative(scene, bounced, corners, weights, learned, self._response.gloss)
 
     def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray) -> np.ndarray:
         """What lights strands, as `channels` has it, less what their colors hold of the rig's."""
@@ -146,54 +115,32 @@ class LitAvatar:
         parts = np.stack([self._seen(lamp)[1] for lamp in self.lamps], -1) if self.lamps else np.zeros((*grid.size, 0))
         here = Reaching(parts, grid.coordinates(np.eye(3), np.zeros(3)))
         scene = strand_light(
-            self.lamps, points, quats, here, self._centre, eye, self._harmonics(self._lighting), self._response
+            self.lamps, points, quats, here, self._centre, eye, coefficients_of(self._lighting.surroundings), self._response
         )  # fmt: skip
-        rig = strand_light(STUDIO.lamps, points, quats, self._rig_in_hair(), self._centre, eye, self._harmonics(STUDIO))
+        rig = strand_light(
+            STUDIO.lamps, points, quats, self._rig_in_hair(), self._centre, eye, coefficients_of(STUDIO.surroundings)
+        )
         nothing, nowhere = np.zeros((1, 3), np.float32), np.zeros((len(points), 3), np.int32)  # no skin lights hair
         learned = Learned(reached(rig.irradiance), rig.highlights)
         return relative(scene, nothing, nowhere, nowhere, learned, self._response.gloss)
-
-    @staticmethod
-    def _harmonics(lighting: Lighting, turn: np.ndarray | None = None) -> np.ndarray:
-        """Coefficients of the surroundings in the axes that `turn` leads to, [9, 3]."""
-        around = lighting.surroundings
-        if around is None:
-            return np.zeros((TERMS, 3), np.float32)
-        return (around if turn is None else around.turned(turn)).coefficients.astype(np.float32)
 
     # --- what is kept ----------------------------------------------------------------------------------------------
 
     def _materials(self) -> Materials:
         def make() -> tuple[np.ndarray, ...]:
-            layout = self._target.model.layout
-            return tuple(vars(materials_of(self._head, layout.face, layout.barycentric).taken(self._rows)).values())
+            return tuple(vars(materials_of(self._head, *self._texels[:2]).taken(self._rows)).values())
 
         return Materials(*self._evaluator.cache.get((self._target.id, "materials", self._lod), make))
 
-    def _rest(self) -> _Rest:
-        def make() -> _Rest:
+    def _rest(self) -> RestLight:
+        def make() -> RestLight:
             still = self._evaluator.inputs(self._target, Controls())
             inputs = dataclasses.replace(
                 self._inputs, z_exp=still.z_exp, expression=still.expression, pose=still.pose, strength=still.strength
             )
             vertices = to_numpy(self._evaluator.mesh(self._target, inputs).vertices).astype(np.float64)
-            normals = vertex_normals(vertices, self._head.faces)
-            by_vertex = transfer(vertices, normals, self._head.faces)
-            rows = self._all_texels(by_vertex)
-            receivers = Receivers.around(self._all_texels(vertices), _unit(self._all_texels(normals)))
-            casters = self._casting(vertices)
-            seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
-            layout = self._target.model.layout
-            materials = materials_of(self._head, layout.face, layout.barycentric)
-            eye = np.array([0.0, 0.0, 1.0])
-            straight = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, self._harmonics(STUDIO)).irradiance
-            skin = np.isin(self._corners[:, 0], self._head.regions.get(_SKIN, np.arange(len(vertices))))
             colors = to_numpy(self._evaluator.appearance(self._target, inputs, np.array([0.0, 0.0, 1.0]))[0])
-            albedo = albedo_of(colors[skin], straight[skin])
-            at_vertices = nearest_points(self._corners, layout.barycentric, len(vertices))
-            exchange = Exchange.of(vertices, normals, self._head.faces, by_vertex)
-            rig = straight + self._all_texels(exchange.bounced(straight[at_vertices], albedo))
-            return _Rest(rows, reached(rig), albedo, *exchange, seen, vertices, normals)
+            return RestLight.of(self._head, self._texels, materials_of(self._head, *self._texels[:2]), vertices, colors)
 
         key = (self._target.id, "lit rest", *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, make)
@@ -204,14 +151,9 @@ class LitAvatar:
         Kept for directions some degrees apart: colors hold them as they look from everywhere in the mean.
         """
         direction = np.round(towards / max(float(np.linalg.norm(towards)), 1e-9) * _VIEWS) / _VIEWS
-        rest = self._rest()
 
         def make() -> tuple[np.ndarray]:
-            eye = direction * _VIEW_DISTANCE
-            receivers = Receivers.around(self._at_texels(rest.vertices), _unit(self._at_texels(rest.normals)))
-            seen, rows = rest.seen[:, self._rows], rest.transfer[self._rows]
-            rig = shade(STUDIO.lamps, receivers, seen, self._materials(), rows, eye, self._harmonics(STUDIO))
-            return (np.ascontiguousarray(rig.highlights),)
+            return (self._rest().learned(direction * _VIEW_DISTANCE, self._texels, self._materials(), self._rows),)
 
         person = (*self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get((self._target.id, "learned", direction.tobytes(), self._lod, *person), make)[0]
@@ -245,7 +187,7 @@ class LitAvatar:
         grid = LightGrid.around(rest.vertices.min(0) - _AROUND, rest.vertices.max(0) + _AROUND)
 
         def make() -> tuple[np.ndarray]:
-            receivers = Receivers.around(self._all_texels(rest.vertices), _unit(self._all_texels(rest.normals)))
+            receivers = self._texels.receivers(rest.vertices, rest.normals)
             casters = self._casting(rest.vertices)
             parts = [maps_of(lamp, receivers, casters).reaching(grid.points).reshape(grid.size) for lamp in STUDIO.lamps]
             return (np.stack(parts, -1),)
@@ -267,44 +209,30 @@ class LitAvatar:
     def _rigid(self) -> np.ndarray:
         return np.asarray(self._head.regions.get(_RIGID, np.arange(len(self._vertices))))
 
-    def _all_texels(self, values: np.ndarray) -> np.ndarray:
-        """Values of vertices [V, C] at all texels, [N, C] float32."""
-        layout, kernels, corners = self._target.model.layout, compiled_kernels(), self._corners
-        if kernels is None:
-            return np.einsum("nk,nkc->nc", layout.barycentric, values[corners]).astype(np.float32)
-        from ..compute.threads import for_rows
-
-        out = np.empty((len(corners), values.shape[1]), np.float32)
-        for_rows(kernels.interpolate, len(out), np.ascontiguousarray(values, np.float32), corners, layout.barycentric, out)
-        return out
-
     @functools.cached_property
-    def _corners(self) -> np.ndarray:
-        """Vertices of the face that each texel lies on, [N, 3]."""
-
-        def make() -> tuple[np.ndarray]:
-            return (self._head.faces[self._target.model.layout.face].astype(np.int32),)
-
-        return self._evaluator.cache.get((self._target.id, "texels' corners"), make)[0]
+    def _texels(self) -> Texels:
+        layout = self._target.model.layout
+        make = functools.partial(Texels.of, self._head, layout.face, layout.barycentric)
+        return Texels(*self._evaluator.cache.get((self._target.id, "texels"), make))
 
     @functools.cached_property
     def _at_vertices(self) -> np.ndarray:
         """Number of a texel, of those with a Gaussian, that is nearest to each vertex, [V]."""
 
         def make() -> tuple[np.ndarray]:
-            weights = self._target.model.layout.barycentric[self._rows]
-            return (nearest_points(self._corners[self._rows], weights, len(self._vertices)),)
+            texels = self._texels
+            return (nearest_points(texels.corners[self._rows], texels.barycentric[self._rows], len(self._vertices)),)
 
         return self._evaluator.cache.get((self._target.id, "texels at vertices", self._lod), make)[0]
 
     def _at_texels(self, values: np.ndarray) -> np.ndarray:
-        return self._all_texels(values)[self._rows]
+        return self._texels.at(values)[self._rows]
 
     @functools.cached_property
     def _receivers(self) -> Receivers:
         def make() -> tuple[np.ndarray, np.ndarray]:
             normals = vertex_normals(self._vertices, self._head.faces)
-            return self._at_texels(self._vertices), _unit(self._at_texels(normals))
+            return self._at_texels(self._vertices), unit(self._at_texels(normals))
 
         key = (self._target.id, "receivers", self._lod, *self._inputs.mesh_key)
         return Receivers.around(*self._evaluator.cache.get(key, make))
@@ -354,17 +282,6 @@ class LitAvatar:
         return self._casting(self._vertices).and_triangles(self._lighting.occluders)
 
     def _casting(self, vertices: np.ndarray) -> Casters:
-        """The head's mesh, [V, 3], as what throws shadows."""
-
-        def make() -> tuple[np.ndarray, np.ndarray]:
-            faces, regions = self._head.faces.astype(np.int32), self._head.regions
-            loose = [regions[name] for name in _LOOSE if name in regions]
-            alone = np.isin(faces, np.concatenate(loose)).any(1) if loose else np.ones(len(faces), bool)
-            return faces[np.argsort(alone, kind="stable")], np.array((~alone).sum())
-
+        make = functools.partial(casting_faces, self._head)
         faces, closed = self._evaluator.cache.get((self._target.id, "casting faces"), make)
         return Casters(vertices, faces, int(closed))
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.sqrt(np.einsum("nk,nk->n", vectors, vectors)), 1e-20)[:, None]

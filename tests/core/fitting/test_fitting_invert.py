@@ -142,8 +142,6 @@ def test_several_photos_of_other_exposure_make_one_person(person):
     tracks = [photo(model, z_id, yaw=-25.0), photo(model, z_id, yaw=25.0, gain=0.6, smile=0.5)]
     avatar = invert(tracks, model, model.head_model, QUICK, info=info)
     tuned = with_deltas(model, avatar.deltas, "avatar")
-    assert not avatar.tracking["light"][0].any()
-    assert 0.4 < np.exp(avatar.tracking["light"][1, 0]).mean() < 0.8
     assert max(photo_errors(tuned, avatar, tracks, SIZE)) < 0.05
     unseen = [photo(model, z_id, yaw=0.0)]  # between the photos
     between = dataclasses.replace(avatar, tracking={**avatar.tracking, "z_exp": np.zeros_like(avatar.tracking["z_exp"])})
@@ -236,7 +234,7 @@ def test_color_maps_are_found_exactly(person):
         drawn = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, wanted, surface)), refined=False)
         picture = drawn.raw / drawn.alpha[..., None].clamp(min=1e-3)
         target = dataclasses.replace(view, image=picture, mask=(drawn.alpha > 0.9).to(code))
-        found = solve_maps(model, [target], [vertices], [look], surface, [torch.ones(3)])
+        found = solve_maps(model, [target], [vertices], [look], surface, [torch.ones_like(picture)])
         shown = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, found, surface)), refined=False).raw
     assert float((shown - drawn.raw)[target.mask > 0].abs().mean()) < 0.01
 

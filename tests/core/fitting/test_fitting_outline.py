@@ -1,4 +1,4 @@
-"""The outline refinement and the light, on a head drawn from known parameters."""
+"""The outline refinement, on a head drawn from known parameters."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import spatial
 
 from grmm_core.fitting import photometric_stage
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.fitting.outline import find_outline, skin_map
-from grmm_core.fitting.photo_light import estimate_light, harmonics
 from grmm_core.fitting.photometric_stage import Appearance, posed, refine, shape_change
 from grmm_core.geometry.camera import Camera
-from grmm_core.geometry.triangles import vertex_normals
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
-from grmm_core.pictures.color import linear_to_srgb
 
 SIZE = 320
 SKIN = np.array([0.80, 0.58, 0.47])
@@ -135,30 +131,6 @@ def test_without_a_person_nothing_changes(head, rig, person):
     fit = fit_landmarks([observation_of(head, vertices, camera)], rig)
     image = np.full((SIZE, SIZE, 3), 0.5, np.float32)
     assert refine(fit, [picture_of(image, np.zeros((SIZE, SIZE), np.float32))], rig) is fit
-
-
-def test_light_is_that_of_the_shading(head, person):
-    _, camera, vertices = person
-    light = np.zeros((9, 3))
-    light[0], light[1], light[2], light[3] = [0.35, 0.28, 0.24], [0.10, 0.07, 0.05], [0.06, 0.06, 0.06], [0.08, 0.06, 0.05]
-    colors = linear_to_srgb(np.clip(harmonics(vertex_normals(vertices, head.faces)) @ light, 0.0, 1.0))
-    image, mask = drawn(head, vertices, camera)
-    # paint every pixel with the nearest visible vertex's color
-    depth = triangle_depth(vertices[head.faces], camera)
-    local = vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    pixels = projected(vertices, camera)
-    rows, columns = np.clip(pixels[:, 1].astype(int), 0, SIZE - 1), np.clip(pixels[:, 0].astype(int), 0, SIZE - 1)
-    visible = np.flatnonzero(local[:, 2] < depth[rows, columns] + 0.003)
-    ys, xs = np.nonzero(mask > 0.5)
-    nearest = spatial.cKDTree(pixels[visible]).query(np.stack([xs, ys], axis=1) + 0.5)[1]
-    image[ys, xs] = colors[visible[nearest]]
-    found = estimate_light(head, vertices, camera, image, mask)
-    assert found.shape == (9, 3)
-    normals = vertex_normals(vertices, head.faces)[head.regions["face"]]
-    seen = normals[normals @ camera.view_direction(np.zeros(3)) > 0.5]
-    difference = harmonics(seen) @ (found - light)
-    assert np.sqrt((difference**2).mean()) < 0.02
-    assert estimate_light(head, vertices, camera, image, np.zeros_like(mask)) is None
 
 
 def test_skin_map_knows_skin_from_other_colors():

@@ -13,7 +13,7 @@ from grmm_core.fitting.types import PhotoTrack, load_tracks, save_tracks
 from grmm_core.geometry.camera import Camera
 
 
-def make_track(seed=0, size=24, light=True):
+def make_track(seed=0, size=24):
     g = np.random.default_rng(seed)
     camera = Camera.orbit(size, size, yaw=12.0)
     return PhotoTrack(
@@ -21,16 +21,15 @@ def make_track(seed=0, size=24, light=True):
         valid=np.ones((size, size)), camera=camera, photo_camera=camera.resized(90, 80), shape=g.normal(size=300),
         expression=g.uniform(size=100), pose=g.normal(size=(5, 3)), landmarks=g.uniform(0, size, (478, 2)),
         landmarks_fitted=g.uniform(0, size, (478, 2)), arkit=g.uniform(size=52),
-        light=g.normal(size=(9, 3)) if light else None, presence=0.75,
+        presence=0.75,
     )  # fmt: skip
 
 
 def test_tracks_come_back_exactly(tmp_path):
-    tracks = [make_track(0), make_track(1, light=False)]
+    tracks = [make_track(0), make_track(1)]
     save_tracks(tmp_path / "tracks.safetensors", tracks)
     loaded = load_tracks(tmp_path / "tracks.safetensors")
     assert len(loaded) == 2
-    assert loaded[1].light is None
     for track, back in zip(tracks, loaded, strict=True):
         for item in fields(track):
             before, after = getattr(track, item.name), getattr(back, item.name)

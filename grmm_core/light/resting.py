@@ -1,0 +1,150 @@
+"""What light does on a head at rest, made once for a person: transfer, the rig that colors were learned under, bounces.
+
+`session.lit` draws with it, and `fitting.photo_light` takes a photo's light out with it. Needs numpy; numba makes it faster.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from .bounce import Exchange, albedo_of, nearest_points
+from .lamps import STUDIO
+from .materials import Materials
+from .shading import reached, shade
+from .shadows import Casters, Receivers, compiled_kernels, visible
+from .surroundings import BANDS, basis, coefficients_of
+from .transfer import transfer, vertex_normals
+
+if TYPE_CHECKING:
+    from ..head import HeadModel
+
+_LOOSE = ("neck", "lashes")  # regions that light can reach from inside
+_MOUTH = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
+_OPEN = 0.35  # of the light that these get where they are seen at all: colors are learned with the mouth open
+_SKIN = "face"  # region whose color is the skin's
+
+
+class Texels(NamedTuple):
+    """Points on a head's faces.
+
+    Attributes:
+        face: Of each, [N].
+        barycentric: [N, 3] float32.
+        corners: Vertices of the faces, [N, 3] int32.
+    """
+
+    face: np.ndarray
+    barycentric: np.ndarray
+    corners: np.ndarray
+
+    @staticmethod
+    def of(head: HeadModel, face: np.ndarray, barycentric: np.ndarray) -> Texels:
+        """On faces [N] of a head."""
+        return Texels(face, barycentric, head.faces[face].astype(np.int32))
+
+    def at(self, values: np.ndarray) -> np.ndarray:
+        """Values of vertices [V, C] at the points, [N, C] float32."""
+        kernels = compiled_kernels()
+        if kernels is None:
+            return np.einsum("nk,nkc->nc", self.barycentric, values[self.corners]).astype(np.float32)
+        from ..compute.threads import for_rows
+
+        out = np.empty((len(self.corners), values.shape[1]), np.float32)
+        for_rows(
+            kernels.interpolate, len(out), np.ascontiguousarray(values, np.float32), self.corners, self.barycentric, out
+        )  # fmt: skip
+        return out
+
+    def receivers(self, vertices: np.ndarray, normals: np.ndarray) -> Receivers:
+        """The points on a mesh with unit normals, [V, 3] each."""
+        return Receivers.around(self.at(vertices), unit(self.at(normals)))
+
+
+class RestLight(NamedTuple):
+    """What light does on a head at rest.
+
+    Attributes:
+        transfer: At texels, [N, 9].
+        rig: Irradiance of the studio's rig at texels, as `reached` has it, [N, 3].
+        albedo: Of its skin, linear RGB, [3].
+        patch, area, givers, shares: Of `Exchange`.
+        seen: Which part of the rig's lamps texels see, [L, N].
+        vertices: [V, 3].
+        normals: [V, 3].
+    """
+
+    transfer: np.ndarray
+    rig: np.ndarray
+    albedo: np.ndarray
+    patch: np.ndarray
+    area: np.ndarray
+    givers: np.ndarray
+    shares: np.ndarray
+    seen: np.ndarray
+    vertices: np.ndarray
+    normals: np.ndarray
+
+    @staticmethod
+    def of(head: HeadModel, texels: Texels, materials: Materials, vertices: np.ndarray, colors: np.ndarray) -> RestLight:
+        """Work it out.
+
+        Args:
+            head: Head model.
+            texels: All of an avatar.
+            materials: Of them.
+            vertices: Of the person at rest, [V, 3] metres.
+            colors: Of the texels under the rig, display sRGB, [N, 3]; those of the face say what skin throws back.
+        """
+        normals = vertex_normals(vertices, head.faces)
+        by_vertex = transfer(vertices, normals, head.faces)
+        mouth = head.marked(*_MOUTH)
+        by_vertex[mouth] = _OPEN * basis(normals[mouth]) * BANDS
+        rows, receivers, casters = texels.at(by_vertex), texels.receivers(vertices, normals), casters_of(head, vertices)
+        seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
+        seen[:, mouth[texels.corners].all(1)] = _OPEN
+        eye = np.array([0.0, 0.0, 1.0])
+        straight = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, coefficients_of(STUDIO.surroundings)).irradiance
+        skin = np.isin(texels.corners[:, 0], head.regions.get(_SKIN, np.arange(len(vertices))))
+        albedo = albedo_of(colors[skin], straight[skin])
+        at_vertices = nearest_points(texels.corners, texels.barycentric, len(vertices))
+        exchange = Exchange.of(vertices, normals, head.faces, by_vertex)
+        rig = straight + texels.at(exchange.bounced(straight[at_vertices], albedo))
+        return RestLight(rows, reached(rig), albedo, *exchange, seen, vertices, normals)
+
+    @property
+    def exchange(self) -> Exchange:
+        """What skin throws on skin."""
+        return Exchange(self.patch, self.area, self.givers, self.shares)
+
+    def learned(
+        self, eye: np.ndarray, texels: Texels, materials: Materials, rows: np.ndarray | slice = slice(None)
+    ) -> np.ndarray:
+        """Highlights of the rig as they look from a place [3], axes of the head at rest, at rows of the texels, [N, 3].
+
+        The materials are those of these rows.
+        """
+        receivers = Receivers.around(texels.at(self.vertices)[rows], unit(texels.at(self.normals)[rows]))
+        around = coefficients_of(STUDIO.surroundings)
+        light = STUDIO.lamps, receivers, self.seen[:, rows], materials, self.transfer[rows], eye, around
+        return np.ascontiguousarray(shade(*light).highlights)
+
+
+def casting_faces(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
+    """Faces of a head's mesh as `Casters` has them, [T, 3] int32, and how many of them are closed, []."""
+    faces = head.faces.astype(np.int32)
+    loose = [head.regions[name] for name in _LOOSE if name in head.regions]
+    alone = np.isin(faces, np.concatenate(loose)).any(1) if loose else np.ones(len(faces), bool)
+    return faces[np.argsort(alone, kind="stable")], np.array((~alone).sum())
+
+
+def casters_of(head: HeadModel, vertices: np.ndarray) -> Casters:
+    """A head's mesh, [V, 3] metres, as what throws shadows."""
+    faces, closed = casting_faces(head)
+    return Casters(vertices, faces, int(closed))
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors [N, 3] of length 1."""
+    return vectors / np.maximum(np.sqrt(np.einsum("nk,nk->n", vectors, vectors)), 1e-20)[:, None]

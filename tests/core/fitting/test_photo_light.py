@@ -1,0 +1,145 @@
+"""Light taken out of skin colors, and gradients of relit colors against finite differences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from grmm_core.errors import ShapeError
+from grmm_core.fitting.photo_light import MATT, SUNS, Light, PhotoHead, Seen, seen_skin
+from grmm_core.fitting.result import photo_light
+from grmm_core.geometry.camera import Camera
+from grmm_core.head import load_open_head
+from grmm_core.light.materials import materials_of
+from grmm_core.light.relight import relit, to_display, to_linear, unlit
+from grmm_core.light.resting import RestLight, Texels, casters_of
+from grmm_core.light.shading import Transport, transport
+from grmm_core.light.shadows import visible
+
+SKIN = np.array([0.5, 0.3, 0.22])
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def texels(head):
+    """Some points of skin."""
+    faces = np.flatnonzero(head.marked("face", "neck")[head.faces].all(1))[::3].astype(np.int32)
+    return Texels.of(head, faces, np.full((len(faces), 3), 1.0 / 3.0, np.float32))
+
+
+@pytest.fixture(scope="module")
+def photo_head(head, texels):
+    rest = head.v_template.astype(float)
+    return PhotoHead(head, texels, rest, rest, np.array([0.0, 0.0, 1.0]), np.asarray(to_display(SKIN)))
+
+
+@pytest.fixture(scope="module")
+def side():
+    """A colored light from a side, and a dim one from everywhere."""
+    suns, around = np.zeros((len(SUNS), 3), np.float32), np.zeros((9, 3), np.float32)
+    suns[np.argmax([sun.direction[0] for sun in SUNS])] = [4.0, 3.0, 2.0]
+    around[0] = 0.8
+    return Light(suns, around, SKIN, np.ones(3))
+
+
+def test_skin_lit_from_a_side_becomes_even_and_its_own_light_makes_it_as_before(photo_head, side):
+    random = np.random.default_rng(0)
+    lit = photo_head.ratio(side)
+    marks = np.where(random.random(len(lit)) < 0.05, 0.6, 1.0)[:, None]  # freckles stay
+    colors = to_display(SKIN * marks * lit)
+    found = photo_head.solve(Seen(colors, np.ones(len(lit))))
+    ratio = photo_head.ratio(found)
+    flat = unlit(colors, ratio)
+    told = (lit > 0.25).all(1)
+    plain, freckled = (to_linear(flat)[told & (marks[:, 0] == value)] for value in (1.0, 0.6))
+    uneven, left = (values.std(0) / values.mean(0) for values in (lit[told], plain))
+    assert uneven.min() > 0.35
+    assert (left < 0.4 * uneven).all()
+    np.testing.assert_allclose(freckled.mean(0) / plain.mean(0), 0.6, atol=0.08)
+    again = relit(flat[None], np.ones((1, len(flat))), ratio[None], np.zeros((1, len(flat), 3)))[0]
+    assert math.sqrt(((again - colors)[told] ** 2).mean()) < 0.005
+    assert found.suns.min() >= 0.0
+    assert len(found.lighting.lamps) <= len(SUNS)
+
+
+def test_light_of_a_second_photo_is_found_for_the_tone_of_the_first(photo_head, side):
+    dimmed = side._replace(suns=0.5 * side.suns, around=0.5 * side.around)
+    colors = to_display(SKIN * photo_head.ratio(dimmed))
+    found = photo_head.ratio(photo_head.solve(Seen(colors, np.ones(len(colors))), SKIN))
+    np.testing.assert_allclose(found.mean(0), photo_head.ratio(dimmed).mean(0), rtol=0.08)
+
+
+def test_even_colors_stay_as_they_are(photo_head):
+    colors = np.full((len(photo_head.ratio(Light.studio())), 3), 0.6)
+    found = photo_head.solve(Seen(colors, np.ones(len(colors))))
+    assert np.abs(unlit(colors, photo_head.ratio(found)) - colors).mean() < 0.02
+
+
+def test_skin_is_seen_where_it_faces_the_camera_and_belongs_to_the_person(head, texels):
+    camera = Camera.orbit(64, 64, yaw=0.0)
+    picture = np.zeros((64, 64, 3))
+    picture[:, 32:] = 1.0
+    inside = np.ones((64, 64))
+    inside[:16] = 0.0
+    seen = seen_skin(head, texels, head.v_template, camera, picture, inside)
+    points = texels.at(head.v_template)
+    rows = camera.project(points.astype(float))[1][:, 1]
+    shown = seen.weights > 0
+    assert shown.sum() > 100
+    assert not shown[rows < 15].any()
+    assert seen.colors[shown & (points[:, 0] > 0.02)].min() > 0.9  # her left is at the right
+    back = seen_skin(head, texels, head.v_template, Camera.orbit(64, 64, yaw=180.0), picture, np.ones((64, 64)))
+    face = head.marked("face")[texels.corners].all(1)
+    assert (back.weights[face & (points[:, 2] > 0.07)] == 0.0).all()
+
+
+def test_light_that_is_not_known_is_the_studios(avatar_of_before):
+    assert photo_light(avatar_of_before).lighting is None
+    with pytest.raises(ShapeError, match="photo 2"):
+        photo_light(avatar_of_before, 1)
+
+
+@pytest.fixture
+def avatar_of_before():
+    """What a fit of an earlier version knows of its photo."""
+    from types import SimpleNamespace
+
+    return SimpleNamespace(name="before", tracking={"pose": np.zeros((1, 5, 3)), "light": np.zeros((1, 9, 3))})
+
+
+def test_teeth_are_not_dark_in_the_rig_although_the_mouth_is_closed_at_rest(head):
+    faces = np.flatnonzero(head.marked("upper_teeth", "lower_teeth")[head.faces].all(1)).astype(np.int32)[::5]
+    more = np.flatnonzero(head.marked("face")[head.faces].all(1)).astype(np.int32)[::20]
+    texels = Texels.of(head, np.concatenate([faces, more]), np.full((len(faces) + len(more), 3), 1.0 / 3.0, np.float32))
+    colors = np.full((len(texels.face), 3), 0.6)
+    rest = RestLight.of(head, texels, materials_of(head, *texels[:2]), head.v_template.astype(float), colors)
+    front = np.median(rest.rig[: len(faces)][rest.rig[: len(faces), 0] > 0.1 * rest.rig.max()], 0)
+    assert 0.1 < float(front.mean() / np.median(rest.rig[len(faces) :], 0).mean()) < 0.6
+
+
+def test_relit_colors_have_the_gradients_of_finite_differences(head, texels):
+    random = np.random.default_rng(0)
+    rest = head.v_template.astype(float)
+    materials = materials_of(head, *texels[:2])
+    still = RestLight.of(head, texels, materials, rest, np.full((len(texels.face), 3), 0.6))
+    receivers, casters = texels.receivers(rest, still.normals), casters_of(head, rest)
+    seen = [visible(sun, receivers, casters) for sun in SUNS]
+    parts = transport(SUNS, receivers, seen, materials, still.transfer, np.array([0.0, 0.0, 1.0]), MATT)
+    rows = random.choice(np.flatnonzero((still.rig > 0.3 * still.rig.max()).all(1)), 12, replace=False)
+    chosen = (a[:, rows] if len(a) == len(SUNS) else a[rows] for a in vars(parts).values())
+    some = Transport(*(torch.from_numpy(np.float64(array)) for array in chosen))
+    rig, alpha = torch.from_numpy(np.float64(still.rig[rows])), torch.ones(3, 4, dtype=torch.float64)
+
+    def lit(flat, lamps, around):
+        irradiance, highlights = some.light(lamps, around)
+        return relit(flat, alpha, (irradiance / rig).reshape(3, 4, 3), highlights.reshape(3, 4, 3))
+
+    given = [random.uniform(0.2, 0.7, (3, 4, 3)), random.uniform(0.1, 1.0, (len(SUNS), 3)), random.uniform(0.05, 0.3, (9, 3))]
+    assert torch.autograd.gradcheck(lit, [torch.from_numpy(array).requires_grad_() for array in given], eps=1e-6, atol=1e-5)

@@ -15,10 +15,11 @@ from torch.nn import functional
 
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..hair.coloring import HairView, hiding_faces, with_colors
-from ..hair.groom import Groom
+from ..hair.groom import Groom, bind
 from ..hair.packaged import library_groom
 from ..hair.roots import BEARD, BROWS
 from ..hair.settings import HairSettings
+from ..head.flame_align import closest_on_surface
 from ..photo.glasses import thin_frames
 from ..photo.parser import MESH_PARTS, PhotoParts, part_map
 
@@ -33,6 +34,10 @@ LEAST_BEARD = 0.4  # of the pixels on the chin or above the lip; a shadow under 
 _CHIN, _UPPER_LIP = [18, 200, 199], [164, 167, 393]  # landmarks
 REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, and from how far skin they are told
 DARK = (0.1, 0.3)  # how much darker than that skin: from where on a pixel is brow, and wholly
+LOWER = (-0.004, 0.009)  # metres by which brows may be moved down; the mesh's are high
+BRIDGE, AROUND_BROWS = 168, 0.008  # landmark between the brows; metres around them in which skin is looked for
+ARCH = 0.005  # of the head's height: how far beside the landmarks' brows a brow may be
+OUTLINES = (70, 63, 105, 66, 107, 55, 65, 52, 53, 46), (300, 293, 334, 296, 336, 285, 295, 282, 283, 276)  # around each
 KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one strand to the next
 FEWEST = 0.05  # of the strands; fewer were no brows, and the plainest groom takes their place
 SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
@@ -61,8 +66,10 @@ def face_hair(
     for (name, cover), group in zip(covers.items(), (BROWS, BEARD), strict=False):
         long = float((beard * (depth == EMPTY)).sum()) > HANGING * float(beard.sum())
         groom = library_groom(SHORT_BEARD if name == "beard" and not long else FULLEST[name], head.name, name)
+        groom = _at_height(groom, track, view, head) if name == "brows" else groom
         kept = _kept(groom, cover, depth, view, head)
-        groom = groom.select(kept) if kept.mean() > FEWEST else library_groom("thin", head.name, "brows")
+        plain = library_groom("thin", head.name, "brows")
+        groom = groom.select(kept) if kept.mean() > FEWEST else _at_height(plain, track, view, head)
         grooms.append(groom)
         shown = dataclasses.replace(view, hair=cover)
         own[name] = with_colors(scalp.for_part(group), groom, [shown], head)
@@ -83,7 +90,46 @@ def brow_cover(track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadM
     lit, count = functional.avg_pool2d(planes, size, stride, padding)[0].numpy()
     darker = 1.0 - light * count / np.maximum(lit, 1e-4)
     cover: np.ndarray = np.clip((darker - DARK[0]) / (DARK[1] - DARK[0]), 0.0, 1.0) * region * (count > 1e-3)
+    cover *= _at_landmarks(track, max(1.0, ARCH * height))
     return cover * (1.0 - parts.eyes) * view.counts * (1.0 - parts.hair) * ~thin_frames(track.image, track.landmarks)
+
+
+def _at_landmarks(track: PhotoTrack, reach: float) -> np.ndarray:
+    """Pixels not farther than `reach` from the brows that the landmarks outline in the photo, [H, W] bool."""
+    rows, columns = np.mgrid[: track.camera.height, : track.camera.width] + 0.5
+    found = np.zeros(rows.shape, bool)
+    for outline in OUTLINES:
+        ends = np.asarray(track.landmarks[list(outline), :2], float)
+        for (x, y), (u, v) in zip(ends, np.roll(ends, -1, 0), strict=True):  # even-odd rule, edge by edge
+            found ^= ((y > rows) != (v > rows)) & (columns < (u - x) * (rows - y) / (v - y if v != y else 1.0) + x)
+    near = functional.max_pool2d(torch.from_numpy(found.astype(np.float32))[None, None], *_window(reach))
+    result: np.ndarray = near[0, 0].numpy() > 0.5
+    return result
+
+
+def _at_height(groom: Groom, track: PhotoTrack, view: HairView, head: HeadModel) -> Groom:
+    """Brows as high above the eyes as the photo's landmarks have them, each for itself; the mesh's move less than people's."""
+    template, faces = np.asarray(head.v_template, np.float64), np.asarray(head.faces)
+    frames = groom.frames(template, faces)
+    pixels = view.camera.project(groom.posed(frames, view.vertices))[1]
+    root, strand = frames.at(template)[0], groom.strand_of_point
+    down = view.camera.world_to_camera[:2, :3] @ np.array([0.0, -1.0, 0.0])
+    scale = float(np.ptp(view.camera.project(view.vertices)[1] @ down) / np.ptp(view.vertices[:, 1]) / max(down @ down, 0.1))
+    moved = root.copy()
+    sides = {np.sign(track.landmarks[outline[0], 0] - track.landmarks[BRIDGE, 0]): outline for outline in OUTLINES}
+    for side, outline in sides.items():
+        own = np.sign(pixels[groom.offsets[:-1], 0] - track.landmarks[BRIDGE, 0]) == side
+        if own.any():
+            lower = (track.landmarks[list(outline), :2].mean(0) - pixels[own[strand]].mean(0)) @ down / max(scale, 1e-6)
+            moved[own, 1] -= np.clip(lower, *LOWER)
+    skin = np.flatnonzero(~(head.marked("lashes") | head.marked("left_eyeball") | head.marked("right_eyeball"))[faces].any(1))
+    middles = template[faces[skin]].mean(1)
+    near = (middles > moved.min(0) - AROUND_BROWS) & (middles < moved.max(0) + AROUND_BROWS)
+    skin = skin[near.all(1)]
+    triangles, weights, _ = closest_on_surface(moved, template, faces[skin])
+    placed = (template[faces[skin[triangles]]] * weights[..., None]).sum(1)
+    points = groom.posed(frames, template) + (placed - root)[strand]
+    return bind(template, faces, template, skin[triangles], weights, points, groom.offsets, groom.widths, groom.groups)
 
 
 def _window(reach: float) -> tuple[int, int, int]:

@@ -23,14 +23,14 @@ from ..geometry.camera import Camera
 from ..hair.body import cut
 from ..hair.coloring import WornHair, around_head, reduced
 from ..hair.groom import TINTS, Groom, join
-from ..hair.roots import SCALP
-from ..hair.settings import HairSettings
+from ..hair.roots import BROWS, GROUPS, SCALP
 from ..hair.strands import between
 from ..head import HeadModel
 from ..model.grmm import GRMM
 from ..photo.parser import PhotoParts
 from ..splat.api import rasterize
 from ..splat.types import Gaussians
+from .face_hair import brow_cover
 from .hair_stage import hair_view
 from .inpainting import within
 from .invert import photo_model_inputs
@@ -48,7 +48,8 @@ OTHERS = 0.5  # share of what a place shows in that must be hair; what hangs bef
 GUESS = 0.12  # that is added at most to a color that no photo shows
 # of strands that are cut: pixels that a place must show in, hair in these below which it is wrong and above which right, the
 # part of a strand below which it is taken away, and the part of all strands from which on the photo is not believed
-SEEN, WRONG, RIGHT, SHORTEST, MOST_CUT = 0.1, 0.3, 0.6, 0.2, 0.4
+SEEN, WRONG, RIGHT, SHORTEST, MOST_CUT = 0.06, 0.3, 0.6, 0.2, 0.4
+ROOT = 3  # places of a strand of which the first that is seen tells what it stands on
 CELL = 0.006  # metres: of the grid on which colors spread
 NEAR, FAR = 1.2, 4.0  # cells that colors spread to other strands, and to the other side of the head
 THIN_NEAR, THIN_FAR = 0.15, 0.3  # how much must be known around a place to count as half known
@@ -80,7 +81,7 @@ class Photo(NamedTuple):
 def textured(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts]
 ) -> Avatar:  # fmt: skip
-    """Return an avatar whose scalp hair has the colors of its photos where they show it.
+    """Return an avatar whose scalp hair and brows have the colors of its photos where they show them.
 
     Args:
         model: With the avatar's own changes.
@@ -91,16 +92,16 @@ def textured(
     hair = avatar.hair
     if hair is None or hair.groom is None or not (hair.groom.groups == SCALP).any():
         return avatar
-    scalp = hair.groom.groups == SCALP
-    groom = dataclasses.replace(hair.groom.select(scalp), tints=None)
+    own = np.isin(hair.groom.groups, (SCALP, BROWS))
+    groom = dataclasses.replace(hair.groom.select(own), tints=None)
     onto = [Onto(photo, len(groom)) for photo in _photos(model, avatar, hair, groom, tracks, parts)]
     tints, known = reconstructed(onto, len(groom))
     colored = dataclasses.replace(groom, tints=spread(places_of(groom, model.head_model), tints, known))
-    return _with_scalp(avatar, hair, colored, hair.groom.select(~scalp))
+    return _joined(avatar, hair, colored, hair.groom.select(~own))
 
 
-def _with_scalp(avatar: Avatar, hair: Hair, scalp: Groom, others: Groom) -> Avatar:
-    return dataclasses.replace(avatar, hair=dataclasses.replace(hair, groom=join([scalp, others])))
+def _joined(avatar: Avatar, hair: Hair, some: Groom, others: Groom) -> Avatar:
+    return dataclasses.replace(avatar, hair=dataclasses.replace(hair, groom=join([some, others])))
 
 
 def _photos(
@@ -108,7 +109,7 @@ def _photos(
 ) -> list[Photo]:  # fmt: skip
     """Photos with the avatar in them; hair as bright and as tinted on average as in the first one."""
     photos = [
-        _photo(model, avatar, hair.settings, groom, track, seen, index)
+        _photo(model, avatar, hair, groom, track, seen, index)
         for index, (track, seen) in enumerate(zip(tracks, parts, strict=True))
     ]
     means = [photo.image[photo.hair > HAIR].mean(0) for photo in photos]
@@ -118,10 +119,13 @@ def _photos(
 
 
 def _photo(
-    model: GRMM, avatar: Avatar, settings: HairSettings, groom: Groom, track: PhotoTrack, parts: PhotoParts, index: int
+    model: GRMM, avatar: Avatar, hair: Hair, groom: Groom, track: PhotoTrack, parts: PhotoParts, index: int
 ) -> Photo:  # fmt: skip
     head = model.head_model
-    view = around_head(hair_view(track, parts, head))
+    view = hair_view(track, parts, head)
+    if (groom.groups == BROWS).any():
+        view = dataclasses.replace(view, hair=np.maximum(view.hair, brow_cover(track, parts, view, head)))
+    view = around_head(view)
     scale = min(1.0, SIDE / max(view.hair.shape))
     height, width = (max(16, round(size * scale / 16) * 16) for size in view.hair.shape)  # the refinement network halves
     camera = view.camera.resized(width, height)
@@ -130,11 +134,16 @@ def _photo(
         drawn = model.render(camera, inputs)
         vertices, still = (model.mesh(part).vertices.cpu().numpy() for part in (inputs, resting))
     image = np.stack([reduced(view.image[..., k], (height, width)) for k in range(3)], 2)
-    hair, counts = (torch.from_numpy(reduced(part, (height, width))) for part in (view.hair, view.counts))
-    worn = WornHair(groom, settings, vertices, camera, head, still)
-    strands = Gaussians(*(torch.from_numpy(part) for part in worn.gaussians(settings)))
-    rows, places = (torch.from_numpy(part) for part in worn.pieces(settings))
-    return Photo(torch.from_numpy(image), hair, counts, drawn.image.cpu(), strands, rows, places, camera)
+    cover, counts = (torch.from_numpy(reduced(part, (height, width))) for part in (view.hair, view.counts))
+    seen = []
+    for group in np.unique(groom.groups):
+        own = np.flatnonzero(groom.groups == group)
+        settings = hair.settings if group == SCALP else hair.parts.get(GROUPS[group], hair.settings.for_part(group))
+        worn = WornHair(groom.select(own), settings, vertices, camera, head, still)
+        which, along = worn.pieces(settings)
+        seen.append((*worn.gaussians(settings), own[which], along))
+    *strands, rows, places = (torch.from_numpy(np.concatenate(part)) for part in zip(*seen, strict=True))
+    return Photo(torch.from_numpy(image), cover, counts, drawn.image.cpu(), Gaussians(*strands), rows, places, camera)
 
 
 def trimmed(
@@ -153,14 +162,15 @@ def trimmed(
         last = TINTS - 1 - right[:, ::-1].argmax(1) * right.any(1) - TINTS * ~right.any(1)  # the last place that is right
         beyond = wrong & (np.arange(TINTS) > last[:, None])
         first = np.where(beyond.any(1), beyond.argmax(1), TINTS)
-        rootless |= wrong[:, 0]
+        seen = every > SEEN
+        rootless |= seen.any(1) & (seen.argmax(1) < ROOT) & np.take_along_axis(wrong, seen.argmax(1)[:, None], 1)[:, 0]
         left = np.minimum(left, (first - 0.5) / (TINTS - 1))
     if ((left < 1.0) | rootless).mean() > MOST_CUT:
         return avatar
     even = groom.resampled(int(groom.counts.max()))
     points = cut(even.points.reshape(len(even), -1, 3), left.clip(0.0)).reshape(-1, 3)
     kept = dataclasses.replace(even, points=points).select((left > SHORTEST) & ~rootless)
-    return _with_scalp(avatar, hair, kept, hair.groom.select(~scalp))
+    return _joined(avatar, hair, kept, hair.groom.select(~scalp))
 
 
 def reconstructed(onto: Sequence[Onto], count: int) -> tuple[np.ndarray, np.ndarray]:

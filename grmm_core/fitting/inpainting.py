@@ -24,6 +24,7 @@ TONE_TEXELS = 40.0  # length above which colors are a general tone
 COLOR_REST = 5e-4  # pulls unseen colors to the general tone; the reach is some 45 texels
 SURELY_SEEN = (0.2, 0.6)  # below the first a texel's color counts as unknown, above the second as known
 LID_TRAVEL = (0.001, 0.003)  # metres that closing the eyes moves skin: below the first it was seen, above the second folded
+LASH_LINE = (0.0018, 0.0032)  # metres from the lashes up to which a lid's edge keeps its dark line, and from where it does not
 LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may be, and from where on it is not believed
 SURFACE_LID_SHADE = (0.15, 0.35)  # likewise on a closed surface, whose lids keep their crease and have lashes of their own
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
@@ -31,6 +32,7 @@ FEATHER_TEXELS, FADES = 5.0, (0.05, 0.45)  # how far what was seen goes on befor
 EDGE_TEXELS, EDGE = 12.0, (0.5, 0.75)  # likewise beside the face where what was seen last is darker than plain skin
 # beside the face and below it: smooth shading over so many texels, how much of it is kept, and what more where it is well seen
 SHADING_TEXELS, SHADING, WELL_SEEN = 5.0, 0.06, 0.5
+NECK_SHADING = 0.16  # likewise below the chin: a neck is darker than the face in nearly every light, and turns less
 HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
 HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
@@ -62,7 +64,15 @@ def lid_exposure(model: GRMM, view: FitView) -> Tensor:
     travel = torch.as_tensor(np.linalg.norm(moved, axis=1).astype(np.float32))[:, None] * _lids(head)
     corners = torch.as_tensor(_corners(model))
     at_texels = (travel[corners][..., 0] * model.anchor.barycentric.cpu()).sum(1).to(view.image)
-    return ((at_texels - LID_TRAVEL[0]) / (LID_TRAVEL[1] - LID_TRAVEL[0])).clamp(0, 1)
+    folded = ((at_texels - LID_TRAVEL[0]) / (LID_TRAVEL[1] - LID_TRAVEL[0])).clamp(0, 1)
+    if not model.config.hairless:
+        return folded
+    mean = torch.as_tensor(np.array(head.v_template, np.float32))
+    rows = torch.nonzero(folded > 0.0)[:, 0]
+    far = torch.full_like(folded, LASH_LINE[1])
+    positions = (mean[corners[rows]] * model.anchor.barycentric.cpu()[rows][..., None]).sum(1)
+    far[rows] = torch.cdist(positions, mean[torch.as_tensor(head.marked("lashes"))]).amin(1).to(far)
+    return folded * ((far - LASH_LINE[0]) / (LASH_LINE[1] - LASH_LINE[0])).clamp(0, 1)
 
 
 def _corners(model: GRMM) -> np.ndarray:
@@ -146,7 +156,8 @@ def _fill_surface(
     seen = torch.lerp(seen, beyond, edge * dark)
     off = surface.smooth(seen, SHADING_TEXELS) - beyond  # shadows of hair, chin and collar would turn with the head
     doubted = surface.beside[:, None] * (1.0 - WELL_SEEN * far.clamp(0, 1))
-    seen = seen - doubted * (off - SHADING * torch.tanh(off / SHADING))
+    most = SHADING + (NECK_SHADING - SHADING) * surface.below[:, None]
+    seen = seen - doubted * (off - most * torch.tanh(off / most))
     outer = tone + torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1)) - start
     return torch.where(skin[:, None], outer, surface.fill(changes, known))
 

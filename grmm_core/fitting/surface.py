@@ -46,6 +46,7 @@ class Surface:
         degrees: Row sums of both, [2, N].
         average: Mean of each texel and its neighbours, [N, N] sparse.
         beside: How far it is beside the face's features or below the chin, 0..1, [N].
+        below: How far below the chin, 0..1, [N].
     """
 
     group: Tensor
@@ -53,6 +54,7 @@ class Surface:
     degrees: Tensor
     average: FixedSparse
     beside: Tensor
+    below: Tensor
 
     @property
     def membership(self) -> Tensor:
@@ -112,17 +114,18 @@ def texel_surface(model: GRMM) -> Surface:
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
-        torch.tensor(_beside(head, positions), dtype=model.dtype, device=model.device),
+        *torch.tensor(np.stack(_beside(head, positions)), dtype=model.dtype, device=model.device),
     )  # fmt: skip
 
 
-def _beside(head: HeadModel, positions: np.ndarray) -> np.ndarray:
-    """See `Surface.beside`; positions on the mean head, metres, [N, 3]."""
+def _beside(head: HeadModel, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """See `Surface.beside` and `below`; positions on the mean head, metres, [N, 3]."""
     beside = np.interp(np.abs(positions[:, 0]), BESIDE, (0.0, 1.0))
     if "lips" not in head.regions:
-        return beside
+        return beside, np.zeros_like(beside)
     lips = float(head.v_template[head.regions["lips"], 1].min())
-    return np.maximum(beside, np.interp(lips - positions[:, 1], BELOW, (0.0, 1.0)))
+    below = np.interp(lips - positions[:, 1], BELOW, (0.0, 1.0))
+    return np.maximum(beside, below), below
 
 
 def _average(edges: np.ndarray, count: int) -> FixedSparse:

@@ -10,6 +10,7 @@ import torch
 from photo_parts import parts_of
 
 from grmm_core.fitting import hair_texture as texture
+from grmm_core.fitting.face_hair import BRIDGE, OUTLINES
 from grmm_core.fitting.hair_shape import NODES, bent
 from grmm_core.fitting.hair_stage import directions, fit_hair, person_hair
 from grmm_core.fitting.photo_targets import project
@@ -131,10 +132,16 @@ def face(drawn=(), yaw=10.0):
         image = rgb + (1 - alpha[..., None]) * image
         beard = alpha if group == BEARD else beard
     marks = project(head.landmark_positions(vertices, LANDMARK_COUNT), camera)
+    fitted = marks.copy()
+    for group, groom in drawn:  # a detector finds brows where they are drawn, not where the mesh has their landmarks
+        points = camera.project(groom.posed(groom.frames(vertices, head.faces), vertices))[1]
+        for outline in OUTLINES if group == BROWS else ():
+            own = np.sign(points[:, 0] - marks[BRIDGE, 0]) == np.sign(marks[outline[0], 0] - marks[BRIDGE, 0])
+            marks[list(outline), 1] += points[own, 1].mean() - marks[list(outline), 1].mean()
     zeros = {"shape": np.zeros(head.shape_count), "expression": np.zeros(head.expression_count), "pose": np.zeros((5, 3))}
     track = PhotoTrack(
         source="", image=image, mask=covered, valid=np.ones_like(covered), camera=camera, photo_camera=camera, landmarks=marks,
-        landmarks_fitted=marks, arkit=np.zeros(52), **zeros,
+        landmarks_fitted=fitted, arkit=np.zeros(52), **zeros,
     )  # fmt: skip
     return track, parts_of(1.0 - covered, beard=beard * covered), head
 
@@ -148,6 +155,24 @@ def test_brows_stand_where_the_photo_has_them(name):
     share = (groups == BROWS).sum() / len(library_groom("bushy", part="brows"))
     assert 0.05 < share < 0.75 if name == "thin" else share > 0.5
     assert name == "thin" or hair.parts["brows"].melanin > 0.6  # of 0.95; blond ones would be below 0.3
+
+
+def test_brows_go_as_low_as_the_photo_has_them():
+    track, parts, head = face([(BROWS, library_groom("bushy", part="brows"))])
+    low = track.landmarks.copy()
+    height = float(np.ptp(track.landmarks_fitted[:, 1]))
+    for outline in OUTLINES:
+        low[list(outline), 1] += 0.03 * height
+    rows = np.arange(288) - int(0.03 * height)  # the picture around the brows moves down with them
+    lower = replace(track, image=track.image[np.clip(rows, 0, 287)], landmarks=low)
+    vertices = np.asarray(head.v_template, np.float64)
+    middles = []
+    for seen in (track, lower):
+        hair = person_hair([seen], [parts], head)
+        brows = hair.groom.select(hair.groom.groups == BROWS)
+        points = brows.posed(brows.frames(vertices, head.faces), vertices)
+        middles.append(track.camera.project(points)[1][:, 1].mean())
+    assert middles[1] - middles[0] == pytest.approx(0.03 * height, rel=0.35)
 
 
 def test_a_beard_keeps_the_strands_that_the_photo_shows():

@@ -14,10 +14,13 @@ import bpy
 import numpy as np
 
 from ...grmm_core.avatar import AssetReference, Hair
+from ...grmm_core.controls.frame import Controls
 from ...grmm_core.hair import SETTINGS, Groom, HairSettings, library_groom
+from ...grmm_core.hair.body import worn
 from ...grmm_core.hair.pigment import ABSORPTION, BLOND, GINGER, GINGER_ABSORPTION, ROOT_SHADE, WHITE, albedos
 from ...grmm_core.hair.prior import random_groom
 from ...grmm_core.hair.roots import SCALP
+from .. import session_host
 from ..rig.avatar import Avatar
 from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
@@ -86,14 +89,14 @@ def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | No
 
     Args:
         avatar: Whose mesh can be changed.
-        groom: Its strands, or None for no curves yet.
+        groom: Its strands as recorded, or None for no curves yet; the curves are as they are drawn on this person.
         settings: Give the material its color.
     """
     head = avatar.object
     data = bpy.data.hair_curves.new(f"{head.name} hair")
     data.surface, data.surface_uv_map = head, _uv_map(head)
     if groom is not None and len(groom):
-        _fill(data, head, groom)
+        _fill(data, head, _as_drawn(avatar, groom))
     data.materials.append(_material(data.name, head, settings or HairSettings()))
     obj = bpy.data.objects.new(data.name, data)
     for collection in head.users_collection:
@@ -105,6 +108,19 @@ def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | No
     modifier = obj.modifiers.new(MODIFIER_NAME, "NODES")
     modifier.node_group = _deform_group()
     return obj
+
+
+def _as_drawn(avatar: Avatar, groom: Groom) -> Groom:
+    """A groom outside of the person's skin and ended at the bust's rim."""
+    if not avatar.has_network:
+        return groom
+    now = avatar.controls(bpy.context.evaluated_depsgraph_get())
+    rest = Controls(shape=now.shape, z_id=now.z_id, residual_strength=now.residual_strength)
+    still = session_host.get_session().deform(session_host.open_avatar(avatar.source).id, rest).vertices
+    try:
+        return worn(load_head(AssetReference(avatar.object.grmm.head_name)), still, groom)
+    except ImportError:  # a Blender that draws by another Python has no numba
+        return groom
 
 
 def _fill(data: bpy.types.Curves, head: bpy.types.Object, groom: Groom) -> None:

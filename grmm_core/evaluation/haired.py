@@ -110,5 +110,5 @@ def _soft(image: np.ndarray) -> np.ndarray:
     """A picture [H, W, 3] blurred by one pixel of standard deviation."""
     height, width = image.shape[:2]
     padded = np.pad(image, ((2, 2), (2, 2), (0, 0)), mode="edge")
-    down = sum(weight * padded[k : k + height] for k, weight in enumerate(_BINOMIAL))
+    down = np.asarray(sum(weight * padded[k : k + height] for k, weight in enumerate(_BINOMIAL)))
     return np.asarray(sum(weight * down[:, k : k + width] for k, weight in enumerate(_BINOMIAL)))

@@ -7,13 +7,15 @@ the skin, and negative inside. An ear counts as the bulge around it: hair lies o
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..head import HeadModel
+from .groom import Groom, join
 from .occlusion import sample
-from .roots import RootFrames
+from .roots import SCALP, RootFrames
+from .strands import locks_of
 
 CELL = 0.008  # metres
 MARGIN = 0.05  # metres around the skin
@@ -167,6 +169,22 @@ def cut(strands: np.ndarray, shares: np.ndarray) -> np.ndarray:
     rows = np.arange(len(strands))[:, None]
     result: np.ndarray = strands[rows, base] * (1 - part) + strands[rows, base + 1] * part
     return result
+
+
+def worn(head: HeadModel, still: np.ndarray, groom: Groom) -> Groom:
+    """A groom whose scalp hair is as it is drawn `on_person`: each strand gets as many points as the longest of its group."""
+    template = np.asarray(head.v_template, float)
+    parts = []
+    for group in np.unique(groom.groups):
+        some = groom.select(groom.groups == group)
+        count = int(some.counts.max())
+        if group == SCALP and count > 1:
+            some = some if (some.counts == count).all() else some.resampled(count)
+            local, frames = some.points.reshape(len(some), count, 3).astype(np.float32), some.frames(template, head.faces)
+            lock = locks_of(local, np.random.default_rng(len(some)))
+            some = replace(some, points=on_person(head, still, frames, local, lock).reshape(-1, 3).astype(np.float32))
+        parts.append(some)
+    return join(parts) if parts else groom
 
 
 @functools.lru_cache(maxsize=4)

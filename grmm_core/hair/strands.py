@@ -254,16 +254,21 @@ def _block(
         spread[fresh, 1] += (left - 1.0) * ends[owner[fresh]]
     numbers = np.arange(total)
     chance = np.stack([(numbers * step + 0.37) % 1.0 for step in (_PLASTIC, _THIRD, _GOLDEN)], 1)
-    tips = posed[:, -1] + 0.4 * posed[:, 0]
+    lock = locks_of(posed, g)
+    return StrandBlock(
+        group, rows, part, frames, local, widths / children, light, lock, owner, spread.astype(np.float32),
+        chance.astype(np.float32), groom.tints if groom.tints is not None and groom.tints.any() else None,
+    )  # fmt: skip
+
+
+def locks_of(points: np.ndarray, g: np.random.Generator) -> np.ndarray:
+    """How strands [M, K, 3] differ by the locks that they are in, about -1..1, float32 [M]."""
+    tips = points[:, -1] + 0.4 * points[:, 0]
     seeds = tips[g.integers(len(tips), size=min(LOCKS, len(tips)))]
     near = np.concatenate(
         [((part[:, None] - seeds) ** 2).sum(2).argmin(1) for part in np.array_split(tips, len(tips) // 512 + 1)]
     )
-    lock = np.clip(g.normal(0, 0.5, len(seeds)), -1, 1)[near]
-    return StrandBlock(
-        group, rows, part, frames, local, widths / children, light, lock.astype(np.float32), owner, spread.astype(np.float32),
-        chance.astype(np.float32), groom.tints if groom.tints is not None and groom.tints.any() else None,
-    )  # fmt: skip
+    return np.clip(g.normal(0, 0.5, len(seeds)), -1, 1)[near].astype(np.float32)
 
 
 def lengths_of(points: np.ndarray) -> np.ndarray:

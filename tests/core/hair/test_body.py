@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.hair import library_groom
-from grmm_core.hair.body import BURIED, Body, Rim
+from grmm_core.hair import join, library_groom
+from grmm_core.hair.body import BURIED, Body, Rim, worn
+from grmm_core.hair.roots import BROWS, SCALP
 from grmm_core.head import load_open_head
 
 
@@ -92,3 +93,21 @@ def test_hair_ends_at_the_rim_of_the_bust(head):
     assert (ended[3:, -1, 1] > ended[:3, -1, 1] + 0.01).all()
     np.testing.assert_allclose(ended[:, 0], np.concatenate([down, down])[:, 0])
     np.testing.assert_array_equal(rim.ended(short, np.zeros(3)), short)
+
+
+def test_a_groom_worn_by_somebody_is_outside_of_their_skin_and_ends_at_the_rim(head):
+    template = np.asarray(head.v_template, float)
+    larger = template.copy()
+    larger[head.regions["scalp"]] *= 1.06
+    groom, brows = library_groom("long").level(0.05), library_groom("natural", part="brows")
+    made = worn(head, larger, join([groom, brows]))
+    np.testing.assert_array_equal(made.select(made.groups == BROWS).points, brows.points)
+    count = int(groom.counts[0])
+    before, after = (
+        some.posed(some.frames(template, head.faces), larger).reshape(-1, count, 3)
+        for some in (groom, made.select(made.groups == SCALP))
+    )
+    body, low = Body.of(head, larger), Rim.of(head, larger).heights.min()
+    inside = [(body.heights(part[:, 5:].reshape(-1, 3))[0] < -0.0005).mean() for part in (before, after)]
+    assert inside[1] < 0.005 < 0.02 < inside[0]
+    assert after[..., 1].min() > low - 0.005 > before[..., 1].min()

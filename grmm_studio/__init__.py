@@ -2,6 +2,6 @@
 
 Map, without bpy: `subjects` (who), `shots` (which expression, pose and cameras), `lights`, `fields` (where on a head is what),
 `styles`, `grooms`, `hair`, `face_hair`, `lashes` and `grooming` (strands), `mesh` (render mesh), `textures`, `wrinkles`. With
-bpy: `materials`, `strands`, `lamps`, `passes`, `scene`; above them `capture`. `sheet` makes contact sheets.
+bpy: `materials`, `strands`, `lamps`, `passes`, `scene`; above them `capture` with its `settings`. `sheet` makes contact sheets.
 Called by `grmm capture`; nothing in `grmm_core` or the Blender extension imports this package.
 """

@@ -8,15 +8,15 @@ cut short still has everybody. Imports bpy through `scene`, with the first shot.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from grmm_core.controls.frame import Controls, resolve
 from grmm_core.data.claims import claim
-from grmm_core.data.dataset import read_manifest, shot_record, write_manifest, write_shot, write_subject
+from grmm_core.data.dataset import shot_record, write_shot, write_subject
 from grmm_core.data.layers import ALBEDO, LIGHT_PREFIX, NORMAL, PART_LAYER
-from grmm_core.data.types import Manifest, Picture, Shot, View
+from grmm_core.data.types import Picture, Shot, View
 from grmm_core.errors import ConfigError
 from grmm_core.files.access import TEMPORARY_PATTERN
 from grmm_core.geometry.camera import Camera
@@ -26,54 +26,17 @@ from grmm_core.jobs.progress import ProgressCallback, Reporter, Share
 from grmm_core.jobs.stages import CAPTURE
 
 from .lights import RIG, draw_light, lights_named
-from .shots import MAX_CAMERAS, expression_pool, held_out, make_shot, view_split
+from .settings import CaptureSettings, check_settings, open_job, planned_shot, subject_name
+from .shots import view_split
 from .subjects import Subject, draw_subject
 
 if TYPE_CHECKING:
     from .scene import Studio
 
-STUDIO = 5  # raise whenever the pictures of a seed change: a capture is not continued with others
-UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
-MAX_SHOTS = 10_000  # their numbers have four digits in file names
 ROUND = 4  # shots of everybody before anybody's next ones
 # Blender's images of a person cannot be removed one by one (see `materials.Nodes.image`), so the studio is built anew after so
 # many people; each takes about 100 MB. A person who comes back must then be prepared again, which takes some seconds.
 PEOPLE_IN_STUDIO = 24
-TWINS_OF = ("", "all", "rest", "only")  # values of `CaptureSettings.bare`
-
-
-@dataclass(frozen=True)
-class CaptureSettings:
-    """What makes a capture; stored in its manifest, and the same for all processes of a job.
-
-    Attributes:
-        subjects, shots, views: People, shots a person, views a shot.
-        size: Picture side in pixels.
-        samples: Cycles samples a pixel.
-        seed: Seed of everything.
-        expressions: "all" or names.
-        varied_light: Another light for every shot.
-        subsurface: Light scattering in the skin (slower).
-        depth: Write depth maps.
-        bare: Views without hair: "" none, "all" a twin of each view, "rest" a twin of the neutral shot's views, and nothing
-            but the bare head in other shots (what trains the skin, at a third of the cost), "only" nothing but the bare head.
-        layers: Write part masks, albedo and normals.
-        lights: More lights in which every view is shown: "all" or names of `lights.SETUPS`; empty: none.
-    """
-
-    subjects: int = 24
-    shots: int = 12
-    views: int = 4
-    size: int = 384
-    samples: int = 4
-    seed: int = 0
-    expressions: str = "all"
-    varied_light: bool = False
-    subsurface: bool = False
-    depth: bool = True
-    bare: str = ""
-    layers: bool = False
-    lights: str = ""
 
 
 @dataclass(frozen=True)
@@ -103,67 +66,6 @@ def job_order(subjects: int, shots: int) -> Iterator[tuple[int, range]]:
             yield index, range(start, min(start + ROUND, shots))
 
 
-def check_settings(settings: CaptureSettings, only: Sequence[int] = ()) -> tuple[str, ...]:
-    """Check everything before a folder is touched; returns the expressions that may be used. Raises `ConfigError`."""
-    s = settings
-    if min(s.subjects, s.shots, s.size, s.samples) < 1:
-        raise ConfigError("--subjects, --shots, --size and --samples must be at least 1.")
-    if s.shots > MAX_SHOTS:
-        raise ConfigError(f"--shots {s.shots} is not possible; use at most {MAX_SHOTS}.")
-    if not 1 <= s.views <= MAX_CAMERAS:
-        raise ConfigError(f"--cameras {s.views} is not possible; use 1 to {MAX_CAMERAS}.")
-    if s.bare not in TWINS_OF:
-        raise ConfigError(f"--bare {s.bare} is not possible; use all, rest or only.")
-    if s.seed < 0:
-        raise ConfigError(f"--seed {s.seed} is not possible; use 0 or more.")
-    absent = [index for index in only if not 0 <= index < s.subjects]
-    if absent:
-        raise ConfigError(f"There is no person {absent[0]} for --only; choose from 0 to {s.subjects - 1}.")
-    lights_named(s.lights)
-    return expression_pool(s.expressions)
-
-
-def open_job(folder: Path, settings: CaptureSettings) -> None:
-    """Write the manifest of a new capture, or check that the existing one is the same.
-
-    Raises:
-        ConfigError: The settings are not possible, or the folder holds a capture of others or of another studio.
-    """
-    check_settings(settings)
-    values = asdict(settings)
-    if (folder / "dataset.json").exists():
-        known = read_manifest(folder).settings
-        studio = known.get("studio", UNNUMBERED_STUDIO)
-        if studio != STUDIO:
-            raise ConfigError(
-                f"{folder} holds a capture of studio {studio}, and this is studio {STUDIO}, whose pictures differ; "
-                "use another folder."
-            )
-        for key, value in values.items():
-            if known.get(key) != value:
-                difference = _difference(key, known.get(key), value)
-                raise ConfigError(f"{folder} holds a capture {difference}; use the same or another folder.")
-        return
-    values["studio"] = STUDIO
-    names = [subject_name(settings.seed, i) for i in range(settings.subjects)]
-    write_manifest(folder, Manifest("open_head", names, values, [n for i, n in enumerate(names) if held_out(i)]))
-
-
-def _difference(key: str, known: object, wanted: object) -> str:
-    """What differs, in the words of the command line."""
-    if key == "depth":
-        key, known, wanted = "no_depth", not known, not wanted
-    option = "--cameras" if key == "views" else "--" + key.replace("_", "-")
-    if isinstance(wanted, bool):
-        return f"without {option}" if wanted else f"with {option}"
-    return f"with {option} {known}, not {wanted}"
-
-
-def subject_name(seed: int, index: int) -> str:
-    """Name of a person, as `Subject.name`."""
-    return f"s{seed:04d}_{index:04d}"
-
-
 @dataclass(frozen=True)
 class Piece:
     """Some shots of one person.
@@ -180,7 +82,7 @@ class Piece:
     settings: CaptureSettings
     threads: int
     index: int
-    numbers: range
+    numbers: Sequence[int]
 
     @property
     def name(self) -> str:
@@ -228,7 +130,11 @@ def run_job(
     check_settings(settings, only)
     open_job(folder, settings)
     order = job_order(settings.subjects, settings.shots)
-    pieces = [Piece(folder, settings, threads, index, numbers) for index, numbers in order if not only or index in only]
+    people = [(index, numbers) for index, numbers in order if not only or index in only]
+    shown = [
+        (index, [number for number in numbers if planned_shot(settings, index, number).cameras]) for index, numbers in people
+    ]
+    pieces = [Piece(folder, settings, threads, index, numbers) for index, numbers in shown if numbers]
     records = [record for piece in pieces for record in piece.records]
     report = Reporter(CAPTURE, progress)
 
@@ -268,7 +174,7 @@ def _render_here(pieces: Sequence[Piece], said: Callable[[str, Path], None]) -> 
             for piece in pieces:
                 if piece.complete:
                     continue
-                with claim(piece.folder / "locks" / f"{piece.name}_{piece.numbers.start:04d}.lock") as mine:
+                with claim(piece.folder / "locks" / f"{piece.name}_{piece.numbers[0]:04d}.lock") as mine:
                     if not mine:
                         held.append(piece)
                         continue
@@ -319,7 +225,7 @@ class _Worker:
 
     def __init__(self, folder: Path, settings: CaptureSettings, threads: int) -> None:
         self.job = self.folder, self.settings, self.threads = folder, settings, threads
-        self.pool = check_settings(settings)
+        check_settings(settings)
         self.head = load_open_head()
         self.people = load_people_model()
         self._studio: Studio | None = None
@@ -341,7 +247,7 @@ class _Worker:
             self._subject = subject = draw_subject(s.seed, index, self.people)
             studio.set_subject(subject)
             write_subject(self.folder, subject.name, subject.shape, subject.to_json(), studio.groom)
-        plan = make_shot(s.seed, index, number, s.views, s.size, self.pool)
+        plan = planned_shot(s, index, number)
         controls = resolve(Controls(aligned=plan.aligned, pose=plan.pose), self.head)
         light = draw_light(s.seed * 1000003 + index * 1009 + number) if s.varied_light else RIG
         studio.set_shot(controls.expression, controls.pose, light)

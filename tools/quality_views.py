@@ -17,8 +17,8 @@ from grmm_core.data.dataset import write_manifest, write_shot, write_subject
 from grmm_core.data.types import HELD_OUT_EXPRESSION, Manifest, Shot, View
 from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head, load_people_model
-from grmm_studio.capture import STUDIO
 from grmm_studio.scene import Studio
+from grmm_studio.settings import STUDIO
 from grmm_studio.shots import CLOSE_FOV, DISTANCE, HELD_OUT_CAMERAS, make_shot, ring_camera
 from grmm_studio.subjects import draw_subject
 

@@ -51,6 +51,10 @@ def add_parser(subparsers: Any) -> None:
         "--lights", default="", metavar="all|NAMES", help="show every view in these lights too, such as key,sunset"
     )
     parser.add_argument(
+        "--splits", default="", metavar="NAMES",
+        help="render only views of these splits, such as camera,expression,person: held-out views again with more samples",
+    )  # fmt: skip
+    parser.add_argument(
         "--threads", type=int, default=2, metavar="N", help="render threads of each process (default: %(default)s)"
     )
     add_cluster(parser)
@@ -72,11 +76,13 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
         raise RuntimeMissingError(
             "Rendering needs Blender's Python module; install it with pip install bpy==4.5.15 on Python 3.11."
         )
-    from grmm_studio.capture import CaptureSettings, run_job
+    from grmm_studio.capture import run_job
+    from grmm_studio.settings import CaptureSettings
 
     settings = CaptureSettings(
         args.subjects, args.shots, args.cameras, args.size, args.samples, args.seed, args.expressions, args.varied_light,
         args.subsurface, not args.no_depth, args.bare, args.layers, args.lights,
+        args.splits,
     )  # fmt: skip
 
     with cluster_of(args) as cluster, args.console.progress(CAPTURE) as show:

@@ -61,6 +61,7 @@ def add_parser(subparsers: Any) -> None:
         "--fit", choices=METHODS, default="fast",
         help="how people are fitted from one view: by the presets of grmm fit, or by their codes alone (default: %(default)s)",
     )  # fmt: skip
+    parser.add_argument("--fid", metavar="FILE", help="also FID, with this Inception network (TorchScript)")
     parser.add_argument("--ablation", metavar="WEIGHTS", help="second weights, trained without residuals, on the same views")
     parser.add_argument("--no-ablations", action="store_true", help="do not draw again with residual codes switched off")
     parser.add_argument(
@@ -89,7 +90,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     if args.output is not None:
         make_folder(args.output)
     if args.cluster:
-        make_absolute(args, "weights", "data", "head", "output", "ablation", "lpips", "identity")
+        make_absolute(args, "weights", "data", "head", "output", "ablation", "lpips", "fid", "identity")
     stages = EVALUATION.only(_protocols(args.protocol))
     with cluster_of(args) as cluster:
         args.threads = args.threads or (cluster.threads if cluster is not None else None)
@@ -122,6 +123,7 @@ def _open(args: argparse.Namespace) -> Evaluation:
     import torch
 
     from ..data.readers import open_dataset
+    from ..evaluation.fid import InceptionFeatures
     from ..evaluation.protocols import Evaluation, Settings
     from ..evaluation.scene import Scene
     from ..head import load_flame
@@ -133,7 +135,7 @@ def _open(args: argparse.Namespace) -> Evaluation:
     device = _device(args.device)
     settings = Settings(
         args.limit, args.people, args.size or 0, args.fit, not args.no_ablations, not args.no_regions,
-        _distances(args, device), args.with_hair, args.seed,
+        _distances(args, device), args.with_hair, args.seed, InceptionFeatures(args.fid, device) if args.fid else None,
     )  # fmt: skip
     head = load_flame(args.head) if args.head else None
     datasets = [open_dataset(folder, head) for folder in args.data]

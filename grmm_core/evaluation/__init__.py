@@ -2,7 +2,7 @@
 
 The map:
 
-``metrics``          errors of one picture: whole frame, inside the mask, by region (``lpips``: from a user's weights)
+``metrics``          errors of one picture: whole frame, inside the mask, by region (``lpips``, ``fid``: with a user's networks)
 ``regions``          which region of the head each pixel shows
 ``scene``            a trained model that draws captured views, with parts switched off on request
 ``samples``          which views of a capture a protocol uses
@@ -15,7 +15,7 @@ The map:
 ``report``           rows to JSON, tables and picture sheets
 
 Uses `model`, `head`, `data`, `training` (losses, perceptual networks) and `fitting`. Called by the command line
-(`grmm evaluate`). Everything but `samples` and `report` imports torch.
+(`grmm evaluate`). Everything but `samples`, `report` and `fid` imports torch.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A held-out person's codes from one captured view, whose head parameters are known exactly.
 
 By `fitting.invert` as users get it (eq. 19 and 20), or by a short search of the codes alone (eq. 19) that needs nothing but the
-model. Both see one picture; shape, expression, pose and camera are the capture's, so that errors of tracking stay out of the
-figures (the monocular protocol has them in). Used by `protocols`.
+model. Both see one picture; shape, expression, pose, camera and the picture's labels are the capture's, so that errors of
+tracking and of the parser stay out of the figures (the monocular protocol has them in). Used by `protocols`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,14 @@ import torch
 from torch import Tensor
 
 from ..controls.frame import ALIGNED_TO_ARKIT
+from ..data.layers import PARTS
 from ..data.types import Shot
 from ..fitting.types import LANDMARK_COUNT, PhotoTrack
 from ..geometry.camera import Camera
 from ..head import HeadModel
 from ..jobs.progress import Reporter, Share, within
 from ..jobs.stages import FIT
+from ..photo.parser import LABELS
 from ..pictures.images import quantize, write_png
 from ..training.losses import LossWeights, reconstruction_loss
 from ..training.views import View, crop_to_person, shrink
@@ -41,6 +43,7 @@ MARGIN = 8  # pixels around the person
 FIT_SIZE = 384  # pixels
 _WEIGHTS = LossWeights()
 _GREY = 0.5
+_LABEL_OF = {"lashes": "eyes", "teeth": "mouth"}  # parts of the studio that the parser calls otherwise
 _TRACKED_SHARE = 0.1  # of the time, for the progress
 
 
@@ -102,7 +105,7 @@ def _inverted(scene: Scene, track: PhotoTrack, name: str, method: str, report: S
 
 
 def exact_track(head: HeadModel, sample: Sample, view: LoadedView, shape: np.ndarray) -> PhotoTrack:
-    """What perfect tracking would find in a captured view."""
+    """What perfect tracking and labels would find in a captured view."""
     shot = sample.shot
     alpha = view.mask[..., None]
     vertices = head.vertices(shape, shot.expression, shot.pose)
@@ -111,8 +114,23 @@ def exact_track(head: HeadModel, sample: Sample, view: LoadedView, shape: np.nda
         source=sample.name, image=view.image + (1.0 - alpha) * _GREY, mask=view.mask, valid=np.ones_like(view.mask),
         camera=view.camera, photo_camera=view.camera, shape=shape, expression=shot.expression,
         pose=shot.pose - head.pose_of(shot.expression), landmarks=landmarks, landmarks_fitted=landmarks,
-        arkit=np.clip(shot.aligned @ ALIGNED_TO_ARKIT, 0.0, 1.0),
+        arkit=np.clip(shot.aligned @ ALIGNED_TO_ARKIT, 0.0, 1.0), labels=known_labels(sample, view),
     )  # fmt: skip
+
+
+def known_labels(sample: Sample, view: LoadedView) -> np.ndarray | None:
+    """What a captured view shows in each pixel, as `PhotoTrack.labels`; None where the capture does not say.
+
+    The studio's skin is the parser's skin, ears, lips and neck in one: nothing else tells them apart after tracking.
+    """
+    parts = sample.parts(max(view.mask.shape))
+    if parts is None or parts.shape[1:] != view.mask.shape:
+        return None
+    labels = np.zeros((len(LABELS), *view.mask.shape), np.float32)
+    labels[LABELS.index("background")] = 1.0 - view.mask
+    for name, cover in zip(PARTS, parts, strict=True):
+        labels[LABELS.index(_LABEL_OF.get(name, name))] += cover
+    return labels
 
 
 def projected(points: np.ndarray, camera: Camera) -> np.ndarray:

@@ -14,10 +14,11 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from torch import Tensor
 
 from ..data.dataset import CaptureDataset
 from ..data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, TRAIN, Shot, View
@@ -58,6 +59,7 @@ class Settings:
         hair: Draw people in the strands that their captures recorded, on the views that show hair; people are fitted from
             views without, where the weights have none.
         seed: Of the choice of views.
+        features: Of a picture, for FID (`fid.InceptionFeatures`); None leaves it out.
     """
 
     limit: int = 60
@@ -69,6 +71,7 @@ class Settings:
     distances: Mapping[str, Distance] = field(default_factory=dict)
     hair: bool = False
     seed: int = 0
+    features: Callable[[Tensor], np.ndarray] | None = None
 
 
 @dataclass
@@ -83,6 +86,7 @@ class Row:
         variants: Errors of the refined picture by form of the residuals.
         ablation: Errors of the second model's refined picture, or None.
         pictures: Truth, refined and splatted picture, each [H, W, 3] uint8.
+        features: Of truth and refined picture, for FID.
     """
 
     sample: Sample
@@ -92,6 +96,7 @@ class Row:
     variants: dict[str, Errors] = field(default_factory=dict)
     ablation: Errors | None = None
     pictures: tuple[np.ndarray, ...] = ()
+    features: tuple[np.ndarray, ...] = ()
 
 
 @dataclass
@@ -189,7 +194,7 @@ class Evaluation:
         refined = self.scene.model.refinement is not None
         raw = errors_of(rendering.raw, truth, mask, regions, distances) if refined else errors
         pictures = tuple(quantize(picture.cpu().numpy()) for picture in (truth, rendering.image, rendering.raw))
-        row = Row(sample, person, errors, raw, pictures=pictures)
+        row = Row(sample, person, errors, raw, pictures=pictures, features=self._features(truth, rendering.image))
         if self.settings.ablations:
             for variant in self.scene.variants:
                 if variant != FULL:
@@ -211,12 +216,17 @@ class Evaluation:
 
         image = haired.draw(person, sample.shot, view.camera, seen)
         hair = sample.hair(self.settings.size)
+        hair = np.zeros_like(view.mask) if hair is None else hair
         regions = self._regions(sample, view) | {HAIR: hair > MASK_LEVEL} if self.settings.regions else {}
         drawn, truth, mask = (self.scene.tensor(array) for array in (image, view.image, view.mask))
         errors = errors_of(drawn, truth, mask, regions, self.settings.distances)
         errors.turned = turned_degrees(image, view.image, hair)
         pictures = tuple(quantize(picture) for picture in (view.image, image, image))
-        return Row(sample, person, errors, errors, pictures=pictures)
+        return Row(sample, person, errors, errors, pictures=pictures, features=self._features(truth, drawn))
+
+    def _features(self, *pictures: Tensor) -> tuple[np.ndarray, ...]:
+        features = self.settings.features
+        return () if features is None else tuple(features(picture) for picture in pictures)
 
     def _tracked_photos(self) -> Result:
         """The monocular protocol with the project's own tracking."""

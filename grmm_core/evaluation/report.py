@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..training.losses import psnr_of
+from .fid import FID, frechet_distance
 from .regions import REGIONS
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ def summary(result: Result) -> dict[str, Any]:
     """
     rows = result.rows
     values: dict[str, Any] = {"views": len(rows), "people": len({row.person.name for row in rows})}
-    values["refined"] = _means(row.errors for row in rows)
+    values["refined"] = _means(row.errors for row in rows) | _fid(rows)
     values["unrefined"] = _means(row.raw for row in rows)
     for variant in rows[0].variants if rows else ():
         values[variant] = _means(row.variants[variant] for row in rows)
@@ -150,6 +151,11 @@ def _means(errors: Iterable[Errors]) -> dict[str, float]:
     if any(math.isfinite(e.turned) for e in every):
         means["turned"] = _mean(e.turned for e in every)
     return means | {name: _mean(e.perceptual[name] for e in every if name in e.perceptual) for name in distances}
+
+
+def _fid(rows: Sequence[Row]) -> dict[str, float]:
+    pairs = [row.features for row in rows if row.features]
+    return {FID: frechet_distance(*(np.array(side) for side in zip(*pairs, strict=True)))} if len(pairs) > 1 else {}
 
 
 def _pair(pairs: Iterable[tuple[float, float]]) -> dict[str, float]:

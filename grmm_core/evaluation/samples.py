@@ -58,15 +58,20 @@ class Sample:
         """Whether no expression is performed."""
         return float(np.abs(self.shot.aligned).max(initial=0.0)) < NEUTRAL_NORM
 
-    def hair(self, size: int = 0) -> np.ndarray:
-        """Cover of scalp hair in the picture, 0..1 [H, W] float32, reduced as `load` does; nothing where no layer says."""
-        camera, layers = self.view.camera, self.view.layers
-        if PART_LAYER not in layers:
-            return np.zeros((camera.height, camera.width), np.float32)
-        cover: np.ndarray = self.dataset.layer(self.shot, self.view, PART_LAYER)[PARTS.index("hair")]
-        step = max(1, round(max(cover.shape) / size)) if size else 1
-        rows, columns = (count // step * step for count in cover.shape)
-        return cover[:rows, :columns].reshape(rows // step, step, columns // step, step).mean((1, 3)).astype(np.float32)
+    def parts(self, size: int = 0) -> np.ndarray | None:
+        """Cover of each of `data.layers.PARTS`, 0..1 [P, H, W] float32, reduced as `load` does; None where no layer says."""
+        if PART_LAYER not in self.view.layers:
+            return None
+        cover: np.ndarray = self.dataset.layer(self.shot, self.view, PART_LAYER)
+        step = max(1, round(max(cover.shape[1:]) / size)) if size else 1
+        rows, columns = (count // step * step for count in cover.shape[1:])
+        blocks = cover[:, :rows, :columns].reshape(len(cover), rows // step, step, columns // step, step)
+        return blocks.mean((2, 4)).astype(np.float32)
+
+    def hair(self, size: int = 0) -> np.ndarray | None:
+        """Cover of scalp hair, as `parts`, [H, W]."""
+        parts = self.parts(size)
+        return None if parts is None else parts[PARTS.index("hair")]
 
 
 @dataclass(frozen=True)

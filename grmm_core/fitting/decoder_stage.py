@@ -275,9 +275,10 @@ class Tuner:
         """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
         maps = self.blended()
         if fill:
-            start = self.decoded[0].colors + self.tint
+            decoded = self.decoded[0].colors
+            prior, start = recolor(decoded, self.codes.maps, self.surface), decoded + self.tint
             folded = torch.stack([lid_exposure(self.model, view) for view in self.levels[0]]).amin(0)
-            maps["color"] = fill_colors(self.surface, start, maps["color"], self.seen, folded, self._hairy())
+            maps["color"] = fill_colors(self.surface, prior, start, maps["color"], self.seen, folded, self._hairy())
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)

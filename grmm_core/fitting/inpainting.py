@@ -2,7 +2,7 @@
 
 ``facing``          skin that a photo sees edge-on tells nothing
 ``lid_exposure``    skin that lies folded away in the photo and comes out when the eyes close
-``fill_colors``    tone of skin, change of hair, spread along the surface; hair of no other color than the photo's
+``fill_colors``    change of skin and hair, spread along the surface; hair of no other color than the photo's
 
 Called by `decoder_stage`. Imports torch.
 """
@@ -26,8 +26,7 @@ SURELY_SEEN = (0.2, 0.6)  # below the first a texel's color counts as unknown, a
 LID_TRAVEL = (0.001, 0.003)  # metres that closing the eyes moves skin: below the first it was seen, above the second folded
 LASH_LINE = (0.0018, 0.0032)  # metres from the lashes up to which a lid's edge keeps its dark line, and from where it does not
 LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may be, and from where on it is not believed
-SURFACE_LID_SHADE = (0.15, 0.35)  # likewise on a closed surface, whose lids keep their crease and have lashes of their own
-BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like
+BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like, or changed otherwise
 FEATHER_TEXELS, FADES = 5.0, (0.05, 0.45)  # how far what was seen goes on before plain skin stands: length, smoothed knowledge
 EDGE_TEXELS, EDGE = 12.0, (0.5, 0.75)  # likewise beside the face where what was seen last is darker than plain skin
 # beside the face and below it: smooth shading over so many texels, how much of it is kept, and what more where it is well seen
@@ -93,35 +92,35 @@ def _lids(head: HeadModel) -> Tensor:
 
 
 def fill_colors(
-    surface: Surface, start: Tensor, changes: Tensor, seen: Tensor, folded: Tensor, hairy: Tensor
+    surface: Surface, prior: Tensor, start: Tensor, changes: Tensor, seen: Tensor, folded: Tensor, hairy: Tensor
 ) -> Tensor:  # fmt: skip
     """Changes of color [N, 3] with those of unseen texels.
 
-    What is filled in on skin is the tone, not the change: the decoded tone may be wrong just where nothing is seen, as on
-    lids. Where hair falls over a cheek, unseen skin behind it goes on as hair, and does not take the other cheek's color. On
-    the scalp and inside it is the change: the decoded hair at the back goes with that at the sides, but takes no tint that the
-    seen hair does not have.
+    A head without hair keeps what the prior decodes where nothing is seen, with the change of the skin around: the shade of
+    neck, ears, nostrils and scalp is the prior's. Where the Gaussians have hair, what is filled in on skin is the tone, not
+    the change: the decoded tone may be wrong just where nothing is seen, as on lids. Where hair falls over a cheek, unseen
+    skin behind it goes on as hair, and does not take the other cheek's color. On the scalp and inside it is the change: the
+    decoded hair at the back goes with that at the sides, but takes no tint that the seen hair does not have.
 
     Args:
         surface: Texels.
-        start: Colors that the changes are added to, [N, 3].
+        prior: Colors of stage 1 in all their detail, [N, 3].
+        start: Colors that the changes are added to: the same with smoothed skin, [N, 3].
         changes: [N, 3].
         seen: How well each texel was seen, 0..1, [N].
         folded: `lid_exposure`, [N].
         hairy: Share of each texel's pixels that are hair before the face, 0..1, [N].
     """
-    tone = surface.smooth(start, TONE_TEXELS)
     # what peeps out at the edge of something else, as a raised lid does, has not been seen
     known = ((seen - SURELY_SEEN[0]) / (SURELY_SEEN[1] - SURELY_SEEN[0])).clamp(0, 1)
+    if not bool((surface.group == SCALP).any()):
+        return _fill_surface(surface, prior, start, changes, known, known * (1.0 - folded))
+    tone = surface.smooth(start, TONE_TEXELS)
     around = _bare_skin(surface, start + changes, known * (1.0 - folded))
     darker = around.mean(1) - (start + changes).mean(1)
-    hairless = not bool((surface.group == SCALP).any())
-    low, high = SURFACE_LID_SHADE if hairless else LID_SHADE
-    shade = ((darker - low) / (high - low)).clamp(0, 1)  # the fold's shadow, lashes, the iris
+    shade = ((darker - LID_SHADE[0]) / (LID_SHADE[1] - LID_SHADE[0])).clamp(0, 1)  # the fold's shadow, lashes, the iris
     shown = torch.lerp(start + changes, around, (folded * shade)[:, None])
     skin_known = torch.maximum(known, folded * shade)
-    if hairless:
-        return _fill_surface(surface, start, changes, shown - tone, tone, skin_known, known)
     filled = tone + surface.fill(shown - tone, skin_known, rest=COLOR_REST)
     if bool((hairy > 0.0).any()):
         beside = tone + surface.fill(shown - tone, skin_known, mirrored=False, rest=COLOR_REST)
@@ -135,22 +134,24 @@ def fill_colors(
 
 
 def _fill_surface(
-    surface: Surface, start: Tensor, changes: Tensor, shown: Tensor, tone: Tensor, skin_known: Tensor, known: Tensor
-) -> Tensor:
-    """Changes of color [N, 3] of a head without hair, whose skin fades from what was seen into an even tone.
+    surface: Surface, prior: Tensor, start: Tensor, changes: Tensor, known: Tensor, plain_known: Tensor
+) -> Tensor:  # fmt: skip
+    """Changes of color [N, 3] of a head without hair, which fades from what was seen into the prior, changed as the skin is.
 
-    Only plain skin is spread far: shadows of hair and chin stay where they were seen, and fade out beyond.
+    Only what plain skin has in common is spread far: shadows of hair and chin stay where they were seen, and fade out beyond.
+    Lips, teeth and eyes have colors of their own, and where they were not seen they keep the prior's.
     """
     skin = surface.group == SKIN
-    sample = shown[skin & (skin_known > 0.5)].mean(1)
-    plain = skin_known
+    change = start + changes - prior
+    sample = change[skin & (plain_known > 0.5)].mean(1)
+    plain = plain_known
     if len(sample) >= _FEW_TEXELS:
-        even = (shown.mean(1) - torch.quantile(sample, 0.5)).abs()
-        plain = skin_known * (1.0 - even / BARE_SKIN).clamp(0, 1)
-    beyond, between = (surface.fill(shown, part, rest=COLOR_REST) for part in (plain, skin_known))
-    inner = surface.smooth((skin_known / HALF_KNOWN).clamp(0, 1)[:, None], FEATHER_TEXELS)
-    seen = torch.lerp(between, shown, skin_known[:, None])  # with its small gaps, as between the lips
-    far = surface.smooth((skin_known / HALF_KNOWN).clamp(0, 1)[:, None], EDGE_TEXELS)
+        odd = (change.mean(1) - torch.quantile(sample, 0.5)).abs()
+        plain = plain_known * (1.0 - odd / BARE_SKIN).clamp(0, 1)
+    beyond, between = (surface.fill(change, part, rest=COLOR_REST) for part in (plain, plain_known))
+    inner = surface.smooth((plain_known / HALF_KNOWN).clamp(0, 1)[:, None], FEATHER_TEXELS)
+    seen = torch.lerp(between, change, plain_known[:, None])  # with its small gaps, as between the lips
+    far = surface.smooth((plain_known / HALF_KNOWN).clamp(0, 1)[:, None], EDGE_TEXELS)
     dark = ((beyond - seen).mean(1, keepdim=True) / BARE_SKIN).clamp(0, 1)
     edge = surface.beside[:, None] * ((EDGE[1] - far) / (EDGE[1] - EDGE[0])).clamp(0, 1)
     seen = torch.lerp(seen, beyond, edge * dark)
@@ -158,8 +159,9 @@ def _fill_surface(
     doubted = surface.beside[:, None] * (1.0 - WELL_SEEN * far.clamp(0, 1))
     most = SHADING + (NECK_SHADING - SHADING) * surface.below[:, None]
     seen = seen - doubted * (off - most * torch.tanh(off / most))
-    outer = tone + torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1)) - start
-    return torch.where(skin[:, None], outer, surface.fill(changes, known))
+    outer = torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1))
+    alone = known[:, None] * change
+    return prior - start + torch.where((skin & ~surface.lips)[:, None], outer, alone)
 
 
 def _bare_skin(surface: Surface, colors: Tensor, known: Tensor) -> Tensor:

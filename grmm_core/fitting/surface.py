@@ -47,6 +47,7 @@ class Surface:
         average: Mean of each texel and its neighbours, [N, N] sparse.
         beside: How far it is beside the face's features or below the chin, 0..1, [N].
         below: How far below the chin, 0..1, [N].
+        lips: Whether it is of the lips, [N].
     """
 
     group: Tensor
@@ -55,6 +56,7 @@ class Surface:
     average: FixedSparse
     beside: Tensor
     below: Tensor
+    lips: Tensor
 
     @property
     def membership(self) -> Tensor:
@@ -111,10 +113,12 @@ def texel_surface(model: GRMM) -> Surface:
         rows, columns, values = np.concatenate([edges[0], edges[1]]), np.concatenate([edges[1], edges[0]]), np.tile(weight, 2)
         matrices.append(FixedSparse((rows, columns, values), (count, count)).to(model.device))
         degrees.append(np.bincount(rows, values, count))
+    beside, below = torch.tensor(np.stack(_beside(head, positions)), dtype=model.dtype, device=model.device)
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
-        *torch.tensor(np.stack(_beside(head, positions)), dtype=model.dtype, device=model.device),
+        beside, below,
+        torch.tensor(head.marked("lips")[faces].all(1), device=model.device),
     )  # fmt: skip
 
 

@@ -18,6 +18,7 @@ from ..geometry.camera import Camera
 FORMAT = "grmm-tracks"
 VERSION = 1
 LANDMARK_COUNT = 478
+LABEL_COUNT = 14
 _CAMERAS = ("camera", "photo_camera")
 
 
@@ -41,6 +42,8 @@ class PhotoTrack:
         landmarks: MediaPipe's 478 landmarks as found, pixels of the working picture, [478, 2].
         landmarks_fitted: The head model's, likewise.
         arkit: The 52 ARKit coefficients as the network reported them (a start value, no measurement), [52].
+        labels: What each pixel shows where that is known (of a capture), as `photo.parser.PhotoParts` orders it, 0..1,
+            [14, H, W]; None asks the parser.
         presence: Confidence that the landmarks are a face's, 0..1.
     """
 
@@ -56,6 +59,7 @@ class PhotoTrack:
     landmarks: np.ndarray
     landmarks_fitted: np.ndarray
     arkit: np.ndarray
+    labels: np.ndarray | None = None
     presence: float = 1.0
 
     def __post_init__(self) -> None:
@@ -64,6 +68,8 @@ class PhotoTrack:
             "image": (height, width, 3), "mask": (height, width), "valid": (height, width), "pose": (5, 3), "arkit": (52,),
             "landmarks": (LANDMARK_COUNT, 2), "landmarks_fitted": (LANDMARK_COUNT, 2),
         }  # fmt: skip
+        if self.labels is not None:
+            wanted["labels"] = (LABEL_COUNT, height, width)
         for item in fields(self):
             value = getattr(self, item.name)
             if not isinstance(value, np.ndarray):
@@ -130,7 +136,8 @@ def load_tracks(path: str | os.PathLike[str]) -> list[PhotoTrack]:
                 presence=float(tensors[f"{index}.presence"]),
                 camera=_camera(tensors, f"{index}.camera"),
                 photo_camera=_camera(tensors, f"{index}.photo_camera"),
-                **{name: tensors[f"{index}.{name}"] for name in arrays},
+                **{name: tensors[f"{index}.{name}"] for name in arrays if name != "labels"},
+                labels=tensors.get(f"{index}.labels"),
             )
             for index in range(int(metadata["count"]))
         ]

@@ -84,6 +84,7 @@ class Tracked(Protocol):
     shape: np.ndarray
     expression: np.ndarray
     pose: np.ndarray
+    labels: np.ndarray | None
 
 
 LABELS = tuple(item.name for item in fields(PhotoParts))
@@ -91,12 +92,16 @@ LABELS = tuple(item.name for item in fields(PhotoParts))
 
 @lru_cache(maxsize=8)
 def parse(track: Tracked, head: HeadModel) -> PhotoParts:
-    """Label the working picture of a tracked photo. The last few answers are kept, for a fit asks at every resolution.
+    """Label the working picture of a tracked photo, or take the labels that are known.
+
+    The last few answers are kept, for a fit asks at every resolution.
 
     Args:
         track: The photo.
         head: The model that it was tracked with.
     """
+    if track.labels is not None:
+        return PhotoParts(*track.labels)
     planes = np.concatenate([track.image, track.mask[..., None], track.valid[..., None]], -1)
     pixels = torch.from_numpy(np.ascontiguousarray(planes, np.float32)).permute(2, 0, 1)[None]
     small = functional.interpolate(pixels, (SIZE, SIZE), mode="bilinear", antialias=True, align_corners=False)

@@ -24,9 +24,10 @@ from grmm_core.hair.lashes import lash_edges
 from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
 from grmm_core.head.open_head import load_open_head, load_people_model
 from grmm_studio import grooming
-from grmm_studio.capture import CaptureSettings, job_order, open_job
+from grmm_studio.capture import job_order
 from grmm_studio.grooming import make_groom, scalp_hairs
 from grmm_studio.grooms import growth_of
+from grmm_studio.settings import CaptureSettings, open_job
 from grmm_studio.shots import expression_pool, held_out, make_shot, view_split
 from grmm_studio.styles import HAIR_STYLES
 from grmm_studio.subjects import draw_subject, skin_albedo

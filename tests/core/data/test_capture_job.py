@@ -23,11 +23,13 @@ from grmm_core.cli import main
 from grmm_core.data.claims import claim
 from grmm_core.data.dataset import CaptureDataset, read_manifest
 from grmm_core.data.layers import ALBEDO, NORMAL, PART_LAYER, PARTS
-from grmm_core.data.types import Picture
+from grmm_core.data.types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, Picture
 from grmm_core.errors import ConfigError, FileAccessError
 from grmm_core.jobs.stages import CAPTURE
 from grmm_studio import capture
-from grmm_studio.capture import STUDIO, CaptureSettings, Outcome, check_settings, open_job, run_job
+from grmm_studio import settings as settings_module
+from grmm_studio.capture import Outcome, run_job
+from grmm_studio.settings import STUDIO, CaptureSettings, check_settings, open_job
 from grmm_studio.sheet import write_sheet
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -282,7 +284,7 @@ def test_a_capture_of_another_studio_is_not_continued(tmp_path, monkeypatch):
     with pytest.raises(ConfigError, match=f"studio 2, and this is studio {STUDIO}.*use another folder"):
         open_job(tmp_path, CaptureSettings())  # made before the number was recorded
     open_job(tmp_path / "new", CaptureSettings())
-    monkeypatch.setattr(capture, "STUDIO", STUDIO + 1)
+    monkeypatch.setattr(settings_module, "STUDIO", STUDIO + 1)
     with pytest.raises(ConfigError, match=f"studio {STUDIO}, and this is studio {STUDIO + 1}.*use another folder"):
         open_job(tmp_path / "new", CaptureSettings())
 
@@ -336,6 +338,30 @@ def test_layers_twins_and_lights_are_written_for_every_view(tmp_path):
     with pytest.raises(ConfigError, match="'lava'"):
         run_job(tmp_path / "other", replace(settings, lights="lava"))
     assert not (tmp_path / "other").exists()
+
+
+def test_views_of_some_splits_alone_are_the_same_views(tmp_path):
+    whole = replace(SETTINGS, subjects=1, shots=8, views=8)
+    held = replace(whole, splits="camera,expression")
+    run_job(tmp_path / "whole", whole)
+    outcome = run_job(tmp_path / "held", held)
+    every, some = CaptureDataset(tmp_path / "whole"), CaptureDataset(tmp_path / "held")
+    kept = [(shot.number, view.name) for shot, view in every.views(HELD_OUT_CAMERA, HELD_OUT_EXPRESSION)]
+    assert [(shot.number, view.name) for shot, view in some.views()] == kept
+    assert 0 < outcome.total < 8, "shots without such views are no work"
+    assert run_job(tmp_path / "held", held).made == 0
+    with pytest.raises(ConfigError, match="'test' for --splits"):
+        run_job(tmp_path / "other", replace(whole, splits="test"))
+
+
+def test_captures_of_before_a_setting_go_on_with_its_default(tmp_path):
+    run_job(tmp_path, replace(SETTINGS, subjects=1, shots=1))
+    manifest = json.loads((tmp_path / "dataset.json").read_text())
+    del manifest["settings"]["splits"]
+    (tmp_path / "dataset.json").write_text(json.dumps(manifest))
+    assert run_job(tmp_path, replace(SETTINGS, subjects=1, shots=1)).complete == 1
+    with pytest.raises(ConfigError, match="with --splits"):
+        run_job(tmp_path, replace(SETTINGS, subjects=1, shots=1, splits="person"))
 
 
 def test_after_the_neutral_shot_nothing_but_the_bare_head_is_rendered_where_that_is_asked_for(tmp_path):

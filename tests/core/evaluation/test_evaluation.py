@@ -17,7 +17,7 @@ from tiny_model import write_tiny_weights
 from grmm_core.avatar import AssetReference, Avatar
 from grmm_core.cli import main
 from grmm_core.data.dataset import CaptureDataset
-from grmm_core.errors import ConfigError, FileFormatError
+from grmm_core.errors import ConfigError, FileAccessError, FileFormatError
 from grmm_core.evaluation import protocols, report
 from grmm_core.evaluation.disentanglement import smoothness, spread
 from grmm_core.evaluation.haired import turned_degrees
@@ -375,6 +375,66 @@ def test_exact_tracks_are_what_the_capture_says(scene, folder):
     inside = (track.landmarks > 0).all() and (track.landmarks < 48).all()
     assert inside
     np.testing.assert_allclose(track.image[0, 0], 0.5)  # nobody is in the corner
+
+
+class ColorFeatures(torch.nn.Module):
+    """Stands for Inception: the mean colors of a picture's quarters."""
+
+    def forward(self, pictures: torch.Tensor, return_features: bool = False) -> torch.Tensor:
+        assert pictures.dtype == torch.uint8
+        assert return_features
+        return torch.nn.functional.adaptive_avg_pool2d(pictures.float() / 255.0, 2).flatten(1)
+
+
+def test_fid_is_measured_with_a_users_network(scene, folder, tmp_path):
+    from grmm_core.evaluation.fid import FID, InceptionFeatures
+
+    path = tmp_path / "network.pt"
+    torch.jit.script(ColorFeatures()).save(str(path))
+    runs = evaluation(scene, folder, ablations=False, regions=False, features=InceptionFeatures(path))
+    result = runs.run("reconstruction")
+    truth, drawn = (np.array(side) for side in zip(*(row.features for row in result.rows), strict=True))
+    figure = report.summary(result)["refined"][FID]
+    spreads = [np.cov(side, rowvar=False) for side in (truth, drawn)]
+    roots = np.sqrt(np.linalg.eigvals(spreads[0] @ spreads[1]).astype(complex)).real.sum()
+    expected = np.square(truth.mean(0) - drawn.mean(0)).sum() + np.trace(spreads[0]) + np.trace(spreads[1]) - 2.0 * roots
+    assert figure == pytest.approx(expected, abs=1e-6)
+    assert figure > 0.0
+    assert FID in report.table({"reconstruction": report.summary(result)})
+    (tmp_path / "other.pt").write_bytes(b"PK nothing")
+    with pytest.raises(FileFormatError, match="inception-2015"):
+        InceptionFeatures(tmp_path / "other.pt")
+    with pytest.raises(FileAccessError):
+        InceptionFeatures(tmp_path / "missing.pt")
+
+
+def test_a_set_is_no_distance_from_itself():
+    from grmm_core.evaluation.fid import frechet_distance
+
+    features = np.random.default_rng(0).normal(size=(6, 40))
+    assert frechet_distance(features, features[::-1]) == pytest.approx(0.0, abs=1e-9)
+    assert frechet_distance(features, features + 1.0) == pytest.approx(40.0)
+    assert np.isnan(frechet_distance(features[:1], features))
+
+
+def test_exact_tracks_know_what_each_pixel_shows(scene, folder, monkeypatch):
+    from grmm_core.data.layers import PARTS
+    from grmm_core.evaluation.person_fit import exact_track
+    from grmm_core.evaluation.samples import Sample
+    from grmm_core.photo.parser import parse
+
+    dataset = CaptureDataset(folder)
+    sample = next(s for s in samples([dataset], "person"))
+    view = load(sample)
+    assert exact_track(scene.head, sample, view, dataset.shape(HELD_OUT)).labels is None  # the capture does not say
+    masks = np.zeros((len(PARTS), *view.mask.shape), np.float32)
+    masks[PARTS.index("skin")], masks[PARTS.index("teeth"), 20:24] = view.mask, 0.5
+    monkeypatch.setattr(Sample, "parts", lambda self, size=0: masks)
+    parts = parse(exact_track(scene.head, sample, view, dataset.shape(HELD_OUT)), scene.head)
+    np.testing.assert_array_equal(parts.skin, view.mask)
+    np.testing.assert_array_equal(parts.background, 1.0 - view.mask)
+    np.testing.assert_array_equal(parts.mouth[20:24], 0.5)
+    assert not parts.hair.any()
 
 
 @pytest.mark.parametrize("found", [True, False])

@@ -35,6 +35,7 @@ class AvatarShot:
         strands: Curves in the place of the groom of `hair`; None: there are none.
         note: One sentence about what it should wear and cannot, or "".
         response: How it takes the scene's light; None: it stays in the studio's.
+        lighting: That light, where solid view shows it; None: as `response` says, in the shot of the scene.
     """
 
     name: str
@@ -45,6 +46,7 @@ class AvatarShot:
     cloud: CloudShot | None = None
     hair: HairUse = WEARS_ITS_OWN
     response: Response | None = None
+    lighting: Lighting | None = None
     strands: StrandShot | None = None
     note: str = ""
 

@@ -201,4 +201,12 @@ def same_shot(one: AvatarShot, other: AvatarShot) -> bool:
         return False
     if one.hair is not other.hair or one.strands is not other.strands or one.note != other.note:
         return False
-    return one.controls.key() == other.controls.key()
+    return _light_key(one) == _light_key(other) and one.controls.key() == other.controls.key()
+
+
+def _light_key(shot: AvatarShot) -> tuple[object, ...]:
+    """What light a shot's colors depend on."""
+    if shot.lighting is None:
+        return ()
+    around = shot.lighting.surroundings
+    return repr(shot.lighting.lamps), shot.response, b"" if around is None else around.coefficients.tobytes()

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import bpy
@@ -12,10 +13,15 @@ import numpy as np
 
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
+from ...grmm_core.light.lamps import Lighting
+from ...grmm_core.light.rough import rough_normals, roughly_lit
+from ...grmm_core.light.shading import Response
 from ...grmm_core.session import CloudArrays, RenderOptions
 from ...grmm_core.session.harmonics import harmonic_basis
+from ...grmm_core.splat.types import GaussianArrays
 from .. import session_host
 from ..engine.pipeline import hair_of, open_instances
+from ..scene.lights import LightReader
 from ..scene.meshes import SOLID_DISPLAYS, drawn_triangles
 from ..scene.shot import AvatarShot
 from ..scene.walk import Drawn, walk
@@ -50,7 +56,8 @@ class DrawnScene:
     def __init__(self, depsgraph: bpy.types.Depsgraph) -> None:
         """Walk over the scene; nothing is copied before a viewport shows it."""
         self._depsgraph = depsgraph
-        self._drawn = walk(depsgraph)
+        self._lights = LightReader()
+        self._drawn = walk(depsgraph, lambda instance, _: self._lights.visit(instance))
         self._shots: dict[Drawn, AvatarShot | GrmmError] = {}
         self._triangles: dict[bpy.types.Object, tuple[np.ndarray, ...]] = {}
 
@@ -75,10 +82,20 @@ class DrawnScene:
     def _shot(self, drawn: Drawn) -> AvatarShot | GrmmError:
         if drawn not in self._shots:
             try:
-                self._shots[drawn] = drawn.shot(self._depsgraph)
+                self._shots[drawn] = self._lit(drawn.shot(self._depsgraph), drawn)
             except GrmmError as error:
                 self._shots[drawn] = error
         return self._shots[drawn]
+
+    @functools.cached_property
+    def _lighting(self) -> Lighting:
+        return self._lights.lighting(self._depsgraph.scene_eval, ())
+
+    def _lit(self, shot: AvatarShot, drawn: Drawn) -> AvatarShot:
+        """A shot with the scene's light, where its avatar takes it."""
+        if shot.response is None:
+            return shot
+        return replace(shot, response=self._lights.linked(shot.response, drawn.object), lighting=self._lighting)
 
     def _surface(self, mesh: bpy.types.Object) -> tuple[np.ndarray, ...]:
         """World triangles of a mesh that the viewport draws as a surface, or nothing."""
@@ -120,9 +137,17 @@ def world_gaussians(shot: AvatarShot, camera: Camera, lod: int) -> WorldGaussian
     info = session_host.open_avatar(shot.source)
     direction = view_direction(shot, camera)
     found = session_host.get_session().gaussians(info.id, shot.controls.validate(), direction, lod, hair=hair_of(shot))
+    colors = found.colors if shot.lighting is None else _lit_colors(found, shot, shot.lighting)
     return WorldGaussians.place(
-        found.means, found.quats, found.scales, found.opacities, found.colors, shot.model_to_world, info.antialiased
+        found.means, found.quats, found.scales, found.opacities, colors, shot.model_to_world, info.antialiased
     )
+
+
+def _lit_colors(found: GaussianArrays, shot: AvatarShot, lighting: Lighting) -> np.ndarray:
+    """Colors [N, 3] of an avatar in the scene's light, roughly."""
+    response = shot.response or Response()
+    own = lighting.without(response.unlit_by).in_space(np.linalg.inv(shot.model_to_world))
+    return roughly_lit(found.colors, found.means, rough_normals(found.means, found.quats, found.scales), own, response)
 
 
 def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:

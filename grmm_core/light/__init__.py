@@ -9,6 +9,8 @@
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``hair_shading``  the same for strands
 ``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting; ``strand_light_kernel`` strands
+``resting``       what light does on a head at rest, made once for a person
+``rough``         all of it at a glance, for viewports
 ``relight``       both applied to a picture in linear light
 ``parse``         lights in words, for the command line
 

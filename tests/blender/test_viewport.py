@@ -113,6 +113,16 @@ def test_only_what_changed_is_made_anew(drawn):
     assert found["pose_changed"] > 0.001
 
 
+def test_lamps_light_a_head_that_takes_the_scenes_light(drawn):
+    found, stored = drawn
+    assert max(found["studio"]) < 1e-3
+    right, left = (stored[f"lit_{side}"][..., :3].mean(-1) for side in ("right", "left"))
+    half = right.shape[1] // 2
+    assert right[:, half:].mean() > 1.5 * left[:, half:].mean()
+    assert left[:, :half].mean() > 1.5 * right[:, :half].mean()
+    np.testing.assert_allclose(stored["lit_right"][..., 3], stored["avatar"][..., 3], atol=1e-3)
+
+
 def test_splats_go_along_with_a_rig_that_is_dragged(drawn):
     found, _ = drawn
     old_ones, late, moved = found["dragged"]

@@ -247,6 +247,28 @@ overlay._on_change()
 settle()
 report(dragged=[went_along, float(np.abs(along - newest).mean()), float(np.abs(standing - newest).mean())])
 
+# A head that takes the scene's light shows roughly what lamps do; the others stay as they are.
+sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))
+sun.data.energy = 3.0
+scene.collection.objects.link(sun)
+
+
+def lit_from(side: float) -> np.ndarray:
+    sun.rotation_euler = (0.0, side * np.pi / 2, 0.0)
+    bpy.context.view_layer.update()
+    overlay._on_change()
+    settle()
+    return in_buffer(draw)
+
+
+unlit = lit_from(1.0)
+head.grmm.lighting = "SCENE"
+stored["lit_right"], stored["lit_left"] = lit_from(1.0), lit_from(-1.0)
+head.grmm.lighting = "STUDIO"
+scene.collection.objects.unlink(sun)
+after = lit_from(1.0)
+report(studio=[float(np.abs(picture - alone).max()) for picture in (unlit, after)])
+
 head["jawOpen"] = 1.0
 head.update_tag()
 bpy.context.view_layer.update()

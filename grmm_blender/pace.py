@@ -14,8 +14,8 @@ PICTURE = MAX_LOD + 1
 """The way after the coarsest Gaussians."""
 SHARE = 0.2
 _SMOOTHING = 0.5  # weight of the newest measurement
-_FEWER = 4.0  # Gaussians of a level over those of the next
-_FORGIVEN = 0.5  # of a measured time, with each beginning and end of a playback
+_FEWER = 2.0  # time of a level over that of the next: a quarter of the Gaussians, but they cover as many pixels
+_FORGIVEN = 0.8  # of a measured time, with each beginning and end of a playback
 _SLACK = 1.2  # a way that takes this much longer than a frame still counts as keeping up
 
 
@@ -59,7 +59,7 @@ class Pace:
     def way(self, finest: int, budget: float) -> int | None:
         """Return how to show a frame of playback, None for the mesh alone.
 
-        What was never tried is tried, unless a finer level took so long that a quarter of it is too much.
+        What was never tried is tried, unless a finer level took so long that half of it is too much.
 
         Args:
             finest: The level that the user chose.

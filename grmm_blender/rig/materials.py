@@ -12,7 +12,7 @@ import numpy as np
 
 from ...grmm_core.controls.names import JOINT_NAMES
 from ...grmm_core.head import HeadModel
-from ...grmm_core.model.plain_face import IRIS_DEGREES, PUPIL_DEGREES, plain_face
+from ...grmm_core.model.plain_face import IRIS_DEGREES, PUPIL_DEGREES, UNLIKE, accented, plain_face
 from ...grmm_core.pictures.color import srgb_to_linear
 from ...grmm_core.pictures.sampling import bilinear
 from .identity import Identity
@@ -23,11 +23,10 @@ _PLAIN_FACE = "grmm_plain"  # custom property of an image: a plain face where th
 _PLAIN = (
     ("Teeth", ("teeth",), (0.72, 0.68, 0.58, 1.0), 0.25),
     ("Mouth", ("mouth_interior", "tongue"), (0.38, 0.11, 0.1, 1.0), 0.35),
-    ("Lashes", ("lash",), (0.03, 0.02, 0.015, 0.3), 0.6),  # sheets: opaque ones look like paint on the lids
+    ("Lashes", ("lash",), (0.03, 0.02, 0.015, 0.15), 0.6),  # sheets: opaque ones look like paint on the lids
 )
 _PAINTED = {"Skin": 0.5, "Eyes": 0.1, "Irises": 0.1, "Pupils": 0.1, "Lips": 0.35, "Hair": 0.7}  # roughness
 _IRIS, _PUPIL = np.cos(np.radians((IRIS_DEGREES, PUPIL_DEGREES)))
-_UNLIKE = 0.12  # display color between hair and skin from which on they are told apart
 _HAIR, _BROW = 0.5, 0.15  # how far from skin to hair a face's color is that counts as hair; brows are narrower than faces
 _WHITEST = 0.75  # quantile of an eye's colors: lashes shade most of the white
 
@@ -36,7 +35,7 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
     """Give the parts of a head's mesh materials; a mesh that has others than these keeps them."""
     if any(material is None or not (PART in material or material.name.startswith("GRMM ")) for material in mesh.materials):
         return
-    painting = plain_face(identity.head) if identity.painting is None else identity.painting
+    painting = plain_face(identity.head) if identity.painting is None else accented(identity.head, identity.painting)
     colors = _face_colors(identity.head, painting)
     parts = _parts(identity.head, colors)
     used = [name for name in (*_PAINTED, *(name for name, *_ in _PLAIN)) if (parts == name).any()]
@@ -97,7 +96,7 @@ def _parts(head: HeadModel, colors: np.ndarray) -> np.ndarray:
         skin & head.marked("face")[head.faces].all(1) & ~apart.any(1), skin & head.marked("scalp")[head.faces].all(1)
     ))  # fmt: skip
     change = hair - tone
-    if np.linalg.norm(change) > _UNLIKE:
+    if np.linalg.norm(change) > UNLIKE:
         least = np.where(brows.sum(1) > 1, _BROW, _HAIR) * (change @ change)
         parts[skin & ((colors - tone) @ change > least)] = "Hair"
     parts[skin & lips.all(1)] = "Lips"

@@ -5,6 +5,8 @@ For heads that no network draws (a user's FLAME file), and for people where noth
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from ..controls.names import JOINT_NAMES
@@ -31,6 +33,8 @@ _LAYERS = (
     (("upper_teeth", "lower_teeth"), (0.87, 0.84, 0.77), 0, (0.0, 1.0), 1.0),
     (("lashes",), (0.10, 0.08, 0.07), 0, (0.0, 1.0), 1.0),
 )  # fmt: skip
+UNLIKE = 0.12  # display color between hair and skin from which on they are told apart
+_BROW, _DARKER = 16, 1.5  # brows in the side of a painting; how much darker than around them they become
 _GRAIN = 0.05  # of hair and brows, in display values: strands' worth of unevenness
 
 
@@ -54,17 +58,68 @@ def plain_face(head: HeadModel, pixels: int = PIXELS) -> np.ndarray:
         grain = np.random.default_rng(0).normal(0.0, _GRAIN if color is _HAIR else 0.0, (len(layout), 1))
         colors += weight * (np.array(color, np.float32) + grain.astype(np.float32) - colors)
     points = (head.v_template[corners] * layout.barycentric[..., None]).sum(1)
-    joints = head.joints(np.zeros(head.shape_count, np.float32))
-    for side in ("left", "right"):
-        ball = head.marked(f"{side}_eyeball")[corners].all(1)
-        ways = points[ball] - joints[JOINT_NAMES.index(f"{side}_eye")]
-        angles = np.degrees(np.arccos(np.clip(ways[:, 2] / np.linalg.norm(ways, axis=1), -1.0, 1.0)))  # eyes look along +z
+    for ball, angles in _eyes(head, corners, points):
         rings = (0.0, PUPIL_DEGREES, PUPIL_DEGREES + 2.0, IRIS_DEGREES - 4.0, IRIS_DEGREES - 1.0, IRIS_DEGREES + 1.0)
         shades = np.array([_PUPIL, _PUPIL, _IRIS, _IRIS, _RIM, _WHITE], np.float32)
         colors[ball] = np.stack([np.interp(angles, rings, shades[:, k]) for k in range(3)], -1)
     picture, known = np.zeros((pixels * pixels, 3), np.float32), np.zeros(pixels * pixels, bool)
     picture[layout.texel], known[layout.texel] = colors, True
     return quantize(fill_unknown(picture.reshape(pixels, pixels, 3), known.reshape(pixels, pixels)))
+
+
+def accented(head: HeadModel, painting: np.ndarray) -> np.ndarray:
+    """Return a painting of a person with what a bare mesh wants plainer than strands and lenses have left it.
+
+    Pupils are black, brows darker than what is around them, and ears that hair has colored are skin.
+
+    Args:
+        head: The mesh, its UV map and regions.
+        painting: As `plain_face` returns one.
+    """
+    layout = texel_layout(head.uv, head.uv_faces, len(painting))
+    corners = head.faces[layout.face]
+    flat = painting.reshape(-1, 3).astype(np.float32) / 255.0
+    colors = flat[layout.texel]
+
+    def inside(*regions: str) -> np.ndarray:
+        weights: np.ndarray = (head.marked(*regions)[corners] * layout.barycentric).sum(1)
+        return weights
+
+    scalp = inside("scalp") > 0.5
+    plain = (inside("face") > 0.5) & (inside("lips", "left_lids", "right_lids", "brows") == 0.0)
+    if plain.any() and scalp.any():
+        tone = np.median(colors[plain], 0)
+        hair = np.median(colors[scalp], 0) - tone
+        share = np.clip((colors - tone) @ hair / max(float(hair @ hair), 1e-6), 0.0, 1.0)
+        ears = (inside("ears") > 0.0) & (np.linalg.norm(hair) > UNLIKE)
+        colors[ears] -= share[ears, None] * hair
+        around = _averaged(flat.reshape(painting.shape), len(painting) // _BROW).reshape(-1, 3)[layout.texel]
+        colors += _DARKER * inside("brows")[:, None] * np.minimum(colors - around, 0.0)
+    points = (head.v_template[corners] * layout.barycentric[..., None]).sum(1)
+    for ball, angles in _eyes(head, corners, points):
+        weight = np.interp(angles, (PUPIL_DEGREES - 1.0, PUPIL_DEGREES + 2.0), (0.9, 0.0))[:, None].astype(np.float32)
+        colors[ball] += weight * (np.array(_PUPIL, np.float32) - colors[ball])
+    flat[layout.texel] = colors
+    return quantize(flat.reshape(painting.shape))
+
+
+def _averaged(picture: np.ndarray, size: int) -> np.ndarray:
+    """Averages over squares of `size` pixels around each one, [H, W, C]."""
+    for axis in (0, 1):
+        ends = [(size // 2, size - size // 2) if k == axis else (0, 0) for k in range(3)]
+        total = np.cumsum(np.pad(picture, ends, mode="edge"), axis)
+        low, high = (np.take(total, range(first, first + picture.shape[axis]), axis) for first in (0, size))
+        picture = (high - low) / np.float32(size)
+    return picture
+
+
+def _eyes(head: HeadModel, corners: np.ndarray, points: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Which texels of corners [N, 3] and points [N, 3] lie on an eyeball, and degrees from where each looks, along +z."""
+    joints = head.joints(np.zeros(head.shape_count, np.float32))
+    for side in ("left", "right"):
+        ball = head.marked(f"{side}_eyeball")[corners].all(1)
+        ways = points[ball] - joints[JOINT_NAMES.index(f"{side}_eye")]
+        yield ball, np.degrees(np.arccos(np.clip(ways[:, 2] / np.linalg.norm(ways, axis=1), -1.0, 1.0)))
 
 
 def _smoothed(mark: np.ndarray, faces: np.ndarray, rounds: int) -> np.ndarray:

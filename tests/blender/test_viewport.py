@@ -169,9 +169,9 @@ def test_without_graphics_nothing_fails(run_blender: RunBlender, weights: Path, 
     environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
     found = run_blender("viewport_plain.py", weights, python=blender_version, environment=environment).result
     assert found["callbacks"] == 0
-    # 0.9 s with 0.04 s to spare: the next but one may do; where Blender takes a second, up to a fifth of that is spent.
-    assert found["ways"] == [0, 3, 4, None, None, None, 0, 2, 3, 4, 4, 4]
-    assert found["again"] == 1
+    # 0.9 s with 0.04 s to spare: a small picture at most; where Blender takes a second, up to a fifth of that is spent.
+    assert found["ways"] == [0, 4, None, None, None, None, 0, 3, 4, 4, 4, 4]
+    assert found["again"] == 2
     assert found["levels"] == [0, 1, 2, None, 0]
     assert found["first_measure"] == 0
     assert found["made"] == [["a", 2, 1.0], ["a", 0, 1.0]]

@@ -29,10 +29,8 @@ import sys
 found = {end: module for name, module in list(sys.modules.items()) for end in ("viewport.overlay", "engine.view")
          if name.endswith("grmm_blender." + end)}
 splats, rendered = (getattr(module, "_viewports", None) for module in map(found.get, ("viewport.overlay", "engine.view")))
-waiting = list(rendered or ())
-if area.type == "VIEW_3D" and area.spaces.active.shading.type in ("SOLID", "MATERIAL"):
-    waiting = [view.jobs for view in (splats or {}).values()]
-result = any(one.busy for one in waiting)
+waiting = [view.jobs for view in (splats or {}).values()] + [view._jobs for view in rendered or ()]
+result = any(jobs._thread is not None for jobs in waiting)
 """
 
 

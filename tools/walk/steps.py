@@ -36,6 +36,7 @@ for name in ("GRMM_PT_hair", "GRMM_PT_light"):
     bpy.utils.register_class(panel)
 """
 STRANDS = """
+bpy.app.driver_namespace["walk"] = {name: getattr(head.grmm.hair, name) for name in ("groom", "curl", "melanin")}
 head.grmm.hair.groom = "bob"
 head.grmm.hair.curl = 0.5
 head.grmm.hair.melanin = 0.3
@@ -52,7 +53,11 @@ part = next(part for part in area.regions if part.type == {kind!r})
 result = [part.x, window.height - part.y - part.height, part.x + part.width, window.height - part.y]
 """
 _KEYED = "result = [head is not None, bool(head and head.animation_data and head.animation_data.action)]"
-STUDIO = "head.grmm.lighting = 'STUDIO'\nfor name in ('groom', 'curl', 'melanin'):\n    head.grmm.hair.property_unset(name)"
+STUDIO = """
+head.grmm.lighting = "STUDIO"
+for name, value in bpy.app.driver_namespace.get("walk", {}).items():
+    setattr(head.grmm.hair, name, value)
+"""
 _DRAWN = """
 image = bpy.data.images.get("Render Result")
 result = bool(image and image.has_data) and not bpy.app.is_job_running("RENDER")
@@ -290,9 +295,11 @@ def drop(blender: WalkedBlender) -> None:
     path = blender.run("import importlib, sys\nname = next(n for n in sys.modules if n.endswith('grmm_core.avatar.library'))\n"
                        "result = str(sys.modules[name].library_path('beard'))")  # fmt: skip
     blender.run(
-        f"bpy.context.scene.cursor.location.x = 0.4\nbpy.ops.grmm.open_avatar('INVOKE_DEFAULT', True, filepath={path!r})"
+        "bpy.data.objects['Cube'].hide_set(True)\n"
+        "bpy.context.scene.cursor.location = (0.4, 0.0, 1.0)\n"
+        f"bpy.ops.grmm.open_avatar('INVOKE_DEFAULT', True, filepath={path!r})"
     )
-    blender.run("bpy.ops.view3d.view_all()")
+    blender.run("bpy.ops.view3d.view_selected()\narea.spaces.active.region_3d.view_distance *= 3.0")
     blender.picture("dropped", 8)
 
 

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from grmm_core.avatar import load_avatar
+from grmm_core.avatar.library import library_path
 from grmm_core.controls.names import JOINT_NAMES
 from grmm_core.head import load_open_head
 from grmm_core.model.layout import texel_layout
-from grmm_core.model.plain_face import IRIS_DEGREES, PUPIL_DEGREES, plain_face
+from grmm_core.model.plain_face import IRIS_DEGREES, PUPIL_DEGREES, accented, plain_face
 
 PIXELS = 256
 
@@ -55,3 +57,22 @@ def test_a_head_without_regions_is_skin(head):
     layout, colors = texels(bare, plain_face(bare, 64))
     skin = ~bare.marked("left_eyeball", "right_eyeball")[bare.faces[layout.face]].any(1)
     assert np.ptp(colors[skin], axis=0).max() == 0
+
+
+def test_a_painting_is_accented_where_a_bare_mesh_wants_it_plainer(head):
+    painting = load_avatar(library_path("default")).painting
+    layout, before = texels(head, painting)
+    after = texels(head, accented(head, painting))[1]
+    inside = {name: head.marked(name)[head.faces[layout.face]].all(1) for name in head.regions}
+    ball = inside["left_eyeball"]
+    centre = head.joints(np.zeros(head.shape_count, np.float32))[JOINT_NAMES.index("left_eye")]
+    points = (head.v_template[head.faces[layout.face]] * layout.barycentric[..., None]).sum(1) - centre
+    angle = np.degrees(np.arccos(points[:, 2] / np.linalg.norm(points, axis=1)))
+    pupil = ball & (angle < PUPIL_DEGREES - 2)
+    assert after[pupil].max() < 0.1 < before[pupil].max()
+    darkest = [np.quantile(colors[inside["brows"]], 0.05) for colors in (before, after)]
+    assert darkest[1] < darkest[0] - 0.05
+    tone = np.median(before[inside["face"]], 0)
+    assert np.abs(after[inside["ears"]] - tone).mean() < 0.5 * np.abs(before[inside["ears"]] - tone).mean()  # hair hid them
+    kept = ~ball & ~head.marked("brows", "ears", "left_eyeball", "right_eyeball")[head.faces[layout.face]].any(1)
+    np.testing.assert_allclose(after[kept], before[kept], atol=1e-6)

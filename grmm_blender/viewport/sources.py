@@ -147,7 +147,7 @@ def _lit_colors(found: GaussianArrays, shot: AvatarShot, lighting: Lighting) -> 
     """Colors [N, 3] of an avatar in the scene's light, roughly."""
     response = shot.response or Response()
     own = lighting.without(response.unlit_by).in_space(np.linalg.inv(shot.model_to_world))
-    return roughly_lit(found.colors, found.means, rough_normals(found.means, found.quats, found.scales), own, response)
+    return roughly_lit(found.colors, rough_normals(found.means, found.quats, found.scales), own, response.intensity)
 
 
 def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:

@@ -1,64 +1,79 @@
-"""A scene's light on Gaussians at a glance: no shadows, no highlights, a normal from the Gaussian's own shape. Numpy only.
+"""A scene's light on Gaussians at a glance: no shadows, no highlights, one irradiance by normal for the whole head. Numpy only.
 
-For viewports that draw splats of changing scenes: a few milliseconds for a head, beside the seconds' fraction of `shading`.
+Lamps and surroundings together are nine coefficients a color (Ramamoorthi and Hanrahan 2001), so that a head costs a few
+milliseconds: for viewports that draw splats of changing scenes. `shading` is the exact way.
 """
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
-from ..geometry.rotations import quaternion_to_matrix
 from .lamps import STUDIO, Lighting, arriving
-from .relight import to_display, to_linear
-from .shading import Response, ratio, reached
+from .shading import MAX_RATIO
+from .surroundings import basis, sphere
 
-_WRAP = 0.25  # beyond the terminator: shadows' soft edges, as scattering and hair have them
-_OUTWARDS = 0.35  # how much a normal is that of a ball: strands have none of their own
+_DIRECTIONS = 256
+_RADIUS = 0.1  # metres of the ball that stands for a head
+_WRAP = 0.25  # beyond the terminator: soft edges, as scattering and hair have them
+_FLAT = 3.0  # how fast a thin Gaussian's axis is trusted
+_BALL = 0.3  # how much every normal is that of a ball
+_GAMMA = 2.2  # of display values, nearly
 
 
 def rough_normals(means: np.ndarray, quats: np.ndarray, scales: np.ndarray) -> np.ndarray:
     """Outward normals of Gaussians of a head in its own axes, [N, 3] float32.
+
+    Those of skin lie flat, with their last axis outwards. Round ones, such as strands, get a ball's.
 
     Args:
         means: [N, 3] metres.
         quats: wxyz, [N, 4].
         scales: [N, 3] metres.
     """
-    out = means / np.maximum(np.linalg.norm(means, axis=1, keepdims=True), 1e-9)
-    rows, thin = np.arange(len(means)), scales.argmin(1)
-    ordered = np.sort(scales, axis=1)
-    axis = quaternion_to_matrix(quats)[rows, :, thin]
-    axis = axis * np.where((axis * out).sum(1, keepdims=True) < 0.0, -1.0, 1.0)
-    flat = 1.0 - ordered[:, :1] / np.maximum(ordered[:, 1:2], 1e-12)  # 0 of a strand, which is round
-    normal = flat * axis + _OUTWARDS * out
-    return (normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)).astype(np.float32)
+    flat = np.clip(_FLAT * (1.0 - scales[:, 2] / np.maximum(np.minimum(scales[:, 0], scales[:, 1]), 1e-12)), 0.0, 1.0)[:, None]
+    w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
+    outwards = np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], -1)
+    normal = flat * outwards + (1.0 - flat + _BALL) * _unit(means)
+    found: np.ndarray = _unit(normal).astype(np.float32)
+    return found
 
 
-def roughly_lit(
-    colors: np.ndarray, means: np.ndarray, normals: np.ndarray, lighting: Lighting, response: Response
-) -> np.ndarray:  # fmt: skip
+def roughly_lit(colors: np.ndarray, normals: np.ndarray, lighting: Lighting, intensity: float = 1.0) -> np.ndarray:
     """Colors that were learned under the studio's rig in another light, display sRGB, [N, 3] float32.
 
     Args:
         colors: Display sRGB, [N, 3].
-        means: [N, 3] metres.
-        normals: Outward unit normals, [N, 3].
-        lighting: In the same axes.
-        response: Of the avatar; its intensity counts.
+        normals: Outward unit normals in head axes, [N, 3].
+        lighting: In head space.
+        intensity: Factor of the light.
     """
-    if not len(colors):
-        return np.zeros((0, 3), np.float32)
-    light, rig = (_irradiance(each, means, normals) for each in (lighting, STUDIO))
-    found = to_linear(np.asarray(colors, np.float32)) * ratio(light * np.float32(response.intensity), reached(rig))
-    return np.asarray(to_display(found)).astype(np.float32)
+    harmonics = basis(normals.astype(np.float32)).astype(np.float32)
+    light, rig = (harmonics @ coefficients.astype(np.float32) for coefficients in (_coefficients(lighting), _rig()))
+    ratio = np.clip(light * np.float32(intensity) / np.maximum(rig, 1e-3), 0.0, MAX_RATIO)
+    found: np.ndarray = colors * ratio ** np.float32(1.0 / _GAMMA)
+    return found
 
 
-def _irradiance(lighting: Lighting, means: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    total = np.zeros((len(means), 3), np.float32)
+@functools.cache
+def _rig() -> np.ndarray:
+    return _coefficients(STUDIO)
+
+
+def _coefficients(lighting: Lighting) -> np.ndarray:
+    """Irradiance of a ball in the head's place as harmonics of its normals, [9, 3]."""
+    normals, solid = sphere(_DIRECTIONS)
+    total = np.zeros((len(normals), 3))
     if lighting.surroundings is not None:
         total += np.maximum(lighting.surroundings.irradiance(normals), 0.0)
-    for lamp in lighting.strongest(tuple(means.mean(0))):
-        towards, strength = arriving(lamp, means)
+    for lamp in lighting.strongest((0.0, 0.0, 0.0)):
+        towards, strength = arriving(lamp, _RADIUS * normals)
         cosine = np.maximum((normals * towards).sum(1) + _WRAP, 0.0) / (1.0 + _WRAP) ** 2
-        total += (cosine * strength)[:, None].astype(np.float32) * np.asarray(lamp.color, np.float32)
-    return total
+        total += (cosine * strength)[:, None] * np.asarray(lamp.color)
+    found: np.ndarray = basis(normals).T @ (total * solid[:, None])
+    return found
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.sqrt(np.einsum("nk,nk->n", vectors, vectors)), 1e-9)[:, None]

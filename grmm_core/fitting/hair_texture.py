@@ -50,6 +50,7 @@ GUESS = 0.12  # that is added at most to a color that no photo shows
 # part of a strand below which it is taken away, and the part of all strands from which on the photo is not believed
 SEEN, WRONG, RIGHT, SHORTEST, MOST_CUT = 0.06, 0.3, 0.6, 0.2, 0.4
 ROOT = 3  # places of a strand of which the first that is seen tells what it stands on
+FACING = 0.5  # cosine between the skin's normal and the view, below which that is not believed: at the head's sides
 CELL = 0.006  # metres: of the grid on which colors spread
 NEAR, FAR = 1.2, 4.0  # cells that colors spread to other strands, and to the other side of the head
 THIN_NEAR, THIN_FAR = 0.15, 0.3  # how much must be known around a place to count as half known
@@ -66,6 +67,7 @@ class Photo(NamedTuple):
         strands: As the photo's camera sees them, in the colors of pigments, G Gaussians.
         rows, places: See `WornHair.pieces`.
         camera: Of the picture.
+        facing: Cosine between the skin under each strand and the direction to the camera, [N].
     """
 
     image: Tensor
@@ -76,6 +78,7 @@ class Photo(NamedTuple):
     rows: Tensor
     places: Tensor
     camera: Camera
+    facing: np.ndarray
 
 
 def textured(
@@ -143,7 +146,11 @@ def _photo(
         which, along = worn.pieces(settings)
         seen.append((*worn.gaussians(settings), own[which], along))
     *strands, rows, places = (torch.from_numpy(np.concatenate(part)) for part in zip(*seen, strict=True))
-    return Photo(torch.from_numpy(image), cover, counts, drawn.image.cpu(), Gaussians(*strands), rows, places, camera)
+    origin, axes = groom.frames(np.asarray(head.v_template, np.float64), head.faces).at(vertices)
+    way = camera.position - origin
+    facing = (axes[:, 2] * way).sum(1) / np.linalg.norm(way, axis=1)
+    skin = drawn.image.cpu()
+    return Photo(torch.from_numpy(image), cover, counts, skin, Gaussians(*strands), rows, places, camera, facing)
 
 
 def trimmed(
@@ -163,7 +170,9 @@ def trimmed(
         beyond = wrong & (np.arange(TINTS) > last[:, None])
         first = np.where(beyond.any(1), beyond.argmax(1), TINTS)
         seen = every > SEEN
-        rootless |= seen.any(1) & (seen.argmax(1) < ROOT) & np.take_along_axis(wrong, seen.argmax(1)[:, None], 1)[:, 0]
+        first_seen = seen.argmax(1)
+        bare = wrong[np.arange(len(groom)), first_seen] & (photo.facing > FACING) & (first_seen < ROOT)
+        rootless |= seen.any(1) & bare
         left = np.minimum(left, (first - 0.5) / (TINTS - 1))
     if ((left < 1.0) | rootless).mean() > MOST_CUT:
         return avatar

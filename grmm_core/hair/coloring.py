@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 COLOR_SIDE = 256  # pixels of the picture whose colors are compared
 _FULL = 0.8  # cover from which a pixel shows nothing but hair
+_SOME = 0.4  # likewise where there are few of these
 _FEW_PIXELS = 20
 _BARE, _NEAR = 0.05, 0.02  # cover below which a pixel is skin, and how near to hair that is looked for, of the picture's height
 _CLOSED, _MOST_BETWEEN = 0.1, 0.6  # share of skin between strands below which none shows, and what is believed of it
@@ -93,6 +94,8 @@ def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView],
     size = max(1, round(view.camera.height * side)), max(1, round(view.camera.width * side))
     hair, counts = reduced(view.hair, size), reduced(view.counts, size)
     full = (hair > _FULL) & (counts > _FULL)
+    if full.sum() < _FEW_PIXELS:  # little is seen, as under a hat
+        full = (hair > _SOME) & (counts > _FULL)
     if full.sum() < _FEW_PIXELS:
         return settings
     image = np.stack([reduced(view.image[..., k], size) for k in range(3)], 2)

@@ -74,7 +74,9 @@ def test_streaks_of_a_photo_are_found_and_fade_where_it_shows_nothing():
     shown = rasterize(true, camera)
     image = shown.rgb + (1.0 - shown.alpha)[..., None] * skin
     rows, where = (torch.from_numpy(part) for part in worn.pieces(settings))
-    seen = texture.Photo(image, shown.alpha, torch.ones_like(shown.alpha), skin, plain, rows, where, camera)
+    seen = texture.Photo(
+        image, shown.alpha, torch.ones_like(shown.alpha), skin, plain, rows, where, camera, np.ones(len(groom))
+    )
     found, known = texture.reconstructed([texture.Onto(seen, len(groom))], len(groom))
     tints = texture.spread(places, found, known)
 

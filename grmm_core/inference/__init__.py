@@ -3,6 +3,7 @@
 ``onnx_graph``   ONNX models made in memory
 ``onnx_networks``the map decoders and the refinement network as such graphs
 ``loops``        compiled loops (loads numba)
+``coarse_loops`` those of refinement at half the resolution
 ``plain_model``  `PlainModel`, the twin of `model.grmm.GRMM`
 ``loader``       weights files and avatars' changes to such models
 

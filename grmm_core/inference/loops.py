@@ -15,24 +15,20 @@ from ..compute.kernels import compiled
 from ..files.packing import BLOCK
 from ..model.placing import HEIGHT, QW, QX, QY, QZ, WIDTH, X
 
-_OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
+OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
 # Pictures are crops or whole: with the types named one compiled form takes both.
-_PICTURE, _CHANNELS, _PLANES = "float32[:, :]", "float32[:, :, :]", "float32[:, :, ::1]"
-_FOLD_PIXELS = (
-    f"void({_CHANNELS}, {_CHANNELS}, {_PICTURE}, int64, float32[:, ::1], float32[::1], float32, {_PLANES}, int64, int64)"
-)
-_UNFOLD_RESIDUAL = f"void({_CHANNELS}, {_PICTURE}, {_PLANES}, int64, {_PLANES}, int64, int64)"
-_MIX = f"void({_CHANNELS}, {_CHANNELS}, {_CHANNELS}, {_PICTURE}, {_PICTURE}, float32, int64, int64)"
-_HALVE = f"void({_CHANNELS}, {_PICTURE}, {_PICTURE}, {_CHANNELS}, {_PLANES}, int64, int64)"
-_ENLARGE = f"void({_PLANES}, {_PICTURE}, {_CHANNELS}, {_PICTURE}, float32, {_PLANES}, int64, int64)"
-_LINEAR = f"void({_CHANNELS}, {_PICTURE}, float32, float32[::1], {_PLANES}, int64, int64)"
+PICTURE, CHANNELS, PLANES = "float32[:, :]", "float32[:, :, :]", "float32[:, :, ::1]"
+_FOLD_PIXELS = f"void({CHANNELS}, {CHANNELS}, {PICTURE}, int64, float32[:, ::1], float32[::1], float32, {PLANES}, int64, int64)"
+_UNFOLD_RESIDUAL = f"void({CHANNELS}, {PICTURE}, {PLANES}, int64, {PLANES}, int64, int64)"
+_MIX = f"void({CHANNELS}, {CHANNELS}, {CHANNELS}, {PICTURE}, {PICTURE}, float32, int64, int64)"
+_LINEAR = f"void({CHANNELS}, {PICTURE}, float32, float32[::1], {PLANES}, int64, int64)"
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
 _TINY = np.float32(1e-9)  # metres per unit of UV; keeps frames of degenerate triangles defined
 _BLOCKS = 128  # of a row of folded pixels at a time: what the layer sees of them stays in the nearest cache
 _TINY_NORM = np.float32(1e-20)
 
 
-@compiled(nogil=True, **_OPTIONS)
+@compiled(nogil=True, **OPTIONS)
 def add_product(
     starts: np.ndarray, columns: np.ndarray, values: np.ndarray, x: np.ndarray, out: np.ndarray, first: int, last: int
 ) -> None:
@@ -44,7 +40,7 @@ def add_product(
                 out[row, channel] += value * x[source, channel]
 
 
-@compiled(nogil=True, **_OPTIONS)
+@compiled(nogil=True, **OPTIONS)
 def add_packed_maps(weights: np.ndarray, whole: np.ndarray, scales: np.ndarray, out: np.ndarray, first: int, last: int) -> None:
     """Add the weighted sum of packed maps to `out` [M]: weights [K], whole numbers [K, M], scales [K, B]; rows of `out`."""
     for block in range(first // BLOCK, (last + BLOCK - 1) // BLOCK):
@@ -55,7 +51,7 @@ def add_packed_maps(weights: np.ndarray, whole: np.ndarray, scales: np.ndarray, 
                 out[m] += factor * np.float32(whole[k, m])
 
 
-@compiled(nogil=True, **_OPTIONS)
+@compiled(nogil=True, **OPTIONS)
 def add_maps(weights: np.ndarray, maps: np.ndarray, out: np.ndarray, first: int, last: int) -> None:
     """Add the weighted sum of maps to `out` [M]: weights [K], maps [K, M]; rows of `out`."""
     for low in range(first, last, BLOCK):
@@ -64,7 +60,7 @@ def add_maps(weights: np.ndarray, maps: np.ndarray, out: np.ndarray, first: int,
                 out[m] += weights[k] * maps[k, m]
 
 
-@compiled(nogil=True, **_OPTIONS)
+@compiled(nogil=True, **OPTIONS)
 def _copy_columns(source: np.ndarray, out: np.ndarray) -> None:
     """Transpose [n, C] into the first n columns of [C, >= n]."""
     for channel in range(source.shape[1]):
@@ -73,7 +69,7 @@ def _copy_columns(source: np.ndarray, out: np.ndarray) -> None:
             target[x] = column[x]
 
 
-@compiled(nogil=True, signature_or_function=_FOLD_PIXELS, **_OPTIONS)
+@compiled(nogil=True, signature_or_function=_FOLD_PIXELS, **OPTIONS)
 def fold_pixels(
     rgb: np.ndarray, features: np.ndarray, depth: np.ndarray, fold: int, weight: np.ndarray, bias: np.ndarray,
     slope: np.float32, out: np.ndarray, first: int, last: int,
@@ -120,7 +116,7 @@ def fold_pixels(
                     target[x] = max(total[x], slope * total[x])
 
 
-@compiled(nogil=True, signature_or_function=_UNFOLD_RESIDUAL, **_OPTIONS)
+@compiled(nogil=True, signature_or_function=_UNFOLD_RESIDUAL, **OPTIONS)
 def unfold_residual(
     rgb: np.ndarray, alpha: np.ndarray, residual: np.ndarray, fold: int, out: np.ndarray, first: int, last: int
 ) -> None:
@@ -145,72 +141,7 @@ def unfold_residual(
                     after[x] = before[x] + cover[x] * change[x]
 
 
-@compiled(nogil=True, signature_or_function=_HALVE, **_OPTIONS)
-def halve(
-    rgb: np.ndarray, depth: np.ndarray, alpha: np.ndarray, features: np.ndarray, out: np.ndarray, first: int, last: int
-) -> None:
-    """Averages over 2 x 2 pixels, twin of `model.refine.halved`; a last odd row or column stands alone.
-
-    Args:
-        rgb: [H, W, 3].
-        depth: [H, W].
-        alpha: [H, W].
-        features: [H, W, F].
-        out: Written, all of them in this order, [ceil(H / 2), ceil(W / 2), 5 + F].
-        first: Row of `out`.
-        last: The row after the last.
-    """
-    height, width, quarter = alpha.shape[0], alpha.shape[1], np.float32(0.25)
-    for y in range(first, last):
-        top, low = 2 * y, min(2 * y + 1, height - 1)
-        for x in range(out.shape[1]):
-            left, right = 2 * x, min(2 * x + 1, width - 1)
-            for c in range(3):
-                out[y, x, c] = (rgb[top, left, c] + rgb[low, left, c] + rgb[top, right, c] + rgb[low, right, c]) * quarter
-            out[y, x, 3] = (depth[top, left] + depth[low, left] + depth[top, right] + depth[low, right]) * quarter
-            out[y, x, 4] = (alpha[top, left] + alpha[low, left] + alpha[top, right] + alpha[low, right]) * quarter
-            for c in range(features.shape[2]):
-                upper = features[top, left, c] + features[top, right, c]
-                out[y, x, 5 + c] = (upper + features[low, left, c] + features[low, right, c]) * quarter
-
-
-@compiled(nogil=True, signature_or_function=_ENLARGE, **_OPTIONS)
-def enlarge(
-    change: np.ndarray, cover: np.ndarray, rgb: np.ndarray, alpha: np.ndarray, least: np.float32, out: np.ndarray,
-    first: int, last: int,
-) -> None:  # fmt: skip
-    """Add a small picture's change to a picture of double size, bilinearly, as a residual times alpha.
-
-    Args:
-        change: Residual times alpha, [h, w, 3].
-        cover: Alpha of the small picture, [h, w].
-        rgb: [H, W, 3].
-        alpha: [H, W].
-        least: What is divided by at least.
-        out: Written, [H, W, 3].
-        first: Row of `out`.
-        last: The row after the last.
-    """
-    rows, columns, near, far = cover.shape[0], cover.shape[1], np.float32(0.75), np.float32(0.25)
-    line = np.empty((4, columns + 2), np.float32)  # between two rows of the small picture, by channel, its ends twice
-    for row in range(first, last):
-        y = row // 2
-        other = min(max(y + 2 * (row % 2) - 1, 0), rows - 1)
-        for x in range(columns):
-            for k in range(3):
-                line[k, x + 1] = near * change[y, x, k] + far * change[other, x, k]
-            line[3, x + 1] = near * cover[y, x] + far * cover[other, x]
-        line[:, 0], line[:, columns + 1] = line[:, 1], line[:, columns]
-        for side in range(2):
-            for x in range((out.shape[1] + 1 - side) // 2):
-                column, aside = 2 * x + side, x + 2 * side
-                share = alpha[row, column] / max(near * line[3, x + 1] + far * line[3, aside], least)
-                for k in range(3):
-                    moved = near * line[k, x + 1] + far * line[k, aside]
-                    out[row, column, k] = rgb[row, column, k] + share * moved
-
-
-@compiled(nogil=True, signature_or_function=_LINEAR, **_OPTIONS)
+@compiled(nogil=True, signature_or_function=_LINEAR, **OPTIONS)
 def premultiplied_linear(
     rgb: np.ndarray, alpha: np.ndarray, least: np.float32, curve: np.ndarray, out: np.ndarray, first: int, last: int
 ) -> None:
@@ -238,7 +169,7 @@ def premultiplied_linear(
             out[y, x, 3] = cover
 
 
-@compiled(nogil=True, signature_or_function=_MIX, **_OPTIONS)
+@compiled(nogil=True, signature_or_function=_MIX, **OPTIONS)
 def mix(
     before: np.ndarray, refined: np.ndarray, picture: np.ndarray, share: np.ndarray, alpha: np.ndarray, least: np.float32,
     first: int, last: int,
@@ -254,7 +185,7 @@ def mix(
                 picture[y, x, channel] += (refined[y, x, channel] - before[y, x, channel]) * weight
 
 
-@compiled(nogil=True, **_OPTIONS)
+@compiled(nogil=True, **OPTIONS)
 def uv_corners(
     starts: np.ndarray, columns: np.ndarray, values: np.ndarray, vertices: np.ndarray, corner_vertex: np.ndarray,
     outward: np.ndarray, out: np.ndarray, first: int, last: int,

@@ -226,9 +226,6 @@ class PlainModel:
 
     def refine(self, raster: RasterOutput[np.ndarray], limits: np.ndarray | None = None, coarse: bool = False) -> np.ndarray:
         """Psi_ref (eq. 14) on a picture that was rasterised over black; see `GRMM.refine`."""
-        from ..compute.threads import for_rows
-        from .loops import enlarge, halve
-
         rgb, alpha, far = np.asarray(raster.rgb), np.asarray(raster.alpha), np.asarray(raster.depth)
         features = np.asarray(raster.features) if self.config.features else np.zeros((*alpha.shape, 0), np.float32)
         if "refinement" not in self._networks:
@@ -238,6 +235,9 @@ class PlainModel:
         depth = normalise_depth(far, alpha, limits)
         if not coarse:
             return self._refined(rgb, features, depth, alpha)
+        from ..compute.threads import for_rows
+        from .coarse_loops import enlarge, halve
+
         rows, columns = (-(-size // 2) for size in alpha.shape)
         small = np.empty((rows, columns, 5 + features.shape[2]), np.float32)
         for_rows(halve, rows, rgb, depth, alpha, features, small, smallest=_ROWS_MIN)

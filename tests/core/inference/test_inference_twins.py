@@ -13,8 +13,8 @@ from tiny_model import write_tiny_weights
 
 from grmm_core.avatar import Avatar
 from grmm_core.controls.frame import Controls
+from grmm_core.inference.coarse_loops import enlarge, halve
 from grmm_core.inference.loader import PlainLoader
-from grmm_core.inference.loops import enlarge, halve
 from grmm_core.model import refine
 from grmm_core.model.torch_loader import TorchLoader
 from grmm_core.splat.types import RasterOutput

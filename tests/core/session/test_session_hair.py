@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +17,7 @@ from grmm_core.errors import ConfigError, FileAccessError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.session import HairUse, Instance, RenderOptions, create_session
+from grmm_core.session.swinging import swinging
 
 CAMERA = Camera.orbit(160, 160, 20, fov=24)
 BOB = HairUse("groom:bob")
@@ -60,6 +63,31 @@ def test_hair_follows_the_neck(session):
         session.render([Instance(info.id, c, hair=BOB)], CAMERA, RenderOptions(passes=("hair",))) for c in (Controls(), turned)
     ]
     assert float(np.abs(faces[0]["hair"] - faces[1]["hair"]).mean()) > 0.01
+
+
+def test_playback_of_swinging_hair_holds_no_more_from_frame_to_frame(session):
+    """What a frame computes is let go once the cache is full: objects and arrays stay as many."""
+    info, frames, held = session.open("default"), [], []
+    for t in np.arange(10) / 24.0:
+        frames.append(Controls().set_named({"neck.y": 0.4 * float(np.sin(9.0 * t)), "jawOpen": 0.5 * float(t)}))
+    cache = session.evaluator.cache
+    kept, cache.limit = cache.limit, 48 << 20
+    camera = Camera.orbit(48, 48, 20, fov=24)
+    tracemalloc.start()
+    try:
+        for controls, use in zip(frames, swinging(session, info, HairUse("groom:long"), frames, 24.0), strict=True):
+            session.render([Instance(info.id, controls, hair=use)], camera, RenderOptions())
+            gc.collect()
+            held.append((len(gc.get_objects()), tracemalloc.get_traced_memory()[0]))
+        assert use.swing is not None
+        assert use.swing.nbytes > 1 << 18  # of one array of one frame
+        assert cache.size <= cache.limit
+    finally:
+        tracemalloc.stop()
+        cache.limit = kept
+    (objects, bytes_), (more_objects, more_bytes) = np.max(held[3:6], 0), np.max(held[6:], 0)
+    assert more_objects < objects + 60
+    assert more_bytes < bytes_ + (1 << 19)
 
 
 def test_two_heads_hide_each_other_with_their_hair(session):

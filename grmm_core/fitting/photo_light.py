@@ -148,7 +148,10 @@ class PhotoHead:
         )  # fmt: skip
         direct = np.concatenate([parts.diffuse.transpose(1, 0, 2), np.repeat(parts.ambient[:, :, None], 3, 2)], 1)
         columns = direct / self._rest.rig[:, None].astype(np.float64)  # [N, U, 3]
-        here, wanted, weights, rest = columns[counted], linear[counted] / level, seen.weights[counted], columns[self._told]
+        # skin of one tone that the rig lit is no even color: the trained colors carry its shade below brows, nose and chin
+        rig = self._rest.rig[counted]
+        wanted = linear[counted] / level * (np.median(rig, 0) / rig)
+        here, weights, rest = columns[counted], seen.weights[counted], columns[self._told]
         grey = _robust(here.mean(2), wanted.mean(1), weights, rest.mean(2), None)
         found = np.stack([_robust(here[:, :, c], wanted[:, c], weights, rest[:, :, c], grey) for c in range(3)], 1)
         found *= level / tone

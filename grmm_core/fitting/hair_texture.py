@@ -166,8 +166,8 @@ def trimmed(
     for photo in _photos(model, avatar, hair, groom, tracks, parts):
         every, hairy = Onto(photo, len(groom)).shares()
         wrong, right = (every > SEEN) & (hairy < WRONG), (every > SEEN) & (hairy > RIGHT)
-        last = TINTS - 1 - right[:, ::-1].argmax(1) * right.any(1) - TINTS * ~right.any(1)  # the last place that is right
-        beyond = wrong & (np.arange(TINTS) > last[:, None])
+        last = TINTS - 1 - right[:, ::-1].argmax(1)  # the last place that is right; short hair may have none, and stays
+        beyond = wrong & (np.arange(TINTS) > last[:, None]) & right.any(1)[:, None]
         first = np.where(beyond.any(1), beyond.argmax(1), TINTS)
         seen = every > SEEN
         first_seen = seen.argmax(1)

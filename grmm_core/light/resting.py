@@ -99,18 +99,20 @@ class RestLight(NamedTuple):
         """
         normals = vertex_normals(vertices, head.faces)
         by_vertex = transfer(vertices, normals, head.faces)
-        mouth = head.marked(*_MOUTH)
+        exchange = Exchange.of(vertices, normals, head.faces, by_vertex)
+        mouth = head.marked(*_MOUTH) & ~head.marked(_SKIN)  # lips are seen when it is closed
         by_vertex[mouth] = _OPEN * basis(normals[mouth]) * BANDS
         rows, receivers, casters = texels.at(by_vertex), texels.receivers(vertices, normals), casters_of(head, vertices)
         seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
-        seen[:, mouth[texels.corners].all(1)] = _OPEN
-        eye = np.array([0.0, 0.0, 1.0])
-        straight = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, coefficients_of(STUDIO.surroundings)).irradiance
+        eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
+        straight = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, around).irradiance
         skin = np.isin(texels.corners[:, 0], head.regions.get(_SKIN, np.arange(len(vertices))))
         albedo = albedo_of(colors[skin], straight[skin])
         at_vertices = nearest_points(texels.corners, texels.barycentric, len(vertices))
-        exchange = Exchange.of(vertices, normals, head.faces, by_vertex)
         rig = straight + texels.at(exchange.bounced(straight[at_vertices], albedo))
+        inside = mouth[texels.corners].all(1)
+        seen[:, inside] = _OPEN
+        rig[inside] = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, around).irradiance[inside]
         return RestLight(rows, reached(rig), albedo, *exchange, seen, vertices, normals)
 
     @property

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 import torch
 from dask_workers import address, two_workers
-from evaluation_data import HELD_OUT, write_own_pictures
+from evaluation_data import HELD_OUT
 from tiny_model import write_tiny_weights
 
 from grmm_core.avatar import AssetReference, Avatar
 from grmm_core.cli import main
 from grmm_core.data.dataset import CaptureDataset
-from grmm_core.errors import ConfigError, FileAccessError, FileFormatError
+from grmm_core.errors import ConfigError, FileFormatError
 from grmm_core.evaluation import protocols, report
 from grmm_core.evaluation.disentanglement import smoothness, spread
 from grmm_core.evaluation.haired import turned_degrees
@@ -29,21 +29,6 @@ from grmm_core.evaluation.samples import Sample, limited, load, samples, source_
 from grmm_core.evaluation.scene import FULL, MEAN_CODES, NO_EXPRESSION_CODE, Scene
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
-
-
-@pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
-
-
-@pytest.fixture(scope="module")
-def scene(weights):
-    return Scene(weights)
-
-
-@pytest.fixture(scope="module")
-def folder(scene, tmp_path_factory):
-    return write_own_pictures(tmp_path_factory.mktemp("capture"), scene)
 
 
 def evaluation(scene, folder, ablation=None, **settings):
@@ -375,46 +360,6 @@ def test_exact_tracks_are_what_the_capture_says(scene, folder):
     inside = (track.landmarks > 0).all() and (track.landmarks < 48).all()
     assert inside
     np.testing.assert_allclose(track.image[0, 0], 0.5)  # nobody is in the corner
-
-
-class ColorFeatures(torch.nn.Module):
-    """Stands for Inception: the mean colors of a picture's quarters."""
-
-    def forward(self, pictures: torch.Tensor, return_features: bool = False) -> torch.Tensor:
-        assert pictures.dtype == torch.uint8
-        assert return_features
-        return torch.nn.functional.adaptive_avg_pool2d(pictures.float() / 255.0, 2).flatten(1)
-
-
-def test_fid_is_measured_with_a_users_network(scene, folder, tmp_path):
-    from grmm_core.evaluation.fid import FID, InceptionFeatures
-
-    path = tmp_path / "network.pt"
-    torch.jit.script(ColorFeatures()).save(str(path))
-    runs = evaluation(scene, folder, ablations=False, regions=False, features=InceptionFeatures(path))
-    result = runs.run("reconstruction")
-    truth, drawn = (np.array(side) for side in zip(*(row.features for row in result.rows), strict=True))
-    figure = report.summary(result)["refined"][FID]
-    spreads = [np.cov(side, rowvar=False) for side in (truth, drawn)]
-    roots = np.sqrt(np.linalg.eigvals(spreads[0] @ spreads[1]).astype(complex)).real.sum()
-    expected = np.square(truth.mean(0) - drawn.mean(0)).sum() + np.trace(spreads[0]) + np.trace(spreads[1]) - 2.0 * roots
-    assert figure == pytest.approx(expected, abs=1e-6)
-    assert figure > 0.0
-    assert FID in report.table({"reconstruction": report.summary(result)})
-    (tmp_path / "other.pt").write_bytes(b"PK nothing")
-    with pytest.raises(FileFormatError, match="inception-2015"):
-        InceptionFeatures(tmp_path / "other.pt")
-    with pytest.raises(FileAccessError):
-        InceptionFeatures(tmp_path / "missing.pt")
-
-
-def test_a_set_is_no_distance_from_itself():
-    from grmm_core.evaluation.fid import frechet_distance
-
-    features = np.random.default_rng(0).normal(size=(6, 40))
-    assert frechet_distance(features, features[::-1]) == pytest.approx(0.0, abs=1e-9)
-    assert frechet_distance(features, features + 1.0) == pytest.approx(40.0)
-    assert np.isnan(frechet_distance(features[:1], features))
 
 
 def test_exact_tracks_know_what_each_pixel_shows(scene, folder, monkeypatch):

@@ -11,7 +11,7 @@ from grmm_core.head import HeadModel
 from .face_hair import Hairs, beard, brows, lashes
 from .fields import scalp_density, smoothstep
 from .grooms import KNOTS, growth_of, tail_points
-from .hair import Roots, Skull, grow, resample, skin_triangles
+from .hair import Roots, Skull, grow, resample, shortened, skin_triangles
 from .mesh import RenderMesh
 from .subjects import Subject
 
@@ -58,9 +58,12 @@ def scalp_hairs(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, subject:
     # baby hair: shorter strands at the border
     short = np.clip(0.35 + 0.65 * smoothstep(0.1, 0.9, border) + g.normal(0, 0.1, len(border)), 0.2, 1.0)
     if growth.curl_radius < 0.002 and not tied and not growth.style.rope:
-        points = _shorten(points, short)
+        points = shortened(points, short)
     # nothing hangs in front of the throat or comes out of the chest
     stray = ((points[..., 2] > 0.025) & (points[..., 1] < -0.065) & (np.abs(points[..., 0]) < 0.055)).any(1)
+    if growth.style.way == "hanging":  # nor does hair that is combed aside before the eyes
+        x, y, z = np.abs(points[..., 0]), points[..., 1], points[..., 2]
+        stray |= ((z > 0.05) & (y < 0.065) & (x < 0.062)).any(1)
     points, roots = points[~stray], roots.select(~stray)
     thickness = growth.style.width * np.clip(g.normal(1, 0.12, len(points)), 0.6, 1.4)
     hairs = Hairs(roots.triangles, roots.weights, points, thickness[:, None] * np.array([1.0, 0.45]))
@@ -73,13 +76,3 @@ def scalp_hairs(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, subject:
     moved = tail + (neutral[near] - template[near]).mean(0)
     nearest = among[int(np.argmin(np.linalg.norm(template[np.asarray(head.faces)[among]].mean(1) - knot, axis=1)))]
     return hairs.with_more(int(nearest), moved, growth.style.width * 1.1)
-
-
-def _shorten(points: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Cut strands [N, K, 3] to a share of their length."""
-    steps = points.shape[1]
-    where = np.linspace(0, 1, steps)[None] * share[:, None] * (steps - 1)
-    low = np.minimum(where.astype(int), steps - 2)
-    f = (where - low)[..., None]
-    rows = np.arange(len(points))[:, None]
-    return points[rows, low] * (1 - f) + points[rows, low + 1] * f

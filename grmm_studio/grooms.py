@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from .fields import azimuth, smoothstep
+from .fields import azimuth, smoothstep, wave_noise
 from .styles import BALD, STYLES, Style
 from .subjects import Subject
 
@@ -155,7 +155,8 @@ def _no_comb(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 
 def _comb_forward(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
-    return _rows(rest, 0.0, -0.15, 1.0)
+    over = smoothstep(0.05, 0.10, at[:, 2])  # and down over the forehead
+    return _rows(rest, 0.0, -0.15 - over, 1.0 - 0.75 * over)
 
 
 def _comb_aside(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -179,7 +180,7 @@ def _comb_fringe(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def _comb_parted(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Away from a part line, a little backwards; behind the crown the part dissolves and hair falls backwards."""
-    away = np.sign(rest[..., 0] - s.part * 0.035 + 1e-6)
+    away = np.sign(rest[..., 0] - s.part * 0.035 + 0.0012 * wave_noise(rest, 0.012, 5))  # no ruler drew the line
     crown = smoothstep(-0.03, -0.06, rest[..., 2])
     return _unit(_rows(rest, away * (1 - 0.7 * crown), -0.25, -0.55 - crown))
 
@@ -205,7 +206,9 @@ def _way_short(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> 
 
 
 def _way_fringe(comb: Comb, rest: np.ndarray, position: np.ndarray, t: float) -> np.ndarray:
-    over, top = smoothstep(0.06, 0.095, position[:, 2])[:, None], _top(rest)[:, None]
+    x, z = position[:, 0], position[:, 2]
+    over = np.maximum(smoothstep(0.06, 0.095, z), smoothstep(0.055, 0.075, np.abs(x)))
+    over, top = np.maximum(over, smoothstep(-0.06, -0.09, z))[:, None], _top(rest)[:, None]
     top = top * np.maximum(smoothstep(0.060, 0.045, np.abs(rest[:, 0])), smoothstep(0.03, 0.0, rest[:, 2]))[:, None]
     led = comb(rest, position)
     return _unit(top * (led * (1 - over) + (DOWN + 0.15 * led) * over) + (1 - top) * _sides(rest, -0.15, 0.0))
@@ -250,21 +253,26 @@ def tail_points(s: Subject, g: np.random.Generator, steps: int) -> np.ndarray:
         length = 0.20 * s.hair_length
         disk = g.normal(0, 1, (count, 2))
         disk /= np.maximum(np.linalg.norm(disk, axis=1, keepdims=True), 1.0)
-        swell = (0.005 + 0.023 * np.sin(np.clip(t * 1.15, 0, 1) * np.pi) * (1 - 0.4 * t))[None]
-        own = length * np.clip(g.normal(1, 0.12, (count, 1)), 0.6, 1.3)
+        locks = g.integers(0, 80, count)  # hair of which goes together towards the ends
+        together = (0.8 * smoothstep(0.2, 1.0, t))[None, :, None]
+        disk = disk[:, None] + together * (0.8 * g.normal(0, 0.6, (80, 1, 2))[locks] - disk[:, None])
+        swell = 0.006 + 0.020 * np.sin(np.clip(t * 1.6, 0, 1.3) * np.pi / 2)[None]
+        own = length * np.clip(g.normal(1, 0.05, (count, 1)) + g.normal(0, 0.12, (80, 1))[locks], 0.5, 1.3)
         out = 0.035 * (1 - np.exp(-5 * t))[None] * np.ones((count, 1))
         wave = 0.006 * s.hair_curl * np.sin(t * 9 + g.normal(0, 0.4, (count, 1)))
-        x = disk[:, :1] * swell + wave
+        x = disk[..., 0] * swell + wave
         y = 0.012 * np.sin(np.clip(t * 4, 0, np.pi))[None] - own * np.maximum(t - 0.06, 0)[None] ** 1.15
-        z = -out + disk[:, 1:] * swell * 0.8
+        z = -out + disk[..., 1] * swell * 0.8
         return KNOTS["ponytail"] + np.stack([x, y, z], -1)
     if s.hair_style == "bun":
-        tilt = g.normal(0, 0.55, (count, 1))
-        start = g.uniform(0, 2 * np.pi, (count, 1))
-        ring = g.uniform(0.012, 0.030, (count, 1)) * np.sqrt(s.hair_volume)
-        angle = start + (0.9 + 0.8 * g.random((count, 1))) * np.pi * t[None]
-        thickness = g.uniform(-1, 1, (count, 1)) * np.sqrt(np.maximum(0.031**2 - ring**2, 0)) * 0.75
-        x, y = ring * np.cos(angle), ring * np.sin(angle) * 0.9
-        z = -0.014 + thickness + 0.004 * np.sin(3 * angle + tilt)
-        return KNOTS["bun"] + np.stack([x, y + 0.3 * z, z], -1)
+        # turns of a ball of yarn, most of them about the axis that the knot has behind the head
+        axis = _unit(np.array([0.0, 0.3, -1.0]) + g.normal(0, 0.45, (count, 3)))
+        first = _unit(np.cross(axis, g.normal(0, 1, (count, 3))))
+        off = g.uniform(-0.9, 0.9, (count, 1))
+        ring = np.sqrt(1 - off**2) * (1 - 0.3 * g.random((count, 1)) ** 2)
+        angle = ((0.9 + 0.8 * g.random((count, 1))) * np.pi * t[None])[..., None]
+        ball = off[:, None] * axis[:, None] + ring[:, None] * (
+            np.cos(angle) * first[:, None] + np.sin(angle) * np.cross(axis, first)[:, None]
+        )
+        return KNOTS["bun"] + np.array([0.0, 0.0, -0.016]) + 0.029 * np.sqrt(s.hair_volume) * ball * np.array([1.0, 0.95, 0.8])
     return np.zeros((0, steps, 3))

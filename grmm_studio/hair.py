@@ -12,13 +12,17 @@ from scipy.spatial import cKDTree
 
 from grmm_core.head import HeadModel
 
-from .fields import smoothstep
+from .fields import smoothstep, wave_noise
 from .grooms import Growth
 from .mesh import RenderMesh, region_vertices
 from .styles import Style
 
 STEPS = 14  # of a path, before curls
-WIDE_CURL = 0.003  # metres; wider curls would reach into the head
+RISE = 0.05  # metres from its root to where hair lies as high as it does
+EARS_FREE = 0.07  # metres: hair shorter than that ends above an ear
+FAR = (0.07, 0.035)  # metres from the end of its leader: where a strand is no longer in a lock, and where it is fully
+UNTIED = (0.008, 0.03)  # metres: hair so short joins no lock, longer hair does
+MIDDLE = np.array([0.0, 0.05, -0.01])  # what waves lie around, and below it the vertical through it
 LIKE = 500  # groups of neighbouring hairs that grow alike
 INSIDE = ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
 
@@ -89,6 +93,7 @@ class Skull:
         self.points, self.normals = mesh.refine(neutral)[own], mesh.spread(normals)[own]
         ear = mesh.spread(ears)[own] > 0.5  # hair lies over ears, not between their folds
         self.normals[ear] = np.sign(self.points[ear, :1]) * np.array([1.0, 0.0, 0.0])
+        self._ear = ear
         self._tree = cKDTree(self.points)
 
     def heights(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -96,6 +101,12 @@ class Skull:
         distance, near = self._tree.query(points)
         normal = self.normals[near]
         return ((points - self.points[near]) * normal).sum(1), normal, distance
+
+    def shares_above_ears(self, paths: np.ndarray, travelled: np.ndarray) -> np.ndarray:
+        """Share of each path [N, S, 3] before it gets to an ear, [N]; `travelled` [S] are the shares of its points."""
+        over = self._ear[self._tree.query(paths)[1]]
+        over[:, 0] = False
+        return np.where(over.any(1), travelled[np.maximum(over.argmax(1) - 1, 1)], 1.0)
 
 
 def grow(roots: Roots, growth: Growth, skull: Skull, g: np.random.Generator) -> np.ndarray:
@@ -105,7 +116,7 @@ def grow(roots: Roots, growth: Growth, skull: Skull, g: np.random.Generator) -> 
     centres = g.choice(count, min(LIKE, count), replace=False)
     _, alike = cKDTree(roots.points[centres]).query(roots.points + g.normal(0, 0.003, (count, 3)))
     common = g.normal(0, 1, (len(centres), 5))[alike]
-    length = growth.length(roots.rest) * np.clip(1 + 0.08 * common[:, 3] + g.normal(0, 0.05, count), 0.6, 1.4)
+    length = growth.length(roots.rest) * np.clip(1 + 0.05 * common[:, 3] + g.normal(0, 0.03, count), 0.6, 1.4)
     pace = 0.25 + 1.75 * np.arange(STEPS) / (STEPS - 1)  # short first segments stay above the curved skull
     pace[0] = 0.0
     pace /= pace.sum()
@@ -116,7 +127,7 @@ def grow(roots: Roots, growth: Growth, skull: Skull, g: np.random.Generator) -> 
     jitter = style.messiness * (common[:, :3] + 0.35 * g.normal(0, 1, (count, 3)))
     direction = _unit(roots.normals * growth.lift + growth.flow(roots.rest) + jitter)
     clearance = growth.clearance(roots.rest) * np.clip(
-        1 + 0.3 * common[:, 4] - g.random(count), 0.1, 1.6
+        1 + 0.1 * common[:, 4] - g.random(count), 0.05, 1.1
     )  # hair lies in layers
     for k in range(1, STEPS):
         t = float(travelled[k])
@@ -124,19 +135,21 @@ def grow(roots: Roots, growth: Growth, skull: Skull, g: np.random.Generator) -> 
         direction = _unit((1 - style.follow) * direction + style.follow * want + 0.35 * jitter * style.follow)
         position = position + direction * (length * pace[k])[:, None]
         height, normal, distance = skull.heights(position)
-        wanted = clearance * min(1.0, 0.2 + 8.0 * t) + 0.0008
+        wanted = clearance * np.minimum(1.0, 0.15 + t * length / RISE) + 0.0008
         push = np.where(distance < 0.04, np.maximum(wanted - height, 0.0), 0.0)
         if style.hug > 0:  # combed hair lies on the skull instead of flying off at its tangent
-            over = np.maximum(height - wanted - 0.003, 0.0) * smoothstep(0.0, 0.05, position[:, 1]) * (distance < 0.06)
+            over = np.maximum(height - wanted - 0.003, 0.0) * smoothstep(0.02, 0.09, position[:, 1]) * (distance < 0.06)
             push = push - style.hug * over
         position = position + push[:, None] * normal
         path[:, k] = position
-    points = resample(path, travelled, style.points)
+    free = np.flatnonzero(length < EARS_FREE)
+    shares = np.ones(count)
+    shares[free] = skull.shares_above_ears(path[free], travelled)
+    points = shortened(resample(path, travelled, style.points), shares)
     points = style_strands(points, growth, g)
-    if growth.curl_radius > WIDE_CURL:
-        height, normal, distance = skull.heights(points[:, 1:].reshape(-1, 3))
-        push = np.where(distance < 0.03, np.maximum(0.0008 - height, 0.0), 0.0)
-        points[:, 1:] += (push[:, None] * normal).reshape(count, -1, 3)
+    height, normal, distance = skull.heights(points[:, 1:].reshape(-1, 3))
+    push = np.where(distance < 0.03, np.maximum(0.0008 - height, 0.0), 0.0)
+    points[:, 1:] += (push[:, None] * normal).reshape(count, -1, 3)
     return points
 
 
@@ -154,11 +167,12 @@ def style_strands(points: np.ndarray, growth: Growth, g: np.random.Generator) ->
         if style.rope:
             points = _rope(points, points[leaders][which], which, style, g)
         else:
-            loose = np.where(stray, 0.15, 1.0)
+            loose = np.where(stray, 0.15, 1.0) * smoothstep(*UNTIED, length)
             points = _clump(points, points[leaders][which], style.clumping * loose, style.gather, g)
-            large = leaders[:: max(len(leaders) // (len(leaders) // 9 + 1), 1)]
-            _, near = cKDTree(place[large]).query(place + g.normal(0, 0.005, place.shape))
-            points = _clump(points, points[large][near], 0.45 * style.clumping * loose, 1.0, g)
+            if not style.curl:  # curls of locks that join would cross
+                large = leaders[:: max(len(leaders) // (len(leaders) // 9 + 1), 1)]
+                _, near = cKDTree(place[large]).query(place + g.normal(0, 0.005, place.shape))
+                points = _clump(points, points[large][near], 0.45 * style.clumping * loose, 1.0, g)
     if growth.curl_radius:
         points = points + _curls(points, length, which, growth, g)
     if style.frizz:
@@ -178,12 +192,23 @@ def resample(path: np.ndarray, places: np.ndarray, count: int) -> np.ndarray:
     return b + 0.5 * f * (c - a + f * (2 * a - 5 * b + 4 * c - d + f * (3 * (b - c) + d - a)))
 
 
+def shortened(points: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Cut strands [N, K, 3] to a share of their length, [N]."""
+    steps = points.shape[1]
+    where = np.linspace(0, 1, steps)[None] * share[:, None] * (steps - 1)
+    low = np.minimum(where.astype(int), steps - 2)
+    f = (where - low)[..., None]
+    rows = np.arange(len(points))[:, None]
+    return points[rows, low] * (1 - f) + points[rows, low + 1] * f
+
+
 def _clump(
     points: np.ndarray, leader: np.ndarray, clumping: np.ndarray, gather: float, g: np.random.Generator
 ) -> np.ndarray:  # fmt: skip
-    """Pull strands to their leaders, fully from the share `gather` of the length on."""
+    """Pull strands to their leaders, fully from the share `gather` of the length on; those that end far from theirs less."""
     t = (np.minimum(np.linspace(0, 1, points.shape[1]) / gather, 1.0) ** 1.5)[None, :, None]
-    strength = (clumping * np.clip(g.normal(1.0, 0.22, len(points)), 0.0, 1.2))[:, None, None]
+    near = smoothstep(*FAR, np.linalg.norm(points[:, -1] - leader[:, -1], axis=1))
+    strength = (near * clumping * np.clip(g.normal(1.0, 0.22, len(points)), 0.0, 1.2))[:, None, None]
     return points + np.clip(strength * smoothstep(0.05, 1.0, t), 0.0, 0.97) * (leader - points)
 
 
@@ -212,13 +237,20 @@ def _curls(points: np.ndarray, length: np.ndarray, which: np.ndarray, growth: Gr
     """Displacement of helices around the paths; a lock turns together."""
     style = growth.style
     count, steps = points.shape[:2]
-    side, other = _across(points)
-    lock = g.uniform(0, 2 * np.pi, (int(which.max()) + 1, 2))[which]
-    t = np.linspace(0, 1, steps)[None]
-    turns = length / (style.wavelength * np.clip(1 + 0.25 * np.sin(lock[:, 1]) + g.normal(0, 0.06, count), 0.5, 1.6))
+    side, other = _across(points) if style.flat == 1.0 else _around(points)
+    locks, t, waves = int(which.max()) + 1, np.linspace(0, 1, steps)[None], style.flat < 1.0
+    if waves:  # those of neighbours go together, and by how far it is to the ends, which are at one height
+        lock = g.normal(0, 0.5, (locks, 2))[which] + 1.5 * wave_noise(points[:, 0], 0.08, 9)[:, None]
+        hand, t = np.ones(count), t - 1.0
+    else:  # curls of one hand would all be seen to slant one way
+        lock = g.uniform(0, 2 * np.pi, (locks, 2))[which]
+        hand = np.where(lock[:, 1] > np.pi, 1.0, -1.0)
+    wider = 1 + (0.1 if waves else 0.25) * np.sin(lock[:, 1]) + g.normal(0, 0.15 * style.curl_spread, count)
+    turns = hand * length / (style.wavelength * np.clip(wider, 0.5, 1.6))
     angle = lock[:, :1] + g.normal(0, style.curl_spread, (count, 1)) + 2 * np.pi * turns[:, None] * t
-    radius = growth.curl_radius * smoothstep(0.0, 0.35, t) * np.clip(g.normal(1, 0.25, (count, 1)), 0.4, 1.6)
-    return radius[..., None] * (np.cos(angle)[..., None] * side + np.sin(angle)[..., None] * other)
+    even = np.clip(g.normal(1, min(0.25, style.curl_spread), (count, 1)), 0.4, 1.6)
+    radius = growth.curl_radius * smoothstep(0.0, 0.35, np.linspace(0, 1, steps)[None]) * even
+    return radius[..., None] * (np.cos(angle)[..., None] * side + style.flat * np.sin(angle)[..., None] * other)
 
 
 def _ruffle(shape: tuple[int, ...], length: np.ndarray, g: np.random.Generator) -> np.ndarray:
@@ -236,6 +268,15 @@ def _across(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Two directions across each strand that turn smoothly along it, [N, K, 3] each."""
     tangent = _unit(np.gradient(points, axis=1))
     side = _unit(np.cross(tangent, np.array([0.31, 0.42, 0.85])))
+    return side, np.cross(tangent, side)
+
+
+def _around(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions across each strand, along the surface of the hair and out of it, [N, K, 3] each."""
+    tangent = _unit(np.gradient(points, axis=1))
+    out = points - MIDDLE
+    out[..., 1] = np.maximum(out[..., 1], 0.0)
+    side = _unit(np.cross(tangent, out))
     return side, np.cross(tangent, side)
 
 

@@ -34,6 +34,7 @@ class Style:
         rope: Radius of the ropes that locks are wound to; 0: loose hair. `braided`: in three parts.
         curl: Radius of curls of hair without a person's own curl; `own_curl`: more by the person's.
         wavelength, curl_spread: Of a turn; how far a strand is out of step with its lock, radians.
+        flat: How far curls reach out of the hair's surface, of how far they do along it: 1 are coils, less are waves.
         frizz: How far single hairs leave their course.
         flyaway: Share of the hairs that stand away from all locks.
         fade: Height on the sides below which hair is shorn shorter and shorter; 0: none.
@@ -71,6 +72,7 @@ class Style:
     own_curl: float = 0.0
     wavelength: float = 0.03
     curl_spread: float = 0.4
+    flat: float = 1.0
     frizz: float = 0.0003
     flyaway: float = 0.02
     fade: float = 0.0
@@ -85,7 +87,7 @@ def _falling(length: float, **more: Any) -> Style:
     row = Style(
         "line", length, comb="parted", way="hanging", lift=0.4, lift_volume=True, follow=0.6, clearance=0.003, puff=0.007,
         puffs="crown", hug=0.6, messiness=0.07, clumps=380, clumping=0.62, gather=0.7, wavelength=0.085,
-        curl_spread=0.35, points=20, frizz=0.0004,
+        curl_spread=0.35, flat=0.4, points=20, frizz=0.0004, width=0.00016,
     )  # fmt: skip
     return replace(row, **more)
 
@@ -121,18 +123,18 @@ def _tied(name: str) -> Style:
     """Hair combed to a knot; what hangs from the knot is grown by `grooms.tail_points`."""
     return Style(
         "tied", 0.0, comb=name, way=name, lift=0.25, follow=0.75, clearance=0.0028, hug=0.5, messiness=0.04, clumps=700,
-        clumping=0.35, count=30000, points=14, frizz=0.0002,
+        clumping=0.35, count=30000, points=14, frizz=0.0002, width=0.00016,
     )  # fmt: skip
 
 
 _SWEPT = Style(
     "graded", 0.115, 0.055, comb="back", way="back", lift=0.45, follow=0.40, clearance=0.003, puff=0.006, puffs="top", hug=0.6,
-    messiness=0.06, clumps=800, clumping=0.7, receding=0.7,
+    messiness=0.06, clumps=800, clumping=0.7, receding=0.7, width=0.00015,
 )  # fmt: skip
 _ASIDE = Style(
     "graded", 0.075, 0.017, comb="aside", root_comb=0.9, root_down=0.4, comb_on_top=True, down_on_sides=True, lift=0.75,
     lift_volume=True, follow=0.30, clearance=0.002, puff=0.009, puffs="top", hug=0.6, messiness=0.09, clumps=1000,
-    clumping=0.55, own_curl=0.002, wavelength=0.035, receding=1.0, points=14,
+    clumping=0.55, own_curl=0.002, wavelength=0.035, receding=1.0, points=14, width=0.00015,
 )  # fmt: skip
 
 BALD = "bald"
@@ -149,22 +151,23 @@ STYLES: dict[str, Style] = {
     "fringe": Style(
         "fringe", 0.042, 0.13, mens_sides=0.03, comb="fringe", root_down=0.4, comb_on_top=True, way="fringe", lift=0.7,
         follow=0.38, clearance=0.003, puff=0.005, puffs="top", hug=0.5, messiness=0.07, clumps=1000, clumping=0.55,
+        width=0.00015,
     ),
     "pixie": replace(_ASIDE, length=0.085, sides=0.042, messiness=0.14, hug=0.7, clumping=0.6),
     "curtains": _falling(0.155, lift=0.6, hug=0.4, own_curl=0.004, wavelength=0.07),
-    "bob": _falling(0.20, own_curl=0.0024),
+    "bob": _falling(0.20, own_curl=0.0036),
     "long": _falling(0.275, own_curl=0.0033),
     "layered": _falling(0.25, cut="layers", own_curl=0.005, wavelength=0.07, messiness=0.09, clumps=500),
     "wavy_long": _falling(0.27, curl=0.0075, own_curl=0.004, wavelength=0.07, clumps=300, clumping=0.72, gather=0.45,
                           points=28),
-    "ringlets": _falling(0.25, curl=0.0085, own_curl=0.002, wavelength=0.038, clumps=260, clumping=0.78, gather=0.3,
-                         curl_spread=0.2, hug=0.35, lift=0.7, points=48, count=30000, frizz=0.0004, flyaway=0.03),
+    "ringlets": _falling(0.25, curl=0.0065, own_curl=0.0005, wavelength=0.046, clumps=420, clumping=0.85, gather=0.3,
+                         curl_spread=0.3, flat=1.0, hug=0.35, lift=0.7, points=48, count=30000, frizz=0.0004, flyaway=0.03),
     "curly": _curled(0.10, mens=0.055),
     "coily": _curled(0.034, way="out", curl=0.0022, wavelength=0.0085, clumps=1800, clumping=0.65, points=28),
     "afro": _curled(0.068, way="out", curl=0.003, wavelength=0.011, clumps=1500, clumping=0.35, messiness=0.22, points=40,
                     curl_spread=0.9),
-    "locs": _falling(0.24, rope=0.0032, clumps=130, clumping=1.0, hug=0.3, lift=0.7, curl_spread=3.0, points=24, frizz=0.0004),
-    "braids": _falling(0.27, rope=0.0030, braided=True, clumps=150, clumping=1.0, hug=0.5, points=44, count=30000, frizz=0.0001,
+    "locs": _falling(0.195, rope=0.0034, clumps=170, clumping=1.0, hug=0.3, lift=0.7, curl_spread=3.0, points=24, frizz=0.0004),
+    "braids": _falling(0.20, rope=0.0032, braided=True, clumps=190, clumping=1.0, hug=0.5, points=44, count=30000, frizz=0.0001,
                        flyaway=0.004),
     "ponytail": _tied("ponytail"),
     "bun": _tied("bun"),

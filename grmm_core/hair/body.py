@@ -15,7 +15,7 @@ from ..head import HeadModel
 from .groom import Groom, join
 from .occlusion import sample
 from .roots import SCALP, RootFrames
-from .strands import locks_of
+from .strands import lengths_of, locks_of
 
 CELL = 0.008  # metres
 MARGIN = 0.05  # metres around the skin
@@ -27,6 +27,8 @@ BURIED = 0.05  # metres: what is deeper is left, it is no strand on a head
 SOFT, MOST, SLIDE = 0.5, 0.002, 0.3
 BUST = 0.075  # metres above the lowest vertex: an edge of the skin below that is the rim
 RAGGED, ABOVE = 0.010, 0.006  # metres: how far locks end apart at the rim, and how far above it on average
+SHORT, LONG = 0.03, 0.06  # metres: hair so short stays on the skin that it grows on and beside the ears; longer is pushed
+CLEARANCE, LYING = 0.001, 0.025  # metres that hair stays above the skin; share of its length that ends lie higher, in layers
 _INSIDE = ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
 _ROUNDS = 3  # of pushing
 TINY = 1e-6
@@ -86,14 +88,15 @@ class Body:
         direction = found[:, 1:] / np.maximum(np.linalg.norm(found[:, 1:], axis=1, keepdims=True), 1e-6)
         return np.where(outside, MARGIN, found[:, 0]), direction
 
-    def pushed(self, strands: np.ndarray, clearance: float = 0.001) -> np.ndarray:
-        """Strands [N, K, 3], root first, moved out to a clearance in metres, their first fifth less and less."""
+    def pushed(self, strands: np.ndarray, clearance: float | np.ndarray = CLEARANCE) -> np.ndarray:
+        """Strands [N, K, 3], root first, moved out to a clearance in metres, or each point's [N, K]; their first fifth less."""
         from ..compute.threads import for_rows
         from .body_kernels import push
 
         count = strands.shape[1]
         t = np.minimum(np.arange(count) / (0.2 * (count - 1)), 1.0)
-        wanted = (clearance * (2.0 * t * t * (3.0 - 2.0 * t) - 1.0)).astype(np.float32)
+        wanted = clearance * (2.0 * t * t * (3.0 - 2.0 * t) - 1.0)
+        wanted = np.ascontiguousarray(np.broadcast_to(wanted, strands.shape[:2]), np.float32)
         points = np.array(strands, np.float32, order="C")
         low = self.low.astype(np.float32)
         for_rows(
@@ -154,7 +157,11 @@ def on_person(head: HeadModel, still: np.ndarray, frames: RootFrames, local: np.
     """
     origin, axes = (part.astype(np.float32) for part in frames.at(still))
     placed = np.matmul(local, axes) + origin[:, None]
-    fitted = Body.of(head, still, near=placed.reshape(-1, 3)).pushed(placed)
+    lengths = lengths_of(local)
+    lying = (LYING * lengths * (1.0 + 0.5 * lock))[:, None] * np.linspace(0, 1, local.shape[1]) ** 2
+    fitted = Body.of(head, still, near=placed.reshape(-1, 3)).pushed(placed, CLEARANCE + lying)
+    over_ears = np.clip((lengths - SHORT) / (LONG - SHORT), 0.0, 1.0)[:, None, None]
+    fitted = placed + over_ears * (fitted - placed)
     fitted = Rim.of(head, still).ended(fitted, lock)
     result: np.ndarray = np.matmul(fitted - origin[:, None], axes.transpose(0, 2, 1))
     return result

@@ -102,7 +102,7 @@ def push(
         low: The first cell's centre, [3].
         cell: Edge of a cell, metres.
         buried: Metres below the skin from where on points are left.
-        wanted: Height of each point of a strand, [K].
+        wanted: Height of each point, [N, K].
         rounds: Times that a point is moved at most.
         points: Strands, moved but for their roots, [N, K, 3].
         first: Strand.
@@ -115,9 +115,9 @@ def push(
                 v = (points[n, m, 1] - low[1]) / cell
                 w = (points[n, m, 2] - low[2]) / cell
                 height, dx, dy, dz = sampled(field, u, v, w)
-                if height >= wanted[m] or height < -buried:
+                if height >= wanted[n, m] or height < -buried:
                     break
-                out = (wanted[m] - height) / max(math.sqrt(dx * dx + dy * dy + dz * dz), F(1e-6))
+                out = (wanted[n, m] - height) / max(math.sqrt(dx * dx + dy * dy + dz * dz), F(1e-6))
                 points[n, m, 0] += out * dx
                 points[n, m, 1] += out * dy
                 points[n, m, 2] += out * dz

@@ -2,9 +2,10 @@
 
 DATA is a capture with more lights: `grmm capture DATA --lights all --bare rest --layers ...`. Each view's picture in the even
 rig is relit for each of its other lights, as avatars are: irradiance and highlights at the texels of the exact mesh, splatted,
-applied in linear light. So the figures are those of the light alone, not of a model's colors. PSNR in dB, inside the mask and
-on the face without eyes and mouth; "unlit" is the picture in the rig held against the same truth. The studio's skin scatters
-no light unless `--subsurface` was given, so scattering is off here, too.
+applied in linear light. So the figures are those of the light alone, not of a model's colors. Colors of avatars stand for the
+rig on the head at rest, and so it is taken off here; `--posed` takes it off as it lit the very picture. PSNR in dB, inside the
+mask and on the face without eyes and mouth; "unlit" is the picture in the rig held against the same truth. The studio's skin
+scatters no light unless `--subsurface` was given, so scattering is off here, too.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ from grmm_core.light.bounce import Exchange, albedo_of, nearest_points
 from grmm_core.light.lamps import STUDIO, Lighting, soft_box
 from grmm_core.light.materials import materials_of
 from grmm_core.light.relight import relit_pixels
-from grmm_core.light.shading import Response, ratio, shade
+from grmm_core.light.resting import casters_of
+from grmm_core.light.shading import Arrived, Response, ratio, shade
 from grmm_core.light.shadows import Casters, Receivers, visible
 from grmm_core.light.surroundings import Surroundings, sphere
 from grmm_core.light.transfer import transfer, turn_between, vertex_normals
@@ -55,16 +57,18 @@ class _Surface:
 
 
 class Relighter:
-    """Relights the views of one capture."""
+    """Relights the views of one capture; `posed` takes the rig off as it is on the posed head, else as on the head at rest."""
 
-    def __init__(self, data: CaptureDataset) -> None:
-        self._data, self._head = data, load_open_head()
+    def __init__(self, data: CaptureDataset, posed: bool = False) -> None:
+        self._data, self._head, self._posed = data, load_open_head(), posed
         self._layout = texel_layout(self._head.uv, self._head.uv_faces, GRID)
         self._anchor = TexelAnchor(self._layout, self._head.faces, self._head.uv_faces, self._head.vertex_count)
         self._materials = materials_of(self._head, self._layout.face, self._layout.barycentric)
         self._groups = triangle_groups(self._head)
         self._response = Response(scattering=0.0)
         corners = self._head.faces[self._layout.face]
+        cards = self._head.marked("lashes")[corners].all(1)  # captures have hairs instead
+        self._opacities = torch.from_numpy(np.where(cards, 0.0, 0.97).astype(np.float32))
         self._near = nearest_points(corners, self._layout.barycentric, self._head.vertex_count)
 
     def results(self, shot: Shot, view: View) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
@@ -74,12 +78,14 @@ class Relighter:
         posed = self._head.vertices(self._data.shape(shot.subject), shot.expression, shot.pose)
         still = self._surface(rest)
         here = self._surface(posed if shot.displacement is None else posed + shot.displacement)
-        vertex_rows = transfer(still.vertices, vertex_normals(still.vertices, self._head.faces), self._head.faces)
+        vertex_rows = transfer(still.vertices, vertex_normals(still.vertices, self._head.faces), still.casters.faces)
         rows = self._at_texels(vertex_rows)
         scalp = self._head.regions["scalp"]
         turn = turn_between(still.vertices[scalp], here.vertices[scalp])
         eye = view.camera.position
-        rig, learned = self._light(STUDIO, still, rows, (eye - here.receivers.centre) @ turn, np.eye(3))
+        learned_on = (here, rows, eye, turn) if self._posed else (still, rows, (eye - here.receivers.centre) @ turn, np.eye(3))
+        held = self._light(STUDIO, *learned_on)
+        rig, learned = held.irradiance, held.highlights
         skin = albedo_of(np.asarray(picture.over(0.0))[picture.mask > 0.9], rig)
         exchange = Exchange.of(rest, vertex_normals(rest, self._head.faces), self._head.faces, vertex_rows)
 
@@ -92,9 +98,10 @@ class Relighter:
         for layer in view.layers:
             if layer.startswith(LIGHT_PREFIX):
                 name = layer.removeprefix(LIGHT_PREFIX)
-                irradiance, shine = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn)
-                relative = ratio(bounced(irradiance), bounced(rig))
-                relit = self._draw(here, view, relative, shine - learned * relative, flat, picture.mask)
+                scene = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn)
+                relative = ratio(bounced(scene.irradiance), bounced(rig))
+                light = np.concatenate([relative, scene.highlights - learned * relative, np.ones_like(scene.front)], 1)
+                relit = self._draw(here, view, light * scene.front, flat, picture.mask)
                 truth = self._data.layer(shot, view, layer) * picture.mask[..., None]
                 found[name] = (relit.clip(0.0, 1.0), truth, flat, pixels)
         return found
@@ -104,35 +111,26 @@ class Relighter:
         frames = self._anchor(torch.from_numpy(vertices))
         normals = self._at_texels(vertex_normals(vertices, self._head.faces))
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        count = len(self._layout)
         sides = torch.cat([frames.sizes * 0.6, frames.sizes.amin(-1, keepdim=True) * 0.35], -1)
-        gaussians = Gaussians(frames.positions, frames.quats, sides, torch.full((count,), 0.97), torch.zeros(count, 3))
+        gaussians = Gaussians(frames.positions, frames.quats, sides, self._opacities, torch.zeros(len(sides), 3))
         receivers = Receivers.around(frames.positions.numpy(), normals)
-        return _Surface(vertices, receivers, Casters(vertices, self._head.faces), gaussians)
+        return _Surface(vertices, receivers, casters_of(self._head, vertices), gaussians)
 
     def _at_texels(self, values: np.ndarray) -> np.ndarray:
         corners = self._head.faces[self._layout.face]
         return np.einsum("nk,nkc->nc", self._layout.barycentric, values[corners]).astype(np.float32)
 
-    def _light(
-        self, light: Lighting, surface: _Surface, rows: np.ndarray, eye: np.ndarray, turn: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _light(self, light: Lighting, surface: _Surface, rows: np.ndarray, eye: np.ndarray, turn: np.ndarray) -> Arrived:
         lamps = light.strongest((0.0, 0.0, 0.0))
         seen = np.array([visible(lamp, surface.receivers, surface.casters) for lamp in lamps], np.float32)
         around = Surroundings.even((0.0, 0.0, 0.0)) if light.surroundings is None else light.surroundings.turned(turn.T)
-        arrived = shade(
-            lamps, surface.receivers, seen, self._materials, rows, eye, around.coefficients, self._response, turn
-        )  # fmt: skip
-        return arrived.irradiance, arrived.highlights
+        return shade(lamps, surface.receivers, seen, self._materials, rows, eye, around.coefficients, self._response, turn)
 
-    def _draw(
-        self, surface: _Surface, view: View, relative: np.ndarray, shine: np.ndarray, flat: np.ndarray, mask: np.ndarray
-    ) -> np.ndarray:
-        channels = torch.from_numpy(np.concatenate([relative, shine], 1).astype(np.float32))
+    def _draw(self, surface: _Surface, view: View, light: np.ndarray, flat: np.ndarray, mask: np.ndarray) -> np.ndarray:
+        channels = torch.from_numpy(light.astype(np.float32))
         drawn = rasterize(dataclasses.replace(surface.gaussians, features=channels), view.camera)
         assert drawn.features is not None
-        light = (drawn.features / drawn.alpha.clamp(min=1e-3)[..., None]).numpy() * mask[..., None]
-        return relit_pixels(flat, mask, light, 0)
+        return relit_pixels(flat, mask, drawn.features.numpy(), 0)
 
 
 def lighting_of(light: Light) -> Lighting:
@@ -145,9 +143,9 @@ def lighting_of(light: Light) -> Lighting:
     return Lighting(lamps, Surroundings.of_directions(directions, radiance, solid))
 
 
-def measure(data: CaptureDataset, sheet: Path | None) -> dict[str, Any]:
+def measure(data: CaptureDataset, sheet: Path | None, posed: bool = False) -> dict[str, Any]:
     """Figures of all views; writes a sheet of the first bare one: truth, relit and unlit below each other."""
-    relighter, kept = Relighter(data), defaultdict(list)
+    relighter, kept = Relighter(data, posed), defaultdict(list)
     for shot, view in data.views():
         for kind, each in {"bare": view.bare, "hair": view if view.image != (view.bare or view).image else None}.items():
             if each is None:
@@ -186,8 +184,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path)
     parser.add_argument("--sheet", type=Path, help="PNG of the first view in all lights: Cycles, relit, and not relit")
+    parser.add_argument("--posed", action="store_true", help="take the rig off as it lit the picture, not as a head at rest")
     args = parser.parse_args()
-    json.dump(measure(CaptureDataset(args.data), args.sheet), sys.stdout, indent=1)
+    json.dump(measure(CaptureDataset(args.data), args.sheet, args.posed), sys.stdout, indent=1)
     return 0
 
 

@@ -147,12 +147,13 @@ def strand_light(
     if kernels is None:
         tangents, seen = quaternion_to_matrix(quats)[..., 0], reaching.at(points)
         transport = strand_transport(lamps, points, tangents, list(seen), centre, eye, response)
-        irradiance, shine = transport.light(colors_of(lamps), harmonics.astype(np.float32))
-        return Arrived(np.concatenate([irradiance, shine, arriving_share(lamps, transport, seen)], 1).astype(np.float32))
+        light = transport.light(colors_of(lamps), harmonics.astype(np.float32))
+        front = np.ones((len(points), 1))
+        return Arrived(np.concatenate([*light, front, arriving_share(lamps, transport, seen)], 1).astype(np.float32))
     from ..compute.threads import for_rows
     from .strand_light_kernel import shade
 
-    out = np.empty((len(points), 7), np.float32)
+    out = np.empty((len(points), 8), np.float32)
     factors = np.array([response.intensity, response.gloss, _WANDER, _THROUGH, *(strength for _, strength in _LOBES)])
     arrays = (
         lamp_rows(lamps, centre), points, quats, reaching.parts, reaching.coordinates, centre, eye,

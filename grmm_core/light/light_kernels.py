@@ -150,8 +150,8 @@ def shade(
         turn: From the axes of `rows` to those of the points, [3, 3].
         colors: Coefficients of the surroundings for irradiance, [9, 3].
         mirrors: The same for mirrored light, [9, 3].
-        factors: Of all light, of highlights, and of wandering by color, [5].
-        out: Written: irradiance (3), highlights (3), share of the lamps' light that arrives (1), [N, 7].
+        factors: Of all light, of highlights, of wandering by color, and `shading.FADING` and `LEAST_FRONT`, [7].
+        out: Written: `shading.Arrived.values`, [N, 8].
         first: Row of `out`.
         last: The row after the last.
     """
@@ -195,11 +195,9 @@ def shade(
             size, total = lamps[k, SIZE], _0
             for which in range(2):
                 roughness = smooth[i] if which == 0 else rough[i]
-                narrow = max(roughness * roughness, np.float32(1e-3))
-                alpha = min(narrow + size, _1)
+                narrow = max(roughness, np.float32(0.03)) * max(roughness, np.float32(0.03))
+                alpha = min(math.sqrt(narrow * narrow + size * size), _1)
                 weight = share[i] if which == 0 else _1 - share[i]
-                if size > _0:
-                    weight *= narrow * narrow / (alpha * alpha)
                 total += weight * _lobe(alpha, tilt, cosine, facing)
             amount = np.float32(0.25) * total * fresnel * shine[i] * cosine * part * strength * gloss
             shine_r, shine_g, shine_b = shine_r + amount * lr, shine_g + amount * lg, shine_b + amount * lb
@@ -221,7 +219,8 @@ def shade(
             out[i, 3 + c] = mirrored * glossy * intensity
         out[i, 0], out[i, 1], out[i, 2] = out[i, 0] + red, out[i, 1] + green, out[i, 2] + blue
         out[i, 3], out[i, 4], out[i, 5] = out[i, 3] + shine_r, out[i, 4] + shine_g, out[i, 5] + shine_b
-        out[i, 6] = (arrives + np.float32(1e-6)) / (whole + np.float32(1e-6))
+        out[i, 6] = min(max(_1 + factors[5] * towards_eye, factors[6]), _1)
+        out[i, 7] = (arrives + np.float32(1e-6)) / (whole + np.float32(1e-6))
 
 
 @compiled(**OPTIONS)
@@ -232,7 +231,7 @@ def relative(
     """Turn what arrives into what changes colors; see `shading.relative`.
 
     Args:
-        light: Of `shade`; overwritten, [N, 7].
+        light: Of `shade`; overwritten, [N, 8].
         corners: [N, 3].
         bounced: [V, 3].
         weights: [N, 3].
@@ -249,8 +248,9 @@ def relative(
         for k in range(3):
             more = weights[i, 0] * bounced[a, k] + weights[i, 1] * bounced[b, k] + weights[i, 2] * bounced[c, k]
             ratio = min(max((light[i, k] + more) / rig[i, k], _0), limit)
-            light[i, k] = ratio
-            light[i, 3 + k] -= shine * learned[i, k] * ratio
+            light[i, k] = ratio * light[i, 6]
+            light[i, 3 + k] = (light[i, 3 + k] - shine * learned[i, k] * ratio) * light[i, 6]
+        light[i, 7] *= light[i, 6]
 
 
 # --- pictures ----------------------------------------------------------------------------------------------------------------
@@ -276,7 +276,7 @@ def relit(
         rgb: [P, 3].
         alpha: [P].
         light: Channels of the picture, [P, C].
-        start: Of them the first of ratio (3) and highlights (3).
+        start: Of them the first of ratio (3), highlights (3) and cover that faces the viewer (1).
         linear: Linear light of display values 0..`LINEAR_END`, [TABLE + 2].
         display: Display values of linear light by its root, 0..`DISPLAY_END`, [TABLE + 2].
         least: Cover that is drawn.
@@ -291,15 +291,15 @@ def relit(
         if cover < least:
             out[i, 0] = out[i, 1] = out[i, 2] = _0
             continue
-        inverse = _1 / cover
+        inverse, front = _1 / cover, _1 / max(light[i, start + 6], np.float32(1e-6))
         for c in range(3):
             flat = max(rgb[i, c] * inverse, _0)
             if flat < np.float32(LINEAR_END):
                 value = _read(linear, flat * to_linear)
             else:
                 value = ((flat + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
-            value *= light[i, start + c] * inverse
-            value = max(value + max(light[i, start + 3 + c] * inverse, -np.float32(most) * value), _0)
+            value *= light[i, start + c] * front
+            value = max(value + max(light[i, start + 3 + c] * front, -np.float32(most) * value), _0)
             root = math.sqrt(value)
             if root < np.float32(DISPLAY_END):
                 value = _read(display, root * to_display)

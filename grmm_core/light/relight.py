@@ -50,11 +50,12 @@ def relit_pixels(rgb: np.ndarray, alpha: np.ndarray, channels: np.ndarray, start
         rgb: [H, W, 3].
         alpha: [H, W].
         channels: [H, W, C].
-        start: The first of three channels of ratio, and behind them three of highlights.
+        start: The first of three channels of ratio, behind them three of highlights, and their cover (`shading.relative`).
     """
     kernels = compiled_kernels()
     if kernels is None:
-        return relit(rgb, alpha, channels[..., start : start + 3], channels[..., start + 3 : start + 6])
+        light = over_cover(channels[..., start : start + 7], alpha)
+        return relit(rgb, alpha, light[..., :3], light[..., 3:6])
     from ..compute.threads import for_rows
 
     out = np.empty(rgb.shape, np.float32)
@@ -62,6 +63,12 @@ def relit_pixels(rgb: np.ndarray, alpha: np.ndarray, channels: np.ndarray, start
     light = channels.reshape(-1, channels.shape[-1])
     for_rows(kernels.relit, alpha.size, *flat, light, start, *_tables(), MIN_ALPHA, _MOST, out.reshape(-1, 3))
     return out
+
+
+def over_cover(light: Array, alpha: Array) -> Array:
+    """Splatted channels of `shading.relative`, [H, W, >= 7], as if their cover were the picture's, `alpha` [H, W]."""
+    result: Array = light * (alpha / library_of(light).clip(light[..., 6], 1e-6, None))[..., None]
+    return result
 
 
 @functools.lru_cache(maxsize=1)

@@ -20,7 +20,8 @@ from .transfer import transfer, vertex_normals
 if TYPE_CHECKING:
     from ..head import HeadModel
 
-_LOOSE = ("neck", "lashes")  # regions that light can reach from inside
+_LOOSE = ("neck",)  # regions that light can reach from inside
+_SHEER = ("lashes",)  # cards that stand for a few hairs: they keep no light off
 _MOUTH = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
 _OPEN = 0.35  # of the light that these get where they are seen at all: colors are learned with the mouth open
 _SKIN = "face"  # region whose color is the skin's
@@ -98,7 +99,7 @@ class RestLight(NamedTuple):
             colors: Of the texels under the rig, display sRGB, [N, 3]; those of the face say what skin throws back.
         """
         normals = vertex_normals(vertices, head.faces)
-        by_vertex = transfer(vertices, normals, head.faces)
+        by_vertex = transfer(vertices, normals, casting_faces(head)[0])
         exchange = Exchange.of(vertices, normals, head.faces, by_vertex)
         mouth = head.marked(*_MOUTH) & ~head.marked(_SKIN)  # lips are seen when it is closed
         by_vertex[mouth] = _OPEN * basis(normals[mouth]) * BANDS
@@ -135,9 +136,9 @@ class RestLight(NamedTuple):
 
 def casting_faces(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     """Faces of a head's mesh as `Casters` has them, [T, 3] int32, and how many of them are closed, []."""
-    faces = head.faces.astype(np.int32)
-    loose = [head.regions[name] for name in _LOOSE if name in head.regions]
-    alone = np.isin(faces, np.concatenate(loose)).any(1) if loose else np.ones(len(faces), bool)
+    faces = head.faces[~head.marked(*_SHEER)[head.faces].all(1)].astype(np.int32)
+    loose = head.marked(*_LOOSE)
+    alone = loose[faces].any(1) if loose.any() else np.ones(len(faces), bool)
     return faces[np.argsort(alone, kind="stable")], np.array((~alone).sum())
 
 

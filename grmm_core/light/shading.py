@@ -22,6 +22,7 @@ from .transfer import openness
 
 _DARKEST = 0.06  # of the rig's most: where it hardly reaches (in the mouth), colors say little about the light there
 MAX_RATIO = 200.0
+FADING, LEAST_FRONT = 10.0, 0.02  # skin whose normal is turned from the viewer by a cosine of 1 / FADING counts least
 _MIRROR_BANDS = np.array([1.0] + [0.75] * 3 + [0.4] * 5)  # what a rough mirror leaves of the harmonics
 
 
@@ -128,7 +129,7 @@ class Arrived(NamedTuple):
     """What arrives at N Gaussians of all light together.
 
     Attributes:
-        values: What the properties are parts of, [N, 7] float32.
+        values: What the properties are parts of, [N, 8] float32.
     """
 
     values: np.ndarray
@@ -144,9 +145,14 @@ class Arrived(NamedTuple):
         return self.values[:, 3:6]
 
     @property
+    def front(self) -> np.ndarray:
+        """How much they count of what is drawn at a pixel, by whether they face the viewer, [N, 1]."""
+        return self.values[:, 6:7]
+
+    @property
     def share(self) -> np.ndarray:
         """Of the lamps' light, what nothing keeps off, [N, 1]."""
-        return self.values[:, 6:]
+        return self.values[:, 7:]
 
 
 def shade(
@@ -169,12 +175,14 @@ def shade(
     kernels = compiled_kernels()
     if kernels is None:
         parts = transport(lamps, receivers, list(seen), materials, rows, eye, response, turn)
-        irradiance, highlights = parts.light(colors_of(lamps), harmonics.astype(np.float32))
-        return Arrived(np.concatenate([irradiance, highlights, arriving_share(lamps, parts, seen)], 1).astype(np.float32))
+        light, view = parts.light(colors_of(lamps), harmonics.astype(np.float32)), eye - receivers.points
+        facing = (receivers.normals * view).sum(1) / np.maximum(np.linalg.norm(view, axis=1), 1e-9)
+        front = np.clip(1.0 + FADING * facing[:, None], LEAST_FRONT, 1.0)
+        return Arrived(np.concatenate([*light, front, arriving_share(lamps, parts, seen)], 1).astype(np.float32))
     from ..compute.threads import for_rows
 
-    out = np.empty((len(receivers.points), 7), np.float32)
-    factors = np.array([response.intensity, response.gloss, *(WANDER * response.scattering)])
+    out = np.empty((len(receivers.points), 8), np.float32)
+    factors = np.array([response.intensity, response.gloss, *(WANDER * response.scattering), FADING, LEAST_FRONT])
     arrays = (
         lamp_rows(lamps, receivers.centre), receivers.points, receivers.normals, seen.reshape(len(lamps), len(out)),
         *vars(materials).values(), rows, eye, np.eye(3) if turn is None else turn, harmonics,
@@ -201,6 +209,9 @@ def relative(
 ) -> np.ndarray:
     """Light as it changes learned colors: `ratio`, highlights less those that are in the colors, share of the lamps' light.
 
+    All three are premultiplied by `Arrived.front`, which is there besides: Gaussians are a little transparent, and what a lamp
+    makes of the far side of a head, or of the skin just behind an outline, must not shine through where it is dark before.
+
     Args:
         arrived: Of the scene; may be overwritten.
         bounced: Irradiance at vertices besides, [V, 3].
@@ -210,13 +221,14 @@ def relative(
         gloss: Factor of the highlights in colors.
 
     Returns:
-        [N, 7] float32.
+        Ratio (3), highlights (3), `front` (1), share (1), [N, 8] float32.
     """
     kernels = compiled_kernels()
     if kernels is None:
         light = ratio(arrived.irradiance + np.einsum("nk,nkc->nc", weights, bounced[corners]), learned.rig)
         shine = arrived.highlights - gloss * learned.highlights * light
-        return np.concatenate([light, shine, arrived.share], 1).astype(np.float32)
+        front = arrived.front
+        return np.concatenate([light * front, shine * front, front, arrived.share * front], 1).astype(np.float32)
     from ..compute.threads import for_rows
 
     arrays = (np.ascontiguousarray(array, np.float32) for array in (bounced, weights, *learned))
@@ -305,19 +317,19 @@ def _lobes(
     cosine: np.ndarray,
     size: float,
 ) -> np.ndarray:
-    """Two GGX lobes (Walter et al. 2007) times the cosine, widened by the lamp's size in radians, [N]."""
+    """Two GGX lobes (Walter et al. 2007) times the cosine, widened by the lamp's size in radians, [N].
+
+    The square of a lobe's width is its own and the lamp's, and a wider one is lower by as much.
+    """
     half = towards + view
     half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
     tilt = np.clip((normals * half).sum(1), 0.0, 1.0)
     fresnel = materials.reflectance + (1.0 - materials.reflectance) * (1.0 - np.clip((view * half).sum(1), 0.0, 1.0)) ** 5
     total = np.zeros(len(normals))
     for roughness, share in ((materials.smooth, materials.share), (materials.rough, 1.0 - materials.share)):
-        narrow = np.maximum(roughness * roughness, 1e-3)
-        alpha = np.minimum(narrow + size, 1.0)
-        squares = alpha * alpha
+        squares = np.minimum(np.maximum(roughness, 0.03) ** 4 + size * size, 1.0)
+        alpha = np.sqrt(squares)
         spread = squares / (np.pi * (tilt * tilt * (squares - 1.0) + 1.0) ** 2)
-        # a wide lamp widens the lobe: the same energy, not more
-        spread = spread * (narrow / alpha) ** 2 if size > 0 else spread
         k = 0.5 * alpha
         visible = 1.0 / ((cosine * (1.0 - k) + k) * (facing * (1.0 - k) + k))
         total += share * spread * visible

@@ -94,25 +94,48 @@ def draw_map(
 
 
 @compiled(inline="always", **OPTIONS)
-def _around(depth: np.ndarray, top: int, left: int, u: float, v: float, z: float) -> float:
-    """Share of the 4 x 4 pixels around a place that is not nearer than z, by a tent of 3 pixels."""
+def _on_map(turn: np.ndarray, shift: np.ndarray, focal: float, flat: bool, x: float, y: float, z: float) -> tuple[Any, ...]:
+    """Column and row of a point from the middle of a map, and its depth."""
+    deep = turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z + shift[2]
+    scale = focal if flat else focal / max(deep, np.float32(1e-4))
+    return (
+        (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z + shift[0]) * scale,
+        (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z + shift[1]) * scale, deep,
+    )  # fmt: skip
+
+
+@compiled(inline="always", **OPTIONS)
+def _tent(
+    depth: np.ndarray, top: int, left: int, u: float, v: float, z: float, right: float, down: float, slope: float
+) -> float:
+    """Mean of what passes the 4 x 4 pixels around a place, by a tent of 3 pixels.
+
+    A pixel passes 0 where its depth is less than `z`, changed by `right` and `down` for each pixel from the place, and more by
+    `slope` for each metre beyond, 1 at most; a slope of 0 stands for an infinite one.
+    """
     # the tent at the four columns: 1.5 less their distances
     a, b, c, d = max(_HALF - u, _0), _MOST - u, _HALF + u, max(u - _HALF, _0)
     total = _0
     for row in range(4):
-        down = max(_MOST - abs(np.float32(row - 1) - v), _0)
-        r = top + row - 1
-        total += down * (
-            (a if depth[r, left - 1] >= z else _0) + (b if depth[r, left] >= z else _0)
-            + (c if depth[r, left + 1] >= z else _0) + (d if depth[r, left + 2] >= z else _0)
+        r, way = top + row - 1, np.float32(row - 1) - v
+        level = z + way * down - u * right
+        total += max(_MOST - abs(way), _0) * (
+            a * _passing(depth[r, left - 1] - level + right, slope) + b * _passing(depth[r, left] - level, slope)
+            + c * _passing(depth[r, left + 1] - level - right, slope)
+            + d * _passing(depth[r, left + 2] - level - _2 * right, slope)
         )  # fmt: skip
     return total / ((a + b + c + d) * (max(_HALF - v, _0) + _2 + max(v - _HALF, _0)))
+
+
+@compiled(inline="always", **OPTIONS)
+def _passing(beyond: float, slope: float) -> float:
+    return min(max(beyond * slope, _0), _1) if slope > _0 else (_1 if beyond >= _0 else _0)
 
 
 @compiled(**OPTIONS)
 def compared(
     depths: np.ndarray, nearest: np.ndarray, farthest: np.ndarray, turns: np.ndarray, shifts: np.ndarray, focals: np.ndarray,
-    flat: bool, near: float, bias: float, away: float, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, first: int,
+    flat: bool, near: float, limits: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, first: int,
     last: int,
 ) -> None:  # fmt: skip
     """Compare points with maps; see `shadows.compared`, whose mean over the maps this is.
@@ -126,8 +149,7 @@ def compared(
         focals: Likewise, [K].
         flat: As there.
         near: As there.
-        bias: Least lift along normals, metres; see there.
-        away: Cosine between normal and rays from which on nothing is seen.
+        limits: `_BIAS`, `_LIFT`, `_AWAY` and `_STEEP` of `shadows`, [4].
         points: [N, 3].
         normals: [N, 3].
         seen: Written, [N].
@@ -135,100 +157,64 @@ def compared(
         last: The row after the last.
     """
     side = depths.shape[1]
-    middle, far = np.float32(0.5 * side), np.float32(side - 2)
-    least, limit, closest = np.float32(bias), np.float32(away), np.float32(near)
+    middle, far, closest = np.float32(0.5 * side), np.float32(side - 2), np.float32(near)
+    least, lift, limit, steep = limits[0], limits[1], limits[2], limits[3]
     share = _1 / np.float32(len(depths))
     for i in range(first, last):
         seen[i] = _0
     for k in range(len(depths)):  # map by map: one of them stays near the processor
-        depth, low, high, scale = depths[k], nearest[k], farthest[k], focals[k]
-        ax, ay, az, a0 = turns[k, 0, 0], turns[k, 0, 1], turns[k, 0, 2], shifts[k, 0]
-        bx, by, bz, b0 = turns[k, 1, 0], turns[k, 1, 1], turns[k, 1, 2], shifts[k, 1]
-        cx, cy, cz, c0 = turns[k, 2, 0], turns[k, 2, 1], turns[k, 2, 2], shifts[k, 2]
+        depth, low, high, scale, turn, shift = depths[k], nearest[k], farthest[k], focals[k], turns[k], shifts[k]
         for i in range(first, last):
             px, py, pz, nx, ny, nz = points[i, 0], points[i, 1], points[i, 2], normals[i, 0], normals[i, 1], normals[i, 2]
-            ahead = cx * nx + cy * ny + cz * nz
+            ahead = turn[2, 0] * nx + turn[2, 1] * ny + turn[2, 2] * nz
             if ahead > limit:
                 continue
-            z = cx * px + cy * py + cz * pz + c0
-            up = least + math.sqrt(max(_1 - ahead * ahead, _0)) * (_1 if flat else max(z, _0)) / scale
-            px, py, pz, z = px + up * nx, py + up * ny, pz + up * nz, z + up * ahead
-            factor = scale if flat else scale / max(z, np.float32(1e-4))
-            x = (ax * px + ay * py + az * pz + a0) * factor + middle
-            y = (bx * px + by * py + bz * pz + b0) * factor + middle
+            pixel = _1 if flat else max(turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2], _0)
+            pixel /= scale
+            level = min(max(-ahead / steep, _0), _1)  # how far the plane of the surface is followed
+            up = least + (_1 + level * (lift - _1)) * pixel * math.sqrt(max(_1 - ahead * ahead, _0))
+            x, y, z = _on_map(turn, shift, scale, flat, px + up * nx, py + up * ny, pz + up * nz)
+            x, y = x + middle, y + middle
             if not (z > closest and x >= _2 and y >= _2 and x < far and y < far):
                 seen[i] += share
                 continue
             left, top = int(x - _HALF), int(y - _HALF)
-            if low[top, left] >= z:
+            level *= pixel / max(-ahead, steep)
+            right = level * (turn[0, 0] * nx + turn[0, 1] * ny + turn[0, 2] * nz)
+            down = level * (turn[1, 0] * nx + turn[1, 1] * ny + turn[1, 2] * nz)
+            reach = _MOST * (abs(right) + abs(down))
+            if low[top, left] >= z + reach:
                 seen[i] += share
-                continue
-            if high[top, left] < z:
-                continue
-            seen[i] += share * _around(depth, top, left, x - _HALF - np.float32(left), y - _HALF - np.float32(top), z)
-
-
-@compiled(inline="always", **OPTIONS)
-def _passing(depth: np.ndarray, row: int, column: int, end: float, slope: float) -> float:
-    return min(max((depth[row, column] + end) * slope, _0), _1)
+            elif high[top, left] >= z - reach:
+                u, v = x - _HALF - np.float32(left), y - _HALF - np.float32(top)
+                seen[i] += share * _tent(depth, top, left, u, v, z, right, down, _0)
 
 
 @compiled(**OPTIONS)
 def softly(
     depths: np.ndarray, nearest: np.ndarray, farthest: np.ndarray, turns: np.ndarray, shifts: np.ndarray, focals: np.ndarray,
-    flat: bool, near: float, shallow: float, deep: float, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, first: int,
+    flat: bool, near: float, limits: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, first: int,
     last: int,
 ) -> None:  # fmt: skip
-    """As `compared` for points in hair, without normals; see `shadows.softly`.
-
-    Args:
-        depths: See `compared`.
-        nearest: There.
-        farthest: There.
-        turns: There.
-        shifts: There.
-        focals: There.
-        flat: There.
-        near: There.
-        shallow: Metres behind what throws a shadow to where points are lit.
-        deep: From where they are dark.
-        points: [N, 3].
-        normals: Not read.
-        seen: Written, [N].
-        first: Row of `points`.
-        last: The row after the last.
-    """
+    """As `compared` for points in hair, whose normals are not read; see `shadows.softly`, whose limits these are, [2]."""
     side = depths.shape[1]
     middle, far, closest = np.float32(0.5 * side), np.float32(side - 2), np.float32(near)
-    share, slope = _1 / np.float32(len(depths)), np.float32(1.0 / (deep - shallow))
-    lit, dark = np.float32(shallow), np.float32(deep)
+    lit, dark = limits[0], limits[1]
+    share, slope = _1 / np.float32(len(depths)), _1 / (dark - lit)
     for i in range(first, last):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         total = _0
         for k in range(len(depths)):
-            z = turns[k, 2, 0] * px + turns[k, 2, 1] * py + turns[k, 2, 2] * pz + shifts[k, 2]
-            scale = focals[k] if flat else focals[k] / max(z, np.float32(1e-4))
-            x = (turns[k, 0, 0] * px + turns[k, 0, 1] * py + turns[k, 0, 2] * pz + shifts[k, 0]) * scale + middle
-            y = (turns[k, 1, 0] * px + turns[k, 1, 1] * py + turns[k, 1, 2] * pz + shifts[k, 1]) * scale + middle
+            x, y, z = _on_map(turns[k], shifts[k], focals[k], flat, points[i, 0], points[i, 1], points[i, 2])
+            x, y = x + middle, y + middle
             if not (z > closest and x >= _2 and y >= _2 and x < far and y < far):
                 total += share
                 continue
             left, top = int(x - _HALF), int(y - _HALF)
             if nearest[k, top, left] >= z - lit:
                 total += share
-                continue
-            if farthest[k, top, left] <= z - dark:
-                continue
-            u, v, end, depth = x - _HALF - np.float32(left), y - _HALF - np.float32(top), dark - z, depths[k]
-            a, b, c, d = max(_HALF - u, _0), _MOST - u, _HALF + u, max(u - _HALF, _0)
-            part = _0
-            for row in range(4):
-                r = top + row - 1
-                part += max(_MOST - abs(np.float32(row - 1) - v), _0) * (
-                    a * _passing(depth, r, left - 1, end, slope) + b * _passing(depth, r, left, end, slope)
-                    + c * _passing(depth, r, left + 1, end, slope) + d * _passing(depth, r, left + 2, end, slope)
-                )  # fmt: skip
-            total += share * part / ((a + b + c + d) * (max(_HALF - v, _0) + _2 + max(v - _HALF, _0)))
+            elif farthest[k, top, left] > z - dark:
+                u, v = x - _HALF - np.float32(left), y - _HALF - np.float32(top)
+                total += share * _tent(depths[k], top, left, u, v, z - dark, _0, _0, slope)
         seen[i] = total
 
 

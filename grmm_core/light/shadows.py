@@ -19,6 +19,8 @@ from .lamps import Area, Lamp, Sun, half_angle
 
 RESOLUTION = 256  # pixels of a map that holds all receivers
 _BIAS = 0.0003  # metres along the normal: what smooth normals and flat triangles differ by
+_LIFT = 0.35  # pixels along the normal besides, where the surface is steep to the rays: what it is curved within a pixel
+_STEEP = 0.25  # cosine between a surface and a lamp's rays below which its plane is no longer followed
 _AWAY = 0.4  # cosine between normal and a lamp's rays from which on a point is turned away
 _SOFT, _SOFTER = math.radians(1.5), math.radians(12.0)  # half angles from which 4 and 9 places on a lamp are looked from
 _SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
@@ -116,7 +118,7 @@ class Maps(NamedTuple):
             return mean
         from . import shadow_kernels as kernels
 
-        return self._for_points(kernels.compared, receivers.points, receivers.normals, _BIAS, _AWAY)
+        return self._for_points(kernels.compared, receivers.points, receivers.normals, _BIAS, _LIFT, _AWAY, _STEEP)
 
     def reaching(self, points: np.ndarray) -> np.ndarray:
         """Which part of the lamp's light reaches points [N, 3] among hair, 0..1, [N] float32.
@@ -139,8 +141,8 @@ class Maps(NamedTuple):
         seen = np.empty(len(points), np.float32)
         points, normals = (np.ascontiguousarray(array, np.float32) for array in (points, normals))
         turns, shifts, focals = _numbers(self.each)
-        these = self.depths, self.nearest, self.farthest, turns, shifts, focals, self.each[0].flat, _NEAR, *limits
-        for_rows(kernel, len(seen), *these, points, normals, seen)
+        these = self.depths, self.nearest, self.farthest, turns, shifts, focals, self.each[0].flat, _NEAR
+        for_rows(kernel, len(seen), *these, np.array(limits, np.float32), points, normals, seen)
         return seen
 
 
@@ -261,16 +263,20 @@ def drawn(casters: Casters, seen_from: _Map) -> np.ndarray:
 def compared(depth: np.ndarray, receivers: Receivers, seen_from: _Map) -> np.ndarray:
     """Share of a map around receivers that is not nearer than they: 3 x 3 pixels, weighted as a tent; 1 outside, [N].
 
-    Points are lifted along their normals: by `_BIAS`, and by what a pixel spans where the surface is steep to the rays, for the
-    pixels around hold other depths of the same surface. What is turned away from the lamp by more than `_AWAY` sees none of it.
+    The pixels around hold other depths of the same surface: each is compared with the plane through the point. Points are
+    lifted along their normals besides, by `_BIAS` and by `_LIFT` pixels; where rays graze the surface, and the plane says
+    little, by a whole pixel. What is turned away from the lamp by more than `_AWAY` sees none of it.
     """
-    ahead = receivers.normals @ seen_from.turn[2]
+    normals = receivers.normals @ seen_from.turn.T
+    ahead = normals[:, 2]
     away = receivers.points @ seen_from.turn[2] + seen_from.shift[2]
     pixel = (1.0 if seen_from.flat else np.maximum(away, 0.0)) / seen_from.focal
-    lift = _BIAS + pixel * np.sqrt(np.maximum(1.0 - ahead * ahead, 0.0))
+    level = np.clip(-ahead / _STEEP, 0.0, 1.0)
+    lift = _BIAS + (1.0 + level * (_LIFT - 1.0)) * pixel * np.sqrt(np.maximum(1.0 - ahead * ahead, 0.0))
     points = receivers.points + lift[:, None] * receivers.normals
     local = points @ seen_from.turn.T + seen_from.shift
-    return np.where(ahead > _AWAY, 0.0, _tent(depth, local, seen_from, lambda there, z: there >= z))
+    slopes = (level * pixel / np.maximum(-ahead, _STEEP))[:, None] * normals[:, :2]
+    return np.where(ahead > _AWAY, 0.0, _tent(depth, local, seen_from, lambda there, z: there >= z, slopes))
 
 
 def softly(depth: np.ndarray, points: np.ndarray, seen_from: _Map) -> np.ndarray:
@@ -280,9 +286,13 @@ def softly(depth: np.ndarray, points: np.ndarray, seen_from: _Map) -> np.ndarray
 
 
 def _tent(
-    depth: np.ndarray, local: np.ndarray, seen_from: _Map, passing: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    depth: np.ndarray, local: np.ndarray, seen_from: _Map, passing: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    slopes: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Mean of what passes 3 x 3 pixels, of their depths and points' own, weighted as a tent; 1 beside the map, [N]."""
+    """Mean of what passes 3 x 3 pixels, of their depths and points' own, weighted as a tent; 1 beside the map, [N].
+
+    Slopes [N, 2] say how points' depths change by column and row of the map.
+    """
     side = len(depth)
     scale = seen_from.focal if seen_from.flat else seen_from.focal / np.maximum(local[:, 2], 1e-4)
     x, y = local[:, 0] * scale + side / 2.0, local[:, 1] * scale + side / 2.0
@@ -293,7 +303,10 @@ def _tent(
     for row in range(-1, 3):
         for column in range(-1, 3):
             weight = np.maximum(0.0, 1.5 - np.abs(column - u)) * np.maximum(0.0, 1.5 - np.abs(row - v))
-            total += weight * passing(depth[(top + row).astype(int), (left + column).astype(int)], local[inside, 2])
+            level = local[inside, 2]
+            if slopes is not None:
+                level = level + slopes[inside, 0] * (column - u) + slopes[inside, 1] * (row - v)
+            total += weight * passing(depth[(top + row).astype(int), (left + column).astype(int)], level)
             whole += weight
     seen = np.ones(len(local))
     seen[inside] = total / whole

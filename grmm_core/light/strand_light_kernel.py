@@ -43,7 +43,7 @@ def shade(
         eye: [3].
         colors: Coefficients of the surroundings for irradiance, [9, 3].
         factors: Of all light and of highlights, how far light reaches around, share through the rim, strength of lobes, [6].
-        out: Written: irradiance (3), highlights (3), share of the lamps' light that arrives (1), [N, 7].
+        out: Written: `shading.Arrived.values`, [N, 8].
         first: Row of `out`.
         last: The row after the last.
     """
@@ -110,4 +110,5 @@ def shade(
             out[i, channel] = even * intensity
         out[i, 0], out[i, 1], out[i, 2] = out[i, 0] + red, out[i, 1] + green, out[i, 2] + blue
         out[i, 3], out[i, 4], out[i, 5] = shine_r, shine_g, shine_b
-        out[i, 6] = (arrives + np.float32(1e-6)) / (whole + np.float32(1e-6))
+        out[i, 6] = _1
+        out[i, 7] = (arrives + np.float32(1e-6)) / (whole + np.float32(1e-6))

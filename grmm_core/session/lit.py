@@ -28,9 +28,9 @@ from ..light.transfer import turn_between, vertex_normals
 from ..splat.types import Gaussians
 from .evaluator import Evaluator, Inputs, OpenAvatar
 
-RATIO, HIGHLIGHTS, SHADOW = slice(0, 3), slice(3, 6), slice(6, 7)
-LIGHT_CHANNELS = 7
-UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0], np.float32)  # what changes nothing
+RATIO, HIGHLIGHTS, SHADOW = slice(0, 3), slice(3, 6), slice(7, 8)  # and the cover that these have (`shading.relative`)
+LIGHT_CHANNELS = 8
+UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0], np.float32)  # what changes nothing
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _RIGID = "scalp"  # region whose turn is the head's
@@ -83,7 +83,7 @@ class LitAvatar:
             strands: Drawn behind the skin's, or None.
 
         Returns:
-            [N, LIGHT_CHANNELS] float32: irradiance relative to the rig's, highlights, share of the lamps' light that arrives.
+            [N, LIGHT_CHANNELS] float32, as of `shading.relative`.
         """
         around = self._lighting.surroundings
         light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
-from ..light.relight import to_linear
+from ..light.relight import over_cover, to_linear
 from ..pictures.color import MIN_ALPHA
 from ..splat.types import RasterOutput
 from .engines import Engine
@@ -73,9 +73,8 @@ def _linear(refined: Any, alpha: Any, engine: Engine, lit: bool) -> Any:
 
 
 def light_of(raster: RasterOutput, which: slice) -> Any:
-    """Channels of the light at each pixel, [H, W, LIGHT_CHANNELS]."""
-    assert raster.features is not None  # channels were asked for
-    return raster.features[..., which]
+    """Channels of the light at each pixel, premultiplied by alpha, [H, W, LIGHT_CHANNELS]."""
+    return over_cover(present(raster.features)[..., which], raster.alpha)
 
 
 def _light_pass(name: str, raster: RasterOutput, lit: Any, channels: Channels) -> Any:

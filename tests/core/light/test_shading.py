@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from grmm_core.light.bounce import Exchange, albedo_of
 from grmm_core.light.hair_shading import CELL, HairCloud
 from grmm_core.light.lamps import Lighting, Point, Spot, Sun, soft_box
 from grmm_core.light.materials import SKIN, Materials, materials_of
-from grmm_core.light.relight import relit, relit_pixels, to_display, to_linear
+from grmm_core.light.relight import over_cover, relit, relit_pixels, to_display, to_linear
 from grmm_core.light.shading import (
     MAX_RATIO,
     Arrived,
@@ -121,13 +122,18 @@ def test_compiled_light_is_the_readable_one():
         np.testing.assert_allclose(fast.irradiance, irradiance, rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(fast.highlights, highlights, rtol=5e-3, atol=1e-4)
         np.testing.assert_allclose(fast.share, arriving_share(some, parts, seen[: len(some)]), atol=1e-4)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(shading, "compiled_kernels", lambda: None)
+            plain = shade(some, receivers, seen[: len(some)], materials, rows, eye, harmonics, response, turn)
+        np.testing.assert_allclose(fast.front, plain.front, atol=1e-4)
+        assert (fast.front.min(), fast.front.max()) == (np.float32(shading.LEAST_FRONT), 1.0)
 
 
 def test_compiled_relative_light_is_the_readable_one(monkeypatch):
     random = np.random.default_rng(0)
     corners, weights = random.integers(0, 20, (50, 3)).astype(np.int32), random.dirichlet(np.ones(3), 50)
     learned = Learned(random.uniform(0.1, 1.0, (50, 3)), random.random((50, 3)))
-    values, bounced = random.random((50, 7)).astype(np.float32), random.random((20, 3))
+    values, bounced = random.random((50, 8)).astype(np.float32), random.random((20, 3))
     fast = relative(Arrived(values.copy()), bounced, corners, weights, learned, 0.7)
     monkeypatch.setattr(shading, "compiled_kernels", lambda: None)
     np.testing.assert_allclose(fast, relative(Arrived(values), bounced, corners, weights, learned, 0.7), rtol=1e-4, atol=1e-5)
@@ -181,12 +187,49 @@ def test_compiled_pixels_are_the_readable_ones():
     random = np.random.default_rng(0)
     alpha = random.random((9, 7)).astype(np.float32)
     alpha[0] = 0.0
-    rgb, channels = random.random((9, 7, 3)) * alpha[..., None], random.random((9, 7, 8)) * 4.0 * alpha[..., None]
-    channels[..., 5:] -= alpha[..., None]
+    rgb, channels = random.random((9, 7, 3)) * alpha[..., None], random.random((9, 7, 9)) * 4.0 * alpha[..., None]
+    channels[..., 5:8] -= alpha[..., None]
+    channels[..., 8] = alpha * random.uniform(0.1, 1.0, alpha.shape)
     rgb, channels = rgb.astype(np.float32), channels.astype(np.float32)
+    light = over_cover(channels[..., 2:], alpha)
     np.testing.assert_allclose(
-        relit_pixels(rgb, alpha, channels, 2), relit(rgb, alpha, channels[..., 2:5], channels[..., 5:]), atol=1e-5
+        relit_pixels(rgb, alpha, channels, 2), relit(rgb, alpha, light[..., :3], light[..., 3:6]), atol=1e-5
     )
+
+
+def test_a_wide_lamp_shines_as_many_small_ones_in_its_place():
+    points, normals, _ = ball(radius=0.1)
+    receivers, eye = Receivers.around(points, normals), np.array([0.0, 0.0, 1.0])
+    skin = Materials(*(np.full(len(points), value, np.float32) for value in vars(SKIN).values()))
+    wide = soft_box(40.0, 20.0, 1.5, 0.5, 40.0)
+    spread = (np.arange(8) + 0.5) / 4.0 - 1.0
+    places = [np.add(wide.position, a * np.array(wide.across) + b * np.array(wide.up)) for a in spread for b in spread]
+    small = tuple(
+        replace(wide, position=at, strength=40.0 / 64, across=np.divide(wide.across, 8), up=np.divide(wide.up, 8))
+        for at in places
+    )  # fmt: skip
+    shine = []
+    for lamps in ((wide,), small):
+        seen = np.ones((len(lamps), len(points)), np.float32)
+        rows = np.zeros((len(points), 9), np.float32)
+        shine.append(shade(lamps, receivers, seen, skin, rows, eye, np.zeros((9, 3))).highlights[:, 0])
+    assert shine[0].max() == pytest.approx(shine[1].max(), rel=0.05)
+    front = points[:, 2] > 0.0
+    assert shine[0][front].sum() == pytest.approx(shine[1][front].sum(), rel=0.05)
+
+
+def test_what_a_lamp_makes_of_the_far_side_does_not_shine_through():
+    points, normals, faces = ball()
+    receivers, eye = Receivers.around(points, normals), np.array([0.0, 0.0, 1.0])
+    behind, skin = Sun(strength=5.0, direction=(0.0, 0.0, -1.0)), [np.full(len(points), 0.5, np.float32) for _ in range(6)]
+    seen, rows = visible(behind, receivers, Casters(points, faces))[None], np.zeros((len(points), 9), np.float32)
+    arrived = shade((behind,), receivers, seen, Materials(*skin), rows, eye, np.full((9, 3), 0.1))
+    rig, nothing = np.ones((len(points), 3), np.float32), np.zeros((len(points), 3), np.float32)
+    corners = np.zeros((len(points), 3), np.int32)
+    light = relative(arrived, nothing, corners, nothing, Learned(rig, nothing), 1.0)
+    near, far = points[:, 2].argmax(), points[:, 2].argmin()
+    pixel = 0.9 * light[near] + 0.1 * light[far]  # nine tenths of what is in front, and what is left of what is behind
+    assert pixel[:3].max() / pixel[6] < 0.02
 
 
 def test_the_nose_throws_a_shadow_on_the_cheek_away_from_the_lamp():

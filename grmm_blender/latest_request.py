@@ -62,6 +62,11 @@ class LatestRequestThread(Generic[Request, Result]):
         with self._changed:
             return self._result is not None
 
+    def wait_for_news(self, timeout: float) -> bool:
+        """Wait until something waits to be taken; returns whether that came."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self.has_news or self._thread is None, timeout) and self.has_news
+
     def wait(self, timeout: float) -> bool:
         """Wait until nothing is left to do; returns whether that came."""
         with self._changed:

@@ -89,6 +89,7 @@ _settings = RuntimeSettings()
 _session: Session | None = None
 _last_error = ""
 _has_drawn = False
+_opened: dict[str, int] = {}  # ids of avatars in the session, by what was opened
 _clouds: set[int] = set()  # ids of splat clouds in the session
 _KEPT_GROOMS = 4  # of each Curves object: a thread that began with one draws it to the end
 _grooms: dict[str, dict[str, int]] = {}  # in the session: by object, the places of its versions, the newest last
@@ -155,10 +156,12 @@ def choose_runtime(current: RuntimeSettings) -> tuple[Mode, str]:
     of Blender's Python, so that a crash of the model never takes Blender down.
     """
     named = current.python or os.environ.get(WORKER_PYTHON_VARIABLE, "")
-    if current.mode == "local" or (current.mode == "auto" and not named and has_torch()):
+    if current.mode == "local" or (current.mode == "auto" and has_torch() and not current.python):
         return "local", ""
-    if named or not has_plain_engine():
-        return current.mode, named
+    if named:
+        return "worker", named
+    if not has_plain_engine():
+        return current.mode, ""
     return ("worker", sys.executable) if Path(sys.executable).stem.lower().startswith("python") else ("local", "")
 
 
@@ -188,9 +191,15 @@ def open_avatar(source: str) -> AvatarInfo:
     """
     session = get_session()
     seed = source.removeprefix(SAMPLE_PREFIX)
-    if source.startswith(SAMPLE_PREFIX) and seed.isdigit():
-        return session.sample(int(seed))
-    return session.open(source)
+    info = session.sample(int(seed)) if source.startswith(SAMPLE_PREFIX) and seed.isdigit() else session.open(source)
+    with _lock:
+        _opened[source] = info.id
+    return info
+
+
+def known_avatar(source: str) -> int | None:
+    """Return the id of an avatar that was opened before, without a call of the session; None where it was not."""
+    return _opened.get(source)
 
 
 def open_cloud(key: str, version: str, arrays: CloudArrays) -> int:
@@ -274,6 +283,7 @@ def shutdown() -> None:
     global _session
     with _lock:
         session, _session = _session, None
+        _opened.clear()
         _clouds.clear()
         _grooms.clear()
     if session is not None:

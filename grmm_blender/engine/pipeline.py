@@ -75,12 +75,7 @@ def frame_values(
     hiding = None
     if occluders:
         hiding = (OccluderDepths() if depths is None else depths).of(occluders, frame.camera, settings.samples, frame.clip)
-    wanted = tuple(dict.fromkeys((*passes.session_passes(items), *(["depth"] if hiding is not None else []))))
-    options = RenderOptions(
-        refine=settings.refine, passes=wanted, lod=settings.lod, lighting=frame.scene.lighting, strands=settings.strands,
-        coarse=settings.coarse,
-    )  # fmt: skip
-    buffers = session_host.get_session().render(instances, frame.camera, options, should_cancel)
+    buffers = session_host.get_session().render(instances, frame.camera, _options(frame, settings, items), should_cancel)
     session_host.note_drawn()
     progress(DRAWN, "putting the scene in front")
     x, y = region.x, frame.camera.height - region.y - region.height  # Blender counts rows from below
@@ -92,6 +87,25 @@ def frame_values(
     values = {item.name: picture.pass_values(item, buffers, visible, world, names) for item in items}
     progress(1.0, "done")
     return values
+
+
+def announce(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass]) -> None:
+    """Tell the session that `frame_values` will ask for this next; at once, also while another thread draws."""
+    instances = []
+    for shot in frame.scene.avatars:
+        number = session_host.known_avatar(shot.source)
+        if number is None or shot.cloud is not None or shot.strands is not None:
+            return
+        instances.append(Instance(number, shot.controls, shot.model_to_world, hair=shot.hair, response=shot.response))
+    session_host.get_session().prepare(instances, frame.camera, _options(frame, settings, items))
+
+
+def _options(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass]) -> RenderOptions:
+    wanted = (*passes.session_passes(items), *(["depth"] if frame.scene.occluders else []))
+    return RenderOptions(
+        refine=settings.refine, passes=tuple(dict.fromkeys(wanted)), lod=settings.lod, lighting=frame.scene.lighting,
+        strands=settings.strands, coarse=settings.coarse,
+    )  # fmt: skip
 
 
 def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:

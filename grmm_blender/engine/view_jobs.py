@@ -106,15 +106,23 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
         self._depths = OccluderDepths()
         self._pace = Pace()  # of playback
         self._played = False
+        self._announced: ViewRequest | None = None  # the frame of playback that the session may have begun with
         self._in_the_way = False  # the good picture that is being drawn keeps the main thread from the model
         _live.add(self)
 
     def request(self, request: ViewRequest | None) -> None:
         """Ask for a picture; returns at once. None gives up."""
         with self._changed:
-            if not self._closed:
-                self._error = ""
-                super().request(request)
+            if self._closed:
+                return
+            self._error = ""
+            plays = self._thread is not None and request is not None and request.seconds is not None
+            announced = plays and self._announced is None
+            if announced or not plays:
+                self._announced = request if plays else None
+            super().request(request)
+        if announced and request is not None and self._way(request) == "playing":
+            pipeline.announce(request.smaller(PLAYING_PIXELS), request.playing, _PASSES)
 
     @property
     def has_news(self) -> bool:
@@ -142,10 +150,15 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
             self._changed.notify_all()
 
     def _serve(self, request: ViewRequest) -> bool:
+        with self._changed:
+            begun, self._announced = self._announced, None
         try:
-            return self._draw(request)
+            if begun is None or begun is request or request.seconds is None:
+                return self._draw(request)
+            self._draw(begun)  # half of it is made
         except CancelledError:
-            return False
+            pass
+        return False
 
     def _failed(self, request: ViewRequest, error: Exception) -> None:
         message = str(error)
@@ -162,7 +175,7 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
         if request.seconds is not None:
             if not played:
                 self._pace.forget()
-            self._play(request, request.seconds, played)
+            self._play(request, played)
             return True
         self._publish(request, "preview", request.smaller(PREVIEW_PIXELS), request.preview)
         while True:
@@ -179,14 +192,18 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
                 raise
             return True
 
-    def _play(self, request: ViewRequest, seconds: float, known: bool) -> None:
+    def _play(self, request: ViewRequest, known: bool) -> None:
         """Draw a frame of playback; how long the first one takes says little of those that follow."""
-        way = min(self._pace.level(0, seconds) or 0, 1)
+        way = self._way(request)
         started = time.perf_counter()
-        pixels, settings = ((PLAYING_PIXELS, request.playing), (PREVIEW_PIXELS, request.preview))[way]
-        self._publish(request, _WAYS[way], request.smaller(pixels), settings)
+        pixels, settings = {"playing": (PLAYING_PIXELS, request.playing), "preview": (PREVIEW_PIXELS, request.preview)}[way]
+        self._publish(request, way, request.smaller(pixels), settings)
         if known:
-            self._pace.record(way, time.perf_counter() - started)
+            self._pace.record(_WAYS.index(way), time.perf_counter() - started)
+
+    def _way(self, request: ViewRequest) -> Level:
+        """How to draw a frame of playback."""
+        return _WAYS[min(self._pace.level(0, request.seconds or 0.0) or 0, 1)]
 
     def _publish(self, request: ViewRequest, level: Level, frame: Frame, settings: DrawSettings) -> None:
         def given_up() -> bool:

@@ -168,6 +168,19 @@ class Session(Protocol):
         """
         ...
 
+    def prepare(self, instances: Sequence[Instance], camera: Camera, options: RenderOptions) -> None:
+        """Say which picture will be asked for next, for a worker to begin with it while it draws the present one.
+
+        Returns at once, also during a call in another thread; may do nothing, and raises nothing: `render` does. A session in
+        this process has no cores to spare for it.
+
+        Args:
+            instances: As `render`.
+            camera: As `render`.
+            options: As `render`.
+        """
+        ...
+
     def warm_up(self) -> None:
         """Start loading the model in the background and return at once; a failure shows at the next call."""
         ...

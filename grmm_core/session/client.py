@@ -14,6 +14,7 @@ import logging
 import os
 import threading
 import weakref
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -29,6 +30,7 @@ from ..geometry.camera import Camera
 from ..hair.groom import Groom
 from ..splat.types import GaussianArrays
 from .api import CancelCheck
+from .codec import digest
 from .process import WorkerDiedError, WorkerProcess
 from .sources import SourceKey, source_key
 from .values import AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
@@ -36,6 +38,7 @@ from .wearing import PUT_PREFIX, HairUse
 
 CLOSE_GRACE = 0.5  # seconds that closing waits for another thread's call
 CALL_TIMEOUT = 600.0  # seconds; a picture of a film's size on an old machine stays below
+PREPARED_BYTES = 1 << 18  # of arrays in a message that announces a picture
 TRIES = 3  # workers that may end over the same work before it is given up
 
 Result = TypeVar("Result")
@@ -87,6 +90,7 @@ class WorkerSession:
         self._worn: dict[str, str] = {}  # by name: the version that the running worker has
         self._remote: dict[int, int] = {}  # our ids to those of the running worker
         self._finalizer: weakref.finalize | None = None
+        self._announced: deque[str] = deque(maxlen=2)  # what `prepare` was told of, by its digest
 
     def open(self, source: str | os.PathLike[str]) -> AvatarInfo:
         """See `Session.open`."""
@@ -172,9 +176,32 @@ class WorkerSession:
             remote = [dataclasses.replace(item, avatar_id=self._remote_id(item.avatar_id)) for item in valid]
             for item in valid:
                 self._send_groom(item.hair)
-            return self._call("render", {"instances": remote, "camera": camera, "options": options}, should_cancel)
+            asked = {"instances": remote, "camera": camera, "options": options}
+            name = digest(asked)[0] if self._announced else ""
+            return self._call("render", asked | ({"begun": name} if name in self._announced else {}), should_cancel)
 
         return self._tried(draw)
+
+    def prepare(self, instances: Sequence[Instance], camera: Camera, options: RenderOptions) -> None:
+        """See `Session.prepare`. Without a lock, which another thread's call may hold; what the worker lacks is left to it."""
+        worker, valid = self._worker, []
+        for item in instances:
+            number, groom = self._remote.get(item.avatar_id), item.hair.groom
+            if groom.startswith(PUT_PREFIX):
+                name = groom.removeprefix(PUT_PREFIX)
+                if name not in self._grooms or self._worn.get(name) != self._grooms[name][0]:
+                    return
+            if number is None or item.avatar_id in self._stale:
+                return
+            try:
+                valid.append(dataclasses.replace(item, avatar_id=number, controls=item.controls.validate()))
+            except GrmmError:
+                return
+        asked = {"instances": valid, "camera": camera, "options": options}
+        name, size = digest(asked)
+        if worker is not None and size <= PREPARED_BYTES:
+            self._announced.append(name)
+            worker.tell({"begin": name, "arguments": asked})
 
     def warm_up(self) -> None:
         """See `Session.warm_up`."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import hashlib
 import json
 import struct
 from collections.abc import Mapping
@@ -61,7 +62,7 @@ _DTYPES = frozenset({"<f4", "<f8", "<i4", "<i8", "|u1", "|b1"})
 
 
 def send(stream: BinaryIO, message: Mapping[str, Any], arena: SharedArena | None = None) -> None:
-    """Write one message; its arrays go to the arena first.
+    """Write one message; its arrays go to the arena first, without one into the message itself.
 
     Raises:
         OSError, ValueError: The other side is gone (broken pipe, closed stream).
@@ -73,6 +74,8 @@ def send(stream: BinaryIO, message: Mapping[str, Any], arena: SharedArena | None
         offsets = arena.write(arrays)
         tree["$arena"] = arena.spec()
         tree["$arrays"] = [[a.dtype.str, list(a.shape), offset] for a, offset in zip(arrays, offsets, strict=True)]
+    elif arrays:
+        tree["$arrays"] = [[a.dtype.str, list(a.shape), base64.b64encode(a.tobytes()).decode("ascii")] for a in arrays]
     data = json.dumps(tree).encode()
     stream.write(_LENGTH.pack(len(data)) + data)
     stream.flush()
@@ -109,11 +112,23 @@ def unpack(message: dict[str, Any], arena: SharedArena | None) -> dict[str, Any]
     arrays: list[np.ndarray] = []
     if arena is not None and spec is not None:
         arena.follow(spec)
-        for dtype, shape, offset in places:
-            if dtype not in _DTYPES:
-                raise SessionError(f"The model worker sent an array of the unknown type {dtype!r}; check the installation.")
-            arrays.append(arena.read(dtype, tuple(shape), offset))
+    for dtype, shape, place in places:
+        if dtype not in _DTYPES:
+            raise SessionError(f"The model worker sent an array of the unknown type {dtype!r}; check the installation.")
+        if isinstance(place, str):
+            arrays.append(np.frombuffer(base64.b64decode(place), dtype).reshape(shape))
+        elif arena is not None:
+            arrays.append(arena.read(dtype, tuple(shape), place))
     return {name: _unpack(value, arrays) for name, value in message.items()}
+
+
+def digest(value: Any) -> tuple[str, int]:
+    """Return what equal messages, and hardly any others, have in common, and the bytes of their arrays."""
+    arrays: list[np.ndarray] = []
+    content = hashlib.sha256(json.dumps(_pack(value, arrays)).encode())
+    for array in arrays:
+        content.update(array.tobytes())
+    return content.hexdigest(), sum(array.nbytes for array in arrays)
 
 
 def _pack(value: Any, arrays: list[np.ndarray]) -> Any:

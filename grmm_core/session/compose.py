@@ -76,24 +76,42 @@ class PlacedCloud:
 Placed = PlacedAvatar | PlacedCloud
 
 
-def compose(
+@dataclass(frozen=True)
+class Gathered:
+    """What a picture is drawn from: the instances, each one's Gaussians, and what their channels mean."""
+
+    placed: Sequence[Placed]
+    parts: list[Gaussians]
+    channels: Channels
+
+
+def gather(
     placed: Sequence[Placed],
     evaluator: Evaluator,
     wardrobe: Wardrobe,
     camera: Camera,
     options: RenderOptions,
-    should_cancel: CancelCheck | None,
-) -> dict[str, np.ndarray]:
-    """Draw instances; see `api.Session.render` for the result. Call within `Engine.calling`."""
+    should_cancel: CancelCheck | None = None,
+) -> Gathered:
+    """Make the Gaussians of a picture, its first half. Call within `Engine.calling`."""
     check = _canceller(should_cancel)
-    if not placed:
-        return empty(camera, options)
     check()
     channels = _plan(placed, options)
     parts = []
     for index, item in enumerate(placed):
         parts.append(_gaussians(item, index, evaluator, wardrobe, camera, options, channels, single=len(placed) == 1))
         check()
+    return Gathered(placed, parts, channels)
+
+
+def draw(
+    gathered: Gathered, evaluator: Evaluator, camera: Camera, options: RenderOptions, should_cancel: CancelCheck | None
+) -> dict[str, np.ndarray]:
+    """Draw what was gathered, the second half; see `api.Session.render` for the result. Uses nothing that `gather` keeps."""
+    check = _canceller(should_cancel)
+    placed, parts, channels = gathered.placed, gathered.parts, gathered.channels
+    if not placed:
+        return empty(camera, options)
     if len(placed) == 1:
         # In head space as it is: the placement goes into the camera (eq. 2) and no Gaussian is moved.
         raster = evaluator.engine.rasterize(parts[0], camera.transformed(placed[0].instance.model_to_world))

@@ -5,13 +5,14 @@ Used directly by the command line and scripts, and inside the worker process by 
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import logging
 import os
 import platform
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import MappingProxyType, TracebackType
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
@@ -38,7 +39,7 @@ from ..splat.types import GaussianArrays
 from .api import CancelCheck
 from .carrying import can_carry, in_its_colors, without_changes
 from .clouds import OpenCloud
-from .compose import PlacedAvatar, PlacedCloud, compose
+from .compose import Gathered, PlacedAvatar, PlacedCloud, draw, gather
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .painter import painted
@@ -50,6 +51,7 @@ from .wearing import HairUse
 CACHE_BYTES = 512 << 20
 FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
 _UNIT_TOLERANCE = 1e-3
+_PATIENCE = 1.0  # seconds that `begin` waits for the picture before
 _NOBODY = 0  # no avatar has this number
 
 _log = logging.getLogger(__name__)
@@ -61,19 +63,12 @@ R = TypeVar("R")
 def _guarded(
     method: Callable[Concatenate[LocalSession, P], R],
 ) -> Callable[Concatenate[LocalSession, P], R]:
-    """Let one call through at a time, and turn an exhausted memory into one sentence."""
+    """Let one call through at a time, and nothing else at what is kept from call to call."""
 
     @functools.wraps(method)
     def call(self: LocalSession, /, *args: P.args, **kwargs: P.kwargs) -> R:
-        with self._lock:
-            if self._closed:
-                raise SessionError("The session is closed; open a new one.")
-            try:
-                with self.engine.calling():
-                    return method(self, *args, **kwargs)
-            except MemoryError as error:
-                self.evaluator.cache.clear()
-                raise SessionError("The model ran out of memory; choose a smaller size or a higher level of detail.") from error
+        with self._calling(), self._keeping:
+            return method(self, *args, **kwargs)
 
     return call
 
@@ -90,7 +85,12 @@ class LocalSession:
     """
 
     def __init__(self, engine: Engine, cache_bytes: int = CACHE_BYTES) -> None:
-        self._lock = threading.RLock()
+        self._lock = threading.RLock()  # of a call
+        self._keeping = threading.RLock()  # of evaluator and wardrobe, which `begin` uses beside a call
+        self._stage = threading.Condition()
+        self._drawing = False  # a picture is drawn, whose Gaussians are made: there is time for the next one's
+        self._asked = ""  # name of the last picture that was begun with, or is too late for it
+        self._begun: Gathered | None = None  # what was made of it
         self._closed = False
         self.engine = engine
         self.evaluator = Evaluator(engine, cache_bytes)
@@ -99,6 +99,19 @@ class LocalSession:
         self._infos: dict[int, AvatarInfo] = {}
         self._clouds: dict[int, OpenCloud] = {}
         self._next_id = 0
+
+    @contextlib.contextmanager
+    def _calling(self) -> Iterator[None]:
+        """Surrounds a call: one at a time; an exhausted memory becomes one sentence."""
+        with self._lock:
+            if self._closed:
+                raise SessionError("The session is closed; open a new one.")
+            try:
+                with self.engine.calling():
+                    yield
+            except MemoryError as error:
+                self.evaluator.cache.clear()
+                raise SessionError("The model ran out of memory; choose a smaller size or a higher level of detail.") from error
 
     @_guarded
     def open(self, source: str | os.PathLike[str]) -> AvatarInfo:
@@ -179,16 +192,58 @@ class LocalSession:
         extra = present(found.features)[:, : None if features else 0]
         return GaussianArrays(*map(to_numpy, (found.means, found.quats, found.scales, found.opacities, found.colors, extra)))
 
-    @_guarded
     def render(
         self,
         instances: Sequence[Instance],
         camera: Camera,
         options: RenderOptions = RenderOptions(),  # noqa: B008 - frozen
         should_cancel: CancelCheck | None = None,
+        begun: str = "",
     ) -> dict[str, np.ndarray]:
-        """See `Session.render`."""
+        """See `Session.render`; `begun` names what `begin` was given, if it was."""
         check_render_size(camera)
+        with self._calling():
+            with self._keeping:
+                gathered = self._begun if begun and self._asked == begun else None
+                if begun:
+                    self._asked, self._begun = begun, None
+                if gathered is None:
+                    gathered = self._gathered(instances, camera, options, should_cancel)
+            self._set_drawing(True)
+            try:
+                return draw(gathered, self.evaluator, camera, options, should_cancel)
+            finally:
+                self._set_drawing(False)
+
+    def prepare(self, instances: Sequence[Instance], camera: Camera, options: RenderOptions) -> None:
+        """See `Session.prepare`."""
+
+    def begin(self, name: str, instances: Sequence[Instance], camera: Camera, options: RenderOptions) -> None:
+        """Make the Gaussians of the picture that `render` will be asked for next, on another thread than its own.
+
+        Args:
+            name: What `render` will be told as `begun`.
+            instances: As `render`.
+            camera: As `render`.
+            options: As `render`.
+
+        Raises:
+            GrmmError: As `render`, which will raise it too.
+        """
+        with self._stage:  # the present picture goes first
+            self._stage.wait_for(lambda: self._drawing or self._asked == name, _PATIENCE)
+        with self._keeping, self.engine.calling():
+            if not self._closed and self._asked != name:
+                self._asked, self._begun = name, self._gathered(instances, camera, options)
+
+    def _set_drawing(self, value: bool) -> None:
+        with self._stage:
+            self._drawing = value
+            self._stage.notify_all()
+
+    def _gathered(
+        self, instances: Sequence[Instance], camera: Camera, options: RenderOptions, should_cancel: CancelCheck | None = None
+    ) -> Gathered:
         placed: list[PlacedAvatar | PlacedCloud] = []
         for instance in instances:
             if instance.avatar_id in self._clouds:
@@ -197,7 +252,7 @@ class LocalSession:
             target = self.target(instance.avatar_id)
             worn = self._wardrobe.worn(target, instance.hair)
             placed.append(PlacedAvatar(target, self.evaluator.inputs(target, instance.controls), instance, worn))
-        return compose(placed, self.evaluator, self._wardrobe, camera, options, should_cancel)
+        return gather(placed, self.evaluator, self._wardrobe, camera, options, should_cancel)
 
     @_guarded
     def warm_up(self) -> None:

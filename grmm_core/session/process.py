@@ -78,6 +78,7 @@ class WorkerProcess:
         self._lines: deque[str] = deque(maxlen=LOG_LINES)
         self._next_id = 0
         self._abandoned: int | None = None
+        self._sending = threading.Lock()
         try:
             self._process = _launch(python, self._arena)
         except OSError as error:
@@ -171,9 +172,15 @@ class WorkerProcess:
             if reply.get("id") == self._abandoned:
                 self._abandoned = None
 
+    def tell(self, message: dict[str, Any]) -> None:
+        """Send what has no reply, from any thread, also during a call; that the process has ended shows at the next call."""
+        with contextlib.suppress(OSError, ValueError), self._sending:
+            send(self._input, message)
+
     def _send(self, message: dict[str, Any], with_arena: bool = True) -> None:
         try:
-            send(self._input, message, self._arena if with_arena else None)
+            with self._sending:
+                send(self._input, message, self._arena if with_arena else None)
         except (OSError, ValueError) as error:
             raise self._death() from error
 

@@ -7,6 +7,7 @@ call and the process ends as soon as its parent closes the pipe or dies.
 
 from __future__ import annotations
 
+import gc
 import logging
 import os
 import platform
@@ -27,6 +28,11 @@ OPERATIONS = frozenset(
     {"open", "sample", "save", "release", "put_cloud", "put_groom", "deform", "gaussians", "render", "warm_up", "status"}
 )
 _CANCELLABLE = frozenset({"render"})
+_SWITCH_SECONDS = 5e-4  # that a thread waits for another one's Python: a frame's threads meet hundreds of times
+
+_SETTLED = 3  # pictures after which whatever is loaded for them is there
+
+_log = logging.getLogger(__name__)
 
 
 class _Requests:
@@ -34,6 +40,7 @@ class _Requests:
 
     def __init__(self, stream: BinaryIO) -> None:
         self._stream = stream
+        self.begun: queue.SimpleQueue[dict[str, Any]] = queue.SimpleQueue()  # what is announced
         self._queue: queue.Queue[dict[str, Any]] = queue.Queue()
         self._cancelled = -1
         threading.Thread(target=self._read, name="grmm-requests", daemon=True).start()
@@ -57,6 +64,8 @@ class _Requests:
                 os._exit(0)
             if "cancel" in message:
                 self._cancelled = int(message["cancel"])
+            elif "begin" in message:
+                self.begun.put(message)
             else:
                 self._queue.put(message)
 
@@ -73,6 +82,9 @@ def main() -> None:
     send(replies, {"protocol": PROTOCOL, "python": platform.python_version(), "pid": os.getpid()})
 
     session, failure = _make_session(start["start"])
+    sys.setswitchinterval(_SWITCH_SECONDS)
+    threading.Thread(target=_begin, args=(session, requests.begun), name="grmm-begin", daemon=True).start()
+    pictures = 0
     while True:
         message = unpack(requests.next(), arena)
         if failure is not None:
@@ -83,6 +95,26 @@ def main() -> None:
             send(replies, reply, arena)
         except SessionError as error:  # no shared memory for this result
             send(replies, {"id": message["id"], "error": _describe(error)}, arena)
+        if message["call"] == "render" and pictures < _SETTLED:
+            # Libraries and models stay. Looking through all of them for garbage would cost a frame of playback now and then.
+            pictures += 1
+            gc.collect()
+            gc.freeze()
+
+
+def _begin(session: Any, announced: queue.SimpleQueue[dict[str, Any]]) -> None:
+    """Begin with what is announced, on a thread beside the one that answers; of several the last one."""
+    while True:
+        message = announced.get()
+        while not announced.empty():
+            message = announced.get()
+        try:
+            message = unpack(message, None)
+            session.begin(message["begin"], **message["arguments"])
+        except (GrmmError, MemoryError) as error:
+            _log.debug("The next picture could not be begun: %s", error)  # the call itself meets the same error
+        except Exception:  # noqa: BLE001 - likewise, and this thread has to go on
+            _log.debug("The next picture could not be begun.", exc_info=True)
 
 
 def _make_session(settings: dict[str, Any]) -> tuple[Any, GrmmError | None]:

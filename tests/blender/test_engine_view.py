@@ -30,6 +30,10 @@ def test_pictures_are_made_on_a_thread_and_the_newest_request_wins(run_blender: 
         "playing p turned", "playing q turned", "playing r turned", "preview s turned", "preview stop turned",
         "final stop turned", "playing t turned", "playing u turned", "preview v turned",
     ]  # fmt: skip
+    assert found["ahead"] == [
+        "begin playing w 512x512", "announce x", "begin playing x 512x512", "begin playing z 512x512",
+    ]  # fmt: skip
+    assert found["ahead_drawn"] == ["playing w turned", "playing x turned", "playing z turned"]
     assert found["errors"][0] == "The model worker ended."
     assert found["errors"][1] == ""
     assert "ZeroDivisionError" in found["errors"][2]

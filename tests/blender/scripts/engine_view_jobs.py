@@ -51,6 +51,7 @@ def frame_values(frame, settings, items, region, should_cancel, depths):
 
 
 pipeline.frame_values = frame_values
+pipeline.announce = lambda frame, settings, items: log.append(f"announce {frame.scene.avatars[0]}")
 
 
 def request(name: str, width: int = 640, height: int = 480, seconds: float | None = None):
@@ -145,6 +146,20 @@ for name, seconds in (("p", 1e3), ("q", 1e3), ("r", 1e3), ("s", 1e-9), ("stop", 
         levels.append(take())
     jobs.wait(PATIENCE)
 report(playing=section(), playing_levels=levels)
+
+# What is asked for while a frame of playback is drawn is announced, one frame at a time, and drawn next, then the newest.
+jobs.request(request("w", 512, 512, 1e3))
+begun()
+for name in ("x", "y", "z"):
+    jobs.request(request(name, 512, 512, 1e3))
+drawn = []
+for _ in range(3):
+    step()
+    drawn.append(take())
+    if len(drawn) < 3:
+        begun()
+jobs.wait(PATIENCE)
+report(ahead=section(), ahead_drawn=drawn)
 
 # Errors are for the user: ours as they are, defects with their name; the next request starts afresh.
 plan.error = errors.SessionError("The model worker ended.")

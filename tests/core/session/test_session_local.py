@@ -187,3 +187,19 @@ def test_what_is_an_avatars_own_fades_towards_other_people(local, tmp_path):
         before, after = (local.gaussians(one.id, controls) for one in (plain, changed))
         np.testing.assert_allclose(after.colors - before.colors, 0.25 * share, atol=1e-5)
         assert np.all(after.opacities < before.opacities) == (share > 0)
+
+
+def test_a_picture_that_was_begun_beside_another_is_not_begun_again(local, monkeypatch):
+    info = local.open("default")
+    frames = [[Instance(info.id, Controls().set_named({"jawOpen": value}))] for value in (0.1, 0.6)]
+    expected = [local.render(frame, CAMERA)["rgb"] for frame in frames]
+    made, gathered = [], local._gathered
+    monkeypatch.setattr(local, "_gathered", lambda instances, *rest: made.append(instances) or gathered(instances, *rest))
+    local._set_drawing(True)
+    local.begin("second", frames[1], CAMERA, RenderOptions())
+    local._set_drawing(False)
+    pictures = [local.render(frames[0], CAMERA)["rgb"], local.render(frames[1], CAMERA, begun="second")["rgb"]]
+    local.begin("second", frames[1], CAMERA, RenderOptions())  # too late
+    assert made == [frames[1], frames[0]]
+    for picture, same in zip(pictures, expected, strict=True):
+        np.testing.assert_array_equal(picture, same)

@@ -22,7 +22,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.session import Instance, RenderOptions, create_session, process
 from grmm_core.session.arena import SharedArena
 from grmm_core.session.client import WorkerSession
-from grmm_core.session.codec import receive, send, unpack
+from grmm_core.session.codec import digest, receive, send, unpack
 
 CAMERA = Camera.orbit(64, 64)
 LARGE = Camera.orbit(2200, 2200)  # long enough to be interrupted
@@ -208,6 +208,33 @@ def test_calls_from_several_threads_do_not_mix(session):
         np.testing.assert_allclose(found[k], vertices, atol=SAME)
 
 
+def test_an_announced_picture_is_the_same_picture(session):
+    info = session.open("default")
+    frames = [[Instance(info.id, Controls().set_named({"jawOpen": value}))] for value in (0.2, 0.5, 0.8)]
+    expected = [session.render(frame, CAMERA)["rgb"] for frame in frames]
+    drawing, found = threading.Event(), []
+
+    def draw() -> None:
+        found.append(session.render(frames[0], CAMERA, should_cancel=lambda: drawing.set() or False)["rgb"])
+
+    thread = threading.Thread(target=draw)
+    thread.start()
+    assert drawing.wait(30)
+    session.prepare(frames[2], CAMERA, RenderOptions())
+    session.prepare(frames[1], CAMERA, RenderOptions())
+    thread.join(30)
+    found += [session.render(frame, CAMERA)["rgb"] for frame in frames[1:]]
+    for picture, same in zip(found, expected, strict=True):
+        np.testing.assert_allclose(picture, same, atol=SAME)
+
+
+def test_what_cannot_be_announced_is_left_to_render(session):
+    info = session.open("default")
+    for instance in (Instance(10_000), Instance(info.id, Controls(z_exp=np.full(3, np.nan)))):
+        session.prepare([instance], CAMERA, RenderOptions())
+    assert session.render([Instance(info.id)], CAMERA)["rgb"].max() > 0.1
+
+
 def test_results_larger_than_the_arena(session):
     info = session.open("default")
     options = RenderOptions(refine=False, passes=("rgb", "alpha", "features"))
@@ -344,6 +371,13 @@ def test_messages_keep_arrays_and_types():
     assert arguments["raw"] == b"\x00\xff"
     assert receive(stream) is None
     arena.close()
+    message["arguments"].pop("big")  # a message without the arena carries its arrays itself
+    stream = io.BytesIO()
+    send(stream, message)
+    stream.seek(0)
+    back = unpack(receive(stream), None)
+    np.testing.assert_array_equal(back["arguments"]["instances"][0].controls.aligned, controls.aligned)
+    assert digest(back) == digest(message) != digest({"id": 3})
 
 
 @pytest.mark.parametrize(

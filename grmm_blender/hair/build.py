@@ -26,7 +26,7 @@ from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
 from .display import AS_SPLATS
 from .grooms import NO_HAIR, OWN_HAIR, RANDOM_HAIR
-from .read import DEFORM_NODE, UV_COORDINATE, resting_vertices
+from .read import DEFORM_NODE, TINT, UV_COORDINATE, resting_vertices
 
 GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"
 _GLOSS = 0.35  # roughness of the material
@@ -134,10 +134,14 @@ def _fill(data: bpy.types.Curves, head: bpy.types.Object, groom: Groom) -> None:
     radii = ends[:, 0] + (ends[:, 1] - ends[:, 0]) * groom.along
     data.add_curves(groom.counts.tolist())
     data.attributes["position"].data.foreach_set("vector", points.ravel())
-    for name, kind, domain, field, values in (
+    rows = [
         (UV_COORDINATE, "FLOAT2", "CURVE", "vector", places),
         ("radius", "FLOAT", "POINT", "value", radii.astype(np.float32)),
-    ):
+    ]
+    tints = groom.point_tints
+    if tints is not None:
+        rows.append((TINT, "FLOAT_VECTOR", "POINT", "vector", tints))
+    for name, kind, domain, field, values in rows:
         (data.attributes.get(name) or data.attributes.new(name, kind, domain)).data.foreach_set(field, values.ravel())
     data.update_tag()
 

@@ -27,6 +27,7 @@ from .strands import StrandShot
 
 DEFORM_NODE = "GeometryNodeDeformCurvesOnSurface"
 UV_COORDINATE = "surface_uv_coordinate"  # Blender's name for the place of a root
+TINT = "grmm_tint"  # what is added to a point's color, see `Groom.tints`; may be below 0, and so is no color of Blender's
 SAME_REST = 0.003  # metres
 _TO_HEAD = np.linalg.inv(HEAD_TO_BLENDER)
 
@@ -39,10 +40,11 @@ class _Curves:
     offsets: np.ndarray
     uv: np.ndarray | None
     radii: np.ndarray | None
+    tints: np.ndarray | None
 
     def matches(self, other: _Curves) -> bool:
         """Whether these are the same curves, wherever their points are."""
-        pairs = (self.offsets, other.offsets), (self.uv, other.uv), (self.radii, other.radii)
+        pairs = (self.offsets, other.offsets), (self.uv, other.uv), (self.radii, other.radii), (self.tints, other.tints)
         return all(one is two or np.array_equal(one, two) for one, two in pairs)  # type: ignore[arg-type]
 
 
@@ -184,12 +186,13 @@ def _of_frame(
 
 def _groom(head: bpy.types.Object, curves: _Curves, vertices: np.ndarray) -> Groom:
     model = load_head(AssetReference(head.grmm.head_name))
-    return groom_from_curves(model, vertices, curves.points, curves.offsets, curves.uv, curves.radii)
+    return groom_from_curves(model, vertices, curves.points, curves.offsets, curves.uv, curves.radii, tints=curves.tints)
 
 
 def _shot(number: int, groom: Groom) -> StrandShot:
     digest = hashlib.blake2b(digest_size=12)
-    for array in (groom.triangles, groom.weights, groom.offsets, groom.points, groom.widths):
+    own = () if groom.tints is None else (groom.tints,)
+    for array in (groom.triangles, groom.weights, groom.offsets, groom.points, groom.widths, *own):
         digest.update(np.ascontiguousarray(array).tobytes())
     return StrandShot(f"curves {number}", digest.hexdigest(), groom)
 
@@ -208,7 +211,8 @@ def _curves_of(data: bpy.types.Curves, source: _Curves | None) -> _Curves:
     uv = _attribute(data, UV_COORDINATE, "FLOAT2", count, "vector", 2)
     if uv is None and source is not None and len(source.offsets) == count + 1:
         uv = source.uv
-    return _Curves(points, offsets, uv, _attribute(data, "radius", "FLOAT", total, "value", 1))
+    radii = _attribute(data, "radius", "FLOAT", total, "value", 1)
+    return _Curves(points, offsets, uv, radii, _attribute(data, TINT, "FLOAT_VECTOR", total, "vector", 3))
 
 
 def _attribute(data: bpy.types.Curves, name: str, kind: str, count: int, field_name: str, size: int) -> np.ndarray | None:

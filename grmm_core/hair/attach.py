@@ -18,7 +18,7 @@ WIDTH = 1.2e-4  # metres, where a host has no radii
 
 def groom_from_curves(
     head: HeadModel, vertices: np.ndarray, points: np.ndarray, offsets: np.ndarray, surface_uv: np.ndarray | None,
-    radii: np.ndarray | None = None, group: int = SCALP,
+    radii: np.ndarray | None = None, group: int = SCALP, tints: np.ndarray | None = None,
 ) -> Groom:  # fmt: skip
     """Bind curves to a head.
 
@@ -30,6 +30,7 @@ def groom_from_curves(
         surface_uv: Place of each root on the UV map, [N, 2].
         radii: Half the diameter at each point, metres, [P], or None.
         group: One of `roots.GROUPS` by number.
+        tints: Own colors at each point, see `Groom.tints`, [P, 3], or None.
 
     Raises:
         ShapeError: There is no surface, a curve has one point, values are not finite, there are too many points, or the curves
@@ -65,6 +66,8 @@ def groom_from_curves(
         np.asarray(head.v_template, float), np.asarray(head.faces), np.asarray(vertices, float), triangles, weights,
         points.astype(float), offsets, widths.clip(1e-6, 0.01), np.full(count, group),
     )  # fmt: skip
+    if tints is not None and tints.any() and np.isfinite(tints).all():
+        groom = groom.tinted(tints.clip(-1.0, 1.0))
     return groom if keep.all() else groom.select(keep)
 
 

@@ -83,6 +83,23 @@ class Groom:
         number = np.arange(len(self.points)) - np.repeat(self.offsets[:-1], self.counts)
         return number / np.repeat(self.counts - 1, self.counts)
 
+    @property
+    def point_tints(self) -> np.ndarray | None:
+        """`tints` at each point, float32, [P, 3], or None."""
+        if self.tints is None:
+            return None
+        at = self.along * (TINTS - 1)
+        first, strand = np.minimum(at.astype(int), TINTS - 2), self.strand_of_point
+        part = (at - first)[:, None].astype(np.float32)
+        return self.tints[strand, first] * (1 - part) + self.tints[strand, first + 1] * part
+
+    def tinted(self, point_tints: np.ndarray) -> Groom:
+        """These strands with the tints that their points have, [P, 3]; the other way round than `point_tints`."""
+        at = np.linspace(0.0, 1.0, TINTS) * (self.counts - 1)[:, None]  # [N, TINTS]
+        first = np.minimum(at.astype(int), self.counts[:, None] - 2)
+        part, row = (at - first)[..., None].astype(np.float32), first + self.offsets[:-1, None]
+        return replace(self, tints=(point_tints[row] * (1 - part) + point_tints[row + 1] * part).astype(np.float32))
+
     def frames(self, template: np.ndarray, faces: np.ndarray) -> RootFrames:
         """The roots' frames on a head [V, 3] of triangles [F, 3]; made once for `posed`."""
         return RootFrames.build(template, faces, self.triangles, self.weights, self.groups)

@@ -35,6 +35,10 @@ _LAYERS = (
 )  # fmt: skip
 UNLIKE = 0.12  # display color between hair and skin from which on they are told apart
 _BROW, _DARKER = 16, 1.5  # brows in the side of a painting; how much darker than around them they become
+_HUNG = 2.0  # how quickly a neck begins to count as one that hair hangs over
+_APART = "mouth_interior", "lashes", "left_eyeball", "right_eyeball"
+_CHIN_WIDE, _BEARDED = 0.02, 0.5  # metres from the middle; share of hair in the color of a chin that has a beard
+_CHEEK = 0.025  # metres, down from the eyes and out from so far beside the middle, over which hair may begin to hang
 _GRAIN = 0.05  # of hair and brows, in display values: strands' worth of unevenness
 
 
@@ -70,7 +74,8 @@ def plain_face(head: HeadModel, pixels: int = PIXELS) -> np.ndarray:
 def accented(head: HeadModel, painting: np.ndarray) -> np.ndarray:
     """Return a painting of a person with what a bare mesh wants plainer than strands and lenses have left it.
 
-    Pupils are black, brows darker than what is around them, and ears that hair has colored are skin.
+    Pupils are black, brows darker than what is around them, and what hair has colored where it hangs is skin: ears, neck and
+    shoulders, and the sides of a face without a beard.
 
     Args:
         head: The mesh, its UV map and regions.
@@ -85,14 +90,27 @@ def accented(head: HeadModel, painting: np.ndarray) -> np.ndarray:
         weights: np.ndarray = (head.marked(*regions)[corners] * layout.barycentric).sum(1)
         return weights
 
+    def smooth(region: str, rounds: int) -> np.ndarray:
+        marks = _smoothed(head.marked(region), head.faces, rounds)[corners] * layout.barycentric
+        return np.clip(_HUNG * marks.sum(1), 0.0, 1.0)
+
     scalp = inside("scalp") > 0.5
     plain = (inside("face") > 0.5) & (inside("lips", "left_lids", "right_lids", "brows") == 0.0)
     if plain.any() and scalp.any():
         tone = np.median(colors[plain], 0)
         hair = np.median(colors[scalp], 0) - tone
         share = np.clip((colors - tone) @ hair / max(float(hair @ hair), 1e-6), 0.0, 1.0)
-        ears = (inside("ears") > 0.0) & (np.linalg.norm(hair) > UNLIKE)
-        colors[ears] -= share[ears, None] * hair
+        if np.linalg.norm(hair) > UNLIKE:
+            points = (head.v_template[corners] * layout.barycentric[..., None]).sum(1)
+            covered = np.maximum(inside("ears") > 0.0, smooth("neck", 2))
+            heights = {name: head.v_template[head.marked(name)][:, 1] for name in ("lids", "lips")}
+            chin = plain & (np.abs(points[:, 0]) < _CHIN_WIDE) & (points[:, 1] < heights["lips"].min())
+            if not chin.any() or np.median(share[chin]) < _BEARDED:
+                low, aside = (heights["lids"].min() - points[:, 1]) / _CHEEK, (np.abs(points[:, 0]) - _CHEEK) / _CHEEK
+                cheek = np.clip(low, 0.0, 1.0) * np.clip(aside, 0.0, 1.0) * (inside("lips", *_APART) == 0.0)
+                covered = np.maximum(np.maximum(covered, smooth("neck", 8)), cheek)
+            covered *= inside("scalp") == 0.0
+            colors += (covered * share)[:, None] * (tone - colors)
         around = _averaged(flat.reshape(painting.shape), len(painting) // _BROW).reshape(-1, 3)[layout.texel]
         colors += _DARKER * inside("brows")[:, None] * np.minimum(colors - around, 0.0)
     points = (head.v_template[corners] * layout.barycentric[..., None]).sum(1)

@@ -59,6 +59,8 @@ def test_hair_is_what_blender_evaluates_of_curves(hair_script):
     assert found["active"]
     assert found["combed_avatar"]  # panels show the avatar whose hair is combed
     assert [found["shown"], found["edited"], found["after"]] == ["WIRE", "TEXTURED", "WIRE"]
+    assert found["untinted"]
+    assert 0.0 <= found["tints"] < 1e-3
 
 
 def test_curves_that_cannot_be_hair_get_a_sentence_and_the_groom_is_there_instead(hair_script):

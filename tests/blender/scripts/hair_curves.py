@@ -167,3 +167,12 @@ report(mode=curves.mode, active=bpy.context.object == curves, edited=curves.disp
 bpy.ops.object.mode_set(mode="OBJECT")
 bpy.context.view_layer.update()
 report(after=curves.display_type)
+
+# What a photo says of the colors of strands is an attribute of their points, and is read back.
+ends = np.random.default_rng(0).uniform(-0.3, 0.3, (2, len(at_rest), 1, 3))
+places = np.linspace(0.0, 1.0, module("grmm_core.hair.groom").TINTS)[:, None]
+tinted = core_hair.Groom(**vars(at_rest) | {"tints": (ends[0] * (1 - places) + ends[1] * places).astype(np.float32)})
+hair.curves = module("grmm_blender.hair.build").make_curves(avatars.avatars_in(scene)[0], tinted)
+read = worn().strands.groom
+off = np.abs(read.tints - tinted.tints).max() if len(read) == len(tinted) else -1.0
+report(tints=float(off), untinted=at_rest.tints is None)

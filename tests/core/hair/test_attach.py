@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from grmm_core.errors import ControlError, ShapeError
 from grmm_core.hair import SETTINGS, Groom, HairSettings, groom_from_curves, groom_names, library_groom
 from grmm_core.hair.compact import MAX_BYTES, compact, restored
-from grmm_core.hair.groom import MAX_POINTS
+from grmm_core.hair.groom import MAX_POINTS, TINTS
 from grmm_core.hair.pigment import albedos
 from grmm_core.hair.strands import blocks_of
 from grmm_core.head.open_head import load_open_head
@@ -37,6 +38,16 @@ def test_curves_are_bound_where_they_stand(head, curves):
     placed = made.posed(made.frames(head.v_template, head.faces), np.asarray(head.v_template, float))
     np.testing.assert_allclose(placed, points, atol=1e-5)
     np.testing.assert_allclose(made.widths, 2e-4)
+
+
+def test_own_colors_of_strands_go_through_the_points_of_curves(head, curves):
+    groom, points, offsets, uv = curves
+    ends = np.random.default_rng(0).uniform(-0.3, 0.3, (2, len(groom), 1, 3))
+    places = np.linspace(0.0, 1.0, TINTS)[:, None]
+    tinted = replace(groom, tints=(ends[0] * (1 - places) + ends[1] * places).astype(np.float32))
+    made = groom_from_curves(head, head.v_template, points, offsets, uv, tints=tinted.point_tints)
+    np.testing.assert_allclose(made.tints, tinted.tints, atol=1e-5)
+    assert groom_from_curves(head, head.v_template, points, offsets, uv, tints=0.0 * tinted.point_tints).tints is None
 
 
 def test_wrong_curves_get_one_sentence(head, curves):

@@ -164,13 +164,15 @@ def compared(
         seen[i] = _0
     for k in range(len(depths)):  # map by map: one of them stays near the processor
         depth, low, high, scale, turn, shift = depths[k], nearest[k], farthest[k], focals[k], turns[k], shifts[k]
+        finest = _1 / scale
         for i in range(first, last):
             px, py, pz, nx, ny, nz = points[i, 0], points[i, 1], points[i, 2], normals[i, 0], normals[i, 1], normals[i, 2]
             ahead = turn[2, 0] * nx + turn[2, 1] * ny + turn[2, 2] * nz
             if ahead > limit:
                 continue
-            pixel = _1 if flat else max(turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2], _0)
-            pixel /= scale
+            pixel = finest
+            if not flat:
+                pixel *= max(turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2], _0)
             level = min(max(-ahead / steep, _0), _1)  # how far the plane of the surface is followed
             up = least + (_1 + level * (lift - _1)) * pixel * math.sqrt(max(_1 - ahead * ahead, _0))
             x, y, z = _on_map(turn, shift, scale, flat, px + up * nx, py + up * ny, pz + up * nz)

@@ -34,6 +34,7 @@ UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0], np.float32)  # what c
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _RIGID = "scalp"  # region whose turn is the head's
+_PLACES = 5  # of numbers that a turn is known by: what an expression pulls at the scalp is no turn
 
 
 class Hair(NamedTuple):
@@ -95,7 +96,7 @@ class LitAvatar:
             return skin
         points, quats = to_numpy(strands.means), to_numpy(strands.quats)
         these = hashlib.blake2b(np.ascontiguousarray(points).data, digest_size=16).digest()  # combed, swinging, thinned out
-        hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, eye),))[0]
+        hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, eye, these),))[0]
         return np.concatenate([skin, hair])
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
@@ -109,19 +110,23 @@ class LitAvatar:
         corners, weights = self._texels.corners[self._rows], self._texels.barycentric[self._rows]
         return relative(scene, bounced, corners, weights, learned, self._response.gloss)
 
-    def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray) -> np.ndarray:
-        """What lights strands, as `channels` has it, less what their colors hold of the rig's."""
-        grid = self._grid
+    def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray, these: bytes) -> np.ndarray:
+        """What lights strands, `these`, as `channels` has it, less what their colors hold of the rig's."""
+        grid, centre = self._grid, self._middle
         parts = np.stack([self._seen(lamp)[1] for lamp in self.lamps], -1) if self.lamps else np.zeros((*grid.size, 0))
         here = Reaching(parts, grid.coordinates(np.eye(3), np.zeros(3)))
         scene = strand_light(
-            self.lamps, points, quats, here, self._centre, eye, coefficients_of(self._lighting.surroundings), self._response
+            self.lamps, points, quats, here, centre, eye, coefficients_of(self._lighting.surroundings), self._response
         )  # fmt: skip
-        rig = strand_light(
-            STUDIO.lamps, points, quats, self._rig_in_hair(), self._centre, eye, coefficients_of(STUDIO.surroundings)
-        )
         nothing, nowhere = np.zeros((1, 3), np.float32), np.zeros((len(points), 3), np.int32)  # no skin lights hair
-        learned = Learned(reached(rig.irradiance), rig.highlights)
+
+        def make() -> Learned:
+            within, around = self._rig_in_hair(), coefficients_of(STUDIO.surroundings)
+            rig = strand_light(STUDIO.lamps, points, quats, within, centre, eye, around)
+            return Learned(reached(rig.irradiance), rig.highlights)
+
+        key = (self._target.id, "rig on hair", these, eye.tobytes(), self._to_rest.tobytes())
+        learned = Learned(*self._evaluator.cache.get((*key, *self._inputs.identity_key, *self._inputs.shape_key), make))
         return relative(scene, nothing, nowhere, nowhere, learned, self._response.gloss)
 
     # --- what is kept ----------------------------------------------------------------------------------------------
@@ -170,16 +175,26 @@ class LitAvatar:
                 held = Receivers.around(grid.points, grid.points)
             maps = maps_of(lamp, held, self._casters, self._response.softness)
             seen = maps.seen(skin)
-            if self._cloud is not None:  # known on cells that are no finer than the mesh
-                moved, places = self._to_cloud, self._vertices
-                there = Lighting((lamp,)).in_space(moved).lamps[0]
-                through = self._cloud.through(there, places @ moved[:3, :3].T + moved[:3, 3])
-                seen *= self._at_texels(through[:, None])[:, 0]
+            if self._cloud is not None:
+                seen *= self._at_texels(self._through(lamp, self._cloud)[:, None])[:, 0]
             return seen, maps.reaching(grid.points).reshape(grid.size)
 
         mesh = (self._lod, () if self._hair is None else self._hair.key, *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
         return self._evaluator.cache.get(key, make)
+
+    def _through(self, lamp: Lamp, cloud: HairCloud) -> np.ndarray:
+        """What hair leaves of a lamp's light at each vertex, [V, 1]; its cells are no finer than the mesh.
+
+        Hair that stays as on the head at rest is followed to vertices at rest: an expression that does not turn the head finds
+        the last one's.
+        """
+        assert self._hair is not None
+        if self._hair.moves:
+            return cloud.through(lamp, self._vertices)
+        there = Lighting((lamp,)).in_space(self._to_rest).lamps[0]
+        key = (self._target.id, "through", self._hair.key, repr(there), *self._inputs.identity_key, *self._inputs.shape_key)
+        return self._evaluator.cache.get(key, lambda: (cloud.through(there, self._rest().vertices),))[0]
 
     def _rig_in_hair(self) -> Reaching:
         """Which part of the rig's lamps reaches hair on the head at rest, carried along by the head's turn."""
@@ -258,7 +273,14 @@ class LitAvatar:
         back = np.eye(4)
         back[:3, :3] = turn_between(rest, posed).T
         back[:3, 3] = rest.mean(0) - back[:3, :3] @ posed.mean(0)
-        return back
+        return np.round(back, _PLACES) + 0.0  # without negative zeros, which keys would tell apart
+
+    @functools.cached_property
+    def _middle(self) -> np.ndarray:
+        """Of the rigid head, from where hair grows outwards, [3]: not of the mesh, whose jaw opens."""
+        vertices, back = self._rest().vertices, self._to_rest
+        middle: np.ndarray = (0.5 * (vertices.min(0) + vertices.max(0)) - back[:3, 3]) @ back[:3, :3]
+        return middle
 
     @property
     def _to_cloud(self) -> np.ndarray:

@@ -128,8 +128,8 @@ def draw(
 
 def _relit(refined: Any, raster: RasterOutput[Any], which: slice) -> Any:
     if isinstance(refined, np.ndarray) or refined.device.type == "cpu":  # one compiled pass instead of twenty of torch
-        flat = (to_numpy(each) for each in (refined, raster.alpha, present(raster.features)))
-        return as_like(relit_pixels(*flat, which.start), refined)
+        light = to_numpy(present(raster.features))
+        return as_like(relit_pixels(to_numpy(refined), to_numpy(raster.alpha), light, which.start), refined)
     light = light_of(raster, which)
     return relit(refined, raster.alpha, light[..., RATIO], light[..., HIGHLIGHTS])
 

@@ -19,14 +19,17 @@ from .roots import SCALP
 from .settings import HairSettings
 from .strands import StrandBlock
 
-DRAWN = 0.85  # px: how wide a strand should be on the picture; thinner ones are drawn as fewer, wider ones
+DRAWN = 0.6  # px: how wide a strand should be on the picture; thinner ones are drawn as fewer, wider ones
 SPARSE = 0.2  # px: likewise for brows, beards, lashes and shorn hair, between which skin shows
 SHORT, LONG = 0.008, 0.06  # metres: mean length of hair that is drawn so, and of hair that is not
 SMALLEST_SHARE = 0.06  # of the strands
-BUDGET = 70.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
+BUDGET = 120.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
 OPACITY = 0.97
 CELL = 6.0  # px: of the coarse depth that says what the head hides
-SLACK = 0.004  # metres below the skin that still count as seen
+SLACK = 0.006  # metres below the skin that still count as seen
+COVERED = 5.0  # opacity of strands, summed up, that hides those behind: less than e^-5 of these is left
+TELLING = 2500  # strands that tell for all what strands cover
+HEAD_REACH = 0.25  # metres before and behind the head's origin in which that is counted
 _MAX_CELLS = 128
 _STRANDS = 512  # of a task
 
@@ -109,7 +112,7 @@ def strand_gaussians(
         detail: Share of these strands that is drawn, see `StrandBlock.level`.
     """
     from ..compute.threads import TASKS, for_each, pieces
-    from .strand_kernels import hide, pose, segments_forward, shade_into
+    from .strand_kernels import pose, segments_forward, shade_into
 
     radii, there = block.level(share, settings, detail)
     count, segments = len(there), block.segments
@@ -123,20 +126,47 @@ def strand_gaussians(
     opacities, tints = OPACITY * there, block.tinted(settings.length)
     parts = pieces(count, _STRANDS, TASKS)
 
+    seen = np.ones((len(points), segments), np.float32)
+    if hiding is not None:
+        _hide(hiding, points, radii, opacities, numbers, seen)
+
     def draw(task: int) -> None:
         own = slice(*parts[task])
-        rows = slice(own.start * segments, own.stop * segments)
-        pose(points, axes, owner[own], block.spread[own], block.light, where[own], light[own])
-        some = StrandGaussians(*(array[rows] for array in made))
+        some = StrandGaussians(*(array[own.start * segments : own.stop * segments] for array in made))
+        some.opacities[:] = seen[owner[own]].ravel()
+        pose(points, axes, owner[own], block.spread[own], block.light, some.opacities, where[own], light[own])
         segments_forward(where[own], radii[own], opacities[own], numbers, eye is not None, *some[:4])
-        if hiding is not None:
-            hide(some.means, numbers, hiding.depth, hiding.cell, hiding.left, hiding.top, SLACK, some.opacities)
         shade_into(where[own], albedo[own], light[own], some.opacities, numbers, settings.sheen, some.colors)
         if tints is not None:
             np.clip(some.colors + tints[owner[own]].reshape(-1, 3), 0.0, 1.0, out=some.colors)
 
     for_each(len(parts), draw)
     return made
+
+
+def _hide(
+    hiding: Hiding, points: np.ndarray, radii: np.ndarray, opacity: np.ndarray, eye: np.ndarray, seen: np.ndarray
+) -> None:
+    """Set `seen` [M, K-1] to 0 of the segments of parents [M, K, 3] that the head hides, or other strands.
+
+    Radii and opacities are those of the strands that are drawn, of which the first are the parents.
+    """
+    from ..compute.threads import for_each, pieces, thread_count
+    from .hidden_kernels import LAYER, bury, hide, thicken
+
+    middles = (0.5 * (points[:, 1:] + points[:, :-1])).reshape(-1, 3)
+    flat = seen.reshape(-1)
+    parts = [slice(*part) for part in pieces(len(middles), 4096, 4 * thread_count())]
+    cells = np.float32(hiding.cell), np.float32(hiding.left), np.float32(hiding.top)
+    for_each(len(parts), lambda n: hide(middles[parts[n]], eye, hiding.depth, *cells, np.float32(SLACK), flat[parts[n]]))
+    some = slice(0, min(len(points), len(radii)), max(min(len(points), len(radii)) // TELLING, 1))
+    told = [np.ascontiguousarray(part[some]) for part in (points, radii, opacity, seen)]
+    if not len(told[0]):
+        return
+    near = np.float32(eye[11] - HEAD_REACH)  # the head's origin is in the middle
+    thick = np.zeros((*hiding.depth.shape, int(2 * HEAD_REACH / LAYER)), np.float32)
+    thicken(*told[:3], told[3].reshape(-1), np.float32(len(radii) / len(told[0])), eye, *cells, near, thick)
+    for_each(len(parts), lambda n: bury(middles[parts[n]], eye, *cells, near, thick, np.float32(COVERED), flat[parts[n]]))
 
 
 def _far(direction: np.ndarray | None) -> np.ndarray:

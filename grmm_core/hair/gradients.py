@@ -24,7 +24,7 @@ class _Segments(torch.autograd.Function):
         numbers = np.zeros(14, np.float32) if eye is None else eye.numbers()
         inputs = [part.detach().contiguous().numpy() for part in (points, radii, opacities)]
         total = points.shape[0] * (points.shape[1] - 1)
-        made = [np.empty((total, *shape), np.float32) for shape in ((3,), (4,), (3,), ())]
+        made = [np.ones((total, *shape), np.float32) for shape in ((3,), (4,), (3,), ())]
         segments_forward(*inputs, numbers, eye is not None, *made)
         ctx.inputs, ctx.numbers, ctx.antialias = inputs, numbers, eye is not None
         return tuple(torch.from_numpy(part) for part in made)

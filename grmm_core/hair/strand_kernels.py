@@ -38,8 +38,8 @@ _ONE, _TWO, _HALF, _ZERO = F(1.0), F(2.0), F(0.5), F(0.0)
 
 @compiled(**_OPTIONS)
 def pose(
-    parents: np.ndarray, axes: np.ndarray, owner: np.ndarray, spread: np.ndarray, local: np.ndarray, points: np.ndarray,
-    light: np.ndarray,
+    parents: np.ndarray, axes: np.ndarray, owner: np.ndarray, spread: np.ndarray, local: np.ndarray, seen: np.ndarray,
+    points: np.ndarray, light: np.ndarray,
 ) -> None:  # fmt: skip
     """Place strands around those that they were made from, and turn what they know about light.
 
@@ -49,13 +49,16 @@ def pose(
         owner: Which of them each strand belongs to, [N] int32.
         spread: How far a strand is from it at root and tip, in the axes of the root, metres, [N, 2, 3].
         local: Openness with its gradient in the axes of the root, [M, K, 4].
+        seen: Of the segments; points between two at 0 are left, [N * (K-1)].
         points: Written, [N, K, 3].
         light: Written, openness in head space, [N, K, 4].
     """
     count = parents.shape[1]
     for i in range(len(owner)):
-        m = owner[i]
+        m, first = owner[i], i * (count - 1)
         for k in range(count):
+            if (k == 0 or seen[first + k - 1] <= _ZERO) and (k == count - 1 or seen[first + k] <= _ZERO):
+                continue
             t = F(k) / F(count - 1)
             dx = spread[i, 0, 0] + (spread[i, 1, 0] - spread[i, 0, 0]) * t
             dy = spread[i, 0, 1] + (spread[i, 1, 1] - spread[i, 0, 1]) * t
@@ -72,11 +75,16 @@ def segments_forward(
     points: np.ndarray, radii: np.ndarray, opacity: np.ndarray, eye: np.ndarray, antialias: bool,
     means: np.ndarray, quats: np.ndarray, scales: np.ndarray, opacities: np.ndarray,
 ) -> None:  # fmt: skip
-    """`ribbons.segments`: points [N, K, 3], radii [N, 2], opacity [N] to the last four, [N * (K-1), ...], which are written."""
+    """`ribbons.segments`: points [N, K, 3], radii [N, 2], opacity [N] to the last four, [N * (K-1), ...], which are written.
+
+    Segments whose opacity is given as 0 are left.
+    """
     count = points.shape[1] - 1
     for i in range(len(points)):
         for k in range(count):
             row = i * count + k
+            if opacities[row] <= _ZERO:
+                continue
             dx = points[i, k + 1, 0] - points[i, k, 0]
             dy = points[i, k + 1, 1] - points[i, k, 1]
             dz = points[i, k + 1, 2] - points[i, k, 2]
@@ -317,29 +325,3 @@ def march(dim: np.ndarray, places: np.ndarray, directions: np.ndarray, steps: in
         seen[p, 0] = a / len(directions)
         share = F(3.0) / len(directions)
         seen[p, 1], seen[p, 2], seen[p, 3] = b * share, c * share, d * share
-
-
-@compiled(**_OPTIONS)
-def hide(means: np.ndarray, eye: np.ndarray, depth: np.ndarray, cell: float, left: float, top: float, slack: float,
-         opacities: np.ndarray) -> None:  # fmt: skip
-    """Set the opacity to 0 of Gaussians that a head hides.
-
-    Args:
-        means: Head space, [N, 3].
-        eye: See the module.
-        depth: Farthest depth of the head around each cell of the picture, far away where it may be seen past, [H, W] metres.
-        cell: Pixels of a cell.
-        left: What is taken from column pixels (relative to the optical axis) before they are divided by `cell`.
-        top: Likewise from rows.
-        slack: Metres behind the head that still count as seen.
-        opacities: Changed, [N].
-    """
-    for n in range(len(means)):
-        x, y, z = means[n, 0], means[n, 1], means[n, 2]
-        qx = eye[0] * x + eye[1] * y + eye[2] * z + eye[9]
-        qy = eye[3] * x + eye[4] * y + eye[5] * z + eye[10]
-        qz = eye[6] * x + eye[7] * y + eye[8] * z + eye[11]
-        scale = eye[12] if eye[13] > _HALF else eye[12] / max(qz, F(1e-4))
-        column, row = math.floor((qx * scale - left) / cell), math.floor((qy * scale - top) / cell)
-        if 0 <= column < depth.shape[1] and 0 <= row < depth.shape[0] and qz > depth[int(row), int(column)] + slack:
-            opacities[n] = _ZERO

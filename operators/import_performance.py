@@ -62,16 +62,16 @@ class GRMM_OT_import_performance(ImportsFiles, Operator):
         ("SAMPLES", "Every Sample", "One key for each recorded sample, also between frames"),
     )
     present: choice(
-        "Present Action",
+        "Old Action",
         "What becomes of an animation that the avatar has; the recording gets an action named after the file",
         ("KEEP", "Keep", "It stays in the file with a fake user, to be chosen again in the action editor"),
         ("PUSH_DOWN", "Push Down", "It plays on in a track of the nonlinear animation, below the recording"),
         ("WRITE_INTO", "Write Into", "No new action: the recording replaces its keys from first to last frame"),
     )
-    max_error: number("Largest Error", "How far reduced keys may deviate from the recording", default=0.01, min=0.0005, max=0.2)
-    fps: number("Recorded Rate", "Frames per second of the recording; 0 takes what the file says", min=0.0, max=1000.0)
+    max_error: number("Max Error", "How far reduced keys may deviate from the recording", default=0.01, min=0.0005, max=0.2)
+    fps: number("Frame Rate", "Frames per second of the recording; 0 takes what the file says", min=0.0, max=1000.0)
     angle_error: number(
-        "Largest Angle Error",
+        "Angle Error",
         "How far reduced keys of rotations may deviate from the recording",
         default=DEFAULT_ANGLE_ERROR,
         min=0.0005,

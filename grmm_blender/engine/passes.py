@@ -46,7 +46,7 @@ SESSION_PASSES: dict[Kind, tuple[str, ...]] = {
     "mask": ("alpha",),
     "avatar_mask": ("mask",),
     "hair": ("hair",),
-    "raw": ("raw", "alpha"),
+    "raw": ("raw_linear",),
     "normal": ("normal",),
     "features": ("features",),
     "diffuse": ("diffuse",),

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...grmm_core.pictures.color import scene_linear_premultiplied
 from ...grmm_core.session import EMPTY_DEPTH
-from .occlusion import Visibility, bounds
+from .occlusion import Visibility
 from .passes import FEATURES_IN_A_PASS, RenderPass
 
 
@@ -36,7 +35,7 @@ def pass_values(
     if item.kind == "combined":
         return _over_world(buffers["linear"], visible, world)
     if item.kind == "raw":
-        return _over_world(_linear(buffers["raw"], buffers["alpha"]), visible, world)
+        return _over_world(buffers["raw_linear"], visible, world)
     if item.kind == "features":
         values = np.zeros((*buffers["alpha"].shape[:2], FEATURES_IN_A_PASS), np.float32)
         group = buffers["features"][..., item.group * FEATURES_IN_A_PASS : (item.group + 1) * FEATURES_IN_A_PASS]
@@ -59,15 +58,6 @@ def pass_values(
         own = [index for index, name in enumerate(avatar_names) if name == item.avatar]
         values = np.clip(buffers["mask"][..., own].sum(axis=-1, keepdims=True), 0, 1).astype(np.float32)
     return values if shown is None else values * shown
-
-
-def _linear(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Return `scene_linear_premultiplied`, which takes long, of the part of the picture that avatars cover."""
-    result = np.zeros((*alpha.shape[:2], 4), np.float32)
-    box = bounds(alpha[..., 0] > 0)
-    if box is not None:
-        result[box] = scene_linear_premultiplied(rgb[box], alpha[box])
-    return result
 
 
 def _over_world(front: np.ndarray, visible: Visibility, world: np.ndarray | None) -> np.ndarray:

@@ -29,7 +29,7 @@ from .pipeline import DrawSettings
 from .settings import ENGINE
 from .view_jobs import ViewJobs, ViewPicture, ViewRequest
 
-_POLL_SECONDS = 0.03
+_POLL_SECONDS = 0.01  # Blender hears of nothing from threads; looking so often costs it microseconds
 _EDGE_SAMPLES = 2
 PLAYED_STRANDS = 0.25  # share of the strands in a frame of playback
 

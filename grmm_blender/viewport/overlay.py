@@ -17,7 +17,7 @@ from .changes import CHANGES
 from .settings import SHADINGS
 from .splat_view import Viewport
 
-_POLL_SECONDS = 0.03
+_POLL_SECONDS = 0.01  # Blender hears of nothing from threads; looking so often costs it microseconds
 _KEPT = 16  # viewports; those of closed windows are dropped beyond
 _TEXT_SIZE, _TEXT_PLACE, _LINE_HEIGHT = 12, 20, 18  # pixels at interface scale 1
 _LOWER_REGIONS = ("HUD", "ASSET_SHELF", "ASSET_SHELF_HEADER")

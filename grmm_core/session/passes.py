@@ -16,7 +16,7 @@ from ..pictures.color import MIN_ALPHA
 from ..splat.types import RasterOutput
 from .engines import Engine
 from .lit import HIGHLIGHTS, SHADOW
-from .values import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, RenderOptions
+from .values import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, RAW_LINEAR_PASS, RenderOptions
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,7 @@ def buffers(
     makers: dict[str, Callable[[], Any]] = {
         "rgb": lambda: refined + behind,
         LINEAR_PASS: lambda: _linear(refined, alpha, engine, channels.light is not None),
+        RAW_LINEAR_PASS: lambda: engine.scene_linear(raster.rgb, alpha),
         "alpha": lambda: alpha[..., None],
         "depth": lambda: library_of(alpha).where(alpha >= MIN_ALPHA, raster.depth, nothing)[..., None],
         "raw": lambda: raster.rgb + behind,
@@ -113,6 +114,7 @@ def empty(camera: Camera, options: RenderOptions) -> dict[str, np.ndarray]:
     sizes = {
         "rgb": 3,
         LINEAR_PASS: 4,
+        RAW_LINEAR_PASS: 4,
         "alpha": 1,
         "depth": 1,
         "raw": 3,

@@ -25,6 +25,8 @@ LIGHT_PASSES = ("diffuse", "specular", "shadow")
 PASS_NAMES: tuple[str, ...] = ("rgb", "alpha", "depth", "raw", "normal", "features", "mask", "hair", *LIGHT_PASSES)
 LINEAR_PASS = "linear"
 """A further pass, for hosts that work in linear light: "rgb" and "alpha" as `color.scene_linear_premultiplied` has them."""
+RAW_LINEAR_PASS = "raw_linear"
+"""The same of "raw" and "alpha"."""
 EMPTY_DEPTH = 1.0e10
 """Depth in metres of pixels that no Gaussian covers: Blender's value for an empty Z pass."""
 MAX_LOD = 3
@@ -185,7 +187,7 @@ class RenderOptions:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "passes", tuple(self.passes))
-        unknown = [name for name in self.passes if name not in PASS_NAMES and name != LINEAR_PASS]
+        unknown = [name for name in self.passes if name not in (*PASS_NAMES, LINEAR_PASS, RAW_LINEAR_PASS)]
         if unknown or not self.passes:
             name = unknown[0] if unknown else ""
             raise ConfigError(f"There is no render pass {name!r}; choose from {', '.join(PASS_NAMES)}.")

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 from .blender import WalkedBlender
-from .steps import walk
+from .order import walk
 
 
 def main() -> int:
@@ -17,9 +17,11 @@ def main() -> int:
     parser.add_argument("--output", type=Path, default=Path("out/walk"), help="folder for pictures and the console's text")
     parser.add_argument("--root", type=Path, help="folder of another system, with Blender, Xvfb, openbox and xdotool (chroot)")
     parser.add_argument("--display", default=":77", help="name for the virtual screen (default: %(default)s)")
+    parser.add_argument("--python", default="", help="a Python with torch, as Blender sees it: a photo becomes an avatar then")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="make the documents' pictures there instead of walking")
     arguments = parser.parse_args()
     with WalkedBlender(arguments.output, arguments.root, display=arguments.display) as blender:
+        blender.torch_python = arguments.python
         if arguments.pictures is not None:
             from .pictures import take
 

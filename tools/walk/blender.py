@@ -53,6 +53,7 @@ class WalkedBlender:
         self._root, self._display = root, display
         shared = (root or Path("/")) / "tmp"
         self.shared = Path(tempfile.mkdtemp(prefix="grmm-walk-", dir=shared))
+        self.torch_python = ""  # an interpreter with torch, as Blender sees it; steps that need one are left out without
         self._home = home
         self._processes: list[subprocess.Popen[bytes]] = []
         self._count = 0

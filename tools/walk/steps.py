@@ -1,4 +1,4 @@
-"""The walk: what an animator does first, each step a picture. `STEPS` is their order.
+"""The walk: what an animator does first, each step a picture. `order.STEPS` is their order.
 
 Operators are called with an undo step, as a click on them makes one (`True` after the way to call them). A step takes the
 driven Blender; it raises where something is wrong that a program can see (no face in the render, a traceback in the console),
@@ -22,14 +22,14 @@ PHOTO = Path(__file__).resolve().parents[2] / "tests" / "data" / "photos" / "ast
 RENDER_SECONDS, POSES_SECONDS, ESCAPE_SECONDS = 400.0, 400.0, 20.0
 SCROLLS = 60  # clicks of the wheel from the sidebar's upper panels to its end
 HEAD = "head = next((o for o in bpy.context.scene.objects if 'jawOpen' in o.keys()), None)\n"
-_SELECT = """
+SELECT_RIG = """
 rig = next(o for o in bpy.context.scene.objects if o.type == "ARMATURE")
 bpy.ops.object.select_all(action="DESELECT")
 rig.select_set(True)
 bpy.context.view_layer.objects.active = rig
 """
 _OPEN_PANELS = """
-for name in ("GRMM_PT_hair", "GRMM_PT_light"):
+for name in {names}:
     panel = getattr(bpy.types, name)
     bpy.utils.unregister_class(panel)
     panel.bl_options = set()
@@ -103,7 +103,7 @@ def first_render(blender: WalkedBlender) -> None:
         saved = blender.shared / f"{title}.png"
         blender.run(f"bpy.data.images['Render Result'].save_render({blender.inner(saved)!r})")
         blender.keep(saved, f"{title}_result")
-        _close_windows(blender)
+        close_windows(blender)
     colors = blender.run(
         f"image = bpy.data.images.load({blender.inner(saved)!r})\nwidth, height = image.size\n"
         "at = 4 * (width * (height // 2) + width // 2)\nresult = list(image.pixels[at:at + 3])"
@@ -112,7 +112,7 @@ def first_render(blender: WalkedBlender) -> None:
         raise WalkError(f"there is no face in the middle of the picture: {colors}")
 
 
-def _close_windows(blender: WalkedBlender) -> None:
+def close_windows(blender: WalkedBlender) -> None:
     """Close the render's window."""
     blender.run(
         "for other in list(bpy.context.window_manager.windows)[1:]:\n"
@@ -136,7 +136,7 @@ def _f12(blender: WalkedBlender) -> float:
 def panels(blender: WalkedBlender) -> None:
     """Look at the head from the front, with the sidebar's GRMM tab open."""
     open_panels(blender)
-    blender.run(_SELECT + "bpy.ops.view3d.view_axis(type='FRONT')\nbpy.ops.view3d.view_selected()")
+    blender.run(SELECT_RIG + "bpy.ops.view3d.view_axis(type='FRONT')\nbpy.ops.view3d.view_selected()")
     blender.run("area.spaces.active.region_3d.view_distance *= 1.5\narea.spaces.active.show_region_ui = True")
     blender.picture("sidebar", 3)
     blender.run("next(part for part in area.regions if part.type == 'UI').active_panel_category = 'GRMM'\narea.tag_redraw()")
@@ -155,13 +155,13 @@ def look(blender: WalkedBlender) -> None:
     blender.picture("look_panels", 3)
     _f12(blender)
     blender.picture("look_render", 2)
-    _close_windows(blender)
+    close_windows(blender)
     blender.run(HEAD + STUDIO)
 
 
-def open_panels(blender: WalkedBlender) -> None:
-    """Have the panels *Hair* and *Light* stand open at the sidebar's end; before it is drawn for the first time."""
-    blender.run(_OPEN_PANELS)
+def open_panels(blender: WalkedBlender, *names: str) -> None:
+    """Have panels, *Hair* and *Light* if none are named, stand open; before they are drawn for the first time."""
+    blender.run(_OPEN_PANELS.format(names=names or ("GRMM_PT_hair", "GRMM_PT_light")))
 
 
 def scroll_sidebar(blender: WalkedBlender) -> None:
@@ -223,7 +223,7 @@ def performance(blender: WalkedBlender) -> None:
     """Drop a recording on the viewport, as its file handler takes it, and play it."""
     path = blender.shared / "performance.json"
     write_performance(path)
-    blender.run(_SELECT + f"bpy.ops.grmm.import_performance('EXEC_DEFAULT', True, filepath={blender.inner(path)!r})")
+    blender.run(SELECT_RIG + f"bpy.ops.grmm.import_performance('EXEC_DEFAULT', True, filepath={blender.inner(path)!r})")
     blender.run("bpy.context.scene.frame_set(26)")
     blender.picture("performance", 4)
     blender.run("bpy.ops.screen.animation_play()")
@@ -247,7 +247,7 @@ def escape(blender: WalkedBlender) -> None:
         time.sleep(0.2)
     blender.note(f"from Escape to the end of the render: {time.monotonic() - begin:.1f} s")
     blender.picture("escaped", 2)
-    _close_windows(blender)
+    close_windows(blender)
 
 
 def photos(blender: WalkedBlender) -> None:
@@ -284,7 +284,7 @@ def save_and_reopen(blender: WalkedBlender) -> None:
 
 def eevee(blender: WalkedBlender) -> None:
     """Another engine: the painted mesh, and a word about it."""
-    _close_windows(blender)
+    close_windows(blender)
     blender.run("bpy.context.scene.render.engine = 'BLENDER_EEVEE'\narea.spaces.active.shading.type = 'RENDERED'")
     blender.picture("eevee", 60)
     blender.run("bpy.context.scene.render.engine = 'GRMM'\narea.spaces.active.shading.type = 'SOLID'")
@@ -320,28 +320,3 @@ def disable_and_enable(blender: WalkedBlender) -> None:
     blender.picture("disabled", 2)
     blender.run(f"bpy.ops.preferences.addon_enable(module={name!r})")
     blender.picture("enabled", 8)
-
-
-STEPS: tuple[Step, ...] = (
-    start, install, add_head, first_render, panels, look, sliders, random_and_reset, poses, views, performance, escape, photos,
-    undo, save_and_reopen, eevee, drop, delete, disable_and_enable,
-)  # fmt: skip
-
-
-def check_console(text: str) -> list[str]:
-    """Return the lines of Blender's console that a user should never see."""
-    return [line for line in text.splitlines() if "Traceback" in line or line.startswith(("Error:", "Warning: class"))]
-
-
-def walk(blender: WalkedBlender, extension: Path) -> list[str]:
-    """Take every step; return what went wrong, by step."""
-    problems = []
-    blender.bring(extension, "grmm.zip")
-    for step in STEPS:
-        before = len(blender.console)
-        try:
-            step(blender)
-        except WalkError as error:
-            problems.append(f"{step.__name__}: {error}")
-        problems += [f"{step.__name__}: {line}" for line in check_console(blender.console[before:])]
-    return problems

@@ -8,7 +8,7 @@ import pytest
 from grmm_core.geometry.camera import Camera
 from grmm_core.pictures.color import scene_linear_premultiplied
 from grmm_core.session import Instance, RenderOptions, create_session
-from grmm_core.session.values import LINEAR_PASS
+from grmm_core.session.values import LINEAR_PASS, RAW_LINEAR_PASS
 
 CAMERA = Camera.orbit(96, 96)
 CLOSE = {"rtol": 0.0, "atol": 5e-6}
@@ -27,11 +27,14 @@ def session(request, tmp_path_factory):
 @pytest.mark.parametrize("refine", [True, False])
 def test_scene_linear_pass_is_the_picture_in_linear_light(session, refine):
     instances = [Instance(session.open("default").id)]
-    found = session.render(instances, CAMERA, RenderOptions(refine=refine, passes=(LINEAR_PASS, "rgb", "alpha")))
+    found = session.render(
+        instances, CAMERA, RenderOptions(refine=refine, passes=(LINEAR_PASS, RAW_LINEAR_PASS, "raw", "rgb", "alpha"))
+    )
     assert found[LINEAR_PASS].shape == (96, 96, 4)
     assert found[LINEAR_PASS].dtype == np.float32
     assert found["alpha"].max() > 0.9
     np.testing.assert_allclose(found[LINEAR_PASS], scene_linear_premultiplied(found["rgb"], found["alpha"]), **CLOSE)
+    np.testing.assert_allclose(found[RAW_LINEAR_PASS], scene_linear_premultiplied(found["raw"], found["alpha"]), **CLOSE)
     # alone, and whatever is behind
     alone = session.render(instances, CAMERA, RenderOptions(refine=refine, passes=(LINEAR_PASS,), background=RED))
     np.testing.assert_allclose(alone[LINEAR_PASS], found[LINEAR_PASS], **CLOSE)

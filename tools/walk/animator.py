@@ -1,0 +1,143 @@
+"""Steps of the walk beyond the first look: moving the rig, choosing a runtime, options, turntable, motion, a photo's avatar."""
+
+from __future__ import annotations
+
+import time
+
+from .blender import WalkedBlender, WalkError
+from .steps import HEAD, MIDDLE, PHOTO, SELECT_RIG, close_windows, open_panels, scroll_sidebar
+
+FIT_SECONDS = 1200.0
+_RIG_PLACE = SELECT_RIG + "result = list(rig.location)"
+_STARTED_ON = """
+cube = bpy.data.objects["Cube"]
+result = min((rig.children[0].matrix_world @ v.co).z for v in rig.children[0].data.vertices) - cube.dimensions.z / 2
+"""
+_PREFERENCES = """
+name = next(name for name in bpy.context.preferences.addons.keys() if name.endswith("grmm"))
+chosen = bpy.context.preferences.addons[name].preferences
+"""
+_STATUS = """
+import sys
+host = next(module for name, module in sys.modules.items() if name.endswith("grmm_blender.session_host"))
+status = host.runtime_status()
+result = [status.available, status.message]
+"""
+_PLAYED = "scene = bpy.context.scene\nresult = [scene.frame_start, scene.frame_end, scene.camera.name]"
+_EYE = SELECT_RIG + "result = [list(rig.pose.bones[name].matrix.col[1]) for name in ('left_eye', 'right_eye')]"
+_TARGET = "target = next(o for o in bpy.data.objects if o.name.endswith('Look At'))\n"
+_CAMERAS = "result = sorted(o.name for o in bpy.context.scene.objects if o.type == 'CAMERA' and o.name.endswith('photo'))"
+_FIT = """
+import sys
+watch = next(module for name, module in sys.modules.items() if name.endswith("fitting.watch"))
+result = [watch.is_running(), watch.job().status.progress.picture if watch.is_running() else ""]
+"""
+
+
+def drag_rig(blender: WalkedBlender) -> None:
+    """Press G right after adding, move the mouse, and look: rig, mesh and splats go along, and Escape puts them back."""
+    if blender.run(SELECT_RIG + _STARTED_ON) < -1e-3:
+        raise WalkError("the new head stands inside the default cube")
+    blender.run("bpy.context.view_layer.objects.active.select_set(True)")
+    before = blender.run(_RIG_PLACE)
+    blender.move(*MIDDLE)
+    blender.key("g")
+    for step in range(1, 7):
+        blender.move(MIDDLE[0] + 40 * step, MIDDLE[1])
+    blender.picture("dragged_at_once", 0.2, settled=False)
+    blender.picture("dragged", 1.5, settled=False)
+    moved = blender.run(_RIG_PLACE)
+    blender.key("Escape")
+    if moved == before:
+        raise WalkError("G does not move the new head")
+
+
+def choose_runtime(blender: WalkedBlender) -> None:
+    """Choose a path that does not exist, then Blender's own Python: both are said at once, and splats come back."""
+    blender.run("bpy.ops.screen.userpref_show(section='ADDONS')\nbpy.context.window_manager.addon_search = 'GRMM'")
+    blender.run(_PREFERENCES + "bpy.ops.preferences.addon_expand(module=name)\nchosen.worker_python = '/nowhere/python'")
+    blender.picture("no_such_python", 3)
+    if blender.run(_STATUS)[0]:
+        raise WalkError("a Python that does not exist counts as one")
+    blender.run(_PREFERENCES + "import sys\nchosen.worker_python = sys.executable")
+    blender.picture("python_chosen", 3)
+    available, message = blender.run(_STATUS)
+    if not available or "worker" not in message:
+        raise WalkError(f"the Python that was chosen is not used: {message}")
+    blender.run(_PREFERENCES + "chosen.worker_python = ''")
+    close_windows(blender)
+    blender.picture("runtime_as_before", 3)
+
+
+def import_options(blender: WalkedBlender) -> None:
+    """Open the file browser of *Import Performance* and look at its options."""
+    blender.run(SELECT_RIG + "bpy.ops.grmm.import_performance('INVOKE_DEFAULT')")
+    blender.picture("import_options", 3, settled=False)
+    blender.key("Escape")
+    time.sleep(1.0)
+
+
+def turntable(blender: WalkedBlender) -> None:
+    """Add a turntable to a scene that plays a performance: range and camera stay."""
+    before = blender.run(_PLAYED)
+    blender.run(SELECT_RIG + "bpy.ops.grmm.turntable('INVOKE_DEFAULT', True)")
+    blender.picture("turntable", 3)
+    if blender.run(_PLAYED) != before:
+        raise WalkError(f"a turntable changes the scene of a performance: {before} became {blender.run(_PLAYED)}")
+    blender.run("for obj in [o for o in bpy.data.objects if 'grmm_turntable' in o]:\n    bpy.data.objects.remove(obj)")
+
+
+def motion(blender: WalkedBlender) -> None:
+    """Give the rig a target to look at, blinks, breath and bones on the face; select all controls; take them away again."""
+    kinds = ("look", "blink", "breath", "control")
+    for kind in kinds:
+        blender.run(SELECT_RIG + f"bpy.ops.grmm.add_motion('INVOKE_DEFAULT', True, feature={kind!r})")
+    before = blender.run(_EYE)
+    blender.run(_TARGET + "target.location.x += 0.5")
+    blender.picture("look_at", 3)
+    if blender.run(_EYE) == before:
+        raise WalkError("the eyes do not follow their target")
+    chosen = "result = bpy.context.scene.keying_sets_all.active.bl_idname"
+    if blender.run(SELECT_RIG + f"bpy.ops.grmm.select_controls('INVOKE_DEFAULT', True)\n{chosen}") != "GRMM_KSI_controls":
+        raise WalkError("Select All Controls chooses no keying set")
+    blender.run(SELECT_RIG + "bpy.ops.object.mode_set(mode='POSE')")
+    blender.picture("all_controls", 3)
+    blender.run("bpy.ops.object.mode_set(mode='OBJECT')")
+    for kind in kinds:
+        blender.run(SELECT_RIG + f"bpy.ops.grmm.remove_motion('INVOKE_DEFAULT', True, feature={kind!r})")
+
+
+def bare_mesh(blender: WalkedBlender) -> None:
+    """Switch splats off: what a Blender without any runtime shows."""
+    blender.run("bpy.context.scene.grmm_viewport.use_splats = False")
+    blender.picture("bare_mesh", 2)
+    blender.run("bpy.context.scene.grmm_viewport.use_splats = True")
+
+
+def fit(blender: WalkedBlender) -> None:
+    """Make an avatar of a photo where a Python with torch is given: its picture while it runs, and the camera after undo."""
+    if not blender.torch_python:
+        return
+    open_panels(blender, "GRMM_PT_fit")
+    blender.run(_PREFERENCES + f"chosen.worker_python = {blender.torch_python!r}")
+    path = blender.inner(blender.bring(PHOTO, PHOTO.name))
+    blender.run(f"bpy.ops.grmm.fit_add_photos(filepath={path!r})")
+    blender.run("bpy.context.window_manager.grmm_fit.preset = 'fast'\nbpy.ops.grmm.fit_photos('EXEC_DEFAULT')")
+    deadline, shown = time.monotonic() + FIT_SECONDS, False
+    while (state := blender.run(_FIT))[0]:
+        if state[1] and not shown:
+            shown = True
+            scroll_sidebar(blender)
+            blender.picture("fit_preview", 2, settled=False)
+        if time.monotonic() > deadline:
+            raise WalkError("the photo does not become an avatar")
+        time.sleep(2.0)
+    blender.picture("fitted", 5)
+    cameras = blender.run(_CAMERAS)
+    blender.run(HEAD + "bpy.ops.ed.undo_push(message='walk')\nhead['jawOpen'] = 0.5\nbpy.ops.ed.undo_push(message='walk')")
+    blender.move(*MIDDLE)
+    blender.key("ctrl", "z")
+    blender.picture("fit_undone", 4)
+    if not cameras or blender.run(_CAMERAS) != cameras:
+        raise WalkError(f"the photo's camera does not survive undo: {cameras} became {blender.run(_CAMERAS)}")
+    blender.run(_PREFERENCES + "chosen.worker_python = ''")

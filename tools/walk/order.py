@@ -1,0 +1,34 @@
+"""The order of all steps, and walking through them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from . import animator, steps
+from .blender import WalkedBlender, WalkError
+
+STEPS: tuple[steps.Step, ...] = (
+    steps.start, steps.install, steps.add_head, steps.first_render, steps.panels, animator.drag_rig, animator.choose_runtime,
+    steps.look, steps.sliders, steps.random_and_reset, steps.poses, steps.views, animator.bare_mesh, animator.import_options,
+    steps.performance, steps.escape, steps.photos, steps.undo, animator.turntable, animator.motion, steps.save_and_reopen,
+    steps.eevee, steps.drop, steps.delete, animator.fit, steps.disable_and_enable,
+)  # fmt: skip
+
+
+def check_console(text: str) -> list[str]:
+    """Return the lines of Blender's console that a user should never see."""
+    return [line for line in text.splitlines() if "Traceback" in line or line.startswith(("Error:", "Warning: class"))]
+
+
+def walk(blender: WalkedBlender, extension: Path) -> list[str]:
+    """Take every step; return what went wrong, by step."""
+    problems = []
+    blender.bring(extension, "grmm.zip")
+    for step in STEPS:
+        before = len(blender.console)
+        try:
+            step(blender)
+        except WalkError as error:
+            problems.append(f"{step.__name__}: {error}")
+        problems += [f"{step.__name__}: {line}" for line in check_console(blender.console[before:])]
+    return problems

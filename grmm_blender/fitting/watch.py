@@ -17,7 +17,7 @@ from ...grmm_core.avatar import read_avatar_header
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.fitting.request import FacesRequest, FitRequest
 from ...grmm_core.jobs.stages import FIND_FACES, FIT, JobStages
-from .. import events, windows
+from .. import events, staging, windows
 from ..rig.avatar import Avatar, stored_path
 from ..rig.build import build_avatar
 from ..rig.identity import read_identity
@@ -121,13 +121,17 @@ def add_to_scene(context: bpy.types.Context) -> str:
         if context.mode != "OBJECT":
             raise GrmmError("go to object mode first")
         header = read_avatar_header(path)
-        others = avatars_in(context.scene)
+        others, fresh = avatars_in(context.scene), staging.is_as_started(context.scene)
         avatar = build_avatar(context, stored_path(path), read_identity(path))
     except GrmmError as error:
         reason = str(error).rstrip(".")
         watched.note = f"The avatar is written, but it cannot be added to the scene ({reason}); press Add to Scene then."
         raise GrmmError(watched.note) from error
     watched.is_added = True
+    if not (others or bpy.app.background):  # as *Add* does for somebody who watches
+        staging.stand_up(avatar)
+        if fresh:
+            staging.set_up(context, avatar, fresh)
     moved = _stand_beside(avatar, others)
     if header.camera is not None:
         add_photo_camera(context, avatar.object, watched.request.photos[0], header.camera)
@@ -189,11 +193,12 @@ def _on_load(*_: object) -> None:
 
 
 def _stand_beside(avatar: Avatar, others: list[Avatar]) -> bool:
-    """Move a new avatar to the side until no other head is in its place; returns whether that was needed."""
+    """Move a new avatar to the side, level with the others, until none is over or under it; returns whether it moved."""
     places = [other.root.matrix_world.translation for other in others]
-    moved = False
-    while any((place - avatar.root.location).length < _BESIDE / 2 for place in places):
-        avatar.root.location.x += _BESIDE
+    moved, location = False, avatar.root.location
+    while near := [place for place in places if (place - location).xy.length < _BESIDE / 2]:
+        location.x += _BESIDE
+        location.z = near[0].z
         moved = True
     return moved
 

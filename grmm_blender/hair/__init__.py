@@ -3,6 +3,7 @@
 ``strands`` strands of one frame as plain values
 ``read``    from an evaluated Curves object to a shot
 ``build``   a Curves object from a groom
+``curve_sliders`` what the panel's sliders do to curves, for every engine
 ``display`` whether viewports show curves or splats
 ``grooms``  the choice of hair, with pictures
 ``swing``   hair that was baked while an animation played

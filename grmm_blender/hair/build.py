@@ -24,11 +24,14 @@ from .. import session_host
 from ..rig.avatar import Avatar
 from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
+from .curve_sliders import MODIFIER_NAME as SLIDERS
+from .curve_sliders import add_sliders
 from .display import AS_SPLATS
 from .grooms import NO_HAIR, OWN_HAIR, RANDOM_HAIR
 from .read import DEFORM_NODE, TINT, UV_COORDINATE, resting_vertices
 
 GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"
+_POINTS = 16  # of a curve that somebody will draw, about
 _GLOSS = 0.35  # roughness of the material
 
 
@@ -74,9 +77,10 @@ def selected_curves(avatar: Avatar) -> Iterator[None]:
         yield
     finally:
         if made is not None:
-            data, materials = made.data, list(made.data.materials)
+            data, materials, nodes = made.data, list(made.data.materials), made.modifiers[SLIDERS].node_group
             bpy.data.objects.remove(made)
             bpy.data.hair_curves.remove(data)
+            bpy.data.node_groups.remove(nodes)
             for material in materials:
                 bpy.data.materials.remove(material)
             head.add_rest_position_attribute = kept
@@ -105,6 +109,7 @@ def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | No
     obj.display_type = AS_SPLATS
     obj.lock_location = obj.lock_rotation = obj.lock_scale = (True, True, True)
     head.add_rest_position_attribute = True
+    add_sliders(obj, head, int(groom.counts.max()) if groom is not None and len(groom) else _POINTS)
     modifier = obj.modifiers.new(MODIFIER_NAME, "NODES")
     modifier.node_group = _deform_group()
     return obj

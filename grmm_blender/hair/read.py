@@ -23,6 +23,7 @@ from ...grmm_core.hair.groom import MAX_POINTS
 from ...grmm_core.hair.roots import RootFrames
 from ...grmm_core.session import HEAD_TO_BLENDER
 from ..rig.identity import load_head
+from .curve_sliders import MODIFIER_NAME, follows_sliders, keeps_course
 from .strands import StrandShot
 
 DEFORM_NODE = "GeometryNodeDeformCurvesOnSurface"
@@ -92,13 +93,16 @@ def bound_strands(
     """Return strands with a groom that has what modifiers do in the depsgraph's moment, for files. See `read_strands`."""
     strands = read_strands(head, obj, depsgraph, model_to_world)
     evaluated = _evaluated(obj.original, depsgraph)
-    nodes = [node for one in obj.modifiers if one.type == "NODES" and one.node_group for node in one.node_group.nodes]
+    final = depsgraph.mode == "RENDER"
+    idle = {MODIFIER_NAME} if keeps_course(head.grmm.hair) or not follows_sliders(obj, final) else set()
+    used = [one for one in obj.modifiers if one.type == "NODES" and one.node_group and one.name not in idle]
+    nodes = [node for one in used for node in one.node_group.nodes]
     only_follows = all(node.bl_idname in (DEFORM_NODE, "NodeGroupInput", "NodeGroupOutput") for node in nodes)
     if strands is None or only_follows or evaluated is None:
         return strands
-    to_head = np.linalg.inv(model_to_world) @ np.array(evaluated.matrix_world, np.float64)
-    shown = _moved(_curves_of(evaluated.data, _curves_of(obj.original.data, None)), to_head)
-    return replace(_of_frame(head, shown, depsgraph, model_to_world, None, obj.session_uid).shot, key=f"{strands.key} bound")
+    shown = _shown(obj.original, evaluated, _curves_of(obj.original.data, None), model_to_world, final)
+    bound = _of_frame(head, shown, depsgraph, model_to_world, None, obj.session_uid).shot
+    return replace(bound, key=f"{strands.key} bound", shaped=strands.shaped)
 
 
 def message_of(obj: bpy.types.Object) -> str:
@@ -126,8 +130,7 @@ def _read(
     evaluated = _evaluated(obj, depsgraph)
     shown = own
     if evaluated is not None:
-        to_head = np.linalg.inv(model_to_world) @ np.array(evaluated.matrix_world, np.float64)
-        shown = _moved(_curves_of(evaluated.data, own), to_head)
+        shown = _shown(obj, evaluated, own, model_to_world, final)
     if len(shown.offsets) < 2:
         return None
     if shown.matches(own):
@@ -136,9 +139,9 @@ def _read(
     else:
         made = _of_frame(head, shown, depsgraph, model_to_world, known, key[0])
     points = shown.points.astype(np.float32) if evaluated is not None else None
-    before = made.shot.points
-    if points is None or before is None or not np.array_equal(points, before):
-        made.shot = replace(made.shot, points=points) if points is not None or before is not None else made.shot
+    before, shaped = made.shot.points, points is not None and follows_sliders(obj, final)
+    if shaped != made.shot.shaped or points is None or before is None or not np.array_equal(points, before):
+        made.shot = replace(made.shot, points=points, shaped=shaped) if points is not None or before is not None else made.shot
     _known[key] = made
     return made.shot
 
@@ -149,6 +152,17 @@ def _evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bpy.typ
     if found is None or found.original != obj:  # several may have the name, of several libraries
         found = next((item for item in depsgraph.objects if item.original == obj), None)
     return found
+
+
+def _shown(
+    obj: bpy.types.Object, evaluated: bpy.types.Object, own: _Curves, model_to_world: np.ndarray, final: bool
+) -> _Curves:
+    """Evaluated curves in head space; as wide as the object's own where only sliders have changed that, for other engines."""
+    to_head = np.linalg.inv(model_to_world) @ np.array(evaluated.matrix_world, np.float64)
+    shown = _moved(_curves_of(evaluated.data, own), to_head)
+    if follows_sliders(obj, final) and np.array_equal(shown.offsets, own.offsets):
+        return replace(shown, radii=own.radii)
+    return shown
 
 
 def _of_rest(head: bpy.types.Object, obj: bpy.types.Object, rest: _Curves, known: _Known | None, brief: bool) -> _Known:

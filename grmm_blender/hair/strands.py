@@ -18,9 +18,11 @@ class StrandShot:
         version: Changes with the groom.
         groom: At rest: where the strands stand, how they are lit, what is drawn of them far away.
         points: Where Blender has the groom's points, head space, metres, float32 [P, 3]; None: they follow the head.
+        shaped: Whether these have the length and the curls of the panel's sliders.
     """
 
     key: str
     version: str
     groom: Groom
     points: np.ndarray | None = None
+    shaped: bool = False

@@ -16,6 +16,7 @@ from ...grmm_core.light.shading import Response
 from ...grmm_core.session import HairUse
 from ...grmm_core.session.wearing import GROOM_PREFIX, RANDOM_PREFIX
 from ..hair import StrandShot, read_strands
+from ..hair.curve_sliders import NEUTRAL
 from ..hair.grooms import NO_HAIR, OWN_HAIR, PARTS, RANDOM_HAIR
 from ..hair.swing import swung
 from ..properties import SCENE_LIGHT
@@ -109,6 +110,8 @@ class DrawnAvatar:
         if groom == RANDOM_HAIR:
             groom = f"{RANDOM_PREFIX}{settings.seed}"
         parts, values = (tuple(getattr(settings, name) for name in names) for names in (PARTS, [row.name for row in SETTINGS]))
+        if strands is not None and strands.shaped:
+            values = tuple(NEUTRAL.get(row.name, value) for row, value in zip(SETTINGS, values, strict=True))
         use = _hair_use(groom, parts, values)
         if settings.curves is None:
             use, note = swung(use, self.object.evaluated_get(depsgraph), depsgraph.scene.frame_current_final)

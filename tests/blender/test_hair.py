@@ -55,6 +55,17 @@ def test_hair_is_what_blender_evaluates_of_curves(hair_script):
     assert found["hidden"] < 0.3
     assert found["hidden_points"]
     assert found["short"] < 0.99 * found["long"]
+    # They shape what other engines draw, and splats take it from there.
+    assert found["cut"] == pytest.approx(0.4, abs=0.03)
+    assert found["used"] == pytest.approx([1.0, 0.4])
+    assert found["grown"] == pytest.approx(1.5, abs=0.1)
+    assert found["waved"] > 0.001
+    assert found["rooted"] < 1e-5
+    assert found["thick"] == pytest.approx(2, abs=0.01)
+    assert found["there"] == pytest.approx(0.5, abs=0.05)
+    assert found["same_groom"]
+    assert found["straight"] <= 1.001
+    assert found["unchanged"] == 0
     assert found["mode"] == "SCULPT_CURVES"
     assert found["active"]
     assert found["combed_avatar"]  # panels show the avatar whose hair is combed

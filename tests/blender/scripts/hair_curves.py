@@ -151,10 +151,43 @@ curves.hide_set(True)
 report(hidden_points=worn().strands.points is None)
 curves.hide_set(False)
 
+
 # Sliders of the shape change what the curves are, too.
+def evaluated() -> tuple[np.ndarray, np.ndarray]:
+    """What other engines draw: points and radii of the evaluated curves."""
+    bpy.context.view_layer.update()
+    found = curves.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    points, radii = np.empty(3 * len(found.points), np.float32), np.empty(len(found.points), np.float32)
+    found.attributes["position"].data.foreach_get("vector", points)
+    found.attributes["radius"].data.foreach_get("value", radii)
+    return points.reshape(len(found.curves), -1, 3), radii.reshape(len(found.curves), -1)
+
+
+def length(points: np.ndarray) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=1), axis=2).sum(1).mean())
+
+
+whole, wide = evaluated()
+version = worn().strands.version
 hair.length = 0.4
-report(short=float((shot()[..., 3] > 128).mean()), long=float((seen[..., 3] > 128).mean()))
+cut = evaluated()[0]
+report(short=float((shot()[..., 3] > 128).mean()), long=float((seen[..., 3] > 128).mean()), cut=length(cut) / length(whole))
+use = module("grmm_blender.engine.pipeline").hair_of(worn())
+report(used=[use.settings.length, use.settings.melanin])
+hair.length = 1.5
+report(grown=length(evaluated()[0]) / length(whole))
 hair.property_unset("length")
+hair.curl, hair.frizz, hair.thickness, hair.density = 1.0, 1.0, 2.0, 0.5
+waved, thick = evaluated()
+report(
+    waved=float(np.linalg.norm(waved - whole, axis=2)[:, -1].mean()), rooted=float(np.abs(waved - whole)[:, 0].max()),
+    thick=float(np.median(thick[thick > 0] / wide[thick > 0])), there=float((thick[:, 0] > 0).mean()),
+    same_groom=worn().strands.version == version,
+)  # fmt: skip
+hair.curl, hair.frizz = -1.0, 0.0
+report(straight=length(evaluated()[0]) / length(whole))
+hair.curl, hair.thickness, hair.density = 0.0, 1.0, 1.0
+report(unchanged=float(np.abs(evaluated()[0] - whole).max()))
 
 # Sculpt mode shows Blender's curves; out of it, splats alone.
 for other in list(bpy.context.selected_objects):

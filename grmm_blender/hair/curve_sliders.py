@@ -1,0 +1,149 @@
+"""What the panel's sliders do to curves, as geometry nodes: so Cycles and EEVEE draw the hair that splats show.
+
+Length, curl and frizz move points as `StrandBlock.styled` does; splats then take the points as Blender evaluates them.
+Thickness and density change the curves' radii, which splats do not read: they have their own.
+"""
+
+from __future__ import annotations
+
+import math
+
+import bpy
+
+from ...grmm_core.hair.strands import CURL, FRIZZ
+from ...grmm_core.session import HEAD_TO_BLENDER
+
+MODIFIER_NAME = "GRMM Hair Sliders"
+NEUTRAL = {"length": 1.0, "curl": 0.0, "frizz": 0.0}  # of the sliders that move points
+_OTHERS = ("thickness", "density")
+_SIDEWAYS = tuple((HEAD_TO_BLENDER[:3, :3] @ (0.31, 0.42, 0.85)).tolist())  # strands' directions across, see `strands.across`
+_EPSILON = 1e-4
+
+Value = bpy.types.NodeSocket | float | tuple[float, ...]
+
+
+class _Nodes:
+    """Writes fields as nodes of a tree."""
+
+    def __init__(self, tree: bpy.types.NodeTree) -> None:
+        self.tree = tree
+
+    def new(self, kind: str, inputs: dict[str | int, Value] | None = None, **options: object) -> bpy.types.Node:
+        """A node with some inputs given, by name or number."""
+        node = self.tree.nodes.new(kind)
+        node.location = 180.0 * (len(self.tree.nodes) % 12), -220.0 * (len(self.tree.nodes) // 12)
+        for name, value in options.items():
+            setattr(node, name, value)
+        for key, given in (inputs or {}).items():
+            if isinstance(given, bpy.types.NodeSocket):
+                self.tree.links.new(given, node.inputs[key])
+            else:
+                node.inputs[key].default_value = given
+        return node
+
+    def math(self, operation: str, *values: Value) -> bpy.types.NodeSocket:
+        """A number of numbers."""
+        return self.new("ShaderNodeMath", dict(enumerate(values)), operation=operation).outputs[0]
+
+    def vector(self, operation: str, *values: Value) -> bpy.types.NodeSocket:
+        """A vector of vectors; "SCALE" takes a number second."""
+        keys = (0, "Scale") if operation == "SCALE" else range(len(values))
+        return self.new("ShaderNodeVectorMath", dict(zip(keys, values, strict=True)), operation=operation).outputs[0]
+
+    def chance(self, curve: bpy.types.NodeSocket, seed: int) -> bpy.types.NodeSocket:
+        """A number 0..1 for each curve."""
+        node = self.new("FunctionNodeRandomValue", {"ID": curve, "Seed": seed}, data_type="FLOAT")
+        return next(socket for socket in node.outputs if socket.type == "VALUE")
+
+    def setting(self, head: bpy.types.Object, name: str) -> bpy.types.NodeSocket:
+        """A slider of the panel."""
+        socket = self.new("ShaderNodeValue", label=name.capitalize()).outputs[0]
+        driver = socket.driver_add("default_value").driver
+        driver.type = "AVERAGE"  # of one: no script runs
+        variable = driver.variables.new()
+        variable.targets[0].id, variable.targets[0].data_path = head, f"grmm.hair.{name}"
+        return socket
+
+
+def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int) -> None:
+    """Give curves of about so many points each a modifier that follows the sliders of a head's Hair panel."""
+    tree = bpy.data.node_groups.new(f"{obj.name} sliders", "GeometryNodeTree")
+    for way in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    tree.is_modifier = True
+    nodes = _Nodes(tree)
+    length, curl, frizz, thickness, density = (nodes.setting(head, name) for name in (*NEUTRAL, *_OTHERS))
+    position, curve = nodes.new("GeometryNodeInputPosition").outputs[0], nodes.new("GeometryNodeCurveOfPoint").outputs[0]
+    along = nodes.new("GeometryNodeSplineParameter").outputs["Factor"]
+    geometry = nodes.new("NodeGroupInput").outputs[0]
+
+    def placed(selection: Value, **where: Value) -> bpy.types.NodeSocket:
+        given = {"Geometry": geometry, "Selection": selection, **{name.capitalize(): value for name, value in where.items()}}
+        return nodes.new("GeometryNodeSetPosition", given).outputs[0]  # type: ignore[arg-type]
+
+    def sampled(factor: Value) -> bpy.types.NodeSocket:
+        node = nodes.new("GeometryNodeSampleCurve", {"Curves": geometry, "Factor": factor, "Curve Index": curve}, mode="FACTOR")
+        return node.outputs["Position"]
+
+    # fewer waves
+    inside = nodes.math("MULTIPLY", nodes.math("GREATER_THAN", along, 0.0), nodes.math("LESS_THAN", along, 1.0 - _EPSILON))
+    blurred = nodes.new("GeometryNodeBlurAttribute", {"Iterations": 2 * points // 3}, data_type="FLOAT_VECTOR")
+    for name, value in (("Value", position), ("Weight", inside)):
+        tree.links.new(value, next(socket for socket in blurred.inputs if socket.name == name and socket.enabled))
+    straight = next(socket for socket in blurred.outputs if socket.enabled)
+    straighter = nodes.vector("SCALE", nodes.vector("SUBTRACT", straight, position), nodes.math("MULTIPLY", curl, -1.0))
+    geometry = placed(nodes.math("LESS_THAN", curl, -_EPSILON), offset=straighter)
+    # cut, or grown on in the direction of the last third
+    reached = nodes.math("MULTIPLY", along, length)
+    ahead = nodes.vector("SUBTRACT", sampled(1.0), sampled(2.0 / 3.0))
+    beyond = nodes.math("MULTIPLY", nodes.math("MAXIMUM", nodes.math("SUBTRACT", reached, 1.0), 0.0), 3.0)
+    place = nodes.vector("ADD", sampled(nodes.math("MINIMUM", reached, 1.0)), nodes.vector("SCALE", ahead, beyond))
+    other = nodes.math("GREATER_THAN", nodes.math("ABSOLUTE", nodes.math("SUBTRACT", length, 1.0)), _EPSILON)
+    geometry = placed(other, position=place)
+    # waves and frizz
+    long = nodes.new("GeometryNodeSplineLength").outputs["Length"]
+    swing = nodes.math("MULTIPLY", nodes.math("MINIMUM", nodes.math("DIVIDE", long, 0.12), 1.0), along)
+
+    def angle(wavelength: float, most: float, factor: float, phase: Value) -> bpy.types.NodeSocket:
+        turns = nodes.math("MINIMUM", nodes.math("MAXIMUM", nodes.math("DIVIDE", long, wavelength), 1.0), most)
+        turn = nodes.math("MULTIPLY", nodes.math("MULTIPLY", turns, along), factor)
+        return nodes.math("ADD", turn, phase)
+
+    tangent = nodes.new("GeometryNodeInputTangent").outputs[0]
+    side = nodes.vector("NORMALIZE", nodes.vector("CROSS_PRODUCT", tangent, _SIDEWAYS))
+    up = nodes.vector("CROSS_PRODUCT", tangent, side)
+    turned = angle(0.045, points / 5.0, math.tau, nodes.chance(curve, 1))
+    wave = nodes.vector(
+        "ADD",
+        nodes.vector("SCALE", side, nodes.math("COSINE", turned)),
+        nodes.vector("SCALE", up, nodes.math("SINE", turned)),
+    )
+    waved = nodes.math("MULTIPLY", nodes.math("MULTIPLY", nodes.math("MAXIMUM", curl, 0.0), CURL), swing)
+    parts = []
+    for seed in (2, 3, 4):  # x, y and z
+        phase = nodes.math("MULTIPLY", nodes.chance(curve, seed), math.tau)
+        slow, fast = angle(0.025, points / 3.0, math.tau, phase), angle(0.025, points / 3.0, 14.1, phase)
+        parts.append(nodes.math("ADD", nodes.math("SINE", slow), nodes.math("MULTIPLY", nodes.math("SINE", fast), 0.5)))
+    noise = nodes.new("ShaderNodeCombineXYZ", dict(enumerate(parts))).outputs[0]
+    shy = nodes.math("POWER", nodes.chance(curve, 5), 2.0)  # most hairs keep to their course
+    ruffled = nodes.math("MULTIPLY", nodes.math("MULTIPLY", nodes.math("MULTIPLY", frizz, FRIZZ), shy), swing)
+    moved = nodes.vector("ADD", nodes.vector("SCALE", wave, waved), nodes.vector("SCALE", noise, ruffled))
+    some = nodes.math("GREATER_THAN", nodes.math("ADD", nodes.math("MAXIMUM", curl, 0.0), frizz), _EPSILON)
+    geometry = placed(some, offset=moved)
+    # thickness and density
+    there = nodes.math("LESS_THAN", nodes.chance(curve, 6), nodes.math("MULTIPLY", density, 1.0 + _EPSILON))
+    radius = nodes.math("MULTIPLY", nodes.new("GeometryNodeInputRadius").outputs[0], nodes.math("MULTIPLY", thickness, there))
+    thick = nodes.new("GeometryNodeSetCurveRadius", {"Curve": geometry, "Radius": radius}).outputs[0]
+    tree.links.new(thick, nodes.new("NodeGroupOutput").inputs[0])
+    obj.modifiers.new(MODIFIER_NAME, "NODES").node_group = tree
+
+
+def follows_sliders(obj: bpy.types.Object, final: bool) -> bool:
+    """Whether the sliders' modifier is on: in renders if `final`, else in viewports."""
+    modifier = obj.modifiers.get(MODIFIER_NAME)
+    return modifier is not None and bool(modifier.show_render if final else modifier.show_viewport)
+
+
+def keeps_course(panel: bpy.types.PropertyGroup) -> bool:
+    """Whether the sliders of a panel leave points where they are."""
+    return all(getattr(panel, name) == value for name, value in NEUTRAL.items())

@@ -40,7 +40,7 @@ class GRMM_FitSettings(bpy.types.PropertyGroup):
     active: whole("Photo", "Photo that is shown", min=0)
     face: whole("Face", "Which face, where a photo shows several; the largest is 1", default=1, min=1, max=99)
     preset: choice("Preset", "Amount of work", *PRESET_ITEMS, default="standard")
-    output: text("Avatar File", "File of the finished avatar; empty writes beside the first photo", subtype="FILE_PATH")
+    output: text("Save As", "File of the finished avatar; empty writes beside the first photo", subtype="FILE_PATH")
 
 
 def settings(context: bpy.types.Context) -> GRMM_FitSettings:

@@ -58,6 +58,8 @@ _TYPES = {
         Surroundings,
     )
 }
+_KINDS = frozenset(_TYPES.values())
+_PLAIN = frozenset({str, int, float, bool, type(None)})  # most of a message, as it is in JSON
 _DTYPES = frozenset({"<f4", "<f8", "<i4", "<i8", "|u1", "|b1"})
 
 
@@ -132,13 +134,16 @@ def digest(value: Any) -> tuple[str, int]:
 
 
 def _pack(value: Any, arrays: list[np.ndarray]) -> Any:
+    kind = type(value)
+    if kind in _PLAIN:
+        return value
     if isinstance(value, np.ndarray):
         arrays.append(np.ascontiguousarray(value))
         return {"$array": len(arrays) - 1}
-    if type(value) in _TYPES.values():
+    if kind in _KINDS:
         names = value._fields if isinstance(value, GaussianArrays) else [field.name for field in dataclasses.fields(value)]
         fields = {name: _pack(getattr(value, name), arrays) for name in names}
-        return {"$type": type(value).__name__, "fields": fields}
+        return {"$type": kind.__name__, "fields": fields}
     if isinstance(value, bytes):
         return {"$bytes": base64.b64encode(value).decode("ascii")}
     if isinstance(value, Mapping):

@@ -107,6 +107,7 @@ def test_runtime_from_wheels(run_blender: RunBlender, version: str, tmp_path: Pa
     assert result["missing"][0] is False
     assert "There is no Python at" in result["missing"][1]
     assert result["tried_again"] == ["", 0], "viewports that met an error ask again"
+    assert result["named"] == ["worker", result["executable"]], "the Python that the user names comes first"
     assert result["found_again"]
     assert result["after_remove"] == []
     assert result["python_after_remove"] == ""

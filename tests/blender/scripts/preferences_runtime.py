@@ -57,6 +57,9 @@ renderer._error, overlay._viewports[1] = "The model needs torch.", overlay.Viewp
 settings.worker_python = empty + "/python"
 status = host.runtime_status()
 report(missing=[status.available, status.message], tried_again=[renderer._error, len(overlay._viewports)])
+settings.runtime, settings.worker_python = "auto", sys.executable
+report(named=list(host.choose_runtime(host.settings())), executable=sys.executable)
+settings.runtime = "worker"
 settings.worker_python = ""
 report(found_again=host.runtime_status().available)
 bpy.ops.grmm.remove_runtime()

@@ -62,8 +62,9 @@ class _Expression(_Controls):
                 layout.label(text="No control has this name", icon="INFO")
         elif avatar_of(context.object) is not None:
             column = layout.column(align=True)
-            _draw_edits(column.row(align=True), ALL, ("grmm.random_expression", "grmm.reset", "SWAP"))
-            _draw_edits(column.row(align=True), ALL, ("LEFT", "RIGHT"))
+            for edits in (("grmm.random_expression", "grmm.reset", "SWAP"), ("LEFT", "RIGHT")):
+                grid = column.grid_flow(row_major=True, columns=len(edits), even_columns=True, align=True)
+                _draw_edits(grid, ALL, edits)
             column.operator("grmm.select_controls", icon="RESTRICT_SELECT_OFF")
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.light.lamps import Lighting
-from ...grmm_core.light.rough import rough_normals, roughly_lit
+from ...grmm_core.light.rough import evened, rough_normals, roughly_lit
 from ...grmm_core.light.shading import Response
 from ...grmm_core.session import CloudArrays, RenderOptions
 from ...grmm_core.session.harmonics import harmonic_basis
@@ -147,7 +147,8 @@ def _lit_colors(found: GaussianArrays, shot: AvatarShot, lighting: Lighting) -> 
     """Colors [N, 3] of an avatar in the scene's light, roughly."""
     response = shot.response or Response()
     own = lighting.without(response.unlit_by).in_space(np.linalg.inv(shot.model_to_world))
-    return roughly_lit(found.colors, rough_normals(found.means, found.quats, found.scales), own, response.intensity)
+    normals = evened(found.means, found.scales, rough_normals(found.means, found.quats, found.scales))
+    return roughly_lit(found.colors, normals, own, response.intensity)
 
 
 def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:

@@ -7,6 +7,7 @@ milliseconds: for viewports that draw splats of changing scenes. `shading` is th
 from __future__ import annotations
 
 import functools
+import itertools
 
 import numpy as np
 
@@ -19,6 +20,7 @@ _RADIUS = 0.1  # metres of the ball that stands for a head
 _WRAP = 0.25  # beyond the terminator: soft edges, as scattering and hair have them
 _FLAT = 3.0  # how fast a thin Gaussian's axis is trusted
 _BALL = 0.3  # how much every normal is that of a ball
+_EVEN, _CELLS = 0.006, 1 << 22  # metres of the cells of `evened`; more of them than a head has are not worth it
 _GAMMA = 2.2  # of display values, nearly
 
 
@@ -32,11 +34,51 @@ def rough_normals(means: np.ndarray, quats: np.ndarray, scales: np.ndarray) -> n
         quats: wxyz, [N, 4].
         scales: [N, 3] metres.
     """
-    flat = np.clip(_FLAT * (1.0 - scales[:, 2] / np.maximum(np.minimum(scales[:, 0], scales[:, 1]), 1e-12)), 0.0, 1.0)[:, None]
+    flat = _flatness(scales)[:, None]
     w, x, y, z = (quats / np.linalg.norm(quats, axis=1, keepdims=True)).T
     outwards = np.stack([2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)], -1)
     normal = flat * outwards + (1.0 - flat + _BALL) * _unit(means)
     found: np.ndarray = _unit(normal).astype(np.float32)
+    return found
+
+
+def evened(means: np.ndarray, scales: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Normals of a head, those of skin as they are in the mean around each place: its own lean this way and that, into spots.
+
+    Args:
+        means: [N, 3] metres.
+        scales: [N, 3] metres.
+        normals: Unit, [N, 3] float32.
+    """
+    skin = np.flatnonzero(_flatness(scales))
+    if not len(skin):
+        return normals
+    result = normals.copy()
+    result[skin] = _averaged(means[skin], normals[skin])
+    return result
+
+
+def _averaged(means: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    at = (means - means.min(0)) / np.float32(_EVEN) + 1.0  # a cell to spare on all sides
+    size = at.max(0).astype(int) + 3
+    if size.prod() > _CELLS:
+        return normals
+    nearest = np.ravel_multi_index(tuple(np.rint(at).astype(int).T), size)
+    grid = np.stack([np.bincount(nearest, normals[:, k], size.prod()) for k in range(3)], -1).reshape(*size, 3)
+    for axis in range(3):
+        grid = grid + 0.5 * (np.roll(grid, 1, axis) + np.roll(grid, -1, axis))
+    flat, low = grid.astype(np.float32).reshape(-1, 3), at.astype(int)
+    part, total = (at - low).astype(np.float32), np.zeros((len(means), 3), np.float32)
+    for corner in itertools.product((0, 1), repeat=3):
+        weight = np.where(corner, part, 1.0 - part).prod(1)
+        total += weight[:, None] * flat.take(np.ravel_multi_index(tuple((low + corner).T), size), 0)
+    found: np.ndarray = _unit(total).astype(np.float32)
+    return found
+
+
+def _flatness(scales: np.ndarray) -> np.ndarray:
+    """How flat Gaussians of scales [N, 3] lie on a surface, 0..1, [N]."""
+    found: np.ndarray = np.clip(_FLAT * (1.0 - scales[:, 2] / np.maximum(scales[:, :2].min(1), 1e-12)), 0.0, 1.0)
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from grmm_core.light.lamps import STUDIO, Lighting, Sun, soft_box
-from grmm_core.light.rough import rough_normals, roughly_lit
+from grmm_core.light.rough import evened, rough_normals, roughly_lit
 from grmm_core.light.surroundings import Surroundings, sphere
 
 
@@ -25,6 +25,21 @@ def test_normals_are_the_thin_axis_of_skin_and_outwards_of_strands():
     assert (sideways[means[:, 0] > 0.0, 0] > 0.9).all()
     strands = rough_normals(means, quats, np.tile(np.array([0.001, 1e-4, 1e-4], np.float32), (len(means), 1)))
     np.testing.assert_allclose(strands, means / 0.1, atol=1e-5)
+
+
+def test_the_lean_of_single_gaussians_of_skin_is_evened_out():
+    means, normals = ball(50_000)
+    noise = np.random.default_rng(0).normal(0.0, 0.4, normals.shape)
+    leaning = (normals + noise).astype(np.float32)
+    leaning /= np.linalg.norm(leaning, axis=1, keepdims=True)
+    skin = np.tile(np.array([0.001, 0.001, 1e-5], np.float32), (len(means), 1))
+    found = evened(means, skin, leaning)
+    before, after = (np.degrees(np.arccos(np.clip((part * normals).sum(1), -1.0, 1.0))) for part in (leaning, found))
+    assert np.median(before) > 20.0
+    assert np.median(after) < 6.0
+    strands = np.tile(np.array([0.001, 1e-4, 1e-4], np.float32), (len(means), 1))
+    assert evened(means, strands, leaning) is leaning
+    assert evened(means[:0], skin[:0], leaning[:0]).shape == (0, 3)
 
 
 def test_the_rig_changes_nothing_and_a_sun_lights_its_side():

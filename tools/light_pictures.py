@@ -1,7 +1,8 @@
 """Pictures of avatars in a Cycles scene's light: `python -m tools.light_pictures [--person ID] [--output FILE]`.
 
-A head that Cycles shades stands beside an avatar that *Composite Avatars* puts in, in the same lamps and world: bare, and both
-under hats, which are meshes of the scene. Needs the bpy wheel in this Python.
+The painted mesh of an avatar, which Cycles shades, stands beside the avatar, which *Composite Avatars* puts in, in the same
+lamps and world: without its hair, with hair that throws its shadow on a wall, and both under hats, which are meshes of the
+scene. Needs the bpy wheel in this Python.
 """
 
 from __future__ import annotations
@@ -21,15 +22,14 @@ from tools.build_extension import BuildError
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs/images/light_composite.jpg"
 SIZE = (440, 360)
-SAMPLES = 48
+SAMPLES = 32
 APART = 0.17  # metres of each head from the middle
-SKIN = (0.62, 0.40, 0.31)  # linear; of the head that Cycles shades
 FELT = (0.05, 0.07, 0.16)
 QUALITY = 88
 
 
 def pictures(person: str, folder: Path) -> list[np.ndarray]:
-    """Render without and with hats, [H, W, 3] uint8 each."""
+    """Render without hair, with hair, and with hats, [H, W, 3] uint8 each."""
     import bpy
 
     bpy.ops.wm.read_homefile(use_empty=True)
@@ -44,9 +44,7 @@ def pictures(person: str, folder: Path) -> list[np.ndarray]:
     )
     twin.matrix_world = head.matrix_world.copy()
     twin.location.x -= 2.0 * APART
-    twin.data.materials.clear()
-    twin.data.materials.append(_material("Skin", SKIN, 0.5))
-    twin.data.shade_smooth()
+    twin.data.shade_smooth()  # in the materials of the bare mesh, which is painted with the person
     scene.collection.objects.link(twin)
     _light(scene)
     _camera(scene)
@@ -54,8 +52,12 @@ def pictures(person: str, folder: Path) -> list[np.ndarray]:
     scene.cycles.device, scene.cycles.samples, scene.cycles.use_denoising = "CPU", SAMPLES, True
     scene.render.resolution_x, scene.render.resolution_y = SIZE
     scene.view_settings.view_transform = "Standard"
-    bpy.ops.grmm.composite_set_up()
-    shots = [_shot(scene, folder / "bare.png")]
+    _wall()
+    shots = []
+    for name, hair in (("bare", "NONE"), ("hair", "OWN")):
+        head.grmm.hair.groom = hair
+        bpy.ops.grmm.composite_set_up()  # again: puts the strands right that throw shadows
+        shots.append(_shot(scene, folder / f"{name}.png"))
     for x in (-APART, APART):
         _hat(x)
     return [*shots, _shot(scene, folder / "hats.png")]
@@ -101,6 +103,14 @@ def _camera(scene: Any) -> None:
         (math.pi / 2, 0.0, 0.0),
         85.0,
     )
+
+
+def _wall() -> None:
+    """A wall close behind the heads, for their shadows."""
+    import bpy
+
+    bpy.ops.mesh.primitive_plane_add(size=2.0, location=(0.0, 0.22, 0.0), rotation=(math.pi / 2, 0.0, 0.0))
+    bpy.context.object.data.materials.append(_material("Wall", (0.5, 0.5, 0.5), 0.9))
 
 
 def _hat(x: float) -> None:

@@ -14,7 +14,7 @@ from .. import events
 from ..engine.settings import ENGINE
 from ..scene import walk
 from ..scene.clouds import clouds_in
-from . import nodes
+from . import hair_shadows, nodes
 
 # Settings of the picture that both scenes must share, in an order in which Blender accepts them.
 _RENDER = (
@@ -37,7 +37,7 @@ def partner_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
 def drawn_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Return the objects of a scene that other engines must not draw: in their place stand Gaussians."""
     carriers = [cloud.carrier for cloud in clouds_in(scene) if cloud.carrier is not None]
-    return [*walk.drawn_objects(scene), *dict.fromkeys(carriers)]
+    return [*walk.drawn_objects(scene), *dict.fromkeys(carriers), *hair_shadows.curves_of(scene)]
 
 
 def set_up(scene: bpy.types.Scene) -> bpy.types.Scene:
@@ -71,6 +71,7 @@ def set_up(scene: bpy.types.Scene) -> bpy.types.Scene:
     for view_layer in scene.view_layers:
         view_layer.use_pass_z = True
     scene.render.use_compositing = True
+    hair_shadows.make(scene)
     sync(scene)
     nodes.insert(scene, partner)
     return partner
@@ -85,6 +86,7 @@ def remove(scene: bpy.types.Scene) -> None:
         # A head in several composites stays with the others.
         if obj.grmm_handed_over and not any(partner_of(s) and s != scene for s in obj.users_scene):
             obj.grmm_handed_over, obj.visible_camera = False, True
+    hair_shadows.remove(scene)
     if partner is not None:
         bpy.data.scenes.remove(partner)
 

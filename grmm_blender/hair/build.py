@@ -96,11 +96,11 @@ def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | No
         groom: Its strands as recorded, or None for no curves yet; the curves are as they are drawn on this person.
         settings: Give the material its color.
     """
-    head = avatar.object
+    head, drawn = avatar.object, None if groom is None or not len(groom) else _as_drawn(avatar, groom)
     data = bpy.data.hair_curves.new(f"{head.name} hair")
     data.surface, data.surface_uv_map = head, _uv_map(head)
-    if groom is not None and len(groom):
-        _fill(data, head, _as_drawn(avatar, groom))
+    if drawn is not None:
+        _fill(data, head, drawn)
     data.materials.append(_material(data.name, head, settings or HairSettings()))
     obj = bpy.data.objects.new(data.name, data)
     for collection in head.users_collection:

@@ -40,6 +40,13 @@ def test_pixels_in_front_and_behind(run_blender: RunBlender, blender_version: st
     assert result["first"]["camera"] == [False]
     assert result["second"] == result["first"]
     assert result["two"] == [False, False]
+    bob, crop, again = result["hair"]
+    assert bob[:2] == crop[:2] == [1, 1]
+    assert bob[2] > 100
+    assert bob[2] != crop[2]
+    assert crop == again
+    assert not crop[3]
+    assert result["hair_left"] == 0
     assert result["removed"]["scenes"] == 1
     assert result["removed"]["nodes"] == 0
     assert result["removed"]["camera"] == [True, True]

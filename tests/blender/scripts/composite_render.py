@@ -112,5 +112,15 @@ bpy.context.view_layer.update()
 bpy.ops.grmm.composite_set_up()
 report(two=state()["camera"])
 
+
+# A groom that is worn throws its shadow through curves that nobody sees, of the groom that is worn when it is put right.
+bald = len(bpy.data.hair_curves)
+counts = []
+for groom in ("bob", "crop", "crop"):
+    heads(scene)[0].grmm.hair.groom = groom
+    bpy.ops.grmm.composite_set_up()
+    worn = [obj for obj in scene.objects if obj.type == "CURVES"]
+    counts.append((len(worn), len(bpy.data.hair_curves) - bald, len(worn[0].data.curves), worn[0].visible_camera))
+report(hair=counts)
 bpy.ops.grmm.composite_remove()
-report(removed=state())
+report(removed=state(), hair_left=len(bpy.data.hair_curves) - bald)

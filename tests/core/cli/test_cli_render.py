@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
+from grmm_core.avatar import save_avatar
+from grmm_core.fitting.photo_light import SUNS
+from grmm_core.fitting.result import LIGHT
+from grmm_core.model.people import default_avatar
+from grmm_core.model.weights_file import read_weights
 from grmm_core.session import EMPTY_DEPTH
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -124,3 +130,34 @@ def test_render_writes_arrays_and_exr(render, tmp_path):
     assert data[:4] == b"\x76\x2f\x31\x01"
     for channel in (b"R\0", b"A\0", b"depth.Z\0"):
         assert channel in data[:400]
+
+
+def test_render_in_the_light_of_its_photo(render, weights, tmp_path):
+    """A photo lit from the person's left, whose light an avatar's file holds; the second photo has the studio's."""
+    info = read_weights(weights).info
+    suns = np.zeros((2, len(SUNS), 3), np.float32)
+    suns[0, max(range(len(SUNS)), key=lambda k: SUNS[k].direction[0])] = 3.0
+    light = {"suns": suns, "around": np.zeros((2, 9, 3), np.float32), "tone": np.ones((2, 3)), "level": np.ones((2, 3))}
+    path, picture = tmp_path / "photo.grmm", tmp_path / "x.png"
+    tracking = {LIGHT + name: values.astype(np.float32) for name, values in light.items()}
+    save_avatar(replace(default_avatar(info, info.config.z_exp), tracking=tracking), path)
+
+    def sides(*options):
+        code, _, err = render(path, "-o", picture, "--size", "48", *options)
+        assert code == 0, err
+        rgb = read_png(picture).astype(float)
+        rgb = rgb[..., :3] * (rgb[..., 3:] > 200)
+        return rgb[:, :24].sum(), rgb[:, 24:].sum()
+
+    left, right = sides("--light", "photo")
+    assert max(left, right) > 3.0 * min(left, right)
+    even = sides()
+    assert max(even) < 1.5 * min(even)
+    for words, sentence in (
+        ("photo:2", "does not know the light"),
+        ("photo:3", "does not know its photo"),
+        ("photo:x", "name one"),
+    ):
+        code, _, err = render(path, "-o", picture, "--light", words)
+        assert code != 0
+        assert sentence in err

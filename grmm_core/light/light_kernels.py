@@ -195,7 +195,7 @@ def shade(
             size, total = lamps[k, SIZE], _0
             for which in range(2):
                 roughness = smooth[i] if which == 0 else rough[i]
-                narrow = max(roughness, np.float32(0.03)) * max(roughness, np.float32(0.03))
+                narrow = roughness * roughness
                 alpha = min(math.sqrt(narrow * narrow + size * size), _1)
                 weight = share[i] if which == 0 else _1 - share[i]
                 total += weight * _lobe(alpha, tilt, cosine, facing)

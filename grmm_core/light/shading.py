@@ -20,6 +20,7 @@ from .shadows import Receivers, compiled_kernels
 from .surroundings import basis
 from .transfer import openness
 
+_TURN = 0.03  # radians that normals turn by within a Gaussian of the eye: narrower glints would jump from one to the next
 _DARKEST = 0.06  # of the rig's most: where it hardly reaches (in the mouth), colors say little about the light there
 MAX_RATIO = 200.0
 FADING, LEAST_FRONT = 10.0, 0.02  # skin whose normal is turned from the viewer by a cosine of 1 / FADING counts least
@@ -109,7 +110,7 @@ def transport(
         reach = np.maximum(cosine[:, None] + wander, 0.0) / (1.0 + wander) ** 2
         through = np.power(np.clip(part, 0.0, 1.0)[:, None], 1.0 / (1.0 + 1.5 * wander))
         diffuse.append(reach * through * strength[:, None] * response.intensity)
-        size = 0.5 * half_angle(lamp, _distance(lamp, receivers.centre))
+        size = _widening(lamp, receivers.centre)
         lobes = _lobes(materials, normals, view, facing, towards, np.maximum(cosine, 0.0), size)
         highlights.append(lobes * part * strength * (response.gloss * response.intensity))
     count = len(normals)
@@ -271,7 +272,7 @@ def lamp_rows(lamps: tuple[Lamp, ...], centre: np.ndarray) -> np.ndarray:
 
     rows = np.zeros((len(lamps), LAMP_VALUES), np.float32)
     for row, lamp in zip(rows, lamps, strict=True):
-        row[COLOR:], row[SIZE], row[POWER] = lamp.color, 0.5 * half_angle(lamp, _distance(lamp, centre)), lamp.strength
+        row[COLOR:], row[SIZE], row[POWER] = lamp.color, _widening(lamp, centre), lamp.strength
         if isinstance(lamp, Sun):
             row[KIND], row[PLACE:POWER] = SUN, lamp.direction
             continue
@@ -301,11 +302,13 @@ def reached(rig: Array) -> Array:
     return result
 
 
-def _distance(lamp: Lamp, at: np.ndarray) -> float:
-    if isinstance(lamp, Sun):
-        return 1.0
-    assert isinstance(lamp, (Point, Area))
-    return float(np.linalg.norm(np.asarray(lamp.position) - at))
+def _widening(lamp: Lamp, at: np.ndarray) -> float:
+    """By how much a lamp's size as seen from a place, and normals that turn within a Gaussian, widen lobes, radians."""
+    distance = 1.0
+    if not isinstance(lamp, Sun):
+        assert isinstance(lamp, (Point, Area))
+        distance = float(np.linalg.norm(np.asarray(lamp.position) - at))
+    return math.hypot(0.5 * half_angle(lamp, distance), _TURN)
 
 
 def _lobes(
@@ -317,7 +320,7 @@ def _lobes(
     cosine: np.ndarray,
     size: float,
 ) -> np.ndarray:
-    """Two GGX lobes (Walter et al. 2007) times the cosine, widened by the lamp's size in radians, [N].
+    """Two GGX lobes (Walter et al. 2007) times the cosine, widened by `_widening`, [N].
 
     The square of a lobe's width is its own and the lamp's, and a wider one is lower by as much.
     """
@@ -327,7 +330,7 @@ def _lobes(
     fresnel = materials.reflectance + (1.0 - materials.reflectance) * (1.0 - np.clip((view * half).sum(1), 0.0, 1.0)) ** 5
     total = np.zeros(len(normals))
     for roughness, share in ((materials.smooth, materials.share), (materials.rough, 1.0 - materials.share)):
-        squares = np.minimum(np.maximum(roughness, 0.03) ** 4 + size * size, 1.0)
+        squares = np.minimum(roughness**4 + size * size, 1.0)
         alpha = np.sqrt(squares)
         spread = squares / (np.pi * (tilt * tilt * (squares - 1.0) + 1.0) ** 2)
         k = 0.5 * alpha

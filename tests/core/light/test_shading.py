@@ -15,7 +15,7 @@ from grmm_core.light import shadow_kernels as kernels
 from grmm_core.light.bounce import Exchange, albedo_of
 from grmm_core.light.hair_shading import CELL, HairCloud
 from grmm_core.light.lamps import Lighting, Point, Spot, Sun, soft_box
-from grmm_core.light.materials import SKIN, Materials, materials_of
+from grmm_core.light.materials import MATERIALS, SKIN, Materials, materials_of
 from grmm_core.light.relight import over_cover, relit, relit_pixels, to_display, to_linear
 from grmm_core.light.shading import (
     MAX_RATIO,
@@ -346,3 +346,13 @@ def test_softness_widens_a_lamp():
     assert np.ptp(x[(wide > 0.1) & (wide < 0.9)]) > 2 * np.ptp(x[(narrow > 0.1) & (narrow < 0.9)])
     assert visible(box, receivers, walls(wall[:0])).min() == 1.0
     assert Lighting().strongest((0.0, 0.0, 0.0)) == ()
+
+
+def test_a_suns_glint_in_an_eye_is_wide_enough_to_wander_from_one_gaussian_to_the_next():
+    angles = np.array([0.0, 0.04])  # half a millimetre on an eye
+    normals = np.stack([np.sin(angles), np.zeros(2), np.cos(angles)], -1)
+    receivers, sun = Receivers.around(0.012 * normals, normals), Sun(direction=(0.0, 0.0, 1.0))
+    eye = Materials(*(np.full(2, value, np.float32) for value in vars(MATERIALS["left_eyeball"]).values()))
+    arguments = (sun,), receivers, np.ones((1, 2), np.float32), eye, np.zeros((2, 9), np.float32), np.array([0.0, 0.0, 1.0])
+    middle, beside = shade(*arguments, np.zeros((9, 3))).highlights[:, 0]
+    assert 0.05 * middle < beside < middle

@@ -20,6 +20,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -28,7 +29,8 @@ from ..light.relight import unlit
 from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
-from .inpainting import facing, fill_colors, lid_exposure
+from .creases import FEATURES, MAPS, crease_colors, crease_maps, strained
+from .inpainting import corners_of, facing, fill_colors, lid_exposure
 from .locality import LOCALITY_WEIGHT, Locality
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .photo_targets import FitView
@@ -282,6 +284,7 @@ class Tuner:
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
+        creases = self._creases(maps) if fill else None
         features = torch.zeros(len(self.tint), self.model.config.features).to(self.tint)
         rotation = torch.zeros(len(self.tint), 4).to(self.tint)
         deltas = {
@@ -289,12 +292,37 @@ class Tuner:
             "decoders.opacity_mean": maps["opacity"],
             "decoders.appearance_mean": torch.cat([self.tint + maps["color"], features], 1),
         }
+        if creases is not None:
+            deltas[MAPS] = creases
         if self.settings.networks:
             frozen = dict(self.model.named_parameters())
             for name, value in self.tuned.named_parameters():
                 if value is not frozen[name]:
                     deltas[name] = value.detach() - frozen[name].detach()
         return deltas
+
+    def _creases(self, maps: dict[str, Tensor]) -> Tensor | None:
+        """Take folds and furrows out of the map of colors; returns the change that brings them with the photos' expression."""
+        trained, table = self.model.decoders.expression, self.model.aligned_codes
+        if trained is None or table is None:
+            return None
+        head, strains = self.model.head_model, []
+        for view in self.levels[0]:
+            shape, expression, pose = (part.cpu().numpy() for part in (view.shape, view.expression, view.pose))
+            resting = head.vertices(shape, np.zeros_like(expression), np.zeros_like(pose))
+            strains.append(strained(head, resting, head.vertices(shape, expression, pose)))
+        # where one photo shows the skin unstrained, what all show is the person's
+        corners = corners_of(self.model)
+        strain = (torch.as_tensor(np.min(strains, 0)).to(self.tint)[corners] * self.model.anchor.barycentric).sum(1)
+        features = torch.as_tensor(head.marked(*(name for name in FEATURES if name in head.regions))[corners].any(1))
+        colors = self.decoded[0].colors + self.tint + maps["color"]
+        creases = crease_colors(self.surface, colors, strain, features.to(colors.device))
+        shown = [inputs.z_exp for inputs in self.inputs]
+        change = crease_maps(trained, creases, self.codes.z_id, self.codes.z_exp, shown, table)
+        if change is not None:
+            at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))
+            maps["color"] = maps["color"] - creases - (at_rest @ change).view_as(creases)
+        return change
 
     def _hairy(self) -> Tensor:
         """Share of the pixels that skin texels contribute to which show hair before the face, over all photos, [N]."""

@@ -46,7 +46,7 @@ def facing(model: GRMM, view: FitView, vertices: Tensor, surface: Surface) -> Te
     centre = torch.as_tensor(view.camera.position, dtype=model.dtype, device=model.device)
     cosine = (frames.normals * torch.nn.functional.normalize(centre - frames.positions, dim=1)).sum(1)
     frontal = ((cosine - GRAZING[0]) / (GRAZING[1] - GRAZING[0])).clamp(0, 1)
-    lids = model.head_model.marked("lids")[_corners(model)].all(1) if model.config.hairless else np.zeros(len(frontal), bool)
+    lids = model.head_model.marked("lids")[corners_of(model)].all(1) if model.config.hairless else np.zeros(len(frontal), bool)
     whole = (surface.group == SCALP) | torch.as_tensor(lids, device=frontal.device)  # lids end where they turn away
     return torch.where(whole, torch.ones_like(frontal), frontal)
 
@@ -61,7 +61,7 @@ def lid_exposure(model: GRMM, view: FitView) -> Tensor:
     shape, pose = view.shape.cpu().numpy(), np.zeros((5, 3), np.float32)
     moved = head.vertices(shape, closed, pose) - head.vertices(shape, expression, pose)
     travel = torch.as_tensor(np.linalg.norm(moved, axis=1).astype(np.float32))[:, None] * _lids(head)
-    corners = torch.as_tensor(_corners(model))
+    corners = torch.as_tensor(corners_of(model))
     at_texels = (travel[corners][..., 0] * model.anchor.barycentric.cpu()).sum(1).to(view.image)
     folded = ((at_texels - LID_TRAVEL[0]) / (LID_TRAVEL[1] - LID_TRAVEL[0])).clamp(0, 1)
     if not model.config.hairless:
@@ -74,7 +74,7 @@ def lid_exposure(model: GRMM, view: FitView) -> Tensor:
     return folded * ((far - LASH_LINE[0]) / (LASH_LINE[1] - LASH_LINE[0])).clamp(0, 1)
 
 
-def _corners(model: GRMM) -> np.ndarray:
+def corners_of(model: GRMM) -> np.ndarray:
     """Vertices of the triangle under each texel, [N, 3]."""
     return np.ascontiguousarray(model.head_model.faces[model.layout.face])
 

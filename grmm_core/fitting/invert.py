@@ -33,7 +33,7 @@ from .folder import PREVIEW_FILE
 from .locality import LOCALITY_WEIGHT
 from .objective import decode, relit
 from .photo_light import Light, found_lights, kept_lights
-from .photo_targets import FitView, aligned_weights, fit_view
+from .photo_targets import FitView, aligned_weights, bare_pixels, fit_view
 from .presets import Preset, preset_named
 from .recoloring import PhotoLight, recolor
 from .result import LIGHT, make_avatar, photo_light
@@ -128,7 +128,7 @@ class _Inversion:
         try:
             surface = texel_surface(self.model)
             views = self.views(self.preset.decoders.levels[0][0])
-            pictures = [(view.camera, view.image.cpu().numpy(), _bare_pixels(view)) for view in views]
+            pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
             lights, ratios = found_lights(self.model.head_model, self.model.layout, self.tracks, pictures)
             light = PhotoLight(torch.as_tensor(ratios).to(views[0].image))
             codes = self._codes(surface, light)
@@ -239,12 +239,6 @@ def photo_model_inputs(
     still, upright, nothing = (torch.zeros_like(part) for part in (expression, pose, aligned))
     resting = model.performed(z_id, shape, still, upright, nothing, shared)
     return model.performed(z_id, shape, expression, pose, aligned, shared + own), resting
-
-
-def _bare_pixels(view: FitView) -> np.ndarray:
-    """Pixels that show skin and no hair before it, 0..1, [H, W]."""
-    bare: np.ndarray = (view.measured * (1.0 - view.hair)).cpu().numpy()
-    return bare
 
 
 def photo_pictures(

@@ -17,7 +17,7 @@ from ..head.head_model import JOINT_COUNT
 from .landmark_priors import View, landmark_modes, landmark_sigmas, make_priors
 from .point_rig import LandmarkRig
 from .solver import PhotoProblem, Problem, Solution, Term, camera_of, project, solve
-from .types import LANDMARK_COUNT
+from .types import LANDMARK_COUNT, PhotoTrack
 
 logger = logging.getLogger(__name__)
 
@@ -96,14 +96,56 @@ def fit_landmarks(
     problem, start, units = _start(observations, rig)
     # cameras alone first: far from the solution the shape would bend to a wrong rotation
     start = solve(problem, start, CAMERA_ITERATIONS, cameras_only=True)
+    problem = _weighed(problem, start, units, rig)
+    solution = solve(problem, start, ITERATIONS, progress=progress)
+    logger.debug("landmarks: %d steps, objective %.1f", solution.iterations, solution.objective)
+    return finished(problem, solution, units, rig)
+
+
+def restarted(tracks: Sequence[PhotoTrack], rig: LandmarkRig) -> LandmarkFit:
+    """The landmark stage's problem again, with what was tracked as its solution.
+
+    Args:
+        tracks: Photos of a person.
+        rig: Landmarks of the head model.
+    """
+    rest = rig.positions(np.zeros(rig.shape_count), np.zeros(rig.expression_count), np.zeros((JOINT_COUNT, 3)))
+    center = rest.mean(0)
+    photos, views, units = [], [], []
+    for track in tracks:
+        camera = track.photo_camera
+        scale = track.camera.fx / camera.fx
+        origin = np.array([camera.cx - track.camera.cx / scale, camera.cy - track.camera.cy / scale])
+        rotation = camera.world_to_camera[:3, :3]
+        middle = rotation @ center + camera.world_to_camera[:3, 3]
+        magnification, focal = float(np.log(middle[2] / camera.fx)), float(np.log(camera.fx))
+        noise = np.zeros(landmark_modes(rotation).shape[2])
+        views.append(
+            View(
+                rotation, camera.fx * middle[:2] / middle[2], magnification, focal, track.expression.astype(np.float64),
+                track.pose.astype(np.float64), noise,
+            )
+        )  # fmt: skip
+        units.append(_eye_distance(rest) / np.exp(magnification))
+        prior = make_priors(rig.head, track.arkit, camera.fx, camera.width, camera.height)
+        term = Term(rig, track.landmarks / scale + origin, np.ones(LANDMARK_COUNT))
+        photos.append(PhotoProblem(camera.width, camera.height, prior, (term,)))
+    problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
+    solution = Solution(tracks[0].shape.astype(np.float64), tuple(views))
+    return finished(_weighed(problem, solution, tuple(units), rig), solution, tuple(units), rig)
+
+
+def _weighed(problem: Problem, start: Solution, units: tuple[float, ...], rig: LandmarkRig) -> Problem:
+    """The problem with the landmarks' expected errors and modes for how the heads are turned."""
     photos = []
     for photo, view, unit in zip(problem.photos, start.views, units, strict=True):
         sigma, modes = landmark_sigmas(rig, view.rotation) * unit, landmark_modes(view.rotation) * unit
         photos.append(replace(photo, terms=(replace(photo.terms[0], sigma=sigma, modes=modes),)))
-    problem = replace(problem, photos=tuple(photos))
-    solution = solve(problem, start, ITERATIONS, progress=progress)
-    logger.debug("landmarks: %d steps, objective %.1f", solution.iterations, solution.objective)
-    return finished(problem, solution, units, rig)
+    return replace(problem, photos=tuple(photos))
+
+
+def _eye_distance(landmarks: np.ndarray) -> float:
+    return float(np.linalg.norm(landmarks[_EYE_CORNERS[1]] - landmarks[_EYE_CORNERS[0]]))
 
 
 def finished(problem: Problem, solution: Solution, units: tuple[float, ...], rig: LandmarkRig) -> LandmarkFit:
@@ -121,7 +163,6 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
     shape = np.zeros(rig.shape_count)
     mean = rig.positions(shape, np.zeros(rig.expression_count), np.zeros((JOINT_COUNT, 3)))
     center = mean.mean(0)
-    eye_distance = float(np.linalg.norm(mean[_EYE_CORNERS[1]] - mean[_EYE_CORNERS[0]]))
     photos, units, views = [], [], []
     for item in observations:
         prior = make_priors(rig.head, item.arkit, item.focal, item.width, item.height)
@@ -133,7 +174,7 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
         focal = prior.log_focal(magnification)
         noise = np.zeros(landmark_modes(rotation).shape[2])
         views.append(View(rotation, offset, magnification, focal, prior.expression_mean.copy(), prior.pose_mean.copy(), noise))
-        units.append(scale * eye_distance)
+        units.append(scale * _eye_distance(mean))
         term = Term(rig, item.landmarks[:, :2].astype(np.float64), landmark_sigmas(rig, rotation) * units[-1])
         photos.append(PhotoProblem(item.width, item.height, prior, (term,)))
     problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))

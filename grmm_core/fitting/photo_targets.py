@@ -103,6 +103,12 @@ class FitView:
         return self.image * mask + (1.0 - mask) * background
 
 
+def bare_pixels(view: FitView) -> np.ndarray:
+    """Pixels that show skin and no hair before it, 0..1, [H, W]."""
+    bare: np.ndarray = (view.measured * (1.0 - view.hair)).cpu().numpy()
+    return bare
+
+
 def aligned_weights(expression: np.ndarray, head: HeadModel, count: int) -> np.ndarray:
     """Weights 0..1 of the first 52 aligned expressions that come nearest to coefficients [E]; [count].
 

@@ -1,0 +1,279 @@
+"""Tracking on pixels: camera, pose, gaze, expression and shape from the whole picture, after landmarks have started them.
+
+A quick avatar of the photos (eq. 19 in few steps) is drawn as tracked. Where a point of its skin, lips or eyes differs from
+the photo, the difference over the picture's gradient is the shift that would mend it (Lucas and Kanade 1981): such shifts,
+along the gradient only, are further terms of the landmarks' least squares, and all unknowns are solved together, from coarse
+to fine. Both pictures are compared without what varies slowly, for light and skin tone are not known exactly. The result is
+kept only where it makes the pictures agree better and the landmarks do not contradict it.
+
+Called by `api` and the evaluation. Imports torch.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from ..controls.names import ALIGNED_NAMES
+from ..geometry.triangles import vertex_normals
+from ..geometry.zbuffer import triangle_depth
+from ..head import HeadModel
+from ..model.grmm import GRMM
+from ..model.weights_file import WeightsInfo
+from ..photo.parser import parse
+from ..pictures.sampling import bilinear
+from .code_stage import Codes, code_prior, fit_codes
+from .landmark_stage import LandmarkFit, finished, restarted
+from .objective import decode, draw, relit
+from .photo_light import found_lights
+from .photo_targets import FitView, bare_pixels, fit_view
+from .point_rig import LandmarkRig, PointRig
+from .presets import CodeSettings
+from .recoloring import PhotoLight, recolor
+from .solver import Term, solve
+from .surface import Surface, texel_surface
+from .types import PhotoTrack
+
+logger = logging.getLogger(__name__)
+
+QUICK = CodeSettings(192, 96, 24, 1, 4, 12)
+"""Of the avatar that is compared."""
+SIDE = 384  # pixels of the pictures that are compared
+BLURS = (3.0, 2.0, 1.2, 1.2)  # pixels, one for each round
+SLOW = 16.0  # pixels: what varies more slowly is light or tone
+ITERATIONS = 2  # of the least squares in each round
+POINTS = 5000  # texels that are looked at
+COLOR_SIGMA = (0.04, 0.028)  # expected difference of lightness and of red less green
+REACH = 4.0  # pixels that a point is believed to be off by
+FLAT = 2e-3  # gradient below which a point tells nothing
+NOISE = 2.5  # a real face differs from any the model knows: expected errors grow with what the pictures differ by
+HAIRY = 0.15  # of a pixel: brows and beards from which on it is not compared, for the drawn head has none
+FACING = 0.25  # cosine between normal and view from which a point is compared
+HIDDEN = 0.003  # metres behind the mesh's depth that still are its surface
+MOST_LANDMARK_LOSS = 0.03  # eye distances by which the mean landmark error may grow: faces are off by 0.02 as it is
+_REGIONS = ("face", "lids", "lips", "ears", "left_eyeball", "right_eyeball")
+_NOT = ("mouth_interior", "lashes")
+_GREY, _INSIDE = 0.5, 0.9
+_QUICK_SHARE = 0.5  # of the time
+
+Progress = Callable[[float], None]
+
+
+def track_pixels(
+    tracks: Sequence[PhotoTrack], model: GRMM, info: WeightsInfo, *, progress: Progress | None = None
+) -> list[PhotoTrack]:  # fmt: skip
+    """Track photos of one person again, by all their pixels.
+
+    Args:
+        tracks: By landmarks.
+        model: Trained model whose head they were tracked with; it is not changed.
+        info: What the weights file says.
+        progress: Called with 0..1; may raise to cancel.
+
+    Returns:
+        Tracks of the same pictures, or `tracks` where the pixels tell nothing better.
+    """
+    told = progress or (lambda share: None)
+    head = model.head_model
+    if head.landmarks478 is None or not model.config.residuals:
+        return list(tracks)
+    rig = LandmarkRig(head)
+    fit = restarted(tracks, rig)
+    now = list(tracks)
+    with torch.enable_grad():
+        appearance = _Appearance(tracks, model, info, lambda share: told(_QUICK_SHARE * share))
+    before = after = 0.0
+    for number, blur in enumerate(BLURS):
+        told(_QUICK_SHARE + (1.0 - _QUICK_SHARE) * number / len(BLURS))
+        compared = [appearance.compared(track, index, blur) for index, track in enumerate(now)]
+        if not all(len(found.target) for found in compared):
+            return list(tracks)
+        if number == len(BLURS) - 1:  # at the last scale, before anything was moved and now
+            before = sum(appearance.compared(track, index, blur).difference for index, track in enumerate(tracks))
+        photos = tuple(
+            replace(photo, terms=(*photo.terms, found.term(head, now[index])))
+            for index, (photo, found) in enumerate(zip(fit.problem.photos, compared, strict=True))
+        )
+        solution = solve(replace(fit.problem, photos=photos), fit.solution, ITERATIONS)
+        fit = finished(fit.problem, solution, fit.units, rig)
+        now = [_moved(track, fit, index) for index, track in enumerate(tracks)]
+    after = sum(appearance.compared(track, index, BLURS[-1]).difference for index, track in enumerate(now))
+    worse = max(new.landmark_error - old.landmark_error for new, old in zip(now, tracks, strict=True))
+    logger.debug("pixels: difference %.4f to %.4f, landmark error grows by %.4f", before, after, worse)
+    return now if after < before and worse <= MOST_LANDMARK_LOSS else list(tracks)
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Points of a head and where the pixels say that they are.
+
+    Attributes:
+        triangles: [N].
+        barycentric: [N, 3].
+        target: Pixels of the compared picture, [N, 2].
+        normals: Unit directions along which that holds, [N, 2].
+        sigma: Expected error, pixels, [N].
+        difference: Root of the mean square of what the pictures differ by at all points.
+        view: The compared picture.
+    """
+
+    triangles: np.ndarray
+    barycentric: np.ndarray
+    target: np.ndarray
+    normals: np.ndarray
+    sigma: np.ndarray
+    difference: float
+    view: FitView
+
+    def term(self, head: HeadModel, track: PhotoTrack) -> Term:
+        """A term of the least squares, in pixels of the whole photo."""
+        own, photo = self.view.camera, track.photo_camera
+        scale = photo.fx / own.fx
+        target = (self.target - [own.cx, own.cy]) * scale + [photo.cx, photo.cy]
+        return Term(PointRig(head, self.triangles, self.barycentric), target, self.sigma * scale, self.normals)
+
+
+class _Appearance:
+    """What the photos' person looks like, as far as a quick search tells."""
+
+    def __init__(self, tracks: Sequence[PhotoTrack], model: GRMM, info: WeightsInfo, told: Progress) -> None:
+        self.model, head = model, model.head_model
+        self.surface: Surface = texel_surface(model)
+        views = self.views(tracks, SIDE)
+        pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
+        _, ratios = found_lights(head, model.layout, tracks, pictures)
+        self.light = PhotoLight(torch.as_tensor(ratios).to(views[0].image))
+        small, large = self.views(tracks, QUICK.small_side), self.views(tracks, QUICK.side)
+        was = [parameter.requires_grad for parameter in model.parameters()]
+        model.requires_grad_(False)
+        try:
+            prior = code_prior(info, model)
+            self.codes: Codes = fit_codes(model, prior, large, small, self.surface, self.light, QUICK, lambda s, _: told(s))
+        finally:
+            for parameter, needed in zip(model.parameters(), was, strict=True):
+                parameter.requires_grad_(needed)
+        corners = head.faces[model.layout.face]
+        chosen = np.flatnonzero((head.marked(*_REGIONS) & ~head.marked(*_NOT))[corners].all(1))
+        if len(chosen) > POINTS:
+            chosen = np.sort(np.random.default_rng(0).choice(chosen, POINTS, replace=False))
+        self.triangles = model.layout.face[chosen]
+        self.corners = corners[chosen]
+        self.barycentric = np.asarray(model.layout.barycentric, np.float64)[chosen]
+
+    def views(self, tracks: Sequence[PhotoTrack], side: int, first: int = 0) -> list[FitView]:
+        """The photos at a size."""
+        model = self.model
+        return [
+            fit_view(
+                track, model.head_model, first + i, side, len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless
+            )
+            for i, track in enumerate(tracks)
+        ]  # fmt: skip
+
+    @torch.no_grad()
+    def drawn(self, view: FitView) -> tuple[np.ndarray, np.ndarray]:
+        """The person as tracked over grey, in the photo's light, [H, W, 3], and the posed vertices, [V, 3]."""
+        model = self.model
+        inputs = self.codes.inputs(model, view)
+        vertices, decoded = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
+        lit = self.light.picture(model, view, vertices, decoded)
+        colored = decoded.recolored(recolor(decoded.colors, self.codes.maps, self.surface))
+        picture = relit(draw(model, view.camera, vertices, colored), lit).over((_GREY,) * 3)
+        return picture.image.cpu().numpy(), vertices.cpu().numpy().astype(np.float64)
+
+    def compared(self, track: PhotoTrack, index: int, blur: float) -> Compared:
+        """Compare a photo with the avatar drawn as it is tracked."""
+        view = self.views([track], SIDE, index)[0]
+        shown, vertices = self.drawn(view)
+        cover = view.mask.cpu().numpy()[..., None]
+        photo = view.image.cpu().numpy() * cover + _GREY * (1.0 - cover)
+        bare = (view.measured.cpu().numpy() > 0.5).astype(np.float32) * _hairless(track, view, self.model.head_model)
+        pixels, told = self._visible(view, vertices, bare)
+        ours, theirs = _fast_part(shown, bare, blur), _fast_part(photo, bare, blur)
+        points, targets, normals, sigmas, squares = [], [], [], [], []
+        for channel, sigma in enumerate(COLOR_SIGMA):
+            down, right = np.gradient(0.5 * (ours[channel] + theirs[channel]))
+            gradient = bilinear(np.stack([right, down], -1), pixels[told])
+            off = bilinear((theirs[channel] - ours[channel])[..., None], pixels[told])[:, 0]
+            steep = np.linalg.norm(gradient, axis=1)
+            use = steep > FLAT
+            normal = gradient[use] / steep[use, None]
+            shift = np.clip(-off[use] / steep[use], -REACH, REACH)
+            points.append(told[use])
+            targets.append(pixels[told[use]] + shift[:, None] * normal)
+            normals.append(normal)
+            sigmas.append(sigma / steep[use])
+            squares.append((off / sigma) ** 2)
+        every = np.concatenate(points)
+        difference = float(np.sqrt(np.mean(np.concatenate(squares)))) if len(every) else 0.0
+        return Compared(
+            self.triangles[every], self.barycentric[every], np.concatenate(targets), np.concatenate(normals),
+            np.concatenate(sigmas) * max(1.0, NOISE * difference), difference, view,
+        )  # fmt: skip
+
+    def _visible(self, view: FitView, vertices: np.ndarray, bare: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the points are in the picture, [P, 2], and those that are seen on bare skin, [N] indices."""
+        camera, faces = view.camera, self.model.head_model.faces
+        places = (vertices[self.corners] * self.barycentric[..., None]).sum(1)
+        normals = (vertex_normals(vertices, faces)[self.corners] * self.barycentric[..., None]).sum(1)
+        local, pixels = camera.project(places)
+        rays = places - camera.position
+        facing = -(normals * rays).sum(1) / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
+        columns = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
+        rows = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
+        surely = _blurred(bare[None], BLURS[-1])[0] > _INSIDE
+        seen = (pixels > 2.0).all(1) & (pixels < [camera.width - 2, camera.height - 2]).all(1) & (facing > FACING)
+        near = local[:, 2] < triangle_depth(vertices[faces], camera)[rows, columns] + HIDDEN
+        return pixels, np.flatnonzero(seen & near & surely[rows, columns])
+
+
+def _moved(track: PhotoTrack, fit: LandmarkFit, index: int) -> PhotoTrack:
+    """A track with what was solved for; the working picture stays."""
+    before, after = track.photo_camera, fit.cameras[index]
+    scale = track.camera.fx / before.fx
+    origin = np.array([before.cx - track.camera.cx / scale, before.cy - track.camera.cy / scale])
+    camera = replace(
+        track.camera, world_to_camera=after.world_to_camera, fx=after.fx * scale, fy=after.fy * scale,
+        cx=(after.cx - origin[0]) * scale, cy=(after.cy - origin[1]) * scale,
+    )  # fmt: skip
+    view = fit.views[index]
+    return replace(
+        track, camera=camera, photo_camera=after, shape=fit.shape, expression=view.expression, pose=view.pose,
+        landmarks_fitted=(fit.landmarks[index] - origin) * scale,
+    )  # fmt: skip
+
+
+def _hairless(track: PhotoTrack, view: FitView, head: HeadModel) -> np.ndarray:
+    """1 at the pixels of a view that are away from brows and beard, [H, W]."""
+    parts = parse(track, head)
+    hairy = _blurred(np.asarray(parts.brows + parts.beard, np.float32)[None], BLURS[0])[0]
+    own, whole = view.camera, track.camera
+    rows, columns = np.mgrid[: own.height, : own.width] + 0.5
+    scale = whole.fx / own.fx
+    places = np.stack([(columns - own.cx) * scale + whole.cx, (rows - own.cy) * scale + whole.cy], -1)
+    clear: np.ndarray = bilinear(hairy[..., None], places)[..., 0] < HAIRY
+    return clear.astype(np.float32)
+
+
+def _fast_part(picture: np.ndarray, bare: np.ndarray, blur: float) -> np.ndarray:
+    """Lightness and red less green, smoothed, without what varies slowly over the bare pixels, [2, H, W]."""
+    planes = np.stack([picture.mean(-1), picture[..., 0] - picture[..., 1]]).astype(np.float32)
+    slow = _blurred(planes * bare, SLOW) / (_blurred(bare[None], SLOW) + 1e-3)
+    return _blurred(planes, blur) - slow
+
+
+def _blurred(planes: np.ndarray, sigma: float) -> np.ndarray:
+    """Planes [C, H, W] smoothed by a Gaussian of some pixels."""
+    reach = int(np.ceil(3.0 * sigma))
+    weights = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
+    kernel = (weights / weights.sum())[None, None, :, None]
+    stacked = torch.from_numpy(np.ascontiguousarray(planes, np.float32))[:, None]
+    for turned in (kernel, kernel.transpose(2, 3)):
+        padding = (0, 0, reach, reach) if turned.shape[2] > 1 else (reach, reach, 0, 0)
+        stacked = functional.conv2d(functional.pad(stacked, padding, mode="replicate"), turned)
+    return stacked[:, 0].numpy()

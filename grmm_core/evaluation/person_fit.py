@@ -82,12 +82,14 @@ def fit_photo(scene: Scene, sample: Sample, view: LoadedView, method: str, repor
     Raises:
         NoFaceError: No face is found in the picture.
     """
+    from ..fitting.pixel_stage import track_pixels
     from ..fitting.track import track_photos
 
     with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as folder:
         path = Path(folder) / "photo.png"
         write_png(path, quantize(view.image + (1.0 - view.mask[..., None]) * _GREY))
-        track = track_photos([path], scene.head, masks=[view.mask])[0]
+        tracks = track_photos([path], scene.head, masks=[view.mask])
+    (track,) = track_pixels(tracks, scene.model, scene.info)
     return _inverted(scene, track, sample.shot.subject, method, within(report, _TRACKED_SHARE, 1.0)), track
 
 

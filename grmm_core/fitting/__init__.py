@@ -8,14 +8,15 @@
 ``landmark_priors``    how exact landmarks are, how likely expressions and cameras
 ``landmark_stage``     camera, shape, expression and pose from landmarks
 ``outline``            where the skin ends in a photo: ears and cheeks
-``photo_light``        spherical-harmonic light from the skin's colors
+``photo_light``        the light of a photo from the skin's colors
 ``photometric_stage``  the refinement by outline
-``track``              photos to tracks
+``track``              photos to tracks; ``pixel_stage``: again by all their pixels, as a quick avatar looks
 ``faces_picture``      the faces of a photo as a picture, to check the choice
 ``photo_targets``      tracked photos as what the inversion compares with
 ``objective``          attributes drawn into a photo's camera, and their loss
 ``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light
-``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest
+``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest,
+                       ``creases`` binds folds to the expression
 ``hair_stage``         the groom that photos show, for weights without hair; ``face_hair``: brows, beard and lashes
 ``invert``             tracks to an avatar by both stages
 ``folder``             the work folder: whose state it holds, what is refused before work begins; ``checkpoint``: the tuning's

@@ -23,7 +23,7 @@ import numpy as np
 
 from ..avatar import Avatar, PhotoRecord
 from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError
-from ..jobs.progress import ProgressCallback, Reporter
+from ..jobs.progress import ProgressCallback, Reporter, within
 from ..photo.load import PhotoFile, check_proportion
 from .folder import TRACKS_FILE, Job, can_resume, check_photos_differ, check_writable, prepare
 from .presets import fit_stages, preset_named
@@ -31,12 +31,14 @@ from .request import FitRequest, faces_by_photo
 from .types import PhotoTrack, load_tracks, save_tracks
 
 if TYPE_CHECKING:
-    from ..head import HeadModel
+    from ..model.grmm import GRMM
+    from ..model.weights_file import WeightsInfo
 
 
 FacesCallback = Callable[[Path, np.ndarray], None]
 """Called for each photo with its path and the faces' boxes, [K, 4] pixels: left, top, right, bottom."""
 
+_LANDMARK_SHARE = 0.3  # of the time that tracking takes
 _MOST_TURNED = 55.0  # degrees: of a face that is turned further in every photo, half would be a guess
 
 logger = logging.getLogger(__name__)
@@ -141,8 +143,7 @@ def _make(
     report.part("load")(0.5)
     loaded = ModelStore(request.weights or None, TorchLoader(choose_device(request.device)), request.head or None).default()
     head, folder = loaded.model.head_model, request.work_folder
-    tracks = _tracks(request, job, photos, masks, head, report, on_faces)
-    check_turned(tracks)
+    tracks = _tracks(request, job, photos, masks, loaded.model, loaded.info, report, on_faces)
     avatar = invert(
         tracks, loaded.model, head, request.preset, info=loaded.info, name=request.name or request.output.stem, work=folder,
         report=report,
@@ -167,10 +168,11 @@ def _make(
 
 
 def _tracks(
-    request: FitRequest, job: Job, photos: Sequence[PhotoFile], masks: Sequence[PhotoFile], head: HeadModel, report: Reporter,
-    on_faces: FacesCallback | None,
+    request: FitRequest, job: Job, photos: Sequence[PhotoFile], masks: Sequence[PhotoFile], model: GRMM, info: WeightsInfo,
+    report: Reporter, on_faces: FacesCallback | None,
 ) -> list[PhotoTrack]:  # fmt: skip
     """Track the photos, or read what an interrupted run has tracked."""
+    from .pixel_stage import track_pixels
     from .track import analyse_photo, track_photos
 
     path = request.work_folder / TRACKS_FILE
@@ -191,7 +193,10 @@ def _tracks(
         analysed.append(one)
     report.part("analyse")(1.0)
     outlines = [mask.load().coverage() for mask in masks] or None
-    tracks = track_photos(analysed, head, faces=job.faces, masks=outlines, progress=report.part("track"))
+    told, head = report.part("track"), model.head_model
+    tracks = track_photos(analysed, head, faces=job.faces, masks=outlines, progress=within(told, 0.0, _LANDMARK_SHARE))
+    check_turned(tracks)
+    tracks = track_pixels(tracks, model, info, progress=within(told, _LANDMARK_SHARE, 1.0))
     save_tracks(path, tracks)
     return tracks
 

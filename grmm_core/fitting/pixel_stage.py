@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import torch
@@ -41,10 +41,10 @@ from .types import PhotoTrack
 
 logger = logging.getLogger(__name__)
 
-QUICK = CodeSettings(192, 96, 24, 1, 4, 12)
+QUICK = CodeSettings(192, 96, 12, 1, 0, 12)
 """Of the avatar that is compared."""
 SIDE = 384  # pixels of the pictures that are compared
-BLURS = (3.0, 2.0, 1.2, 1.2)  # pixels, one for each round
+BLURS = (3.0, 2.0, 1.2)  # pixels, one for each round
 SLOW = 16.0  # pixels: what varies more slowly is light or tone
 ITERATIONS = 2  # of the least squares in each round
 POINTS = 5000  # texels that are looked at
@@ -84,28 +84,31 @@ def track_pixels(
         return list(tracks)
     rig = LandmarkRig(head)
     fit = restarted(tracks, rig)
-    now = list(tracks)
-    with torch.enable_grad():
-        appearance = _Appearance(tracks, model, info, lambda share: told(_QUICK_SHARE * share))
-    before = after = 0.0
-    for number, blur in enumerate(BLURS):
-        told(_QUICK_SHARE + (1.0 - _QUICK_SHARE) * number / len(BLURS))
+    # what a pixel shows does not change while the head moves by a pixel or two: the parser is asked once
+    labelled = [replace(track, labels=np.stack(astuple(parse(track, head)))) for track in tracks]
+    appearance = _Appearance(labelled, model, info, lambda share: told(_QUICK_SHARE * share))
+    now, differences = labelled, []
+    for number, blur in enumerate((*BLURS, BLURS[0])):
+        told(_QUICK_SHARE + (1.0 - _QUICK_SHARE) * number / (len(BLURS) + 1))
         compared = [appearance.compared(track, index, blur) for index, track in enumerate(now)]
         if not all(len(found.target) for found in compared):
             return list(tracks)
-        if number == len(BLURS) - 1:  # at the last scale, before anything was moved and now
-            before = sum(appearance.compared(track, index, blur).difference for index, track in enumerate(tracks))
+        differences.append(sum(found.difference for found in compared) / len(compared))
+        if number == len(BLURS):
+            break
         photos = tuple(
             replace(photo, terms=(*photo.terms, found.term(head, now[index])))
             for index, (photo, found) in enumerate(zip(fit.problem.photos, compared, strict=True))
         )
         solution = solve(replace(fit.problem, photos=photos), fit.solution, ITERATIONS)
         fit = finished(fit.problem, solution, fit.units, rig)
-        now = [_moved(track, fit, index) for index, track in enumerate(tracks)]
-    after = sum(appearance.compared(track, index, BLURS[-1]).difference for index, track in enumerate(now))
+        now = [_moved(track, fit, index) for index, track in enumerate(labelled)]
+    before, after = differences[0], differences[-1]
     worse = max(new.landmark_error - old.landmark_error for new, old in zip(now, tracks, strict=True))
     logger.debug("pixels: difference %.4f to %.4f, landmark error grows by %.4f", before, after, worse)
-    return now if after < before and worse <= MOST_LANDMARK_LOSS else list(tracks)
+    if after >= before or worse > MOST_LANDMARK_LOSS:
+        return list(tracks)
+    return [replace(track, labels=old.labels) for track, old in zip(now, tracks, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -153,7 +156,10 @@ class _Appearance:
         model.requires_grad_(False)
         try:
             prior = code_prior(info, model)
-            self.codes: Codes = fit_codes(model, prior, large, small, self.surface, self.light, QUICK, lambda s, _: told(s))
+            with torch.enable_grad():
+                self.codes: Codes = fit_codes(
+                    model, prior, large, small, self.surface, self.light, QUICK, lambda share, _: told(share)
+                )
         finally:
             for parameter, needed in zip(model.parameters(), was, strict=True):
                 parameter.requires_grad_(needed)

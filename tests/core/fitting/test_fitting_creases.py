@@ -1,0 +1,83 @@
+"""Folds that belong to a photo's expression come and go with it; what lasts stays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.fitting.creases import MAPS, PORES, crease_colors, crease_maps, strained
+from grmm_core.fitting.surface import texel_surface
+from grmm_core.geometry.rotations import euler_to_matrix
+from grmm_core.model.config import PRESETS
+from grmm_core.model.decoders import ExpressionMaps
+from grmm_core.model.grmm import GRMM
+
+FOLD, FOREHEAD = 207, 10  # landmarks beside the mouth and at the hairline
+TONE = torch.tensor([0.8, 0.6, 0.5])
+
+
+def faces_of(head, **weights):
+    """Vertices at rest and with ARKIT expressions."""
+    expression = np.zeros(head.expression_count, np.float32)
+    for name, value in weights.items():
+        expression += value * head.arkit_to_expression[ARKIT_NAMES.index(name)]
+    shape = np.zeros(head.shape_count, np.float32)
+    rest = head.vertices(shape, np.zeros_like(expression), np.zeros((5, 3)))
+    return rest, head.vertices(shape, expression, head.pose_of(expression, np.zeros((5, 3))))
+
+
+def at_landmark(head, values, landmark):
+    triangles, weights = head.landmarks478
+    return float((values[head.faces[triangles[landmark]]] * weights[landmark]).sum())
+
+
+def test_a_smile_strains_the_skin_beside_the_mouth_and_moving_the_head_none(head):
+    rest, smiling = faces_of(head, mouthSmileLeft=0.8, mouthSmileRight=0.8)
+    strain = strained(head, rest, smiling)
+    assert at_landmark(head, strain, FOLD) > 0.15
+    assert at_landmark(head, strain, FOREHEAD) < 0.01
+    moved = rest @ euler_to_matrix(np.array([0.3, -0.5, 0.2])).T + 0.1
+    assert strained(head, rest, moved).max() < 1e-3
+
+
+@pytest.fixture(scope="module")
+def model(head):
+    torch.manual_seed(0)
+    config = PRESETS["tiny"].replace(grid=128, decoder_grid=16, hairless=True)
+    return GRMM(head, config).requires_grad_(False).eval()
+
+
+def test_dark_lines_are_creases_where_skin_is_strained_and_marks_elsewhere(model):
+    surface = texel_surface(model)
+    colors = TONE.repeat(model.gaussian_count, 1)
+    plain = torch.zeros(len(colors), dtype=torch.bool)
+    dark = torch.zeros(len(colors), dtype=torch.bool)
+    skin = torch.nonzero((surface.group == 0) & ~surface.lips)[:, 0]
+    dark[skin[::97]] = True
+    colors[dark] -= 0.3
+    creases = crease_colors(surface, colors, torch.ones(len(colors)), plain)
+    assert (creases[dark].mean(1) < -0.15).all()
+    assert float(creases[~dark].abs().max()) < PORES
+    assert not crease_colors(surface, colors, torch.zeros(len(colors)), plain).any()
+    assert not crease_colors(surface, colors, torch.ones(len(colors)), ~plain).any()  # lips, lids and brows keep theirs
+
+
+def test_creases_are_whole_in_the_photos_expression_and_gone_at_rest(model):
+    generator = torch.Generator().manual_seed(1)
+    maps = ExpressionMaps(6, 8, 5, 40).requires_grad_(False)
+    maps.weights.weight.normal_(generator=generator)
+    maps.gains.weight.normal_(std=0.1, generator=generator)
+    maps.maps.normal_(std=0.05, generator=generator)
+    z_id, rest, photo, *others = torch.randn(12, 8, generator=generator)
+    z_id, others = z_id[:6], torch.stack(others)
+    creases = torch.randn(40, 3, generator=generator)
+    before = maps(z_id, photo), maps(z_id, rest)
+    change = crease_maps(maps, creases, z_id, rest, [photo], others)
+    made_up = (maps.weights(rest) * (1.0 + maps.gains(z_id))) @ change
+    maps.maps += change
+    torch.testing.assert_close(maps(z_id, photo) - before[0] - made_up.view(40, 3), creases, rtol=1e-4, atol=1e-4)
+    torch.testing.assert_close(maps(z_id, rest) - before[1] - made_up.view(40, 3), torch.zeros(40, 3), rtol=0, atol=1e-4)
+    assert crease_maps(maps, creases, z_id, rest, [rest], others) is None  # a photo of the face at rest shows no folds
+    assert dict(model.named_parameters())[MAPS].ndim == 2

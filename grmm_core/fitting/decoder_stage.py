@@ -30,7 +30,7 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import FEATURES, MAPS, crease_colors, crease_maps, strained
-from .inpainting import corners_of, facing, fill_colors, lid_exposure
+from .inpainting import corners_of, facing, fill_colors, lid_exposure, uncut
 from .locality import LOCALITY_WEIGHT, Locality
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .photo_targets import FitView
@@ -55,6 +55,7 @@ VARIANTS, VARIANT_SHARE = 2, 0.5  # other expressions' codes in every second ste
 TRUSTED = ("color", "opacity")  # maps that texels of the skin take from photos that face them only
 WIDTHS = {"color": 3, "opacity": 1, "position": 3, "scale": 3}
 DETAIL_TEXELS = 5.0  # length below which colors are detail
+CUT = (0.3, 0.7)  # share of a texel's pixels that are targets: below the first it counts as not seen, above the second wholly
 HALF_SEEN_PIXELS = 0.5  # contribution, in pixels, at which a texel counts as half seen
 SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colors
 REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
@@ -266,6 +267,10 @@ class Tuner:
             hair = contributions(self.model, view, self.meshes[index], attributes, view.inner)
             shown = torch.where(self.surface.group == SCALP, hair, shown)
             tested = contributions(self.model, view, self.meshes[index], attributes, view.weight)
+            every = contributions(self.model, view, self.meshes[index], attributes, torch.ones_like(view.weight))
+            # what a photo's edge or a mask cuts through was moved by its few pixels as far as the rest by many
+            share = (shown / every.clamp(min=1e-6)) * uncut(self.model, view, self.meshes[index])
+            shown = shown * ((share - CUT[0]) / (CUT[1] - CUT[0])).clamp(0, 1)
             frontal = facing(self.model, view, self.meshes[index], self.surface)
             self.frontal_by[index] = frontal
             self.seen_by[index] = frontal * self.light.tells(index) * shown / (shown + HALF_SEEN_PIXELS)

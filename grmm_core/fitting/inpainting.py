@@ -1,5 +1,6 @@
 """What a photo does not show, or shows wrongly: how far its colors are known, and what stands where they are not.
 
+``uncut``           what a picture's edge cuts through is not known either
 ``facing``          skin that a photo sees edge-on tells nothing
 ``lid_exposure``    skin that lies folded away in the photo and comes out when the eyes close
 ``fill_colors``    change of skin and hair, spread along the surface; hair of no other color than the photo's
@@ -19,6 +20,7 @@ from ..model.grmm import GRMM
 from .photo_targets import FitView
 from .surface import SCALP, SKIN, Surface
 
+EDGE_PIXELS = 4.0  # from a picture's edge on which a Gaussian lies wholly inside
 GRAZING = (0.1, 0.4)  # cosine between normal and view below which colors say nothing, and above which they count fully
 TONE_TEXELS = 40.0  # length above which colors are a general tone
 COLOR_REST = 5e-4  # pulls unseen colors to the general tone; the reach is some 45 texels
@@ -49,6 +51,14 @@ def facing(model: GRMM, view: FitView, vertices: Tensor, surface: Surface) -> Te
     lids = model.head_model.marked("lids")[corners_of(model)].all(1) if model.config.hairless else np.zeros(len(frontal), bool)
     whole = (surface.group == SCALP) | torch.as_tensor(lids, device=frontal.device)  # lids end where they turn away
     return torch.where(whole, torch.ones_like(frontal), frontal)
+
+
+def uncut(model: GRMM, view: FitView, vertices: Tensor) -> Tensor:
+    """How far inside a picture each texel lies, 0..1, [N]: 0 at its edge, 1 from `EDGE_PIXELS` on."""
+    _, pixels = view.camera.project(model.anchor(vertices).positions.cpu().numpy().astype(np.float64))
+    size = np.array([view.camera.width, view.camera.height])
+    within = np.minimum(pixels, size - pixels).min(1)
+    return torch.as_tensor(np.clip(within / EDGE_PIXELS, 0.0, 1.0)).to(vertices)
 
 
 def lid_exposure(model: GRMM, view: FitView) -> Tensor:

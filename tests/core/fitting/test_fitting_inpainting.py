@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -9,7 +11,7 @@ from photo_parts import parts_of
 
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from grmm_core.fitting import photo_targets
-from grmm_core.fitting.inpainting import facing, fill_colors, lid_exposure
+from grmm_core.fitting.inpainting import facing, fill_colors, lid_exposure, uncut
 from grmm_core.fitting.objective import FIT_WEIGHTS, fit_loss
 from grmm_core.fitting.photo_targets import fit_view, project
 from grmm_core.fitting.surface import INNER, SCALP, SKIN, texel_surface
@@ -232,6 +234,18 @@ def test_grazing_skin_counts_less_than_skin_that_faces_the_camera(model, surface
     assert float(frontal[nose].mean()) > 0.8
     assert float(frontal[skin & (places[:, 2] < -0.05)].max()) == 0.0
     assert float(frontal[surface.group == SCALP].min()) == 1.0
+
+
+def test_what_the_pictures_edge_cuts_through_is_not_known(model):
+    view = view_of(model)
+    half = dataclasses.replace(view, camera=view.camera.crop(0, 0, view.camera.width, view.camera.height // 2))
+    vertices = torch.as_tensor(model.head_model.vertices(np.zeros(1), np.zeros(1), np.zeros((5, 3))), dtype=model.dtype)
+    _, pixels = half.camera.project(model.anchor(vertices).positions.double().numpy())
+    inside = uncut(model, half, vertices).numpy()
+    assert not inside[pixels[:, 1] > half.camera.height].any()
+    middle = (np.abs(pixels - [half.camera.width / 2, half.camera.height / 2]) < 20).all(1)
+    assert middle.any()
+    assert (inside[middle] == 1.0).all()
 
 
 # --- weights without hair: bare skin alone is painted, it stays closed, what is unseen is the prior's ---

@@ -124,6 +124,11 @@ class PhotoHead:
 
     def ratio(self, light: Light) -> np.ndarray:
         """Irradiance relative to the rig's at the texels, [N, 3] float32."""
+        premultiplied = self.spread(light)
+        return premultiplied[:, :3] / premultiplied[:, 3:]
+
+    def spread(self, light: Light) -> np.ndarray:
+        """`ratio` times how much each texel counts at a pixel (`light.shading.Arrived.front`), and that, [N, 4] float32."""
         suns = tuple(dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(light.suns, SUNS, strict=True))
         around = Surroundings(np.asarray(light.around, np.float64)).turned(self._turn.T).coefficients
         rest, corners = self._rest, self._texels.corners
@@ -132,7 +137,7 @@ class PhotoHead:
         near[corners.ravel()] = np.repeat(np.arange(len(corners)), 3)
         bounced = rest.exchange.bounced(scene.irradiance[near], rest.albedo)
         learned = Learned(rest.rig, np.zeros_like(rest.rig))
-        return relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, :3]
+        return relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, [0, 1, 2, 6]]
 
     def solve(self, seen: Seen, tone: np.ndarray | None = None) -> Light:
         """Find the light of a photo.
@@ -213,7 +218,7 @@ def found_lights(
         pictures: Of each its camera, colors and bare pixels as in `seen_skin`.
 
     Returns:
-        The lights, and their `PhotoHead.ratio`, [P, N, 3] float32.
+        The lights, and their `PhotoHead.spread`, [P, N, 4] float32.
     """
     texels = Texels.of(head, layout.face, layout.barycentric)
     lights: list[Light] = []
@@ -232,20 +237,25 @@ def found_lights(
                 light = Light.studio(level if tone is None else tone, 1.0 if tone is None else level / tone)
             tone = light.tone
         lights.append(light)
-        ratios.append(here.ratio(light) if light.known else np.tile(light.level, (len(layout), 1)))
+        ratios.append(here.spread(light) if light.known else _even(light, layout))
     return lights, np.stack(ratios)
 
 
 def kept_lights(head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrack], lights: Sequence[Light]) -> np.ndarray:
-    """`PhotoHead.ratio` of lights that were found before, [P, N, 3] float32; arguments as of `found_lights`."""
+    """`PhotoHead.spread` of lights that were found before, [P, N, 4] float32; arguments as of `found_lights`."""
     texels = Texels.of(head, layout.face, layout.barycentric)
     ratios = [
-        _photo_head(head, texels, track, np.asarray(to_display(light.tone))).ratio(light)
+        _photo_head(head, texels, track, np.asarray(to_display(light.tone))).spread(light)
         if light.known
-        else np.tile(light.level, (len(layout), 1))
+        else _even(light, layout)
         for track, light in zip(tracks, lights, strict=True)
     ]
     return np.stack(ratios)
+
+
+def _even(light: Light, layout: TexelLayout) -> np.ndarray:
+    """`PhotoHead.spread` of the studio's light, stronger or weaker."""
+    return np.tile(np.append(light.level, np.float32(1.0)), (len(layout), 1))
 
 
 def _posed(head: HeadModel, track: PhotoTrack) -> np.ndarray:

@@ -39,23 +39,24 @@ class PhotoLight:
     """Light of the photos at the texels.
 
     Attributes:
-        ratio: Irradiance relative to the rig's, [P, N, 3].
+        spread: Irradiance relative to the rig's times how much a texel counts at a pixel, and that, [P, N, 4].
     """
 
-    ratio: Tensor
+    spread: Tensor
 
     def tells(self, index: int) -> Tensor:
         """How far a photo tells the texels' colors, 0..1, [N]: in deep shadow, which light is never known well, it does not."""
-        return ((self.ratio[index].amin(-1) - DIM[0]) / (DIM[1] - DIM[0])).clamp(0, 1)
+        ratio = self.spread[index, :, :3] / self.spread[index, :, 3:]
+        return ((ratio.amin(-1) - DIM[0]) / (DIM[1] - DIM[0])).clamp(0, 1)
 
     @torch.no_grad()
     def picture(self, model: GRMM, view: FitView, vertices: Tensor, attributes: Attributes) -> Tensor:
         """A photo's light at its pixels, [H, W, 3]; 1 where nothing is drawn."""
         scene = model.gaussians(vertices, attributes)
-        scene.features = self.ratio[view.index]
+        scene.features = self.spread[view.index]
         drawn = rasterize(scene, view.camera, antialiased=model.config.antialias)
-        cover = drawn.alpha[..., None]
-        return torch.where(cover > MIN_ALPHA, present(drawn.features) / cover.clamp(min=MIN_ALPHA), torch.ones_like(cover))
+        light, cover = present(drawn.features).split([3, 1], -1)
+        return torch.where(drawn.alpha[..., None] > MIN_ALPHA, light / cover.clamp(min=MIN_ALPHA), torch.ones_like(light))
 
 
 def unchanged(like: Tensor) -> Tensor:

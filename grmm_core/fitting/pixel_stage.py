@@ -1,6 +1,6 @@
 """Tracking on pixels: camera, pose, gaze, expression and shape from the whole picture, after landmarks have started them.
 
-A quick avatar of the photos (eq. 19 in few steps) is drawn as tracked. Where a point of its skin, lips or eyes differs from
+A quick avatar of the photos (eq. 19 in few steps) is drawn as tracked. Where a point of its skin or lips differs from
 the photo, the difference over the picture's gradient is the shift that would mend it (Lucas and Kanade 1981): such shifts,
 along the gradient only, are further terms of the landmarks' least squares, and all unknowns are solved together, from coarse
 to fine. Both pictures are compared without what varies slowly, for light and skin tone are not known exactly. The result is
@@ -51,13 +51,13 @@ POINTS = 5000  # texels that are looked at
 COLOR_SIGMA = (0.04, 0.028)  # expected difference of lightness and of red less green
 REACH = 4.0  # pixels that a point is believed to be off by
 FLAT = 2e-3  # gradient below which a point tells nothing
-NOISE = 2.5  # a real face differs from any the model knows: expected errors grow with what the pictures differ by
+NOISE = 4.0  # a real face differs from any the model knows: expected errors grow with what the pictures differ by
 HAIRY = 0.15  # of a pixel: brows and beards from which on it is not compared, for the drawn head has none
 FACING = 0.25  # cosine between normal and view from which a point is compared
 HIDDEN = 0.003  # metres behind the mesh's depth that still are its surface
 MOST_LANDMARK_LOSS = 0.03  # eye distances by which the mean landmark error may grow: faces are off by 0.02 as it is
-_REGIONS = ("face", "lids", "lips", "ears", "left_eyeball", "right_eyeball")
-_NOT = ("mouth_interior", "lashes")
+_REGIONS = ("face", "lips", "ears")  # eyes are where the landmarks are exact, and people differ most
+_NOT = ("mouth_interior", "lashes", "lids")
 _GREY, _INSIDE = 0.5, 0.9
 _QUICK_SHARE = 0.5  # of the time
 

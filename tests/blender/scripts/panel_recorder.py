@@ -39,7 +39,7 @@ class Recorder:
     def row(self, **_: object) -> Recorder:
         return Recorder(self.notes)
 
-    column = box = split = row
+    column = box = split = grid_flow = row
 
     def menu(self, name: str, **_: object) -> None:
         assert hasattr(bpy.types, name), name

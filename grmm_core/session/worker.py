@@ -103,7 +103,10 @@ def main() -> None:
 
 
 def _begin(session: Any, announced: queue.SimpleQueue[dict[str, Any]]) -> None:
-    """Begin with what is announced, on a thread beside the one that answers; of several the last one."""
+    """Begin with what is announced, on a thread beside the one that answers; of several the last one.
+
+    A defect of ours ends the thread with a traceback in the worker's log, and pictures are made one after the other again.
+    """
     while True:
         message = announced.get()
         while not announced.empty():
@@ -113,8 +116,6 @@ def _begin(session: Any, announced: queue.SimpleQueue[dict[str, Any]]) -> None:
             session.begin(message["begin"], **message["arguments"])
         except (GrmmError, MemoryError) as error:
             _log.debug("The next picture could not be begun: %s", error)  # the call itself meets the same error
-        except Exception:  # noqa: BLE001 - likewise, and this thread has to go on
-            _log.debug("The next picture could not be begun.", exc_info=True)
 
 
 def _make_session(settings: dict[str, Any]) -> tuple[Any, GrmmError | None]:

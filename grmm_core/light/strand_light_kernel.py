@@ -1,6 +1,8 @@
 """The compiled twin of light at strands (`hair_shading`). Importing this loads numba.
 
-All arrays are contiguous float32. What takes `first` and `last` does these rows (`compute.threads.for_rows`).
+All arrays are contiguous float32. What takes `first` and `last` does these rows (`compute.threads.for_rows`). Pieces are lit in
+blocks, each quantity of a block beside the last in one scratch array: so the compiler knows that none overlaps another, and
+does eight pieces at a time.
 """
 
 from __future__ import annotations
@@ -10,10 +12,29 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from .light_kernels import COLOR, OPTIONS, arriving, harmonics_of
+from .light_kernels import (
+    AREA,
+    COLOR,
+    FADE,
+    INNER,
+    KIND,
+    NEAREST_SQUARE,
+    OPTIONS,
+    PLACE,
+    POWER,
+    SPOT,
+    SPREAD,
+    SUN,
+    TOWARDS,
+    harmonics_of,
+)
 from .shadow_kernels import single
 
-_0, _1, _2, _TINY = single(0.0), single(1.0), single(2.0), single(1e-9)
+_0, _1, _2, _3, _TINY = single(0.0), single(1.0), single(2.0), single(3.0), single(1e-9)
+_B = 64  # pieces of a block
+# where its quantities begin in the scratch array: three columns of a vector, or one
+_POINT, _TANGENT, _OUTWARD, _VIEW, _LAMP = 0, 3 * _B, 6 * _B, 9 * _B, 12 * _B
+_POWER, _RIM, _ALONG, _SUMS, _PARTS = 15 * _B, 16 * _B, 17 * _B, 18 * _B, 26 * _B
 
 
 @compiled(inline="always", **OPTIONS)
@@ -24,6 +45,79 @@ def _lobes(square: float, surface: float, inside: float) -> float:
     eight = four * four
     sixteen = eight * eight
     return surface * sixteen * sixteen * sixteen * eight * four + inside * eight * square
+
+
+@compiled(**OPTIONS)
+def _find(
+    w: np.ndarray, points: np.ndarray, quats: np.ndarray, parts: np.ndarray, to_grid: np.ndarray, centre: np.ndarray,
+    eye: np.ndarray, rims: float, first: int, last: int,
+) -> None:  # fmt: skip
+    """Write what the lamps have in common of pieces `first` to `last`, the last one as often as the block has room."""
+    most_x, most_y, most_z = (
+        np.float32(parts.shape[0] - 1.001), np.float32(parts.shape[1] - 1.001), np.float32(parts.shape[2] - 1.001)
+    )  # fmt: skip
+    corners = np.empty(8, np.float32)
+    for j in range(_B):
+        i = min(first + j, last - 1)
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        gx = to_grid[0, 0] * px + to_grid[0, 1] * py + to_grid[0, 2] * pz + to_grid[0, 3]
+        gy = to_grid[1, 0] * px + to_grid[1, 1] * py + to_grid[1, 2] * pz + to_grid[1, 3]
+        gz = to_grid[2, 0] * px + to_grid[2, 1] * py + to_grid[2, 2] * pz + to_grid[2, 3]
+        gx, gy, gz = min(max(gx, _0), most_x), min(max(gy, _0), most_y), min(max(gz, _0), most_z)
+        a, b, c = int(gx), int(gy), int(gz)
+        u, v, t = gx - np.float32(a), gy - np.float32(b), gz - np.float32(c)
+        corners[0], corners[1] = (_1 - u) * (_1 - v) * (_1 - t), (_1 - u) * (_1 - v) * t
+        corners[2], corners[3] = (_1 - u) * v * (_1 - t), (_1 - u) * v * t
+        corners[4], corners[5] = u * (_1 - v) * (_1 - t), u * (_1 - v) * t
+        corners[6], corners[7] = u * v * (_1 - t), u * v * t
+        for k in range(parts.shape[3]):
+            w[_PARTS + k * _B + j] = (
+                corners[0] * parts[a, b, c, k] + corners[1] * parts[a, b, c + 1, k] + corners[2] * parts[a, b + 1, c, k]
+                + corners[3] * parts[a, b + 1, c + 1, k] + corners[4] * parts[a + 1, b, c, k]
+                + corners[5] * parts[a + 1, b, c + 1, k] + corners[6] * parts[a + 1, b + 1, c, k]
+                + corners[7] * parts[a + 1, b + 1, c + 1, k]
+            )  # fmt: skip
+        qw, qx, qy, qz = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
+        w[_POINT + j], w[_POINT + _B + j], w[_POINT + 2 * _B + j] = px, py, pz
+        w[_TANGENT + j], w[_TANGENT + _B + j] = _1 - _2 * (qy * qy + qz * qz), _2 * (qx * qy + qw * qz)
+        w[_TANGENT + 2 * _B + j] = _2 * (qx * qz - qw * qy)
+    for j in range(_B):
+        px, py, pz = w[_POINT + j], w[_POINT + _B + j], w[_POINT + 2 * _B + j]
+        ox, oy, oz = px - centre[0], py - centre[1], pz - centre[2]
+        inverse = _1 / max(math.sqrt(ox * ox + oy * oy + oz * oz), _TINY)
+        ox, oy, oz = ox * inverse, oy * inverse, oz * inverse
+        vx, vy, vz = eye[0] - px, eye[1] - py, eye[2] - pz
+        inverse = _1 / max(math.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
+        vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
+        rim = _1 - min(abs(ox * vx + oy * vy + oz * vz), _1)
+        w[_OUTWARD + j], w[_OUTWARD + _B + j], w[_OUTWARD + 2 * _B + j] = ox, oy, oz
+        w[_VIEW + j], w[_VIEW + _B + j], w[_VIEW + 2 * _B + j] = vx, vy, vz
+        w[_RIM + j] = rim * rim * rims
+        w[_ALONG + j] = w[_TANGENT + j] * vx + w[_TANGENT + _B + j] * vy + w[_TANGENT + 2 * _B + j] * vz
+    w[_SUMS:_PARTS] = _0
+
+
+@compiled(**OPTIONS)
+def _arriving(w: np.ndarray, lamp: np.ndarray) -> None:
+    """Write directions to a lamp and irradiance, as `light_kernels.arriving`."""
+    x, y, z, power, spread = lamp[PLACE], lamp[PLACE + 1], lamp[PLACE + 2], lamp[POWER], lamp[SPREAD]
+    if lamp[KIND] == SUN:
+        for j in range(_B):
+            w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j], w[_POWER + j] = x, y, z, power
+        return
+    ax, ay, az, inner, fade = lamp[TOWARDS], lamp[TOWARDS + 1], lamp[TOWARDS + 2], lamp[INNER], lamp[FADE]
+    area, spot = np.float32(lamp[KIND] == AREA), np.float32(lamp[KIND] == SPOT)
+    ball = _1 - area - spot
+    for j in range(_B):
+        dx, dy, dz = x - w[_POINT + j], y - w[_POINT + _B + j], z - w[_POINT + 2 * _B + j]
+        square = dx * dx + dy * dy + dz * dz
+        inverse = _1 / math.sqrt(max(square, np.float32(1e-12)))
+        dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
+        along = -(dx * ax + dy * ay + dz * az)
+        share = min(max((along - inner) * fade, _0), _1)
+        cone = ball + area * max(along, _0) + spot * share * share * (_3 - _2 * share)
+        w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j] = dx, dy, dz
+        w[_POWER + j] = power * cone / (max(square, NEAREST_SQUARE) + spread)
 
 
 @compiled(**OPTIONS)
@@ -48,67 +142,41 @@ def shade(
         last: The row after the last.
     """
     intensity, gloss, reach, rims, surface, inside = factors[0], factors[1], factors[2], factors[3], factors[4], factors[5]
-    count, corners = len(lamps), np.empty(8, np.float32)
-    part = np.empty(count, np.float32)
-    most_x, most_y, most_z = (
-        np.float32(parts.shape[0] - 1.001), np.float32(parts.shape[1] - 1.001), np.float32(parts.shape[2] - 1.001)
-    )  # fmt: skip
-    for i in range(first, last):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        gx = to_grid[0, 0] * px + to_grid[0, 1] * py + to_grid[0, 2] * pz + to_grid[0, 3]
-        gy = to_grid[1, 0] * px + to_grid[1, 1] * py + to_grid[1, 2] * pz + to_grid[1, 3]
-        gz = to_grid[2, 0] * px + to_grid[2, 1] * py + to_grid[2, 2] * pz + to_grid[2, 3]
-        gx, gy, gz = min(max(gx, _0), most_x), min(max(gy, _0), most_y), min(max(gz, _0), most_z)
-        a, b, c = int(gx), int(gy), int(gz)
-        u, v, w = gx - np.float32(a), gy - np.float32(b), gz - np.float32(c)
-        corners[0], corners[1] = (_1 - u) * (_1 - v) * (_1 - w), (_1 - u) * (_1 - v) * w
-        corners[2], corners[3] = (_1 - u) * v * (_1 - w), (_1 - u) * v * w
-        corners[4], corners[5] = u * (_1 - v) * (_1 - w), u * (_1 - v) * w
-        corners[6], corners[7] = u * v * (_1 - w), u * v * w
-        for k in range(count):
-            part[k] = (
-                corners[0] * parts[a, b, c, k] + corners[1] * parts[a, b, c + 1, k] + corners[2] * parts[a, b + 1, c, k]
-                + corners[3] * parts[a, b + 1, c + 1, k] + corners[4] * parts[a + 1, b, c, k]
-                + corners[5] * parts[a + 1, b, c + 1, k] + corners[6] * parts[a + 1, b + 1, c, k]
-                + corners[7] * parts[a + 1, b + 1, c + 1, k]
-            )  # fmt: skip
-        qw, qx, qy, qz = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
-        tx, ty, tz = _1 - _2 * (qy * qy + qz * qz), _2 * (qx * qy + qw * qz), _2 * (qx * qz - qw * qy)
-        ox, oy, oz = px - centre[0], py - centre[1], pz - centre[2]
-        inverse = _1 / max(math.sqrt(ox * ox + oy * oy + oz * oz), _TINY)
-        ox, oy, oz = ox * inverse, oy * inverse, oz * inverse
-        vx, vy, vz = eye[0] - px, eye[1] - py, eye[2] - pz
-        inverse = _1 / max(math.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
-        vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
-        along_view = tx * vx + ty * vy + tz * vz
-        rim = _1 - min(abs(ox * vx + oy * vy + oz * vz), _1)
-        rim *= rim * rims
-        red, green, blue, shine_r, shine_g, shine_b, arrives, whole = _0, _0, _0, _0, _0, _0, _0, _0
-        for k in range(count):
-            lx, ly, lz, strength = arriving(lamps, k, px, py, pz)
-            if strength <= _0:
-                continue
-            along, opposite = tx * lx + ty * ly + tz * lz, vx * lx + vy * ly + vz * lz
-            facing = (ox * lx + oy * ly + oz * lz + reach) / (_1 + reach)
-            facing = min(max(facing, _0), _1) * part[k]
-            strength *= intensity
-            amount = math.sqrt(max(_1 - along * along, _0)) * (facing + rim * max(-opposite, _0)) * strength
-            lr, lg, lb = lamps[k, COLOR], lamps[k, COLOR + 1], lamps[k, COLOR + 2]
-            mean = amount * (lr + lg + lb) / np.float32(3.0)
-            arrives, whole = arrives + mean, whole + mean / max(part[k], np.float32(0.02))
-            red, green, blue = red + amount * lr, green + amount * lg, blue + amount * lb
-            if facing > _0:  # the half vector's length is that of two unit vectors' sum
-                lean = along + along_view
+    w, nearer = np.empty(_PARTS + len(lamps) * _B, np.float32), _1 / (_1 + reach)
+    for start in range(first, last, _B):
+        _find(w, points, quats, parts, to_grid, centre, eye, rims, start, last)
+        for k in range(len(lamps)):
+            _arriving(w, lamps[k])
+            red, green, blue = lamps[k, COLOR], lamps[k, COLOR + 1], lamps[k, COLOR + 2]
+            mean, offset = (red + green + blue) / _3, _PARTS + k * _B
+            for j in range(_B):
+                lx, ly, lz, part = w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j], w[offset + j]
+                along = w[_TANGENT + j] * lx + w[_TANGENT + _B + j] * ly + w[_TANGENT + 2 * _B + j] * lz
+                opposite = w[_VIEW + j] * lx + w[_VIEW + _B + j] * ly + w[_VIEW + 2 * _B + j] * lz
+                facing = w[_OUTWARD + j] * lx + w[_OUTWARD + _B + j] * ly + w[_OUTWARD + 2 * _B + j] * lz
+                facing = min(max((facing + reach) * nearer, _0), _1) * part
+                strength = w[_POWER + j] * intensity
+                across = math.sqrt(max(_1 - along * along, _0))
+                amount = across * (facing + w[_RIM + j] * max(-opposite, _0)) * strength
+                # the half vector's length is that of two unit vectors' sum
+                lean = along + w[_ALONG + j]
                 square = min(max(_1 - lean * lean / max(_2 + _2 * opposite, np.float32(1e-6)), _0), _1)
                 shine = _lobes(square, surface, inside) * facing * strength * gloss
-                shine_r, shine_g, shine_b = shine_r + shine * lr, shine_g + shine * lg, shine_b + shine * lb
-        basis = harmonics_of(ox, oy, oz)
-        for channel in range(3):
-            even = _0
-            for k in range(9):
-                even += basis[k] * colors[k, channel]
-            out[i, channel] = even * intensity
-        out[i, 0], out[i, 1], out[i, 2] = out[i, 0] + red, out[i, 1] + green, out[i, 2] + blue
-        out[i, 3], out[i, 4], out[i, 5] = shine_r, shine_g, shine_b
-        out[i, 6] = _1
-        out[i, 7] = (arrives + np.float32(1e-6)) / (whole + np.float32(1e-6))
+                w[_SUMS + j] += amount * red
+                w[_SUMS + _B + j] += amount * green
+                w[_SUMS + 2 * _B + j] += amount * blue
+                w[_SUMS + 3 * _B + j] += shine * red
+                w[_SUMS + 4 * _B + j] += shine * green
+                w[_SUMS + 5 * _B + j] += shine * blue
+                w[_SUMS + 6 * _B + j] += amount * mean
+                w[_SUMS + 7 * _B + j] += amount * mean / max(part, np.float32(0.02))
+        for j in range(min(_B, last - start)):
+            i, basis = start + j, harmonics_of(w[_OUTWARD + j], w[_OUTWARD + _B + j], w[_OUTWARD + 2 * _B + j])
+            for channel in range(3):
+                even = _0
+                for k in range(9):
+                    even += basis[k] * colors[k, channel]
+                out[i, channel] = even * intensity + w[_SUMS + channel * _B + j]
+                out[i, 3 + channel] = w[_SUMS + (3 + channel) * _B + j]
+            out[i, 6] = _1
+            out[i, 7] = (w[_SUMS + 6 * _B + j] + np.float32(1e-6)) / (w[_SUMS + 7 * _B + j] + np.float32(1e-6))

@@ -162,7 +162,8 @@ def shade(
         inverse = _1 / max(math.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
         vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
         towards_eye = nx * vx + ny * vy + nz * vz
-        facing = min(max(towards_eye, np.float32(0.05)), _1)
+        facing, front = min(max(towards_eye, np.float32(0.05)), _1), _1 + factors[5] * towards_eye
+        away_from_eye = front <= _0  # its highlights are nobody's
         wr = min(max(wander[i] * factors[2], _0), np.float32(0.9))
         wg = min(max(wander[i] * factors[3], _0), np.float32(0.9))
         wb = min(max(wander[i] * factors[4], _0), np.float32(0.9))
@@ -170,21 +171,21 @@ def shade(
         for k in range(len(lamps)):
             lx, ly, lz, strength = arriving(lamps, k, px, py, pz)
             cosine, part = nx * lx + ny * ly + nz * lz, seen[k, i]
-            if strength <= _0 or (part <= _0 and cosine + wr <= _0):
+            if strength <= _0 or cosine + wr <= _0:
                 continue
             strength *= intensity
             lr, lg, lb = lamps[k, COLOR], lamps[k, COLOR + 1], lamps[k, COLOR + 2]
             tr, tg, tb = _wrapped(cosine, wr) * strength, _wrapped(cosine, wg) * strength, _wrapped(cosine, wb) * strength
+            mean = (lr + lg + lb) / np.float32(9.0)
+            whole += (tr + tg + tb) * mean
             if part <= _0:
-                tr = tg = tb = _0
-            elif part < _1:
+                continue
+            if part < _1:
                 log = math.log(part)
                 tr, tg, tb = tr * _softened(log, wr), tg * _softened(log, wg), tb * _softened(log, wb)
-            mean = (tr + tg + tb) * (lr + lg + lb) / np.float32(9.0)
-            arrives += mean
-            whole += mean / max(part, np.float32(0.02))
+            arrives += (tr + tg + tb) * mean
             red, green, blue = red + tr * lr, green + tg * lg, blue + tb * lb
-            if cosine <= _0 or part <= _0:
+            if cosine <= _0 or away_from_eye:
                 continue
             hx, hy, hz = lx + vx, ly + vy, lz + vz
             inverse = _1 / max(math.sqrt(hx * hx + hy * hy + hz * hz), _TINY)
@@ -214,12 +215,14 @@ def shade(
             even, mirrored = _0, _0
             for k in range(9):
                 even += rows[i, k] * colors[k, c]
-                mirrored += basis[k] * mirrors[k, c]
+            if not away_from_eye:
+                for k in range(9):
+                    mirrored += basis[k] * mirrors[k, c]
             out[i, c] = even * intensity
             out[i, 3 + c] = mirrored * glossy * intensity
         out[i, 0], out[i, 1], out[i, 2] = out[i, 0] + red, out[i, 1] + green, out[i, 2] + blue
         out[i, 3], out[i, 4], out[i, 5] = out[i, 3] + shine_r, out[i, 4] + shine_g, out[i, 5] + shine_b
-        out[i, 6] = min(max(_1 + factors[5] * towards_eye, factors[6]), _1)
+        out[i, 6] = min(max(front, factors[6]), _1)
         out[i, 7] = (arrives + np.float32(1e-6)) / (whole + np.float32(1e-6))
 
 

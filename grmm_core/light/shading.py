@@ -176,10 +176,12 @@ def shade(
     kernels = compiled_kernels()
     if kernels is None:
         parts = transport(lamps, receivers, list(seen), materials, rows, eye, response, turn)
+        whole = transport(lamps, receivers, list(np.ones_like(seen)), materials, rows, eye, response, turn)
         light, view = parts.light(colors_of(lamps), harmonics.astype(np.float32)), eye - receivers.points
         facing = (receivers.normals * view).sum(1) / np.maximum(np.linalg.norm(view, axis=1), 1e-9)
-        front = np.clip(1.0 + FADING * facing[:, None], LEAST_FRONT, 1.0)
-        return Arrived(np.concatenate([*light, front, arriving_share(lamps, parts, seen)], 1).astype(np.float32))
+        front = 1.0 + FADING * facing[:, None]
+        shine, share = light[1] * (front > 0.0), arriving_share(lamps, parts, whole)
+        return Arrived(np.concatenate([light[0], shine, front.clip(LEAST_FRONT, 1.0), share], 1).astype(np.float32))
     from ..compute.threads import for_rows
 
     out = np.empty((len(receivers.points), 8), np.float32)
@@ -242,13 +244,13 @@ def colors_of(lamps: tuple[Lamp, ...]) -> np.ndarray:
     return np.array([lamp.color for lamp in lamps], np.float32).reshape(-1, 3)
 
 
-def arriving_share(lamps: tuple[Lamp, ...], parts: Transport[np.ndarray], seen: np.ndarray) -> np.ndarray:
-    """Share of the lamps' light that nothing keeps off, [N, 1]; arguments as in `shade`."""
-    arrives = whole = np.full(parts.ambient.shape[0], 1e-6)
-    for lamp, amount, part in zip(lamps, parts.diffuse, seen, strict=True):
-        light = amount.mean(1) * float(np.mean(lamp.color))
-        arrives, whole = arrives + light, whole + light / np.maximum(part, 0.02)
-    return (arrives / whole)[:, None]
+def arriving_share(lamps: tuple[Lamp, ...], parts: Transport[np.ndarray], whole: Transport[np.ndarray]) -> np.ndarray:
+    """Share of the lamps' light that nothing keeps off, [N, 1], of what arrives and what would if all lamps were seen."""
+    bright = [float(np.mean(lamp.color)) for lamp in lamps]
+    amounts = (sum(b * amount.mean(1) for b, amount in zip(bright, each.diffuse, strict=True)) for each in (parts, whole))
+    arrives, all_ = (np.full(parts.ambient.shape[0], 1e-6) + amount for amount in amounts)
+    share: np.ndarray = (arrives / all_)[:, None]
+    return share
 
 
 def lamp_rows(lamps: tuple[Lamp, ...], centre: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from ..compute.kernels import compiled
 OPTIONS: dict[str, Any] = {"fastmath": True, "boundscheck": False, "error_model": "numpy", "nogil": True}
 single: Any = np.float32  # mypy cannot follow numpy's kinds of numbers through min and max
 _0, _1, _2, _HALF, _MOST = single(0.0), single(1.0), single(2.0), single(0.5), single(1.5)
+_B = 64  # points of a block
 _LEVEL = np.float32(0.02)  # change of a face's reciprocal depth that counts as small
 
 
@@ -105,13 +106,10 @@ def _on_map(turn: np.ndarray, shift: np.ndarray, focal: float, flat: bool, x: fl
 
 
 @compiled(inline="always", **OPTIONS)
-def _tent(
-    depth: np.ndarray, top: int, left: int, u: float, v: float, z: float, right: float, down: float, slope: float
-) -> float:
-    """Mean of what passes the 4 x 4 pixels around a place, by a tent of 3 pixels.
+def _tent(depth: np.ndarray, top: int, left: int, u: float, v: float, z: float, right: float, down: float) -> float:
+    """Share of the 4 x 4 pixels around a place, by a tent of 3 pixels, whose depth is not less than a plane's.
 
-    A pixel passes 0 where its depth is less than `z`, changed by `right` and `down` for each pixel from the place, and more by
-    `slope` for each metre beyond, 1 at most; a slope of 0 stands for an infinite one.
+    The plane is `z` deep at the place and changes by `right` and `down` for each pixel.
     """
     # the tent at the four columns: 1.5 less their distances
     a, b, c, d = max(_HALF - u, _0), _MOST - u, _HALF + u, max(u - _HALF, _0)
@@ -120,30 +118,21 @@ def _tent(
         r, way = top + row - 1, np.float32(row - 1) - v
         level = z + way * down - u * right
         total += max(_MOST - abs(way), _0) * (
-            a * _passing(depth[r, left - 1] - level + right, slope) + b * _passing(depth[r, left] - level, slope)
-            + c * _passing(depth[r, left + 1] - level - right, slope)
-            + d * _passing(depth[r, left + 2] - level - _2 * right, slope)
+            (a if depth[r, left - 1] >= level - right else _0) + (b if depth[r, left] >= level else _0)
+            + (c if depth[r, left + 1] >= level + right else _0) + (d if depth[r, left + 2] >= level + _2 * right else _0)
         )  # fmt: skip
     return total / ((a + b + c + d) * (max(_HALF - v, _0) + _2 + max(v - _HALF, _0)))
 
 
-@compiled(inline="always", **OPTIONS)
-def _passing(beyond: float, slope: float) -> float:
-    return min(max(beyond * slope, _0), _1) if slope > _0 else (_1 if beyond >= _0 else _0)
-
-
 @compiled(**OPTIONS)
 def compared(
-    depths: np.ndarray, nearest: np.ndarray, farthest: np.ndarray, turns: np.ndarray, shifts: np.ndarray, focals: np.ndarray,
-    flat: bool, near: float, limits: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, first: int,
-    last: int,
+    depths: np.ndarray, turns: np.ndarray, shifts: np.ndarray, focals: np.ndarray, flat: bool, near: float, limits: np.ndarray,
+    points: np.ndarray, normals: np.ndarray, rows: np.ndarray, seen: np.ndarray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Compare points with maps; see `shadows.compared`, whose mean over the maps this is.
 
     Args:
         depths: Maps, [K, R, R].
-        nearest: Of `extremes`, [K, R, R].
-        farthest: Likewise.
         turns: Of each map as in `draw_map`, [K, 3, 3].
         shifts: Likewise, [K, 3].
         focals: Likewise, [K].
@@ -152,85 +141,85 @@ def compared(
         limits: `_BIAS`, `_LIFT`, `_AWAY` and `_STEEP` of `shadows`, [4].
         points: [N, 3].
         normals: [N, 3].
-        seen: Written, [N].
-        first: Row of `points`.
+        rows: Of the points, [M].
+        seen: Written, [M].
+        first: Row of `rows`.
         last: The row after the last.
     """
     side = depths.shape[1]
     middle, far, closest = np.float32(0.5 * side), np.float32(side - 2), np.float32(near)
     least, lift, limit, steep = limits[0], limits[1], limits[2], limits[3]
     share = _1 / np.float32(len(depths))
-    for i in range(first, last):
-        seen[i] = _0
-    for k in range(len(depths)):  # map by map: one of them stays near the processor
-        depth, low, high, scale, turn, shift = depths[k], nearest[k], farthest[k], focals[k], turns[k], shifts[k]
-        finest = _1 / scale
-        for i in range(first, last):
-            px, py, pz, nx, ny, nz = points[i, 0], points[i, 1], points[i, 2], normals[i, 0], normals[i, 1], normals[i, 2]
-            ahead = turn[2, 0] * nx + turn[2, 1] * ny + turn[2, 2] * nz
-            if ahead > limit:
-                continue
-            pixel = finest
-            if not flat:
-                pixel *= max(turn[2, 0] * px + turn[2, 1] * py + turn[2, 2] * pz + shift[2], _0)
-            level = min(max(-ahead / steep, _0), _1)  # how far the plane of the surface is followed
-            up = least + (_1 + level * (lift - _1)) * pixel * math.sqrt(max(_1 - ahead * ahead, _0))
-            x, y, z = _on_map(turn, shift, scale, flat, px + up * nx, py + up * ny, pz + up * nz)
-            x, y = x + middle, y + middle
-            if not (z > closest and x >= _2 and y >= _2 and x < far and y < far):
-                seen[i] += share
-                continue
-            left, top = int(x - _HALF), int(y - _HALF)
-            level *= pixel / max(-ahead, steep)
-            right = level * (turn[0, 0] * nx + turn[0, 1] * ny + turn[0, 2] * nz)
-            down = level * (turn[1, 0] * nx + turn[1, 1] * ny + turn[1, 2] * nz)
-            reach = _MOST * (abs(right) + abs(down))
-            if low[top, left] >= z + reach:
-                seen[i] += share
-            elif high[top, left] >= z - reach:
+    w = np.empty(13 * _B, np.float32)
+    for start in range(first, last, _B):
+        for j in range(_B):
+            i = rows[min(start + j, last - 1)]
+            w[j], w[_B + j], w[2 * _B + j] = points[i, 0], points[i, 1], points[i, 2]
+            w[3 * _B + j], w[4 * _B + j], w[5 * _B + j] = normals[i, 0], normals[i, 1], normals[i, 2]
+            w[6 * _B + j] = _0
+        for k in range(len(depths)):
+            depth, scale = depths[k], focals[k]
+            ax, ay, az, a = turns[k, 0, 0], turns[k, 0, 1], turns[k, 0, 2], shifts[k, 0]
+            bx, by, bz, b = turns[k, 1, 0], turns[k, 1, 1], turns[k, 1, 2], shifts[k, 1]
+            cx, cy, cz, c = turns[k, 2, 0], turns[k, 2, 1], turns[k, 2, 2], shifts[k, 2]
+            finest = _1 / scale
+            straight = np.float32(flat)
+            for j in range(_B):  # all at once
+                px, py, pz, nx, ny, nz = w[j], w[_B + j], w[2 * _B + j], w[3 * _B + j], w[4 * _B + j], w[5 * _B + j]
+                ahead = cx * nx + cy * ny + cz * nz
+                z = cx * px + cy * py + cz * pz + c
+                pixel = finest * (straight + (_1 - straight) * max(z, _0))
+                level = min(max(-ahead / steep, _0), _1)  # how far the plane of the surface is followed
+                up = least + (_1 + level * (lift - _1)) * pixel * math.sqrt(max(_1 - ahead * ahead, _0))
+                z += up * ahead
+                to_map = scale * (straight + (_1 - straight) / max(z, np.float32(1e-4)))
+                across, down = ax * nx + ay * ny + az * nz, bx * nx + by * ny + bz * nz
+                level *= pixel / max(-ahead, steep)
+                w[7 * _B + j] = (ax * px + ay * py + az * pz + a + up * across) * to_map + middle
+                w[8 * _B + j] = (bx * px + by * py + bz * pz + b + up * down) * to_map + middle
+                w[9 * _B + j], w[10 * _B + j], w[11 * _B + j] = z, level * across, level * down
+                w[12 * _B + j] = ahead
+            for j in range(min(_B, last - start)):
+                if w[12 * _B + j] > limit:
+                    continue
+                x, y, z = w[7 * _B + j], w[8 * _B + j], w[9 * _B + j]
+                if not (z > closest and x >= _2 and y >= _2 and x < far and y < far):
+                    w[6 * _B + j] += share
+                    continue
+                left, top, right, down = int(x - _HALF), int(y - _HALF), w[10 * _B + j], w[11 * _B + j]
                 u, v = x - _HALF - np.float32(left), y - _HALF - np.float32(top)
-                seen[i] += share * _tent(depth, top, left, u, v, z, right, down, _0)
+                w[6 * _B + j] += share * _tent(depth, top, left, u, v, z, right, down)
+        for j in range(min(_B, last - start)):
+            seen[start + j] = w[6 * _B + j]
 
 
 @compiled(**OPTIONS)
 def softly(
-    depths: np.ndarray, nearest: np.ndarray, farthest: np.ndarray, turns: np.ndarray, shifts: np.ndarray, focals: np.ndarray,
-    flat: bool, near: float, limits: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, first: int,
-    last: int,
+    depths: np.ndarray, turns: np.ndarray, shifts: np.ndarray, focals: np.ndarray, flat: bool, near: float, limits: np.ndarray,
+    points: np.ndarray, seen: np.ndarray, first: int, last: int,
 ) -> None:  # fmt: skip
-    """As `compared` for points in hair, whose normals are not read; see `shadows.softly`, whose limits these are, [2]."""
+    """How far points in hair are lit; see `shadows.softly`, whose limits these are, [2]. The rest as of `compared`."""
     side = depths.shape[1]
     middle, far, closest = np.float32(0.5 * side), np.float32(side - 2), np.float32(near)
-    lit, dark = limits[0], limits[1]
-    share, slope = _1 / np.float32(len(depths)), _1 / (dark - lit)
+    dark = limits[1]
+    share, slope = _1 / np.float32(len(depths)), _1 / (dark - limits[0])
     for i in range(first, last):
         total = _0
         for k in range(len(depths)):
             x, y, z = _on_map(turns[k], shifts[k], focals[k], flat, points[i, 0], points[i, 1], points[i, 2])
-            x, y = x + middle, y + middle
+            x, y, level = x + middle, y + middle, z - dark
             if not (z > closest and x >= _2 and y >= _2 and x < far and y < far):
                 total += share
                 continue
             left, top = int(x - _HALF), int(y - _HALF)
-            if nearest[k, top, left] >= z - lit:
-                total += share
-            elif farthest[k, top, left] > z - dark:
-                u, v = x - _HALF - np.float32(left), y - _HALF - np.float32(top)
-                total += share * _tent(depths[k], top, left, u, v, z - dark, _0, _0, slope)
+            u, v = x - _HALF - np.float32(left), y - _HALF - np.float32(top)
+            above = (_1 - u) * _lit(depths[k, top, left] - level, slope) + u * _lit(depths[k, top, left + 1] - level, slope)
+            top += 1
+            below = (_1 - u) * _lit(depths[k, top, left] - level, slope) + u * _lit(depths[k, top, left + 1] - level, slope)
+            total += share * ((_1 - v) * above + v * below)
         seen[i] = total
 
 
-@compiled(**OPTIONS)
-def extremes(depth: np.ndarray, nearest: np.ndarray, farthest: np.ndarray) -> None:
-    """Write the least and greatest of the 4 x 4 pixels from one before to two after each, [R, R]."""
-    side = depth.shape[0]
-    low, high = np.empty_like(depth), np.empty_like(depth)
-    for row in range(side):
-        a, b, c, d = max(row - 1, 0), row, min(row + 1, side - 1), min(row + 2, side - 1)
-        for column in range(side):
-            low[row, column] = min(depth[a, column], depth[b, column], depth[c, column], depth[d, column])
-            high[row, column] = max(depth[a, column], depth[b, column], depth[c, column], depth[d, column])
-    for row in range(side):
-        for column in range(1, side - 2):
-            nearest[row, column] = min(low[row, column - 1], low[row, column], low[row, column + 1], low[row, column + 2])
-            farthest[row, column] = max(high[row, column - 1], high[row, column], high[row, column + 1], high[row, column + 2])
+@compiled(inline="always", **OPTIONS)
+def _lit(beyond: float, slope: float) -> float:
+    return min(max(beyond * slope, _0), _1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import itertools
 import math
@@ -17,7 +18,7 @@ from ..geometry.zbuffer import triangle_depth
 from ..geometry.zbuffer_numpy import EMPTY
 from .lamps import Area, Lamp, Sun, half_angle
 
-RESOLUTION = 256  # pixels of a map that holds all receivers
+RESOLUTION, SOFT_RESOLUTION = 256, 192  # pixels of a map that holds all receivers: alone, and of several of a wide lamp
 _BIAS = 0.0003  # metres along the normal: what smooth normals and flat triangles differ by
 _LIFT = 0.35  # pixels along the normal besides, where the surface is steep to the rays: what it is curved within a pixel
 _STEEP = 0.25  # cosine between a surface and a lamp's rays below which its plane is no longer followed
@@ -101,24 +102,25 @@ class Maps(NamedTuple):
 
     Attributes:
         depths: Metres, [K, R, R] float32; `EMPTY` where nothing is.
-        nearest, farthest: Of `shadow_kernels.extremes`, likewise; without numba not filled.
         each: Where the maps look from.
     """
 
     depths: np.ndarray
-    nearest: np.ndarray
-    farthest: np.ndarray
     each: tuple[_Map, ...]
 
-    def seen(self, receivers: Receivers) -> np.ndarray:
-        """Which part of the lamp receivers see, 0..1, [N] float32."""
+    def seen(self, receivers: Receivers, rows: np.ndarray | None = None) -> np.ndarray:
+        """Which part of the lamp receivers, or those of some rows [M], see, 0..1, [N] or [M] float32."""
         if compiled_kernels() is None:
+            some = slice(None) if rows is None else rows
+            receivers = dataclasses.replace(receivers, points=receivers.points[some], normals=receivers.normals[some])
             parts = [compared(depth, receivers, one) for depth, one in zip(self.depths, self.each, strict=True)]
             mean: np.ndarray = np.mean(parts, 0, np.float32)
             return mean
         from . import shadow_kernels as kernels
 
-        return self._for_points(kernels.compared, receivers.points, receivers.normals, _BIAS, _LIFT, _AWAY, _STEEP)
+        rows = np.arange(len(receivers.points)) if rows is None else rows
+        limits = np.array([_BIAS, _LIFT, _AWAY, _STEEP], np.float32)
+        return self._for_points(kernels.compared, len(rows), limits, receivers.points, receivers.normals, rows=rows)
 
     def reaching(self, points: np.ndarray) -> np.ndarray:
         """Which part of the lamp's light reaches points [N, 3] among hair, 0..1, [N] float32.
@@ -133,20 +135,23 @@ class Maps(NamedTuple):
             return mean
         from . import shadow_kernels as kernels
 
-        return self._for_points(kernels.softly, points, points, _SHALLOW, _DEEP)
+        return self._for_points(kernels.softly, len(points), np.array([_SHALLOW, _DEEP], np.float32), points)
 
-    def _for_points(self, kernel: Callable[..., None], points: np.ndarray, normals: np.ndarray, *limits: float) -> np.ndarray:
+    def _for_points(
+        self, kernel: Callable[..., None], count: int, *arrays: np.ndarray, rows: np.ndarray | None = None
+    ) -> np.ndarray:  # fmt: skip
         from ..compute.threads import for_rows
 
-        seen = np.empty(len(points), np.float32)
-        points, normals = (np.ascontiguousarray(array, np.float32) for array in (points, normals))
-        turns, shifts, focals = _numbers(self.each)
-        these = self.depths, self.nearest, self.farthest, turns, shifts, focals, self.each[0].flat, _NEAR
-        for_rows(kernel, len(seen), *these, np.array(limits, np.float32), points, normals, seen)
+        seen = np.empty(count, np.float32)
+        given = [np.ascontiguousarray(array, np.float32) for array in arrays]
+        some = () if rows is None else (np.ascontiguousarray(rows, np.int32),)
+        for_rows(kernel, count, self.depths, *_numbers(self.each), self.each[0].flat, _NEAR, *given, *some, seen)
         return seen
 
 
-def maps_of(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> Maps:
+def maps_of(
+    lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0, depths: np.ndarray | None = None
+) -> Maps:
     """Draw what throws shadows as a lamp sees it.
 
     Args:
@@ -154,13 +159,18 @@ def maps_of(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float 
         receivers: What the maps are to hold.
         casters: Everything that throws shadows.
         softness: Factor of the lamp's size.
+        depths: Of `Maps` that were drawn of the same before; None: draw them.
     """
-    each = tuple(_map_at(lamp, place, receivers) for place in _places(lamp, receivers, softness))
-    depths, nearest, farthest = np.empty((3, len(each), RESOLUTION, RESOLUTION), np.float32)
+    places = _places(lamp, receivers, softness)
+    side = RESOLUTION if len(places) == 1 else SOFT_RESOLUTION
+    each = tuple(_map_at(lamp, place, receivers, side) for place in places)
+    if depths is not None:
+        return Maps(depths, each)
+    depths = np.full((len(each), side, side), EMPTY, np.float32)
     if compiled_kernels() is None:
         for depth, one in zip(depths, each, strict=True):
-            depth[:] = drawn(casters, one)
-        return Maps(depths, nearest, farthest, each)
+            depth[:] = drawn(casters, one, side)
+        return Maps(depths, each)
     from ..compute.threads import for_each
     from . import shadow_kernels as kernels
 
@@ -169,16 +179,14 @@ def maps_of(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float 
 
     def look(number: int) -> None:
         depth, crossing = depths[number], np.empty(len(faces), np.int32)
-        depth[:] = EMPTY
         here = turns[number], shifts[number], focals[number], each[0].flat, _NEAR
         cut = kernels.draw_map(vertices, faces, casters.closed, *here, depth, crossing)
         if cut:
             some = casters._replace(faces=casters.faces[crossing[:cut]])
-            np.minimum(depth, drawn(some, each[number]), out=depth)
-        kernels.extremes(depth, nearest[number], farthest[number])
+            np.minimum(depth, drawn(some, each[number], side), out=depth)
 
     for_each(len(each), look)
-    return Maps(depths, nearest, farthest, each)
+    return Maps(depths, each)
 
 
 def visible(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> np.ndarray:
@@ -223,7 +231,7 @@ def _axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return across, up / np.linalg.norm(up)
 
 
-def _map_at(lamp: Lamp, place: np.ndarray, receivers: Receivers) -> _Map:
+def _map_at(lamp: Lamp, place: np.ndarray, receivers: Receivers, side: int = RESOLUTION) -> _Map:
     """The map that holds all receivers as a place on a lamp sees them, in pixels as small as their box allows."""
     centre = receivers.centre
     if isinstance(lamp, Sun):
@@ -235,10 +243,10 @@ def _map_at(lamp: Lamp, place: np.ndarray, receivers: Receivers) -> _Map:
     turn = np.stack([across, -up, (centre - eye) / max(distance, 1e-9)])
     x, y, z = np.abs(turn @ receivers.corners.T + (turn @ (centre - eye))[:, None])
     if isinstance(lamp, Sun):
-        return _Map(turn, -turn @ eye, RESOLUTION / (2.0 * _MARGIN * max(x.max(), y.max())), True)
+        return _Map(turn, -turn @ eye, side / (2.0 * _MARGIN * max(x.max(), y.max())), True)
     # a lamp among the receivers cannot hold them all in one map: it sees a wide angle, and what lies beside is lit
     wide = max((x / z).max(), (y / z).max()) if distance > receivers.radius / _WIDEST else math.inf
-    return _Map(turn, -turn @ eye, RESOLUTION / (2.0 * _MARGIN * min(wide, math.tan(math.asin(_WIDEST)))), False)
+    return _Map(turn, -turn @ eye, side / (2.0 * _MARGIN * min(wide, math.tan(math.asin(_WIDEST)))), False)
 
 
 @functools.lru_cache(maxsize=1)
@@ -251,12 +259,12 @@ def compiled_kernels() -> ModuleType | None:
     return light_kernels
 
 
-def drawn(casters: Casters, seen_from: _Map) -> np.ndarray:
+def drawn(casters: Casters, seen_from: _Map, side: int = RESOLUTION) -> np.ndarray:
     """Depths of meshes on a map, [R, R] float32 metres; `EMPTY` where nothing is."""
     world_to_camera = np.eye(4)
     world_to_camera[:3, :3], world_to_camera[:3, 3] = seen_from.turn, seen_from.shift
-    middle, focal = RESOLUTION / 2.0, seen_from.focal
-    camera = Camera(world_to_camera, focal, focal, middle, middle, RESOLUTION, RESOLUTION, orthographic=seen_from.flat)
+    middle, focal = side / 2.0, seen_from.focal
+    camera = Camera(world_to_camera, focal, focal, middle, middle, side, side, orthographic=seen_from.flat)
     return triangle_depth(casters.vertices[casters.faces], camera, near=_NEAR)
 
 
@@ -276,20 +284,22 @@ def compared(depth: np.ndarray, receivers: Receivers, seen_from: _Map) -> np.nda
     points = receivers.points + lift[:, None] * receivers.normals
     local = points @ seen_from.turn.T + seen_from.shift
     slopes = (level * pixel / np.maximum(-ahead, _STEEP))[:, None] * normals[:, :2]
-    return np.where(ahead > _AWAY, 0.0, _tent(depth, local, seen_from, lambda there, z: there >= z, slopes))
+    return np.where(ahead > _AWAY, 0.0, _filtered(depth, local, seen_from, 1.5, lambda there, z: there >= z, slopes))
 
 
 def softly(depth: np.ndarray, points: np.ndarray, seen_from: _Map) -> np.ndarray:
     """As `compared` for points in hair: 1 down to `_SHALLOW` metres behind a pixel's depth, 0 from `_DEEP` on, [N]."""
     local = points @ seen_from.turn.T + seen_from.shift
-    return _tent(depth, local, seen_from, lambda there, z: np.clip((there + _DEEP - z) / (_DEEP - _SHALLOW), 0.0, 1.0))
+    return _filtered(
+        depth, local, seen_from, 1.0, lambda there, z: np.clip((there + _DEEP - z) / (_DEEP - _SHALLOW), 0.0, 1.0)
+    )  # fmt: skip
 
 
-def _tent(
-    depth: np.ndarray, local: np.ndarray, seen_from: _Map, passing: Callable[[np.ndarray, np.ndarray], np.ndarray],
-    slopes: np.ndarray | None = None,
+def _filtered(
+    depth: np.ndarray, local: np.ndarray, seen_from: _Map, reach: float,
+    passing: Callable[[np.ndarray, np.ndarray], np.ndarray], slopes: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
-    """Mean of what passes 3 x 3 pixels, of their depths and points' own, weighted as a tent; 1 beside the map, [N].
+    """Mean of what passes pixels, of their depths and points' own, weighted as a tent of such a reach; 1 beside the map, [N].
 
     Slopes [N, 2] say how points' depths change by column and row of the map.
     """
@@ -302,7 +312,7 @@ def _tent(
     total, whole = np.zeros_like(u), np.zeros_like(u)
     for row in range(-1, 3):
         for column in range(-1, 3):
-            weight = np.maximum(0.0, 1.5 - np.abs(column - u)) * np.maximum(0.0, 1.5 - np.abs(row - v))
+            weight = np.maximum(0.0, reach - np.abs(column - u)) * np.maximum(0.0, reach - np.abs(row - v))
             level = local[inside, 2]
             if slopes is not None:
                 level = level + slopes[inside, 0] * (column - u) + slopes[inside, 1] * (row - v)

@@ -154,10 +154,12 @@ def shade(
                 along = w[_TANGENT + j] * lx + w[_TANGENT + _B + j] * ly + w[_TANGENT + 2 * _B + j] * lz
                 opposite = w[_VIEW + j] * lx + w[_VIEW + _B + j] * ly + w[_VIEW + 2 * _B + j] * lz
                 facing = w[_OUTWARD + j] * lx + w[_OUTWARD + _B + j] * ly + w[_OUTWARD + 2 * _B + j] * lz
-                facing = min(max((facing + reach) * nearer, _0), _1) * part
+                facing = min(max((facing + reach) * nearer, _0), _1)
                 strength = w[_POWER + j] * intensity
-                across = math.sqrt(max(_1 - along * along, _0))
-                amount = across * (facing + w[_RIM + j] * max(-opposite, _0)) * strength
+                across, behind = math.sqrt(max(_1 - along * along, _0)) * strength, w[_RIM + j] * max(-opposite, _0)
+                whole = across * (facing + behind) * mean
+                facing *= part
+                amount = across * (facing + behind)
                 # the half vector's length is that of two unit vectors' sum
                 lean = along + w[_ALONG + j]
                 square = min(max(_1 - lean * lean / max(_2 + _2 * opposite, np.float32(1e-6)), _0), _1)
@@ -169,7 +171,7 @@ def shade(
                 w[_SUMS + 4 * _B + j] += shine * green
                 w[_SUMS + 5 * _B + j] += shine * blue
                 w[_SUMS + 6 * _B + j] += amount * mean
-                w[_SUMS + 7 * _B + j] += amount * mean / max(part, np.float32(0.02))
+                w[_SUMS + 7 * _B + j] += whole
         for j in range(min(_B, last - start)):
             i, basis = start + j, harmonics_of(w[_OUTWARD + j], w[_OUTWARD + _B + j], w[_OUTWARD + 2 * _B + j])
             for channel in range(3):

@@ -224,8 +224,11 @@ def _gaussians(
         if channels.hair is not None:
             stacked[count:, channels.hair] = 1.0
         if channels.light is not None:
-            light = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own))
-            stacked[:, channels.light] = evaluator.engine.array(light[:, : channels.light.stop - channels.light.start])
+            light, first = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own)), 0
+            for rows in light:
+                here = evaluator.engine.array(rows[:, : channels.light.stop - channels.light.start])
+                stacked[first : first + len(rows), channels.light] = here
+                first += len(rows)
     means, quats, scales = own.means, own.quats, own.scales
     if not single:
         to_camera = camera.world_to_camera @ model_to_world
@@ -240,11 +243,11 @@ def _gaussians(
 def _light(
     item: Placed, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
     strands: Gaussians | None, count: int,
-) -> np.ndarray:  # fmt: skip
-    """What the scene's light does to one instance's Gaussians, [N, LIGHT_CHANNELS]; nothing where it is not lit."""
+) -> list[np.ndarray]:  # fmt: skip
+    """What the scene's light does to one instance's Gaussians, in parts of [N, LIGHT_CHANNELS]; nothing where it is not lit."""
     lighting, response = options.lighting, item.instance.response
     if isinstance(item, PlacedCloud) or lighting is None or response is None:
-        return np.tile(UNLIT, (count, 1))
+        return [np.tile(UNLIT, (count, 1))]
     own = lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
     hair = None
     if item.worn is not None and item.worn.layers:

@@ -21,8 +21,8 @@ from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_li
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
 from ..light.resting import RestLight, Texels, casting_faces, unit
-from ..light.shading import Learned, Response, reached, relative, shade
-from ..light.shadows import Casters, Receivers, maps_of
+from ..light.shading import FADING, Learned, Response, reached, relative, shade
+from ..light.shadows import Casters, Maps, Receivers, maps_of
 from ..light.surroundings import coefficients_of
 from ..light.transfer import turn_between, vertex_normals
 from ..splat.types import Gaussians
@@ -76,7 +76,7 @@ class LitAvatar:
         self._centre = 0.5 * (self._vertices.min(0) + self._vertices.max(0))
         self.lamps = lighting.strongest(tuple(self._centre))
 
-    def channels(self, eye: np.ndarray, strands: Gaussians | None) -> np.ndarray:
+    def channels(self, eye: np.ndarray, strands: Gaussians | None) -> list[np.ndarray]:
         """What rides along with the Gaussians of the skin and then of the strands.
 
         Args:
@@ -84,7 +84,7 @@ class LitAvatar:
             strands: Drawn behind the skin's, or None.
 
         Returns:
-            [N, LIGHT_CHANNELS] float32, as of `shading.relative`.
+            [N, LIGHT_CHANNELS] float32 of the skin and of the strands, if any, as of `shading.relative`.
         """
         around = self._lighting.surroundings
         light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key
@@ -93,16 +93,17 @@ class LitAvatar:
         cache, owner = self._evaluator.cache, self._target.id
         skin: np.ndarray = cache.get((owner, "lit", self._lod, *key), lambda: (self._skin(eye),))[0]
         if strands is None:
-            return skin
+            return [skin]
         points, quats = to_numpy(strands.means), to_numpy(strands.quats)
         these = hashlib.blake2b(np.ascontiguousarray(points).data, digest_size=16).digest()  # combed, swinging, thinned out
         hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, eye, these),))[0]
-        return np.concatenate([skin, hair])
+        return [skin, hair]
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
         rest = self._rest()
         turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
-        seen = np.array([self._seen(lamp)[0] for lamp in self.lamps], np.float32)
+        asked = self._asked(eye)
+        seen = np.array([self._seen(lamp, asked) for lamp in self.lamps], np.float32)
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
         scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn)
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
@@ -110,10 +111,19 @@ class LitAvatar:
         corners, weights = self._texels.corners[self._rows], self._texels.barycentric[self._rows]
         return relative(scene, bounced, corners, weights, learned, self._response.gloss)
 
+    def _asked(self, eye: np.ndarray) -> np.ndarray:
+        """Numbers of Gaussians whose shadows are needed: what faces the eye (`Arrived.front`), and what lies at vertices."""
+        points = self._receivers.points
+        cosines = np.einsum("nk,nk->n", self._receivers.normals, eye.astype(np.float32) - points)
+        farthest = float(np.linalg.norm(eye - self._receivers.centre)) + self._receivers.radius
+        asked = cosines > -farthest / FADING
+        asked[self._at_vertices] = True
+        return np.flatnonzero(asked)
+
     def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray, these: bytes) -> np.ndarray:
         """What lights strands, `these`, as `channels` has it, less what their colors hold of the rig's."""
         grid, centre = self._grid, self._middle
-        parts = np.stack([self._seen(lamp)[1] for lamp in self.lamps], -1) if self.lamps else np.zeros((*grid.size, 0))
+        parts = np.stack([self._shadow(lamp)[1] for lamp in self.lamps], -1) if self.lamps else np.zeros((*grid.size, 0))
         here = Reaching(parts, grid.coordinates(np.eye(3), np.zeros(3)))
         scene = strand_light(
             self.lamps, points, quats, here, centre, eye, coefficients_of(self._lighting.surroundings), self._response
@@ -163,25 +173,41 @@ class LitAvatar:
         person = (*self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get((self._target.id, "learned", direction.tobytes(), self._lod, *person), make)[0]
 
-    def _seen(self, lamp: Lamp) -> tuple[np.ndarray, np.ndarray]:
-        """Which part of a lamp the skin sees, [N], and the places of `_grid`, [X, Y, Z]; empty where no hair is worn."""
-
-        def make() -> tuple[np.ndarray, np.ndarray]:
-            grid, skin = self._grid, self._receivers
-            if not lamp.shadow or not len(self._casters.faces):
-                return np.ones(len(skin.points), np.float32), np.ones(grid.size, np.float32)
-            held = skin
-            if self._hair is not None and len(self._lighting.occluders):  # beside the head only these throw shadows
-                held = Receivers.around(grid.points, grid.points)
-            maps = maps_of(lamp, held, self._casters, self._response.softness)
-            seen = maps.seen(skin)
+    def _seen(self, lamp: Lamp, asked: np.ndarray) -> np.ndarray:
+        """Which part of a lamp the skin sees at `asked` numbers of Gaussians, [N]; 0 at others."""
+        result, (known, _, depths) = np.zeros(len(self._receivers.points), np.float32), self._shadow(lamp)
+        new = asked[known[asked] < 0.0]
+        if len(new):
+            known[new] = self._maps(lamp, depths).seen(self._receivers, new)
             if self._cloud is not None:
-                seen *= self._at_texels(self._through(lamp, self._cloud)[:, None])[:, 0]
-            return seen, maps.reaching(grid.points).reshape(grid.size)
+                known[new] *= self._at_texels(self._through(lamp, self._cloud)[:, None])[new, 0]
+        result[asked] = known[asked]
+        return result
+
+    def _shadow(self, lamp: Lamp) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What is known of a lamp's shadow.
+
+        Returns:
+            Which part of it the skin sees, [N], below 0 where that is not known yet; the same at the places of `_grid`,
+            [X, Y, Z], empty where no hair is worn; the shadow maps.
+        """
+
+        def make() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            count, grid = len(self._receivers.points), self._grid
+            if not lamp.shadow or not len(self._casters.faces):
+                return np.ones(count, np.float32), np.ones(grid.size, np.float32), np.zeros(0, np.float32)
+            maps = self._maps(lamp)
+            return np.full(count, -1.0, np.float32), maps.reaching(grid.points).reshape(grid.size), maps.depths
 
         mesh = (self._lod, () if self._hair is None else self._hair.key, *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
         return self._evaluator.cache.get(key, make)
+
+    def _maps(self, lamp: Lamp, depths: np.ndarray | None = None) -> Maps:
+        held = self._receivers
+        if self._hair is not None and len(self._lighting.occluders):  # beside the head only these throw shadows
+            held = Receivers.around(self._grid.points, self._grid.points)
+        return maps_of(lamp, held, self._casters, self._response.softness, depths)
 
     def _through(self, lamp: Lamp, cloud: HairCloud) -> np.ndarray:
         """What hair leaves of a lamp's light at each vertex, [V, 1]; its cells are no finer than the mesh.

@@ -149,8 +149,8 @@ def strand_light(
         transport = strand_transport(lamps, points, tangents, list(seen), centre, eye, response)
         light = transport.light(colors_of(lamps), harmonics.astype(np.float32))
         whole = strand_transport(lamps, points, tangents, list(np.ones_like(seen)), centre, eye, response)
-        light = (*light, np.ones((len(points), 1)), arriving_share(lamps, transport, whole))
-        return Arrived(np.concatenate(light, 1).astype(np.float32))
+        every = *light, np.ones((len(points), 1)), arriving_share(lamps, transport, whole)
+        return Arrived(np.concatenate(every, 1).astype(np.float32))
     from ..compute.threads import for_rows
     from .strand_light_kernel import shade
 

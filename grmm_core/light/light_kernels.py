@@ -23,13 +23,17 @@ NEAREST_SQUARE = np.float32(0.02**2)
 
 @compiled(**OPTIONS)
 def interpolate(
-    values: np.ndarray, corners: np.ndarray, weights: np.ndarray, out: np.ndarray, first: int, last: int
+    values: np.ndarray, corners: np.ndarray, weights: np.ndarray, unit: bool, out: np.ndarray, first: int, last: int
 ) -> None:  # fmt: skip
-    """Write weighted sums of three rows of `values` [V, C] into `out` [N, C]; corners and weights [N, 3]."""
+    """Write weighted sums of three rows of `values` [V, C] into `out` [N, C], of length 1 if `unit`; the others [N, 3]."""
     for i in range(first, last):
-        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        a, b, c, square = corners[i, 0], corners[i, 1], corners[i, 2], np.float32(1e-20)
         for k in range(values.shape[1]):
-            out[i, k] = weights[i, 0] * values[a, k] + weights[i, 1] * values[b, k] + weights[i, 2] * values[c, k]
+            value = weights[i, 0] * values[a, k] + weights[i, 1] * values[b, k] + weights[i, 2] * values[c, k]
+            out[i, k], square = value, square + value * value
+        if unit:
+            for k in range(values.shape[1]):
+                out[i, k] /= math.sqrt(square)
 
 
 @compiled(inline="always", **OPTIONS)
@@ -235,9 +239,9 @@ def relative(
 
     Args:
         light: Of `shade`; overwritten, [N, 8].
-        corners: [N, 3].
+        corners: [N, 3], or [0, 3]: nothing bounces.
         bounced: [V, 3].
-        weights: [N, 3].
+        weights: As `corners`.
         rig: [N, 3].
         learned: Highlights, [N, 3].
         gloss: Their factor.
@@ -247,9 +251,11 @@ def relative(
     """
     shine, limit = np.float32(gloss), np.float32(most)
     for i in range(first, last):
-        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
         for k in range(3):
-            more = weights[i, 0] * bounced[a, k] + weights[i, 1] * bounced[b, k] + weights[i, 2] * bounced[c, k]
+            more = _0
+            if len(corners):
+                a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+                more = weights[i, 0] * bounced[a, k] + weights[i, 1] * bounced[b, k] + weights[i, 2] * bounced[c, k]
             ratio = min(max((light[i, k] + more) / rig[i, k], _0), limit)
             light[i, k] = ratio * light[i, 6]
             light[i, 3 + k] = (light[i, 3 + k] - shine * learned[i, k] * ratio) * light[i, 6]

@@ -45,22 +45,22 @@ class Texels(NamedTuple):
         """On faces [N] of a head."""
         return Texels(face, barycentric, head.faces[face].astype(np.int32))
 
-    def at(self, values: np.ndarray) -> np.ndarray:
-        """Values of vertices [V, C] at the points, [N, C] float32."""
+    def at(self, values: np.ndarray, as_unit: bool = False) -> np.ndarray:
+        """Values of vertices [V, C] at the points, [N, C] float32; `as_unit`: of length 1."""
         kernels = compiled_kernels()
         if kernels is None:
-            return np.einsum("nk,nkc->nc", self.barycentric, values[self.corners]).astype(np.float32)
+            here = np.einsum("nk,nkc->nc", self.barycentric, values[self.corners])
+            return (unit(here) if as_unit else here).astype(np.float32)
         from ..compute.threads import for_rows
 
         out = np.empty((len(self.corners), values.shape[1]), np.float32)
-        for_rows(
-            kernels.interpolate, len(out), np.ascontiguousarray(values, np.float32), self.corners, self.barycentric, out
-        )  # fmt: skip
+        given = np.ascontiguousarray(values, np.float32), self.corners, self.barycentric, as_unit
+        for_rows(kernels.interpolate, len(out), *given, out)
         return out
 
     def receivers(self, vertices: np.ndarray, normals: np.ndarray) -> Receivers:
         """The points on a mesh with unit normals, [V, 3] each."""
-        return Receivers.around(self.at(vertices), unit(self.at(normals)))
+        return Receivers.around(self.at(vertices), self.at(normals, as_unit=True))
 
 
 class RestLight(NamedTuple):
@@ -128,7 +128,7 @@ class RestLight(NamedTuple):
 
         The materials are those of these rows.
         """
-        receivers = Receivers.around(texels.at(self.vertices)[rows], unit(texels.at(self.normals)[rows]))
+        receivers = Receivers.around(texels.at(self.vertices)[rows], texels.at(self.normals, as_unit=True)[rows])
         around = coefficients_of(STUDIO.surroundings)
         light = STUDIO.lamps, receivers, self.seen[:, rows], materials, self.transfer[rows], eye, around
         return np.ascontiguousarray(shade(*light).highlights)

@@ -218,8 +218,8 @@ def relative(
     Args:
         arrived: Of the scene; may be overwritten.
         bounced: Irradiance at vertices besides, [V, 3].
-        corners: Vertices around each Gaussian, [N, 3].
-        weights: Of them, [N, 3].
+        corners: Vertices around each Gaussian, [N, 3], or [0, 3] where nothing bounces.
+        weights: Of them, likewise.
         learned: At the Gaussians.
         gloss: Factor of the highlights in colors.
 
@@ -228,14 +228,15 @@ def relative(
     """
     kernels = compiled_kernels()
     if kernels is None:
-        light = ratio(arrived.irradiance + np.einsum("nk,nkc->nc", weights, bounced[corners]), learned.rig)
+        more = np.einsum("nk,nkc->nc", weights, bounced[corners]) if len(corners) else 0.0
+        light = ratio(arrived.irradiance + more, learned.rig)
         shine = arrived.highlights - gloss * learned.highlights * light
         front = arrived.front
         return np.concatenate([light * front, shine * front, front, arrived.share * front], 1).astype(np.float32)
     from ..compute.threads import for_rows
 
     arrays = (np.ascontiguousarray(array, np.float32) for array in (bounced, weights, *learned))
-    for_rows(kernels.relative, len(corners), arrived.values, corners, *arrays, float(gloss), MAX_RATIO)
+    for_rows(kernels.relative, len(arrived.values), arrived.values, corners, *arrays, float(gloss), MAX_RATIO)
     return arrived.values
 
 

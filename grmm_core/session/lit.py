@@ -20,7 +20,7 @@ from ..light.bounce import nearest_points
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
-from ..light.resting import RestLight, Texels, casting_faces, unit
+from ..light.resting import RestLight, Texels, casting_faces
 from ..light.shading import FADING, Learned, Response, reached, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, maps_of
 from ..light.surroundings import coefficients_of
@@ -128,7 +128,7 @@ class LitAvatar:
         scene = strand_light(
             self.lamps, points, quats, here, centre, eye, coefficients_of(self._lighting.surroundings), self._response
         )  # fmt: skip
-        nothing, nowhere = np.zeros((1, 3), np.float32), np.zeros((len(points), 3), np.int32)  # no skin lights hair
+        nowhere = np.zeros((0, 3), np.int32)  # no skin lights hair
 
         def make() -> Learned:
             within, around = self._rig_in_hair(), coefficients_of(STUDIO.surroundings)
@@ -137,7 +137,7 @@ class LitAvatar:
 
         key = (self._target.id, "rig on hair", these, eye.tobytes(), self._to_rest.tobytes())
         learned = Learned(*self._evaluator.cache.get((*key, *self._inputs.identity_key, *self._inputs.shape_key), make))
-        return relative(scene, nothing, nowhere, nowhere, learned, self._response.gloss)
+        return relative(scene, nowhere, nowhere, nowhere, learned, self._response.gloss)
 
     # --- what is kept ----------------------------------------------------------------------------------------------
 
@@ -175,39 +175,35 @@ class LitAvatar:
 
     def _seen(self, lamp: Lamp, asked: np.ndarray) -> np.ndarray:
         """Which part of a lamp the skin sees at `asked` numbers of Gaussians, [N]; 0 at others."""
-        result, (known, _, depths) = np.zeros(len(self._receivers.points), np.float32), self._shadow(lamp)
+        result, (known, _, *maps) = np.zeros(len(self._receivers.points), np.float32), self._shadow(lamp)
         new = asked[known[asked] < 0.0]
         if len(new):
-            known[new] = self._maps(lamp, depths).seen(self._receivers, new)
+            known[new] = Maps(*maps).seen(self._receivers, new)
             if self._cloud is not None:
                 known[new] *= self._at_texels(self._through(lamp, self._cloud)[:, None])[new, 0]
         result[asked] = known[asked]
         return result
 
-    def _shadow(self, lamp: Lamp) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _shadow(self, lamp: Lamp) -> tuple[np.ndarray, ...]:
         """What is known of a lamp's shadow.
 
         Returns:
             Which part of it the skin sees, [N], below 0 where that is not known yet; the same at the places of `_grid`,
-            [X, Y, Z], empty where no hair is worn; the shadow maps.
+            [X, Y, Z], empty where no hair is worn; and `Maps`.
         """
 
-        def make() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-            count, grid = len(self._receivers.points), self._grid
+        def make() -> tuple[np.ndarray, ...]:
+            count, grid, held = len(self._receivers.points), self._grid, self._receivers
             if not lamp.shadow or not len(self._casters.faces):
-                return np.ones(count, np.float32), np.ones(grid.size, np.float32), np.zeros(0, np.float32)
-            maps = self._maps(lamp)
-            return np.full(count, -1.0, np.float32), maps.reaching(grid.points).reshape(grid.size), maps.depths
+                return np.ones(count, np.float32), np.ones(grid.size, np.float32)
+            if self._hair is not None and len(self._lighting.occluders):  # beside the head only these throw shadows
+                held = Receivers.around(self._places, self._places)
+            maps = maps_of(lamp, held, self._casters, self._response.softness)
+            return np.full(count, -1.0, np.float32), maps.reaching(self._places).reshape(grid.size), *maps
 
         mesh = (self._lod, () if self._hair is None else self._hair.key, *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
         return self._evaluator.cache.get(key, make)
-
-    def _maps(self, lamp: Lamp, depths: np.ndarray | None = None) -> Maps:
-        held = self._receivers
-        if self._hair is not None and len(self._lighting.occluders):  # beside the head only these throw shadows
-            held = Receivers.around(self._grid.points, self._grid.points)
-        return maps_of(lamp, held, self._casters, self._response.softness, depths)
 
     def _through(self, lamp: Lamp, cloud: HairCloud) -> np.ndarray:
         """What hair leaves of a lamp's light at each vertex, [V, 1]; its cells are no finer than the mesh.
@@ -273,7 +269,7 @@ class LitAvatar:
     def _receivers(self) -> Receivers:
         def make() -> tuple[np.ndarray, np.ndarray]:
             normals = vertex_normals(self._vertices, self._head.faces)
-            return self._at_texels(self._vertices), unit(self._at_texels(normals))
+            return self._at_texels(self._vertices), self._texels.at(normals, as_unit=True)[self._rows]
 
         key = (self._target.id, "receivers", self._lod, *self._inputs.mesh_key)
         return Receivers.around(*self._evaluator.cache.get(key, make))
@@ -324,6 +320,10 @@ class LitAvatar:
             corners = (corners - self._to_cloud[:3, 3]) @ self._to_cloud[:3, :3]
             low, high = np.minimum(low, corners.min(0)), np.maximum(high, corners.max(0))
         return LightGrid.around(low, high)
+
+    @functools.cached_property
+    def _places(self) -> np.ndarray:
+        return self._grid.points
 
     @functools.cached_property
     def _casters(self) -> Casters:

@@ -90,6 +90,8 @@ def format_to_read(path: Path, holds: Kinds | None = None) -> Format:
     if len(candidates) > 1 or holds == "performance":
         start = read_start(path)
         candidates = [one for one in candidates if one.recognises is None or one.recognises(path, start)]
+    if not candidates and holds == "performance" and path.suffix.lower() in _RECORDINGS:
+        raise FileFormatError(f"{path} is {_RECORDINGS[path.suffix.lower()]}")
     if not candidates:
         what = _NAMES["splats" if isinstance(holds, tuple) else holds][0] if holds else "a file"
         listed = ", ".join(suffixes(known))
@@ -114,3 +116,7 @@ _NAMES: dict[Holds, tuple[str, str]] = {
     "splats": ("a splat file", "Splats"), "mesh": ("a mesh", "Meshes"), "avatar": ("an avatar", "Avatars"),
     "sequence": ("a sequence", "Sequences"), "performance": ("a performance", "Performances"), "arrays": ("a file", "Arrays"),
 }  # fmt: skip
+_VIDEO = "a video, which is not turned into motion here; record the face with Live Link Face or Face Cap and choose their file."
+_SOUND = "sound, which is not turned into motion here; have Audio2Face-3D make a .csv of the speech and choose that."
+_RECORDINGS = dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm"), _VIDEO)
+_RECORDINGS |= dict.fromkeys((".wav", ".mp3", ".flac", ".ogg", ".m4a"), _SOUND)

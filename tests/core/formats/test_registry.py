@@ -127,3 +127,11 @@ def test_damaged_members_of_every_compression_are_one_sentence(tmp_path, method)
         for read in (lambda: read_members(path, "test archive", 1 << 20), lambda: read_npz(path)):
             with pytest.raises(FileFormatError, match="not a readable"):
                 read()
+
+
+@pytest.mark.parametrize(("name", "kind"), [("take.MP4", "a video.*Live Link Face"), ("speech.wav", "sound.*Audio2Face")])
+def test_a_recording_of_a_face_or_of_speech_is_refused_with_a_way_to_its_motion(tmp_path, name, kind):
+    path = tmp_path / name
+    path.write_bytes(b"RIFF\0\0\0\0WAVEfmt ")
+    with pytest.raises(FileFormatError, match=kind):
+        format_to_read(path, "performance")

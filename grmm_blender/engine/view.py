@@ -31,7 +31,7 @@ from .view_jobs import ViewJobs, ViewPicture, ViewRequest
 
 _POLL_SECONDS = 0.01  # Blender hears of nothing from threads; looking so often costs it microseconds
 _EDGE_SAMPLES = 2
-PLAYED_STRANDS = 0.25  # share of the strands in a frame of playback
+PLAYED_STRANDS = 0.2  # share of the strands in a frame of playback
 
 
 @dataclass(frozen=True)

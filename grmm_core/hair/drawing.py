@@ -80,6 +80,19 @@ class Hiding:
             -camera.cy,
         )
 
+    @property
+    def cells(self) -> tuple[np.float32, np.float32, np.float32]:
+        """`cell`, `left` and `top` as the kernels read them."""
+        return np.float32(self.cell), np.float32(self.left), np.float32(self.top)
+
+    def hide(self, means: np.ndarray, eye: np.ndarray, seen: np.ndarray, slack: float = SLACK) -> None:
+        """Set `seen` [N] of places [N, 3], float32, to 0 where skin is more than `slack` before them; `eye`: `Eye.numbers`."""
+        from ..compute.threads import for_each, pieces, thread_count
+        from .hidden_kernels import hide
+
+        parts = [slice(*part) for part in pieces(len(means), 4096, 4 * thread_count())]
+        for_each(len(parts), lambda n: hide(means[parts[n]], eye, self.depth, *self.cells, np.float32(slack), seen[parts[n]]))
+
 
 def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float) -> list[float]:
     """Share of the strands of each block to draw of a head that is seen at a size: continuous in the size."""
@@ -152,20 +165,20 @@ def _hide(
     Radii and opacities are those of the strands that are drawn, of which the first are the parents.
     """
     from ..compute.threads import for_each, pieces, thread_count
-    from .hidden_kernels import LAYER, bury, hide, thicken
+    from .hidden_kernels import LAYER, bury, thicken
 
     middles = (0.5 * (points[:, 1:] + points[:, :-1])).reshape(-1, 3)
     flat = seen.reshape(-1)
-    parts = [slice(*part) for part in pieces(len(middles), 4096, 4 * thread_count())]
-    cells = np.float32(hiding.cell), np.float32(hiding.left), np.float32(hiding.top)
-    for_each(len(parts), lambda n: hide(middles[parts[n]], eye, hiding.depth, *cells, np.float32(SLACK), flat[parts[n]]))
+    hiding.hide(middles, eye, flat)
     some = slice(0, min(len(points), len(radii)), max(min(len(points), len(radii)) // TELLING, 1))
     told = [np.ascontiguousarray(part[some]) for part in (points, radii, opacity, seen)]
     if not len(told[0]):
         return
     near = np.float32(eye[11] - HEAD_REACH)  # the head's origin is in the middle
     thick = np.zeros((*hiding.depth.shape, int(2 * HEAD_REACH / LAYER)), np.float32)
+    cells = hiding.cells
     thicken(*told[:3], told[3].reshape(-1), np.float32(len(radii) / len(told[0])), eye, *cells, near, thick)
+    parts = [slice(*part) for part in pieces(len(middles), 4096, 4 * thread_count())]
     for_each(len(parts), lambda n: bury(middles[parts[n]], eye, *cells, near, thick, np.float32(COVERED), flat[parts[n]]))
 
 

@@ -37,6 +37,16 @@ _ONE, _TWO, _HALF, _ZERO = F(1.0), F(2.0), F(0.5), F(0.0)
 
 
 @compiled(**_OPTIONS)
+def stand(local: np.ndarray, origin: np.ndarray, axes: np.ndarray, points: np.ndarray) -> None:
+    """Bring parents [M, K, 3] from the axes [N, 3, 3] of the first roots [N, 3] to head space, `points` [N, K, 3]."""
+    for i in range(len(points)):
+        for k in range(points.shape[1]):
+            x, y, z = local[i, k, 0], local[i, k, 1], local[i, k, 2]
+            for c in range(3):
+                points[i, k, c] = x * axes[i, 0, c] + y * axes[i, 1, c] + z * axes[i, 2, c] + origin[i, c]
+
+
+@compiled(**_OPTIONS)
 def pose(
     parents: np.ndarray, axes: np.ndarray, owner: np.ndarray, spread: np.ndarray, local: np.ndarray, seen: np.ndarray,
     points: np.ndarray, light: np.ndarray,

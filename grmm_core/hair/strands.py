@@ -97,6 +97,12 @@ class StrandBlock:
         return float(self.lengths.mean())
 
     @functools.cached_property
+    def sparse(self) -> tuple[StrandBlock, np.ndarray]:
+        """The same strands with every second point and the last, and these points' numbers: for playback."""
+        some = np.append(np.arange(0, self.segments, 2), self.segments)
+        return replace(self, points=self.points[:, some], light=np.ascontiguousarray(self.light[:, some])), some
+
+    @functools.cached_property
     def softness(self) -> np.ndarray:
         """Power of the strands that a drawn one stands for by which it is fainter and wider, of the parents, float32 [M]."""
         return (SOFT + (SOFTEST - SOFT) * _short(self.lengths)).astype(np.float32)

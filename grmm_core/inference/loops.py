@@ -20,7 +20,6 @@ OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy"}
 PICTURE, CHANNELS, PLANES = "float32[:, :]", "float32[:, :, :]", "float32[:, :, ::1]"
 _FOLD_PIXELS = f"void({CHANNELS}, {CHANNELS}, {PICTURE}, int64, float32[:, ::1], float32[::1], float32, {PLANES}, int64, int64)"
 _UNFOLD_RESIDUAL = f"void({CHANNELS}, {PICTURE}, {PLANES}, int64, {PLANES}, int64, int64)"
-_MIX = f"void({CHANNELS}, {CHANNELS}, {CHANNELS}, {PICTURE}, {PICTURE}, float32, int64, int64)"
 _LINEAR = f"void({CHANNELS}, {PICTURE}, float32, float32[::1], {PLANES}, int64, int64)"
 _ONE, _TWO = np.float32(1.0), np.float32(2.0)
 _TINY = np.float32(1e-9)  # metres per unit of UV; keeps frames of degenerate triangles defined
@@ -167,22 +166,6 @@ def premultiplied_linear(
                 low = curve[at]
                 out[y, x, k] = cover * (low + (curve[at + 1] - low) * (place - np.float32(at)))
             out[y, x, 3] = cover
-
-
-@compiled(nogil=True, signature_or_function=_MIX, **OPTIONS)
-def mix(
-    before: np.ndarray, refined: np.ndarray, picture: np.ndarray, share: np.ndarray, alpha: np.ndarray, least: np.float32,
-    first: int, last: int,
-) -> None:  # fmt: skip
-    """Add what refinement changed, `refined` less `before`, to a picture, all [H, W, 3], by share / alpha, at most 1.
-
-    `share` [H, W] is the cover that is refined, `alpha` [H, W] all cover; at least `least` is divided by. Rows of the picture.
-    """
-    for y in range(first, last):
-        for x in range(picture.shape[1]):
-            weight = min(share[y, x] / max(alpha[y, x], least), _ONE)
-            for channel in range(3):
-                picture[y, x, channel] += (refined[y, x, channel] - before[y, x, channel]) * weight
 
 
 @compiled(nogil=True, **OPTIONS)

@@ -224,7 +224,10 @@ class PlainModel:
         for_rows(uv_corners, len(corners), *_parts_of(tables.jacobian), *where, corners)
         return corners
 
-    def refine(self, raster: RasterOutput[np.ndarray], limits: np.ndarray | None = None, coarse: bool = False) -> np.ndarray:
+    def refine(
+        self, raster: RasterOutput[np.ndarray], limits: np.ndarray | None = None, coarse: bool = False,
+        cover: np.ndarray | None = None,
+    ) -> np.ndarray:  # fmt: skip
         """Psi_ref (eq. 14) on a picture that was rasterised over black; see `GRMM.refine`."""
         rgb, alpha, far = np.asarray(raster.rgb), np.asarray(raster.alpha), np.asarray(raster.depth)
         features = np.asarray(raster.features) if self.config.features else np.zeros((*alpha.shape, 0), np.float32)
@@ -233,8 +236,9 @@ class PlainModel:
         if limits is None:
             limits = depth_range(far, alpha)
         depth = normalise_depth(far, alpha, limits)
+        cover = alpha if cover is None else np.asarray(cover)
         if not coarse:
-            return self._refined(rgb, features, depth, alpha)
+            return self._refined(rgb, features, depth, cover)
         from ..compute.threads import for_rows
         from .coarse_loops import enlarge, halve
 
@@ -245,11 +249,11 @@ class PlainModel:
         # The network's change is a residual times alpha. Enlarging both keeps the residual whole across the silhouette.
         refined -= small[..., :3]
         larger = np.empty(rgb.shape, np.float32)
-        for_rows(enlarge, len(rgb), refined, small[..., 4], rgb, alpha, np.float32(_THIN_COVER), larger, smallest=_ROWS_MIN)
+        for_rows(enlarge, len(rgb), refined, small[..., 4], rgb, cover, np.float32(_THIN_COVER), larger, smallest=_ROWS_MIN)
         return larger
 
     def _refined(self, rgb: np.ndarray, features: np.ndarray, depth: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-        """The network on rgb [H, W, 3], features [H, W, F], depth and alpha [H, W] of any size."""
+        """The network on rgb [H, W, 3], features [H, W, F], depth and cover [H, W] of any size."""
         from ..compute.threads import for_rows
         from .loops import fold_pixels, unfold_residual
 

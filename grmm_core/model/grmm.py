@@ -308,7 +308,9 @@ class GRMM(nn.Module):
         raster = rasterize(drawn, camera, backend=backend, antialiased=self.config.antialias)
         return Picture(self.refine(raster, limits) if refine else raster.rgb, raster.rgb, raster.alpha, raster.depth)
 
-    def refine(self, raster: RasterOutput[Tensor], limits: Tensor | None = None, coarse: bool = False) -> Tensor:
+    def refine(
+        self, raster: RasterOutput[Tensor], limits: Tensor | None = None, coarse: bool = False, cover: Tensor | None = None
+    ) -> Tensor:
         """Psi_ref (eq. 14) on a picture that was rasterised over black.
 
         Args:
@@ -316,6 +318,7 @@ class GRMM(nn.Module):
             limits: Depths in metres that become 0 and 1, [2]; those of the covered pixels when None. Give the range of the
                 whole picture when only a part of it is drawn, or the range at each pixel, [2, H, W].
             coarse: For previews: look at half the resolution, which takes a quarter of the time; the change is enlarged.
+            cover: What the residual is multiplied by where that is not alpha: the avatar's own part of it, [H, W].
 
         Returns:
             Refined colors premultiplied over black, [H, W, 3]; unchanged without a refinement network.
@@ -323,7 +326,7 @@ class GRMM(nn.Module):
         if self.refinement is None:
             return raster.rgb
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.half_refinement):
-            return self.refinement.refined(raster, limits, coarse)
+            return self.refinement.refined(raster, limits, coarse, cover)
 
     def render(
         self,

@@ -68,7 +68,7 @@ class RefinementNetwork(nn.Module):
             rgb: Splatted colors premultiplied over black, [H, W, 3].
             features: Splatted features, [H, W, F], or None when the model has none.
             depth: Normalised depth, [H, W].
-            alpha: [H, W].
+            alpha: What the residual is multiplied by, [H, W].
 
         Returns:
             Refined colors premultiplied over black, [H, W, 3].
@@ -92,13 +92,16 @@ class RefinementNetwork(nn.Module):
         residual = nn.functional.pixel_shuffle(self.exit(x), self.fold)[0, :, :height, :width]
         return rgb + alpha[..., None] * residual.permute(1, 2, 0)
 
-    def refined(self, raster: RasterOutput[Tensor], limits: Tensor | None = None, coarse: bool = False) -> Tensor:
+    def refined(
+        self, raster: RasterOutput[Tensor], limits: Tensor | None = None, coarse: bool = False, cover: Tensor | None = None
+    ) -> Tensor:
         """Refine a picture that was rasterised over black; see `GRMM.refine`."""
         if limits is None:
             limits = depth_range(raster.depth, raster.alpha)
         depth = normalise_depth(raster.depth, raster.alpha, limits)
+        cover = raster.alpha if cover is None else cover
         if not coarse:
-            result: Tensor = self(raster.rgb, raster.features, depth, raster.alpha)
+            result: Tensor = self(raster.rgb, raster.features, depth, cover)
             return result
         parts = [raster.rgb, depth[..., None], raster.alpha[..., None]]
         if raster.features is not None:
@@ -109,4 +112,4 @@ class RefinementNetwork(nn.Module):
         # The network's change is a residual times alpha. Enlarging both keeps the residual whole across the silhouette.
         enlarged = doubled(torch.cat([refined - rgb, alpha[..., None]], -1), *raster.alpha.shape)
         residual = enlarged[..., :3] / enlarged[..., 3:].clamp(min=_THIN_COVER)
-        return raster.rgb + raster.alpha[..., None] * residual
+        return raster.rgb + cover[..., None] * residual

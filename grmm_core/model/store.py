@@ -73,8 +73,8 @@ class Model(Protocol):
         """Flat index row * grid + column of each Gaussian's texel, [N]."""
         ...
 
-    def refine(self, raster: RasterOutput[Any], limits: Any = None, coarse: bool = False) -> Any:
-        """Psi_ref (eq. 14) on a picture that was rasterised over black, [H, W, 3]."""
+    def refine(self, raster: RasterOutput[Any], limits: Any = None, coarse: bool = False, cover: Any = None) -> Any:
+        """Psi_ref (eq. 14) on a picture that was rasterised over black, [H, W, 3]; see `GRMM.refine`."""
         ...
 
 

@@ -29,6 +29,7 @@ from ..errors import CancelledError
 from ..geometry.camera import Camera
 from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
+from ..hair.ribbons import Eye
 from ..light.relight import relit, relit_pixels
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
@@ -44,8 +45,7 @@ from .values import LIGHT_PASSES, LINEAR_PASS, Instance, RenderOptions
 from .wardrobe import Wardrobe, Worn, at_rest
 
 NORMAL_CHANNELS = 3
-_MIN_SHARE = 1e-6  # of alpha; keeps the division of the blending rule defined
-_ROWS = 32  # of a picture, in a task of a thread
+_FAR_SIDE = 0.05  # metres behind the skin, which lets a little of what is nearer through; a frame of playback has no more
 _MIN_SKIN = 2e-3  # cover of skin between strands that is not worth refining
 
 
@@ -188,22 +188,30 @@ def _gaussians(
     """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space."""
     model_to_world = item.instance.model_to_world
     local_camera = camera.transformed(model_to_world)
-    strands = None
+    strands = hiding = None
+    played = options.coarse and options.strands < 1.0
     if isinstance(item, PlacedCloud):
         own = item.target.seen_from(local_camera, options.lod)
     else:
         direction = local_camera.view_direction(np.array(HEAD_CENTRE))
         cap = None
+        if played or (item.worn is not None and item.worn.layers):
+            hiding = wardrobe.hiding(evaluator, item.target, item.inputs, local_camera)
         if item.worn is not None:
             cap = wardrobe.cap(evaluator, item.target, item.inputs, item.worn)
-            use = options.lod, options.strands
-            strands = wardrobe.gaussians(evaluator, item.target, item.inputs, item.worn, local_camera, *use)
+            strands = wardrobe.gaussians(
+                evaluator, item.target, item.inputs, item.worn, local_camera, options.lod, options.strands, hiding=hiding
+            )
         own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap)
     count = len(own)
     features = own.features
     if item.model is not None and item.model.config.antialias:
         kept = compensation(own.means, own.quats, own.scales, local_camera)
         own = dataclasses.replace(own, opacities=own.opacities * kept)
+    if played and hiding is not None:
+        seen = np.ones(count, np.float32)
+        hiding.hide(to_numpy(own.means), Eye.of(local_camera).numbers(), seen, _FAR_SIDE)
+        own = dataclasses.replace(own, opacities=own.opacities * as_like(seen, own.opacities))
     if strands is not None:
         own = Gaussians.concatenate([dataclasses.replace(own, features=None), strands])
     own_slice = None if item.model is None else channels.features.get(id(item.model))
@@ -285,7 +293,7 @@ def _refine(
         check()
         if not model.config.refine:
             continue
-        share = None
+        share = None  # of the cover that is this network's
         if mixed:
             own = [k for k, item in enumerate(placed) if item.model is model]
             share = present(coverage)[..., own].sum(-1)  # [H, W]
@@ -302,27 +310,12 @@ def _refine(
             depth=raster.depth[rows, columns],
             features=present(raster.features)[rows, columns, channels.features[key]] if model.config.features else None,
         )
-        refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns], coarse)
+        cover = None if share is None else library_of(share).minimum(share[rows, columns], part.alpha)
+        refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns], coarse, cover)
         if result is raster.rgb:
             result = raster.rgb + 0.0
-        if share is None:
-            result[rows, columns] = refined
-        else:
-            _mix(result[rows, columns], refined, part, share[rows, columns])
+        result[rows, columns] = result[rows, columns] + (refined - part.rgb) if mixed else refined
     return result
-
-
-def _mix(result: Any, refined: Any, part: RasterOutput[Any], share: Any) -> None:
-    """Blend what refinement changed into a part of a picture, by the cover that is its own."""
-    if isinstance(result, np.ndarray):
-        from ..compute.threads import for_rows
-        from ..inference.loops import mix
-
-        for_rows(mix, len(result), part.rgb, refined, result, share, part.alpha, np.float32(_MIN_SHARE), smallest=_ROWS)
-        return
-    clip = library_of(share).clip
-    weight = clip(share / clip(part.alpha, _MIN_SHARE, None), None, 1.0)
-    result += (refined - part.rgb) * weight[..., None]
 
 
 def _ranges(raster: RasterOutput[Any], coverage: Any) -> Any:

@@ -174,7 +174,8 @@ class RenderOptions:
         background: Display sRGB behind the avatars, or None for transparent.
         coarse: Refine at half the resolution, for previews: a quarter of the network's time, a little softer.
         lighting: Light of the scene in the world's axes, for the instances that have a `response`; None: the studio's.
-        strands: Share 0..1 of the strands of scalp and beard to draw, in their places and wider. For playback: a still has all.
+        strands: Share 0..1 of the strands of scalp and beard to draw, in their places, wider, below 1 of half the points; with
+            `coarse`, Gaussians far behind the skin are left out then, too. For playback: a still has all.
     """
 
     refine: bool = True

@@ -190,7 +190,7 @@ class Wardrobe:
 
     def gaussians(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, camera: Camera | None, lod: int = 0,
-        detail: float = 1.0, direction: np.ndarray | None = None,
+        detail: float = 1.0, direction: np.ndarray | None = None, hiding: Hiding | None = None,
     ) -> Gaussians | None:  # fmt: skip
         """Return the strands' Gaussians in head space as the engine's arrays; None where there are no strands.
 
@@ -203,6 +203,7 @@ class Wardrobe:
             lod: See `api.RenderOptions.lod`.
             detail: See `api.RenderOptions.strands`.
             direction: Without a camera, the unit vector towards the eye that colors are for, [3].
+            hiding: What the head hides, of `hiding`; None where it hides nothing.
         """
         head = target.model.head_model
         ready = [(layer, number, block) for layer in worn.layers for number, block in enumerate(self.blocks(layer, head))]
@@ -212,9 +213,6 @@ class Wardrobe:
         density = EXPORT_DENSITY if eye is None else eye.pixels_per_metre()
         shares = level_shares([block for *_, block in ready], density / 4**lod)
         vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
-        hiding = None
-        if camera is not None:
-            hiding = Hiding.of(vertices, np.asarray(head.faces)[np.asarray(head.uv_islands) == _HIDING_ISLAND], camera)
         parts = []
         for (layer, number, block), share in zip(ready, shares, strict=True):
             settings = worn.settings[block.group]
@@ -223,12 +221,21 @@ class Wardrobe:
             points, axes = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block, count)
             if block.group == SCALP and layer.swing is not None:
                 points = swung(points, layer.swing[block.rows[: len(points)]])
+            if fewer < 1.0:
+                block, some = block.sparse
+                points = points[:, some]
             if block.group == LASHES and layer.points is None:
                 points = self._on_lids(head, layer, settings, vertices, block, points)
             parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer))
         joined = StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         drawn = np.flatnonzero(joined.opacities > 0)
         return Gaussians(*(self._engine.array(array.take(drawn, 0)) for array in joined))
+
+    def hiding(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, camera: Camera) -> Hiding:
+        """What a head's skin hides from a camera in head space."""
+        head = target.model.head_model
+        skin = np.asarray(head.faces)[np.asarray(head.uv_islands) == _HIDING_ISLAND]
+        return Hiding.of(to_numpy(evaluator.mesh(target, inputs).vertices), skin, camera)
 
     def dressed(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn | None, direction: np.ndarray, lod: int
@@ -280,6 +287,8 @@ class Wardrobe:
         vertices: np.ndarray, number: int, block: StrandBlock, count: int | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
         """Parents' points in head space and their roots' axes; of the first `count` where these are made anew."""
+        from ..hair.strand_kernels import stand
+
         rest, head = at_rest(evaluator, target, inputs), target.model.head_model
 
         def styled() -> tuple[np.ndarray]:
@@ -299,7 +308,9 @@ class Wardrobe:
                 return moved, axes
             key = (target.id, "styled", number, *layer.key, *settings.shape_key, *rest.mesh_key)
             local = evaluator.cache.get(key, styled)[0]
-            return np.matmul(local[:some], axes) + origin[:, None], axes
+            points = np.empty((len(origin), *local.shape[1:]), np.float32)
+            stand(np.ascontiguousarray(local, np.float32), origin, axes, points)
+            return points, axes
 
         some = None if layer.points is not None else count
         if layer.points is not None:

@@ -222,10 +222,14 @@ def project(
         lane = (i - low) % DOUBLES
         if lane == 0:
             count = min(DOUBLES, high - i)
-            _transpose(i, count, means, MEAN, flat)
-            _transpose(i, count, quats, QUAT, flat)
-            _transpose(i, count, scales, SCALE, flat)
-            _expand(camera, flat)
+            shown = False  # neighbours are often hidden together
+            for j in range(i, i + count):
+                shown = shown or opacities[j] > ALPHA_MIN
+            if shown:
+                _transpose(i, count, means, MEAN, flat)
+                _transpose(i, count, quats, QUAT, flat)
+                _transpose(i, count, scales, SCALE, flat)
+                _expand(camera, flat)
         seen, x0, y0, x1, y1 = _record(i, lane, flat, opacities[i], camera, geometry)
         if seen and _finite(colors, i) and _finite(features, i):
             for k in range(3):

@@ -94,11 +94,15 @@ def test_refinement(pair, coarse, size):
     )
     depth, alpha = 1.0 + rng.random(size, np.float32), rng.random(size, np.float32)
     tensors = [torch.from_numpy(part) for part in (rgb, alpha, depth)]
-    with torch.no_grad():
-        wanted = reference.model.refine(RasterOutput(*tensors, torch.from_numpy(features)), None, coarse)
-    found = plain.model.refine(RasterOutput(rgb, alpha, depth, features), None, coarse)
-    compare(found, wanted, atol=1e-5)
-    assert np.abs(found - rgb).max() > 0.01
+    for cover in (None, 0.5 * alpha):  # of the second, half of the change
+        own = None if cover is None else torch.from_numpy(cover)
+        with torch.no_grad():
+            wanted = reference.model.refine(RasterOutput(*tensors, torch.from_numpy(features)), None, coarse, own)
+        found = plain.model.refine(RasterOutput(rgb, alpha, depth, features), None, coarse, cover)
+        compare(found, wanted, atol=1e-5)
+        assert np.abs(found - rgb).max() > 0.01
+    whole = plain.model.refine(RasterOutput(rgb, alpha, depth, features), None, coarse)
+    compare(2.0 * (found - rgb), torch.from_numpy(whole - rgb), atol=1e-5)
 
 
 def test_an_avatars_changes(pair):

@@ -219,6 +219,19 @@ def test_a_frame_of_playback_keeps_the_look_of_hair_with_fewer_strands(session):
         RenderOptions(strands=0.0)
 
 
+def test_a_frame_of_playback_leaves_out_what_the_head_hides_and_shows_it_elsewhere(session):
+    """A small part of the Gaussians far behind the skin shines through; a mouth, eyes and an outline stay as they are."""
+    for yaw in (0, 140):
+        camera = Camera.orbit(192, 192, yaw, fov=24)
+        whole, played = (
+            drawn(session, NONE, camera, ("rgb", "alpha", "raw"), strands=share, coarse=True) for share in (1.0, 0.4)
+        )
+        change = np.abs(whole["raw"] - played["raw"])
+        assert 0.0 < change.mean() < 1e-3
+        assert (change.max(-1) > 0.03).mean() < 5e-3
+        assert np.abs(whole["alpha"] - played["alpha"]).mean() < 2e-3
+
+
 def test_what_cannot_be_worn_is_said_and_the_avatar_still_draws(session):
     for use, error in (
         (HairUse("groom:nothing"), FileAccessError),

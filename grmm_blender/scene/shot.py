@@ -35,7 +35,8 @@ class AvatarShot:
         strands: Curves in the place of the groom of `hair`; None: there are none.
         note: One sentence about what it should wear and cannot, or "".
         response: How it takes the scene's light; None: it stays in the studio's.
-        lighting: That light, where solid view shows it; None: as `response` says, in the shot of the scene.
+        lighting: What lights it in a viewport of splats; None: as `response` says, in the shot of the scene.
+        lit_by_view: That light turns with the view and is in its axes, y up and z to the viewer; else in the world's.
     """
 
     name: str
@@ -47,6 +48,7 @@ class AvatarShot:
     hair: HairUse = WEARS_ITS_OWN
     response: Response | None = None
     lighting: Lighting | None = None
+    lit_by_view: bool = False
     strands: StrandShot | None = None
     note: str = ""
 
@@ -100,6 +102,7 @@ class SceneShot:
     occluders: Occluders = Occluders()
     world: np.ndarray | None = None
     lighting: Lighting | None = None
+    lit_by_view: bool = False
 
 
 @dataclass(frozen=True)

@@ -209,4 +209,4 @@ def _light_key(shot: AvatarShot) -> tuple[object, ...]:
     if shot.lighting is None:
         return ()
     around = shot.lighting.surroundings
-    return repr(shot.lighting.lamps), shot.response, b"" if around is None else around.coefficients.tobytes()
+    return repr(shot.lighting.lamps), shot.lit_by_view, shot.response, b"" if around is None else around.coefficients.tobytes()

@@ -25,6 +25,7 @@ from ..scene.lights import LightReader
 from ..scene.meshes import SOLID_DISPLAYS, drawn_triangles
 from ..scene.shot import AvatarShot
 from ..scene.walk import Drawn, walk
+from . import studio_light
 from .arrays import Picture, WorldGaussians
 
 HEAD_CENTRE = np.zeros(3)  # what a view direction points from, head space
@@ -70,6 +71,11 @@ class DrawnScene:
             if not _is_visible(drawn.object, space):
                 continue
             shot = self._shot(drawn)
+            try:
+                if not isinstance(shot, GrmmError):
+                    shot = studio_light.lit_in(space.shading, shot, lambda: self._lighting)
+            except GrmmError as error:
+                shot = error
             if isinstance(shot, GrmmError):
                 message = str(shot)
                 continue
@@ -82,7 +88,8 @@ class DrawnScene:
     def _shot(self, drawn: Drawn) -> AvatarShot | GrmmError:
         if drawn not in self._shots:
             try:
-                self._shots[drawn] = self._lit(drawn.shot(self._depsgraph), drawn)
+                shot = drawn.shot(self._depsgraph)
+                self._shots[drawn] = replace(shot, response=self._lights.linked(shot.response, drawn.object))
             except GrmmError as error:
                 self._shots[drawn] = error
         return self._shots[drawn]
@@ -90,12 +97,6 @@ class DrawnScene:
     @functools.cached_property
     def _lighting(self) -> Lighting:
         return self._lights.lighting(self._depsgraph.scene_eval, ())
-
-    def _lit(self, shot: AvatarShot, drawn: Drawn) -> AvatarShot:
-        """A shot with the scene's light, where its avatar takes it."""
-        if shot.response is None:
-            return shot
-        return replace(shot, response=self._lights.linked(shot.response, drawn.object), lighting=self._lighting)
 
     def _surface(self, mesh: bpy.types.Object) -> tuple[np.ndarray, ...]:
         """World triangles of a mesh that the viewport draws as a surface, or nothing."""
@@ -137,14 +138,16 @@ def world_gaussians(shot: AvatarShot, camera: Camera, lod: int) -> WorldGaussian
     info = session_host.open_avatar(shot.source)
     direction = view_direction(shot, camera)
     found = session_host.get_session().gaussians(info.id, shot.controls.validate(), direction, lod, hair=hair_of(shot))
-    colors = found.colors if shot.lighting is None else _lit_colors(found, shot, shot.lighting)
+    colors = found.colors
+    if shot.lighting is not None:
+        colors = _lit_colors(found, shot, studio_light.in_world(shot, shot.lighting, camera.world_to_camera))
     return WorldGaussians.place(
         found.means, found.quats, found.scales, found.opacities, colors, shot.model_to_world, info.antialiased
     )
 
 
 def _lit_colors(found: GaussianArrays, shot: AvatarShot, lighting: Lighting) -> np.ndarray:
-    """Colors [N, 3] of an avatar in the scene's light, roughly."""
+    """Colors [N, 3] of an avatar in a light of the world's axes, roughly."""
     response = shot.response or Response()
     own = lighting.without(response.unlit_by).in_space(np.linalg.inv(shot.model_to_world))
     normals = evened(found.means, found.scales, rough_normals(found.means, found.quats, found.scales))

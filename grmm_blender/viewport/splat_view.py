@@ -19,6 +19,7 @@ from .drawing import SplatPicture
 from .jobs import Drawable, SplatJobs, SplatRequest, same_shot
 from .settings import FULL, HOLD_RATE, MESH
 from .sources import DrawnScene, ViewportShot, moved_since
+from .studio_light import light_key
 
 EDIT_SECONDS = 0.1  # that an edit may take before a lower level of detail is used
 WAIT_SECONDS = 0.5  # that a frame of playback waits for its own splats, so that they, bones and mesh are of one frame
@@ -34,7 +35,7 @@ class Viewport:
         self._ended: float | None = None  # when the last frame of playback was drawn
         self._picture = SplatPicture()
         self._scene = ViewportShot()
-        self._version = (-1, True)  # of the scene, and whether its meshes were read
+        self._version: tuple[object, ...] = ()  # of the scene, whether its meshes were read, and what lights the viewport
         self._asked: SplatRequest | None = None
         self._drawable: Drawable | None = None
         self._failure = ""
@@ -69,10 +70,10 @@ class Viewport:
             self.jobs.request(None)
             self._note_frame(None, started)
             return
-        version = CHANGES.scene, level != PICTURE
+        version = CHANGES.scene, level != PICTURE, light_key(context.space_data.shading)
         if self._version != version:
             self._version = version
-            found_scene = _drawn_scene(depsgraph).in_viewport(context.space_data, use_meshes=version[1])
+            found_scene = _drawn_scene(depsgraph).in_viewport(context.space_data, use_meshes=level != PICTURE)
             self._scene = _kept_shots(found_scene, self._scene)
         self._ask(camera, level, level if playing else self._finest, playing)
         self._drawable = self._newest(playing) or self._drawable

@@ -123,6 +123,18 @@ def test_lamps_light_a_head_that_takes_the_scenes_light(drawn):
     np.testing.assert_allclose(stored["lit_right"][..., 3], stored["avatar"][..., 3], atol=1e-3)
 
 
+def test_solid_view_lights_a_head_that_takes_the_scenes_light_by_its_studio_light(drawn):
+    found, stored = drawn
+    by_sun, by_studio_light, flat = found["solid"]
+    assert by_sun == 0.0
+    assert by_studio_light > 0.01
+    assert flat < 1e-3
+    right, left = (stored[f"solid_{side}"][..., :3].mean(-1) for side in ("right", "left"))
+    half = right.shape[1] // 2
+    assert right[:, half:].mean() > 1.5 * left[:, half:].mean()
+    assert left[:, :half].mean() > 1.5 * right[:, :half].mean()
+
+
 def test_splats_go_along_with_a_rig_that_is_dragged(drawn):
     found, _ = drawn
     old_ones, late, moved = found["dragged"]

@@ -263,7 +263,22 @@ def lit_from(side: float) -> np.ndarray:
 
 unlit = lit_from(1.0)
 head.grmm.lighting = "SCENE"
+space.shading.type, space.shading.use_scene_lights, space.shading.use_scene_world = "MATERIAL", True, True
 stored["lit_right"], stored["lit_left"] = lit_from(1.0), lit_from(-1.0)
+space.shading.type = "SOLID"  # solid view has lamps of its own: that the scene's sun turns is not seen
+first, again = lit_from(1.0), lit_from(-1.0)
+lamps = bpy.context.preferences.system.solid_lights
+for lamp in lamps:
+    lamp.use = lamp == lamps[0]
+lamps[0].diffuse_color = (0.8, 0.8, 0.8)
+for side, name in ((1.0, "solid_right"), (-1.0, "solid_left")):
+    lamps[0].direction = (side, 0.0, 0.0)
+    stored[name] = lit_from(1.0)
+space.shading.light = "FLAT"
+report(
+    solid=[float(np.abs(first - again).max()), float(np.abs(first - unlit).mean()), float(np.abs(lit_from(1.0) - unlit).max())]
+)
+space.shading.light = "STUDIO"
 head.grmm.lighting = "STUDIO"
 scene.collection.objects.unlink(sun)
 after = lit_from(1.0)

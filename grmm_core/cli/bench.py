@@ -43,7 +43,8 @@ QUICK_REPEATS = 3
 FRAME_SIZE = 512
 RESOLUTIONS = (256, 512, 1024)
 LODS = (0, 1, 2)
-HAIR = ("none", "groom:crop", "groom:long")
+BEHIND = " from behind"
+HAIR = ("none", "groom:crop", "groom:long", "none" + BEHIND, "groom:long" + BEHIND)
 CONFIGURATIONS = ("paper", "base", "small")
 CONFIGURATION_SIZE = 1024
 
@@ -196,11 +197,12 @@ def scaling(session: LocalSession, avatar_id: int, repeats: int, values: tuple[A
     def frame(value: Any) -> Callable[[], object]:
         size = value if what == "size" else FRAME_SIZE
         options = RenderOptions(lod=value if what == "lod" else 0)
-        hair = HairUse(value) if what == "hair" else HairUse()
+        hair = HairUse(value.removesuffix(BEHIND)) if what == "hair" else HairUse()
+        yaw = 180.0 if what == "hair" and value.endswith(BEHIND) else 0.0
 
         def draw() -> None:
             controls = Controls().set_named({"jawOpen": 0.001 * (next(step) % 500)})
-            session.render([Instance(avatar_id, controls, hair=hair)], Camera.orbit(size, size), options)
+            session.render([Instance(avatar_id, controls, hair=hair)], Camera.orbit(size, size, yaw), options)
 
         return draw
 

@@ -174,7 +174,7 @@ class WornHair:
     def gaussians(self, settings: HairSettings) -> StrandGaussians:
         """In the colors of settings."""
         parts = [
-            strand_gaussians(block, points, axes, settings, share, self._eye, self._hiding)
+            strand_gaussians(block, points, axes, settings, share, self._eye, self._hiding, whole=True)
             for block, points, axes, share in self._posed
         ]
         return StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))

@@ -23,7 +23,7 @@ DRAWN = 0.6  # px: how wide a strand should be on the picture; thinner ones are 
 SPARSE = 0.2  # px: likewise for brows, beards, lashes and shorn hair, between which skin shows
 SHORT, LONG = 0.008, 0.06  # metres: mean length of hair that is drawn so, and of hair that is not
 SMALLEST_SHARE = 0.06  # of the strands
-BUDGET = 120.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
+BUDGET = 100.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
 OPACITY = 0.97
 CELL = 6.0  # px: of the coarse depth that says what the head hides
 SLACK = 0.006  # metres below the skin that still count as seen
@@ -32,6 +32,7 @@ TELLING = 2500  # strands that tell for all what strands cover
 HEAD_REACH = 0.25  # metres before and behind the head's origin in which that is counted
 _MAX_CELLS = 128
 _STRANDS = 512  # of a task
+_SHAPES: tuple[tuple[int, ...], ...] = ((3,), (4,), (3,), (), (3,))  # of a row of `StrandGaussians`
 
 
 class StrandGaussians(NamedTuple):
@@ -87,11 +88,27 @@ class Hiding:
 
     def hide(self, means: np.ndarray, eye: np.ndarray, seen: np.ndarray, slack: float = SLACK) -> None:
         """Set `seen` [N] of places [N, 3], float32, to 0 where skin is more than `slack` before them; `eye`: `Eye.numbers`."""
-        from ..compute.threads import for_each, pieces, thread_count
+        self.hide_shown(_placed(means, eye), seen, slack)
+
+    def hide_shown(self, shown: np.ndarray, seen: np.ndarray, slack: float = SLACK) -> None:
+        """Likewise of places of `hidden_kernels.place`, [N, 4]."""
+        from ..compute.threads import for_rows
         from .hidden_kernels import hide
 
-        parts = [slice(*part) for part in pieces(len(means), 4096, 4 * thread_count())]
-        for_each(len(parts), lambda n: hide(means[parts[n]], eye, self.depth, *self.cells, np.float32(slack), seen[parts[n]]))
+        def some(low: int, high: int) -> None:
+            hide(shown[low:high], self.depth, *self.cells, np.float32(slack), seen[low:high])
+
+        for_rows(some, len(shown))
+
+
+def _placed(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
+    """What `hidden_kernels.place` says of points [N, 3], float32, [N, 4]."""
+    from ..compute.threads import for_rows
+    from .hidden_kernels import place
+
+    shown = np.empty((len(points), 4), np.float32)
+    for_rows(lambda low, high: place(points[low:high], eye, shown[low:high]), len(points))
+    return shown
 
 
 def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float) -> list[float]:
@@ -110,8 +127,9 @@ def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float) -> list
 def strand_gaussians(
     block: StrandBlock, points: np.ndarray, axes: np.ndarray, settings: HairSettings, share: float,
     eye: Eye | None = None, hiding: Hiding | None = None, direction: np.ndarray | None = None, detail: float = 1.0,
+    whole: bool = False,
 ) -> StrandGaussians:  # fmt: skip
-    """Return the Gaussians of a block.
+    """Return the Gaussians of a block, in the order of its strands.
 
     Args:
         block: The strands.
@@ -123,6 +141,7 @@ def strand_gaussians(
         hiding: What the head hides, or None.
         direction: Without an eye, the unit vector towards it that colors are for, [3]; None is from the front.
         detail: Share of these strands that is drawn, see `StrandBlock.level`.
+        whole: With all segments of the strands, those that are not seen with opacity 0; else without these.
     """
     from ..compute.threads import TASKS, for_each, pieces
     from .strand_kernels import pose, segments_forward, shade_into
@@ -130,28 +149,34 @@ def strand_gaussians(
     radii, there = block.level(share, settings, detail)
     count, segments = len(there), block.segments
     owner = block.owner[:count]
-    where = np.empty((count, segments + 1, 3), np.float32)
-    light = np.empty((count, segments + 1, 4), np.float32)
     points, axes = (np.ascontiguousarray(part, np.float32) for part in (points, axes))
-    made = StrandGaussians(*(np.empty((count * segments, *shape), np.float32) for shape in ((3,), (4,), (3,), (), (3,))))
     numbers = _far(direction) if eye is None else eye.numbers()
     albedo = albedos(settings, block.lock[owner], block.chance[:count, 1:], block.hairs, share)
     opacities, tints = OPACITY * there, block.tinted(settings.length)
-    parts = pieces(count, _STRANDS, TASKS)
-
     seen = np.ones((len(points), segments), np.float32)
     if hiding is not None:
         _hide(hiding, points, radii, opacities, numbers, seen)
+    kept = np.full(count, segments) if whole else np.count_nonzero(seen, axis=1)[owner] * (opacities > 0)
+    starts = np.concatenate([[0], np.cumsum(kept)])
+    made = StrandGaussians(*(np.empty((starts[-1], *shape), np.float32) for shape in _SHAPES))
+    parts = pieces(count, _STRANDS, TASKS)
 
     def draw(task: int) -> None:
-        own = slice(*parts[task])
-        some = StrandGaussians(*(array[own.start * segments : own.stop * segments] for array in made))
+        """Make the strands of a task, of which only what is seen is computed, where the processor's caches hold them."""
+        low, high = parts[task]
+        own = low + np.flatnonzero(kept[low:high])
+        where = np.empty((len(own), segments + 1, 3), np.float32)
+        light = np.empty((len(own), segments + 1, 4), np.float32)
+        some = StrandGaussians(*(np.empty((len(own) * segments, *shape), np.float32) for shape in _SHAPES))
         some.opacities[:] = seen[owner[own]].ravel()
-        pose(points, axes, owner[own], block.spread[own], block.light, some.opacities, where[own], light[own])
-        segments_forward(where[own], radii[own], opacities[own], numbers, eye is not None, *some[:4])
-        shade_into(where[own], albedo[own], light[own], some.opacities, numbers, settings.sheen, some.colors)
+        pose(points, axes, owner[own], block.spread[own], block.light, some.opacities, where, light)
+        segments_forward(where, radii[own], opacities[own], numbers, eye is not None, *some[:4])
+        shade_into(where, albedo[own], light, some.opacities, numbers, settings.sheen, some.colors)
         if tints is not None:
             np.clip(some.colors + tints[owner[own]].reshape(-1, 3), 0.0, 1.0, out=some.colors)
+        rows = np.arange(len(some.opacities)) if whole else np.flatnonzero(some.opacities)
+        for array, result in zip(some, made, strict=True):
+            np.take(array, rows, 0, out=result[starts[low] : starts[high]], mode="clip")
 
     for_each(len(parts), draw)
     return made
@@ -164,22 +189,25 @@ def _hide(
 
     Radii and opacities are those of the strands that are drawn, of which the first are the parents.
     """
-    from ..compute.threads import for_each, pieces, thread_count
+    from ..compute.threads import for_rows
     from .hidden_kernels import LAYER, bury, thicken
 
-    middles = (0.5 * (points[:, 1:] + points[:, :-1])).reshape(-1, 3)
-    flat = seen.reshape(-1)
-    hiding.hide(middles, eye, flat)
+    shown = _placed(points.reshape(-1, 3), eye).reshape(*points.shape[:2], 4)
+    middles, flat = (0.5 * (shown[:, 1:] + shown[:, :-1])).reshape(-1, 4), seen.reshape(-1)
+    hiding.hide_shown(middles, flat)
     some = slice(0, min(len(points), len(radii)), max(min(len(points), len(radii)) // TELLING, 1))
-    told = [np.ascontiguousarray(part[some]) for part in (points, radii, opacity, seen)]
+    told = [np.ascontiguousarray(part[some]) for part in (shown, radii, opacity, seen)]
     if not len(told[0]):
         return
-    near = np.float32(eye[11] - HEAD_REACH)  # the head's origin is in the middle
-    thick = np.zeros((*hiding.depth.shape, int(2 * HEAD_REACH / LAYER)), np.float32)
-    cells = hiding.cells
-    thicken(*told[:3], told[3].reshape(-1), np.float32(len(radii) / len(told[0])), eye, *cells, near, thick)
-    parts = [slice(*part) for part in pieces(len(middles), 4096, 4 * thread_count())]
-    for_each(len(parts), lambda n: bury(middles[parts[n]], eye, *cells, near, thick, np.float32(COVERED), flat[parts[n]]))
+    depths = told[0][..., 2]
+    near = np.float32(max(depths.min(), eye[11] - HEAD_REACH))  # the head's origin is in the middle
+    layers = int((min(depths.max(), eye[11] + HEAD_REACH) - near) / LAYER) + 2
+    if layers < 2:
+        return
+    thick = np.zeros((*hiding.depth.shape, layers), np.float32)
+    thicken(*told, np.float32(len(radii) / len(told[0])), *hiding.cells, near, thick)
+    cover = *hiding.cells, near, thick, np.float32(COVERED)
+    for_rows(lambda low, high: bury(middles[low:high], *cover, flat[low:high]), len(middles))
 
 
 def _far(direction: np.ndarray | None) -> np.ndarray:

@@ -18,17 +18,33 @@ _LONG, _WIDE = F(LONG), F(WIDE)
 _HALF, _ZERO = F(0.5), F(0.0)
 MOST_PARTS = 16  # of a segment, each in a cell
 BORDER = 0.3  # of what hides in a cell, how much must be in those around it
-LAYER = 0.008  # metres: of the layers in which is counted what lies before a strand
+LAYER = 0.003  # metres: of the layers in which is counted what lies before a strand
 
 
 @compiled(**_OPTIONS)
-def hide(means: np.ndarray, eye: np.ndarray, depth: np.ndarray, cell: float, left: float, top: float, slack: float,
-         seen: np.ndarray) -> None:  # fmt: skip
+def place(points: np.ndarray, eye: np.ndarray, shown: np.ndarray) -> None:
+    """Write where points [N, 3] are on the picture, once for all below.
+
+    Args:
+        points: Head space, metres.
+        eye: See `strand_kernels`.
+        shown: Written, column and row in pixels from the optical axis, depth in metres, pixels a metre there, [N, 4].
+    """
+    for n in range(len(points)):
+        x, y, z = points[n, 0], points[n, 1], points[n, 2]
+        depth = eye[6] * x + eye[7] * y + eye[8] * z + eye[11]
+        scale = eye[12] if eye[13] > _HALF else eye[12] / max(depth, F(1e-4))
+        shown[n, 0] = (eye[0] * x + eye[1] * y + eye[2] * z + eye[9]) * scale
+        shown[n, 1] = (eye[3] * x + eye[4] * y + eye[5] * z + eye[10]) * scale
+        shown[n, 2], shown[n, 3] = depth, scale
+
+
+@compiled(**_OPTIONS)
+def hide(shown: np.ndarray, depth: np.ndarray, cell: float, left: float, top: float, slack: float, seen: np.ndarray) -> None:
     """Set to 0 what is seen of places that a head hides.
 
     Args:
-        means: Head space, [N, 3].
-        eye: See `strand_kernels`.
+        shown: Of `place`, [N, 4].
         depth: Farthest depth of the head around each cell of the picture, far away where it may be seen past, [H, W] metres.
         cell: Pixels of a cell.
         left: What is taken from column pixels (relative to the optical axis) before they are divided by `cell`.
@@ -36,47 +52,46 @@ def hide(means: np.ndarray, eye: np.ndarray, depth: np.ndarray, cell: float, lef
         slack: Metres behind the head that still count as seen.
         seen: Changed, [N].
     """
-    for n in range(len(means)):
-        u, v, far, _ = _on_picture(means[n, 0], means[n, 1], means[n, 2], eye)
-        column, row = math.floor((u - left) / cell), math.floor((v - top) / cell)
-        if 0 <= column < depth.shape[1] and 0 <= row < depth.shape[0] and far > depth[row, column] + slack:
+    for n in range(len(shown)):
+        column, row = math.floor((shown[n, 0] - left) / cell), math.floor((shown[n, 1] - top) / cell)
+        inside = 0 <= column < depth.shape[1] and 0 <= row < depth.shape[0]
+        if inside and shown[n, 2] > depth[row, column] + slack:
             seen[n] = _ZERO
 
 
 @compiled(**_OPTIONS)
 def thicken(
-    points: np.ndarray, radii: np.ndarray, opacity: np.ndarray, seen: np.ndarray, many: float, eye: np.ndarray, cell: float,
+    shown: np.ndarray, radii: np.ndarray, opacity: np.ndarray, seen: np.ndarray, many: float, cell: float,
     left: float, top: float, near: float, thick: np.ndarray,
 ) -> None:  # fmt: skip
     """Sum up how much strands cover, from the eye inwards.
 
     Args:
-        points: [N, K, 3].
+        shown: Of `place`, [N, K, 4].
         radii: At root and tip, metres, [N, 2].
         opacity: Of the strands, [N].
-        seen: Of the segments; those at 0 are left out, [N * (K-1)].
+        seen: Of the segments; those at 0 are left out, [N, K - 1].
         many: So many strands each of these stands for.
-        eye: See `strand_kernels`.
         cell: Pixels of a cell, as for `hide`, and so `left`, `top`.
         left: See `hide`.
         top: See `hide`.
         near: Depth of the first layer, metres; each is `LAYER` deep.
         thick: Written, mean opacity that lies before a layer of a cell, summed up, [H, W, layers]; zeros are given.
     """
-    count = points.shape[1] - 1
+    count = shown.shape[1] - 1
     height, width, layers = thick.shape
     each = F(2.0 * math.pi) * _LONG * _WIDE * F(many) / (F(cell) * F(cell))
-    for i in range(len(points)):
+    for i in range(len(shown)):
         for k in range(count):
-            if seen[i * count + k] <= _ZERO:
+            if seen[i, k] <= _ZERO:
                 continue
-            au, av, ad, scale = _on_picture(points[i, k, 0], points[i, k, 1], points[i, k, 2], eye)
-            bu, bv, bd, _ = _on_picture(points[i, k + 1, 0], points[i, k + 1, 1], points[i, k + 1, 2], eye)
-            place = (F(k) + _HALF) / F(count)
-            radius = radii[i, 0] + (radii[i, 1] - radii[i, 0]) * place * place
+            au, av, ad = shown[i, k, 0], shown[i, k, 1], shown[i, k, 2]
+            bu, bv, bd = shown[i, k + 1, 0], shown[i, k + 1, 1], shown[i, k + 1, 2]
+            along = (F(k) + _HALF) / F(count)
+            radius = radii[i, 0] + (radii[i, 1] - radii[i, 0]) * along * along
             long = math.sqrt((bu - au) * (bu - au) + (bv - av) * (bv - av))
             parts = min(int(long / cell) + 1, MOST_PARTS)
-            covered = each * opacity[i] * radius * scale * long / F(parts)
+            covered = each * opacity[i] * radius * shown[i, k, 3] * long / F(parts)
             for part in range(parts):
                 t = (F(part) + _HALF) / F(parts)
                 column = math.floor((au + t * (bu - au) - left) / cell)
@@ -86,34 +101,28 @@ def thicken(
                     thick[row, column, max(layer, 0)] += covered
     for row in range(height):
         for column in range(width):
-            for layer in range(1, layers):
-                thick[row, column, layer] += thick[row, column, layer - 1]
+            before = _ZERO
+            for layer in range(layers):
+                before += thick[row, column, layer]
+                thick[row, column, layer] = before
 
 
 @compiled(**_OPTIONS)
-def bury(means: np.ndarray, eye: np.ndarray, cell: float, left: float, top: float, near: float, thick: np.ndarray, most: float,
-         seen: np.ndarray) -> None:  # fmt: skip
+def bury(
+    shown: np.ndarray, cell: float, left: float, top: float, near: float, thick: np.ndarray, most: float, seen: np.ndarray
+) -> None:  # fmt: skip
     """Likewise of places that more than `most` of hair covers, at least a layer before them; see `thicken`."""
     height, width, layers = thick.shape
-    for n in range(len(means)):
-        if seen[n] > _ZERO:
-            u, v, depth, _ = _on_picture(means[n, 0], means[n, 1], means[n, 2], eye)
-            column, row = math.floor((u - left) / cell), math.floor((v - top) / cell)
-            layer = min(math.floor((depth - near) / F(LAYER)), layers) - 1
-            if not (0 <= column < width and 0 <= row < height and layer >= 0):
-                continue
-            least = thick[row, column, layer]
-            for step in (-1, 1):  # nor may it be seen past the border of what covers it
-                least = min(least, thick[min(max(row + step, 0), height - 1), column, layer])
-                least = min(least, thick[row, min(max(column + step, 0), width - 1), layer])
-            if thick[row, column, layer] > most and least > F(BORDER) * most:
-                seen[n] = _ZERO
-
-
-@compiled(**_OPTIONS)
-def _on_picture(x: float, y: float, z: float, eye: np.ndarray) -> tuple[float, float, float, float]:
-    """Column and row of a point in pixels from the optical axis, depth in metres, pixels a metre."""
-    depth = eye[6] * x + eye[7] * y + eye[8] * z + eye[11]
-    scale = eye[12] if eye[13] > _HALF else eye[12] / max(depth, F(1e-4))
-    u = (eye[0] * x + eye[1] * y + eye[2] * z + eye[9]) * scale
-    return u, (eye[3] * x + eye[4] * y + eye[5] * z + eye[10]) * scale, depth, scale
+    for n in range(len(shown)):
+        if seen[n] <= _ZERO:
+            continue
+        column, row = math.floor((shown[n, 0] - left) / cell), math.floor((shown[n, 1] - top) / cell)
+        layer = min(math.floor((shown[n, 2] - near) / F(LAYER)), layers) - 1
+        if not (0 <= column < width and 0 <= row < height and layer >= 0) or thick[row, column, layer] <= most:
+            continue
+        least = most
+        for step in (-1, 1):  # nor may it be seen past the border of what covers it
+            least = min(least, thick[min(max(row + step, 0), height - 1), column, layer])
+            least = min(least, thick[row, min(max(column + step, 0), width - 1), layer])
+        if least > F(BORDER) * most:
+            seen[n] = _ZERO

@@ -40,7 +40,7 @@ from .api import CancelCheck
 from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, Hair, LitAvatar
-from .passes import Channels, buffers, empty, light_of
+from .passes import Channels, buffers, empty, light_of, strands_of
 from .values import LIGHT_PASSES, LINEAR_PASS, Instance, RenderOptions
 from .wardrobe import Wardrobe, Worn, at_rest
 
@@ -148,33 +148,35 @@ def _refines(options: RenderOptions) -> bool:
 
 
 def _plan(placed: Sequence[Placed], options: RenderOptions) -> Channels:
+    """Where channels are: features last and none that strands have, which the rasteriser then need not read nor sum."""
     wants_features = "features" in options.passes or _refines(options)
-    features: dict[int, slice] = {}
     count = 0
+    skin = None
+    worn = [item.worn for item in placed if isinstance(item, PlacedAvatar)]
+    strands = any(one is not None and one.layers for one in worn)
+    if strands and (wants_features or "hair" in options.passes):
+        skin = count
+        count += 1
+    light = None
+    if any(_is_lit(item, options) for item in placed):
+        light = slice(count, count + (LIGHT_CHANNELS if "shadow" in options.passes else SHADOW.start))
+        count = light.stop
+    coverage = None
+    if len(placed) > 1 and (wants_features or "mask" in options.passes):
+        coverage = slice(count, count + len(placed))
+        count = coverage.stop
+    normals = None
+    if "normal" in options.passes:
+        normals = slice(count, count + NORMAL_CHANNELS)
+        count = normals.stop
+    features: dict[int, slice] = {}
     if wants_features:
         for item in placed:
             key = id(item.model)
             if item.model is not None and key not in features:
                 features[key] = slice(count, count + item.model.config.features)
                 count = features[key].stop
-    normals = coverage = None
-    if "normal" in options.passes:
-        normals = slice(count, count + NORMAL_CHANNELS)
-        count = normals.stop
-    if len(placed) > 1 and (wants_features or "mask" in options.passes):
-        coverage = slice(count, count + len(placed))
-        count = coverage.stop
-    hair = None
-    worn = [item.worn for item in placed if isinstance(item, PlacedAvatar)]
-    strands = any(one is not None and one.layers for one in worn)
-    if strands and (wants_features or "hair" in options.passes):
-        hair = count
-        count += 1
-    light = None
-    if any(_is_lit(item, options) for item in placed):
-        light = slice(count, count + (LIGHT_CHANNELS if "shadow" in options.passes else SHADOW.start))
-        count = light.stop
-    return Channels(features, normals, coverage, hair, light, count)
+    return Channels(features, normals, coverage, skin, light, count)
 
 
 def _is_lit(item: Placed, options: RenderOptions) -> bool:
@@ -229,8 +231,8 @@ def _gaussians(
             stacked[:count, channels.normals] = normals @ rotation.T
         if channels.coverage is not None:
             stacked[:, channels.coverage.start + index] = 1.0
-        if channels.hair is not None:
-            stacked[count:, channels.hair] = 1.0
+        if channels.skin is not None:
+            stacked[:count, channels.skin] = 1.0
         if channels.light is not None:
             light, first = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own)), 0
             for rows in light:
@@ -286,7 +288,7 @@ def _refine(
     coverage = None if channels.coverage is None else present(raster.features)[..., channels.coverage]  # [H, W, K]
     limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
     result = raster.rgb
-    strands = None if channels.hair is None else present(raster.features)[..., channels.hair]
+    strands = None if channels.skin is None else strands_of(raster, channels.skin)
     models: dict[int, Model] = {id(item.model): item.model for item in placed if item.model is not None}
     mixed = len({id(item.model) for item in placed}) > 1  # several weights, or clouds that no network may touch
     for key, model in models.items():

@@ -18,6 +18,8 @@ from .engines import Engine
 from .lit import HIGHLIGHTS, SHADOW
 from .values import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, RAW_LINEAR_PASS, RenderOptions
 
+_ROUNDING = 1e-5  # of sums of many Gaussians' weights
+
 
 @dataclass(frozen=True)
 class Channels:
@@ -27,7 +29,7 @@ class Channels:
         features: Slice of each model's features, by the identity of the model.
         normals: Slice of the normals, or None.
         coverage: Slice of the coverages, one channel an instance, or None for a single instance.
-        hair: Number of the channel that is 1 on strands, or None where nobody has any or nobody asks.
+        skin: Number of the channel that is 1 on all but strands, or None where nobody has any or nobody asks.
         light: Slice of the light (`lit`), or None where nobody is lit and nobody asks.
         count: All channels.
     """
@@ -35,7 +37,7 @@ class Channels:
     features: dict[int, slice]
     normals: slice | None
     coverage: slice | None
-    hair: int | None
+    skin: int | None
     light: slice | None
     count: int
 
@@ -58,11 +60,17 @@ def buffers(
         "raw": lambda: raster.rgb + behind,
         "normal": lambda: _unit_normals(present(raster.features)[..., channels.normals], alpha),
         "features": lambda: _all_features(raster, channels),
-        "hair": lambda: (alpha * 0.0 if channels.hair is None else present(raster.features)[..., channels.hair])[..., None],
+        "hair": lambda: (alpha * 0.0 if channels.skin is None else strands_of(raster, channels.skin))[..., None],
         "mask": lambda: alpha[..., None] if channels.coverage is None else present(raster.features)[..., channels.coverage],
     }
     makers |= {name: functools.partial(_light_pass, name, raster, refined, channels) for name in LIGHT_PASSES}
     return {name: to_numpy(makers[name]()) for name in dict.fromkeys(options.passes)}
+
+
+def strands_of(raster: RasterOutput[Array], skin: int) -> Array:
+    """How much of each pixel strands cover, [H, W]: what the channel `skin` does not."""
+    cover: Array = raster.alpha - present(raster.features)[..., skin]
+    return cover * (cover > _ROUNDING)
 
 
 def _linear(refined: Any, alpha: Any, engine: Engine, lit: bool) -> Any:

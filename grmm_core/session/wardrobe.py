@@ -19,7 +19,7 @@ from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
 from ..hair.body import on_person
-from ..hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
+from ..hair.drawing import Hiding, level_shares, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
 from ..hair.packaged import library_groom
@@ -227,9 +227,7 @@ class Wardrobe:
             if block.group == LASHES and layer.points is None:
                 points = self._on_lids(head, layer, settings, vertices, block, points)
             parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer))
-        joined = StrandGaussians(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
-        drawn = np.flatnonzero(joined.opacities > 0)
-        return Gaussians(*(self._engine.array(array.take(drawn, 0)) for array in joined))
+        return Gaussians(*(self._engine.array(np.concatenate(arrays)) for arrays in zip(*parts, strict=True)))
 
     def hiding(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, camera: Camera) -> Hiding:
         """What a head's skin hides from a camera in head space."""

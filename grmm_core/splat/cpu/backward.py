@@ -69,7 +69,7 @@ def _replay_tile(
         rows: Output [slots, ROW.red + channels], the channels padded as everywhere here.
     """
     gaussian, _, whole, _ = scene
-    values, shapes, pairs, first, weights, sources, ends = scratch
+    values, shapes, pairs, first, weights, sources, ends, _, _ = scratch
     channels = values.shape[1]
     flat, out = values.reshape(-1), rows.reshape(-1)
     lanes = in_lanes(constants)
@@ -77,7 +77,7 @@ def _replay_tile(
     left, top = F(tile_x * TILE), F(tile_y * TILE)
     for batch in range(low, high, BATCH):
         end = min(batch + BATCH, high)
-        start_batch(batch, end, scene, left, top, scratch)
+        start_batch(batch, end, scene, left, top, through, scratch)
         listed = 0
         pair = 0
         for k in range(end - batch):

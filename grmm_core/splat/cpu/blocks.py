@@ -22,6 +22,7 @@ from .tiling import (
     BLOCK_X,
     BLOCK_Y,
     BLOCKS,
+    GROUP,
     HALF,
     ONE,
     PIXEL_X,
@@ -31,6 +32,7 @@ from .tiling import (
     F,
 )
 
+OPEN, CLOSED = F(1e30), F(-1.0)  # reach that is left to Gaussians in a block
 SHRINK = F(SQUEEZE)  # makes t in e^(-8 t) the sum of the squares of s and q
 Four: TypeAlias = tuple[Any, Any, Any, Any]
 """Lanes of four channels."""
@@ -154,6 +156,8 @@ def make_scratch(channels: int) -> tuple[np.ndarray, ...]:
     weights [BLOCKS * ROOM * WIDTH]: weights of the batch, by block.
     sources [BLOCKS * ROOM] int64: where in `values` each weight's Gaussian begins.
     ends [BLOCKS] int64: end of each block's weights.
+    open [BLOCKS] float32: what the reach in each block is limited to: less than any where all pixels have ended.
+    backs [BLOCKS] int64: last free place of each block, before weights that are listed from its other end.
     """
     return (
         np.zeros((BATCH, channels), np.float32),
@@ -162,6 +166,8 @@ def make_scratch(channels: int) -> tuple[np.ndarray, ...]:
         np.empty(BATCH + 1, np.int64),
         np.empty(BLOCKS * ROOM * WIDTH, np.float32),
         np.empty(BLOCKS * ROOM, np.int64),
+        np.empty(BLOCKS, np.int64),
+        np.full(BLOCKS, OPEN, np.float32),
         np.empty(BLOCKS, np.int64),
     )
 
@@ -204,12 +210,21 @@ def gather(
             shapes[k, c] = geometry[i, c]
         for c in range(VALUES):
             values[k, c] = geometry[i, RECORD.red + c]
-        for c in range(features.shape[1]):
-            values[k, VALUES + c] = features[i, c]
+        used = int(shapes[k, RECORD.groups]) * GROUP
+        if used < values.shape[1]:
+            for c in range(VALUES, values.shape[1]):
+                values[k, c] = ZERO
+            for c in range(used - VALUES):
+                values[k, VALUES + c] = features[i, c]
+        else:
+            for c in range(features.shape[1]):
+                values[k, VALUES + c] = features[i, c]
 
 
 @kernel
-def find_blocks(count: int, shapes: np.ndarray, left: float, top: float, pairs: np.ndarray, first: np.ndarray) -> int:
+def find_blocks(
+    count: int, shapes: np.ndarray, left: float, top: float, limits: np.ndarray, pairs: np.ndarray, first: np.ndarray
+) -> int:  # fmt: skip
     """List the blocks of a tile that each Gaussian's ellipse reaches: exactly, all blocks of the tile at a time.
 
     The least value of s^2 + q^2 over a block's pixel centres' box is at the box's point nearest to the centre in x with the
@@ -220,6 +235,7 @@ def find_blocks(count: int, shapes: np.ndarray, left: float, top: float, pairs: 
         shapes: Of `gather`.
         left: Of the tile, pixels.
         top: Of the tile, pixels.
+        limits: `open` of `make_scratch`.
         pairs: Output, see `make_scratch`.
         first: Output, see `make_scratch`.
 
@@ -243,7 +259,8 @@ def find_blocks(count: int, shapes: np.ndarray, left: float, top: float, pairs: 
             s, q = shape.l11 * near_x + shape.l12 * best_y, shape.l22 * best_y
             one = s * s + q * q
             s, q = shape.l11 * best_x + shape.l12 * near_y, shape.l22 * near_y
-            listed += append_at_least(pairs, listed, k * BLOCKS + group, reach, smaller(one, s * s + q * q))
+            limit = smaller(reach, load(limits, group))
+            listed += append_at_least(pairs, listed, k * BLOCKS + group, limit, smaller(one, s * s + q * q))
     first[count] = listed
     return listed
 
@@ -255,12 +272,18 @@ def start_batch(
     scene: tuple[np.ndarray, ...],
     left: float,
     top: float,
+    through: np.ndarray,
     scratch: tuple[np.ndarray, ...],
 ) -> int:
-    """Make the scratch ready for the instances low..high over the tile at left, top; return the number of pairs."""
+    """Make the scratch ready for the instances low..high over the tile at left, top; return the number of pairs.
+
+    Blocks whose transmittance [BLOCKS * WIDTH] has ended everywhere are left out.
+    """
     gaussian, geometry, _, features = scene
-    values, shapes, pairs, first, _, _, ends = scratch
+    values, shapes, pairs, first, _, _, ends, limits, backs = scratch
     gather(low, high, gaussian, geometry, features, values, shapes)
+    zero = spread(ZERO)
     for block in range(BLOCKS):
-        ends[block] = block * ROOM
-    return find_blocks(high - low, shapes, left, top, pairs, first)
+        limits[block] = OPEN if any_at_least(load(through, block * WIDTH), zero) else CLOSED
+        ends[block], backs[block] = block * ROOM, block * ROOM + ROOM - 1
+    return find_blocks(high - low, shapes, left, top, limits, pairs, first)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
-from .blocks import find_blocks
+from .blocks import OPEN, find_blocks
 from .jit import kernel
 from .records import RECORD, SHAPE
 from .simd import WIDTH
@@ -67,6 +67,7 @@ def _count(
     place = np.empty((1, SHAPE), np.float32)
     pairs = np.empty((BATCH + 1) * BLOCKS, np.int32)
     first = np.empty(BATCH + 1, np.int64)
+    limits = np.full(BLOCKS, OPEN, np.float32)
     for tile in range(ends.shape[0]):
         x0, y0 = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
         for y in range(TILE):
@@ -75,7 +76,7 @@ def _count(
         for n in range(starts[tile], ends[tile]):
             place[0, :] = geometry[gaussian[n], :SHAPE]
             mx, my = place[0, RECORD.x] - F(x0) - F(0.5), place[0, RECORD.y] - F(y0) - F(0.5)
-            found = find_blocks(1, place, F(x0), F(y0), pairs, first)
+            found = find_blocks(1, place, F(x0), F(y0), limits, pairs, first)
             for pair in range(found):
                 block, here = pairs[pair], 0
                 left, top = block % BLOCKS_X * BLOCK_X, block // BLOCKS_X * BLOCK_Y

@@ -64,10 +64,12 @@ def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialia
     chunks = pieces(count, CHUNK_MIN, min(TASKS * threads, CHUNKS_MAX))
     histogram = np.zeros((len(chunks), tiles), np.int32)
     touched = np.zeros(len(chunks), np.int64)
+    groups = tiling.padded(gaussians.features.shape[1]) // tiling.GROUP  # of channels
+    needs = np.zeros((len(chunks), groups + 1), np.int32)
     starts = np.empty(tiles + 1, np.int64)
 
     def project(k: int) -> None:
-        touched[k] = projection.project(*chunks[k], tuple(gaussians), camera, geometry, whole, tiles_x, histogram[k])
+        touched[k] = projection.project(*chunks[k], tuple(gaussians), camera, geometry, whole, tiles_x, histogram[k], needs[k])
 
     for_each(len(chunks), project)
     instances = int(touched.sum())
@@ -84,12 +86,13 @@ def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialia
         features=buffers.empty((height, width, gaussians.features.shape[1])),
     )
     ends = np.empty(tiles, np.int64)
-    groups = pieces(tiles, TILES_MIN, TASKS * threads)
+    few = int(np.argmax(needs.sum(0).cumsum() * np.arange(groups, -1, -1)))  # with what most sums are spared
+    parts = pieces(tiles, TILES_MIN, TASKS * threads)
     for_each(
-        len(groups),
+        len(parts),
         lambda k: forward.draw(
-            *groups[k], tiles_x, starts, (gaussian, geometry, whole, gaussians.features), background, blocks.CONSTANTS,
-            tuple(pictures), ends,
+            *parts[k], tiles_x, starts, (gaussian, geometry, whole, gaussians.features), background, blocks.CONSTANTS,
+            few, tuple(pictures), ends,
         ),
     )  # fmt: skip
     return pictures, Drawing(camera, tiles_x, geometry, whole, starts, ends, gaussian)

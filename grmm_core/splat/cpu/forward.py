@@ -3,7 +3,8 @@
 A tile keeps, block by block (see `blocks.py`), the channels blended so far (r, g, b, depth, features: WIDTH lanes each) and the
 transmittance; a pixel that has ended, or lies outside the picture, has its transmittance stored with a minus sign. A batch of
 Gaussians is blended in two steps: first the weight of every Gaussian in every block that it reaches, listed by block; then, for
-each block, the sums of weight times value, which stay in registers for the whole batch.
+each block, the sums of weight times value, which stay in registers for the whole batch. Gaussians that need few channels, as
+strands of hair do, are listed from a block's other end, and left out of the sums of the others.
 """
 
 from __future__ import annotations
@@ -54,6 +55,7 @@ def _blend_tile(
     left: float,
     top: float,
     constants: tuple[float, ...],
+    few: int,
     sums: np.ndarray,
     through: np.ndarray,
     scratch: tuple[np.ndarray, ...],
@@ -64,7 +66,7 @@ def _blend_tile(
         sums: [BLOCKS * channels * WIDTH] blended channels.
         through: [BLOCKS * WIDTH] transmittance.
     """
-    values, shapes, pairs, _, weights, sources, ends = scratch
+    values, shapes, pairs, _, weights, sources, ends, _, backs = scratch
     channels = values.shape[1]
     flat = values.reshape(-1)
     lanes = in_lanes(constants)
@@ -72,25 +74,33 @@ def _blend_tile(
         if batch > low and all_ended(through):
             return batch
         end = min(batch + BATCH, high)
-        listed = start_batch(batch, end, scene, left, top, scratch)
+        listed = start_batch(batch, end, scene, left, top, through, scratch)
         for pair in range(listed):
             k, block = pairs[pair] // BLOCKS, pairs[pair] % BLOCKS
             s, q = whitened(ellipse(shapes, k, left, top), block)
             alpha = alpha_at(spread(shapes[k, RECORD.opacity]), s, q, lanes)
             weight = pass_light(through, block, alpha, lanes)
-            entry = ends[block]
+            front, back = ends[block], backs[block]
+            narrow = shapes[k, RECORD.groups] <= few
+            entry = back if narrow else front
             store(weights, entry * WIDTH, weight)
             sources[entry] = k * channels
-            ends[block] = entry + (1 if any_at_least(weight, lanes.tiny) else 0)
+            used = 1 if any_at_least(weight, lanes.tiny) else 0
+            ends[block] = front + (0 if narrow else used)
+            backs[block] = back - (used if narrow else 0)
         for block in range(BLOCKS):
             entry_low, entry_high = block * ROOM, ends[block]
-            if entry_high == entry_low:
-                continue
+            last, back = entry_low + ROOM - 1, backs[block]
+            need = channels if entry_high > entry_low else few * GROUP if last > back else 0
             to = block * channels * WIDTH
             c = 0
-            while c + 2 * GROUP <= channels:
+            while c + 2 * GROUP <= channels and c < need:
                 left_four, right_four = _load_four(sums, to), _load_four(sums, to + GROUP * WIDTH)
                 for entry in range(entry_low, entry_high):
+                    weight = load(weights, entry * WIDTH)
+                    left_four = _add_four(left_four, weight, flat, sources[entry] + c)
+                    right_four = _add_four(right_four, weight, flat, sources[entry] + c + GROUP)
+                for entry in range(last, back if c < few * GROUP else last, -1):
                     weight = load(weights, entry * WIDTH)
                     left_four = _add_four(left_four, weight, flat, sources[entry] + c)
                     right_four = _add_four(right_four, weight, flat, sources[entry] + c + GROUP)
@@ -98,9 +108,11 @@ def _blend_tile(
                 _store_four(sums, to + GROUP * WIDTH, right_four)
                 to += 2 * GROUP * WIDTH
                 c += 2 * GROUP
-            if c < channels:
+            if c < need:
                 four = _load_four(sums, to)
                 for entry in range(entry_low, entry_high):
+                    four = _add_four(four, load(weights, entry * WIDTH), flat, sources[entry] + c)
+                for entry in range(last, back if c < few * GROUP else last, -1):
                     four = _add_four(four, load(weights, entry * WIDTH), flat, sources[entry] + c)
                 _store_four(sums, to, four)
     return high
@@ -152,6 +164,7 @@ def draw(
     scene: tuple[np.ndarray, ...],
     background: np.ndarray,
     constants: tuple[float, ...],
+    few: int,
     pictures: tuple[np.ndarray, ...],
     ends: np.ndarray,
 ) -> None:
@@ -165,6 +178,7 @@ def draw(
             `projection.project`; features [N, C] float32.
         background: [1, 1, 3] or [H, W, 3] float32.
         constants: CONSTANTS.
+        few: Gaussians that need at most so many groups of channels are summed apart.
         pictures: Outputs, the parts of `PictureArrays`.
         ends: Output [tiles] int64: end of the instances of each tile that any pixel was still open to.
     """
@@ -189,7 +203,7 @@ def draw(
             sort_by_depth(gaussian[low:high], whole, keys, spare, histogram)
             sums[:] = ZERO
             start_tile(through, columns, rows)
-            ends[tile] = _blend_tile(low, high, scene, F(x0), F(y0), constants, sums, through, scratch)
+            ends[tile] = _blend_tile(low, high, scene, F(x0), F(y0), constants, few, sums, through, scratch)
             _write_tile(x0, y0, columns, rows, sums, through, channels, background, pictures)
         else:
             ends[tile] = low

@@ -13,8 +13,9 @@ import numpy as np
 
 from ..rules import ALPHA_MIN, COMPENSATION_MIN, DILATION, NEAR, TILE
 from .jit import kernel, part
-from .records import CAMERA, RECORD, SQUEEZE
+from .records import CAMERA, RECORD, SQUEEZE, VALUES
 from .simd import DOUBLES, larger, load, root, smaller, spread_wide, store
+from .tiling import GROUP
 
 REACH_MARGIN = 1e-3  # for rounding, also of Gaussians far outside a tile
 TILES_MAX = 1 << 14  # tiles in a row or column of the grid
@@ -65,6 +66,16 @@ def _finite(numbers: np.ndarray, i: int) -> bool:
     for k in range(numbers.shape[1]):
         total += numbers[i, k] * np.float32(0.0)
     return total == 0.0
+
+
+@kernel
+def _groups(features: np.ndarray, i: int) -> int:
+    """Return `records.Record.groups` of Gaussian i, or 0 where its features are not finite."""
+    total, used = np.float32(0.0), 0
+    for k in range(features.shape[1]):
+        total += features[i, k] * np.float32(0.0)
+        used = k + 1 if features[i, k] != 0.0 else used
+    return (VALUES + used + GROUP - 1) // GROUP if total == 0.0 else 0
 
 
 @kernel
@@ -201,6 +212,7 @@ def project(
     whole: np.ndarray,
     tiles_x: int,
     counts: np.ndarray,
+    needs: np.ndarray,
 ) -> int:
     """Project the Gaussians low..high and count their tiles.
 
@@ -211,6 +223,7 @@ def project(
         whole: [N, RECORD_LENGTH] int32 view of `geometry`.
         tiles_x: Tiles in a row of the grid.
         counts: Output [tiles] int32, zero on entry: Gaussians of the chunk that may touch each tile.
+        needs: Output [groups of channels + 1] int32, zero on entry: tiles touched by Gaussians that need so many groups.
 
     Returns:
         The sum of `counts`.
@@ -231,7 +244,8 @@ def project(
                 _transpose(i, count, scales, SCALE, flat)
                 _expand(camera, flat)
         seen, x0, y0, x1, y1 = _record(i, lane, flat, opacities[i], camera, geometry)
-        if seen and _finite(colors, i) and _finite(features, i):
+        groups = _groups(features, i) if seen and _finite(colors, i) else 0
+        if groups:
             for k in range(3):
                 geometry[i, RECORD.red + k] = colors[i, k]
             whole[i, RECORD.tiles_low] = x0 | y0 << 16
@@ -239,6 +253,8 @@ def project(
             touched = (x1 - x0) * (y1 - y0)
             whole[i, RECORD.touched] = touched
             total += touched
+            geometry[i, RECORD.groups] = groups
+            needs[groups] += touched
             for y in range(y0, y1):
                 for tile in range(y * tiles_x + x0, y * tiles_x + x1):
                     counts[tile] += 1

@@ -59,7 +59,7 @@ class Record(NamedTuple):
             and q = l22 dy, which lose no digits where Gaussians are long and thin.
         opacity: After cap and compensation.
         reach: The largest SQUEEZE^2 (s^2 + q^2) at which alpha still reaches ALPHA_MIN.
-        spare: Nothing.
+        groups: How many groups of channels (`tiling.GROUP`), its values the first, hold all that is not 0.
         red, green, blue, depth: Its values.
         tiles_low, tiles_high: int32: x | y << 16 of the first tile that it may touch, and of one past the last.
         slot: int32: the first of its instances (see `binning.py`).
@@ -73,7 +73,7 @@ class Record(NamedTuple):
     l22: int
     opacity: int
     reach: int
-    spare: int
+    groups: int
     red: int
     green: int
     blue: int

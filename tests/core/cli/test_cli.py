@@ -232,7 +232,7 @@ def test_bench_measures_ratios(grmm, weights):
     assert sum(stage["share"] for stage in figures["stages"].values()) == pytest.approx(1.0)
     assert figures["caching"]["everything"]["ratio"] == 1.0
     assert figures["engines"]["expression"]["ratio"] > 0
-    assert set(figures["hair"]) == {"none", "groom:crop", "groom:long"}
+    assert set(figures["hair"]) == {"none", "groom:crop", "groom:long", "none from behind", "groom:long from behind"}
     assert figures["rasteriser against plain torch"]["forward"]["times faster"] > 1
     assert figures["rasteriser by N_g"]["N_g 128"]["ratio"] == 1.0
     assert figures["rasteriser by threads"]["1 threads"]["speed forward"] == 1.0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grmm_core.geometry.camera import Camera
-from grmm_core.hair.hidden_kernels import bury, thicken
+from grmm_core.hair.hidden_kernels import LAYER, bury, place, thicken
 from grmm_core.hair.ribbons import Eye
 
 SIZE, CELL, NEAR = 128, np.float32(4.0), 0.25
@@ -27,14 +27,16 @@ def left(count: int, opacity: float = 1.0, orthographic: bool = False) -> tuple[
     front, behind = curtain(0.05, 0.06, count), curtain(-0.05, 0.10, 81)
     points = np.concatenate([front, behind])
     radii = np.full((len(points), 2), 0.0008, np.float32)
-    seen = np.ones(len(points) * 4, np.float32)
+    seen = np.ones((len(points), 4), np.float32)
+    shown = np.empty((*points.shape[:2], 4), np.float32)
+    place(points.reshape(-1, 3), eye, shown.reshape(-1, 4))
     near = np.float32(eye[11] - NEAR)
-    thick = np.zeros((SIZE // 4, SIZE // 4, 62), np.float32)
+    thick = np.zeros((SIZE // 4, SIZE // 4, int(2 * NEAR / LAYER)), np.float32)
     cells = CELL, np.float32(-camera.cx), np.float32(-camera.cy), near
-    thicken(points, radii, np.full(len(points), opacity, np.float32), seen, np.float32(1.0), eye, *cells, thick)
-    middles = (0.5 * (points[:, 1:] + points[:, :-1])).reshape(-1, 3)
-    bury(middles, eye, *cells, thick, np.float32(5.0), seen)
-    kept = seen.reshape(-1, 4) > 0
+    thicken(shown, radii, np.full(len(points), opacity, np.float32), seen, np.float32(1.0), *cells, thick)
+    middles = (0.5 * (shown[:, 1:] + shown[:, :-1])).reshape(-1, 4)
+    bury(middles, *cells, thick, np.float32(5.0), seen.reshape(-1))
+    kept = seen > 0
     return kept[:count], kept[count:]
 
 

@@ -15,6 +15,7 @@ PICTURE = MAX_LOD + 1
 SHARE = 0.2
 _SMOOTHING = 0.5  # weight of the newest measurement
 _FEWER = 2.0  # time of a level over that of the next: a quarter of the Gaussians, but they cover as many pixels
+_DOUBTED = 0.995  # of a measured time, with each picture that is made in a coarser way
 _FORGIVEN = 0.8  # of a measured time, with each beginning and end of a playback
 _SLACK = 1.2  # a way that takes this much longer than a frame still counts as keeping up
 
@@ -34,6 +35,12 @@ class Pace:
             self._warm = True
             return
         self._made[way] = _smoothed(self._made.get(way), seconds)
+
+    def doubt(self, way: int) -> None:
+        """Count what making took in finer ways than this as a little less: a slow moment passes, and they are tried again."""
+        for finer in range(way):
+            if finer in self._made:
+                self._made[finer] *= _DOUBTED
 
     def record_frame(self, way: int | None, seconds: float, others: float) -> None:
         """Note a frame of playback.

@@ -46,8 +46,8 @@ def pass_values(
     elif item.kind == "normal":
         if shown is None:
             return buffers["normal"]
-        values = buffers["normal"].copy()
-        values[visible.part] *= shown[visible.part] > 0
+        values = _turned(buffers["normal"])
+        values[visible.part][shown[visible.part][..., 0] <= 0] = 0.0
         return values
     elif item.kind in ("diffuse", "specular", "shadow"):
         values = buffers[item.kind]
@@ -70,7 +70,7 @@ def _over_world(front: np.ndarray, visible: Visibility, world: np.ndarray | None
     """
     if visible.avatars is None and world is None:
         return front
-    result = np.array(front, np.float32)
+    result = _turned(front)
     # One channel at a time: numpy is slow at spreading a value over neighbouring ones.
     if visible.avatars is not None:
         hidden, shown = result[visible.part], visible.avatars[visible.part]
@@ -81,6 +81,11 @@ def _over_world(front: np.ndarray, visible: Visibility, world: np.ndarray | None
         for channel, value in enumerate((*world, 1.0)):
             result[..., channel] += rest * np.float32(value)
     return result
+
+
+def _turned(values: np.ndarray) -> np.ndarray:
+    """A copy whose rows lie in memory from the bottom, so that `blender_rows` has nothing to copy."""
+    return np.array(values[::-1], np.float32)[::-1]
 
 
 def blender_rows(values: np.ndarray) -> np.ndarray:

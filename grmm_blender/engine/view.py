@@ -7,6 +7,7 @@ text in the viewport's corner.
 
 from __future__ import annotations
 
+import time
 import weakref
 from dataclasses import dataclass, replace
 
@@ -31,6 +32,7 @@ from .view_jobs import ViewJobs, ViewPicture, ViewRequest
 
 _POLL_SECONDS = 0.01  # Blender hears of nothing from threads; looking so often costs it microseconds
 _EDGE_SAMPLES = 2
+_GAP_SHARE, _LONGEST_GAP = 0.5, 2.0  # of the time between frames, which pictures may take; seconds
 PLAYED_STRANDS = 0.2  # share of the strands in a frame of playback
 
 
@@ -58,6 +60,8 @@ class ViewRenderer:
         self._avatars: gpu.types.GPUTexture | None = None  # of the picture, made when it is needed
         self._region = 0
         self._error = ""
+        self._asked = 0.0  # when the last frame of playback was asked for; 0 at rest
+        self._gap = 0.0  # seconds between two of them
         _viewports.add(self)
 
     def update(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -159,8 +163,15 @@ class ViewRenderer:
             matrix[2, 3] += setback
             camera, clip = replace(camera, world_to_camera=matrix), (clip[0], 2.0 * clip[1])
         frame = Frame(scene.shot, camera, clip)
-        seconds = context.scene.render.fps_base / context.scene.render.fps if playing else None
+        seconds = self._seconds(context.scene.render) if playing else None
+        self._asked = time.perf_counter() if playing else 0.0
         self._jobs.request(ViewRequest(frame, scene.preview, scene.final, setback, scene.playing, seconds))
+
+    def _seconds(self, render: bpy.types.RenderSettings) -> float:
+        """What a frame of playback may take: where Blender itself does not keep the rate, a share of what it takes."""
+        gap = min(time.perf_counter() - self._asked, _LONGEST_GAP) if self._asked else 0.0
+        self._gap = 0.5 * (self._gap + gap) if self._asked else 0.0
+        return max(render.fps_base / render.fps, _GAP_SHARE * self._gap)
 
     def _is_shown(self, camera: Camera, playing: bool) -> bool:
         if self._shown is None or self._shown[0] is not self._scene or self._shown[2] != playing:

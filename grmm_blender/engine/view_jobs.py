@@ -1,7 +1,8 @@
 """Pictures for the rendered viewport, drawn on a thread: a cheap one at once, a good one when the view rests.
 
-A frame of playback is one picture in between, refined, and drawn while Blender makes the next frame; a cheap one where that
-takes longer than a frame may.
+A frame of playback is one picture in between, refined, and drawn while Blender makes the next frame; a smaller one where that
+takes longer than a frame may, and a cheap one where that does, too. Larger ones are tried again now and then: a slow moment
+must not leave the rest of a playback blurry.
 
 One `ViewJobs` a viewport. The newest request wins: a preview that has begun is finished, so that playback shows something, but
 a good picture is given up as soon as there is a newer request, or as soon as Blender's main thread needs the model for the
@@ -31,6 +32,7 @@ from .pipeline import DrawSettings
 REST_SECONDS = 0.15  # without a newer request before the good picture is begun
 PREVIEW_PIXELS = 320 * 240  # what a preview is scaled down to
 PLAYING_PIXELS = 512 * 512  # what a frame of playback is scaled down to
+FEWER_PIXELS = 384 * 384  # likewise where that is too slow
 _PASSES = [
     RenderPass("combined", "Combined", "RGBA", "COLOR"),
     RenderPass("mask", "Mask", "X", "VALUE"),
@@ -40,7 +42,9 @@ _PASSES = [
 _log = logging.getLogger(__name__)
 
 Level = Literal["preview", "playing", "final"]
-_WAYS: tuple[Level, Level] = ("playing", "preview")  # to draw a frame of playback, by the numbers of `Pace`
+_WAYS: tuple[tuple[Level, int], ...] = (  # to draw a frame of playback, with its pixels, by the numbers of `Pace`
+    ("playing", PLAYING_PIXELS), ("playing", FEWER_PIXELS), ("preview", PREVIEW_PIXELS),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -121,8 +125,10 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
             if announced or not plays:
                 self._announced = request if plays else None
             super().request(request)
-        if announced and request is not None and self._way(request) == "playing":
-            pipeline.announce(request.smaller(PLAYING_PIXELS), request.playing, _PASSES)
+        if announced and request is not None:
+            level, pixels = _WAYS[self._way(request)]
+            if level == "playing":
+                pipeline.announce(request.smaller(pixels), request.playing, _PASSES)
 
     @property
     def has_news(self) -> bool:
@@ -195,15 +201,17 @@ class ViewJobs(LatestRequestThread[ViewRequest, ViewPicture]):
     def _play(self, request: ViewRequest, known: bool) -> None:
         """Draw a frame of playback; how long the first one takes says little of those that follow."""
         way = self._way(request)
+        level, pixels = _WAYS[way]
         started = time.perf_counter()
-        pixels, settings = {"playing": (PLAYING_PIXELS, request.playing), "preview": (PREVIEW_PIXELS, request.preview)}[way]
-        self._publish(request, way, request.smaller(pixels), settings)
+        self._publish(request, level, request.smaller(pixels), request.playing if level == "playing" else request.preview)
         if known:
-            self._pace.record(_WAYS.index(way), time.perf_counter() - started)
+            self._pace.record(way, time.perf_counter() - started)
+            self._pace.doubt(way)
 
-    def _way(self, request: ViewRequest) -> Level:
-        """How to draw a frame of playback."""
-        return _WAYS[min(self._pace.level(0, request.seconds or 0.0) or 0, 1)]
+    def _way(self, request: ViewRequest) -> int:
+        """How to draw a frame of playback, a number in `_WAYS`."""
+        found = self._pace.level(0, request.seconds or 0.0)
+        return len(_WAYS) - 1 if found is None else min(found, len(_WAYS) - 1)
 
     def _publish(self, request: ViewRequest, level: Level, frame: Frame, settings: DrawSettings) -> None:
         def given_up() -> bool:

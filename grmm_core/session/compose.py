@@ -301,7 +301,7 @@ def _refine(
             share = present(coverage)[..., own].sum(-1)  # [H, W]
         if strands is not None:  # no network has seen strands: they stay as they are
             skin = (raster.alpha if share is None else share) - strands - _MIN_SKIN
-            share = skin * (skin > 0.0)
+            share = library_of(skin).clip(skin, 0.0, None)
         region = _covered_region(raster.alpha if share is None else share, model.config, coarse)
         if region is None:
             continue

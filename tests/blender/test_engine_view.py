@@ -21,14 +21,15 @@ def test_pictures_are_made_on_a_thread_and_the_newest_request_wins(run_blender: 
     assert found["superseded"] == ["begin final c 640x480", "cancelled final c 640x480", "begin preview d 320x240"]
     assert found["gave_way"] == ["begin final d 640x480", "cancelled final d 640x480", "begin final d 640x480"]
     assert found["afterwards"] == "final d turned"
-    small, large = "512x512", "277x277"
+    large, fewer, cheap = "512x512", "384x384", "277x277"
     assert found["playing"] == [
-        *(f"begin playing {name} {small}" for name in "pqr"), f"begin preview s {large}", f"begin preview stop {large}",
-        "begin final stop 1024x1024", f"begin playing t {small}", f"begin playing u {small}", f"begin preview v {large}",
+        *(f"begin playing {name} {large}" for name in "pqr"), f"begin playing s {fewer}", f"begin preview o {cheap}",
+        f"begin preview stop {cheap}", "begin final stop 1024x1024", f"begin playing t {large}", f"begin playing u {large}",
+        f"begin playing v {fewer}", f"begin preview i {cheap}",
     ]  # fmt: skip
     assert found["playing_levels"] == [
-        "playing p turned", "playing q turned", "playing r turned", "preview s turned", "preview stop turned",
-        "final stop turned", "playing t turned", "playing u turned", "preview v turned",
+        *(f"playing {name} turned" for name in "pqrs"), "preview o turned", "preview stop turned", "final stop turned",
+        *(f"playing {name} turned" for name in "tuv"), "preview i turned",
     ]  # fmt: skip
     assert found["ahead"] == [
         "begin playing w 512x512", "announce x", "begin playing x 512x512", "begin playing z 512x512",

@@ -185,6 +185,7 @@ def test_without_graphics_nothing_fails(run_blender: RunBlender, weights: Path, 
     assert found["ways"] == [0, 4, None, None, None, None, 0, 3, 4, 4, 4, 4]
     assert found["again"] == 2
     assert found["levels"] == [0, 1, 2, None, 0]
+    assert found["doubted"] == [1, 0]
     assert found["first_measure"] == 0
     assert found["made"] == [["a", 2, 1.0], ["a", 0, 1.0]]
     assert found["played"] == [["a", 2, 1.0]]  # nothing better is made of a frame of playback

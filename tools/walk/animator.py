@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import time
 
+from grmm_core.formats import format_to_read, format_to_write
+from tools.demo.performance import write_performance
+
 from .blender import WalkedBlender, WalkError
 from .steps import HEAD, MIDDLE, PHOTO, SELECT_RIG, close_windows, open_panels, scroll_sidebar
 
@@ -31,6 +34,17 @@ _FIT = """
 import sys
 watch = next(module for name, module in sys.modules.items() if name.endswith("fitting.watch"))
 result = [watch.is_running(), watch.job().status.progress.picture if watch.is_running() else ""]
+"""
+
+
+_CHOOSE = """
+for other in bpy.context.window_manager.windows:
+    for space in (area for area in other.screen.areas if area.type == "FILE_BROWSER"):
+        space.spaces.active.params.directory, space.spaces.active.params.filename = {folder!r}.encode(), {name!r}
+        inside = next(part for part in space.regions if part.type == "WINDOW")
+        with bpy.context.temp_override(window=other, area=space, region=inside):
+            bpy.ops.file.execute()
+        break
 """
 
 
@@ -75,6 +89,25 @@ def import_options(blender: WalkedBlender) -> None:
     blender.picture("import_options", 3, settled=False)
     blender.key("Escape")
     time.sleep(1.0)
+
+
+def recordings(blender: WalkedBlender) -> None:
+    """Choose a video, a sound and a Live Link Face file in the browser of *File > Import*: two sentences, then keys."""
+    source = blender.shared / "recording.json"
+    write_performance(source)
+    table = blender.shared / "live_link.csv"
+    format_to_write(table, "performance").write(table, format_to_read(source, "performance").read(source))
+    for name, content in (("video.mp4", b"\0\0\0\x18ftypmp42"), ("speech.wav", b"RIFF\x24\0\0\0WAVEfmt ")):
+        (blender.shared / name).write_bytes(content)
+    for name in ("video.mp4", "speech.wav", table.name):
+        blender.run(SELECT_RIG + "bpy.ops.grmm.import_performance('INVOKE_DEFAULT', True)")
+        time.sleep(2.0)
+        blender.run(_CHOOSE.format(folder=blender.inner(blender.shared), name=name))
+        blender.picture(f"import_{name.partition('.')[2]}", 4, settled=False)
+        blender.key("Escape")
+    action = blender.run(HEAD + "result = head.animation_data.action.name")
+    if not action.startswith(table.stem):
+        raise WalkError(f"the action is called {action} after {table.name} is read")
 
 
 def turntable(blender: WalkedBlender) -> None:

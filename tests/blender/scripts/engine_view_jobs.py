@@ -136,10 +136,13 @@ until(lambda: not jobs.busy or jobs.has_news)
 jobs.wait(PATIENCE)
 report(gave_way=section(), afterwards=take())
 
-# A frame of playback is one refined picture of 512 x 512 pixels at most; where that takes longer than a frame may, cheap ones
-# follow until the next playback. A still picture follows when it is stopped.
+# A frame of playback is one refined picture of 512 x 512 pixels at most; where that takes longer than a frame may, one of
+# 384 x 384, where that does, cheap ones follow. A still picture follows when it is stopped.
 levels = []
-for name, seconds in (("p", 1e3), ("q", 1e3), ("r", 1e3), ("s", 1e-9), ("stop", None), ("t", 1e-9), ("u", 1e-9), ("v", 1e-9)):
+frames = (
+    [(name, 1e3) for name in "pqr"] + [(name, 1e-9) for name in "so"] + [("stop", None)] + [(name, 1e-9) for name in "tuvi"]
+)
+for name, seconds in frames:
     jobs.request(request(name, 1024, 1024, seconds))
     for _ in range(1 if seconds else 2):
         begun(), step()

@@ -46,6 +46,12 @@ levels.append(pace.level(0, 0.04))
 pace.forget()
 levels.append(pace.level(0, 0.04))
 report(levels=levels)
+pace.record(0, 0.06)  # a slow moment: the finest level is tried again after some pictures of the next
+doubted = [pace.level(0, 0.04)]
+for _ in range(60):
+    pace.doubt(1)
+doubted.append(pace.level(0, 0.04))
+report(doubted=doubted)
 # In playback drawing counts too; where Blender alone is slower than the rate, splats may take a fifth of its time.
 ways = []
 for others in (0.01, 1.0):

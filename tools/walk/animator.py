@@ -41,10 +41,6 @@ _CHOOSE = """
 for other in bpy.context.window_manager.windows:
     for space in (area for area in other.screen.areas if area.type == "FILE_BROWSER"):
         space.spaces.active.params.directory, space.spaces.active.params.filename = {folder!r}.encode(), {name!r}
-        inside = next(part for part in space.regions if part.type == "WINDOW")
-        with bpy.context.temp_override(window=other, area=space, region=inside):
-            bpy.ops.file.execute()
-        break
 """
 
 
@@ -103,6 +99,8 @@ def recordings(blender: WalkedBlender) -> None:
         blender.run(SELECT_RIG + "bpy.ops.grmm.import_performance('INVOKE_DEFAULT', True)")
         time.sleep(2.0)
         blender.run(_CHOOSE.format(folder=blender.inner(blender.shared), name=name))
+        blender.move(*MIDDLE)
+        blender.key("Return")
         blender.picture(f"import_{name.partition('.')[2]}", 4, settled=False)
         blender.key("Escape")
     action = blender.run(HEAD + "result = head.animation_data.action.name")

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _LOOSE = ("neck",)  # regions that light can reach from inside
 _SHEER = ("lashes",)  # cards that stand for a few hairs: they keep no light off
-_MOUTH = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
+MOUTH = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
 _OPEN = 0.35  # of the light that these get where they are seen at all: colors are learned with the mouth open
 _SKIN = "face"  # region whose color is the skin's
 
@@ -101,8 +101,9 @@ class RestLight(NamedTuple):
         normals = vertex_normals(vertices, head.faces)
         by_vertex = transfer(vertices, normals, casting_faces(head)[0])
         exchange = Exchange.of(vertices, normals, head.faces, by_vertex)
-        mouth = head.marked(*_MOUTH) & ~head.marked(_SKIN)  # lips are seen when it is closed
+        mouth = head.marked(*MOUTH) & ~head.marked(_SKIN)  # lips are seen when it is closed
         by_vertex[mouth] = _OPEN * basis(normals[mouth]) * BANDS
+        exchange.shares[mouth] = 0.0  # what red skin throws on teeth is in their learned colors, and not in the rig below
         rows, receivers, casters = texels.at(by_vertex), texels.receivers(vertices, normals), casters_of(head, vertices)
         seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
         eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)

@@ -18,7 +18,7 @@ from .rig.avatar import Avatar, is_avatar
 from .rig.build import add_missing_controls, show_source
 from .rig.identity import DEFAULT_SOURCE
 
-SCENE_LIGHT = "SCENE"  # item of `lighting`
+STUDIO_LIGHT, SCENE_LIGHT, PHOTO_LIGHT = "STUDIO", "SCENE", "PHOTO"  # items of `lighting`
 
 
 @bpy.app.handlers.persistent
@@ -134,8 +134,9 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
     lighting: choice(
         "Lighting",
         "What lights the avatar",
-        ("STUDIO", "Studio", "The even light that its colors were learned in, whatever the scene has"),
+        (STUDIO_LIGHT, "Studio", "The even light that its colors were learned in, whatever the scene has"),
         (SCENE_LIGHT, "Scene", "The scene's lamps and world"),
+        (PHOTO_LIGHT, "Photo", "The light of the first photo that the avatar was made from"),
         **_LIVE,
     )
     hair: bpy.props.PointerProperty(

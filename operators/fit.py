@@ -14,7 +14,9 @@ from ..grmm_blender.fitting.job import FitJob
 from ..grmm_blender.fitting.photo_camera import set_photo_expression
 from ..grmm_blender.fitting.provenance import provenance_sentence
 from ..grmm_blender.fitting.settings import mask_paths, output_path, photo_paths, settings
+from ..grmm_blender.properties import PHOTO_LIGHT
 from ..grmm_blender.rig.avatar import Avatar
+from ..grmm_blender.scene.photo_light import photo_lighting
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.fitting.request import FacesRequest, FitRequest
 from .common import Result, active_avatar, check_object_mode, polls, reports_errors, require
@@ -164,17 +166,21 @@ class GRMM_OT_fit_add_to_scene(Operator):
 
 
 class GRMM_OT_fit_photo_expression(Operator):
-    """Set expression and pose of an avatar made from photos as the first photo shows them, to compare the two."""
+    """Set expression, pose and light of an avatar made from photos as the first photo shows them, to compare the two."""
 
-    bl_label = "Photo's Expression"
+    bl_label = "As in the Photo"
+
+    light: flag("Light", "Light the avatar as the photo was lit", default=True)
 
     poll = polls(_photographed)
 
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
-        """Set sliders, learned detail and bones."""
+        """Set sliders, learned detail, bones and light."""
         avatar = _photographed(context)
         set_photo_expression(avatar)
+        if self.light and photo_lighting(avatar.source) is not None:
+            avatar.object.grmm.lighting = PHOTO_LIGHT
         avatar.tag_edited()
         return {"FINISHED"}
 

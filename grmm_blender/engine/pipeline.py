@@ -96,7 +96,11 @@ def announce(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass
         number = session_host.known_avatar(shot.source)
         if number is None or shot.cloud is not None or shot.strands is not None:
             return
-        instances.append(Instance(number, shot.controls, shot.model_to_world, hair=shot.hair, response=shot.response))
+        instances.append(
+            Instance(
+                number, shot.controls, shot.model_to_world, hair=shot.hair, response=shot.response, lighting=shot.own_light
+            )
+        )
     session_host.get_session().prepare(instances, frame.camera, _options(frame, settings, items))
 
 
@@ -121,7 +125,14 @@ def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:
             else:
                 number = session_host.open_cloud(shot.cloud.key, shot.cloud.version, shot.cloud.arrays)
             instances.append(
-                Instance(number, shot.controls.validate(), shot.model_to_world, hair=hair_of(shot), response=shot.response)
+                Instance(
+                    number,
+                    shot.controls.validate(),
+                    shot.model_to_world,
+                    hair=hair_of(shot),
+                    response=shot.response,
+                    lighting=shot.own_light,
+                )
             )
         except GrmmError as error:
             raise type(error)(f"{shot.name}: {error}") from error

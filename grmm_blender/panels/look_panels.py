@@ -7,12 +7,14 @@ import bpy
 from ...grmm_core.hair import SETTINGS
 from ..hair import message_of
 from ..hair.grooms import NO_HAIR, PARTS, RANDOM_HAIR
-from ..properties import SCENE_LIGHT
+from ..properties import PHOTO_LIGHT, SCENE_LIGHT
 from ..rig.avatar import avatar_of
 from ..scene.lights import unread_world
+from ..scene.photo_light import photo_lighting
 from ..width import draw_text, is_narrow
 from .twins import CATEGORY
 
+_NO_PHOTO_LIGHT = "This avatar knows no photo's light; it stays in the studio's."
 _PICTURE = 5.0  # heights of a button
 _FACTORS = ("light_intensity", "skin_gloss", "skin_scattering", "shadow_softness")
 
@@ -53,6 +55,8 @@ class GRMM_PT_light(_LookPanel):
         if unread:
             draw_text(layout, unread, context, icon="INFO")
             layout.operator("grmm.bake_world", icon="WORLD")
+        if settings.lighting == PHOTO_LIGHT and photo_lighting(avatar.source) is None:
+            draw_text(layout, _NO_PHOTO_LIGHT, context, icon="INFO")
 
 
 class GRMM_PT_hair(_LookPanel):

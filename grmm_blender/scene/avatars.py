@@ -11,7 +11,9 @@ import numpy as np
 from mathutils import Matrix, Vector
 
 from ...grmm_core.errors import GrmmError
+from ...grmm_core.fitting.photo_light import MATT
 from ...grmm_core.hair import SETTINGS, HairSettings
+from ...grmm_core.light.lamps import Lighting
 from ...grmm_core.light.shading import Response
 from ...grmm_core.session import HairUse
 from ...grmm_core.session.wearing import GROOM_PREFIX, RANDOM_PREFIX
@@ -19,9 +21,10 @@ from ..hair import StrandShot, read_strands
 from ..hair.curve_sliders import NEUTRAL
 from ..hair.grooms import NO_HAIR, OWN_HAIR, PARTS, RANDOM_HAIR
 from ..hair.swing import swung
-from ..properties import SCENE_LIGHT
+from ..properties import PHOTO_LIGHT, SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
 from ..splats.cloud import carries_splats
+from .photo_light import photo_lighting
 from .shot import WEARS_ITS_OWN, AvatarShot
 from .visibility import is_holdout
 
@@ -29,11 +32,14 @@ _HEAD_RADIUS = 0.19  # metres around the head's origin that hold hair and neck
 _CENTRE = Vector((0.0, -0.01, 0.0))  # of the head, in its own axes
 
 
-def _response(settings: bpy.types.PropertyGroup) -> Response | None:
-    """How a head takes the scene's light; None where it stays in the studio's."""
+def _light(settings: bpy.types.PropertyGroup, source: str) -> tuple[Response | None, Lighting | None]:
+    """How a head takes light that is not the studio's, and that light where it is its photo's and not the scene's."""
+    if settings.lighting == PHOTO_LIGHT:
+        own = photo_lighting(source)
+        return None if own is None else MATT, own
     if settings.lighting != SCENE_LIGHT:
-        return None
-    return Response(settings.light_intensity, settings.skin_gloss, settings.skin_scattering, settings.shadow_softness)
+        return None, None
+    return Response(settings.light_intensity, settings.skin_gloss, settings.skin_scattering, settings.shadow_softness), None
 
 
 @functools.lru_cache(maxsize=64)
@@ -91,9 +97,10 @@ class DrawnAvatar:
         controls, cuts = self.avatar.controls(depsgraph), is_holdout(self.object, depsgraph.view_layer)
         settings = self.object.evaluated_get(depsgraph).grmm
         hair, strands, note = self._hair(settings.hair, depsgraph)
+        response, own_light = _light(settings, self.avatar.source)
         return AvatarShot(
             self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts, hair=hair, strands=strands, note=note,
-            response=_response(settings),
+            response=response, own_light=own_light,
         )  # fmt: skip
 
     def _hair(

@@ -37,6 +37,7 @@ class AvatarShot:
         response: How it takes the scene's light; None: it stays in the studio's.
         lighting: What lights it in a viewport of splats; None: as `response` says, in the shot of the scene.
         lit_by_view: That light turns with the view and is in its axes, y up and z to the viewer; else in the world's.
+        own_light: Light that it takes in the place of the scene's, in head space.
     """
 
     name: str
@@ -49,6 +50,7 @@ class AvatarShot:
     response: Response | None = None
     lighting: Lighting | None = None
     lit_by_view: bool = False
+    own_light: Lighting | None = None
     strands: StrandShot | None = None
     note: str = ""
 

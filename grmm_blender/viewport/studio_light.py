@@ -26,6 +26,8 @@ def lit_in(shading: bpy.types.View3DShading, shot: AvatarShot, scene: Callable[[
     """A shot as a viewport lights it; `scene` gives the scene's light. As trained where that has no direction."""
     if shot.response is None:
         return shot
+    if shot.own_light is not None:
+        return replace(shot, lighting=shot.own_light.in_space(shot.model_to_world))
     if shading.type == "SOLID":
         if shading.light != "STUDIO":
             return replace(shot, response=None)

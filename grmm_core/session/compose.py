@@ -180,7 +180,8 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> Channels:
 
 
 def _is_lit(item: Placed, options: RenderOptions) -> bool:
-    return options.lighting is not None and item.instance.response is not None and isinstance(item, PlacedAvatar)
+    there = options.lighting is not None or item.instance.lighting is not None
+    return there and item.instance.response is not None and isinstance(item, PlacedAvatar)
 
 
 def _gaussians(
@@ -254,11 +255,12 @@ def _light(
     item: Placed, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
     strands: Gaussians | None, count: int,
 ) -> list[np.ndarray]:  # fmt: skip
-    """What the scene's light does to one instance's Gaussians, in parts of [N, LIGHT_CHANNELS]; nothing where it is not lit."""
-    lighting, response = options.lighting, item.instance.response
-    if isinstance(item, PlacedCloud) or lighting is None or response is None:
+    """What light does to one instance's Gaussians, in parts of [N, LIGHT_CHANNELS]; nothing where it is not lit."""
+    lighting, response, own = options.lighting, item.instance.response, item.instance.lighting
+    if isinstance(item, PlacedCloud) or response is None or (own is None and lighting is None):
         return [np.tile(UNLIT, (count, 1))]
-    own = lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
+    if own is None:
+        own = lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
     hair = None
     if item.worn is not None and item.worn.layers:
         settings = item.worn.settings[0]

@@ -141,6 +141,7 @@ class Instance:
             the same world. From a Blender matrix M of the head object: M @ HEAD_TO_BLENDER.
         hair: What it wears.
         response: How it takes the light of `RenderOptions.lighting`; None: it stays in the studio's light, as learned.
+        lighting: Light of its own in the place of that, in head space, such as a photo's.
     """
 
     avatar_id: int
@@ -148,6 +149,7 @@ class Instance:
     model_to_world: np.ndarray = field(default_factory=lambda: np.eye(4))
     hair: HairUse = field(default_factory=HairUse)
     response: Response | None = None
+    lighting: Lighting | None = None
 
     def __post_init__(self) -> None:
         matrix = np.array(self.model_to_world, np.float64)

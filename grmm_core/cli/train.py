@@ -50,6 +50,7 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     """Train, and write the weights at the end; of several processes the first one alone says so. Raises `GrmmError`s."""
     from ..head import load_flame
+    from ..session import create_session
     from ..session.presenting import save_presented
     from ..training.capture import capture_views
     from ..training.captured_hair import captured_hair
@@ -87,7 +88,8 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int | None:
     if config.person:
         hair = captured_hair(source.datasets, config.person, head) if trainer.config.model.hairless else None
         avatar = trainer.person_avatar(args.name or config.person, args.licence, hair)
-        save_presented(avatar, path, config.init_from, args.head)
+        with create_session("local", weights=config.init_from, head=args.head) as session:
+            save_presented(avatar, path, session)
     else:
         hours = round(trainer.seconds / 3600, 3)
         provenance: dict[str, Any] = {"seed": config.seed, "steps": trainer.step_count, "hours": hours}

@@ -90,8 +90,6 @@ def fit(
         CancelledError: `cancelled` said so; the same request with `resume` goes on.
         SessionError: Out of memory.
     """
-    from ..session.presenting import save_presented
-
     begin = time.monotonic()
     report = Reporter(fit_stages(preset_named(request.preset), len(request.photos)), progress, cancelled)
     request.check_output()
@@ -105,7 +103,6 @@ def fit(
         done = False
         try:
             avatar, tracks, warnings = _make(request, job, photos, masks, report, on_faces)
-            save_presented(avatar, request.output, request.weights or None, request.head or None)
             done = True
         except CancelledError as error:
             kept = "it can be resumed" if can_resume(folder) else "it had not found the person yet"
@@ -122,13 +119,15 @@ def _make(
     request: FitRequest, job: Job, photos: Sequence[PhotoFile], masks: Sequence[PhotoFile], report: Reporter,
     on_faces: FacesCallback | None,
 ) -> tuple[Avatar, list[PhotoTrack], list[str]]:  # fmt: skip
-    """The avatar, complete but not written, what tracking found, and what is left out of the skin."""
+    """The avatar, which is written, what tracking found, and what is left out of the skin."""
     report.part("load")(0.0)
 
-    from ..compute.devices import choose_device, limit_rasteriser_threads
-    from ..model.store import ModelStore
-    from ..model.torch_loader import TorchLoader, with_deltas
+    from ..compute.devices import limit_rasteriser_threads
+    from ..model.torch_loader import with_deltas
     from ..photo.parser import parse
+    from ..session import make_local_session
+    from ..session.presenting import save_presented
+    from .hair_light import unlit_hair
     from .hair_stage import person_hair
     from .hair_texture import textured, trimmed
     from .invert import invert, photo_errors
@@ -141,7 +140,8 @@ def _make(
         torch.set_num_threads(request.threads)
         limit_rasteriser_threads(request.threads)
     report.part("load")(0.5)
-    loaded = ModelStore(request.weights or None, TorchLoader(choose_device(request.device)), request.head or None).default()
+    session = make_local_session(request.weights or None, request.device, None, request.head or None, "torch")
+    loaded = session.engine.store.default()
     head, folder = loaded.model.head_model, request.work_folder
     tracks = _tracks(request, job, photos, masks, loaded.model, loaded.info, report, on_faces)
     avatar = invert(
@@ -155,7 +155,8 @@ def _make(
         hair = person_hair(tracks, parts, head, report.part("finish"))
         avatar = shaded_scalp(person, trimmed(person, dataclasses.replace(avatar, hair=hair), tracks, parts))
         person = with_deltas(loaded.model, avatar.deltas, folder)
-        avatar = textured(person, avatar, tracks, parts)
+        avatar, unlit = unlit_hair(session, avatar, tracks, parts, head)
+        avatar = textured(person, avatar, unlit, parts)
     figures = {"rmse": photo_errors(person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(
@@ -164,6 +165,7 @@ def _make(
         tracking={**avatar.tracking, **{key: np.array(values, np.float32) for key, values in figures.items()}},
     )
     report.check()
+    save_presented(avatar, request.output, session)
     return avatar, tracks, left_out(tracks, head)
 
 

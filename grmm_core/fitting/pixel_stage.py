@@ -17,7 +17,6 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import torch
-from torch.nn import functional
 
 from ..controls.names import ALIGNED_NAMES
 from ..geometry.triangles import vertex_normals
@@ -35,6 +34,7 @@ from .photo_targets import FitView, bare_pixels, fit_view
 from .point_rig import LandmarkRig, PointRig
 from .presets import CodeSettings
 from .recoloring import PhotoLight, recolor
+from .smoothing import blurred
 from .solver import Term, solve
 from .surface import Surface, texel_surface
 from .types import PhotoTrack
@@ -232,7 +232,7 @@ class _Appearance:
         facing = -(normals * rays).sum(1) / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)
         columns = np.clip(pixels[:, 0].astype(int), 0, camera.width - 1)
         rows = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
-        surely = _blurred(bare[None], BLURS[-1])[0] > _INSIDE
+        surely = blurred(bare[None], BLURS[-1])[0] > _INSIDE
         seen = (pixels > 2.0).all(1) & (pixels < [camera.width - 2, camera.height - 2]).all(1) & (facing > FACING)
         near = local[:, 2] < triangle_depth(vertices[faces], camera)[rows, columns] + HIDDEN
         return pixels, np.flatnonzero(seen & near & surely[rows, columns])
@@ -257,7 +257,7 @@ def _moved(track: PhotoTrack, fit: LandmarkFit, index: int) -> PhotoTrack:
 def _hairless(track: PhotoTrack, view: FitView, head: HeadModel) -> np.ndarray:
     """1 at the pixels of a view that are away from brows and beard, [H, W]."""
     parts = parse(track, head)
-    hairy = _blurred(np.asarray(parts.brows + parts.beard, np.float32)[None], BLURS[0])[0]
+    hairy = blurred(np.asarray(parts.brows + parts.beard, np.float32)[None], BLURS[0])[0]
     own, whole = view.camera, track.camera
     rows, columns = np.mgrid[: own.height, : own.width] + 0.5
     scale = whole.fx / own.fx
@@ -269,17 +269,5 @@ def _hairless(track: PhotoTrack, view: FitView, head: HeadModel) -> np.ndarray:
 def _fast_part(picture: np.ndarray, bare: np.ndarray, blur: float) -> np.ndarray:
     """Lightness and red less green, smoothed, without what varies slowly over the bare pixels, [2, H, W]."""
     planes = np.stack([picture.mean(-1), picture[..., 0] - picture[..., 1]]).astype(np.float32)
-    slow = _blurred(planes * bare, SLOW) / (_blurred(bare[None], SLOW) + 1e-3)
-    return _blurred(planes, blur) - slow
-
-
-def _blurred(planes: np.ndarray, sigma: float) -> np.ndarray:
-    """Planes [C, H, W] smoothed by a Gaussian of some pixels."""
-    reach = int(np.ceil(3.0 * sigma))
-    weights = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
-    kernel = (weights / weights.sum())[None, None, :, None]
-    stacked = torch.from_numpy(np.ascontiguousarray(planes, np.float32))[:, None]
-    for turned in (kernel, kernel.transpose(2, 3)):
-        padding = (0, 0, reach, reach) if turned.shape[2] > 1 else (reach, reach, 0, 0)
-        stacked = functional.conv2d(functional.pad(stacked, padding, mode="replicate"), turned)
-    return stacked[:, 0].numpy()
+    slow = blurred(planes * bare, SLOW) / (blurred(bare[None], SLOW) + 1e-3)
+    return blurred(planes, blur) - slow

@@ -9,31 +9,22 @@ from pathlib import Path
 import numpy as np
 
 from ..avatar import EXTENSION, Avatar, save_avatar
-from . import create_session
+from .api import Session
 
 
-def save_presented(
-    avatar: Avatar,
-    path: str | os.PathLike[str],
-    weights: str | os.PathLike[str] | None,
-    head: str | os.PathLike[str] | None = None,
-) -> None:
+def save_presented(avatar: Avatar, path: str | os.PathLike[str], session: Session) -> None:
     """Write an avatar with a thumbnail and a painting; the file appears whole or not at all.
 
     Args:
         avatar: Whose pictures are made anew.
         path: The `.grmm` file.
-        weights: Name or file of the weights that the avatar was made with; None for the embedded ones.
-        head: File of a head model other than the open one.
+        session: With the weights and the head that the avatar was made with.
 
     Raises:
         FileAccessError: The file cannot be written.
         GrmmError: The avatar cannot be drawn.
     """
-    with (
-        tempfile.TemporaryDirectory(prefix="grmm-") as folder,
-        create_session("local", weights=weights, head=head) as session,
-    ):
+    with tempfile.TemporaryDirectory(prefix="grmm-") as folder:
         plain = Path(folder) / f"plain{EXTENSION}"
         save_avatar(avatar.with_pictures(b"", np.zeros((0, 0, 3), np.uint8)), plain)
         session.save(session.open(plain).id, path)

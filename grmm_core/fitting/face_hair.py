@@ -34,6 +34,7 @@ LEAST_BEARD = 0.4  # of the pixels on the chin or above the lip; a shadow under 
 _CHIN, _UPPER_LIP = [18, 200, 199], [164, 167, 393]  # landmarks
 REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, and from how far skin they are told
 DARK = (0.1, 0.3)  # how much darker than that skin: from where on a pixel is brow, and wholly
+SHADE = 0.015  # of the head's height: around hair, which is dark there, too
 LOWER = (-0.004, 0.009)  # metres by which brows may be moved down; the mesh's are high
 BRIDGE, AROUND_BROWS = 168, 0.008  # landmark between the brows; metres around them in which skin is looked for
 ARCH = 0.005  # of the head's height: how far beside the landmarks' brows a brow may be
@@ -91,7 +92,8 @@ def brow_cover(track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadM
     darker = 1.0 - light * count / np.maximum(lit, 1e-4)
     cover: np.ndarray = np.clip((darker - DARK[0]) / (DARK[1] - DARK[0]), 0.0, 1.0) * region * (count > 1e-3)
     cover *= _at_landmarks(track, max(1.0, ARCH * height))
-    return cover * (1.0 - parts.eyes) * view.counts * (1.0 - parts.hair) * ~thin_frames(track.image, track.landmarks)
+    hair = functional.max_pool2d(torch.from_numpy(np.float32(parts.hair))[None, None], *_window(SHADE * height))[0, 0].numpy()
+    return cover * (1.0 - parts.eyes) * view.counts * (1.0 - hair) * ~thin_frames(track.image, track.landmarks)
 
 
 def _at_landmarks(track: PhotoTrack, reach: float) -> np.ndarray:

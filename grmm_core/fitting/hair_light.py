@@ -22,10 +22,10 @@ from ..light.lamps import Lighting
 from ..light.relight import to_display, to_linear
 from ..photo.parser import PhotoParts
 from ..session import Instance, RenderOptions, Session
+from .blurring import blurred
 from .hair_stage import hair_view
 from .photo_light import MATT
 from .result import photo_controls, photo_light
-from .smoothing import blurred
 from .types import PhotoTrack
 
 SIDE = 384  # pixels: longer side of the pictures that tell the light

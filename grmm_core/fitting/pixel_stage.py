@@ -26,6 +26,7 @@ from ..model.grmm import GRMM
 from ..model.weights_file import WeightsInfo
 from ..photo.parser import parse
 from ..pictures.sampling import bilinear
+from .blurring import blurred
 from .code_stage import Codes, code_prior, fit_codes
 from .landmark_stage import LandmarkFit, finished, restarted
 from .objective import decode, draw, relit
@@ -34,7 +35,6 @@ from .photo_targets import FitView, bare_pixels, fit_view
 from .point_rig import LandmarkRig, PointRig
 from .presets import CodeSettings
 from .recoloring import PhotoLight, recolor
-from .smoothing import blurred
 from .solver import Term, solve
 from .surface import Surface, texel_surface
 from .types import PhotoTrack

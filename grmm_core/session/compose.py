@@ -256,11 +256,11 @@ def _light(
     strands: Gaussians | None, count: int,
 ) -> list[np.ndarray]:  # fmt: skip
     """What light does to one instance's Gaussians, in parts of [N, LIGHT_CHANNELS]; nothing where it is not lit."""
-    lighting, response, own = options.lighting, item.instance.response, item.instance.lighting
-    if isinstance(item, PlacedCloud) or response is None or (own is None and lighting is None):
+    response, own = item.instance.response, item.instance.lighting
+    if own is None and response is not None and options.lighting is not None:
+        own = options.lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
+    if isinstance(item, PlacedCloud) or response is None or own is None:
         return [np.tile(UNLIT, (count, 1))]
-    if own is None:
-        own = lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
     hair = None
     if item.worn is not None and item.worn.layers:
         settings = item.worn.settings[0]

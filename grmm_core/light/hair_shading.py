@@ -1,8 +1,9 @@
 """Hair in light: Kajiya and Kay's strands (1989), shaded by where on the head they are.
 
 A strand lights up where it lies across the light; a mass of them is bright on the lamp's side and dark on the other. Highlights
-stand where the strand mirrors the lamp, wide along the head and narrow along the strand. What hair keeps off the skin is that
-of a cloud on a grid of cells. What head and things keep off hair is known on a coarser grid (`LightGrid`), whatever the camera.
+stand where the strand mirrors the lamp, wide along the head and narrow along the strand; those from inside the strand have its
+color. What hair keeps off skin and hair is that of a cloud on a grid of cells. What head, hair and things keep off hair is
+known on a coarser grid (`LightGrid`), whatever the camera.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from .shadows import compiled_kernels
 from .surroundings import BANDS, basis
 
 _WANDER = 0.35  # how far light reaches around a mass of hair
-_LOBES = ((120.0, 0.030), (18.0, 0.012))  # exponent and strength: reflected at the surface, and from inside
+_LOBES = ((120.0, 0.030), (18.0, 1.0))  # exponent and strength: reflected at the surface, and, in the hair's color, from inside
+_MASS = 0.6  # of the extinction that keeps light off skin: strands throw it on to each other
 _THROUGH = 0.5  # of the light of a lamp behind: what comes through the rim
 
 CELL = 0.006  # metres
@@ -60,6 +62,11 @@ class HairCloud(NamedTuple):
         grid = self.extinction, self.low.astype(np.float32), CELL, int(REACH / CELL), lamp_rows((lamp,), self.low)
         for_rows(kernels.march, len(seen), *grid, np.ascontiguousarray(points, np.float32), seen)
         return seen
+
+    def between(self, lamp: Lamp, points: np.ndarray) -> np.ndarray:
+        """Share of a lamp's light that comes through to hair at points [N, 3], 0..1, [N] float32."""
+        result: np.ndarray = self.through(lamp, points) ** _MASS
+        return result
 
     def through_plain(self, lamp: Lamp, points: np.ndarray) -> np.ndarray:
         """The readable twin of `through`."""
@@ -190,12 +197,12 @@ def strand_transport(
         across = np.sqrt(np.clip(1.0 - (tangents * towards).sum(1) ** 2, 0.0, 1.0))
         facing = np.clip(((outward * towards).sum(1) + _WANDER) / (1.0 + _WANDER), 0.0, 1.0)
         behind = _THROUGH * rim * np.clip(-(view * towards).sum(1), 0.0, 1.0)
-        amount = (across * (facing * part + behind) * strength * response.intensity)[:, None]
-        diffuse.append(np.broadcast_to(amount, (len(points), 3)))
         half = towards + view
         half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         mirrored = np.clip(1.0 - (tangents * half).sum(1) ** 2, 0.0, 1.0)
-        shine = sum(weight * mirrored ** (0.5 * power) for power, weight in _LOBES)
+        shine, colored = (weight * mirrored ** (0.5 * power) for power, weight in _LOBES)
+        amount = ((across * (facing * part + behind) + colored * facing * part) * strength * response.intensity)[:, None]
+        diffuse.append(np.broadcast_to(amount, (len(points), 3)))
         highlights.append(shine * facing * part * strength * (response.gloss * response.intensity))
     count = len(points)
     return Transport(

@@ -38,13 +38,13 @@ _POWER, _RIM, _ALONG, _SUMS, _PARTS = 15 * _B, 16 * _B, 17 * _B, 18 * _B, 26 * _
 
 
 @compiled(inline="always", **OPTIONS)
-def _lobes(square: float, surface: float, inside: float) -> float:
-    """Both of `hair_shading.LOBES`, multiplied out, of the squared cosine between normal plane and half vector."""
+def _lobes(square: float, surface: float, inside: float) -> tuple[float, float]:
+    """Both of `hair_shading._LOBES`, multiplied out, of the squared cosine between normal plane and half vector."""
     two = square * square
     four = two * two
     eight = four * four
     sixteen = eight * eight
-    return surface * sixteen * sixteen * sixteen * eight * four + inside * eight * square
+    return surface * sixteen * sixteen * sixteen * eight * four, inside * eight * square
 
 
 @compiled(**OPTIONS)
@@ -157,13 +157,16 @@ def shade(
                 facing = min(max((facing + reach) * nearer, _0), _1)
                 strength = w[_POWER + j] * intensity
                 across, behind = math.sqrt(max(_1 - along * along, _0)) * strength, w[_RIM + j] * max(-opposite, _0)
-                whole = across * (facing + behind) * mean
+                whole, open_ = across * (facing + behind) * mean, facing
                 facing *= part
                 amount = across * (facing + behind)
                 # the half vector's length is that of two unit vectors' sum
                 lean = along + w[_ALONG + j]
                 square = min(max(_1 - lean * lean / max(_2 + _2 * opposite, np.float32(1e-6)), _0), _1)
-                shine = _lobes(square, surface, inside) * facing * strength * gloss
+                glint, colored = _lobes(square, surface, inside)
+                shine, more = glint * facing * strength * gloss, colored * strength
+                amount += more * facing
+                whole += more * open_ * mean
                 w[_SUMS + j] += amount * red
                 w[_SUMS + _B + j] += amount * green
                 w[_SUMS + 2 * _B + j] += amount * blue

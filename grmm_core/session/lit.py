@@ -197,9 +197,10 @@ class LitAvatar:
             if not lamp.shadow or not len(self._casters.faces):
                 return np.ones(count, np.float32), np.ones(grid.size, np.float32)
             if self._hair is not None and len(self._lighting.occluders):  # beside the head only these throw shadows
-                held = Receivers.around(self._places, self._places)
+                held = Receivers.around(grid.points, grid.points)
             maps = maps_of(lamp, held, self._casters, self._response.softness)
-            return np.full(count, -1.0, np.float32), maps.reaching(self._places).reshape(grid.size), *maps
+            reaching = maps.reaching(grid.points).reshape(grid.size) * self._between(lamp, grid, self._to_cloud)
+            return np.full(count, -1.0, np.float32), reaching, *maps
 
         mesh = (self._lod, () if self._hair is None else self._hair.key, *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)
@@ -218,18 +219,48 @@ class LitAvatar:
         key = (self._target.id, "through", self._hair.key, repr(there), *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, lambda: (cloud.through(there, self._rest().vertices),))[0]
 
+    def _between(self, lamp: Lamp, grid: LightGrid, to_cloud: np.ndarray) -> np.ndarray:
+        """What hair leaves of a lamp's light at places of a grid in axes from which `to_cloud` [4, 4] leads, [X, Y, Z].
+
+        Like `_through` it is found again while hair and head do not turn.
+        """
+        cloud = self._cloud
+        if cloud is None or not lamp.shadow:
+            return np.ones(grid.size, np.float32)
+        there = Lighting((lamp,)).in_space(to_cloud).lamps[0]
+
+        def make() -> tuple[np.ndarray]:
+            return (cloud.between(there, grid.points @ to_cloud[:3, :3].T + to_cloud[:3, 3]).reshape(grid.size),)
+
+        where = to_cloud.tobytes(), grid.low.tobytes(), grid.size
+        return self._evaluator.cache.get((self._target.id, "in hair", repr(there), *where, *self._hair_key), make)[0]
+
+    @property
+    def _hair_key(self) -> tuple[Hashable, ...]:
+        """What identifies `_cloud`."""
+        if self._hair is None:
+            return ()
+        person = self._inputs.mesh_key if self._hair.moves else (*self._inputs.identity_key, *self._inputs.shape_key)
+        return self._hair.key, self._hair.moves, *person
+
     def _rig_in_hair(self) -> Reaching:
         """Which part of the rig's lamps reaches hair on the head at rest, carried along by the head's turn."""
         rest, back = self._rest(), self._to_rest
         grid = LightGrid.around(rest.vertices.min(0) - _AROUND, rest.vertices.max(0) + _AROUND)
+        person = (*self._inputs.identity_key, *self._inputs.shape_key)
 
-        def make() -> tuple[np.ndarray]:
+        def bald() -> tuple[np.ndarray]:
             receivers = self._texels.receivers(rest.vertices, rest.normals)
             casters = self._casting(rest.vertices)
             parts = [maps_of(lamp, receivers, casters).reaching(grid.points).reshape(grid.size) for lamp in STUDIO.lamps]
             return (np.stack(parts, -1),)
 
-        key = (self._target.id, "rig in hair", *self._inputs.identity_key, *self._inputs.shape_key)
+        def make() -> tuple[np.ndarray]:
+            parts = self._evaluator.cache.get((self._target.id, "rig on bald", *person), bald)[0]
+            return (parts * np.stack([self._between(lamp, grid, onward) for lamp in STUDIO.lamps], -1),)
+
+        onward = self._to_cloud @ np.linalg.inv(back) if self._hair is not None and self._hair.moves else np.eye(4)
+        key = (self._target.id, "rig in hair", onward.tobytes(), *person, *self._hair_key)
         return Reaching(self._evaluator.cache.get(key, make)[0], grid.coordinates(back[:3, :3], back[:3, 3]))
 
     @functools.cached_property
@@ -278,14 +309,13 @@ class LitAvatar:
     def _cloud(self) -> HairCloud | None:
         if self._hair is None:
             return None
-        key, pieces, moves = self._hair
+        pieces = self._hair.pieces
 
         def make() -> tuple[np.ndarray, ...]:
             points, areas = pieces()
             return tuple(HairCloud.of(points, areas)) if len(points) else (np.zeros((0, 0, 0)), np.zeros(3))
 
-        place = self._inputs.mesh_key if moves else (*self._inputs.identity_key, *self._inputs.shape_key)
-        cloud = HairCloud(*self._evaluator.cache.get((self._target.id, "hair cloud", key, moves, *place), make))
+        cloud = HairCloud(*self._evaluator.cache.get((self._target.id, "hair cloud", *self._hair_key), make))
         return cloud if cloud.extinction.size else None
 
     @functools.cached_property
@@ -320,10 +350,6 @@ class LitAvatar:
             corners = (corners - self._to_cloud[:3, 3]) @ self._to_cloud[:3, :3]
             low, high = np.minimum(low, corners.min(0)), np.maximum(high, corners.max(0))
         return LightGrid.around(low, high)
-
-    @functools.cached_property
-    def _places(self) -> np.ndarray:
-        return self._grid.points
 
     @functools.cached_property
     def _casters(self) -> Casters:

@@ -23,8 +23,8 @@ EAR = 0.018  # metres: how far around a vertex of an ear its hull is the highest
 REACH = 0.015  # metres: see `body_kernels.heights_into`
 BURIED = 0.05  # metres: what is deeper is left, it is no strand on a head
 # of contact while hair swings: share of what it is inside the skin that a step pushes out, metres at most, and the share of
-# its speed that it keeps
-SOFT, MOST, SLIDE = 0.5, 0.002, 0.3
+# its speed that it keeps; what is deeper than the last, as where a face turns into hair, is pushed out to there at once
+SOFT, MOST, SLIDE, DEEP = 0.5, 0.002, 0.3, 0.003
 BUST = 0.075  # metres above the lowest vertex: an edge of the skin below that is the rim
 RAGGED, ABOVE = 0.010, 0.006  # metres: how far locks end apart at the rim, and how far above it on average
 SHORT, LONG = 0.03, 0.06  # metres: hair so short stays on the skin that it grows on and beside the ears; longer is pushed

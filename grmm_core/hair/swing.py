@@ -4,7 +4,8 @@ What swings are a few places along each strand. Each is drawn to where the groom
 that is the slower the farther from the root it is, as a pendulum of that length would be; gravity counts by how it has turned
 in the head's axes, so that a still upright head wears exactly its groom. Springs are integrated implicitly, so that no step is
 too large; segments keep their lengths from the root on (follow the leader: Mueller, Kim and Chentanez 2012); what would enter
-the head or the shoulders is pushed out. Each strand is on its own, so that threads and order change nothing. What comes out is
+the head or the shoulders is pushed out. After each frame strands go part of the way of those around them, as hair drags hair
+along; within it each is on its own, so that threads and order change nothing. What comes out is
 how far each place is from where it would follow the head: curls, cuts and settings of the strands ride on that.
 """
 
@@ -20,9 +21,10 @@ from ..errors import ConfigError, FileFormatError, ShapeError
 from ..files.access import atomic_write
 from ..files.npz import read_npz
 from ..head import HeadModel
-from .body import BURIED, MOST, SLIDE, SOFT, Body
+from .body import BURIED, DEEP, MOST, SLIDE, SOFT, Body
 from .groom import Groom
 from .roots import SCALP
+from .strands import nearest
 
 PLACES = 8  # along a strand that swing, the root among them
 STEPS = 4  # of a frame
@@ -36,6 +38,10 @@ SETTLE = 1.0  # seconds that a first frame is held before what follows
 SUNK = 0.003  # metres below the skin
 CLEARANCE = 0.001  # metres above the skin
 ROUNDS = 2  # of smoothing along a strand
+FARTHEST = 0.6  # of its distance along the strand from the root, how far a place may be from where the groom has it
+AROUND, TOGETHER = 12, 0.5  # strands around one, and how far it moves as these do in a frame: hair drags hair along
+OUT = 3  # rounds in which what is drawn is brought out of the head
+RISE, HIGHEST = 0.25, 0.008  # so much of how far a place has swung it is drawn higher above the skin, metres at most
 _VERSION = 1
 
 
@@ -93,6 +99,9 @@ class Swing:
         steps = np.linalg.norm(np.diff(still, axis=1), axis=2)
         self._lengths = steps.astype(np.float32)
         along = np.concatenate([np.zeros((len(steps), 1)), np.cumsum(steps, 1)], 1)
+        self._farthest = (FARTHEST * along).astype(np.float32)
+        tips = still[:, 0] + 0.5 * still[:, -1]  # strands are neighbours that grow and end beside each other
+        self._around = nearest(tips, tips, min(AROUND, len(tips)))[0] if len(tips) else np.zeros((0, 1), int)
         self._rates = (STIFF * np.sqrt(GRAVITY / np.maximum(along, SHORTEST))).astype(np.float32)
         sunk = np.logical_or.accumulate((self._clear < -SUNK).any(0), axis=1)  # what is inside the head stays where it is
         self._loose = ((along > SHORTEST) & ~sunk).astype(np.float32)
@@ -133,7 +142,7 @@ class Swing:
         obstacles = (Obstacle(self._bodies[0], turn, shift), Obstacle(self._bodies[1], about.T, -by @ about))
         dt = 1.0 / (STEPS * self.fps)
         drags = np.float32(2.0 * DAMPING) * self._rates
-        springs = self._rates, drags, self._loose, self._lengths, gravity
+        springs = self._rates, drags, self._loose, self._farthest, self._lengths, gravity
         if self.compiled:
             moved, numbers = (state.places, state.speeds, state.targets, targets), _numbers(obstacles)
             swing_into(*moved, *springs, count, np.float32(dt), self._clear, *numbers)
@@ -143,13 +152,21 @@ class Swing:
                 obstacles=obstacles,
             )  # fmt: skip
             state.places, state.speeds = (part.astype(np.float32) for part in found)
+        apart = TOGETHER * self._loose[..., None]  # what stays with the head stays
+        for part in (state.places, state.speeds):
+            own = part - targets if part is state.places else part
+            part += apart * (own[self._around].mean(1) - own)
         self._state = _State(state.places, state.speeds, targets, gravity)
         result = np.zeros((len(self.groom), PLACES, 3), np.float32)
         points = np.ascontiguousarray(targets + _unfolded(state.places - targets), np.float32)
-        if self.compiled:
-            raise_into(points, self._clear, *_numbers(obstacles))
-        else:
-            points[:, 1:] = _outside(points[:, 1:], np.ones_like(self._loose[:, 1:]), self._clear[:, :, 1:], obstacles)
+        # between places that touch a cheek a strand would cut through it
+        clear = self._clear + np.minimum(RISE * np.linalg.norm(points - targets, axis=2), HIGHEST).astype(np.float32)
+        for _ in range(OUT):
+            _shortened(points, self._lengths)
+            if self.compiled:
+                raise_into(points, clear, *_numbers(obstacles))
+            else:
+                points[:, 1:] = _outside(points[:, 1:], np.ones_like(self._loose[:, 1:]), clear[:, :, 1:], obstacles)
         result[self._rows] = (points - targets) @ about.astype(np.float32)
         return result
 
@@ -161,6 +178,14 @@ def _unfolded(offsets: np.ndarray) -> np.ndarray:
         middle = 0.5 * offsets[:, 1:-1] + 0.25 * (offsets[:, :-2] + offsets[:, 2:])
         offsets = np.concatenate([offsets[:, :1], middle, tip], 1)
     return offsets
+
+
+def _shortened(points: np.ndarray, lengths: np.ndarray) -> None:
+    """Draw strands [M, S, 3] in where segments are longer than `lengths` [M, S - 1], from the root on."""
+    for s in range(1, points.shape[1]):
+        step = points[:, s] - points[:, s - 1]
+        step *= np.minimum(1.0, lengths[:, s - 1] / np.maximum(np.linalg.norm(step, axis=1), 1e-9))[:, None]
+        points[:, s] = points[:, s - 1] + step
 
 
 def _numbers(obstacles: tuple[Obstacle, ...]) -> list[np.ndarray]:
@@ -181,8 +206,8 @@ def _rigid_motion(posed: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.n
 
 def swing_readable(
     places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, drags: np.ndarray,
-    loose: np.ndarray, lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray,
-    obstacles: Sequence[Obstacle],
+    loose: np.ndarray, farthest: np.ndarray, lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float,
+    clear: np.ndarray, obstacles: Sequence[Obstacle],
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """The readable twin of `swing_kernel.swing_into`, which says what the arguments are; returns places and speeds."""
     places, speeds = places.astype(float), speeds.astype(float)
@@ -193,7 +218,8 @@ def swing_readable(
         force = rates[..., None] ** 2 * (goals - places) + drag * own + gravity
         moved = (speeds + dt * force) / (1.0 + dt * (drag + dt * rates[..., None] ** 2))
         slide = np.ones(places.shape[:2])
-        new = goals + loose[..., None] * (places + dt * moved - goals)
+        lag = loose[..., None] * (places + dt * moved - goals)
+        new = goals + lag * np.minimum(1.0, farthest / np.maximum(np.linalg.norm(lag, axis=2), 1e-9))[..., None]
         for s in range(1, places.shape[1]):
             free = loose[:, s] > 0
             touched = np.zeros(len(new), bool)
@@ -215,7 +241,9 @@ def _outside(points: np.ndarray, loose: np.ndarray, clear: np.ndarray, obstacles
     for wanted, one in zip(clear, obstacles, strict=True):
         heights, up = one.body.heights((points @ one.turn.T + one.shift).reshape(-1, 3))
         heights = heights.reshape(loose.shape)
-        push = np.where((heights > -BURIED) & (loose > 0), np.clip(SOFT * (wanted - heights), 0.0, MOST), 0.0)
+        under = wanted - heights
+        push = np.maximum(np.clip(SOFT * under, 0.0, MOST), under - DEEP)
+        push = np.where((heights > -BURIED) & (loose > 0), push, 0.0)
         points = points + push[..., None] * (up @ one.turn).reshape(points.shape)
     return points
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from .body import BURIED, CELL, MOST, SLIDE, SOFT
+from .body import BURIED, CELL, DEEP, MOST, SLIDE, SOFT
 from .body_kernels import sampled
 
 _OPTIONS = {"boundscheck": False, "error_model": "numpy", "nogil": True}
@@ -27,9 +27,7 @@ def _raised(
     height, dx, dy, dz = sampled(field, u, v, w)
     if height >= wanted or height < -F(BURIED):
         return x, y, z
-    push = F(SOFT) * (wanted - height)
-    if push > F(MOST):
-        push = F(MOST)
+    push = max(min(F(SOFT) * (wanted - height), F(MOST)), wanted - height - F(DEEP))
     push /= math.sqrt(dx * dx + dy * dy + dz * dz) + F(1e-6)
     dx, dy, dz = dx * push, dy * push, dz * push
     x += motion[0, 0] * dx + motion[1, 0] * dy + motion[2, 0] * dz
@@ -41,7 +39,7 @@ def _raised(
 @compiled(**_OPTIONS)
 def swing_into(
     places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, drags: np.ndarray,
-    loose: np.ndarray, lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray,
+    loose: np.ndarray, farthest: np.ndarray, lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray,
     field0: np.ndarray, low0: np.ndarray, motion0: np.ndarray, field1: np.ndarray, low1: np.ndarray, motion1: np.ndarray,
 ) -> None:  # fmt: skip
     """Move strands by one frame.
@@ -54,6 +52,7 @@ def swing_into(
         rates: Of the springs, radians a second, [M, S].
         drags: Of what damps them, 1/s, [M, S].
         loose: 0 for places that stay with the head, [M, S].
+        farthest: From where the groom has it that a place may be, metres, [M, S].
         lengths: Of the segments, [M, S - 1].
         gravity: That is not in the groom, m/s^2, [3].
         count: Steps.
@@ -67,7 +66,7 @@ def swing_into(
         motion1: Likewise.
     """
     inverse = _ONE / dt
-    new = np.empty(3, np.float32)
+    new, goals = np.empty(3, np.float32), np.empty(3, np.float32)
     for m in range(len(places)):
         for step in range(count):
             share = F(step + 1) / F(count)
@@ -81,7 +80,10 @@ def swing_into(
                     force = rate * rate * (goal - places[m, s, c]) + drag * path * inverse / F(count) + gravity[c]
                     moved = places[m, s, c] + dt * (speeds[m, s, c] + dt * force) * scale
                     new[c] = goal + loose[m, s] * (moved - goal)
-                x, y, z = new[0], new[1], new[2]
+                    goals[c] = goal
+                x, y, z = new[0] - goals[0], new[1] - goals[1], new[2] - goals[2]
+                held = min(_ONE, farthest[m, s] / max(math.sqrt(x * x + y * y + z * z), F(1e-9)))
+                x, y, z = goals[0] + held * x, goals[1] + held * y, goals[2] + held * z
                 slide = _ONE
                 if s > 0 and loose[m, s] > _ZERO:
                     ax, ay, az = places[m, s - 1, 0], places[m, s - 1, 1], places[m, s - 1, 2]

@@ -17,6 +17,7 @@ from ...grmm_core.avatar import AssetReference, Hair
 from ...grmm_core.controls.frame import Controls
 from ...grmm_core.hair import SETTINGS, Groom, HairSettings, library_groom
 from ...grmm_core.hair.body import worn
+from ...grmm_core.hair.groom import join
 from ...grmm_core.hair.pigment import ABSORPTION, BLOND, GINGER, GINGER_ABSORPTION, ROOT_SHADE, WHITE, albedos
 from ...grmm_core.hair.prior import random_groom
 from ...grmm_core.hair.roots import SCALP
@@ -25,10 +26,10 @@ from ..rig.avatar import Avatar
 from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
 from .curve_sliders import MODIFIER_NAME as SLIDERS
-from .curve_sliders import add_sliders
+from .curve_sliders import PART, add_sliders
 from .display import AS_SPLATS
 from .grooms import NO_HAIR, OWN_HAIR, RANDOM_HAIR
-from .read import DEFORM_NODE, TINT, UV_COORDINATE, resting_vertices
+from .read import DEFORM_NODE, HELD, HELD_PREFIX, TINT, UV_COORDINATE, resting_vertices
 
 GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"
 _POINTS = 16  # of a curve that somebody will draw, about
@@ -38,22 +39,30 @@ _GLOSS = 0.35  # roughness of the material
 def worn_hair(avatar: Avatar) -> Hair | None:
     """Return the groom that an avatar wears where there are no curves, with the panel's settings; None for trained hair.
 
+    With brows and beard; lashes go with the lids, and curves do not.
+
     Raises:
         GrmmError: The avatar's file cannot be read.
     """
-    panel = avatar.object.grmm.hair
+    panel, own = avatar.object.grmm.hair, own_hair(avatar.source)
     settings = settings_of(panel)
-    if panel.groom == NO_HAIR:
-        return Hair(None, settings)
-    if panel.groom == RANDOM_HAIR:
-        return Hair(random_groom(str(panel.seed)), settings)
-    if panel.groom != OWN_HAIR:
-        return Hair(library_groom(panel.groom), settings)
-    own = own_hair(avatar.source)
-    if own is None or not own.scalp:
-        return None
-    scalp = None if own.groom is None else own.groom.select(own.groom.groups == SCALP)
-    return Hair(scalp, own.settings if settings == HairSettings() else settings)
+
+    def of_own(group: int) -> list[Groom]:
+        return [] if own is None or own.groom is None else [own.groom.select(own.groom.groups == group)]
+
+    grooms = []
+    if panel.groom == OWN_HAIR:
+        if own is None or not own.scalp:
+            return None
+        grooms, settings = of_own(SCALP), own.settings if settings == HairSettings() else settings
+    elif panel.groom != NO_HAIR:
+        grooms = [random_groom(str(panel.seed)) if panel.groom == RANDOM_HAIR else library_groom(panel.groom)]
+    for part, group in HELD.items():
+        name = getattr(panel, part)
+        if name != NO_HAIR:
+            grooms += of_own(group) if name == OWN_HAIR else [library_groom(name, part=part)]
+    grooms = [groom for groom in grooms if len(groom)]
+    return Hair(join(grooms) if grooms else None, settings)
 
 
 def settings_of(panel: bpy.types.PropertyGroup) -> HairSettings:
@@ -101,6 +110,8 @@ def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | No
     data.surface, data.surface_uv_map = head, _uv_map(head)
     if drawn is not None:
         _fill(data, head, drawn)
+        for part in HELD:
+            data[f"{HELD_PREFIX}{part}"] = getattr(head.grmm.hair, part)
     data.materials.append(_material(data.name, head, settings or HairSettings()))
     obj = bpy.data.objects.new(data.name, data)
     for collection in head.users_collection:
@@ -143,6 +154,7 @@ def _fill(data: bpy.types.Curves, head: bpy.types.Object, groom: Groom) -> None:
         (UV_COORDINATE, "FLOAT2", "CURVE", "vector", places),
         ("radius", "FLOAT", "POINT", "value", radii.astype(np.float32)),
     ]
+    rows.append((PART, "INT", "CURVE", "value", groom.groups.astype(np.int32) + 1))
     tints = groom.point_tints
     if tints is not None:
         rows.append((TINT, "FLOAT_VECTOR", "POINT", "vector", tints))

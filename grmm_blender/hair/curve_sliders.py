@@ -10,9 +10,11 @@ import math
 
 import bpy
 
+from ...grmm_core.hair.roots import SCALP
 from ...grmm_core.hair.strands import CURL, FRIZZ
 from ...grmm_core.session import HEAD_TO_BLENDER
 
+PART = "grmm_part"  # of a curve, an attribute: one more than its number in `roots.GROUPS`, or else its root says what it is
 MODIFIER_NAME = "GRMM Hair Sliders"
 NEUTRAL = {"length": 1.0, "curl": 0.0, "frizz": 0.0}  # of the sliders that move points
 _OTHERS = ("thickness", "density")
@@ -76,8 +78,11 @@ def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int) -> N
     position, curve = nodes.new("GeometryNodeInputPosition").outputs[0], nodes.new("GeometryNodeCurveOfPoint").outputs[0]
     along = nodes.new("GeometryNodeSplineParameter").outputs["Factor"]
     geometry = nodes.new("NodeGroupInput").outputs[0]
+    part = nodes.new("GeometryNodeInputNamedAttribute", {"Name": PART}, data_type="FLOAT").outputs[0]
+    scalp = nodes.math("LESS_THAN", part, SCALP + 1.5)  # brows and beards keep their shape; 0 is hair that somebody drew
 
     def placed(selection: Value, **where: Value) -> bpy.types.NodeSocket:
+        selection = nodes.math("MULTIPLY", selection, scalp)
         given = {"Geometry": geometry, "Selection": selection, **{name.capitalize(): value for name, value in where.items()}}
         return nodes.new("GeometryNodeSetPosition", given).outputs[0]  # type: ignore[arg-type]
 
@@ -132,7 +137,9 @@ def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int) -> N
     geometry = placed(some, offset=moved)
     # thickness and density
     there = nodes.math("LESS_THAN", nodes.chance(curve, 6), nodes.math("MULTIPLY", density, 1.0 + _EPSILON))
-    radius = nodes.math("MULTIPLY", nodes.new("GeometryNodeInputRadius").outputs[0], nodes.math("MULTIPLY", thickness, there))
+    times = nodes.math("SUBTRACT", nodes.math("MULTIPLY", thickness, there), 1.0)
+    times = nodes.math("ADD", nodes.math("MULTIPLY", times, scalp), 1.0)
+    radius = nodes.math("MULTIPLY", nodes.new("GeometryNodeInputRadius").outputs[0], times)
     thick = nodes.new("GeometryNodeSetCurveRadius", {"Curve": geometry, "Radius": radius}).outputs[0]
     tree.links.new(thick, nodes.new("NodeGroupOutput").inputs[0])
     obj.modifiers.new(MODIFIER_NAME, "NODES").node_group = tree

@@ -20,15 +20,17 @@ from ...grmm_core.avatar import AssetReference
 from ...grmm_core.errors import GrmmError, ShapeError
 from ...grmm_core.hair import Groom, groom_from_curves
 from ...grmm_core.hair.groom import MAX_POINTS
-from ...grmm_core.hair.roots import RootFrames
+from ...grmm_core.hair.roots import BEARD, BROWS, GROUPS, RootFrames
 from ...grmm_core.session import HEAD_TO_BLENDER
 from ..rig.identity import load_head
-from .curve_sliders import MODIFIER_NAME, follows_sliders, keeps_course
+from .curve_sliders import MODIFIER_NAME, PART, follows_sliders, keeps_course
 from .strands import StrandShot
 
 DEFORM_NODE = "GeometryNodeDeformCurvesOnSurface"
 UV_COORDINATE = "surface_uv_coordinate"  # Blender's name for the place of a root
 TINT = "grmm_tint"  # what is added to a point's color, see `Groom.tints`; may be below 0, and so is no color of Blender's
+HELD = {GROUPS[group]: group for group in (BROWS, BEARD)}  # parts that curves have besides the scalp's hair
+HELD_PREFIX = "grmm_"  # before their names: the panel's choice that curves were made from
 SAME_REST = 0.003  # metres
 _TO_HEAD = np.linalg.inv(HEAD_TO_BLENDER)
 
@@ -42,11 +44,13 @@ class _Curves:
     uv: np.ndarray | None
     radii: np.ndarray | None
     tints: np.ndarray | None
+    parts: np.ndarray | None
 
     def matches(self, other: _Curves) -> bool:
         """Whether these are the same curves, wherever their points are."""
-        pairs = (self.offsets, other.offsets), (self.uv, other.uv), (self.radii, other.radii), (self.tints, other.tints)
-        return all(one is two or np.array_equal(one, two) for one, two in pairs)  # type: ignore[arg-type]
+        names = "offsets", "uv", "radii", "tints", "parts"
+        pairs = ((getattr(self, name), getattr(other, name)) for name in names)
+        return all(one is two or np.array_equal(one, two) for one, two in pairs)
 
 
 @dataclass(eq=False)
@@ -200,13 +204,16 @@ def _of_frame(
 
 def _groom(head: bpy.types.Object, curves: _Curves, vertices: np.ndarray) -> Groom:
     model = load_head(AssetReference(head.grmm.head_name))
-    return groom_from_curves(model, vertices, curves.points, curves.offsets, curves.uv, curves.radii, tints=curves.tints)
+    groups = None if curves.parts is None else curves.parts.astype(int) - 1
+    return groom_from_curves(
+        model, vertices, curves.points, curves.offsets, curves.uv, curves.radii, groups, curves.tints
+    )  # fmt: skip
 
 
 def _shot(number: int, groom: Groom) -> StrandShot:
     digest = hashlib.blake2b(digest_size=12)
     own = () if groom.tints is None else (groom.tints,)
-    for array in (groom.triangles, groom.weights, groom.offsets, groom.points, groom.widths, *own):
+    for array in (groom.triangles, groom.weights, groom.offsets, groom.points, groom.widths, groom.groups, *own):
         digest.update(np.ascontiguousarray(array).tobytes())
     return StrandShot(f"curves {number}", digest.hexdigest(), groom)
 
@@ -223,17 +230,18 @@ def _curves_of(data: bpy.types.Curves, source: _Curves | None) -> _Curves:
     if not np.isfinite(points).all():
         raise ShapeError("The curves have values that are not finite; undo what made them, or delete these hairs.")
     uv = _attribute(data, UV_COORDINATE, "FLOAT2", count, "vector", 2)
-    if uv is None and source is not None and len(source.offsets) == count + 1:
-        uv = source.uv
+    parts = _attribute(data, PART, "INT", count, "value", 1)
+    if source is not None and len(source.offsets) == count + 1:
+        uv, parts = source.uv if uv is None else uv, source.parts if parts is None else parts
     radii = _attribute(data, "radius", "FLOAT", total, "value", 1)
-    return _Curves(points, offsets, uv, radii, _attribute(data, TINT, "FLOAT_VECTOR", total, "vector", 3))
+    return _Curves(points, offsets, uv, radii, _attribute(data, TINT, "FLOAT_VECTOR", total, "vector", 3), parts)
 
 
 def _attribute(data: bpy.types.Curves, name: str, kind: str, count: int, field_name: str, size: int) -> np.ndarray | None:
     found = data.attributes.get(name)
     if found is None or found.data_type != kind or len(found.data) != count:
         return None
-    values = np.empty(count * size, np.float32)
+    values = np.empty(count * size, np.int32 if kind == "INT" else np.float32)
     found.data.foreach_get(field_name, values)
     return values.reshape(count, size) if size > 1 else values
 

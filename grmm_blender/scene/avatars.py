@@ -20,6 +20,7 @@ from ...grmm_core.session.wearing import GROOM_PREFIX, RANDOM_PREFIX
 from ..hair import StrandShot, read_strands
 from ..hair.curve_sliders import NEUTRAL
 from ..hair.grooms import NO_HAIR, OWN_HAIR, PARTS, RANDOM_HAIR
+from ..hair.read import HELD, HELD_PREFIX
 from ..hair.swing import swung
 from ..properties import PHOTO_LIGHT, SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
@@ -117,6 +118,13 @@ class DrawnAvatar:
         if groom == RANDOM_HAIR:
             groom = f"{RANDOM_PREFIX}{settings.seed}"
         parts, values = (tuple(getattr(settings, name) for name in names) for names in (PARTS, [row.name for row in SETTINGS]))
+        if strands is not None:
+            held, data = set(strands.groom.groups.tolist()), settings.curves.data
+            given = {part: data.get(f"{HELD_PREFIX}{part}") for part in HELD}  # what they were made from, unless chosen anew
+            parts = tuple(
+                name if part not in HELD or given[part] != name else OWN_HAIR if HELD[part] in held else NO_HAIR
+                for part, name in zip(PARTS, parts, strict=True)
+            )
         if strands is not None and strands.shaped:
             values = tuple(NEUTRAL.get(row.name, value) for row, value in zip(SETTINGS, values, strict=True))
         use = _hair_use(groom, parts, values)

@@ -7,18 +7,20 @@ import numpy as np
 from ..errors import ShapeError
 from ..head import HeadModel
 from .groom import MAX_POINTS, Groom, bind
-from .roots import SCALP
+from .roots import BEARD, BROWS, GROUPS, SCALP
 
 OFF_SURFACE = 0.03  # metres between a curve's first point and its place on the head: more is another head
 _CELLS = 96  # of the UV map along a side, in which triangles are looked up
 _OUTSIDE = -0.05  # barycentric coordinate below which a place is beside the map
 _LOST = 0.02  # share of curves beside the map that is forgiven
 WIDTH = 1.2e-4  # metres, where a host has no radii
+BROW = 0.015  # metres from the region of the brows, of the mean head: roots so near are of brows
+CHIN, FRONT = 0.010, 0.0  # metres, head space: roots below the first and before the second are of a beard
 
 
 def groom_from_curves(
     head: HeadModel, vertices: np.ndarray, points: np.ndarray, offsets: np.ndarray, surface_uv: np.ndarray | None,
-    radii: np.ndarray | None = None, group: int = SCALP, tints: np.ndarray | None = None,
+    radii: np.ndarray | None = None, groups: np.ndarray | None = None, tints: np.ndarray | None = None,
 ) -> Groom:  # fmt: skip
     """Bind curves to a head.
 
@@ -29,7 +31,7 @@ def groom_from_curves(
         offsets: First row of each curve in `points`, and the number of points, [N + 1].
         surface_uv: Place of each root on the UV map, [N, 2].
         radii: Half the diameter at each point, metres, [P], or None.
-        group: One of `roots.GROUPS` by number.
+        groups: Of `roots.GROUPS` by number, [N]; other numbers, or None: by where the roots are.
         tints: Own colors at each point, see `Groom.tints`, [P, 3], or None.
 
     Raises:
@@ -62,13 +64,35 @@ def groom_from_curves(
         if len(radii) != len(points) or not np.isfinite(radii).all():
             raise ShapeError("The curves' radii must be one finite number for each point.")
         widths = 2.0 * np.stack([radii[offsets[:-1]], radii[offsets[1:] - 1]], 1)
+    parts = groups_at(head, triangles, weights)
+    if groups is not None and len(groups) == count:
+        parts = np.where((groups >= 0) & (groups < len(GROUPS)), groups, parts)
     groom = bind(
         np.asarray(head.v_template, float), np.asarray(head.faces), np.asarray(vertices, float), triangles, weights,
-        points.astype(float), offsets, widths.clip(1e-6, 0.01), np.full(count, group),
+        points.astype(float), offsets, widths.clip(1e-6, 0.01), parts,
     )  # fmt: skip
     if tints is not None and tints.any() and np.isfinite(tints).all():
         groom = groom.tinted(tints.clip(-1.0, 1.0))
     return groom if keep.all() else groom.select(keep)
+
+
+def groups_at(head: HeadModel, triangles: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Of which part hairs are that stand in triangles [N] at barycentric coordinates [N, 3]: numbers in `roots.GROUPS`, [N].
+
+    All roots of the package's grooms lie on their part's side. Heads whose brows are not known have scalp hair alone.
+    """
+    groups = np.full(len(triangles), SCALP)
+    if "brows" not in head.regions:
+        return groups
+    mean = np.asarray(head.v_template, float)
+    places = (mean[np.asarray(head.faces)[triangles]] * weights[..., None]).sum(1)
+    groups[(places[:, 1] < CHIN) & (places[:, 2] > FRONT)] = BEARD
+    brows = mean[np.asarray(head.regions["brows"])]
+    low, high = brows.min(0) - BROW, brows.max(0) + BROW
+    around = np.flatnonzero(((places > low) & (places < high)).all(1))
+    far = np.linalg.norm(places[around, None] - brows, axis=2).min(1) if len(around) else np.zeros(0)
+    groups[around[far < BROW]] = BROWS
+    return groups
 
 
 def find_on_map(uv: np.ndarray, uv_faces: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -10,9 +10,11 @@ import pytest
 
 from grmm_core.errors import ControlError, ShapeError
 from grmm_core.hair import SETTINGS, Groom, HairSettings, groom_from_curves, groom_names, library_groom
+from grmm_core.hair.attach import groups_at
 from grmm_core.hair.compact import MAX_BYTES, compact, restored
 from grmm_core.hair.groom import MAX_POINTS, TINTS
 from grmm_core.hair.pigment import albedos
+from grmm_core.hair.roots import GROUPS
 from grmm_core.hair.strands import blocks_of
 from grmm_core.head.open_head import load_open_head
 
@@ -48,6 +50,20 @@ def test_own_colors_of_strands_go_through_the_points_of_curves(head, curves):
     made = groom_from_curves(head, head.v_template, points, offsets, uv, tints=tinted.point_tints)
     np.testing.assert_allclose(made.tints, tinted.tints, atol=1e-5)
     assert groom_from_curves(head, head.v_template, points, offsets, uv, tints=0.0 * tinted.point_tints).tints is None
+
+
+@pytest.mark.parametrize("part", GROUPS[:3])
+def test_roots_tell_brows_and_beard_from_scalp_hair_unless_a_curve_says_what_it_is(head, part):
+    for name in groom_names(part):
+        groom = library_groom(name, part=part).level(0.1)
+        assert (groups_at(head, groom.triangles, groom.weights) == GROUPS.index(part)).all(), name
+    points = groom.posed(groom.frames(head.v_template, head.faces), np.asarray(head.v_template, float))
+    uv = (np.asarray(head.uv, float)[np.asarray(head.uv_faces)[groom.triangles]] * groom.weights[..., None]).sum(1)
+    said = np.full(len(groom), -1)
+    said[0] = 2 - GROUPS.index(part)
+    made = groom_from_curves(head, head.v_template, points, groom.offsets, uv, groups=said)
+    assert made.groups[0] == said[0]
+    assert (made.groups[1:] == GROUPS.index(part)).mean() > 0.99
 
 
 def test_wrong_curves_get_one_sentence(head, curves):

@@ -1,0 +1,76 @@
+"""Brows and beard as Blender's curves: hair_parts.py WEIGHTS FOLDER. Reports what the test judges."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+from render_support import heads, load_png, new_scene, render
+from support import module, report
+
+weights, folder = sys.argv[1], Path(sys.argv[2])
+scene = new_scene(weights)
+head = heads(scene)[0]
+hair = head.grmm.hair
+avatars, roots = module("grmm_blender.scene.avatars"), module("grmm_core.hair.roots")
+
+
+def worn():
+    """The avatar as the scene shows it now."""
+    bpy.context.view_layer.update()
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    avatar = avatars.avatars_in(scene)[0]
+    return avatars.DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph)
+
+
+def picture(name: str) -> np.ndarray:
+    return load_png(render(folder / f"{name}.png"))
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Mean difference of two pictures, of 255."""
+    return float(np.abs(one - other).mean())
+
+
+def counts(strands) -> list[int]:
+    """Strands of each part."""
+    return np.bincount(strands.groom.groups, minlength=len(roots.GROUPS)).tolist()
+
+
+def lengths(strands) -> list[float]:
+    """Mean length of each part's strands as Blender evaluates them."""
+    steps = np.linalg.norm(np.diff(strands.points, axis=0), axis=1)
+    steps[strands.groom.offsets[1:-1] - 1] = 0.0
+    every = np.add.reduceat(np.append(steps, 0.0), strands.groom.offsets[:-1])
+    return [float(every[strands.groom.groups == group].mean()) for group in (roots.SCALP, roots.BROWS, roots.BEARD)]
+
+
+hair.groom, hair.brows, hair.beard, hair.melanin = "crop", "bushy", "goatee", 0.4
+library = module("grmm_core.hair").library_groom
+report(grooms=[len(library("crop")), len(library("bushy", part="brows")), len(library("goatee", part="beard"))])
+plain = picture("plain")
+bpy.ops.grmm.hair_as_curves(sculpt=False)
+curves, data = hair.curves, hair.curves.data
+strands, shown = worn(), picture("curves")
+report(same=apart(shown, plain), counts=counts(strands.strands), use=[strands.hair.brows, strands.hair.beard])
+before = lengths(strands.strands)
+hair.length = 0.5
+report(lengths=np.divide(lengths(worn().strands), before).tolist())
+hair.length = 1.0
+
+# Back into a file, and what the panel says anew counts instead.
+file = folder / "parts.grmm"
+bpy.ops.grmm.save_avatar(filepath=str(file))
+saved = module("grmm_core.avatar").load_avatar(file).hair.groom
+report(saved=np.bincount(saved.groups, minlength=3)[:3].tolist())
+hair.beard = "NONE"
+report(shaved=apart(picture("shaved"), shown), shaved_use=worn().hair.beard)
+hair.beard = "goatee"
+
+# Hairs that somebody drew have no part: their roots tell.
+data.attributes.remove(data.attributes["grmm_part"])
+report(told=counts(worn().strands))
+data.remove_curves(indices=np.flatnonzero(worn().strands.groom.groups == roots.BEARD).tolist())
+report(cut=counts(worn().strands), cut_use=worn().hair.beard)

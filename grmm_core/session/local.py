@@ -88,9 +88,10 @@ class LocalSession:
         self._lock = threading.RLock()  # of a call
         self._keeping = threading.RLock()  # of evaluator and wardrobe, which `begin` uses beside a call
         self._stage = threading.Condition()
-        self._drawing = False  # a picture is drawn, whose Gaussians are made: there is time for the next one's
+        self._drawing = False  # a picture is drawn or done, whose Gaussians are made: there is time for the next one's
         self._asked = ""  # name of the last picture that was begun with, or is too late for it
-        self._begun: Gathered | None = None  # what was made of it
+        self._begun: tuple[Gathered, Camera, RenderOptions] | None = None  # what was made of it
+        self._drawn: tuple[str, dict[str, np.ndarray]] | None = None  # the picture of that name, before it is asked for
         self._closed = False
         self.engine = engine
         self.evaluator = Evaluator(engine, cache_bytes)
@@ -203,17 +204,35 @@ class LocalSession:
         """See `Session.render`; `begun` names what `begin` was given, if it was."""
         check_render_size(camera)
         with self._calling():
+            drawn, self._drawn = self._drawn, None
+            done = drawn is not None and drawn[0] == begun
+            self._set_drawing(done)
+            if drawn is not None and done:
+                return drawn[1]
             with self._keeping:
-                gathered = self._begun if begun and self._asked == begun else None
+                ready = self._begun if begun and self._asked == begun else None
                 if begun:
                     self._asked, self._begun = begun, None
-                if gathered is None:
-                    gathered = self._gathered(instances, camera, options, should_cancel)
-            self._set_drawing(True)
-            try:
-                return draw(gathered, self.evaluator, camera, options, should_cancel)
-            finally:
-                self._set_drawing(False)
+                gathered = ready[0] if ready else self._gathered(instances, camera, options, should_cancel)
+            return self._draw(gathered, camera, options, should_cancel)
+
+    def draw_ahead(self) -> None:
+        """Draw what `begin` has made ready, if it has, for `render` to hand out: while its caller is busy with the last one."""
+        with self._calling():
+            with self._keeping:
+                ready, self._begun = self._begun, None
+                name = self._asked
+            if ready is not None:
+                self._drawn = name, self._draw(*ready)
+
+    def _draw(
+        self, gathered: Gathered, camera: Camera, options: RenderOptions, should_cancel: CancelCheck | None = None
+    ) -> dict[str, np.ndarray]:
+        self._set_drawing(True)
+        try:
+            return draw(gathered, self.evaluator, camera, options, should_cancel)
+        finally:
+            self._set_drawing(False)
 
     def prepare(self, instances: Sequence[Instance], camera: Camera, options: RenderOptions) -> None:
         """See `Session.prepare`."""
@@ -234,7 +253,7 @@ class LocalSession:
             self._stage.wait_for(lambda: self._drawing or self._asked == name, _PATIENCE)
         with self._keeping, self.engine.calling():
             if not self._closed and self._asked != name:
-                self._asked, self._begun = name, self._gathered(instances, camera, options)
+                self._asked, self._begun = name, (self._gathered(instances, camera, options), camera, options)
 
     def _set_drawing(self, value: bool) -> None:
         with self._stage:

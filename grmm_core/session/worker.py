@@ -49,6 +49,11 @@ class _Requests:
         """Wait for the next call."""
         return self._queue.get()
 
+    @property
+    def idle(self) -> bool:
+        """Whether no call waits."""
+        return self._queue.empty()
+
     def is_cancelled(self, request: int) -> bool:
         """Whether the parent wants the call `request` to end."""
         return self._cancelled == request
@@ -95,11 +100,23 @@ def main() -> None:
             send(replies, reply, arena)
         except SessionError as error:  # no shared memory for this result
             send(replies, {"id": message["id"], "error": _describe(error)}, arena)
+        if message["call"] == "render" and failure is None and requests.idle:
+            _draw_ahead(session)
         if message["call"] == "render" and pictures < _SETTLED:
             # Libraries and models stay. Looking through all of them for garbage would cost a frame of playback now and then.
             pictures += 1
             gc.collect()
             gc.freeze()
+
+
+def _draw_ahead(session: Any) -> None:
+    """Draw the picture that `_begin` has begun with while the parent is busy with the last one."""
+    try:
+        session.draw_ahead()
+    except (GrmmError, MemoryError) as error:
+        _log.debug("The next picture could not be drawn: %s", error)  # the call itself meets the same error
+    except Exception:  # noqa: BLE001 - the call itself meets it too, and answers with it
+        traceback.print_exc()
 
 
 def _begin(session: Any, announced: queue.SimpleQueue[dict[str, Any]]) -> None:

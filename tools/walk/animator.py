@@ -101,7 +101,7 @@ def recordings(blender: WalkedBlender) -> None:
         blender.run(_CHOOSE.format(folder=blender.inner(blender.shared), name=name))
         blender.move(*MIDDLE)
         blender.key("Return")
-        blender.picture(f"import_{name.partition('.')[2]}", 4, settled=False)
+        blender.picture(f"import_{name.partition('.')[2]}", 8, settled=False)
         blender.key("Escape")
     action = blender.run(HEAD + "result = head.animation_data.action.name")
     if not action.startswith(table.stem):

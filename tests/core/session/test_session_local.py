@@ -203,3 +203,25 @@ def test_a_picture_that_was_begun_beside_another_is_not_begun_again(local, monke
     assert made == [frames[1], frames[0]]
     for picture, same in zip(pictures, expected, strict=True):
         np.testing.assert_array_equal(picture, same)
+
+
+def test_a_picture_that_was_drawn_ahead_is_handed_out_once(local, monkeypatch):
+    from grmm_core.session import local as module
+
+    info = local.open("default")
+    frames = [[Instance(info.id, Controls().set_named({"jawOpen": value}))] for value in (0.2, 0.7)]
+    expected = [local.render(frame, CAMERA)["rgb"] for frame in frames]
+    drawn, draw = [], module.draw
+    monkeypatch.setattr(module, "draw", lambda gathered, *rest: drawn.append(gathered) or draw(gathered, *rest))
+    local.draw_ahead()  # nothing is begun
+    for ahead in (0, 1):
+        local._set_drawing(True)
+        local.begin(str(ahead), frames[ahead], CAMERA, RenderOptions())
+        local.draw_ahead()
+        assert len(drawn) == ahead + 1
+        picture = local.render(frames[ahead], CAMERA, begun=str(ahead))["rgb"]
+        np.testing.assert_array_equal(picture, expected[ahead])
+        assert len(drawn) == ahead + 1
+    other = local.render(frames[0], CAMERA, begun="1")["rgb"]  # a second time it is what is asked for that counts
+    np.testing.assert_array_equal(other, expected[0])
+    assert len(drawn) == 3

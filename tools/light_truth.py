@@ -1,6 +1,6 @@
-"""Hold relighting against Cycles: `python -m tools.light_truth DATA [--sheet FILE]`.
+"""Hold relighting against Cycles: `python -m tools.light_truth DATA... [--sheet FILE]`.
 
-DATA is a capture with more lights: `grmm capture DATA --lights all --bare rest --layers ...`. Each view's picture in the even
+DATA are captures with more lights: `grmm capture DATA --lights all --bare rest --layers ...`. Each view's picture in the even
 rig is relit for each of its other lights, as avatars are: irradiance and highlights at the texels of the exact mesh, splatted,
 applied in linear light. So the figures are those of the light alone, not of a model's colors. Colors of avatars stand for the
 rig on the head at rest, and so it is taken off here; `--posed` takes it off as it lit the very picture. PSNR in dB, inside the
@@ -44,6 +44,7 @@ from grmm_studio.lights import SETUPS, Light
 
 GRID = 256
 COLUMNS, SHOWN = 6, 160  # of the sheet, and pixels of its pictures
+FEW = 1000  # pixels of a region: a view from behind says nothing of the face
 
 
 @dataclass(frozen=True)
@@ -143,16 +144,19 @@ def lighting_of(light: Light) -> Lighting:
     return Lighting(lamps, Surroundings.of_directions(directions, radiance, solid))
 
 
-def measure(data: CaptureDataset, sheet: Path | None, posed: bool = False) -> dict[str, Any]:
+def measure(every: list[CaptureDataset], sheet: Path | None, posed: bool = False) -> dict[str, Any]:
     """Figures of all views; writes a sheet of the first bare one: truth, relit and unlit below each other."""
-    relighter, kept = Relighter(data, posed), defaultdict(list)
-    for shot, view in data.views():
+    kept = defaultdict(list)
+    relighters = [Relighter(data, posed) for data in every]
+    for relighter, (shot, view) in ((one, item) for one, data in zip(relighters, every, strict=True) for item in data.views()):
         for kind, each in {"bare": view.bare, "hair": view if view.image != (view.bare or view).image else None}.items():
             if each is None:
                 continue
             results = relighter.results(shot, each)
             for name, (relit, truth, flat, pixels) in results.items():
                 for region, where in pixels.items():
+                    if where.sum() < FEW:
+                        continue
                     for what, image in (("relit", relit), ("unlit", flat)):
                         kept[kind, region, what, name].append(float(-10 * np.log10(((image - truth)[where] ** 2).mean())))
             print(shot.subject, shot.number, kind, flush=True)
@@ -182,11 +186,11 @@ def _sheet(columns: list[tuple[np.ndarray, ...]]) -> np.ndarray:
 def main() -> int:
     """Measure and print JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("data", type=Path)
+    parser.add_argument("data", type=Path, nargs="+")
     parser.add_argument("--sheet", type=Path, help="PNG of the first view in all lights: Cycles, relit, and not relit")
     parser.add_argument("--posed", action="store_true", help="take the rig off as it lit the picture, not as a head at rest")
     args = parser.parse_args()
-    json.dump(measure(CaptureDataset(args.data), args.sheet, args.posed), sys.stdout, indent=1)
+    json.dump(measure([CaptureDataset(each) for each in args.data], args.sheet, args.posed), sys.stdout, indent=1)
     return 0
 
 

@@ -44,6 +44,7 @@ SURE_PIXELS = 0.4  # that a place of a strand shows in at which it is half belie
 FEW_PIXELS = 0.15  # likewise from where on it takes whole steps
 RANGE = (0.02, 0.98)  # quantiles of the photos' hair that colors keep to, in each channel
 FULL = (0.6, 0.9)  # of a pixel: with less hair it does not count, with more wholly; outlines have the background's colors
+RIM = 2  # pixels at the outline of hair that show what is behind as well: their colors would be drawn as a bright line
 OTHERS = 0.5  # share of what a place shows in that must be hair; what hangs before the face or the background is not believed
 GUESS = 0.12  # that is added at most to a color that no photo shows
 # of strands that are cut: pixels that a place must show in, hair in these below which it is wrong and above which right, the
@@ -97,7 +98,7 @@ def textured(
         return avatar
     own = np.isin(hair.groom.groups, (SCALP, BROWS))
     groom = dataclasses.replace(hair.groom.select(own), tints=None)
-    onto = [Onto(photo, len(groom)) for photo in _photos(model, avatar, hair, groom, tracks, parts)]
+    onto = [Onto(photo, len(groom)) for photo in _photos(model, avatar, hair, groom, tracks, parts, RIM)]
     tints, known = reconstructed(onto, len(groom))
     colored = dataclasses.replace(groom, tints=spread(places_of(groom, model.head_model), tints, known))
     return _joined(avatar, hair, colored, hair.groom.select(~own))
@@ -108,11 +109,12 @@ def _joined(avatar: Avatar, hair: Hair, some: Groom, others: Groom) -> Avatar:
 
 
 def _photos(
-    model: GRMM, avatar: Avatar, hair: Hair, groom: Groom, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts]
+    model: GRMM, avatar: Avatar, hair: Hair, groom: Groom, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts],
+    rim: int = 0,
 ) -> list[Photo]:  # fmt: skip
-    """Photos with the avatar in them; hair as bright and as tinted on average as in the first one."""
+    """Photos with the avatar in them, hair less a rim of so many pixels, on average as bright and as tinted as in the first."""
     photos = [
-        _photo(model, avatar, hair, groom, track, seen, index)
+        _photo(model, avatar, hair, groom, track, seen, index, rim)
         for index, (track, seen) in enumerate(zip(tracks, parts, strict=True))
     ]
     means = [photo.image[photo.hair > HAIR].mean(0) for photo in photos]
@@ -122,14 +124,18 @@ def _photos(
 
 
 def _photo(
-    model: GRMM, avatar: Avatar, hair: Hair, groom: Groom, track: PhotoTrack, parts: PhotoParts, index: int
+    model: GRMM, avatar: Avatar, hair: Hair, groom: Groom, track: PhotoTrack, parts: PhotoParts, index: int, rim: int
 ) -> Photo:  # fmt: skip
     head = model.head_model
     view = hair_view(track, parts, head)
+    scale = min(1.0, SIDE / max(around_head(view).hair.shape))
+    if rim:
+        reach = round(rim / scale)
+        bare = torch.from_numpy(np.float32(1.0 - view.hair))[None, None]
+        view = dataclasses.replace(view, hair=1.0 - functional.max_pool2d(bare, 2 * reach + 1, 1, reach)[0, 0].numpy())
     if (groom.groups == BROWS).any():
         view = dataclasses.replace(view, hair=np.maximum(view.hair, brow_cover(track, parts, view, head)))
     view = around_head(view)
-    scale = min(1.0, SIDE / max(view.hair.shape))
     height, width = (max(16, round(size * scale / 16) * 16) for size in view.hair.shape)  # the refinement network halves
     camera = view.camera.resized(width, height)
     with torch.no_grad():

@@ -170,7 +170,7 @@ class ViewRenderer:
     def _seconds(self, render: bpy.types.RenderSettings) -> float:
         """What a frame of playback may take: where Blender itself does not keep the rate, a share of what it takes."""
         gap = min(time.perf_counter() - self._asked, _LONGEST_GAP) if self._asked else 0.0
-        self._gap = 0.5 * (self._gap + gap) if self._asked else 0.0
+        self._gap = 0.5 * (self._gap + gap) if self._gap and self._asked else gap
         return max(render.fps_base / render.fps, _GAP_SHARE * self._gap)
 
     def _is_shown(self, camera: Camera, playing: bool) -> bool:

@@ -8,6 +8,7 @@ known on a coarser grid (`LightGrid`), whatever the camera.
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import numpy as np
@@ -103,12 +104,20 @@ class LightGrid(NamedTuple):
 
     @property
     def points(self) -> np.ndarray:
-        """All places, [X * Y * Z, 3] metres."""
-        return self.low + GRID * np.stack(np.unravel_index(np.arange(np.prod(self.size)), self.size), -1)
+        """All places, [X * Y * Z, 3] metres; not to be written to."""
+        return _places(tuple(self.low.tolist()), self.size)
 
     def coordinates(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """What leads to numbers of places from points whose place in the grid's axes is turn @ point + shift, [3, 4]."""
         return np.concatenate([turn, (shift - self.low)[:, None]], 1) / GRID
+
+
+@functools.lru_cache(maxsize=16)
+def _places(low: tuple[float, ...], size: tuple[int, int, int]) -> np.ndarray:
+    """`LightGrid.points`, kept: a grid stays while an expression changes."""
+    found: np.ndarray = np.array(low) + GRID * np.stack(np.unravel_index(np.arange(np.prod(size)), size), -1)
+    found.flags.writeable = False
+    return found
 
 
 class Reaching(NamedTuple):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grmm_core.light import hair_shading, shadows
-from grmm_core.light.hair_shading import GRID, LightGrid, Reaching, strand_light
+from grmm_core.light.hair_shading import GRID, HairCloud, LightGrid, Reaching, strand_light
 from grmm_core.light.lamps import Point, Spot, Sun, soft_box
 from grmm_core.light.shading import Response
 from grmm_core.light.shadows import Casters, Receivers, maps_of
@@ -56,3 +56,13 @@ def test_the_light_between_places_changes_evenly_and_places_stay_where_they_are(
     x = np.linspace(-0.05, 0.05, 7)
     np.testing.assert_allclose(wave.at(np.stack([x, 0 * x, 0 * x], -1))[0], x, atol=1e-6)
     assert wave.at(np.array([[1.0, 0.0, 0.0]]))[0, 0] == pytest.approx(0.06, abs=GRID * 0.01)
+
+
+def test_hair_dims_what_hair_lies_behind_it_less_than_skin():
+    pieces = np.random.default_rng(0).uniform(-0.05, 0.05, (4000, 3)) * [1.0, 1.0, 0.3]
+    cloud = HairCloud.of(pieces, np.full(len(pieces), 2e-6))
+    places = np.array([[0.0, 0.0, 0.04], [0.0, 0.0, 0.0], [0.0, 0.0, -0.04]])  # before it, within, behind
+    hair, skin = (dim(Sun(direction=(0.0, 0.0, 1.0)), places) for dim in (cloud.between, cloud.through))
+    assert hair[0] == skin[0] == 1.0
+    assert 0.0 < hair[2] < hair[1] < 1.0
+    assert (hair[1:] > skin[1:]).all()

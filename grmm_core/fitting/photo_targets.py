@@ -47,6 +47,7 @@ HAIR_RIM = 0.016  # likewise from hair and hats
 SHADOW_RIM = 0.05  # likewise: how far beside the face hair throws a shadow
 SHADOW = 0.88  # of the face's lightness: less is shadow there
 NECK_TINT, NECK_LIGHT = 0.05, 1.15  # how far a neck's chromaticity and how much its lightness may exceed the face's: collars do
+BURNT, BURNT_RIM = 1.75, 0.016  # times the face's median lightness; of the head's height
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
 
@@ -249,7 +250,8 @@ def _bare(
         _plane(hair), max(1, round(HAIR_RIM * height))
     )
     background = (track.mask < BODY_MASK) & (track.valid > 0.5)
-    return weight * (skin & ~_shaded(track, parts, hair, height)), np.maximum(empty, background).astype(np.float32)
+    dark, burnt = _shaded(track, parts, hair, height), _burnt(track, parts, height)
+    return weight * (skin & ~dark & ~burnt), np.maximum(empty, background).astype(np.float32)
 
 
 def _shaded(track: PhotoTrack, parts: PhotoParts, hair: np.ndarray, height: float) -> np.ndarray:
@@ -261,6 +263,15 @@ def _shaded(track: PhotoTrack, parts: PhotoParts, hair: np.ndarray, height: floa
     grid, down = _grid(track)
     near = _widened(_plane(hair), max(1, round(SHADOW_RIM * height)))
     return near & (light < SHADOW * np.median(light[face])) & _before_the_face(track, grid, down)
+
+
+def _burnt(track: PhotoTrack, parts: PhotoParts, height: float) -> np.ndarray:
+    """Pixels so bright beside the face, as where light comes from behind, that they tell no color of skin, [H, W] bool."""
+    face, light = parts.skin > _LIKELY, track.image.mean(2)
+    if not face.any():
+        return np.zeros(face.shape, bool)
+    bright = (light > BURNT * np.median(light[face])) & (parts.mouth + parts.eyes < BARE)
+    return _widened(_plane(bright), max(1, round(BURNT_RIM * height)))
 
 
 def _foreign(image: np.ndarray, parts: PhotoParts) -> np.ndarray:

@@ -124,6 +124,22 @@ def test_an_avatar_may_not_cover_clothes_beside_its_bust(model):
     assert losses[1] > losses[0] + 0.5 * FIT_WEIGHTS.alpha * float(view.empty.mean())
 
 
+def test_skin_that_light_from_behind_has_burnt_out_tells_no_color(model, monkeypatch):
+    head, person = model.head_model, track(model.head_model)
+    x, y = person.landmarks[1].astype(int)
+    seen = photo_targets.parse(person, head)
+    monkeypatch.setattr(photo_targets, "parse", lambda *_: seen)
+    dark = 0.5 * person.image
+    burnt = dark.copy()
+    burnt[y - 2 : y + 3, x - 2 : x + 3] = 1.0
+    views = [
+        fit_view(dataclasses.replace(person, image=image), head, 0, SIZE, len(ALIGNED_NAMES), model.dtype, hairless=True)
+        for image in (dark, burnt)
+    ]
+    assert [at(view.weight, view, head, 1) for view in views] == [1.0, 0.0]
+    assert 0.7 < float(views[1].weight.sum() / views[0].weight.sum()) < 1.0
+
+
 def test_hair_over_the_cheeks_is_told_from_skin_brows_and_beard(model):
     head = model.head_model
     view, bearded = view_of(model), view_of(model, beard=True)

@@ -10,9 +10,9 @@ import torch
 from photo_parts import parts_of
 
 from grmm_core.fitting import hair_texture as texture
-from grmm_core.fitting.face_hair import BRIDGE, OUTLINES
+from grmm_core.fitting.face_hair import BRIDGE, OUTLINES, brow_cover
 from grmm_core.fitting.hair_shape import NODES, bent
-from grmm_core.fitting.hair_stage import directions, fit_hair, person_hair
+from grmm_core.fitting.hair_stage import directions, fit_hair, hair_view, person_hair
 from grmm_core.fitting.photo_targets import project
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
@@ -146,6 +146,19 @@ def face(drawn=(), yaw=10.0):
         landmarks_fitted=fitted, arkit=np.zeros(52), **zeros,
     )  # fmt: skip
     return track, parts_of(1.0 - covered, beard=beard * covered), head
+
+
+def test_the_shade_beside_hair_is_no_brow():
+    track, parts, head = face([(BROWS, library_groom("bushy", part="brows"))])
+    view = hair_view(track, parts, head)
+    cover = brow_cover(track, parts, view, head)
+    rows = np.nonzero(cover > 0.5)[0]
+    fringe = np.zeros_like(cover)
+    fringe[: rows.min() + 1] = 1.0  # down to the brows
+    under = brow_cover(track, replace(parts, hair=fringe), view, head)
+    assert cover.sum() > 100
+    assert not under[: rows.min() + 2].any()
+    assert under[rows.max()].sum() == pytest.approx(cover[rows.max()].sum())
 
 
 @pytest.mark.parametrize("name", ["thin", "bushy"])

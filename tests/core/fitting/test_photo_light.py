@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from grmm_core.controls.names import EXPRESSION_NAMES
 from grmm_core.errors import ShapeError
 from grmm_core.fitting.photo_light import MATT, SUNS, Light, PhotoHead, Seen, seen_skin
 from grmm_core.fitting.result import photo_light
@@ -15,7 +16,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
 from grmm_core.light.materials import materials_of
 from grmm_core.light.relight import relit, to_display, to_linear, unlit
-from grmm_core.light.resting import RestLight, Texels, casters_of
+from grmm_core.light.resting import MOUTH, RestLight, Texels, casters_of
 from grmm_core.light.shading import Transport, transport
 from grmm_core.light.shadows import visible
 
@@ -132,6 +133,19 @@ def test_teeth_are_not_dark_in_the_rig_although_the_mouth_is_closed_at_rest(head
     rest = RestLight.of(head, texels, materials_of(head, *texels[:2]), head.v_template.astype(float), colors)
     front = np.median(rest.rig[: len(faces)][rest.rig[: len(faces), 0] > 0.1 * rest.rig.max()], 0)
     assert 0.1 < float(front.mean() / np.median(rest.rig[len(faces) :], 0).mean()) < 0.6
+
+
+def test_a_mouth_has_one_light_without_color_or_edges(head, side):
+    wide = head.arkit_to_expression[list(EXPRESSION_NAMES[:52]).index("jawOpen")]
+    rest, posed = head.v_template.astype(float), head.vertices(np.zeros(1), wide, np.zeros((5, 3)))
+    faces = np.arange(0, len(head.faces), 3, dtype=np.int32)
+    texels = Texels.of(head, faces, np.full((len(faces), 3), 1.0 / 3.0, np.float32))
+    found = PhotoHead(head, texels, rest, posed, np.array([0.0, 0.0, 1.0]), np.asarray(to_display(SKIN))).ratio(side)
+    inside, lips = (head.marked(*names)[texels.corners].all(1) for names in (MOUTH, ("lips",)))
+    assert inside.sum() > 100
+    assert np.ptp(found[inside]) < 1e-4 * found[inside].max()
+    assert 1.0 < found[inside].mean() / np.median(found[lips].mean(1)) < 1.5
+    assert np.ptp(found[lips & ~inside], axis=0).min() > 0.2  # beside it light has color and shape
 
 
 def test_relit_colors_have_the_gradients_of_finite_differences(head, texels):

@@ -86,6 +86,20 @@ def test_a_sun_lights_the_side_that_it_stands_on_and_things_throw_shadows(sessio
     assert halves(shadow)[0] > halves(shadow)[1]
 
 
+def test_light_of_its_own_is_the_avatars_and_turns_with_it(session):
+    number, options = session.open("default").id, RenderOptions(passes=("linear",), lighting=STUDIO)
+    turned = np.diag([-1.0, 1.0, -1.0, 1.0])
+
+    def own(matrix, camera):
+        placed = Instance(number, Controls(), matrix, hair=BALD, response=Response(), lighting=LEFT)
+        return session.render([placed], camera, options)["linear"]
+
+    usual = drawn(session, LEFT)["linear"]
+    np.testing.assert_allclose(own(np.eye(4), CAMERA), usual, atol=1e-5)  # and the scene's light is not on it
+    behind = Camera.orbit(128, 128, 190, fov=20)
+    np.testing.assert_allclose(own(turned, behind), usual, atol=2e-3)
+
+
 def test_light_passes_add_up_to_the_picture(session):
     lit = drawn(session, Lighting((soft_box(30, 20, 1.0, 0.3, 40.0),), Surroundings.even((0.1, 0.1, 0.1))))
     np.testing.assert_allclose(lit["diffuse"] + lit["specular"], lit["linear"][..., :3], atol=2e-3)

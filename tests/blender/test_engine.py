@@ -95,6 +95,9 @@ def test_avatars_take_the_scenes_light(render_script, blender_version):
     assert right > 2 * left  # the sun stands at the picture's right
     assert abs(result["flat"][0] - result["flat"][1]) < 0.3 * result["flat"][0]
     assert result["shaded"][1] < 0.3 * right
+    assert result["no_photo"] <= CHANNEL_STEP  # neither a photo's light nor the lamp's
+    left, right = result["photo"]
+    assert left > 2 * right  # the photo's light is from the other side than the lamp's
     assert result["shadow_goes"] <= CHANNEL_STEP
     assert result["linked"] <= CHANNEL_STEP
     assert result["dark"] == result["intensity_off"] == result["linked_to_others"] == result["excluded"] == 0

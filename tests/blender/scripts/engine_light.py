@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -54,6 +55,22 @@ report(studio_ignores_lamps=difference(shot(), flat))
 head.grmm.lighting = "SCENE"
 lit = shot()
 report(sun=sides(lit), flat=sides(flat), same_cover=float(np.abs(lit[..., 3] - flat[..., 3]).max()))
+
+head.grmm.lighting = "PHOTO"
+report(no_photo=difference(shot(), flat))
+host, files, photos = (
+    module(name) for name in ("grmm_blender.session_host", "grmm_core.avatar", "grmm_core.fitting.photo_light")
+)
+plain, source = folder / "plain.grmm", head.grmm.source
+host.get_session().save(host.open_avatar(source).id, plain)
+suns, around = np.zeros((1, len(photos.SUNS), 3), np.float32), np.full((1, 9, 3), 0.0, np.float32)
+suns[0, np.argmin([sun.direction[0] for sun in photos.SUNS])] = 3.0  # from the person's right, the picture's left
+rows = {"light_suns": suns, "light_around": around, "light_tone": np.ones((1, 3)), "light_level": np.ones((1, 3))}
+stored = files.load_avatar(plain)
+files.save_avatar(replace(stored, tracking={**stored.tracking, **rows, "pose": np.zeros((1, 5, 3))}), folder / "lit.grmm")
+head.grmm.source = str(folder / "lit.grmm")
+report(photo=sides(shot()))
+head.grmm.source, head.grmm.lighting = source, "SCENE"
 
 hat = bpy.data.meshes.new("Hat")
 hat.from_pydata([(0.6, y, z) for y, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))], [], [(0, 1, 2, 3)])

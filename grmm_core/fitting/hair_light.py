@@ -76,9 +76,7 @@ def _unlit(session: Session, instance: Instance, track: PhotoTrack, light: Light
     small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
     options = RenderOptions(refine=False, passes=("linear", "hair"))
     flat = session.render([instance], small, options)
-    lit = session.render(
-        [dataclasses.replace(instance, response=MATT, lighting=light)], small, options
-    )  # fmt: skip
+    lit = session.render([dataclasses.replace(instance, response=MATT, lighting=light)], small, options)
     planes = np.concatenate([buffers["linear"][..., :3] * flat["hair"] for buffers in (lit, flat)], 2)
     soft = blurred(planes.transpose(2, 0, 1), SMOOTH)
     ratio = ((soft[:3] + _THIN) / (soft[3:] + _THIN)).clip(LEAST, MOST)

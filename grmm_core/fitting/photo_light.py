@@ -142,7 +142,7 @@ class PhotoHead:
         found = relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, [0, 1, 2, 6]]
         # lips are never tracked so closely that the edges of their shadows on the teeth are where the photo has them: taken
         # out, they would be drawn on the teeth as bright and dark lines. The whole mouth takes what the lips take.
-        if self._inside.any():
+        if self._inside.any() and self._lips.any():
             level = _TEETH * np.median((found[:, :3].mean(1) / found[:, 3])[self._lips])
             found[self._inside, :3] = level * found[self._inside, 3:]
         return found

@@ -27,6 +27,7 @@ from .process import PROTOCOL
 OPERATIONS = frozenset(
     {"open", "sample", "save", "release", "put_cloud", "put_groom", "deform", "gaussians", "render", "warm_up", "status"}
 )
+_AHEAD: dict[str, Any] = {"id": -1, "call": "draw_ahead", "arguments": {}}  # of our own: the picture that was begun with
 _CANCELLABLE = frozenset({"render"})
 _SWITCH_SECONDS = 5e-4  # that a thread waits for another one's Python: a frame's threads meet hundreds of times
 
@@ -101,22 +102,12 @@ def main() -> None:
         except SessionError as error:  # no shared memory for this result
             send(replies, {"id": message["id"], "error": _describe(error)}, arena)
         if message["call"] == "render" and failure is None and requests.idle:
-            _draw_ahead(session)
+            _answer(session, _AHEAD, requests)  # while the parent is busy with this one; what fails, its own call will meet too
         if message["call"] == "render" and pictures < _SETTLED:
             # Libraries and models stay. Looking through all of them for garbage would cost a frame of playback now and then.
             pictures += 1
             gc.collect()
             gc.freeze()
-
-
-def _draw_ahead(session: Any) -> None:
-    """Draw the picture that `_begin` has begun with while the parent is busy with the last one."""
-    try:
-        session.draw_ahead()
-    except (GrmmError, MemoryError) as error:
-        _log.debug("The next picture could not be drawn: %s", error)  # the call itself meets the same error
-    except Exception:  # noqa: BLE001 - the call itself meets it too, and answers with it
-        traceback.print_exc()
 
 
 def _begin(session: Any, announced: queue.SimpleQueue[dict[str, Any]]) -> None:
@@ -151,7 +142,7 @@ def _make_session(settings: dict[str, Any]) -> tuple[Any, GrmmError | None]:
 def _answer(session: Any, message: dict[str, Any], requests: _Requests) -> dict[str, Any]:
     request, operation, arguments = message["id"], message["call"], message["arguments"]
     try:
-        if operation not in OPERATIONS:
+        if operation not in OPERATIONS and message is not _AHEAD:
             raise SessionError(f"The model worker has no operation {operation!r}; install the same version on both sides.")
         if operation in _CANCELLABLE:
             arguments["should_cancel"] = lambda: requests.is_cancelled(request)

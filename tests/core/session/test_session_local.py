@@ -189,10 +189,15 @@ def test_what_is_an_avatars_own_fades_towards_other_people(local, tmp_path):
         assert np.all(after.opacities < before.opacities) == (share > 0)
 
 
+def two_frames(local):
+    """Two frames of an animation, and their pictures."""
+    number = local.open("default").id
+    frames = [[Instance(number, Controls().set_named({"jawOpen": value}))] for value in (0.1, 0.6)]
+    return frames, [local.render(frame, CAMERA)["rgb"] for frame in frames]
+
+
 def test_a_picture_that_was_begun_beside_another_is_not_begun_again(local, monkeypatch):
-    info = local.open("default")
-    frames = [[Instance(info.id, Controls().set_named({"jawOpen": value}))] for value in (0.1, 0.6)]
-    expected = [local.render(frame, CAMERA)["rgb"] for frame in frames]
+    frames, expected = two_frames(local)
     made, gathered = [], local._gathered
     monkeypatch.setattr(local, "_gathered", lambda instances, *rest: made.append(instances) or gathered(instances, *rest))
     local._set_drawing(True)
@@ -208,9 +213,7 @@ def test_a_picture_that_was_begun_beside_another_is_not_begun_again(local, monke
 def test_a_picture_that_was_drawn_ahead_is_handed_out_once(local, monkeypatch):
     from grmm_core.session import local as module
 
-    info = local.open("default")
-    frames = [[Instance(info.id, Controls().set_named({"jawOpen": value}))] for value in (0.2, 0.7)]
-    expected = [local.render(frame, CAMERA)["rgb"] for frame in frames]
+    frames, expected = two_frames(local)
     drawn, draw = [], module.draw
     monkeypatch.setattr(module, "draw", lambda gathered, *rest: drawn.append(gathered) or draw(gathered, *rest))
     local.draw_ahead()  # nothing is begun

@@ -5,7 +5,7 @@ One `Viewport` for each 3D region. On the main thread, when Blender draws the re
 packing, sorting. The picture is blended in display colors in a buffer of its own, as the rasteriser does, and then put into
 the viewport with one depth for each pixel, so that it hides objects and is hidden by them.
 
-=============  =================================================================================
+============== =================================================================================
 ``settings``   `Scene.grmm_viewport`
 ``changes``    counts changes of scenes and settings
 ``overlay``    Blender's drawing callbacks and events
@@ -17,8 +17,9 @@ the viewport with one depth for each pixel, so that it hides objects and is hidd
 ``jobs``       the thread
 ``arrays``     Gaussians as arrays in world space, packing, sorting (numpy only)
 ``sources``    what a viewport shows: avatars and splat clouds
+``studio_light`` what lights them there
 ``panel``      user interface
-=============  =================================================================================
+============== =================================================================================
 
 The rendered viewport is the engine's (`engine.view`).
 """

@@ -5,21 +5,21 @@ One `Viewport` for each 3D region. On the main thread, when Blender draws the re
 packing, sorting. The picture is blended in display colors in a buffer of its own, as the rasteriser does, and then put into
 the viewport with one depth for each pixel, so that it hides objects and is hidden by them.
 
-============== =================================================================================
-``settings``   `Scene.grmm_viewport`
-``changes``    counts changes of scenes and settings
-``overlay``    Blender's drawing callbacks and events
-``splat_view`` what one region needs between two draws
-``bones``      bones that are being posed
-``handles``    points of the face that are dragged
-``drawing``    textures, batches, draw calls
-``shaders``    the GLSL
-``jobs``       the thread
-``arrays``     Gaussians as arrays in world space, packing, sorting (numpy only)
-``sources``    what a viewport shows: avatars and splat clouds
+================ =================================================================================
+``settings``     `Scene.grmm_viewport`
+``changes``      counts changes of scenes and settings
+``overlay``      Blender's drawing callbacks and events
+``splat_view``   what one region needs between two draws
+``bones``        bones that are being posed
+``handles``      points of the face that are dragged
+``drawing``      textures, batches, draw calls
+``shaders``      the GLSL
+``jobs``         the thread
+``arrays``       Gaussians as arrays in world space, packing, sorting (numpy only)
+``sources``      what a viewport shows: avatars and splat clouds
 ``studio_light`` what lights them there
-``panel``      user interface
-============== =================================================================================
+``panel``        user interface
+================ =================================================================================
 
 The rendered viewport is the engine's (`engine.view`).
 """

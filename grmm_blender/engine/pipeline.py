@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...grmm_core.controls.frame import Controls
 from ...grmm_core.errors import CancelledError, FileAccessError, GrmmError
 from ...grmm_core.jobs.progress import Share, nobody
 from ...grmm_core.session import CancelCheck, HairUse, Instance, RenderOptions
@@ -96,11 +97,7 @@ def announce(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass
         number = session_host.known_avatar(shot.source)
         if number is None or shot.cloud is not None or shot.strands is not None:
             return
-        instances.append(
-            Instance(
-                number, shot.controls, shot.model_to_world, hair=shot.hair, response=shot.response, lighting=shot.own_light
-            )
-        )
+        instances.append(_placed(shot, number, shot.controls, shot.hair))
     session_host.get_session().prepare(instances, frame.camera, _options(frame, settings, items))
 
 
@@ -110,6 +107,10 @@ def _options(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass
         refine=settings.refine, passes=tuple(dict.fromkeys(wanted)), lod=settings.lod, lighting=frame.scene.lighting,
         strands=settings.strands, coarse=settings.coarse,
     )  # fmt: skip
+
+
+def _placed(shot: AvatarShot, number: int, controls: Controls, hair: HairUse) -> Instance:
+    return Instance(number, controls, shot.model_to_world, hair=hair, response=shot.response, lighting=shot.own_light)
 
 
 def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:
@@ -124,16 +125,7 @@ def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:
                 number = session_host.open_avatar(shot.source).id
             else:
                 number = session_host.open_cloud(shot.cloud.key, shot.cloud.version, shot.cloud.arrays)
-            instances.append(
-                Instance(
-                    number,
-                    shot.controls.validate(),
-                    shot.model_to_world,
-                    hair=hair_of(shot),
-                    response=shot.response,
-                    lighting=shot.own_light,
-                )
-            )
+            instances.append(_placed(shot, number, shot.controls.validate(), hair_of(shot)))
         except GrmmError as error:
             raise type(error)(f"{shot.name}: {error}") from error
     return instances

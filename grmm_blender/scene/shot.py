@@ -104,7 +104,6 @@ class SceneShot:
     occluders: Occluders = Occluders()
     world: np.ndarray | None = None
     lighting: Lighting | None = None
-    lit_by_view: bool = False
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ def _replay_tile(
         listed = 0
         pair = 0
         for k in range(end - batch):
-            shape, opacity = ellipse(shapes, k, left, top), spread(shapes[k, RECORD.opacity])
+            shape, opacity = ellipse(shapes, k), spread(shapes[k, RECORD.opacity])
             pair_end = first[k + 1]
             first[k] = listed
             while pair < pair_end:
@@ -118,7 +118,7 @@ def _replay_tile(
             store(behind, block * WIDTH, rest)
         for k in range(end - batch):
             to = np.int64(_slot(gaussian[batch + k], whole, tile_x, tile_y)) * rows.shape[1]
-            shape = ellipse(shapes, k, left, top)
+            shape = ellipse(shapes, k)
             g0, gs, gq, gss, gsq, gqq = zero, zero, zero, zero, zero, zero
             for number in range(first[k], first[k + 1]):
                 entry = entries[number]

@@ -13,8 +13,8 @@ import numpy as np
 
 from ..rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from .jit import kernel, part
-from .records import RECORD, SHAPE, SQUEEZE, VALUES
-from .simd import WIDTH, any_at_least, append_at_least, choose, larger, load, negative, smaller, spread, store
+from .records import RECORD, RECORD_LENGTH, SHAPE, SQUEEZE, VALUES
+from .simd import WIDTH, any_at_least, append_at_least, choose, copy_four, larger, load, negative, smaller, spread, store
 from .tiling import (
     BATCH,
     BLOCK_LEFT,
@@ -96,7 +96,7 @@ def in_lanes(constants: tuple[float, ...]) -> Constants:
 
 
 class Ellipse(NamedTuple):
-    """A Gaussian on a tile, in lanes: its centre from the tile's first pixel centre, and its squeezed Cholesky factor."""
+    """A Gaussian on a tile, in lanes; see `place_on`."""
 
     x: Any
     y: Any
@@ -106,14 +106,27 @@ class Ellipse(NamedTuple):
 
 
 @part
-def ellipse(shapes: np.ndarray, k: int, left: float, top: float) -> Ellipse:
-    """Return Gaussian k of a batch's `shapes` on the tile whose corner is left, top."""
+def place_on(shapes: np.ndarray, k: int, left: float, top: float) -> None:
+    """Change row k of `shapes` [K, SHAPE], the beginning of a record, to what it is on the tile with the corner left, top.
+
+    Its centre then counts from the tile's first pixel centre, and its Cholesky factor is squeezed.
+    """
+    shapes[k, RECORD.x] -= left + HALF
+    shapes[k, RECORD.y] -= top + HALF
+    shapes[k, RECORD.l11] *= SHRINK
+    shapes[k, RECORD.l12] *= SHRINK
+    shapes[k, RECORD.l22] *= SHRINK
+
+
+@part
+def ellipse(shapes: np.ndarray, k: int) -> Ellipse:
+    """Return Gaussian k of a batch's `shapes`."""
     return Ellipse(
-        spread(shapes[k, RECORD.x] - left - HALF),
-        spread(shapes[k, RECORD.y] - top - HALF),
-        spread(shapes[k, RECORD.l11] * SHRINK),
-        spread(shapes[k, RECORD.l12] * SHRINK),
-        spread(shapes[k, RECORD.l22] * SHRINK),
+        spread(shapes[k, RECORD.x]),
+        spread(shapes[k, RECORD.y]),
+        spread(shapes[k, RECORD.l11]),
+        spread(shapes[k, RECORD.l12]),
+        spread(shapes[k, RECORD.l22]),
     )
 
 
@@ -150,7 +163,7 @@ def make_scratch(channels: int) -> tuple[np.ndarray, ...]:
     """Return a thread's memory for the batches of a tile, as a tuple.
 
     values [BATCH, channels]: red, green, blue, depth, features, zeros.
-    shapes [BATCH, SHAPE]: the beginning of the records.
+    shapes [BATCH, SHAPE]: the beginning of the records, changed by `place_on`.
     pairs int32: pairs of a Gaussian and a block, as Gaussian * BLOCKS + block.
     first [BATCH + 1] int64: first pair of each Gaussian.
     weights [BLOCKS * ROOM * WIDTH]: weights of the batch, by block.
@@ -186,6 +199,8 @@ def all_ended(through: np.ndarray) -> bool:
 def gather(
     low: int,
     high: int,
+    left: float,
+    top: float,
     gaussian: np.ndarray,
     geometry: np.ndarray,
     features: np.ndarray,
@@ -197,34 +212,35 @@ def gather(
     Args:
         low: First instance of a batch.
         high: Its end.
+        left: Of the tile, pixels.
+        top: Of the tile, pixels.
         gaussian: Gaussian of each instance.
         geometry: Of `projection.project`.
         features: [N, C].
         values: Output, see `make_scratch`.
         shapes: Output, see `make_scratch`.
     """
+    count, width = features.shape[1], values.shape[1]
+    records, extras = geometry.reshape(-1), features.reshape(-1)
+    flat, starts = values.reshape(-1), shapes.reshape(-1)
     for n in range(low, high):
-        i = gaussian[n]
-        k = n - low
-        for c in range(SHAPE):
-            shapes[k, c] = geometry[i, c]
-        for c in range(VALUES):
-            values[k, c] = geometry[i, RECORD.red + c]
-        used = int(shapes[k, RECORD.groups]) * GROUP
-        if used < values.shape[1]:
-            for c in range(VALUES, values.shape[1]):
-                values[k, c] = ZERO
-            for c in range(used - VALUES):
-                values[k, VALUES + c] = features[i, c]
-        else:
-            for c in range(features.shape[1]):
-                values[k, VALUES + c] = features[i, c]
+        i, k = int(gaussian[n]), n - low
+        for c in range(0, SHAPE, 4):
+            copy_four(records, i * RECORD_LENGTH + c, starts, k * SHAPE + c)
+        copy_four(records, i * RECORD_LENGTH + RECORD.red, flat, k * width)
+        used = min(int(geometry[i, RECORD.groups]) * GROUP - VALUES, count)
+        whole = used // 4 * 4
+        for c in range(0, whole, 4):
+            copy_four(extras, i * count + c, flat, k * width + VALUES + c)
+        for c in range(whole, used):
+            values[k, VALUES + c] = features[i, c]
+        for c in range(VALUES + used, width):
+            values[k, c] = ZERO
+        place_on(shapes, k, left, top)
 
 
 @kernel
-def find_blocks(
-    count: int, shapes: np.ndarray, left: float, top: float, limits: np.ndarray, pairs: np.ndarray, first: np.ndarray
-) -> int:  # fmt: skip
+def find_blocks(count: int, shapes: np.ndarray, limits: np.ndarray, pairs: np.ndarray, first: np.ndarray) -> int:
     """List the blocks of a tile that each Gaussian's ellipse reaches: exactly, all blocks of the tile at a time.
 
     The least value of s^2 + q^2 over a block's pixel centres' box is at the box's point nearest to the centre in x with the
@@ -233,8 +249,6 @@ def find_blocks(
     Args:
         count: Gaussians in the batch.
         shapes: Of `gather`.
-        left: Of the tile, pixels.
-        top: Of the tile, pixels.
         limits: `open` of `make_scratch`.
         pairs: Output, see `make_scratch`.
         first: Output, see `make_scratch`.
@@ -246,7 +260,7 @@ def find_blocks(
     zero, wide, high = spread(ZERO), spread(F(BLOCK_X - 1)), spread(F(BLOCK_Y - 1))
     for k in range(count):
         first[k] = listed
-        shape = ellipse(shapes, k, left, top)
+        shape = ellipse(shapes, k)
         l11, l12, l22 = shapes[k, RECORD.l11], shapes[k, RECORD.l12], shapes[k, RECORD.l22]
         lean_x, lean_y = spread(-l12 / l11), spread(-l11 * l12 / (l12 * l12 + l22 * l22))
         reach = spread(shapes[k, RECORD.reach])
@@ -281,9 +295,9 @@ def start_batch(
     """
     gaussian, geometry, _, features = scene
     values, shapes, pairs, first, _, _, ends, limits, backs = scratch
-    gather(low, high, gaussian, geometry, features, values, shapes)
+    gather(low, high, left, top, gaussian, geometry, features, values, shapes)
     zero = spread(ZERO)
     for block in range(BLOCKS):
         limits[block] = OPEN if any_at_least(load(through, block * WIDTH), zero) else CLOSED
         ends[block], backs[block] = block * ROOM, block * ROOM + ROOM - 1
-    return find_blocks(high - low, shapes, left, top, limits, pairs, first)
+    return find_blocks(high - low, shapes, limits, pairs, first)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
-from .blocks import OPEN, find_blocks
+from .blocks import OPEN, find_blocks, place_on
 from .jit import kernel
-from .records import RECORD, SHAPE
+from .records import RECORD, SHAPE, SQUEEZE
 from .simd import WIDTH
 from .tiling import BATCH, BLOCK_X, BLOCK_Y, BLOCKS, BLOCKS_X
 
@@ -75,8 +75,9 @@ def _count(
                 through[y, x] = F(1.0) if x0 + x < width and y0 + y < height else F(-1.0)
         for n in range(starts[tile], ends[tile]):
             place[0, :] = geometry[gaussian[n], :SHAPE]
-            mx, my = place[0, RECORD.x] - F(x0) - F(0.5), place[0, RECORD.y] - F(y0) - F(0.5)
-            found = find_blocks(1, place, F(x0), F(y0), limits, pairs, first)
+            place_on(place, 0, F(x0), F(y0))
+            mx, my = place[0, RECORD.x], place[0, RECORD.y]
+            found = find_blocks(1, place, limits, pairs, first)
             for pair in range(found):
                 block, here = pairs[pair], 0
                 left, top = block % BLOCKS_X * BLOCK_X, block // BLOCKS_X * BLOCK_Y
@@ -84,7 +85,7 @@ def _count(
                     for x in range(left, left + BLOCK_X):
                         s = place[0, RECORD.l11] * (F(x) - mx) + place[0, RECORD.l12] * (F(y) - my)
                         q = place[0, RECORD.l22] * (F(y) - my)
-                        alpha = min(place[0, RECORD.opacity] * np.exp(F(-0.5) * (s * s + q * q)), F(ALPHA_MAX))
+                        alpha = min(place[0, RECORD.opacity] * np.exp(F(-0.5 / SQUEEZE**2) * (s * s + q * q)), F(ALPHA_MAX))
                         if alpha < ALPHA_MIN or through[y, x] < 0:
                             continue
                         after = through[y, x] * (F(1.0) - alpha)

@@ -77,7 +77,7 @@ def _blend_tile(
         listed = start_batch(batch, end, scene, left, top, through, scratch)
         for pair in range(listed):
             k, block = pairs[pair] // BLOCKS, pairs[pair] % BLOCKS
-            s, q = whitened(ellipse(shapes, k, left, top), block)
+            s, q = whitened(ellipse(shapes, k), block)
             alpha = alpha_at(spread(shapes[k, RECORD.opacity]), s, q, lanes)
             weight = pass_light(through, block, alpha, lanes)
             front, back = ends[block], backs[block]

@@ -146,8 +146,9 @@ def test_blocks_are_found_exactly():
         l11, l22 = np.exp(rng.uniform(-4, 0.6, 2))  # from round to needles
         l12 = rng.normal() * l11
         shapes[0, : RECORD.opacity] = x, y, l11, l12, l22
+        blocks.place_on(shapes, 0, np.float32(16), np.float32(0))
         shapes[0, RECORD.reach] = SQUEEZE**2 * rng.uniform(0.5, 11.0)
-        found = blocks.find_blocks(1, shapes, np.float32(16), np.float32(0), limits, pairs, first)
+        found = blocks.find_blocks(1, shapes, limits, pairs, first)
         dx, dy = np.meshgrid(np.arange(16) + 16.5 - x, np.arange(16) + 0.5 - y)
         s, q = l11 * dx + l12 * dy, l22 * dy
         inside = SQUEEZE**2 * (s * s + q * q) <= shapes[0, RECORD.reach] * (1 - 1e-5)

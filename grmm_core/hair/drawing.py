@@ -13,7 +13,6 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
-from .pigment import albedos
 from .ribbons import Eye
 from .roots import SCALP
 from .settings import HairSettings
@@ -31,6 +30,7 @@ COVERED = 5.0  # opacity of strands, summed up, that hides those behind: less th
 TELLING = 2500  # strands that tell for all what strands cover
 HEAD_REACH = 0.25  # metres before and behind the head's origin in which that is counted
 _MAX_CELLS = 128
+_NEAR = 1e-4  # metres, as in `triangle_depth`
 _STRANDS = 512  # of a task
 _SHAPES: tuple[tuple[int, ...], ...] = ((3,), (4,), (3,), (), (3,))  # of a row of `StrandGaussians`
 
@@ -63,6 +63,8 @@ class Hiding:
             faces: Those that hide, [F, 3].
             camera: Of the picture.
         """
+        from .hidden_kernels import farthest_around, nearest_skin
+
         size = max(camera.width, camera.height)
         cell = max(CELL, size / _MAX_CELLS)
         columns, rows = int(np.ceil(camera.width / cell)), int(np.ceil(camera.height / cell))
@@ -70,16 +72,16 @@ class Hiding:
             camera.world_to_camera, camera.fx / cell, camera.fy / cell, camera.cx / cell, camera.cy / cell, columns, rows,
             orthographic=camera.orthographic,
         )  # fmt: skip
-        depth = np.pad(triangle_depth(np.asarray(vertices)[faces], coarse), 1, constant_values=EMPTY)
-        for axis in (0, 1):  # the farthest of each cell and those around it
-            depth = np.maximum(np.maximum(np.roll(depth, 1, axis), np.roll(depth, -1, axis)), depth)
-        scale = float(np.cbrt(np.linalg.det(camera.world_to_camera[:3, :3])))
-        return Hiding(
-            np.where(depth[1:-1, 1:-1] < EMPTY, depth[1:-1, 1:-1] / scale, EMPTY).astype(np.float32),
-            cell,
-            -camera.cx,
-            -camera.cy,
-        )
+        vertices, place = np.asarray(vertices), coarse.world_to_camera
+        numbers = np.concatenate([
+            place[:3, :3].ravel(), place[:3, 3], (coarse.fx, coarse.fy, coarse.cx, coarse.cy, coarse.orthographic, _NEAR),
+        ])  # fmt: skip
+        depth = np.empty((rows, columns), np.float32)
+        if not nearest_skin(vertices, faces, numbers, float(EMPTY), depth):
+            depth = triangle_depth(vertices[faces], coarse)  # which cuts what reaches behind the camera
+        result = np.empty_like(depth)
+        farthest_around(depth, float(EMPTY), 1.0 / float(np.cbrt(np.linalg.det(place[:3, :3]))), result)
+        return Hiding(result, cell, -camera.cx, -camera.cy)
 
     @property
     def cells(self) -> tuple[np.float32, np.float32, np.float32]:
@@ -146,12 +148,11 @@ def strand_gaussians(
     from ..compute.threads import TASKS, for_each, pieces
     from .strand_kernels import pose, segments_forward, shade_into
 
-    radii, there = block.level(share, settings, detail)
+    radii, there, albedo = block.drawn(share, settings, detail)
     count, segments = len(there), block.segments
     owner = block.owner[:count]
     points, axes = (np.ascontiguousarray(part, np.float32) for part in (points, axes))
     numbers = _far(direction) if eye is None else eye.numbers()
-    albedo = albedos(settings, block.lock[owner], block.chance[:count, 1:], block.hairs, share)
     opacities, tints = OPACITY * there, block.tinted(settings.length)
     seen = np.ones((len(points), segments), np.float32)
     if hiding is not None:

@@ -16,6 +16,7 @@ _OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy", "nog
 F = np.float32
 _LONG, _WIDE = F(LONG), F(WIDE)
 _HALF, _ZERO = F(0.5), F(0.0)
+_EDGE = 1e-9  # rounding, of a triangle's sides
 MOST_PARTS = 16  # of a segment, each in a cell
 BORDER = 0.3  # of what hides in a cell, how much must be in those around it
 LAYER = 0.003  # metres: of the layers in which is counted what lies before a strand
@@ -126,3 +127,71 @@ def bury(
             least = min(least, thick[row, min(max(column + step, 0), width - 1), layer])
         if least > F(BORDER) * most:
             seen[n] = _ZERO
+
+
+@compiled(**_OPTIONS)
+def nearest_skin(vertices: np.ndarray, faces: np.ndarray, camera: np.ndarray, empty: float, depth: np.ndarray) -> bool:
+    """Draw triangles in cells as `geometry.zbuffer.triangle_depth` does, for those that lie before the camera as a whole.
+
+    Args:
+        vertices: Head space, [V, 3].
+        faces: [F, 3] int32 or int64.
+        camera: Rotation by rows (0-8), translation (9-11), focal lengths and optical axis in cells (12-15), parallel
+            projection (16), nearest depth (17); float64.
+        empty: Depth of cells without skin.
+        depth: Written, [H, W].
+
+    Returns:
+        Whether all triangles do; if not, nothing is drawn.
+    """
+    height, width = depth.shape
+    x, y, linear = np.empty(len(vertices)), np.empty(len(vertices)), np.empty(len(vertices))
+    parallel = camera[16] > 0.5
+    for v in range(len(vertices)):
+        px, py, pz = float(vertices[v, 0]), float(vertices[v, 1]), float(vertices[v, 2])
+        z = camera[6] * px + camera[7] * py + camera[8] * pz + camera[11]
+        if not camera[17] <= z < empty:
+            return False
+        scale = 1.0 if parallel else 1.0 / z
+        x[v] = camera[12] * scale * (camera[0] * px + camera[1] * py + camera[2] * pz + camera[9]) + camera[14]
+        y[v] = camera[13] * scale * (camera[3] * px + camera[4] * py + camera[5] * pz + camera[10]) + camera[15]
+        linear[v] = z if parallel else scale  # on the picture
+    depth[:] = empty
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        left, right = min(x[a], x[b], x[c]) - 0.5, max(x[a], x[b], x[c]) - 0.5
+        upper, lower = min(y[a], y[b], y[c]) - 0.5, max(y[a], y[b], y[c]) - 0.5
+        if not (right > -1.0 and left < width and lower > -1.0 and upper < height):
+            continue
+        first, last = max(math.ceil(left), 0), min(math.floor(right), width - 1)
+        ux, uy, vx, vy = x[b] - x[a], y[b] - y[a], x[c] - x[a], y[c] - y[a]
+        area = ux * vy - uy * vx
+        if first > last or area == 0.0:
+            continue
+        inverse = 1.0 / area
+        for row in range(max(math.ceil(upper), 0), min(math.floor(lower), height - 1) + 1):
+            dy = row + 0.5 - y[a]
+            for column in range(first, last + 1):
+                dx = column + 0.5 - x[a]
+                second, third = (dx * vy - dy * vx) * inverse, (ux * dy - uy * dx) * inverse
+                if second >= -_EDGE and third >= -_EDGE and second + third <= 1.0 + _EDGE:
+                    value = linear[a] + second * (linear[b] - linear[a]) + third * (linear[c] - linear[a])
+                    z = value if parallel else 1.0 / value
+                    depth[row, column] = min(depth[row, column], F(z))
+    return True
+
+
+@compiled(**_OPTIONS)
+def farthest_around(depth: np.ndarray, empty: float, metres: float, out: np.ndarray) -> None:
+    """Write the farthest of each cell of `depth` and those around it, times `metres`, to `out` [H, W].
+
+    Where one of them is `empty`, as everything outside is, so is the result.
+    """
+    height, width = depth.shape
+    for row in range(height):
+        for column in range(width):
+            most = F(empty) if row in (0, height - 1) or column in (0, width - 1) else depth[row, column]
+            for y in range(max(row - 1, 0), min(row + 2, height)):
+                for x in range(max(column - 1, 0), min(column + 2, width)):
+                    most = max(most, depth[y, x])
+            out[row, column] = F(empty) if most >= F(empty) else most * F(metres)

@@ -14,6 +14,7 @@ import numpy as np
 
 from .groom import Groom
 from .occlusion import openness
+from .pigment import albedos
 from .roots import BEARD, GROUPS, SCALP, RootFrames
 from .settings import HairSettings
 
@@ -185,6 +186,24 @@ class StrandBlock:
         there, wider = there[:end], wider * detail**-_WIDER
         radii = (0.5 * wider * settings.thickness * fainter[:end])[:, None] * self.widths[self.owner[:end]]
         return np.ascontiguousarray(radii, np.float32), there.astype(np.float32)
+
+    def drawn(self, share: float, settings: HairSettings, detail: float = 1.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of each strand of a level half the diameters [n, 2], the weight [n] and the linear RGB at root and tip [n, 2, 3].
+
+        As `level` and `albedos` give them. Those of the last arguments are kept: they stay the same while a head is played.
+        """
+        key = share, settings, detail
+        known = self._drawn.get("last")
+        if known is None or known[0] != key:
+            radii, there = self.level(share, settings, detail)
+            count = len(there)
+            colors = albedos(settings, self.lock[self.owner[:count]], self.chance[:count, 1:], self.hairs, share)
+            known = self._drawn["last"] = key, (radii, there, colors)
+        return known[1]
+
+    @functools.cached_property
+    def _drawn(self) -> dict[str, tuple[tuple[float, HairSettings, float], tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+        return {}
 
 
 def _top(share: float) -> float:

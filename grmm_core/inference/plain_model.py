@@ -51,7 +51,7 @@ class PlainModel:
         names = {name: f"decoders.{name}." for name in ("transform", "opacity", "appearance")}
         names |= {"refinement": "refinement."} if config.refine else {}
         self._networks = {name: self._network(name, prefix, like) for name, prefix in names.items()}
-        self._sums: dict[str, tuple[bytes, np.ndarray]] = {}  # of basis maps: the last code and what it gave
+        self._sums: dict[str, tuple[bytes, np.ndarray]] = {}  # of basis maps and means: the last code and what it gave
         self._tables: _Tables = _Tables(file) if like is None else like._tables
 
     def changed(self, deltas: Mapping[str, np.ndarray]) -> PlainModel:
@@ -87,16 +87,11 @@ class PlainModel:
 
     def offsets(self, z_id: np.ndarray, z_exp: np.ndarray) -> np.ndarray:
         """Phi_T: offsets of position, rotation, log scale from z_id [Z] and z_exp [Y], [N, 10]."""
-        values = self._decode("transform", TRANSFORM_CHANNELS, np.concatenate([z_id, z_exp])[None])
-        for name, part in _PARTS.items():
-            added = self._basis(name, z_id)
-            if added is not None:
-                values[:, part] += added
-        return values
+        return self._decode("transform", self._person_offsets(z_id), np.concatenate([z_id, z_exp])[None])
 
     def opacity(self, z_id: np.ndarray) -> np.ndarray:
         """Phi_alpha: opacities 0..1 from z_id [Z], [N]."""
-        logits = self._decode("opacity", 1, z_id[None])
+        logits = self._decode("opacity", self._mean("opacity", 1), z_id[None])
         added = self._basis("opacity", z_id)
         if added is not None:
             logits += added
@@ -104,7 +99,8 @@ class PlainModel:
 
     def appearance(self, z_id: np.ndarray, view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Phi_app: display sRGB [N, 3] and features [N, F] from z_id [Z] and the unit view direction [3]."""
-        values = self._decode("appearance", COLOR_CHANNELS + self.config.features, z_id[None], view[None])
+        channels = COLOR_CHANNELS + self.config.features
+        values = self._decode("appearance", self._mean("appearance", channels), z_id[None], view[None])
         colors = np.ascontiguousarray(values[:, :COLOR_CHANNELS])
         added = self._basis(BASIS_COLOR, z_id)
         if added is not None:
@@ -119,15 +115,32 @@ class PlainModel:
         gains = 1.0 + arrays["decoders.expression.gains.weight"] @ z_id
         return self._weighted("decoders.expression.maps", (arrays["decoders.expression.weights.weight"] @ z_exp) * gains)
 
-    def _decode(self, name: str, channels: int, *inputs: np.ndarray) -> np.ndarray:
+    def _decode(self, name: str, base: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+        """What a network adds to a base [N, channels], as a new array."""
         from ..compute.threads import for_rows
         from .loops import add_product
 
-        mean = self._file.arrays.get(f"decoders.{name}_mean")
-        values = np.zeros((len(self.layout), channels), np.float32) if mean is None else mean.copy()
+        values = base.copy()
         decoded = self._networks[name](*(np.ascontiguousarray(part, np.float32) for part in inputs))
         for_rows(add_product, len(values), *_parts_of(self._tables.reader), decoded, values)
         return values
+
+    def _mean(self, name: str, channels: int) -> np.ndarray:
+        mean = self._file.arrays.get(f"decoders.{name}_mean")
+        return np.zeros((len(self.layout), channels), np.float32) if mean is None else mean
+
+    def _person_offsets(self, z_id: np.ndarray) -> np.ndarray:
+        """Offsets of a person without what the network adds, [N, 10]: the mean and the basis maps."""
+        code = z_id.tobytes()
+        known = self._sums.get("transform")
+        if known is None or known[0] != code:
+            values = self._mean("transform", TRANSFORM_CHANNELS).copy()
+            for name, part in _PARTS.items():
+                added = self._basis(name, z_id)
+                if added is not None:
+                    values[:, part] += added
+            known = self._sums["transform"] = code, values
+        return known[1]
 
     def _basis(self, name: str, z_id: np.ndarray) -> np.ndarray | None:
         if not self.config.basis_maps or name not in self.config.basis_channels:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from ..splat.types import Gaussians
-
 
 class Cap(NamedTuple):
     """How flat each texel is laid, 0..1 [N], and the color it takes there, display sRGB [N, 3]; the engine's arrays."""
@@ -13,11 +11,18 @@ class Cap(NamedTuple):
     share: Any
     color: Any
 
-    def laid(self, gaussians: Gaussians) -> Gaussians:
-        """Gaussians whose offsets were laid flat, with the opacity and the color of the cap and without features."""
+    def laid(self, colors: Any, opacities: Any, features: Any) -> Laid:
+        """What becomes of colors [N, 3], opacities [N] and features [N, F] of Gaussians whose offsets were laid flat."""
         part = self.share[:, None]
-        own = gaussians
-        opacities = own.opacities + self.share * (1.0 - own.opacities)
-        colors = own.colors + part * (self.color - own.colors)
-        features = None if own.features is None else own.features * (1.0 - part)
-        return Gaussians(own.means, own.quats, own.scales, opacities, colors, features)
+        left = 1.0 - part
+        opacities = opacities + self.share * (1.0 - opacities)
+        return Laid(colors + part * (self.color - colors), opacities, features * left, left)
+
+
+class Laid(NamedTuple):
+    """Colors, opacities and features under a cap, and what it leaves of what is added to the colors, [N, 1]."""
+
+    colors: Any
+    opacities: Any
+    features: Any
+    left: Any

@@ -222,6 +222,9 @@ def _gaussians(
         stacked = None
     elif strands is None and own_slice is not None and own_slice == slice(0, channels.count):
         stacked = features
+    elif own_slice is not None and isinstance(item, PlacedAvatar) and not channels.vary:
+        ones = [] if channels.skin is None else [channels.skin]
+        stacked = evaluator.with_channels(item.target, present(features), own_slice, ones, channels.count, len(own))
     else:
         stacked = zeros((len(own), channels.count), own.means)
         if own_slice is not None:

@@ -20,6 +20,7 @@ numpy's or torch's. Called by `local` and `compose`.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,17 +28,19 @@ import numpy as np
 
 from ..avatar import Avatar
 from ..controls.frame import Controls
+from ..geometry.libraries import zeros
 from ..model.detail import Blocks, texel_blocks, thin_out
 from ..model.inputs import ModelInputs
 from ..model.steps import Geometry, Mesh, Rest
 from ..model.store import LoadedModel, Model
 from ..splat import Gaussians
 from .cache import ArrayCache
-from .cap import Cap
+from .cap import Cap, Laid
 from .engines import Engine
 from .sources import SourceKey
 
 Inputs = ModelInputs[np.ndarray]
+_SPARE_ROWS = 4096  # of zeros, by which the channels of skin and strands grow
 
 
 @dataclass(frozen=True)
@@ -127,11 +130,33 @@ class Evaluator:
     ) -> Gaussians:
         """Return all Gaussians in head space, hair laid flat where there is a cap; features are [N, F], also where F is 0."""
         colors, features = self.appearance(target, inputs, direction)
-        colors = colors + self.tint(target, inputs)
+        opacities, tint = self.opacity(target, inputs), self.tint(target, inputs)
+        if cap is not None:
+            laid = self._laid(target, cap, colors, opacities, features)
+            colors, opacities, features, tint = laid.colors, laid.opacities, laid.features, tint * laid.left
         placed = self.geometry(target, inputs, None if cap is None else cap.share)
-        full = Gaussians(*placed, self.opacity(target, inputs), colors, features)
-        full = full if cap is None else cap.laid(full)
+        full = Gaussians(*placed, opacities, colors + tint, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
+
+    def with_channels(self, target: OpenAvatar, features: Any, at: slice, ones: Sequence[int], count: int, rows: int) -> Any:
+        """Return features [N, F] as the channels `at` of [rows, count], the channels `ones` 1, and zeros; not to be written to.
+
+        It is kept until there are other features: from frame to frame only the number of rows of zeros changes.
+        """
+        more = -(-(rows - len(features)) // _SPARE_ROWS) * _SPARE_ROWS
+
+        def make() -> tuple[Any]:
+            channels = zeros((len(features) + more, count), features)
+            channels[: len(features), at] = features
+            for one in ones:
+                channels[: len(features), one] = 1.0
+            return (channels,)
+
+        return self.cache.latest((target.id, "channels", at.start, *ones, count, more), (features,), make)[0][:rows]
+
+    def _laid(self, target: OpenAvatar, cap: Cap, *learned: Any) -> Laid:
+        """What a cap makes of colors, opacities and features, which stay the same while an expression is played."""
+        return self.cache.latest((target.id, "laid"), (*cap, *learned), lambda: cap.laid(*learned))
 
     def normals(self, target: OpenAvatar, inputs: Inputs, lod: int = 0) -> Any:
         """Return the outward mesh normal at each Gaussian, head space, [N, 3]."""

@@ -41,6 +41,11 @@ class Channels:
     light: slice | None
     count: int
 
+    @property
+    def vary(self) -> bool:
+        """Whether they hold what differs between frames and instances of an avatar."""
+        return any(part is not None for part in (self.normals, self.coverage, self.light))
+
 
 def buffers(
     raster: RasterOutput[Any], refined: Any, channels: Channels, options: RenderOptions, engine: Engine

@@ -297,7 +297,7 @@ class Wardrobe:
             return (on_person(head, still, block.frames, local, block.lock),)
 
         def make() -> tuple[np.ndarray, np.ndarray]:
-            origin, axes = (part.astype(np.float32) for part in block.frames.at(vertices, some))
+            origin, axes = block.frames.standing(vertices, some)
             if layer.points is not None:
                 moved = block.resampled(layer.groom, layer.points)
                 if not settings.keeps_shape:

@@ -187,10 +187,10 @@ def root(typing: Any, value: Any) -> Any:
 
 @intrinsic
 def append_at_least(typing: Any, array: Any, position: Any, base: Any, left: Any, right: Any) -> Any:
-    """Write base + lane of every lane where left >= right to array[position:] (int32); return how many there are.
+    """Write base + lane of every lane where left >= right to array[position:] (int32); return their number.
 
-    Eight lanes at a time, by a table of where they go: AVX-512's own instruction that writes chosen lanes to memory takes over a
-    hundred cycles on some processors, and others have none. Up to seven numbers after the last one are written, too.
+    Eight lanes at a time, by a table of where they go: AVX-512's own instruction that writes chosen lanes to memory takes over
+    a hundred cycles on some processors, and others have none. Up to seven numbers after the last one are written, too.
     """
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:

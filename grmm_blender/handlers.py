@@ -2,17 +2,19 @@
 
 Each handler walks the avatars of its scene and delegates to `rig.live`. All are persistent: they stay when a file is loaded.
 The model is only waited for where waiting is right: in renders, and in background Blender, where the next frame is rendered
-from this state. In a window the first use starts the model in the background and a timer catches up.
+from this state. In a window the first use starts the model in the background, and so it is left where another thread's
+picture keeps it; a timer catches up.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 
 import bpy
 from bpy.app.handlers import persistent
 
-from ..grmm_core.errors import GrmmError
+from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from . import events, session_host
 from .hair import display
 from .rig import live, repaint
@@ -25,9 +27,7 @@ CLASSES = ()
 
 _CATCH_UP_SECONDS = 0.3
 _SETTLE_SECONDS = 0.2
-_PATIENCE = 200  # times that the timer finds the model not ready before the next update waits for it, and meets its error
 _left_rigs = LeftRigs()
-_waited = 0
 _rendering = False  # between the start and the end of a render
 _busy = False  # a handler of ours is writing; its own changes call the handlers again
 
@@ -128,13 +128,24 @@ def _animate_again(avatar: Avatar) -> None:
 
 def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail: bool = True, brief: bool = False) -> bool:
     global _busy
-    detail = allow_detail and (_may_wait() or _is_ready())
+    problem = ""
     _busy = True
     try:
-        wrote = live.update(avatar, depsgraph, detail, brief)
+        with contextlib.ExitStack() as stack:
+            detail = allow_detail
+            if allow_detail and avatar.object.grmm.live_detail and not _may_wait():
+                try:
+                    detail = stack.enter_context(session_host.answering(avatar.source))
+                except RuntimeMissingError:
+                    pass  # `live.update` meets it at once, and knows what to do
+                except GrmmError as error:
+                    detail, problem = False, str(error)
+            wrote = live.update(avatar, depsgraph, detail, brief)
     finally:
         _busy = False
-    if allow_detail and not detail and live.state_of(avatar).stale:
+    if problem:
+        live.note(avatar, problem)
+    elif allow_detail and not detail and live.state_of(avatar).stale:
         events.later(_catch_up, _CATCH_UP_SECONDS)
     return wrote
 
@@ -166,31 +177,12 @@ def _may_wait() -> bool:
     return bpy.app.background or bpy.app.is_job_running("RENDER")
 
 
-def _is_ready() -> bool:
-    """Whether the model can answer at once; starts it in the background when it cannot."""
-    global _waited
-    try:
-        session = session_host.get_session()
-    except GrmmError:
-        return True  # there is nothing to wait for, and `live.update` notes the reason
-    status = session.status()
-    if (status.alive and status.torch) or _waited >= _PATIENCE:
-        _waited = 0
-        return True
-    if _waited == 0:
-        session.warm_up()
-    _waited += 1
-    return False
-
-
 def _catch_up() -> float | None:
-    """Timer: update everything once the model is ready."""
+    """Timer: update everything, again and again until the model has answered."""
     avatars = avatars_in(bpy.context.scene)
-    if avatars and not _is_ready():
-        return _CATCH_UP_SECONDS
     for avatar in avatars:
         _update(avatar, None)
-    return None
+    return _CATCH_UP_SECONDS if any(live.state_of(avatar).stale for avatar in avatars) else None
 
 
 _EVENTS = (

@@ -10,17 +10,19 @@ Imports neither torch nor bpy's data; `grmm_core.session` is light.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import shutil
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ..grmm_core.errors import GrmmError, RuntimeMissingError
+from ..grmm_core.controls.frame import Controls
+from ..grmm_core.errors import GrmmError, RuntimeMissingError, SessionError
 from ..grmm_core.hair import Groom
 from ..grmm_core.session import (
     WORKER_PYTHON_VARIABLE,
@@ -44,6 +46,7 @@ NO_TORCH = (
     "Avatars from photos need torch, which this Blender does not have; install the runtime, or choose a Python that has torch, "
     "in the preferences of the GRMM extension."
 )
+_WAIT_SECONDS = 0.5  # that the main thread waits for another one's picture once there is nothing left to compile
 FIRST_TIME = "the first time after installing takes half a minute"
 CLASSES = ()
 
@@ -90,6 +93,8 @@ _session: Session | None = None
 _last_error = ""
 _has_drawn = False
 _opened: dict[str, int] = {}  # ids of avatars in the session, by what was opened
+_opener: threading.Thread | None = None  # opens an avatar for the main thread
+_not_opened: dict[str, GrmmError] = {}  # why it could not, by what was to be opened, until the main thread hears of it
 _clouds: set[int] = set()  # ids of splat clouds in the session
 _KEPT_GROOMS = 4  # of each Curves object: a thread that began with one draws it to the end
 _grooms: dict[str, dict[str, int]] = {}  # in the session: by object, the places of its versions, the newest last
@@ -197,6 +202,48 @@ def open_avatar(source: str) -> AvatarInfo:
     return info
 
 
+@contextlib.contextmanager
+def answering(source: str) -> Iterator[bool]:
+    """Tell whether the model answers what the main thread asks about an avatar within the block, without a wait worth noticing.
+
+    Where it does not, because it is being loaded or compiled for another thread's picture, the avatar is opened on a thread
+    meanwhile: ask again in a moment.
+
+    Raises:
+        GrmmError: The session cannot be made, or the avatar could not be opened since the last time that this was asked.
+    """
+    session = get_session()
+    problem = _not_opened.pop(source, None)
+    if problem is not None:
+        raise problem
+    with session.at_once(_WAIT_SECONDS if _has_drawn else 0.0) as free:
+        ready = free and source in _opened
+        yield ready
+    if not ready:
+        _open_soon(source)
+
+
+def _open_soon(source: str) -> None:
+    global _opener
+
+    def work() -> None:
+        session: Session | None = None
+        try:
+            session = get_session()
+            session.deform(open_avatar(source).id, Controls())  # an avatar that was open before may need a new worker
+        except Exception as error:  # noqa: BLE001 - a thread has no caller that would hear of it
+            if not isinstance(error, GrmmError):
+                _log.error("%s could not be opened.", source, exc_info=error)
+            if session is _session:  # else nobody wants it any more
+                text = f"The avatar could not be opened ({type(error).__name__}: {error})."
+                _not_opened[source] = error if isinstance(error, GrmmError) else SessionError(text)
+
+    with _lock:
+        if _opener is None or not _opener.is_alive():
+            _opener = threading.Thread(target=work, name="GRMM opening", daemon=True)
+            _opener.start()
+
+
 def known_avatar(source: str) -> int | None:
     """Return the id of an avatar that was opened before, without a call of the session; None where it was not."""
     return _opened.get(source)
@@ -284,6 +331,7 @@ def shutdown() -> None:
     with _lock:
         session, _session = _session, None
         _opened.clear()
+        _not_opened.clear()
         _clouds.clear()
         _grooms.clear()
     if session is not None:

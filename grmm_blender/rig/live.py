@@ -87,6 +87,12 @@ def forget() -> None:
     _states.clear()
 
 
+def note(avatar: Avatar, message: str) -> None:
+    """Keep one sentence for panels about why the learned displacement is missing; the next change of a control tries again."""
+    state = state_of(avatar)
+    state.message, state.stale = message, False
+
+
 def update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None = None, detail: bool = True, brief: bool = False) -> bool:
     """Bring an avatar's joints and residual key up to date with its controls.
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from types import TracebackType
 from typing import Protocol, Self, runtime_checkable
 
@@ -178,6 +179,14 @@ class Session(Protocol):
             instances: As `render`.
             camera: As `render`.
             options: As `render`.
+        """
+        ...
+
+    def at_once(self, seconds: float) -> AbstractContextManager[bool]:
+        """Tell whether calls of this thread within the block are carried out at once, after waiting for that so long.
+
+        They are where the model is loaded and no other thread's call is under way; until the block ends none begins then. Other
+        calls wait for as long as it takes, which is half a minute and more where a first picture is being compiled for.
         """
         ...
 

@@ -15,7 +15,7 @@ import os
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -31,6 +31,7 @@ from ..hair.groom import Groom
 from ..splat.types import GaussianArrays
 from .api import CancelCheck
 from .codec import digest
+from .holding import held
 from .process import WorkerDiedError, WorkerProcess
 from .sources import SourceKey, source_key
 from .values import AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
@@ -202,6 +203,12 @@ class WorkerSession:
         if worker is not None and size <= PREPARED_BYTES:
             self._announced.append(name)
             worker.tell({"begin": name, "arguments": asked})
+
+    @contextlib.contextmanager
+    def at_once(self, seconds: float) -> Iterator[bool]:
+        """See `Session.at_once`."""
+        with held(self._lock, seconds) as free:
+            yield free and self._worker is not None and self._worker.alive and self._facts is not None
 
     def warm_up(self) -> None:
         """See `Session.warm_up`."""

@@ -42,6 +42,7 @@ from .clouds import OpenCloud
 from .compose import Gathered, PlacedAvatar, PlacedCloud, draw, gather
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
+from .holding import held
 from .painter import painted
 from .sources import SourceKey, source_key
 from .values import MAX_LOD, AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
@@ -273,6 +274,12 @@ class LocalSession:
             placed.append(PlacedAvatar(target, self.evaluator.inputs(target, instance.controls), instance, worn))
         return gather(placed, self.evaluator, self._wardrobe, camera, options, should_cancel)
 
+    @contextlib.contextmanager
+    def at_once(self, seconds: float) -> Iterator[bool]:
+        """See `Session.at_once`."""
+        with held(self._lock, seconds) as free:
+            yield free and bool(self._avatars)
+
     @_guarded
     def warm_up(self) -> None:
         """See `Session.warm_up`; here it loads and compiles before it returns, because threads would share one interpreter."""
@@ -282,16 +289,9 @@ class LocalSession:
     def status(self) -> SessionStatus:
         """See `Session.status`."""
         return SessionStatus(
-            kind="local",
-            alive=not self._closed,
-            pid=os.getpid(),
-            python=platform.python_version(),
-            engine=self.engine.name,
-            torch=self.engine.torch,
-            device=self.engine.device,
-            threads=self.engine.threads,
-            memory_bytes=resident_memory(),
-        )
+            kind="local", alive=not self._closed, pid=os.getpid(), python=platform.python_version(), engine=self.engine.name,
+            torch=self.engine.torch, device=self.engine.device, threads=self.engine.threads, memory_bytes=resident_memory(),
+        )  # fmt: skip
 
     def close(self) -> None:
         """See `Session.close`."""

@@ -43,3 +43,21 @@ def test_a_head_is_seen_moved_opened_and_deleted_as_expected(run_blender: RunBle
         "with a hat": [False, True, True],
         "with another bone": [False, True, True],
     }
+
+
+def test_blender_does_not_wait_for_another_threads_picture(run_blender: RunBlender, blender_version: str):
+    """The first picture compiles for half a minute: meanwhile the mesh is there, and what the model adds comes later."""
+    environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
+    found = run_blender("busy_model.py", python=blender_version, environment=environment, fresh=True).result
+    assert found["seconds"] < 20.0
+    assert found["vertices"] > 1000
+    assert found["while_busy"] == 0.0
+    assert found["again"] is not None
+    assert found["corner"].startswith("Loading splats; ")
+    assert found["caught_up"]
+    assert found["after"] > 1e-4
+    assert found["message"] == ""
+    assert found["refused"]
+    assert found["why"] == "There is no default today; look elsewhere."
+    assert found["recovered"]
+    assert found["still"] == ""

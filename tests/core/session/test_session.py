@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import threading
 
 import numpy as np
 import pytest
@@ -451,3 +452,28 @@ def test_both_draw_the_same(local, worker):
     pictures = [all_passes(s, [Instance(s.open("default").id, controls)]) for s in (local, worker)]
     for name in PASS_NAMES:
         np.testing.assert_allclose(pictures[0][name], pictures[1][name], rtol=0, atol=0)
+
+
+def test_who_cannot_wait_is_told_whether_calls_are_carried_out_at_once(session, avatar):
+    session.deform(avatar.id, Controls())
+    with session.at_once(0.0) as free:
+        assert free
+        session.deform(avatar.id, Controls())
+    holding, done = threading.Event(), threading.Event()
+
+    def hold():
+        with session.at_once(60.0):
+            holding.set()
+            done.wait(60.0)
+
+    thread = threading.Thread(target=hold)
+    thread.start()
+    try:
+        assert holding.wait(60.0)
+        with session.at_once(0.05) as free:
+            assert not free
+    finally:
+        done.set()
+        thread.join()
+    with session.at_once(60.0) as free:
+        assert free

@@ -303,6 +303,8 @@ def test_a_dropped_session_ends_its_worker(weights):
 
 def test_warming_up_returns_at_once(weights):
     with create_session("worker", weights=weights) as session:
+        with session.at_once(0.0) as free:
+            assert not free
         session.warm_up()
         assert not session.status().torch  # it did not wait for the worker, which takes seconds to load torch
         assert session.open("default").id > 0

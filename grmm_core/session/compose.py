@@ -40,12 +40,14 @@ from .api import CancelCheck
 from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, Hair, LitAvatar
-from .passes import Channels, buffers, empty, light_of, strands_of
-from .values import LIGHT_PASSES, LINEAR_PASS, Instance, RenderOptions
+from .passes import ROUNDING, Channels, buffers, empty, light_of, strands_of
+from .values import LIGHT_PASSES, LINEAR_PASS, RAW_LINEAR_PASS, Instance, RenderOptions
 from .wardrobe import Wardrobe, Worn, at_rest
 
 NORMAL_CHANNELS = 3
 _FAR_SIDE = 0.05  # metres behind the skin, which lets a little of what is nearer through; a frame of playback has no more
+_OF_RAW = {"raw", RAW_LINEAR_PASS}  # passes of the picture before it is refined
+_ROWS_MIN = 32  # of a picture, in a task of a thread
 _MIN_SKIN = 2e-3  # cover of skin between strands that is not worth refining
 
 
@@ -120,7 +122,7 @@ def draw(
     check()
     refined = raster.rgb
     if _refines(options):
-        refined = _refine(placed, raster, channels, options.coarse, check)
+        refined = _refine(placed, raster, channels, options, check)
     if channels.light is not None:
         refined = _relit(refined, raster, channels.light)
     return buffers(raster, refined, channels, options, evaluator.engine)
@@ -287,13 +289,13 @@ def _at_origin(camera: Camera) -> Camera:
 
 
 def _refine(
-    placed: Sequence[Placed], raster: RasterOutput[Any], channels: Channels, coarse: bool, check: Callable[[], None]
+    placed: Sequence[Placed], raster: RasterOutput[Any], channels: Channels, options: RenderOptions, check: Callable[[], None]
 ) -> Any:
-    """Return the refined colors, premultiplied over black, [H, W, 3]."""
+    """Return the refined colors, premultiplied over black, [H, W, 3]; where nobody asks for the raster's, in their place."""
+    coarse = options.coarse
     coverage = None if channels.coverage is None else present(raster.features)[..., channels.coverage]  # [H, W, K]
     limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
     result = raster.rgb
-    strands = None if channels.skin is None else strands_of(raster, channels.skin)
     models: dict[int, Model] = {id(item.model): item.model for item in placed if item.model is not None}
     mixed = len({id(item.model) for item in placed}) > 1  # several weights, or clouds that no network may touch
     for key, model in models.items():
@@ -304,9 +306,8 @@ def _refine(
         if mixed:
             own = [k for k, item in enumerate(placed) if item.model is model]
             share = present(coverage)[..., own].sum(-1)  # [H, W]
-        if strands is not None:  # no network has seen strands: they stay as they are
-            skin = (raster.alpha if share is None else share) - strands - _MIN_SKIN
-            share = library_of(skin).clip(skin, 0.0, None)
+        if channels.skin is not None:  # no network has seen strands: they stay as they are
+            share = _without_strands(raster, channels.skin, share)
         region = _covered_region(raster.alpha if share is None else share, model.config, coarse)
         if region is None:
             continue
@@ -319,10 +320,24 @@ def _refine(
         )
         cover = None if share is None else library_of(share).minimum(share[rows, columns], part.alpha)
         refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns], coarse, cover)
-        if result is raster.rgb:
+        if result is raster.rgb and (mixed or set(options.passes) & _OF_RAW):
             result = raster.rgb + 0.0
         result[rows, columns] = result[rows, columns] + (refined - part.rgb) if mixed else refined
     return result
+
+
+def _without_strands(raster: RasterOutput[Any], skin: int, share: Any) -> Any:
+    """What strands leave of a share of the cover, or of all of it, where that is worth refining, [H, W]."""
+    if share is not None or not isinstance(raster.alpha, np.ndarray):
+        left = (raster.alpha if share is None else share) - strands_of(raster, skin) - _MIN_SKIN
+        return library_of(left).clip(left, 0.0, None)
+    from ..compute.threads import for_rows
+    from .cover_kernels import skin_cover
+
+    cover = np.empty_like(raster.alpha)
+    planes = raster.alpha, present(raster.features)[..., skin]
+    for_rows(skin_cover, len(cover), *planes, ROUNDING, _MIN_SKIN, cover, smallest=_ROWS_MIN)
+    return cover
 
 
 def _ranges(raster: RasterOutput[Any], coverage: Any) -> Any:

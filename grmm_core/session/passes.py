@@ -18,7 +18,7 @@ from .engines import Engine
 from .lit import HIGHLIGHTS, SHADOW
 from .values import EMPTY_DEPTH, LIGHT_PASSES, LINEAR_PASS, RAW_LINEAR_PASS, RenderOptions
 
-_ROUNDING = 1e-5  # of sums of many Gaussians' weights
+ROUNDING = 1e-5  # of sums of many Gaussians' weights
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ def buffers(
 def strands_of(raster: RasterOutput[Array], skin: int) -> Array:
     """How much of each pixel strands cover, [H, W]: what the channel `skin` does not."""
     cover: Array = raster.alpha - present(raster.features)[..., skin]
-    return cover * (cover > _ROUNDING)
+    return cover * (cover > ROUNDING)
 
 
 def _linear(refined: Any, alpha: Any, engine: Engine, lit: bool) -> Any:

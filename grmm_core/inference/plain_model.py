@@ -243,7 +243,8 @@ class PlainModel:
     ) -> np.ndarray:  # fmt: skip
         """Psi_ref (eq. 14) on a picture that was rasterised over black; see `GRMM.refine`."""
         rgb, alpha, far = np.asarray(raster.rgb), np.asarray(raster.alpha), np.asarray(raster.depth)
-        features = np.asarray(raster.features) if self.config.features else np.zeros((*alpha.shape, 0), np.float32)
+        there = self.config.features and raster.features is not None
+        features = np.asarray(raster.features) if there else np.zeros((*alpha.shape, 0), np.float32)
         if "refinement" not in self._networks:
             return rgb
         if limits is None:
@@ -258,7 +259,8 @@ class PlainModel:
         rows, columns = (-(-size // 2) for size in alpha.shape)
         small = np.empty((rows, columns, 5 + features.shape[2]), np.float32)
         for_rows(halve, rows, rgb, depth, alpha, features, small, smallest=_ROWS_MIN)
-        refined = self._refined(small[..., :3], small[..., 5:], small[..., 3], small[..., 4])
+        halves = small[..., 5:] if raster.halves is None else np.asarray(raster.halves)
+        refined = self._refined(small[..., :3], halves, small[..., 3], small[..., 4])
         # The network's change is a residual times alpha. Enlarging both keeps the residual whole across the silhouette.
         refined -= small[..., :3]
         larger = np.empty(rgb.shape, np.float32)

@@ -114,11 +114,12 @@ def draw(
     placed, parts, channels = gathered.placed, gathered.parts, gathered.channels
     if not placed:
         return empty(camera, options)
+    halved = channels.last if options.coarse and "features" not in options.passes else 0
     if len(placed) == 1:
         # In head space as it is: the placement goes into the camera (eq. 2) and no Gaussian is moved.
-        raster = evaluator.engine.rasterize(parts[0], camera.transformed(placed[0].instance.model_to_world))
+        raster = evaluator.engine.rasterize(parts[0], camera.transformed(placed[0].instance.model_to_world), halved)
     else:
-        raster = evaluator.engine.rasterize(Gaussians.concatenate(parts), _at_origin(camera))
+        raster = evaluator.engine.rasterize(Gaussians.concatenate(parts), _at_origin(camera), halved)
     check()
     refined = raster.rgb
     if _refines(options):
@@ -304,8 +305,8 @@ def _refine(
             continue
         share = None  # of the cover that is this network's
         if mixed:
-            own = [k for k, item in enumerate(placed) if item.model is model]
-            share = present(coverage)[..., own].sum(-1)  # [H, W]
+            mine = [k for k, item in enumerate(placed) if item.model is model]
+            share = present(coverage)[..., mine].sum(-1)  # [H, W]
         if channels.skin is not None:  # no network has seen strands: they stay as they are
             share = _without_strands(raster, channels.skin, share)
         region = _covered_region(raster.alpha if share is None else share, model.config, coarse)
@@ -316,8 +317,14 @@ def _refine(
             rgb=raster.rgb[rows, columns],
             alpha=raster.alpha[rows, columns],
             depth=raster.depth[rows, columns],
-            features=present(raster.features)[rows, columns, channels.features[key]] if model.config.features else None,
         )
+        own = channels.features[key]
+        if raster.halves is None:
+            part.features = present(raster.features)[rows, columns, own]
+        else:
+            first = channels.count - channels.last
+            small_rows, small_columns = (slice(side.start // 2, -(-side.stop // 2)) for side in region)
+            part.halves = raster.halves[small_rows, small_columns, own.start - first : own.stop - first]
         cover = None if share is None else library_of(share).minimum(share[rows, columns], part.alpha)
         refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns], coarse, cover)
         if result is raster.rgb and (mixed or set(options.passes) & _OF_RAW):

@@ -45,8 +45,8 @@ class Engine(Protocol):
         """Numbers as this library has them, float32, on its device."""
         ...
 
-    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput[Any]:
-        """Draw over black."""
+    def rasterize(self, gaussians: Gaussians, camera: Camera, halved: int = 0) -> RasterOutput[Any]:
+        """Draw over black; so many of the last features may come in `halves` alone, if the engine can."""
         ...
 
     def scene_linear(self, rgb: Any, alpha: Any) -> Any:

@@ -42,6 +42,11 @@ class Channels:
     count: int
 
     @property
+    def last(self) -> int:
+        """How many channels models' features are, the last ones."""
+        return self.count - min((part.start for part in self.features.values()), default=self.count)
+
+    @property
     def vary(self) -> bool:
         """Whether they hold what differs between frames and instances of an avatar."""
         return any(part is not None for part in (self.normals, self.coverage, self.light))

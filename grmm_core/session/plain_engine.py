@@ -55,13 +55,13 @@ class PlainEngine:
         """See `Engine.array`."""
         return np.ascontiguousarray(values, np.float32)
 
-    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput[np.ndarray]:
+    def rasterize(self, gaussians: Gaussians, camera: Camera, halved: int = 0) -> RasterOutput[np.ndarray]:
         """See `Engine.rasterize`."""
         own = gaussians
         features = np.zeros((len(own), 0), np.float32) if own.features is None else own.features
         parts = (own.means, own.quats, own.scales, own.opacities, own.colors, features)
-        drawn = rasterize_arrays(GaussianArrays(*map(np.asarray, parts)), camera)
-        return RasterOutput(drawn.rgb, drawn.alpha, drawn.depth, drawn.features)
+        drawn = rasterize_arrays(GaussianArrays(*map(np.asarray, parts)), camera, halved=halved)
+        return RasterOutput(drawn.rgb, drawn.alpha, drawn.depth, drawn.features, drawn.halves if halved else None)
 
     def scene_linear(self, rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """See `Engine.scene_linear`."""

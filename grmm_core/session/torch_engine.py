@@ -71,7 +71,7 @@ class TorchEngine:
         """See `Engine.array`."""
         return torch.as_tensor(values, dtype=torch.float32, device=self._device)
 
-    def rasterize(self, gaussians: Gaussians, camera: Camera) -> RasterOutput[Tensor]:
+    def rasterize(self, gaussians: Gaussians, camera: Camera, halved: int = 0) -> RasterOutput[Tensor]:
         """See `Engine.rasterize`."""
         return rasterize(gaussians, camera)
 

@@ -86,6 +86,7 @@ def rasterize_arrays(
     background: np.ndarray | Sequence[float] = (0.0, 0.0, 0.0),
     antialiased: bool = False,
     frame: Camera | None = None,
+    halved: int = 0,
 ) -> PictureArrays:
     """Draw Gaussians given as arrays with the compiled kernels, as `rasterize` does with tensors; needs numba, not torch.
 
@@ -95,6 +96,7 @@ def rasterize_arrays(
         background: [3] or [H, W, 3] colors behind the scene.
         antialiased: As in `rasterize`.
         frame: As in `rasterize`.
+        halved: So many of the last features come as means over 2 x 2 pixels, `halves`, which takes less time.
 
     Raises:
         ShapeError: An array's shape does not fit.
@@ -107,4 +109,4 @@ def rasterize_arrays(
     ground = np.ascontiguousarray(background, np.float32)
     _check_background(ground.shape, camera)
     ground = ground.reshape(1, 1, 3) if ground.ndim == 1 else ground
-    return draw(gaussians.prepared(), ground, View.of(camera, frame), antialiased)[0]
+    return draw(gaussians.prepared(), ground, View.of(camera, frame), antialiased, halved)[0]

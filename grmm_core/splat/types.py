@@ -103,12 +103,14 @@ class RasterOutput(Generic[Array]):
         alpha: [H, W] cover, 0..1: one minus the transmittance that is left.
         depth: [H, W] expected depth along the camera's z axis, metres: sum of w z / alpha; 0 where nothing covers the pixel.
         features: [H, W, C] blended features (premultiplied, over zero), or None.
+        halves: [ceil(H / 2), ceil(W / 2), D] means over 2 x 2 pixels of the features that follow these, or None.
     """
 
     rgb: Array
     alpha: Array
     depth: Array
     features: Array | None = None
+    halves: Array | None = None
 
 
 class GaussianArrays(NamedTuple):
@@ -141,9 +143,10 @@ class GaussianArrays(NamedTuple):
 
 
 class PictureArrays(NamedTuple):
-    """`RasterOutput` as float32 arrays: rgb [H, W, 3], alpha [H, W], depth [H, W], features [H, W, C]."""
+    """`RasterOutput` as float32 arrays: rgb [H, W, 3], alpha [H, W], depth [H, W], features [H, W, C], halves or none."""
 
     rgb: np.ndarray
     alpha: np.ndarray
     depth: np.ndarray
     features: np.ndarray
+    halves: np.ndarray = np.zeros((0, 0, 0), np.float32)

@@ -35,7 +35,9 @@ class Drawing:
     gaussian: np.ndarray
 
 
-def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialiased: bool) -> tuple[PictureArrays, Drawing]:
+def draw(
+    gaussians: GaussianArrays, background: np.ndarray, view: View, antialiased: bool, halved: int = 0
+) -> tuple[PictureArrays, Drawing]:
     """Draw Gaussians.
 
     Args:
@@ -43,9 +45,10 @@ def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialia
         background: [1, 1, 3] or [H, W, 3] float32.
         view: The camera.
         antialiased: Opacity compensation.
+        halved: So many of the last features are wanted in `PictureArrays.halves` instead of `features`; without gradients.
 
     Returns:
-        The pictures, features [H, W, C]; and what the backward pass needs.
+        The pictures, features [H, W, C - halved]; and what the backward pass needs.
 
     Raises:
         BackendError: The picture is too large, or the Gaussians cover so many tiles that they cannot be counted.
@@ -83,7 +86,8 @@ def draw(gaussians: GaussianArrays, background: np.ndarray, view: View, antialia
         rgb=buffers.empty((height, width, 3)),
         alpha=buffers.empty((height, width)),
         depth=buffers.empty((height, width)),
-        features=buffers.empty((height, width, gaussians.features.shape[1])),
+        features=buffers.empty((height, width, gaussians.features.shape[1] - halved)),
+        halves=buffers.empty((-(-height // 2), -(-width // 2), halved)),
     )
     ends = np.empty(tiles, np.int64)
     few = int(np.argmax(needs.sum(0).cumsum() * np.arange(groups, -1, -1)))  # with what most sums are spared
@@ -124,7 +128,7 @@ def differentiate(
         len(groups),
         lambda k: backward.replay(
             *groups[k], drawing.tiles_x, drawing.starts, drawing.ends, scene,
-            blocks.CONSTANTS, tuple(pictures), tuple(d_pictures), rows,
+            blocks.CONSTANTS, tuple(pictures)[:4], tuple(d_pictures)[:4], rows,
         ),
     )  # fmt: skip
     chunks = pieces(len(gaussians.means), CHUNK_MIN, TASKS * thread_count())

@@ -28,7 +28,7 @@ class CpuEngine:
     def draw(self, inputs: Sequence[Tensor], background: Tensor, view: View, antialiased: bool) -> tuple[list[Tensor], Drawing]:
         """See `autograd.Engine.draw`."""
         pictures, drawing = draw(_gaussians(inputs), background.numpy(), view, antialiased)
-        return [torch.from_numpy(array) for array in pictures], drawing
+        return [torch.from_numpy(array) for array in pictures[:4]], drawing
 
     def differentiate(
         self, inputs: Sequence[Tensor], outputs: Sequence[Tensor], drawing: Drawing, d_outputs: Sequence[Tensor]

@@ -242,6 +242,33 @@ def copy_four(typing: Any, source: Any, start: Any, target: Any, place: Any) -> 
 
 
 @intrinsic
+def spread_four(typing: Any, array: Any, index: Any) -> Any:
+    """array[index : index + 4] of a one-dimensional float32 array, again and again, in all lanes."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        four = ir.VectorType(ir.FloatType(), 4)
+        data = context.make_array(sig.args[0])(context, builder, args[0]).data
+        place = builder.gep(data, [context.cast(builder, args[1], sig.args[1], types.intp)])
+        values = builder.load(builder.bitcast(place, four.as_pointer()), align=4)
+        return _shuffle(builder, values, values, [lane % 4 for lane in range(WIDTH)])
+
+    return LANES(array, index), generate
+
+
+@intrinsic
+def sum_fours(typing: Any, value: Any) -> Any:
+    """In each lane the sum of the four lanes of its group of four."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        (total,) = args
+        for step in (1, 2):
+            total = builder.fadd(total, _shuffle(builder, total, total, [lane ^ step for lane in range(WIDTH)]))
+        return total
+
+    return LANES(value), generate
+
+
+@intrinsic
 def any_at_least(typing: Any, left: Any, right: Any) -> Any:
     """Whether left >= right in any lane."""
 

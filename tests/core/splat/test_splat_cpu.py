@@ -252,3 +252,26 @@ def test_arrays_may_be_views_of_another_type_that_cannot_be_written():
         array.setflags(write=False)
     flipped = Gaussians(*(getattr(many, name).flip(0) for name in NAMES))
     np.testing.assert_array_equal(rasterize_arrays(arrays, orbit()).rgb, rasterize(flipped, orbit(), backend="cpu").rgb.numpy())
+
+
+@pytest.mark.parametrize(("plain", "halved"), [(0, 1), (1, 14), (3, 4), (2, 21)])
+def test_features_of_half_the_size_are_means(plain, halved):
+    """Sums for squares of pixels give what summing for pixels and taking means gives, also at odd edges."""
+    rng = np.random.default_rng(5)
+    count, width, height = 600, 75, 53
+    features = rng.normal(size=(count, plain + halved)).astype(np.float32)
+    features[: count // 2] = 0.0  # need few channels, as strands do
+    features[: count // 4, : plain + 1] = 1.0
+    scene = GaussianArrays(
+        rng.uniform(-0.1, 0.1, (count, 3)), rng.normal(size=(count, 4)), rng.uniform(0.001, 0.02, (count, 3)),
+        rng.uniform(0.05, 0.9, count), rng.random((count, 3)), features,
+    ).prepared()  # fmt: skip
+    camera = Camera.orbit(width, height)
+    whole, half = rasterize_arrays(scene, camera), rasterize_arrays(scene, camera, halved=halved)
+    for name in ("rgb", "alpha", "depth"):
+        np.testing.assert_array_equal(getattr(half, name), getattr(whole, name))
+    np.testing.assert_allclose(half.features, whole.features[..., :plain], atol=1e-6)
+    assert half.halves.shape == (27, 38, halved)
+    for y, x in np.ndindex(27, 38):
+        wanted = whole.features[2 * y : 2 * y + 2, 2 * x : 2 * x + 2, plain:].mean((0, 1))
+        np.testing.assert_allclose(half.halves[y, x], wanted, atol=1e-5)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import PointerProperty
+from bpy.props import BoolProperty, PointerProperty
 
 from ..declare import choice, flag, whole
 from ..scene.walk import drawn_objects
@@ -16,6 +16,11 @@ DETAIL_ITEMS = (
     ("2", "Sixteenth", "A sixteenth of the Gaussians"),
     ("3", "Lowest", "A sixty-fourth of the Gaussians"),
 )
+
+
+def _draws_curves(settings: GRMM_RenderSettings) -> bool:
+    """Whether a scene's engine is another one."""
+    return bool(settings.id_data.render.engine != ENGINE)
 
 
 class GRMM_RenderSettings(bpy.types.PropertyGroup):
@@ -41,6 +46,11 @@ class GRMM_RenderSettings(bpy.types.PropertyGroup):
         "How many of the avatars' Gaussians are drawn in the viewport while the view or the pose changes",
         *DETAIL_ITEMS,
         default="1",
+    )
+    draws_curves: BoolProperty(  # type: ignore[valid-type]
+        name="Draws Curves",
+        description="Whether the scene's engine draws hair as curves; GRMM draws splats",
+        get=_draws_curves,
     )
 
 

@@ -25,6 +25,7 @@ from .. import session_host
 from ..rig.avatar import Avatar
 from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
+from .curve_children import OUT, Family, childless
 from .curve_sliders import MODIFIER_NAME as SLIDERS
 from .curve_sliders import PART, add_sliders
 from .display import AS_SPLATS
@@ -83,7 +84,8 @@ def selected_curves(avatar: Avatar) -> Iterator[None]:
         if obj is not None:
             obj.hide_set(False)
             obj.select_set(True)
-        yield
+        with childless(obj.modifiers.get(SLIDERS) if obj is not None else None):
+            yield
     finally:
         if made is not None:
             data, materials, nodes = made.data, list(made.data.materials), made.modifiers[SLIDERS].node_group
@@ -120,7 +122,9 @@ def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | No
     obj.display_type = AS_SPLATS
     obj.lock_location = obj.lock_rotation = obj.lock_scale = (True, True, True)
     head.add_rest_position_attribute = True
-    add_sliders(obj, head, int(groom.counts.max()) if groom is not None and len(groom) else _POINTS)
+    points = int(groom.counts.max()) if groom is not None and len(groom) else _POINTS
+    model = load_head(AssetReference(head.grmm.head_name))
+    add_sliders(obj, head, points, Family.of(groom, np.asarray(model.v_template, float), np.asarray(model.faces)))
     modifier = obj.modifiers.new(MODIFIER_NAME, "NODES")
     modifier.node_group = _deform_group()
     return obj
@@ -143,17 +147,19 @@ def _fill(data: bpy.types.Curves, head: bpy.types.Object, groom: Groom) -> None:
     """Write a groom's strands, as they are on the resting mesh."""
     model = load_head(AssetReference(head.grmm.head_name))
     frames = groom.frames(np.asarray(model.v_template, float), np.asarray(model.faces))
-    points = to_blender(groom.posed(frames, resting_vertices(head)))
+    resting = resting_vertices(head)
+    points = to_blender(groom.posed(frames, resting))
     corners = np.asarray(model.uv, np.float64)[np.asarray(model.uv_faces)[groom.triangles]]  # [N, 3, 2]
     places = (corners * groom.weights[..., None]).sum(1).astype(np.float32)
     ends = 0.5 * groom.widths[groom.strand_of_point]
-    radii = ends[:, 0] + (ends[:, 1] - ends[:, 0]) * groom.along
+    radii = ends[:, 0] + (ends[:, 1] - ends[:, 0]) * groom.along**2
     data.add_curves(groom.counts.tolist())
     data.attributes["position"].data.foreach_set("vector", points.ravel())
     rows = [
         (UV_COORDINATE, "FLOAT2", "CURVE", "vector", places),
         ("radius", "FLOAT", "POINT", "value", radii.astype(np.float32)),
     ]
+    rows.append((OUT, "FLOAT_VECTOR", "CURVE", "vector", to_blender(frames.at(resting)[1][:, 2]).astype(np.float32)))
     rows.append((PART, "INT", "CURVE", "value", groom.groups.astype(np.int32) + 1))
     tints = groom.point_tints
     if tints is not None:

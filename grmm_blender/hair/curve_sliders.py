@@ -13,6 +13,8 @@ import bpy
 from ...grmm_core.hair.roots import SCALP
 from ...grmm_core.hair.strands import CURL, FRIZZ
 from ...grmm_core.session import HEAD_TO_BLENDER
+from .curve_children import Family, with_children
+from .node_fields import Nodes, Value
 
 PART = "grmm_part"  # of a curve, an attribute: one more than its number in `roots.GROUPS`, or else its root says what it is
 MODIFIER_NAME = "GRMM Hair Sliders"
@@ -21,63 +23,19 @@ _OTHERS = ("thickness", "density")
 _SIDEWAYS = tuple((HEAD_TO_BLENDER[:3, :3] @ (0.31, 0.42, 0.85)).tolist())  # strands' directions across, see `strands.across`
 _EPSILON = 1e-4
 
-Value = bpy.types.NodeSocket | float | tuple[float, ...]
 
-
-class _Nodes:
-    """Writes fields as nodes of a tree."""
-
-    def __init__(self, tree: bpy.types.NodeTree) -> None:
-        self.tree = tree
-
-    def new(self, kind: str, inputs: dict[str | int, Value] | None = None, **options: object) -> bpy.types.Node:
-        """A node with some inputs given, by name or number."""
-        node = self.tree.nodes.new(kind)
-        node.location = 180.0 * (len(self.tree.nodes) % 12), -220.0 * (len(self.tree.nodes) // 12)
-        for name, value in options.items():
-            setattr(node, name, value)
-        for key, given in (inputs or {}).items():
-            if isinstance(given, bpy.types.NodeSocket):
-                self.tree.links.new(given, node.inputs[key])
-            else:
-                node.inputs[key].default_value = given
-        return node
-
-    def math(self, operation: str, *values: Value) -> bpy.types.NodeSocket:
-        """A number of numbers."""
-        return self.new("ShaderNodeMath", dict(enumerate(values)), operation=operation).outputs[0]
-
-    def vector(self, operation: str, *values: Value) -> bpy.types.NodeSocket:
-        """A vector of vectors; "SCALE" takes a number second."""
-        keys = (0, "Scale") if operation == "SCALE" else range(len(values))
-        return self.new("ShaderNodeVectorMath", dict(zip(keys, values, strict=True)), operation=operation).outputs[0]
-
-    def chance(self, curve: bpy.types.NodeSocket, seed: int) -> bpy.types.NodeSocket:
-        """A number 0..1 for each curve."""
-        node = self.new("FunctionNodeRandomValue", {"ID": curve, "Seed": seed}, data_type="FLOAT")
-        return next(socket for socket in node.outputs if socket.type == "VALUE")
-
-    def setting(self, head: bpy.types.Object, name: str) -> bpy.types.NodeSocket:
-        """A slider of the panel."""
-        socket = self.new("ShaderNodeValue", label=name.capitalize()).outputs[0]
-        driver = socket.driver_add("default_value").driver
-        driver.type = "AVERAGE"  # of one: no script runs
-        variable = driver.variables.new()
-        variable.targets[0].id, variable.targets[0].data_path = head, f"grmm.hair.{name}"
-        return socket
-
-
-def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int) -> None:
-    """Give curves of about so many points each a modifier that follows the sliders of a head's Hair panel."""
+def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int, family: Family) -> None:
+    """Give curves of about so many points each a modifier that follows the sliders of a head's Hair panel, with children."""
     tree = bpy.data.node_groups.new(f"{obj.name} sliders", "GeometryNodeTree")
     for way in ("INPUT", "OUTPUT"):
         tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
     tree.is_modifier = True
-    nodes = _Nodes(tree)
+    nodes = Nodes(tree)
     length, curl, frizz, thickness, density = (nodes.setting(head, name) for name in (*NEUTRAL, *_OTHERS))
     position, curve = nodes.new("GeometryNodeInputPosition").outputs[0], nodes.new("GeometryNodeCurveOfPoint").outputs[0]
     along = nodes.new("GeometryNodeSplineParameter").outputs["Factor"]
-    geometry = nodes.new("NodeGroupInput").outputs[0]
+    start = nodes.new("NodeGroupInput")
+    geometry = start.outputs[0]
     part = nodes.new("GeometryNodeInputNamedAttribute", {"Name": PART}, data_type="FLOAT").outputs[0]
     scalp = nodes.math("LESS_THAN", part, SCALP + 1.5)  # brows and beards keep their shape; 0 is hair that somebody drew
 
@@ -135,7 +93,9 @@ def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int) -> N
     moved = nodes.vector("ADD", nodes.vector("SCALE", wave, waved), nodes.vector("SCALE", noise, ruffled))
     some = nodes.math("GREATER_THAN", nodes.math("ADD", nodes.math("MAXIMUM", curl, 0.0), frizz), _EPSILON)
     geometry = placed(some, offset=moved)
-    # thickness and density
+    # more and finer strands; thickness and density
+    geometry, strands = with_children(nodes, geometry, start, scalp, family)
+    thickness = nodes.math("DIVIDE", thickness, strands)
     there = nodes.math("LESS_THAN", nodes.chance(curve, 6), nodes.math("MULTIPLY", density, 1.0 + _EPSILON))
     times = nodes.math("SUBTRACT", nodes.math("MULTIPLY", thickness, there), 1.0)
     times = nodes.math("ADD", nodes.math("MULTIPLY", times, scalp), 1.0)

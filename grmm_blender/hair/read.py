@@ -23,6 +23,7 @@ from ...grmm_core.hair.groom import MAX_POINTS
 from ...grmm_core.hair.roots import BEARD, BROWS, GROUPS, RootFrames
 from ...grmm_core.session import HEAD_TO_BLENDER
 from ..rig.identity import load_head
+from .curve_children import CHILD
 from .curve_sliders import MODIFIER_NAME, PART, follows_sliders, keeps_course
 from .strands import StrandShot
 
@@ -219,22 +220,31 @@ def _shot(number: int, groom: Groom) -> StrandShot:
 
 
 def _curves_of(data: bpy.types.Curves, source: _Curves | None) -> _Curves:
-    """Copy curves; where geometry nodes dropped the roots' places, those of `source` hold while the curves are as many."""
+    """Copy curves, without children; where geometry nodes dropped the roots' places, those of `source` hold for as many."""
     count, total = len(data.curves), len(data.points)
-    if total > MAX_POINTS:  # refused before anything is copied
-        raise ShapeError(f"The curves have {total} points; use fewer hairs or points: at most {MAX_POINTS}.")
     offsets = np.zeros(count + 1, np.int32)
     if count:
         data.curve_offset_data.foreach_get("value", offsets)
-    points = _positions(data.attributes, total)
+    children = _attribute(data, CHILD, "INT", count, "value", 1)
+    own = np.ones(count, bool) if children is None else children == 0
+    of_points: np.ndarray | slice = slice(None) if own.all() else np.repeat(own, np.diff(offsets))
+    if not own.all():
+        offsets = np.concatenate([[0], np.cumsum(np.diff(offsets)[own])]).astype(np.int32)
+    if offsets[-1] > MAX_POINTS:  # refused before anything is copied
+        raise ShapeError(f"The curves have {offsets[-1]} points; use fewer hairs or points: at most {MAX_POINTS}.")
+    points = _positions(data.attributes, total)[of_points]
     if not np.isfinite(points).all():
         raise ShapeError("The curves have values that are not finite; undo what made them, or delete these hairs.")
-    uv = _attribute(data, UV_COORDINATE, "FLOAT2", count, "vector", 2)
-    parts = _attribute(data, PART, "INT", count, "value", 1)
-    if source is not None and len(source.offsets) == count + 1:
+
+    def read(name: str, kind: str, rows: int, field_name: str, size: int, some: np.ndarray | slice) -> np.ndarray | None:
+        values = _attribute(data, name, kind, rows, field_name, size)
+        return None if values is None else values[some]
+
+    uv, parts = read(UV_COORDINATE, "FLOAT2", count, "vector", 2, own), read(PART, "INT", count, "value", 1, own)
+    if source is not None and len(source.offsets) == len(offsets):
         uv, parts = source.uv if uv is None else uv, source.parts if parts is None else parts
-    radii = _attribute(data, "radius", "FLOAT", total, "value", 1)
-    return _Curves(points, offsets, uv, radii, _attribute(data, TINT, "FLOAT_VECTOR", total, "vector", 3), parts)
+    radii = read("radius", "FLOAT", total, "value", 1, of_points)
+    return _Curves(points, offsets, uv, radii, read(TINT, "FLOAT_VECTOR", total, "vector", 3, of_points), parts)
 
 
 def _attribute(data: bpy.types.Curves, name: str, kind: str, count: int, field_name: str, size: int) -> np.ndarray | None:

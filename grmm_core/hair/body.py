@@ -29,6 +29,7 @@ BUST = 0.075  # metres above the lowest vertex: an edge of the skin below that i
 RAGGED, ABOVE = 0.010, 0.006  # metres: how far locks end apart at the rim, and how far above it on average
 SHORT, LONG = 0.03, 0.06  # metres: hair so short stays on the skin that it grows on and beside the ears; longer is pushed
 CLEARANCE, LYING = 0.001, 0.025  # metres that hair stays above the skin; share of its length that ends lie higher, in layers
+TORN, UNDER = 1.5, 0.012  # a segment that gets so many times longer when it is pushed out from so deep, metres, ends its strand
 _INSIDE = ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
 _ROUNDS = 3  # of pushing
 TINY = 1e-6
@@ -104,6 +105,18 @@ class Body:
         )
         return points
 
+    def untorn(self, strands: np.ndarray, pushed: np.ndarray) -> np.ndarray:
+        """Pushed strands [N, K, 3], cut where they were on their way through the head: they would lie across a face."""
+        before, after = (np.linalg.norm(np.diff(part, axis=1), axis=2) for part in (strands, pushed))
+        torn = after > TORN * before + CLEARANCE
+        some = np.flatnonzero(torn.any(1))
+        heights = self.heights(strands[some].reshape(-1, 3))[0].reshape(len(some), strands.shape[1])
+        torn = torn[some] & (np.minimum(heights[:, 1:], heights[:, :-1]) < -UNDER)
+        some, torn = some[torn.any(1)], torn[torn.any(1)]
+        result = pushed.copy()
+        result[some] = cut(pushed[some], np.maximum(torn.argmax(1), 1) / (strands.shape[1] - 1))
+        return result
+
 
 @dataclass(frozen=True)
 class Rim:
@@ -159,7 +172,8 @@ def on_person(head: HeadModel, still: np.ndarray, frames: RootFrames, local: np.
     placed = np.matmul(local, axes) + origin[:, None]
     lengths = lengths_of(local)
     lying = (LYING * lengths * (1.0 + 0.5 * lock))[:, None] * np.linspace(0, 1, local.shape[1]) ** 2
-    fitted = Body.of(head, still, near=placed.reshape(-1, 3)).pushed(placed, CLEARANCE + lying)
+    body = Body.of(head, still, near=placed.reshape(-1, 3))
+    fitted = body.untorn(placed, body.pushed(placed, CLEARANCE + lying))
     over_ears = np.clip((lengths - SHORT) / (LONG - SHORT), 0.0, 1.0)[:, None, None]
     fitted = placed + over_ears * (fitted - placed)
     fitted = Rim.of(head, still).ended(fitted, lock)

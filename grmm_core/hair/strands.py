@@ -321,19 +321,22 @@ def points_needed(groom: Groom) -> int:
     return min(POINTS[-1], max(4, int(groom.counts.max())))
 
 
+def root_distance(groom: Groom, vertices: np.ndarray, faces: np.ndarray) -> float:
+    """How far strands stand apart on the skin that they grow on, metres."""
+    corners = vertices[np.asarray(faces)[np.unique(groom.triangles)]]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    return float(np.sqrt(area / max(len(groom), 1)))
+
+
 def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.ndarray, g: np.random.Generator) -> np.ndarray:
     """Where children stand around their parents, [N, 2, 3] metres; the parents themselves come first and stay."""
-    held = np.unique(groom.triangles)
-    corners = vertices[np.asarray(faces)[held]]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    apart = np.sqrt(area / max(len(groom), 1))
     total = len(owner)
     turn, far = np.arange(total) // len(groom) / (total // len(groom)), np.sqrt(g.random(total))
     angle = 2 * np.pi * (g.random(len(groom))[owner] + turn)
     root = np.stack([far * np.cos(angle), far * np.sin(angle), np.zeros(total)], 1) * ROOT_SPREAD
     short = _short(lengths_of(groom.points.reshape(len(groom), -1, 3)))[owner, None]  # does not hang together in wisps
     tip = (TOGETHER + (1.0 - TOGETHER) * short) * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
-    spread = apart * np.stack([root, tip], 1)
+    spread = root_distance(groom, vertices, faces) * np.stack([root, tip], 1)
     spread[: len(groom)] = 0.0
     return spread
 

@@ -66,6 +66,15 @@ def test_hair_is_what_blender_evaluates_of_curves(hair_script):
     assert found["same_groom"]
     assert found["straight"] <= 1.001
     assert found["unchanged"] == 0
+    # Cycles and EEVEE draw as many strands as splats have between the curves; splats do not get them twice.
+    assert 2 <= found["most"] <= 8
+    assert found["family"] == found["most"] - 1
+    assert found["alone"] == 1
+    assert found["parents"] == 0
+    assert found["near"] < 0.02
+    assert found["tips"] > 0.99
+    assert found["finer"] == pytest.approx(1 / found["most"], rel=1e-3)
+    assert found["strands"] == found["own"]
     assert found["mode"] == "SCULPT_CURVES"
     assert found["active"]
     assert found["combed_avatar"]  # panels show the avatar whose hair is combed

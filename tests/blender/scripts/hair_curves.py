@@ -189,6 +189,35 @@ report(straight=length(evaluated()[0]) / length(whole))
 hair.curl, hair.thickness, hair.density = 0.0, 1.0, 1.0
 report(unchanged=float(np.abs(evaluated()[0] - whole).max()))
 
+# Engines that draw curves get the strands between them, in renders or where the modifier's input asks for them.
+children = module("grmm_blender.hair.curve_children")
+modifier = curves.modifiers["GRMM Hair Sliders"]
+inputs = {item.name: item.identifier for item in modifier.node_group.interface.items_tree if item.in_out == "INPUT"}
+most = modifier[inputs[children.IN_RENDERS]]
+modifier[inputs[children.IN_VIEWPORTS]] = most
+curves.update_tag()
+alone = len(evaluated()[0])
+scene.render.engine = "CYCLES"
+curves.update_tag()
+family, fine = evaluated()
+read = worn().strands
+scalp = np.array([item.value for item in data.attributes["grmm_part"].data]) == 1
+near = np.linalg.norm(family[len(whole) :, None, 0] - whole[None, ::7, 0], axis=2).min(1)
+report(
+    most=most,
+    family=(len(family) - len(whole)) / scalp.sum(),
+    alone=alone / len(whole),
+    parents=float(np.abs(family[: len(whole)] - whole).max()),
+    near=float(near.max()),
+    tips=len(np.unique(family[:, -1], axis=0)) / len(family),
+    finer=float(np.median(fine[: len(whole)][scalp] / wide[scalp])),
+    strands=[len(read.groom), len(read.points)],
+    own=[len(data.curves), len(data.points)],
+)
+modifier[inputs[children.IN_VIEWPORTS]] = 1
+scene.render.engine = "GRMM"
+curves.update_tag()
+
 # Sculpt mode shows Blender's curves; out of it, splats alone.
 for other in list(bpy.context.selected_objects):
     other.select_set(False)

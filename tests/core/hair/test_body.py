@@ -111,3 +111,22 @@ def test_a_groom_worn_by_somebody_is_outside_of_their_skin_and_ends_at_the_rim(h
     inside = [(body.heights(part[:, 5:].reshape(-1, 3))[0] < -0.0005).mean() for part in (before, after)]
     assert inside[1] < 0.005 < 0.02 < inside[0]
     assert after[..., 1].min() > low - 0.005 > before[..., 1].min()
+
+
+def test_a_strand_that_goes_through_the_head_ends_where_it_enters(body):
+    """Pushed out of it, what was inside would lie across the face in long straight lines."""
+    beside = np.array([[0.064, y, 0.048] for y in np.linspace(0.07, 0.02, 10)])
+    inwards = np.array([[x, 0.018, 0.046] for x in np.linspace(0.056, 0.014, 6)])
+    strands = np.stack(
+        [
+            np.concatenate([beside, inwards]),
+            np.concatenate([beside, beside[-1] - [[0.0, 0.005, 0.0]] * np.arange(1, 7)[:, None]]),
+        ]
+    )
+    pushed = body.pushed(strands)
+    ended = body.untorn(strands, pushed)
+    longest = [np.linalg.norm(np.diff(part[0], axis=0), axis=1).max() for part in (strands, pushed, ended)]
+    assert longest[1] > 2 * longest[0]
+    assert longest[2] < 1.5 * longest[0]
+    np.testing.assert_array_equal(ended[0, 0], pushed[0, 0])
+    np.testing.assert_array_equal(ended[1], pushed[1])

@@ -47,7 +47,7 @@ class GRMM_RenderSettings(bpy.types.PropertyGroup):
         *DETAIL_ITEMS,
         default="1",
     )
-    draws_curves: BoolProperty(  # type: ignore[valid-type]
+    draws_curves: BoolProperty(
         name="Draws Curves",
         description="Whether the scene's engine draws hair as curves; GRMM draws splats",
         get=_draws_curves,

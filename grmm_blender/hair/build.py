@@ -34,7 +34,7 @@ from .read import DEFORM_NODE, HELD, HELD_PREFIX, TINT, UV_COORDINATE, resting_v
 
 GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"
 _POINTS = 16  # of a curve that somebody will draw, about
-_GLOSS = 0.35  # roughness of the material
+_GLOSS, _GLINT = 0.6, 0.8  # roughness and specular level of the material: as soft and white as glints of splats
 
 
 def worn_hair(avatar: Avatar) -> Hair | None:
@@ -199,7 +199,7 @@ def _material(name: str, head: bpy.types.Object, settings: HairSettings) -> bpy.
     material.use_nodes = True
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
     shader.inputs["Base Color"].default_value = (*color, 1.0)
-    shader.inputs["Roughness"].default_value = _GLOSS
+    shader.inputs["Roughness"].default_value, shader.inputs["Specular IOR Level"].default_value = _GLOSS, _GLINT
     if settings == settings_of(head.grmm.hair):
         for channel in range(3):
             _drive_color(shader.inputs["Base Color"], channel, head)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 ROOT_PACKAGE = __package__.rpartition(".")[0]
@@ -27,3 +29,27 @@ def user_folder(name: str, create: bool = False) -> str:
         create: Make it when missing.
     """
     return bpy.utils.extension_path_user(ROOT_PACKAGE, path=name, create=create)
+
+
+def node_input(modifier: bpy.types.Modifier, name: str) -> int | float:
+    """What a geometry nodes modifier's input of a name is set to."""
+    socket = _input_of(modifier, name)
+    value: int | float = modifier[socket] if isinstance(socket, str) else socket.value
+    return value
+
+
+def set_node_input(modifier: bpy.types.Modifier, name: str, value: float) -> None:
+    """Set a geometry nodes modifier's input of a name."""
+    socket = _input_of(modifier, name)
+    if isinstance(socket, str):
+        modifier[socket] = value
+    else:
+        socket.value = value
+
+
+def _input_of(modifier: bpy.types.Modifier, name: str) -> Any:
+    """The modifier's own property, or its key where modifiers have none."""
+    items = modifier.node_group.interface.items_tree
+    key = next(item.identifier for item in items if item.name == name and item.in_out == "INPUT")
+    properties = getattr(modifier, "properties", None)
+    return key if properties is None else getattr(properties.inputs, key)

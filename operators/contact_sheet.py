@@ -141,7 +141,7 @@ def _scene_picture(context: bpy.types.Context, width: int, background: np.ndarra
     settings = context.scene.grmm_render
     frame = take_frame(context.evaluated_depsgraph_get(), (width, height), use_meshes=settings.use_occlusion)
     frame = replace(frame, scene=replace(frame.scene, world=None))
-    how = pipeline.DrawSettings(settings.use_refine, int(settings.detail), settings.occlusion_samples)
+    how = pipeline.DrawSettings.final(settings.use_refine, int(settings.detail), settings.occlusion_samples)
     items = [passes.RenderPass("combined", "Combined", "RGBA", "COLOR")]
     region = Region(0, 0, width, height)
 

@@ -19,7 +19,7 @@ from grmm_core.controls.frame import Controls
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, groom_names
 from grmm_core.pictures.images import quantize
-from grmm_core.session import HairUse, Instance, RenderOptions, create_session
+from grmm_core.session import FINAL_STRANDS, HairUse, Instance, RenderOptions, create_session
 from grmm_core.session.api import Session
 from grmm_core.session.swinging import swinging
 from grmm_core.session.wearing import GROOM_PREFIX, RANDOM_PREFIX
@@ -40,7 +40,7 @@ FPS, SHOWN = 30.0, (0, 14, 18, 24, 40, 59)  # frames of the shaken head
 
 def drawn(session: Session, instance: Instance, view: Camera) -> np.ndarray:
     """One picture, uint8 [H, W, 3]."""
-    return quantize(session.render([instance], view, RenderOptions(background=PAPER))["rgb"])
+    return quantize(session.render([instance], view, RenderOptions(background=PAPER, strands=FINAL_STRANDS))["rgb"])
 
 
 def hair(session: Session, size: int) -> Iterator[np.ndarray]:

@@ -14,7 +14,7 @@ from grmm_core.avatar.library import LIBRARY_PREFIX, library_names
 from grmm_core.controls.frame import Controls
 from grmm_core.geometry.camera import Camera
 from grmm_core.pictures.images import quantize
-from grmm_core.session import create_session
+from grmm_core.session import FINAL_STRANDS, create_session
 from grmm_core.session.api import Session
 from grmm_core.session.values import Instance, RenderOptions
 
@@ -36,7 +36,7 @@ def camera(size: int, yaw: float, fov: float = 18.0) -> Camera:
 def drawn(session: Session, number: int, expression: Mapping[str, float], view: Camera) -> np.ndarray:
     """One picture, uint8 [H, W, 3]."""
     instance = Instance(number, Controls().set_named(expression))
-    return quantize(session.render([instance], view, RenderOptions(background=PAPER))["rgb"])
+    return quantize(session.render([instance], view, RenderOptions(background=PAPER, strands=FINAL_STRANDS))["rgb"])
 
 
 def sheet(tiles: Sequence[np.ndarray], columns: int) -> Image.Image:

@@ -67,7 +67,9 @@ def describe_defect(error: Exception) -> str:
 def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> None:
     scene = depsgraph.scene_eval
     view_layer = depsgraph.view_layer
-    settings = DrawSettings(scene.grmm_render.use_refine, int(scene.grmm_render.detail), scene.grmm_render.occlusion_samples)
+    settings = DrawSettings.final(
+        scene.grmm_render.use_refine, int(scene.grmm_render.detail), scene.grmm_render.occlusion_samples
+    )
     width, height = engine.resolution_x, engine.resolution_y
     region = render_region(scene.render, width, height)
     if bpy.app.background:  # in a window, F12 saves nothing, and a full disk is reported where it is noticed

@@ -14,7 +14,7 @@ import numpy as np
 from ...grmm_core.controls.frame import Controls
 from ...grmm_core.errors import CancelledError, FileAccessError, GrmmError
 from ...grmm_core.jobs.progress import Share, nobody
-from ...grmm_core.session import CancelCheck, HairUse, Instance, RenderOptions
+from ...grmm_core.session import FINAL_STRANDS, CancelCheck, HairUse, Instance, RenderOptions
 from .. import session_host
 from ..rig.avatar import missing_file
 from ..scene.shot import AvatarShot, Frame, Region
@@ -41,6 +41,11 @@ class DrawSettings:
     samples: int = 3
     strands: float = 1.0
     coarse: bool = False
+
+    @staticmethod
+    def final(refine: bool, lod: int, samples: int) -> DrawSettings:
+        """Of a picture that may take its time: at full detail with finer hair than a view that moves."""
+        return DrawSettings(refine, lod, samples, 1.0 if lod else FINAL_STRANDS)
 
 
 def frame_values(

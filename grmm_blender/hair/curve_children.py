@@ -28,6 +28,7 @@ from ...grmm_core.hair.strands import (
     TOGETHER,
     root_distance,
 )
+from ..compat import node_input, set_node_input
 from .node_fields import Nodes, Value
 
 CHILD = "grmm_child"  # of a curve, an attribute: 0 is one of the object's own
@@ -133,16 +134,17 @@ def with_children(
 @contextlib.contextmanager
 def childless(modifier: bpy.types.Modifier | None) -> Iterator[None]:
     """Let a modifier that `with_children` is part of make none for a while: files hold the curves that somebody combed."""
-    items = modifier.node_group.interface.items_tree if modifier is not None and modifier.node_group else ()
-    keys = [item.identifier for item in items if item.name in (IN_RENDERS, IN_VIEWPORTS)]
-    kept = [modifier[key] for key in keys] if modifier is not None else []
+    if modifier is None or modifier.node_group.interface.items_tree.get(IN_RENDERS) is None:  # as in older files
+        yield
+        return
+    kept = {name: node_input(modifier, name) for name in (IN_RENDERS, IN_VIEWPORTS)}
+    for name in kept:
+        set_node_input(modifier, name, 1)
     try:
-        for key in keys:
-            modifier[key] = 1  # type: ignore[index]
         yield
     finally:
-        for key, value in zip(keys, kept, strict=True):
-            modifier[key] = value  # type: ignore[index]
+        for name, value in kept.items():
+            set_node_input(modifier, name, value)
 
 
 def _for_other_engines(nodes: Nodes) -> bpy.types.NodeSocket:

@@ -42,6 +42,7 @@ from ..model.portrait import PORTRAIT_DISTANCE, PORTRAIT_FOV
 from ..pictures.color import scene_linear_premultiplied, srgb_to_linear, straight_rgba
 from ..pictures.images import quantize, write_exr, write_png
 from ..session import (
+    FINAL_STRANDS,
     MAX_LOD,
     PASS_NAMES,
     AvatarInfo,
@@ -109,7 +110,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     width, height = args.size
     camera = Camera.orbit(width, height, args.yaw, args.pitch, args.distance, args.fov)
     passes = tuple(dict.fromkeys((*args.passes, "rgb", "alpha")))
-    options = RenderOptions(not args.no_refine, passes, args.lod, args.background, args.coarse, lighting)
+    fine = 1.0 if args.lod or args.coarse else FINAL_STRANDS
+    options = RenderOptions(not args.no_refine, passes, args.lod, args.background, args.coarse, lighting, fine)
     files: dict[str, str] = {}
     seconds = 0.0
     with create_session(weights=args.weights, device=args.device, threads=args.threads, head=args.head) as session:

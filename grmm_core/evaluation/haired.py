@@ -22,7 +22,7 @@ from ..data.types import Shot
 from ..fitting.hair_stage import directions
 from ..geometry.camera import Camera
 from ..model.people import made_avatar
-from ..session import create_session
+from ..session import FINAL_STRANDS, create_session
 from ..session.values import Instance, RenderOptions
 from ..training.captured_hair import SeenIn, captured_hair
 from .scene import DrawnPerson, Scene
@@ -68,7 +68,7 @@ class Haired:
         expression[: more.size] = more
         controls = replace(controls, expression=expression, pose=(shot.pose - plain.pose).astype(np.float32))
         instance = Instance(self._open[id(person)][1], controls)
-        return self._session.render([instance], camera, RenderOptions(background=(0.0, 0.0, 0.0)))["rgb"]
+        return self._session.render([instance], camera, RenderOptions(background=(0.0, 0.0, 0.0), strands=FINAL_STRANDS))["rgb"]
 
     def _opened(self, person: DrawnPerson, subject: str, seen: SeenIn) -> int:
         avatar = person.avatar or self._made(person)

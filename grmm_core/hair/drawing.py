@@ -22,11 +22,11 @@ DRAWN = 0.6  # px: how wide a strand should be on the picture; thinner ones are 
 SPARSE = 0.2  # px: likewise for brows, beards, lashes and shorn hair, between which skin shows
 SHORT, LONG = 0.008, 0.06  # metres: mean length of hair that is drawn so, and of hair that is not
 SMALLEST_SHARE = 0.06  # of the strands
-BUDGET = 100.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
+BUDGET = 110.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
 OPACITY = 0.97
 CELL = 6.0  # px: of the coarse depth that says what the head hides
 SLACK = 0.006  # metres below the skin that still count as seen
-COVERED = 5.0  # opacity of strands, summed up, that hides those behind: less than e^-5 of these is left
+COVERED = 4.0  # opacity of strands, summed up, that hides those behind: less than e^-4 of these is left
 TELLING = 2500  # strands that tell for all what strands cover
 HEAD_REACH = 0.25  # metres before and behind the head's origin in which that is counted
 _MAX_CELLS = 128
@@ -113,16 +113,19 @@ def _placed(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
     return shown
 
 
-def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float) -> list[float]:
-    """Share of the strands of each block to draw of a head that is seen at a size: continuous in the size."""
+def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float, finer: float = 1.0) -> list[float]:
+    """Share of the strands of each block to draw of a head that is seen at a size: continuous in the size.
+
+    Of the scalp `finer` times as many as in good time, as long as there are so many.
+    """
     all_of_them = sum(len(block) * block.segments for block in blocks)
-    most = BUDGET * pixels_per_metre / max(all_of_them, 1)
+    most = finer * BUDGET * pixels_per_metre / max(all_of_them, 1)
     shares = []
     for block in blocks:
         wide = float(block.widths.mean()) * pixels_per_metre
         long = float(np.clip((block.length - SHORT) / (LONG - SHORT), 0.0, 1.0)) if block.group == SCALP else 0.0
         share = wide / (SPARSE + long * (DRAWN - SPARSE))
-        shares.append(min(share, most) if block.group == SCALP else share)
+        shares.append(min(finer * share, most) if block.group == SCALP else share)
     return [float(np.clip(share, SMALLEST_SHARE, 1.0)) for share in shares]
 
 

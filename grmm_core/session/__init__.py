@@ -16,6 +16,7 @@ from ..splat.types import GaussianArrays
 from .api import CancelCheck, Session
 from .values import (
     EMPTY_DEPTH,
+    FINAL_STRANDS,
     HEAD_TO_BLENDER,
     MAX_LOD,
     PASS_NAMES,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EMPTY_DEPTH",
+    "FINAL_STRANDS",
     "HEAD_TO_BLENDER",
     "MAX_LOD",
     "PASS_NAMES",

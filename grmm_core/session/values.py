@@ -30,6 +30,8 @@ RAW_LINEAR_PASS = "raw_linear"
 EMPTY_DEPTH = 1.0e10
 """Depth in metres of pixels that no Gaussian covers: Blender's value for an empty Z pass."""
 MAX_LOD = 3
+FINAL_STRANDS, MAX_STRANDS = 2.0, 8.0
+"""Of `RenderOptions.strands`: for final pictures, and at most."""
 CLOUD_TERMS = (1, 4, 9, 16)
 """Numbers of spherical harmonics that a cloud may have: those of the degrees 0 to 3."""
 MAX_PIXELS = 1 << 26  # 8192 x 8192; refuses sizes that only a typing error asks for
@@ -177,7 +179,8 @@ class RenderOptions:
         coarse: Refine at half the resolution, for previews: a quarter of the network's time, a little softer.
         lighting: Light of the scene in the world's axes, for the instances that have a `response`; None: the studio's.
         strands: Share 0..1 of the strands of scalp and beard to draw, in their places, wider, below 1 of half the points; with
-            `coarse`, Gaussians far behind the skin are left out then, too. For playback: a still has all.
+            `coarse`, Gaussians far behind the skin are left out then, too. For playback. Above 1, so many times the scalp's
+            strands, finer ones: `FINAL_STRANDS` for pictures that may take their time.
     """
 
     refine: bool = True
@@ -196,8 +199,8 @@ class RenderOptions:
             raise ConfigError(f"There is no render pass {name!r}; choose from {', '.join(PASS_NAMES)}.")
         if not 0 <= self.lod <= MAX_LOD:
             raise ConfigError(f"The level of detail is {self.lod}; it must be 0 to {MAX_LOD}.")
-        if not 0.0 < self.strands <= 1.0:
-            raise ConfigError(f"The share of the strands is {self.strands}; it must be above 0 and up to 1.")
+        if not 0.0 < self.strands <= MAX_STRANDS:
+            raise ConfigError(f"The share of the strands is {self.strands}; it must be above 0 and up to {MAX_STRANDS:g}.")
         if self.background is not None:
             color = np.asarray(self.background, np.float64)
             if color.shape != (3,) or not np.isfinite(color).all():

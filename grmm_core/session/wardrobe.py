@@ -211,12 +211,12 @@ class Wardrobe:
             return None
         eye = None if camera is None else Eye.of(camera)
         density = EXPORT_DENSITY if eye is None else eye.pixels_per_metre()
-        shares = level_shares([block for *_, block in ready], density / 4**lod)
+        shares = level_shares([block for *_, block in ready], density / 4**lod, max(detail, 1.0))
         vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
         parts = []
         for (layer, number, block), share in zip(ready, shares, strict=True):
             settings = worn.settings[block.group]
-            fewer = detail if block.group in (SCALP, BEARD) else 1.0
+            fewer = min(detail, 1.0) if block.group in (SCALP, BEARD) else 1.0
             count = block.parents(share, fewer)
             points, axes = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block, count)
             if block.group == SCALP and layer.swing is not None:

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw
 from grmm_core.controls.frame import Controls
 from grmm_core.geometry.camera import Camera
 from grmm_core.pictures.images import quantize
-from grmm_core.session import Instance, RenderOptions, Session
+from grmm_core.session import FINAL_STRANDS, Instance, RenderOptions, Session
 
 TILE = 256  # pixels
 COLUMNS = 6
@@ -49,7 +49,7 @@ def write_sheet(path: Path, session: Session, frames: Sequence[Path]) -> None:
 
     def tile(controls: dict[str, float], camera: Camera, refine: bool = True, avatar_id: int = avatar.id) -> Image.Image:
         instance = Instance(avatar_id, Controls().set_named(controls))
-        options = RenderOptions(refine=refine, passes=("rgb",), background=BACKGROUND)
+        options = RenderOptions(refine=refine, passes=("rgb",), background=BACKGROUND, strands=FINAL_STRANDS)
         return Image.fromarray(quantize(session.render([instance], camera, options)["rgb"]))
 
     whole = functools.partial(Camera.orbit, TILE, TILE, distance=1.3, fov=20.0)

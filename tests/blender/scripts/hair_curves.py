@@ -192,9 +192,9 @@ report(unchanged=float(np.abs(evaluated()[0] - whole).max()))
 # Engines that draw curves get the strands between them, in renders or where the modifier's input asks for them.
 children = module("grmm_blender.hair.curve_children")
 modifier = curves.modifiers["GRMM Hair Sliders"]
-inputs = {item.name: item.identifier for item in modifier.node_group.interface.items_tree if item.in_out == "INPUT"}
-most = modifier[inputs[children.IN_RENDERS]]
-modifier[inputs[children.IN_VIEWPORTS]] = most
+compat = module("grmm_blender.compat")
+most = compat.node_input(modifier, children.IN_RENDERS)
+compat.set_node_input(modifier, children.IN_VIEWPORTS, most)
 curves.update_tag()
 alone = len(evaluated()[0])
 scene.render.engine = "CYCLES"
@@ -214,7 +214,7 @@ report(
     strands=[len(read.groom), len(read.points)],
     own=[len(data.curves), len(data.points)],
 )
-modifier[inputs[children.IN_VIEWPORTS]] = 1
+compat.set_node_input(modifier, children.IN_VIEWPORTS, 1)
 scene.render.engine = "GRMM"
 curves.update_tag()
 

@@ -16,7 +16,7 @@ from grmm_core.controls.frame import Controls
 from grmm_core.errors import ConfigError, FileAccessError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
-from grmm_core.session import HairUse, Instance, RenderOptions, create_session
+from grmm_core.session import FINAL_STRANDS, HairUse, Instance, RenderOptions, create_session
 from grmm_core.session.swinging import swinging
 
 CAMERA = Camera.orbit(160, 160, 20, fov=24)
@@ -217,6 +217,15 @@ def test_a_frame_of_playback_keeps_the_look_of_hair_with_fewer_strands(session):
     np.testing.assert_array_equal(*bald)
     with pytest.raises(ConfigError, match="share of the strands"):
         RenderOptions(strands=0.0)
+
+
+def test_a_final_picture_has_finer_hair_of_the_same_look(session):
+    camera = Camera.orbit(256, 256, 20, fov=24)
+    plain, final = (drawn(session, BOB, camera, refine=False, strands=share) for share in (1.0, FINAL_STRANDS))
+    assert final["hair"].sum() == pytest.approx(plain["hair"].sum(), rel=0.06)
+    assert 1e-4 < np.abs(final["rgb"] - plain["rgb"]).mean() < 0.012
+    with pytest.raises(ConfigError, match="share of the strands"):
+        RenderOptions(strands=9.0)
 
 
 def test_a_frame_of_playback_leaves_out_what_the_head_hides_and_shows_it_elsewhere(session):

@@ -30,8 +30,9 @@ from grmm_core.head import load_open_head
 from grmm_core.light.bounce import Exchange, albedo_of, nearest_points
 from grmm_core.light.lamps import STUDIO, Lighting, soft_box
 from grmm_core.light.materials import materials_of
+from grmm_core.light.mesh_light import LitSurface, TexelGrid
 from grmm_core.light.relight import relit_pixels
-from grmm_core.light.resting import casters_of
+from grmm_core.light.resting import casters_of, casting_numbers
 from grmm_core.light.shading import Arrived, Response, ratio, shade
 from grmm_core.light.shadows import Casters, Receivers, visible
 from grmm_core.light.surroundings import Surroundings, sphere
@@ -71,6 +72,9 @@ class Relighter:
         cards = self._head.marked("lashes")[corners].all(1)  # captures have hairs instead
         self._opacities = torch.from_numpy(np.where(cards, 0.0, 0.97).astype(np.float32))
         self._near = nearest_points(corners, self._layout.barycentric, self._head.vertex_count)
+        number = casting_numbers(self._head)
+        layout, faces = self._layout, self._head.faces[number]
+        self._grid = TexelGrid.of(faces, layout.uv, self._head.uv_faces[number], layout.grid, layout.texel)
 
     def results(self, shot: Shot, view: View) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
         """By the name of the light: relit picture, truth, picture in the rig, [H, W, 3] over black, and pixels by region."""
@@ -131,7 +135,10 @@ class Relighter:
         channels = torch.from_numpy(light.astype(np.float32))
         drawn = rasterize(dataclasses.replace(surface.gaussians, features=channels), view.camera)
         assert drawn.features is not None
-        return relit_pixels(flat, mask, drawn.features.numpy(), 0)
+        light_here = drawn.features.numpy()
+        surface_light = LitSurface(self._grid, surface.vertices, light.astype(np.float32))
+        surface_light.read_into(light_here, slice(0, light.shape[1]), drawn.depth.numpy(), None, view.camera)
+        return relit_pixels(flat, mask, light_here, 0)
 
 
 def lighting_of(light: Light) -> Lighting:

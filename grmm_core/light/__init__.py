@@ -11,6 +11,7 @@
 ``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting; ``strand_light_kernel`` strands
 ``resting``       what light does on a head at rest, made once for a person
 ``rough``         all of it at a glance, for viewports
+``mesh_light``    light read from the mesh at each pixel; ``mesh_light_kernels`` again, compiled
 ``relight``       both applied to a picture in linear light
 ``parse``         lights in words, for the command line
 

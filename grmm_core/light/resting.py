@@ -137,10 +137,15 @@ class RestLight(NamedTuple):
 
 def casting_faces(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     """Faces of a head's mesh as `Casters` has them, [T, 3] int32, and how many of them are closed, []."""
-    faces = head.faces[~head.marked(*_SHEER)[head.faces].all(1)].astype(np.int32)
+    faces = head.faces[casting_numbers(head)].astype(np.int32)
     loose = head.marked(*_LOOSE)
     alone = loose[faces].any(1) if loose.any() else np.ones(len(faces), bool)
     return faces[np.argsort(alone, kind="stable")], np.array((~alone).sum())
+
+
+def casting_numbers(head: HeadModel) -> np.ndarray:
+    """Numbers of the faces of a head's mesh that keep light off, [T]."""
+    return np.flatnonzero(~head.marked(*_SHEER)[head.faces].all(1))
 
 
 def casters_of(head: HeadModel, vertices: np.ndarray) -> Casters:

@@ -30,10 +30,12 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..hair.ribbons import Eye
+from ..light.mesh_light import LitSurface
 from ..light.relight import relit, relit_pixels
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
+from ..pictures.color import MIN_ALPHA
 from ..splat.compensation import compensation
 from ..splat.types import Gaussians, RasterOutput
 from .api import CancelCheck
@@ -80,10 +82,11 @@ Placed = PlacedAvatar | PlacedCloud
 
 @dataclass(frozen=True)
 class Gathered:
-    """What a picture is drawn from: the instances, each one's Gaussians, and what their channels mean."""
+    """What a picture is drawn from: the instances, each one's Gaussians and lit mesh, and what their channels mean."""
 
     placed: Sequence[Placed]
     parts: list[Gaussians]
+    surfaces: list[LitSurface | None]
     channels: Channels
 
 
@@ -99,11 +102,13 @@ def gather(
     check = _canceller(should_cancel)
     check()
     channels = _plan(placed, options)
-    parts = []
+    gathered = Gathered(placed, [], [], channels)
     for index, item in enumerate(placed):
-        parts.append(_gaussians(item, index, evaluator, wardrobe, camera, options, channels, single=len(placed) == 1))
+        own, surface = _gaussians(item, index, evaluator, wardrobe, camera, options, channels, single=len(placed) == 1)
+        gathered.parts.append(own)
+        gathered.surfaces.append(surface)
         check()
-    return Gathered(placed, parts, channels)
+    return gathered
 
 
 def draw(
@@ -125,8 +130,25 @@ def draw(
     if _refines(options):
         refined = _refine(placed, raster, channels, options, check)
     if channels.light is not None:
+        raster = _read_from_meshes(gathered, raster, camera)
         refined = _relit(refined, raster, channels.light)
     return buffers(raster, refined, channels, options, evaluator.engine)
+
+
+def _read_from_meshes(gathered: Gathered, raster: RasterOutput[Any], camera: Camera) -> RasterOutput[Any]:
+    """The picture with the light of skin as its mesh has it at each pixel."""
+    channels = gathered.channels
+    if channels.light is None or not any(gathered.surfaces):
+        return raster
+    features, depth = to_numpy(present(raster.features)), to_numpy(raster.depth)
+    share = None
+    if channels.skin is not None:
+        share = features[..., channels.skin] / np.maximum(to_numpy(raster.alpha), MIN_ALPHA)
+    for item, surface in zip(gathered.placed, gathered.surfaces, strict=True):
+        if surface is not None:
+            local = camera.transformed(item.instance.model_to_world)
+            surface.read_into(features, channels.light, depth, share, local)
+    return dataclasses.replace(raster, features=as_like(features, present(raster.features)))
 
 
 def _relit(refined: Any, raster: RasterOutput[Any], which: slice) -> Any:
@@ -157,11 +179,12 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> Channels:
     skin = None
     worn = [item.worn for item in placed if isinstance(item, PlacedAvatar)]
     strands = any(one is not None and one.layers for one in worn)
-    if strands and (wants_features or "hair" in options.passes):
+    lit = any(_is_lit(item, options) for item in placed)
+    if strands and (lit or wants_features or "hair" in options.passes):
         skin = count
         count += 1
     light = None
-    if any(_is_lit(item, options) for item in placed):
+    if lit:
         light = slice(count, count + (LIGHT_CHANNELS if "shadow" in options.passes else SHADOW.start))
         count = light.stop
     coverage = None
@@ -190,11 +213,14 @@ def _is_lit(item: Placed, options: RenderOptions) -> bool:
 def _gaussians(
     item: Placed, index: int, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
     channels: Channels, single: bool,
-) -> Gaussians:  # fmt: skip
-    """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space."""
+) -> tuple[Gaussians, LitSurface | None]:  # fmt: skip
+    """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space.
+
+    And its mesh with its light, in head space, where it is lit.
+    """
     model_to_world = item.instance.model_to_world
     local_camera = camera.transformed(model_to_world)
-    strands = hiding = None
+    strands = hiding = surface = None
     played = options.coarse and options.strands < 1.0
     if isinstance(item, PlacedCloud):
         own = item.target.seen_from(local_camera, options.lod)
@@ -241,7 +267,7 @@ def _gaussians(
         if channels.skin is not None:
             stacked[:count, channels.skin] = 1.0
         if channels.light is not None:
-            light, first = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own)), 0
+            (light, surface), first = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own)), 0
             for rows in light:
                 here = evaluator.engine.array(rows[:, : channels.light.stop - channels.light.start])
                 stacked[first : first + len(rows), channels.light] = here
@@ -254,19 +280,19 @@ def _gaussians(
         means = means @ linear.T + as_like(to_camera[:3, 3], means)
         quats = multiply_quaternions(as_like(matrix_to_quaternion(to_camera[:3, :3] / size), quats), quats)
         scales = scales * size
-    return Gaussians(means, quats, scales, own.opacities, own.colors, stacked)
+    return Gaussians(means, quats, scales, own.opacities, own.colors, stacked), surface
 
 
 def _light(
     item: Placed, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
     strands: Gaussians | None, count: int,
-) -> list[np.ndarray]:  # fmt: skip
-    """What light does to one instance's Gaussians, in parts of [N, LIGHT_CHANNELS]; nothing where it is not lit."""
+) -> tuple[list[np.ndarray], LitSurface | None]:  # fmt: skip
+    """What light does to one instance: its Gaussians in parts of [N, LIGHT_CHANNELS], and its mesh; nothing where unlit."""
     response, own = item.instance.response, item.instance.lighting
     if own is None and response is not None and options.lighting is not None:
         own = options.lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
     if isinstance(item, PlacedCloud) or response is None or own is None:
-        return [np.tile(UNLIT, (count, 1))]
+        return [np.tile(UNLIT, (count, 1))], None
     hair = None
     if item.worn is not None and item.worn.layers:
         settings = item.worn.settings[0]
@@ -274,7 +300,9 @@ def _light(
         inputs = item.inputs if given else at_rest(evaluator, item.target, item.inputs)
         pieces = functools.partial(wardrobe.covering, evaluator, item.target, inputs, item.worn)
         hair = Hair((*item.worn.key, settings, *given), pieces, bool(given))
-    return LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod, hair).channels(camera.position, strands)
+    lit = LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod, hair)
+    channels = lit.channels(camera.position, strands)
+    return channels, lit.surface(channels[0])
 
 
 def _rotation(model_to_world: np.ndarray, like: Array) -> Array:

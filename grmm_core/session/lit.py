@@ -20,7 +20,8 @@ from ..light.bounce import nearest_points
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
-from ..light.resting import RestLight, Texels, casting_faces
+from ..light.mesh_light import LitSurface, TexelGrid
+from ..light.resting import RestLight, Texels, casting_faces, casting_numbers
 from ..light.shading import FADING, Learned, Response, reached, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, maps_of
 from ..light.surroundings import coefficients_of
@@ -98,6 +99,19 @@ class LitAvatar:
         these = hashlib.blake2b(np.ascontiguousarray(points).data, digest_size=16).digest()  # combed, swinging, thinned out
         hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, eye, these),))[0]
         return [skin, hair]
+
+    def surface(self, light: np.ndarray) -> LitSurface | None:
+        """The mesh with light of `channels`; None where a Gaussian stands for several texels."""
+        if self._lod:
+            return None
+
+        def make() -> tuple[np.ndarray, ...]:
+            number, layout = casting_numbers(self._head), self._target.model.layout
+            faces, uv_faces = self._head.faces[number], self._head.uv_faces[number]
+            return tuple(TexelGrid.of(faces, layout.uv, uv_faces, layout.grid, layout.texel))
+
+        grid = TexelGrid(*self._evaluator.cache.get((self._target.id, "texel grid"), make))
+        return LitSurface(grid, self._vertices, light)
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
         rest = self._rest()

@@ -1,0 +1,148 @@
+"""The compiled twin of `mesh_light.read`. Importing this loads numba.
+
+All arrays are contiguous float32 but for indices.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..compute.kernels import compiled
+from .shadow_kernels import OPTIONS, single
+
+_0, _1, _HALF = single(0.0), single(1.0), single(0.5)
+_EMPTY = single(1e10)
+CHANNELS = 8  # of light
+_FRONT = 6
+
+
+@compiled(inline="always", **OPTIONS)
+def _spline(way: float) -> tuple[float, float, float]:
+    """Weights of a quadratic B-spline at three points in a row, `way` behind the middle one."""
+    before, behind = _HALF - way, _HALF + way
+    return _HALF * before * before, _1 - _HALF * (before * before + behind * behind), _HALF * behind * behind
+
+
+@compiled(inline="always", **OPTIONS)
+def _apart(places: np.ndarray, t: int, x: float, y: float, far: float) -> bool:
+    """Whether a face lies far from a place on the grid; nothing, below 0, is far from everything."""
+    if t < 0:
+        return True
+    ax, ay, bx, by, cx, cy = (
+        places[t, 0, 0],
+        places[t, 0, 1],
+        places[t, 1, 0],
+        places[t, 1, 1],
+        places[t, 2, 0],
+        places[t, 2, 1],
+    )
+    beside = max(min(ax, bx, cx) - x, x - max(ax, bx, cx))
+    return max(beside, min(ay, by, cy) - y, y - max(ay, by, cy)) > far
+
+
+@compiled(**OPTIONS)
+def read(
+    seen: np.ndarray, faces: np.ndarray, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
+    channels: np.ndarray, start: int, count: int, depth: np.ndarray, share: np.ndarray, limits: np.ndarray,
+    first: int, last: int,
+) -> None:  # fmt: skip
+    """Read light at each pixel of some rows of a picture; see `mesh_light.read`.
+
+    Args:
+        seen: As there, [V, 3].
+        faces: As there, [T, 3].
+        places: As there, [T, 3, 2].
+        rows: As there, [G, G].
+        light: As there, [N, CHANNELS].
+        flat: As there.
+        channels: Of the picture, changed, [H, W, C].
+        start: Of them the first of light.
+        count: How many of them.
+        depth: As there, [H, W].
+        share: As there, [H, W].
+        limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, [5].
+        first: Row of the picture.
+        last: The row after the last.
+    """
+    height, width = depth.shape
+    above, below = max(first - 1, 0), min(last + 1, height)  # edges are seen from both sides
+    nearest = np.full((below - above, width), _EMPTY, np.float32)
+    number = np.full((below - above, width), -1, np.int32)
+    for t in range(len(faces)):
+        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+        ax, ay, bx, by, cx, cy = seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1]
+        low_y, high_y = min(ay, by, cy), max(ay, by, cy)
+        if not (high_y > above and low_y < below):
+            continue
+        low_x, high_x = min(ax, bx, cx), max(ax, bx, cx)
+        if not (high_x > _0 and low_x < width):
+            continue
+        left, right = max(math.ceil(low_x - _HALF), 0), min(math.floor(high_x - _HALF), width - 1)
+        top, bottom = max(math.ceil(low_y - _HALF), above), min(math.floor(high_y - _HALF), below - 1)
+        area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        if left > right or top > bottom or area == _0:
+            continue
+        inverse = _1 / area
+        # barycentric coordinates of the second and third corner, and how they change by column and row
+        u_x, u_y, v_x, v_y = (cy - ay) * inverse, (ax - cx) * inverse, (ay - by) * inverse, (bx - ax) * inverse
+        base, to_b, to_c = seen[a, 2], seen[b, 2] - seen[a, 2], seen[c, 2] - seen[a, 2]
+        for row in range(top, bottom + 1):
+            dx, dy = np.float32(left) + _HALF - ax, np.float32(row) + _HALF - ay
+            u, v = u_x * dx + u_y * dy, v_x * dx + v_y * dy
+            for column in range(left, right + 1):
+                if u >= _0 and v >= _0 and u + v <= _1:
+                    value = base + u * to_b + v * to_c
+                    deep = value if flat else _1 / value
+                    if deep < nearest[row - above, column]:
+                        nearest[row - above, column] = deep
+                        number[row - above, column] = t
+                u += u_x
+                v += v_x
+    slope, most, apart = _1 / (limits[1] - limits[0]), len(rows) - 2, limits[3]
+    total = np.empty(CHANNELS, np.float32)
+    for row in range(first, last):
+        line = row - above
+        for column in range(width):
+            t = number[line, column]
+            if t < 0:
+                continue
+            deep = nearest[line, column]
+            amount = min((limits[1] - abs(depth[row, column] - deep)) * slope, _1) * share[row, column]
+            if amount <= _0:
+                continue
+            a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+            ax, ay, bx, by, cx, cy = seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1]
+            inverse = _1 / ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay))
+            dx, dy = np.float32(column) + _HALF - ax, np.float32(row) + _HALF - ay
+            u, v = ((cy - ay) * dx + (ax - cx) * dy) * inverse, ((ay - by) * dx + (bx - ax) * dy) * inverse
+            w = _1 - u - v
+            if not flat:
+                u, v, w = u * seen[b, 2] * deep, v * seen[c, 2] * deep, w * seen[a, 2] * deep
+            x = w * places[t, 0, 0] + u * places[t, 1, 0] + v * places[t, 2, 0]
+            y = w * places[t, 0, 1] + u * places[t, 1, 1] + v * places[t, 2, 1]
+            left, top = min(max(int(x + _HALF), 1), most), min(max(int(y + _HALF), 1), most)
+            across, down = _spline(x - np.float32(left)), _spline(y - np.float32(top))
+            for channel in range(CHANNELS):
+                total[channel] = _0
+            for step in range(3):
+                weight, line_of = down[step], top + step - 1
+                i, j, k = rows[line_of, left - 1], rows[line_of, left], rows[line_of, left + 1]
+                p, q, r = across[0] if i >= 0 else _0, across[1] if j >= 0 else _0, across[2] if k >= 0 else _0
+                p, q, r = p * weight, q * weight, r * weight
+                for channel in range(CHANNELS):  # all at once
+                    total[channel] += p * light[i, channel] + q * light[j, channel] + r * light[k, channel]
+            front = total[_FRONT]
+            if front < limits[2]:
+                continue
+            edge = column > 0 and _apart(places, number[line, column - 1], x, y, apart)
+            edge = edge or (column < width - 1 and _apart(places, number[line, column + 1], x, y, apart))
+            edge = edge or (row > 0 and _apart(places, number[line - 1, column], x, y, apart))
+            edge = edge or (row < height - 1 and _apart(places, number[line + 1, column], x, y, apart))
+            if edge:
+                amount *= limits[4]
+            factor = channels[row, column, start + _FRONT] / front
+            for channel in range(count):
+                here = channels[row, column, start + channel]
+                channels[row, column, start + channel] = here + amount * (total[channel] * factor - here)

@@ -1,9 +1,9 @@
 """Hold relighting against Cycles: `python -m tools.light_truth DATA... [--sheet FILE]`.
 
 DATA are captures with more lights: `grmm capture DATA --lights all --bare rest --layers ...`. Each view's picture in the even
-rig is relit for each of its other lights, as avatars are: irradiance and highlights at the texels of the exact mesh, splatted,
-applied in linear light. So the figures are those of the light alone, not of a model's colors. Colors of avatars stand for the
-rig on the head at rest, and so it is taken off here; `--posed` takes it off as it lit the very picture. PSNR in dB, inside the
+rig is relit for each of its other lights, as avatars are: irradiance and highlights at the texels of the exact mesh, read at
+each pixel, applied in linear light. So the figures are those of the light alone, not of a model's colors. The rig is taken off
+as it lit the very picture; `--rest` takes it off as on the head at rest, which avatars' colors stand for. PSNR in dB, in the
 mask and on the face without eyes and mouth; "unlit" is the picture in the rig held against the same truth. The studio's skin
 scatters no light unless `--subsurface` was given, so scattering is off here, too.
 """
@@ -61,7 +61,7 @@ class _Surface:
 class Relighter:
     """Relights the views of one capture; `posed` takes the rig off as it is on the posed head, else as on the head at rest."""
 
-    def __init__(self, data: CaptureDataset, posed: bool = False) -> None:
+    def __init__(self, data: CaptureDataset, posed: bool = True) -> None:
         self._data, self._head, self._posed = data, load_open_head(), posed
         self._layout = texel_layout(self._head.uv, self._head.uv_faces, GRID)
         self._anchor = TexelAnchor(self._layout, self._head.faces, self._head.uv_faces, self._head.vertex_count)
@@ -151,7 +151,7 @@ def lighting_of(light: Light) -> Lighting:
     return Lighting(lamps, Surroundings.of_directions(directions, radiance, solid))
 
 
-def measure(every: list[CaptureDataset], sheet: Path | None, posed: bool = False) -> dict[str, Any]:
+def measure(every: list[CaptureDataset], sheet: Path | None, posed: bool = True) -> dict[str, Any]:
     """Figures of all views; writes a sheet of the first bare one: truth, relit and unlit below each other."""
     kept = defaultdict(list)
     relighters = [Relighter(data, posed) for data in every]
@@ -195,9 +195,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", type=Path, nargs="+")
     parser.add_argument("--sheet", type=Path, help="PNG of the first view in all lights: Cycles, relit, and not relit")
-    parser.add_argument("--posed", action="store_true", help="take the rig off as it lit the picture, not as a head at rest")
+    parser.add_argument("--rest", action="store_true", help="take the rig off as it lies on a head at rest")
     args = parser.parse_args()
-    json.dump(measure([CaptureDataset(each) for each in args.data], args.sheet, args.posed), sys.stdout, indent=1)
+    json.dump(measure([CaptureDataset(each) for each in args.data], args.sheet, not args.rest), sys.stdout, indent=1)
     return 0
 
 

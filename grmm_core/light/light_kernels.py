@@ -121,6 +121,16 @@ def _lobe(alpha: float, tilt: float, cosine: float, facing: float) -> float:
 
 
 @compiled(inline="always", **OPTIONS)
+def _mirrored(rough: float, reflectance: float, facing: float) -> float:
+    """`shading.mirrored_share` of a surface."""
+    narrow = _1 - rough
+    outline = min(narrow * narrow, np.float32(math.exp(np.float32(-9.28 * math.log(2.0)) * facing))) * narrow
+    outline += np.float32(0.0425) - np.float32(0.0275) * rough
+    by_reflectance = np.float32(1.04) - np.float32(0.572) * rough - np.float32(1.04) * outline
+    return max(reflectance * by_reflectance + np.float32(1.04) * outline - np.float32(0.04) + np.float32(0.022) * rough, _0)
+
+
+@compiled(inline="always", **OPTIONS)
 def _wrapped(cosine: float, wander: float) -> float:
     return max(cosine + wander, _0) / ((_1 + wander) * (_1 + wander))
 
@@ -206,10 +216,9 @@ def shade(
                 total += weight * _lobe(alpha, tilt, cosine, facing)
             amount = np.float32(0.25) * total * fresnel * shine[i] * cosine * part * strength * gloss
             shine_r, shine_g, shine_b = shine_r + amount * lr, shine_g + amount * lg, shine_b + amount * lb
-        away = _1 - facing
-        square = away * away
-        fresnel = reflectance[i] + (_1 - reflectance[i]) * square * square * away
-        glossy = fresnel * shine[i] * min(max(rows[i, 0] / (_PI * np.float32(0.282095)), _0), _1) * gloss
+        mean_rough = share[i] * smooth[i] + (_1 - share[i]) * rough[i]
+        free = min(max(rows[i, 0] / (_PI * np.float32(0.282095)), _0), _1)
+        glossy = _mirrored(mean_rough, reflectance[i], facing) * shine[i] * free * gloss
         qx, qy, qz = _2 * towards_eye * nx - vx, _2 * towards_eye * ny - vy, _2 * towards_eye * nz - vz
         x = turn[0, 0] * qx + turn[1, 0] * qy + turn[2, 0] * qz
         y = turn[0, 1] * qx + turn[1, 1] * qy + turn[2, 1] * qz

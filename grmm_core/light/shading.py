@@ -116,8 +116,7 @@ def transport(
     count = len(normals)
     mirror = 2.0 * (normals * view).sum(1, keepdims=True) * normals - view
     mirror = mirror if turn is None else mirror @ turn
-    fresnel = materials.reflectance + (1.0 - materials.reflectance) * (1.0 - facing) ** 5
-    glossy = fresnel * materials.shine * openness(rows) * (response.gloss * response.intensity)
+    glossy = mirrored_share(materials, facing) * materials.shine * openness(rows) * (response.gloss * response.intensity)
     return Transport(
         np.stack(diffuse).astype(np.float32) if diffuse else np.zeros((0, count, 3), np.float32),
         np.stack(highlights).astype(np.float32) if highlights else np.zeros((0, count), np.float32),
@@ -312,6 +311,20 @@ def _widening(lamp: Lamp, at: np.ndarray) -> float:
         assert isinstance(lamp, (Point, Area))
         distance = float(np.linalg.norm(np.asarray(lamp.position) - at))
     return math.hypot(0.5 * half_angle(lamp, distance), _TURN)
+
+
+def mirrored_share(materials: Materials, facing: np.ndarray) -> np.ndarray:
+    """Share of even light from all around that surfaces mirror to a viewer, [N]; `facing` is the cosine to it, [N].
+
+    The GGX lobe over all directions, fitted (Karis 2014): a rough surface mirrors much less at its outline than a smooth one.
+    """
+    rough = materials.share * materials.smooth + (1.0 - materials.share) * materials.rough
+    narrow = 1.0 - rough
+    at_outline = np.minimum(narrow * narrow, np.exp2(-9.28 * facing)) * narrow + 0.0425 - 0.0275 * rough
+    result: np.ndarray = (
+        materials.reflectance * (1.04 - 0.572 * rough - 1.04 * at_outline) + 1.04 * at_outline - 0.04 + 0.022 * rough
+    )
+    return np.maximum(result, 0.0)
 
 
 def _lobes(

@@ -51,7 +51,7 @@ GUESS = 0.12  # that is added at most to a color that no photo shows
 # part of a strand below which it is taken away, and the part of all strands from which on the photo is not believed
 SEEN, WRONG, RIGHT, SHORTEST, MOST_CUT = 0.06, 0.3, 0.6, 0.2, 0.4
 ROOT = 3  # places of a strand of which the first that is seen tells what it stands on
-FACING = 0.5  # cosine between the skin's normal and the view, below which that is not believed: at the head's sides
+FACING = 0.15  # cosine between the skin's normal and the view, below which that is not believed: at the head's sides
 CELL = 0.006  # metres: of the grid on which colors spread
 NEAR, FAR = 1.2, 4.0  # cells that colors spread to other strands, and to the other side of the head
 THIN_NEAR, THIN_FAR = 0.15, 0.3  # how much must be known around a place to count as half known

@@ -22,7 +22,7 @@ from ..head import HeadModel
 from ..light.lamps import STUDIO, Lighting, Sun
 from ..light.materials import materials_of
 from ..light.relight import to_display, to_linear
-from ..light.resting import MOUTH, RestLight, Texels, casters_of
+from ..light.resting import RestLight, Texels, casters_of, even_mouth
 from ..light.shading import Learned, Response, reached, relative, shade, transport
 from ..light.shadows import visible
 from ..light.surroundings import TERMS, Surroundings, sphere
@@ -33,7 +33,7 @@ from .types import PhotoTrack
 
 SUNS = tuple(Sun(direction=tuple(d), angle=1.0) for d in sphere(24)[0] if d[2] > -0.3 and d[1] > -0.5)
 """Directions that light may come from, in head axes; as wide as soft boxes and windows."""
-MATT = Response(gloss=0.0)
+MATT = Response(gloss=0.0, even_mouth=True)
 """How an avatar takes the light of its photo, whose highlights are in its colors."""
 _EVEN = 0.05  # of the weight of what is seen: that light is even all over the skin, for what the photo does not show
 _TINT = 0.1  # of the mean square: keeps the light's color one
@@ -45,7 +45,6 @@ _ROUNDS, _CUT = 6, 5.0  # of robust weights
 _NOT_SKIN = ("lips", "lids", "brows", "lashes", "mouth_interior")
 _FACING = 0.25  # cosine between normal and view from which skin tells its color
 _BEHIND = 0.004  # metres behind the mesh's depth that still are its surface
-_TEETH = 1.25  # light on seen teeth over that on the lips, as `session.lit` has it in photos of smiles
 _FEW = 60  # texels: less skin tells no light
 
 
@@ -114,7 +113,7 @@ class PhotoHead:
         rest, posed = np.asarray(rest, np.float64), np.asarray(posed, np.float64)
         self._materials = materials_of(head, *texels[:2])
         self._rest = RestLight.of(head, texels, self._materials, rest, np.tile(tone, (len(texels.face), 1)))
-        self._texels, self._eye = texels, eye
+        self._head, self._texels, self._eye = head, texels, eye
         self._receivers = texels.receivers(posed, vertex_normals(posed, head.faces))
         rigid = head.regions.get("scalp", np.arange(len(rest)))
         self._turn = turn_between(rest[rigid], posed[rigid])
@@ -122,7 +121,6 @@ class PhotoHead:
         self._seen = np.stack([visible(sun, self._receivers, casters) for sun in SUNS])
         skin = _skin(head)[texels.corners].all(1)
         self._told = skin & (self._rest.rig > reached(self._rest.rig).min(0)).all(1)
-        self._inside, self._lips = (head.marked(*names)[texels.corners].all(1) for names in (MOUTH, ("lips",)))
 
     def ratio(self, light: Light) -> np.ndarray:
         """Irradiance relative to the rig's at the texels, [N, 3] float32."""
@@ -140,11 +138,7 @@ class PhotoHead:
         bounced = rest.exchange.bounced(scene.irradiance[near], rest.albedo)
         learned = Learned(rest.rig, np.zeros_like(rest.rig))
         found = relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, [0, 1, 2, 6]]
-        # lips are never tracked so closely that the edges of their shadows on the teeth are where the photo has them: taken
-        # out, they would be drawn on the teeth as bright and dark lines. The whole mouth takes what the lips take.
-        if self._inside.any() and self._lips.any():
-            level = _TEETH * np.median((found[:, :3].mean(1) / found[:, 3])[self._lips])
-            found[self._inside, :3] = level * found[self._inside, 3:]
+        even_mouth(self._head, self._texels.corners, found, 3)
         return found
 
     def solve(self, seen: Seen, tone: np.ndarray | None = None) -> Light:

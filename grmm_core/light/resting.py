@@ -25,6 +25,7 @@ _SHEER = ("lashes",)  # cards that stand for a few hairs: they keep no light off
 MOUTH = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
 _OPEN = 0.35  # of the light that these get where they are seen at all: colors are learned with the mouth open
 _SKIN = "face"  # region whose color is the skin's
+_TEETH = 1.25  # light on seen teeth over that on the lips, as it is in photos of smiles
 
 
 class Texels(NamedTuple):
@@ -133,6 +134,24 @@ class RestLight(NamedTuple):
         around = coefficients_of(STUDIO.surroundings)
         light = STUDIO.lamps, receivers, self.seen[:, rows], materials, self.transfer[rows], eye, around
         return np.ascontiguousarray(shade(*light).highlights)
+
+
+def even_mouth(head: HeadModel, corners: np.ndarray, light: np.ndarray, front: int) -> None:
+    """Give the whole mouth the light of the lips, as photos are fitted.
+
+    Lips are never tracked so closely that the edges of their shadows on the teeth are where a photo has them: taken out, they
+    would be drawn on the teeth as bright and dark lines.
+
+    Args:
+        head: Head model.
+        corners: Vertices around each texel, [N, 3].
+        light: What arrives relative to the rig, times how much it counts: three colors first, [N, C]; changed in place.
+        front: Column of how much it counts.
+    """
+    inside, lips = (head.marked(*names)[corners].all(1) for names in (MOUTH, ("lips",)))
+    if inside.any() and lips.any():
+        level = _TEETH * np.median(light[lips, :3].mean(1) / light[lips, front])
+        light[inside, :3] = level * light[inside, front, None]
 
 
 def casting_faces(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:

@@ -37,6 +37,7 @@ class Response:
         scattering: Of the way light takes inside the skin.
         softness: Of the size of lamps, where it makes shadows soft.
         unlit_by: Numbers of lamps in `Lighting.lamps` that are not for this avatar.
+        even_mouth: The whole mouth takes the light of the lips (`resting.even_mouth`).
     """
 
     intensity: float = 1.0
@@ -44,6 +45,7 @@ class Response:
     scattering: float = 1.0
     softness: float = 1.0
     unlit_by: tuple[int, ...] = ()
+    even_mouth: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unlit_by", tuple(self.unlit_by))

@@ -21,7 +21,7 @@ from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_li
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
 from ..light.mesh_light import LitSurface, TexelGrid
-from ..light.resting import RestLight, Texels, casting_faces, casting_numbers
+from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
 from ..light.shading import FADING, Learned, Response, reached, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, maps_of
 from ..light.surroundings import coefficients_of
@@ -29,7 +29,7 @@ from ..light.transfer import turn_between, vertex_normals
 from ..splat.types import Gaussians
 from .evaluator import Evaluator, Inputs, OpenAvatar
 
-RATIO, HIGHLIGHTS, SHADOW = slice(0, 3), slice(3, 6), slice(7, 8)  # and the cover that these have (`shading.relative`)
+RATIO, HIGHLIGHTS, FRONT, SHADOW = slice(0, 3), slice(3, 6), 6, slice(7, 8)  # of `shading.relative`
 LIGHT_CHANNELS = 8
 UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0], np.float32)  # what changes nothing
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
@@ -123,7 +123,10 @@ class LitAvatar:
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         corners, weights = self._texels.corners[self._rows], self._texels.barycentric[self._rows]
-        return relative(scene, bounced, corners, weights, learned, self._response.gloss)
+        light = relative(scene, bounced, corners, weights, learned, self._response.gloss)
+        if self._response.even_mouth:
+            even_mouth(self._head, corners, light, FRONT)
+        return light
 
     def _asked(self, eye: np.ndarray) -> np.ndarray:
         """Numbers of Gaussians whose shadows are needed: what faces the eye (`Arrived.front`), and what lies at vertices."""

@@ -130,7 +130,7 @@ def _make(
     from .hair_light import unlit_hair
     from .hair_stage import person_hair
     from .hair_texture import textured, trimmed
-    from .invert import invert, photo_errors
+    from .invert import invert, photo_errors, photo_views
     from .photo_targets import left_out
     from .root_shade import shaded_scalp
 
@@ -153,7 +153,8 @@ def _make(
     if loaded.model.config.hairless:
         parts = [parse(track, head) for track in tracks]
         hair = person_hair(tracks, parts, head, report.part("finish"))
-        avatar = shaded_scalp(person, trimmed(person, dataclasses.replace(avatar, hair=hair), tracks, parts))
+        trimmed_hair = trimmed(person, dataclasses.replace(avatar, hair=hair), tracks, parts)
+        avatar = shaded_scalp(person, trimmed_hair, photo_views(person, tracks))
         person = with_deltas(loaded.model, avatar.deltas, folder)
         avatar, unlit = unlit_hair(session, avatar, tracks, parts, head)
         avatar = textured(person, avatar, unlit, parts)

@@ -143,11 +143,7 @@ class _Inversion:
 
     def views(self, side: int) -> list[FitView]:
         """The photos at a size."""
-        model = self.model
-        return [
-            fit_view(track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless)
-            for index, track in enumerate(self.tracks)
-        ]
+        return photo_views(self.model, self.tracks, side)
 
     def _codes(self, surface: Surface, light: PhotoLight) -> Codes:
         like = self.model.anchor.barycentric
@@ -216,6 +212,12 @@ class _Inversion:
         self.report(stage, share, picture=picture)
 
 
+def photo_views(model: GRMM, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE) -> list[FitView]:
+    """Tracked photos as targets for a model, with so many pixels along the longer side."""
+    kind = len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless
+    return [fit_view(track, model.head_model, index, side, *kind) for index, track in enumerate(tracks)]
+
+
 def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]) -> dict[str, Tensor]:
     """Stage 1 as an avatar: the color maps alone."""
     with torch.no_grad():
@@ -256,12 +258,9 @@ def photo_pictures(
     known = [photo_light(avatar, index) for index in range(len(tracks))]
     ratios = kept_lights(model.head_model, model.layout, tracks, known)
     lights = PhotoLight(torch.as_tensor(ratios, dtype=model.dtype, device=model.device))
-    for index, track in enumerate(tracks):
-        view = fit_view(
-            track, model.head_model, index, side, len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless
-        )
+    for view, track in zip(photo_views(model, tracks, side), tracks, strict=True):
         with torch.no_grad():
-            inputs = photo_model_inputs(model, avatar, track, index)[0]
+            inputs = photo_model_inputs(model, avatar, track, view.index)[0]
             drawn: Picture = model.render(view.camera, inputs)
             vertices, decoded = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
             drawn = relit(drawn, lights.picture(model, view, vertices, decoded))

@@ -194,6 +194,17 @@ def seen_skin(
         picture: Display sRGB, [H, W, 3].
         inside: Pixels that are the person's, 0..1, [H, W].
     """
+    pixels, weights = seen_texels(head, texels, posed, camera, inside)
+    return Seen(bilinear(picture, pixels), weights * _skin(head)[texels.corners].all(1))
+
+
+def seen_texels(
+    head: HeadModel, texels: Texels, posed: np.ndarray, camera: Camera, inside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Where points of a posed head are in a picture, [N, 2] pixels, and how directly they are seen there, 0..1 [N].
+
+    Arguments as of `seen_skin`.
+    """
     posed = np.asarray(posed, np.float64)
     points = texels.receivers(posed, vertex_normals(posed, head.faces))
     local, pixels = camera.project(points.points.astype(np.float64))
@@ -203,8 +214,8 @@ def seen_skin(
     row = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
     there = (pixels >= 0.0).all(1) & (pixels < [camera.width, camera.height]).all(1)
     near = local[:, 2] < triangle_depth(posed[head.faces], camera)[row, column] + _BEHIND
-    seen = there & near & (facing > _FACING) & _skin(head)[texels.corners].all(1)
-    return Seen(bilinear(picture, pixels), seen * facing.clip(0.0, 1.0) * (inside[row, column] > 0.5))
+    seen = there & near & (facing > _FACING)
+    return pixels, seen * facing.clip(0.0, 1.0) * (inside[row, column] > 0.5)
 
 
 def found_lights(

@@ -57,6 +57,7 @@ WIDTHS = {"color": 3, "opacity": 1, "position": 3, "scale": 3}
 DETAIL_TEXELS = 5.0  # length below which colors are detail
 CUT = (0.3, 0.7)  # share of a texel's pixels that are targets: below the first it counts as not seen, above the second wholly
 HALF_SEEN_PIXELS = 0.5  # contribution, in pixels, at which a texel counts as half seen
+HALF_SEEN_FINE = 0.08  # likewise of eyes, lids, mouth and lips, which have several texels a pixel
 SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colors
 REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
 LOCALITY_EVERY = 2  # steps of which one has L_loc, with that much more weight: decoding at another code is a third of a step
@@ -124,6 +125,8 @@ class Tuner:
             self.locality = None
         self.optimiser = torch.optim.Adam([{**g, "lr": g["peak"]} for g in groups], betas=(0.9, 0.98), eps=1e-12)
         zeros = torch.zeros(count, dtype=model.dtype, device=model.device)
+        fine = (surface.group == INNER) | surface.lips | torch.as_tensor(model.head_model.marked("lids")[corners_of(model)].all(1))
+        self.half_seen = torch.where(fine, HALF_SEEN_FINE, HALF_SEEN_PIXELS).to(zeros)
         self.seen, self.seen_shape, self.seen_by = zeros, zeros, [zeros] * len(first)
         self.frontal_by = [torch.ones_like(zeros)] * len(first)
 
@@ -273,9 +276,9 @@ class Tuner:
             shown = shown * ((share - CUT[0]) / (CUT[1] - CUT[0])).clamp(0, 1)
             frontal = facing(self.model, view, self.meshes[index], self.surface)
             self.frontal_by[index] = frontal
-            self.seen_by[index] = frontal * self.light.tells(index) * shown / (shown + HALF_SEEN_PIXELS)
+            self.seen_by[index] = frontal * self.light.tells(index) * shown / (shown + self.half_seen)
             self.seen = torch.maximum(self.seen, self.seen_by[index])
-            self.seen_shape = torch.maximum(self.seen_shape, tested / (tested + HALF_SEEN_PIXELS))
+            self.seen_shape = torch.maximum(self.seen_shape, tested / (tested + self.half_seen))
 
     @torch.no_grad()
     def changes(self, fill: bool = True) -> dict[str, Tensor]:

@@ -30,7 +30,7 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import FEATURES, MAPS, crease_colors, crease_maps, strained
-from .inpainting import corners_of, facing, fill_colors, lid_exposure, uncut
+from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, lid_exposure, uncut
 from .locality import LOCALITY_WEIGHT, Locality
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .photo_targets import FitView
@@ -125,9 +125,10 @@ class Tuner:
             self.locality = None
         self.optimiser = torch.optim.Adam([{**g, "lr": g["peak"]} for g in groups], betas=(0.9, 0.98), eps=1e-12)
         zeros = torch.zeros(count, dtype=model.dtype, device=model.device)
-        fine = (surface.group == INNER) | surface.lips | torch.as_tensor(model.head_model.marked("lids")[corners_of(model)].all(1))
-        self.half_seen = torch.where(fine, HALF_SEEN_FINE, HALF_SEEN_PIXELS).to(zeros)
-        self.seen, self.seen_shape, self.seen_by = zeros, zeros, [zeros] * len(first)
+        self.parts = (surface.group == INNER) | surface.lips
+        lids = torch.as_tensor(model.head_model.marked("lids")[corners_of(model)].all(1)).to(self.parts)
+        self.half_seen = torch.where(self.parts | lids, HALF_SEEN_FINE, HALF_SEEN_PIXELS).to(zeros)
+        self.seen, self.seen_rim, self.seen_shape, self.seen_by = zeros, zeros, zeros, [zeros] * len(first)
         self.frontal_by = [torch.ones_like(zeros)] * len(first)
 
     @property
@@ -273,17 +274,21 @@ class Tuner:
             every = contributions(self.model, view, self.meshes[index], attributes, torch.ones_like(view.weight))
             # what a photo's edge or a mask cuts through was moved by its few pixels as far as the rest by many
             share = (shown / every.clamp(min=1e-6)) * uncut(self.model, view, self.meshes[index])
-            shown = shown * ((share - CUT[0]) / (CUT[1] - CUT[0])).clamp(0, 1)
+            amid = amid_own(self.model, view, self.meshes[index], attributes, self.surface, every)
             frontal = facing(self.model, view, self.meshes[index], self.surface)
             self.frontal_by[index] = frontal
-            self.seen_by[index] = frontal * self.light.tells(index) * shown / (shown + self.half_seen)
-            self.seen = torch.maximum(self.seen, self.seen_by[index])
+            told = frontal * self.light.tells(index)
+            loose, sure = (shown * ((part - CUT[0]) / (CUT[1] - CUT[0])).clamp(0, 1) for part in (share, share * amid))
+            self.seen_by[index] = told * loose / (loose + self.half_seen)
+            self.seen = torch.maximum(self.seen, told * sure / (sure + self.half_seen))
+            self.seen_rim = torch.maximum(self.seen_rim, self.seen_by[index])
             self.seen_shape = torch.maximum(self.seen_shape, tested / (tested + self.half_seen))
 
     @torch.no_grad()
     def changes(self, fill: bool = True) -> dict[str, Tensor]:
         """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
         maps = self.blended()
+        shown = maps["color"]
         if fill:
             decoded = self.decoded[0].colors
             prior, start = recolor(decoded, self.codes.maps, self.surface), decoded + self.tint
@@ -292,7 +297,8 @@ class Tuner:
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
-        creases = self._creases(maps) if fill else None
+        rim = (shown - maps["color"]) * known_of(self.seen_rim)[:, None] * self.parts[:, None]
+        creases = self._creases(maps, rim) if fill else None
         features = torch.zeros(len(self.tint), self.model.config.features).to(self.tint)
         rotation = torch.zeros(len(self.tint), 4).to(self.tint)
         deltas = {
@@ -309,8 +315,12 @@ class Tuner:
                     deltas[name] = value.detach() - frozen[name].detach()
         return deltas
 
-    def _creases(self, maps: dict[str, Tensor]) -> Tensor | None:
-        """Take folds and furrows out of the map of colors; returns the change that brings them with the photos' expression."""
+    def _creases(self, maps: dict[str, Tensor], rim: Tensor) -> Tensor | None:
+        """Take folds and furrows out of the map of colors; returns the change that brings them with the photos' expression.
+
+        So does what they show at the rim of lips, eyes and mouth, [N, 3], where tracking is never exact: at rest it would be a
+        line of the wrong color.
+        """
         trained, table = self.model.decoders.expression, self.model.aligned_codes
         if trained is None or table is None:
             return None
@@ -324,12 +334,12 @@ class Tuner:
         strain = (torch.as_tensor(np.min(strains, 0)).to(self.tint)[corners] * self.model.anchor.barycentric).sum(1)
         features = torch.as_tensor(head.marked(*(name for name in FEATURES if name in head.regions))[corners].any(1))
         colors = self.decoded[0].colors + self.tint + maps["color"]
-        creases = crease_colors(self.surface, colors, strain, features.to(colors.device))
+        creases = crease_colors(self.surface, colors, strain, features.to(colors.device)) + rim
         shown = [inputs.z_exp for inputs in self.inputs]
         change = crease_maps(trained, creases, self.codes.z_id, self.codes.z_exp, shown, table)
         if change is not None:
             at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))
-            maps["color"] = maps["color"] - creases - (at_rest @ change).view_as(creases)
+            maps["color"] = maps["color"] + rim - creases - (at_rest @ change).view_as(creases)
         return change
 
     def _hairy(self) -> Tensor:
@@ -346,7 +356,8 @@ class Tuner:
 
     def state(self) -> dict[str, Tensor]:
         """Step, what the photos show, parameters and moments of the optimiser, by name: what `restore` takes."""
-        tensors = {"step": torch.tensor([self.step_count]), "seen": self.seen, "seen_shape": self.seen_shape}
+        tensors = {"step": torch.tensor([self.step_count]), "seen": self.seen}
+        tensors |= {"seen_rim": self.seen_rim, "seen_shape": self.seen_shape}
         tensors |= {"seen_by": torch.stack(self.seen_by), "frontal_by": torch.stack(self.frontal_by)}
         for number, parameter in enumerate(self._parameters()):
             tensors[f"{number}.value"] = parameter.detach()
@@ -362,7 +373,7 @@ class Tuner:
             names = ("step", "exp_avg", "exp_avg_sq")
             if f"{number}.exp_avg" in tensors:
                 self.optimiser.state[parameter] = {name: tensors[f"{number}.{name}"].clone() for name in names}
-        self.seen, self.seen_shape = tensors["seen"].clone(), tensors["seen_shape"].clone()
+        self.seen, self.seen_rim, self.seen_shape = (tensors[name].clone() for name in ("seen", "seen_rim", "seen_shape"))
         self.seen_by, self.frontal_by = list(tensors["seen_by"].clone()), list(tensors["frontal_by"].clone())
         self.step_count = int(tensors["step"][0])
 

@@ -1,6 +1,7 @@
 """What a photo does not show, or shows wrongly: how far its colors are known, and what stands where they are not.
 
 ``uncut``           what a picture's edge cuts through is not known either
+``amid_own``        nor is the rim of lips, eyes and mouth
 ``facing``          skin that a photo sees edge-on tells nothing
 ``lid_exposure``    skin that lies folded away in the photo and comes out when the eyes close
 ``fill_colors``    change of skin and hair, spread along the surface; hair of no other color than the photo's
@@ -10,16 +11,21 @@ Called by `decoder_stage`. Imports torch.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from ..controls.names import ARKIT_NAMES
+from ..geometry.libraries import present
 from ..head import HeadModel
-from ..model.grmm import GRMM
+from ..model.grmm import GRMM, Attributes
+from ..splat import rasterize
 from .photo_targets import FitView
-from .surface import SCALP, SKIN, Surface
+from .surface import INNER, SCALP, SKIN, Surface
 
+PART_RIM = 0.004  # of the picture's height: from the rim of lips, eyes and mouth, where tracking may show something else
 EDGE_PIXELS = 4.0  # from a picture's edge on which a Gaussian lies wholly inside
 GRAZING = (0.1, 0.4)  # cosine between normal and view below which colors say nothing, and above which they count fully
 TONE_TEXELS = 40.0  # length above which colors are a general tone
@@ -59,6 +65,35 @@ def uncut(model: GRMM, view: FitView, vertices: Tensor) -> Tensor:
     size = np.array([view.camera.width, view.camera.height])
     within = np.minimum(pixels, size - pixels).min(1)
     return torch.as_tensor(np.clip(within / EDGE_PIXELS, 0.0, 1.0)).to(vertices)
+
+
+def amid_own(
+    model: GRMM, view: FitView, vertices: Tensor, attributes: Attributes, surface: Surface, every: Tensor
+) -> Tensor:  # fmt: skip
+    """How far a photo shows texels of lips, eyes and mouth amid their own part, 0..1, [N]; 1 elsewhere.
+
+    Tracking is out by a pixel or two: at the rim of the lips a photo shows teeth, at that of an eye the lids.
+
+    Args:
+        model: Model.
+        view: The photo.
+        vertices: Posed, [V, 3].
+        attributes: Of the Gaussians.
+        surface: Texels.
+        every: How many pixels each contributes to, [N].
+    """
+    corners = corners_of(model)
+    eyes = torch.as_tensor(model.head_model.marked("left_eyeball", "right_eyeball")[corners].all(1)).to(surface.lips)
+    own = torch.stack([surface.lips, eyes, (surface.group == INNER) & ~eyes], 1).to(every)
+    parts = own.clone().requires_grad_(True)
+    scene = replace(model.gaussians(vertices.detach(), attributes.detached()), features=parts)
+    with torch.enable_grad():
+        cover = present(rasterize(scene, view.camera, antialiased=model.config.antialias).features)
+        reach = max(1, round(PART_RIM * view.camera.height))
+        beside = torch.nn.functional.max_pool2d((1.0 - cover.detach()).permute(2, 0, 1)[None], 2 * reach + 1, 1, reach)[0]
+        (within_own,) = torch.autograd.grad((cover * (1.0 - beside.permute(1, 2, 0))).sum(), parts)
+    share = (within_own * own).sum(1) / every.clamp(min=1e-6)
+    return torch.where(own.any(1), share, torch.ones_like(share))
 
 
 def lid_exposure(model: GRMM, view: FitView) -> Tensor:
@@ -101,6 +136,11 @@ def _lids(head: HeadModel) -> Tensor:
     return chosen
 
 
+def known_of(seen: Tensor) -> Tensor:
+    """How far colors of texels count as known that were seen so well, 0..1 each, [N]."""
+    return ((seen - SURELY_SEEN[0]) / (SURELY_SEEN[1] - SURELY_SEEN[0])).clamp(0, 1)
+
+
 def fill_colors(
     surface: Surface, prior: Tensor, start: Tensor, changes: Tensor, seen: Tensor, folded: Tensor, hairy: Tensor
 ) -> Tensor:  # fmt: skip
@@ -122,7 +162,7 @@ def fill_colors(
         hairy: Share of each texel's pixels that are hair before the face, 0..1, [N].
     """
     # what peeps out at the edge of something else, as a raised lid does, has not been seen
-    known = ((seen - SURELY_SEEN[0]) / (SURELY_SEEN[1] - SURELY_SEEN[0])).clamp(0, 1)
+    known = known_of(seen)
     if not bool((surface.group == SCALP).any()):
         return _fill_surface(surface, prior, start, changes, known, known * (1.0 - folded))
     tone = surface.smooth(start, TONE_TEXELS)
@@ -170,7 +210,7 @@ def _fill_surface(
     most = SHADING + (NECK_SHADING - SHADING) * surface.below[:, None]
     seen = seen - doubted * (off - most * torch.tanh(off / most))
     outer = torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1))
-    alone = known[:, None] * change
+    alone = surface.fill(change, known, rest=COLOR_REST)
     return prior - start + torch.where((skin & ~surface.lips)[:, None], outer, alone)
 
 

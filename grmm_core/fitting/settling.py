@@ -1,8 +1,8 @@
 """The last step: skin under strands and in a session's light looks as the fit has it.
 
 Skin is fitted bare. Brows, lashes and fringes that are drawn over it darken it again, and a session's light, which knows the
-avatar's own mesh and albedo, is not the fit's to the last per cent. What of that shows is taken out of the skin's colors, smoothed,
-so that no strand leaves its negative on the skin. Imports torch.
+avatar's own mesh and albedo, is not the fit's to the last per cent. What of that shows is taken out of the skin's colors,
+smoothed, so that no strand leaves its negative on the skin. Imports torch.
 """
 
 from __future__ import annotations

@@ -337,7 +337,9 @@ class Tuner:
         creases = crease_colors(self.surface, colors, strain, features.to(colors.device)) + rim
         shown = [inputs.z_exp for inputs in self.inputs]
         change = crease_maps(trained, creases, self.codes.z_id, self.codes.z_exp, shown, table)
-        if change is not None:
+        if change is None:  # the photos' expression is the face at rest
+            maps["color"] = maps["color"] + rim
+        else:
             at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))
             maps["color"] = maps["color"] + rim - creases - (at_rest @ change).view_as(creases)
         return change

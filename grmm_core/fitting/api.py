@@ -130,9 +130,10 @@ def _make(
     from .hair_light import unlit_hair
     from .hair_stage import person_hair
     from .hair_texture import textured, trimmed
-    from .invert import invert, photo_errors, photo_views
+    from .invert import invert, photo_errors, photo_pictures, photo_views
     from .photo_targets import left_out
     from .root_shade import shaded_scalp
+    from .settling import settled
 
     if request.threads:
         import torch
@@ -158,7 +159,9 @@ def _make(
         person = with_deltas(loaded.model, avatar.deltas, folder)
         avatar, unlit = unlit_hair(session, avatar, tracks, parts, head)
         avatar = textured(person, avatar, unlit, parts)
-    figures = {"rmse": photo_errors(person, avatar, tracks), "landmark_error": [track.landmark_error for track in tracks]}
+    pictures = photo_pictures(person, avatar, tracks)
+    avatar = settled(session, person, avatar, tracks, pictures)
+    figures = {"rmse": photo_errors(pictures), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(
         avatar,

@@ -22,6 +22,7 @@ from ..hair.settings import HairSettings
 from ..head.flame_align import closest_on_surface
 from ..photo.glasses import thin_frames
 from ..photo.parser import MESH_PARTS, PhotoParts, part_map
+from .blurring import widened
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -81,19 +82,22 @@ def brow_cover(track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadM
     """How much of each pixel is brow, [H, W] 0..1: what at the mesh's brows is darker than the skin around."""
     height = float(np.ptp(track.camera.project(view.vertices)[1][:, 1]))
     at_brows = part_map(head, view.vertices, track.camera)[0] == tuple(MESH_PARTS).index("brows")
-    region = functional.max_pool2d(torch.from_numpy(at_brows.astype(np.float32))[None, None], *_window(REACH * height))[
-        0, 0
-    ].numpy()
+    region = _near(at_brows, REACH * height)
     skin = (parts.skin > 0.5) * (1.0 - region)
     light = np.asarray(track.image, np.float32).mean(2)
     planes = torch.from_numpy(np.stack([light * skin, skin]).astype(np.float32))[None]
-    size, stride, padding = _window(AROUND * height)
-    lit, count = functional.avg_pool2d(planes, size, stride, padding)[0].numpy()
+    reach = max(1, round(AROUND * height))
+    lit, count = functional.avg_pool2d(planes, 2 * reach + 1, 1, reach)[0].numpy()
     darker = 1.0 - light * count / np.maximum(lit, 1e-4)
     cover: np.ndarray = np.clip((darker - DARK[0]) / (DARK[1] - DARK[0]), 0.0, 1.0) * region * (count > 1e-3)
     cover *= _at_landmarks(track, max(1.0, ARCH * height))
-    hair = functional.max_pool2d(torch.from_numpy(np.float32(parts.hair))[None, None], *_window(SHADE * height))[0, 0].numpy()
-    return cover * (1.0 - parts.eyes) * view.counts * (1.0 - hair) * ~thin_frames(track.image, track.landmarks)
+    return (
+        cover
+        * (1.0 - parts.eyes)
+        * view.counts
+        * (1.0 - _near(parts.hair, SHADE * height))
+        * ~thin_frames(track.image, track.landmarks)
+    )
 
 
 def _at_landmarks(track: PhotoTrack, reach: float) -> np.ndarray:
@@ -104,9 +108,7 @@ def _at_landmarks(track: PhotoTrack, reach: float) -> np.ndarray:
         ends = np.asarray(track.landmarks[list(outline), :2], float)
         for (x, y), (u, v) in zip(ends, np.roll(ends, -1, 0), strict=True):  # even-odd rule, edge by edge
             found ^= ((y > rows) != (v > rows)) & (columns < (u - x) * (rows - y) / (v - y if v != y else 1.0) + x)
-    near = functional.max_pool2d(torch.from_numpy(found.astype(np.float32))[None, None], *_window(reach))
-    result: np.ndarray = near[0, 0].numpy() > 0.5
-    return result
+    return _near(found, reach) > 0.5
 
 
 def _at_height(groom: Groom, track: PhotoTrack, view: HairView, head: HeadModel) -> Groom:
@@ -134,10 +136,10 @@ def _at_height(groom: Groom, track: PhotoTrack, view: HairView, head: HeadModel)
     return bind(template, faces, template, skin[triangles], weights, points, groom.offsets, groom.widths, groom.groups)
 
 
-def _window(reach: float) -> tuple[int, int, int]:
-    """Size, stride and padding of a pooling that reaches so many pixels."""
-    pixels = max(1, round(reach))
-    return 2 * pixels + 1, 1, pixels
+def _near(plane: np.ndarray, reach: float) -> np.ndarray:
+    """A plane [H, W] widened by so many pixels, at least one."""
+    result: np.ndarray = widened(torch.from_numpy(np.float32(plane))[None], max(1, round(reach)))[0].numpy()
+    return result
 
 
 def _kept(groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, head: HeadModel) -> np.ndarray:

@@ -30,6 +30,7 @@ from ..model.grmm import GRMM
 from ..photo.parser import PhotoParts
 from ..splat.api import rasterize
 from ..splat.types import Gaussians
+from .blurring import widened
 from .face_hair import brow_cover
 from .hair_stage import hair_view
 from .inpainting import within
@@ -131,8 +132,8 @@ def _photo(
     scale = min(1.0, SIDE / max(around_head(view).hair.shape))
     if rim:
         reach = round(rim / scale)
-        bare = torch.from_numpy(np.float32(1.0 - view.hair))[None, None]
-        view = dataclasses.replace(view, hair=1.0 - functional.max_pool2d(bare, 2 * reach + 1, 1, reach)[0, 0].numpy())
+        bare = torch.from_numpy(np.float32(1.0 - view.hair))[None]
+        view = dataclasses.replace(view, hair=1.0 - widened(bare, reach)[0].numpy())
     if (groom.groups == BROWS).any():
         view = dataclasses.replace(view, hair=np.maximum(view.hair, brow_cover(track, parts, view, head)))
     view = around_head(view)

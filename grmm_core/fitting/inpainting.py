@@ -22,6 +22,7 @@ from ..geometry.libraries import present
 from ..head import HeadModel
 from ..model.grmm import GRMM, Attributes
 from ..splat import rasterize
+from .blurring import widened
 from .photo_targets import FitView
 from .surface import INNER, SCALP, SKIN, Surface
 
@@ -90,7 +91,7 @@ def amid_own(
     with torch.enable_grad():
         cover = present(rasterize(scene, view.camera, antialiased=model.config.antialias).features)
         reach = max(1, round(PART_RIM * view.camera.height))
-        beside = torch.nn.functional.max_pool2d((1.0 - cover.detach()).permute(2, 0, 1)[None], 2 * reach + 1, 1, reach)[0]
+        beside = widened((1.0 - cover.detach()).permute(2, 0, 1), reach)
         (within_own,) = torch.autograd.grad((cover * (1.0 - beside.permute(1, 2, 0))).sum(), parts)
     share = (within_own * own).sum(1) / every.clamp(min=1e-6)
     return torch.where(own.any(1), share, torch.ones_like(share))

@@ -268,11 +268,11 @@ def photo_pictures(
     return pictures
 
 
-def photo_errors(model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE) -> list[float]:
-    """RMSE in each photo's view, on head and bare neck (`FitView.measured`). Arguments as `photo_pictures`."""
+def photo_errors(pictures: Sequence[tuple[FitView, Picture]]) -> list[float]:
+    """RMSE of each of `photo_pictures`, on head and bare neck (`FitView.measured`)."""
     errors = []
-    for view, drawn in photo_pictures(model, avatar, tracks, side):
-        grey = torch.full((3,), _GREY, dtype=model.dtype, device=model.device)
+    for view, drawn in pictures:
+        grey = torch.full((3,), _GREY).to(drawn.image)
         error = (drawn.over(grey).image.clamp(0, 1) - view.target(grey)).square().mean(-1) * view.measured
         errors.append(float((error.sum() / view.measured.sum().clamp(min=1.0)).sqrt()))
     return errors

@@ -25,6 +25,7 @@ from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head import HeadModel
 from ..photo.glasses import thin_frames
 from ..photo.parser import PhotoParts, parse
+from .blurring import widened
 from .types import PhotoTrack
 
 MARGIN_SIDE, MARGIN_TOP, MARGIN_BOTTOM = 0.18, 0.22, 0.03  # of the head's height in the picture, around the mesh
@@ -90,8 +91,8 @@ class FitView:
     def inner(self) -> Tensor:
         """`inside` without its rim, where between hairs the background shows, [H, W] 0..1."""
         reach = max(1, round(RIM * self.camera.height))
-        outside = (self.inside < _INNER).to(self.inside)[None, None]
-        return self.inside * (1.0 - functional.max_pool2d(outside, 2 * reach + 1, 1, reach)[0, 0])
+        outside = (self.inside < _INNER).to(self.inside)[None]
+        return self.inside * (1.0 - widened(outside, reach)[0])
 
     @property
     def measured(self) -> Tensor:
@@ -312,4 +313,4 @@ def left_out(tracks: Sequence[PhotoTrack], head: HeadModel) -> list[str]:
 
 def _widened(mask: torch.Tensor, reach: int) -> np.ndarray:
     """Pixels within `reach` of a mask [H, W], bool."""
-    return functional.max_pool2d(mask[None, None], 2 * reach + 1, 1, reach)[0, 0].numpy() > 0.5
+    return widened(mask[None], reach)[0].numpy() > 0.5

@@ -123,10 +123,10 @@ class LitAvatar:
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         corners, weights = self._texels.corners[self._rows], self._texels.barycentric[self._rows]
-        light = relative(scene, bounced, corners, weights, learned, self._response.gloss)
+        found = relative(scene, bounced, corners, weights, learned, self._response.gloss)
         if self._response.even_mouth:
-            even_mouth(self._head, corners, light, FRONT)
-        return light
+            even_mouth(self._head, corners, found, FRONT)
+        return found
 
     def _asked(self, eye: np.ndarray) -> np.ndarray:
         """Numbers of Gaussians whose shadows are needed: what faces the eye (`Arrived.front`), and what lies at vertices."""

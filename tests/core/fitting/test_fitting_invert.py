@@ -15,7 +15,7 @@ from grmm_core.controls.frame import Controls, resolve
 from grmm_core.controls.names import ALIGNED_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileFormatError, ShapeError
 from grmm_core.fitting.code_stage import code_prior
-from grmm_core.fitting.invert import invert, photo_errors
+from grmm_core.fitting.invert import invert, photo_errors, photo_pictures
 from grmm_core.fitting.locality import Locality, code_distances
 from grmm_core.fitting.objective import decode, draw, photo_inputs
 from grmm_core.fitting.photo_targets import fit_view, project
@@ -93,9 +93,9 @@ def test_both_stages_bring_the_avatar_nearer_to_the_photo(person):
     errors = []
     for second in (False, True):
         avatar = invert(tracks, model, model.head_model, QUICK, info=info, second_stage=second)
-        errors += photo_errors(with_deltas(model, avatar.deltas, "avatar"), avatar, tracks, SIZE)
+        errors += photo_errors(photo_pictures(with_deltas(model, avatar.deltas, "avatar"), avatar, tracks, SIZE))
     plain = dataclasses.replace(avatar, z_id=info.z_id.mean(0))
-    start = photo_errors(model, plain, tracks, SIZE)[0]
+    start = photo_errors(photo_pictures(model, plain, tracks, SIZE))[0]
     assert errors[0] < 0.6 * start
     assert errors[1] < 0.6 * errors[0]
     assert errors[1] < 0.03
@@ -142,10 +142,10 @@ def test_several_photos_of_other_exposure_make_one_person(person):
     tracks = [photo(model, z_id, yaw=-25.0), photo(model, z_id, yaw=25.0, gain=0.6, smile=0.5)]
     avatar = invert(tracks, model, model.head_model, QUICK, info=info)
     tuned = with_deltas(model, avatar.deltas, "avatar")
-    assert max(photo_errors(tuned, avatar, tracks, SIZE)) < 0.05
+    assert max(photo_errors(photo_pictures(tuned, avatar, tracks, SIZE))) < 0.05
     unseen = [photo(model, z_id, yaw=0.0)]  # between the photos
     between = dataclasses.replace(avatar, tracking={**avatar.tracking, "z_exp": np.zeros_like(avatar.tracking["z_exp"])})
-    assert photo_errors(tuned, between, unseen, SIZE)[0] < 0.06
+    assert photo_errors(photo_pictures(tuned, between, unseen, SIZE))[0] < 0.06
 
 
 def test_cancel_leaves_a_state_from_which_the_fit_goes_on_to_the_same_result(person, tmp_path):

@@ -1,0 +1,119 @@
+"""The end of a fit: skin under strands and in a session's light, the shade of roots, the light of the mouth."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from lit_person import SIDE, light_from_a_side, lit_person
+from photo_parts import parts_of
+
+from grmm_core.avatar import save_avatar
+from grmm_core.controls.frame import Controls
+from grmm_core.fitting import photo_targets
+from grmm_core.fitting.invert import photo_pictures, photo_views
+from grmm_core.fitting.photo_light import MATT
+from grmm_core.fitting.photo_targets import bare_pixels
+from grmm_core.fitting.result import photo_controls
+from grmm_core.fitting.root_shade import APPEARANCE, shaded_scalp
+from grmm_core.fitting.settling import settled
+from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.zbuffer import triangle_depth
+from grmm_core.hair import library_groom
+from grmm_core.light.resting import MOUTH
+from grmm_core.session import Instance, RenderOptions, make_local_session
+
+LARGE = 512
+
+
+@pytest.fixture(scope="module")
+def session():
+    with make_local_session(engine="torch") as session:
+        yield session
+
+
+@pytest.fixture
+def model(session):
+    return session.engine.store.default().model
+
+
+@pytest.fixture(autouse=True)
+def all_skin(monkeypatch):
+    """Parsed photos show nothing but skin."""
+    monkeypatch.setattr(photo_targets, "parse", lambda track, head: parts_of(np.zeros(track.image.shape[:2])))
+
+
+def colored(session, light, groom, side=SIDE):
+    """`lit_person` with a map of colors that changes nothing."""
+    avatar, track = lit_person(session, light, groom, side=side)
+    model = session.engine.store.default().model
+    plain = np.zeros((model.gaussian_count, 3 + model.config.features), np.float32)
+    return dataclasses.replace(avatar, deltas={APPEARANCE: plain}), track
+
+
+def worn(session, avatar, head, camera, light, path):
+    save_avatar(avatar, path)
+    placed = Instance(session.open(path).id, photo_controls(avatar, head), response=MATT, lighting=light.lighting)
+    return session.render([placed], camera, RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0)))
+
+
+def test_skin_under_brows_looks_as_it_was_fitted(session, model, tmp_path):
+    light, head = light_from_a_side(), model.head_model
+    avatar, track = colored(session, light, library_groom("bushy", head.name, "brows"), LARGE)
+    aims = photo_pictures(model, avatar, [track])
+    ((view, aim),) = aims
+    changed = settled(session, model, avatar, [track], aims)
+    off = []
+    for person in (avatar, changed):
+        drawn = worn(session, person, head, view.camera, light, tmp_path / "worn.grmm")
+        covered = (drawn["hair"][..., 0] > 0.1) & (drawn["hair"][..., 0] < 0.6) & (bare_pixels(view) > 0.5)
+        assert covered.sum() > 20
+        off.append(float((drawn["rgb"] - aim.image.numpy())[covered].mean()))
+    assert off[0] < -0.03, "brows darken what is under them"
+    assert abs(off[1]) < 0.8 * abs(off[0])
+    assert np.abs(changed.deltas[APPEARANCE][:, 3:]).max() == 0.0
+
+
+def test_without_strands_nothing_is_settled(session, model):
+    avatar, track = colored(session, light_from_a_side(), library_groom("bob"))
+    bald = dataclasses.replace(avatar, hair=None)
+    assert settled(session, model, bald, [track], []) is bald
+
+
+def test_skin_that_a_photo_shows_bare_takes_no_shade_of_roots(session, model):
+    head = model.head_model
+    vertices = head.vertices(np.zeros(1), np.zeros(1), np.zeros((5, 3)))
+    avatar, track = colored(session, light_from_a_side(), library_groom("bob", head.name))
+    cover = triangle_depth(vertices[head.faces], track.camera) < 5.0
+    track = dataclasses.replace(track, mask=cover.astype(np.float32))
+    everywhere, behind = (shaded_scalp(model, avatar, views) for views in ([], photo_views(model, [track], SIDE)))
+    corners = np.asarray(head.faces)[model.layout.face]
+    places = (np.asarray(head.v_template)[corners] * model.layout.barycentric[..., None]).sum(1)
+    shaded, left = (np.abs(one.deltas[APPEARANCE][:, :3]).max(1) > 0.05 for one in (everywhere, behind))
+    forehead = shaded & (places[:, 2] > 0.06)
+    assert forehead.sum() > 20
+    assert left[forehead].mean() < 0.3
+    assert left[shaded & (places[:, 2] < -0.02)].mean() > 0.95, "the back of the head is not seen"
+
+
+def test_the_mouth_of_a_photos_light_is_the_lips_and_the_rest_is_as_before(session, model):
+    head, light = model.head_model, light_from_a_side()
+    controls = Controls().set_named({"jawOpen": 0.8})
+    number = session.sample(0).id
+    camera = Camera.orbit(SIDE, SIDE, 0.0, 0.0, distance=0.5)
+    options = RenderOptions(passes=("rgb",))
+    even, scene = (
+        session.render([Instance(number, controls, response=response, lighting=light.lighting)], camera, options)["rgb"]
+        for response in (MATT, dataclasses.replace(MATT, even_mouth=False))
+    )
+    vertices = np.asarray(session.deform(number, controls).vertices, np.float64)
+    inner = head.marked(*MOUTH)[head.faces].all(1)
+    depth, outer = (triangle_depth(vertices[head.faces[part]], camera) for part in (inner, ~inner))
+    mouth = depth < outer
+    differs = np.abs(even - scene).max(2) > 0.03
+    assert differs[mouth].mean() > 0.3
+    rows, columns = np.nonzero(mouth)
+    far = np.ones_like(mouth)
+    far[rows.min() - 4 : rows.max() + 5, columns.min() - 4 : columns.max() + 5] = False
+    assert differs[far].mean() < 0.002, "elsewhere next to nothing changes"

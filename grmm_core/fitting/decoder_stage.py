@@ -323,6 +323,7 @@ class Tuner:
         """
         trained, table = self.model.decoders.expression, self.model.aligned_codes
         if trained is None or table is None:
+            maps["color"] = maps["color"] + rim
             return None
         head, strains = self.model.head_model, []
         for view in self.levels[0]:

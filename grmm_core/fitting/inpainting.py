@@ -27,6 +27,7 @@ from .photo_targets import FitView
 from .surface import INNER, SCALP, SKIN, Surface
 
 PART_RIM = 0.004  # of the picture's height: from the rim of lips, eyes and mouth, where tracking may show something else
+PART_REST = 0.02  # pulls lips, eyes and mouth back to the prior: what was seen of them reaches some seven texels
 EDGE_PIXELS = 4.0  # from a picture's edge on which a Gaussian lies wholly inside
 GRAZING = (0.1, 0.4)  # cosine between normal and view below which colors say nothing, and above which they count fully
 TONE_TEXELS = 40.0  # length above which colors are a general tone
@@ -190,7 +191,7 @@ def _fill_surface(
     """Changes of color [N, 3] of a head without hair, which fades from what was seen into the prior, changed as the skin is.
 
     Only what plain skin has in common is spread far: shadows of hair and chin stay where they were seen, and fade out beyond.
-    Lips, teeth and eyes have colors of their own, and where they were not seen they keep the prior's.
+    Lips, teeth and eyes have colors of their own, and a little beside where they were seen they keep the prior's.
     """
     skin = surface.group == SKIN
     change = start + changes - prior
@@ -211,7 +212,8 @@ def _fill_surface(
     most = SHADING + (NECK_SHADING - SHADING) * surface.below[:, None]
     seen = seen - doubted * (off - most * torch.tanh(off / most))
     outer = torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1))
-    alone = surface.fill(change, known, rest=COLOR_REST)
+    parts = surface.lips | (surface.group == INNER)
+    alone = surface.fill(change, known * parts, rest=PART_REST)
     return prior - start + torch.where((skin & ~surface.lips)[:, None], outer, alone)
 
 

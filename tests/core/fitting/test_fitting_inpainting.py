@@ -322,8 +322,8 @@ def test_what_no_photo_shows_is_the_priors_with_the_skins_change(bare, bare_surf
     back = skin & (places[:, 2] < -0.02)
     torch.testing.assert_close(filled[back], prior[back] + 0.15, atol=0.05, rtol=0.0)  # a little is pulled back
     torch.testing.assert_close(filled[bare_surface.lips], prior[bare_surface.lips])  # lips are no skin
-    inner = bare_surface.group == INNER
-    torch.testing.assert_close(filled[inner & ~front], prior[inner & ~front])
+    behind = (bare_surface.group == INNER) & (places[:, 2] < -0.01)  # no further than a little beside what was seen
+    torch.testing.assert_close(filled[behind], prior[behind], atol=0.02, rtol=0.0)
 
 
 def test_folded_lids_are_the_priors_however_dark_the_photo_shows_them(bare, bare_surface):

@@ -51,6 +51,7 @@ GUESS = 0.12  # that is added at most to a color that no photo shows
 # of strands that are cut: pixels that a place must show in, hair in these below which it is wrong and above which right, the
 # part of a strand below which it is taken away, and the part of all strands from which on the photo is not believed
 SEEN, WRONG, RIGHT, SHORTEST, MOST_CUT = 0.06, 0.3, 0.6, 0.2, 0.4
+LIKELY = 0.5  # of a pixel, from where on it is hat, or hair
 ROOT = 3  # places of a strand of which the first that is seen tells what it stands on
 FACING = 0.15  # cosine between the skin's normal and the view, below which that is not believed: at the head's sides
 CELL = 0.006  # metres: of the grid on which colors spread
@@ -163,8 +164,13 @@ def _photo(
 def trimmed(
     model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], parts: Sequence[PhotoParts]
 ) -> Avatar:  # fmt: skip
-    """Return an avatar without the ends of strands that hang where a photo shows skin or what is behind the person."""
+    """Return an avatar without the ends of strands that hang where a photo shows skin or what is behind the person.
+
+    Under a hat hair is plain, and nothing of where it begins is seen.
+    """
     hair = avatar.hair
+    if any((seen.hat > LIKELY).sum() > (seen.hair > LIKELY).sum() for seen in parts):
+        return avatar
     if hair is None or hair.groom is None or not (hair.groom.groups == SCALP).any():
         return avatar
     scalp = hair.groom.groups == SCALP

@@ -12,6 +12,7 @@ from photo_parts import parts_of
 from grmm_core.avatar import save_avatar
 from grmm_core.controls.frame import Controls
 from grmm_core.fitting import photo_targets
+from grmm_core.fitting.hair_texture import trimmed
 from grmm_core.fitting.invert import photo_pictures, photo_views
 from grmm_core.fitting.photo_light import MATT
 from grmm_core.fitting.photo_targets import bare_pixels
@@ -95,6 +96,14 @@ def test_skin_that_a_photo_shows_bare_takes_no_shade_of_roots(session, model):
     assert forehead.sum() > 20
     assert left[forehead].mean() < 0.3
     assert left[shaded & (places[:, 2] < -0.02)].mean() > 0.95, "the back of the head is not seen"
+
+
+def test_hair_under_a_hat_keeps_its_roots(session, model):
+    avatar, track = colored(session, light_from_a_side(), library_groom("bob", model.head_model.name))
+    hat, nothing = np.zeros((SIDE, SIDE)), np.zeros((SIDE, SIDE))
+    hat[: SIDE // 3] = 1.0
+    assert trimmed(model, avatar, [track], [parts_of(nothing, hat=hat)]) is avatar
+    assert trimmed(model, avatar, [track], [parts_of(nothing)]) is not avatar, "where there is no hat bare skin has none"
 
 
 def test_the_mouth_of_a_photos_light_is_the_lips_and_the_rest_is_as_before(session, model):

@@ -138,9 +138,9 @@ def childless(modifier: bpy.types.Modifier | None) -> Iterator[None]:
         yield
         return
     kept = {name: node_input(modifier, name) for name in (IN_RENDERS, IN_VIEWPORTS)}
-    for name in kept:
-        set_node_input(modifier, name, 1)
     try:
+        for name in kept:
+            set_node_input(modifier, name, 1)
         yield
     finally:
         for name, value in kept.items():

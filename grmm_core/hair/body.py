@@ -20,6 +20,9 @@ from .strands import lengths_of, locks_of
 CELL = 0.008  # metres
 MARGIN = 0.05  # metres around the skin
 EAR = 0.018  # metres: how far around a vertex of an ear its hull is the highest that there is
+# what the hull falls by upwards, and to the other sides, metres a metre: hair leans out before an ear and does not break there
+LEAN, STEEP = 0.38, 1.0
+SIDEWAYS = 0.75  # of the skin's normal, from where it is the side of a head
 REACH = 0.015  # metres: see `body_kernels.heights_into`
 BURIED = 0.05  # metres: what is deeper is left, it is no strand on a head
 # of contact while hair swings: share of what it is inside the skin that a step pushes out, metres at most, and the share of
@@ -169,15 +172,20 @@ def on_person(head: HeadModel, still: np.ndarray, frames: RootFrames, local: np.
         lock: See `Rim.ended`.
     """
     origin, axes = (part.astype(np.float32) for part in frames.at(still))
-    placed = np.matmul(local, axes) + origin[:, None]
-    lengths = lengths_of(local)
-    lying = (LYING * lengths * (1.0 + 0.5 * lock))[:, None] * np.linspace(0, 1, local.shape[1]) ** 2
-    body = Body.of(head, still, near=placed.reshape(-1, 3))
-    fitted = body.untorn(placed, body.pushed(placed, CLEARANCE + lying))
-    over_ears = np.clip((lengths - SHORT) / (LONG - SHORT), 0.0, 1.0)[:, None, None]
-    fitted = placed + over_ears * (fitted - placed)
+    fitted = outside(head, still, np.matmul(local, axes) + origin[:, None], lock)
     fitted = Rim.of(head, still).ended(fitted, lock)
     result: np.ndarray = np.matmul(fitted - origin[:, None], axes.transpose(0, 2, 1))
+    return result
+
+
+def outside(head: HeadModel, still: np.ndarray, strands: np.ndarray, lock: np.ndarray | float = 0.0) -> np.ndarray:
+    """Scalp hair [M, K, 3] pushed out of the skin of a person at rest [V, 3] and of the ears; `lock` as of `Rim.ended`."""
+    lengths = lengths_of(strands)
+    lying = (LYING * lengths * (1.0 + 0.5 * lock))[:, None] * np.linspace(0, 1, strands.shape[1]) ** 2
+    body = Body.of(head, still, near=strands.reshape(-1, 3))
+    fitted = body.untorn(strands, body.pushed(strands, CLEARANCE + lying))
+    over_ears = np.clip((lengths - SHORT) / (LONG - SHORT), 0.0, 1.0)[:, None, None]
+    result: np.ndarray = strands + over_ears * (fitted - strands)
     return result
 
 
@@ -234,4 +242,26 @@ def _skin(head: HeadModel, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray
     near = np.linalg.norm(vertices[ears, None, 1:] - vertices[None, ears, 1:], axis=2) < EAR
     near &= side[:, None] == side[None]
     points[ears, 0] = side * np.where(near, np.abs(vertices[ears, 0])[None], 0.0).max(1, initial=0.0)
+    around = outer.copy()
+    around[ears] = False
+    for sign in (1.0, -1.0):
+        own = np.flatnonzero(around & (sign * vertices[:, 0] > 0.0) & (sign * normals[:, 0] > SIDEWAYS))
+        _lean_out(points, normals, own, points[ears[side == sign]], sign)
     return points, normals, outer
+
+
+def _lean_out(points: np.ndarray, normals: np.ndarray, skin: np.ndarray, ear: np.ndarray, side: float) -> None:
+    """Raise the planes at the vertices `skin` [S] of one side of the head onto slopes that lead to its ear's hull [E, 3]."""
+    if not len(ear):
+        return
+    away = points[skin, None, 1:] - ear[None, :, 1:]
+    falls = np.where(away[..., 0] > 0.0, LEAN, STEEP) * away[..., 0], STEEP * away[..., 1]
+    fall = np.hypot(*falls)
+    top = side * ear[None, :, 0] - fall
+    highest = top.argmax(1)
+    raised = np.flatnonzero(top.max(1) > side * points[skin, 0])
+    best, skin = (raised, highest[raised]), skin[raised]
+    points[skin, 0] = side * top[best]
+    slope = [part[best] * factor / np.maximum(fall[best], TINY) for part, factor in zip(falls, (LEAN, STEEP), strict=True)]
+    normals[skin] = np.stack([np.full(len(skin), side), *slope], 1)
+    normals[skin] /= np.linalg.norm(normals[skin], axis=1, keepdims=True)

@@ -5,6 +5,7 @@ Used where a person's hair comes from pictures: photos (`fitting.hair_stage`) an
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from torch.nn import functional
 from ..geometry.camera import Camera
 from ..splat.api import rasterize, rasterize_arrays
 from ..splat.types import GaussianArrays, Gaussians
-from .body import on_person
+from .body import on_person, outside
 from .drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from .groom import Groom
 from .ribbons import Eye
@@ -158,7 +159,8 @@ class WornHair:
         still: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         self._camera, self._eye = camera, Eye.of(camera)
-        blocks = blocks_of(groom, np.asarray(head.v_template, np.float64), head.faces)
+        mean = np.asarray(head.v_template, np.float64)
+        blocks = blocks_of(groom, mean, head.faces, functools.partial(outside, head, mean))
         shares = level_shares(blocks, self._eye.pixels_per_metre())
         self._hiding = Hiding.of(vertices, hiding_faces(head), camera)
         self._posed = []

@@ -8,6 +8,7 @@ level of detail is a first part, wider by as much as is missing, the last of the
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -211,13 +212,16 @@ def _top(share: float) -> float:
     return share / (1.0 - FADE * (1.0 - share))
 
 
-def blocks_of(groom: Groom, vertices: np.ndarray, faces: np.ndarray) -> tuple[StrandBlock, ...]:
+def blocks_of(
+    groom: Groom, vertices: np.ndarray, faces: np.ndarray, lies: Callable[[np.ndarray], np.ndarray] | None = None
+) -> tuple[StrandBlock, ...]:
     """Make a groom ready.
 
     Args:
         groom: The strands.
         vertices: The head model's mean, metres, [V, 3].
         faces: Its triangles, [F, 3].
+        lies: Where scalp hair [N, K, 3] is drawn on that head, for its light (`body.outside`); None: as recorded.
 
     Raises:
         ShapeError: The groom is of another head.
@@ -233,7 +237,8 @@ def blocks_of(groom: Groom, vertices: np.ndarray, faces: np.ndarray) -> tuple[St
             count = points_needed(some)
             even = some.resampled(count)
             posed = even.posed(even.frames(vertices, faces), vertices).reshape(len(even), count, 3)
-            seen = openness(posed, even.widths.mean(1), vertices, faces)
+            lying = lies(posed) if lies is not None and group == SCALP else posed
+            seen = openness(lying, even.widths.mean(1), vertices, faces)
             long = lengths_of(posed) > CROPPED
             apart = group == SCALP and FEW < long.mean() < 1.0 - FEW  # each with levels of detail of its own
             for part in (long, ~long) if apart else (np.ones(len(rows), bool),):

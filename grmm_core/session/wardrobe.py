@@ -7,6 +7,7 @@ Grooms are made ready once (`hair.strands`), posed once for each mesh, and turne
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -18,7 +19,7 @@ from ..controls.frame import Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
-from ..hair.body import on_person
+from ..hair.body import on_person, outside
 from ..hair.drawing import Hiding, level_shares, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
@@ -169,7 +170,9 @@ class Wardrobe:
 
     def blocks(self, layer: Layer, head: HeadModel) -> tuple[StrandBlock, ...]:
         """Strands made ready for a head."""
-        return _kept(self._ready, (*layer.key, head.name), lambda: blocks_of(layer.groom, head.v_template, head.faces))
+        mean = np.asarray(head.v_template, np.float64)
+        lies = functools.partial(outside, head, mean)
+        return _kept(self._ready, (*layer.key, head.name), lambda: blocks_of(layer.groom, mean, head.faces, lies))
 
     def cap(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn) -> Cap | None:
         """What lays the trained hair flat; see `scalp`. None where nothing is."""

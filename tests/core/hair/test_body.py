@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 
 from grmm_core.hair import join, library_groom
-from grmm_core.hair.body import BURIED, Body, Rim, worn
+from grmm_core.hair.body import BURIED, Body, Rim, outside, worn
 from grmm_core.hair.roots import BROWS, SCALP
+from grmm_core.hair.strands import blocks_of
 from grmm_core.head import load_open_head
 
 
@@ -46,6 +49,33 @@ def test_hair_lies_over_ears(head, body):
     beside = np.abs(pushed[:, 1] - middle[1]) < 0.012
     assert pushed[beside, 0].min() > left[:, 0].max() - 0.004
     np.testing.assert_array_equal(pushed[0], strand[0].astype(np.float32))
+
+
+def test_hair_leans_out_before_an_ear_and_does_not_break_there(head, body):
+    ears = np.asarray(head.v_template, float)[head.regions["ears"]]
+    left = ears[ears[:, 0] > 0]
+    top, middle = left[:, 1].max(), left.mean(0)
+    heights = np.linspace(top + 0.055, top - 0.015, 36)
+    strand = np.stack([np.full(36, 0.074), heights, np.full(36, middle[2])], 1)
+    pushed = body.pushed(strand[None])[0][8:]  # behind the first fifth, which begins in the skin
+    out = np.diff(pushed[:, 0]) / -np.diff(pushed[:, 1])
+    assert pushed[-1, 0] - pushed[0, 0] > 0.008  # the ear stands out
+    assert out.max() < 0.8
+    assert np.diff(pushed[:, 1]).max() < 0.0
+
+
+def test_hair_that_lies_over_an_ear_has_the_light_of_where_it_lies(head, body):
+    template = np.asarray(head.v_template, float)
+    groom = library_groom("long").level(0.3)
+    recorded, lying = (
+        blocks_of(groom, template, head.faces, lies)[0] for lies in (None, functools.partial(outside, head, template))
+    )
+    origin, axes = recorded.frames.at(template)
+    points = np.matmul(recorded.points, axes) + origin[:, None]
+    inside = body.heights(points.reshape(-1, 3))[0].reshape(points.shape[:2]) < -0.004
+    inside[:, : points.shape[1] // 5] = False
+    assert inside.sum() > 50
+    assert lying.light[inside, 0].mean() > 1.3 * recorded.light[inside, 0].mean()
 
 
 def test_hair_of_the_mean_head_is_pushed_out_of_a_larger_one(head):

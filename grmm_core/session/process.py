@@ -36,6 +36,8 @@ PROTOCOL = 1
 WORKER_MODULE = "grmm_core.session.worker"
 NO_WINDOW: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)  # `creationflags` that keep Windows from opening a console
 LIBRARIES = ("numpy", "numba", "onnxruntime")
+# Threads of numpy's matrix products wait by spinning, for a third of what a frame of playback takes; the model's are small.
+_ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 _PARENTS_PYTHON = ("PYTHONHOME", "PYTHONSTARTUP", "PYTHONEXECUTABLE", "__PYVENV_LAUNCHER__")
 
 _log = logging.getLogger(__name__)
@@ -297,7 +299,7 @@ def _launch(python: str, arena: SharedArena) -> subprocess.Popen[bytes]:
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env=core_environment(python),
+        env=_ONE_THREAD | core_environment(python),
         cwd=core_folder(),
         **options,
     )

@@ -155,17 +155,20 @@ def premultiplied_linear(
         first: Row of the picture.
         last: The row after the last.
     """
-    steps = np.float32(len(curve) - 1)
+    steps, top = np.float32(len(curve) - 1), np.uint32(len(curve) - 2)
     for y in range(first, last):
         for x in range(alpha.shape[1]):
             cover = min(max(alpha[y, x], np.float32(0.0)), _ONE)
-            scale = steps / cover if cover >= least else np.float32(0.0)
+            out[y, x, 3] = cover
+            if cover < least:  # half of a picture and more is empty
+                out[y, x, 0] = out[y, x, 1] = out[y, x, 2] = np.float32(0.0)
+                continue
+            scale = steps / cover
             for k in range(3):
                 place = min(max(rgb[y, x, k] * scale, np.float32(0.0)), steps)
-                at = min(int(place), len(curve) - 2)
+                at = min(np.uint32(place), top)
                 low = curve[at]
-                out[y, x, k] = cover * (low + (curve[at + 1] - low) * (place - np.float32(at)))
-            out[y, x, 3] = cover
+                out[y, x, k] = cover * (low + (curve[at + np.uint32(1)] - low) * (place - np.float32(at)))
 
 
 @compiled(nogil=True, **OPTIONS)

@@ -21,6 +21,7 @@ from ..scene.shot import AvatarShot, Frame, Region
 from . import passes, picture
 from .occlusion import OccluderDepths, Visibility
 
+PLAYED_STRANDS = 0.2  # share of the strands in a frame of playback
 OPENED, DRAWN = 0.1, 0.8  # of the progress: when the session begins and has ended
 
 

@@ -26,14 +26,13 @@ from ..scene.shot import Frame, SceneShot
 from ..scene.walk import read_scene
 from ..windows import redraw_viewports
 from . import overlays, view_jobs
-from .pipeline import DrawSettings
+from .pipeline import PLAYED_STRANDS, DrawSettings
 from .settings import ENGINE
 from .view_jobs import ViewJobs, ViewPicture, ViewRequest
 
 _POLL_SECONDS = 0.01  # Blender hears of nothing from threads; looking so often costs it microseconds
 _EDGE_SAMPLES = 2
 _GAP_SHARE, _LONGEST_GAP = 0.5, 2.0  # of the time between frames, which pictures may take; seconds
-PLAYED_STRANDS = 0.2  # share of the strands in a frame of playback
 
 
 @dataclass(frozen=True)

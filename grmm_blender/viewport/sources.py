@@ -20,7 +20,7 @@ from ...grmm_core.session import CloudArrays, RenderOptions
 from ...grmm_core.session.harmonics import harmonic_basis
 from ...grmm_core.splat.types import GaussianArrays
 from .. import session_host
-from ..engine.pipeline import hair_of, open_instances
+from ..engine.pipeline import PLAYED_STRANDS, hair_of, open_instances
 from ..scene.lights import LightReader
 from ..scene.meshes import SOLID_DISPLAYS, drawn_triangles
 from ..scene.shot import AvatarShot
@@ -166,7 +166,7 @@ def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:
     matrix = small.world_to_camera.copy()
     matrix[2, 3] += setback
     small = replace(small, world_to_camera=matrix)
-    options = RenderOptions(refine=False, passes=("raw", "alpha", "depth"))
+    options = RenderOptions(refine=False, passes=("raw", "alpha", "depth"), strands=PLAYED_STRANDS, coarse=True)
     found = session_host.get_session().render(open_instances(shots), small, options)
     color = np.concatenate([found["raw"], found["alpha"]], -1)
     return Picture(color, np.where(found["alpha"] > 0.0, found["depth"] - setback, 0.0)[..., 0].astype(np.float32))

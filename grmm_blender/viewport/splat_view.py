@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Callable
 from dataclasses import replace
 
 import bpy
+import gpu
 import numpy as np
 
 from ...grmm_core.geometry.camera import Camera
@@ -22,6 +24,7 @@ from .sources import DrawnScene, ViewportShot, moved_since
 from .studio_light import light_key
 
 EDIT_SECONDS = 0.1  # that an edit may take before a lower level of detail is used
+MEASURED_FIRST, MEASURED_EVERY = 4, 16  # frames of playback in one way: waiting for the card in all of them would slow it down
 WAIT_SECONDS = 0.5  # that a frame of playback waits for its own splats, so that they, bones and mesh are of one frame
 
 
@@ -32,7 +35,8 @@ class Viewport:
         """Prepare; `jobs` makes the Gaussians (its own when None), `clock` tells seconds."""
         self.jobs = jobs or SplatJobs()
         self._clock = clock
-        self._ended: float | None = None  # when the last frame of playback was drawn
+        self._ended: float | None = None  # when the last frame of playback was drawn, where that was waited for
+        self._shown_as: tuple[int | None, int] = None, 0  # how frames of playback are shown, and how many were
         self._picture = SplatPicture()
         self._scene = ViewportShot()
         self._version: tuple[object, ...] = ()  # of the scene, whether its meshes were read, and what lights the viewport
@@ -56,19 +60,20 @@ class Viewport:
         projection = np.array(view.window_matrix, np.float64)
         camera = view_camera(region, view)
         settings = context.scene.grmm_viewport
-        if playing:
+        measured = playing and self._is_measured()
+        if measured:
             self._picture.finish()  # what Blender has drawn until here is not the splats' time
         started = self._clock()
         if playing != self._playing:
             self._playing = playing
-            self._ended = None
+            self._ended, self._shown_as = None, (None, 0)
             self.jobs.pace.forget()
         self._finest = int(settings.detail)
         level = self._level(settings, context.scene, playing)
         self._mesh_only = level is None
         if level is None:
             self.jobs.request(None)
-            self._note_frame(None, started)
+            self._note_frame(None, started, measured)
             return
         version = CHANGES.scene, level != PICTURE, light_key(context.space_data.shading)
         if self._version != version:
@@ -85,15 +90,24 @@ class Viewport:
         if found.request is self._asked or not playing or settings.playback == FULL:
             self._show(found, camera, projection)
         if playing:
-            self._picture.finish()
-            self._note_frame(level, started)
+            self._note_frame(level, started, measured)
 
-    def _note_frame(self, way: int | None, started: float) -> None:
-        """Measure a frame of playback that ends now; the first one says nothing of what else takes time."""
-        ended = self._clock()
-        if self._ended is not None:
-            self.jobs.pace.record_frame(way, ended - started, started - self._ended)
+    def _is_measured(self) -> bool:
+        """Whether the time of the next frame of playback is taken: of the first ones shown in some way, then now and then."""
+        count = self._shown_as[1]
+        return count < MEASURED_FIRST or count % MEASURED_EVERY < 2
+
+    def _note_frame(self, way: int | None, started: float, measured: bool) -> None:
+        """Note a frame of playback that ends now, and its time if it is measured and the one before was, too."""
+        ended = None
+        if measured:
+            if way is not None:
+                self._picture.finish()
+            ended = self._clock()
+            if self._ended is not None:
+                self.jobs.pace.record_frame(way, ended - started, started - self._ended)
         self._ended = ended
+        self._shown_as = way, self._shown_as[1] + 1 if way == self._shown_as[0] else 1
 
     def _show(self, found: Drawable, camera: Camera, projection: np.ndarray) -> None:
         # Own meshes are those of now: Blender has drawn them in the present pose. Splats of a moment ago go along.
@@ -137,7 +151,8 @@ class Viewport:
         if settings.playback == MESH:
             return None
         if settings.playback == HOLD_RATE:
-            return self.jobs.pace.way(self._finest, scene.render.fps_base / scene.render.fps)
+            finest = max(self._finest, PICTURE) if _is_software() else self._finest
+            return self.jobs.pace.way(finest, scene.render.fps_base / scene.render.fps)
         return self._finest
 
     def _newest(self, playing: bool) -> Drawable | None:
@@ -160,6 +175,12 @@ class Viewport:
             return
         self._asked = SplatRequest(self._scene, camera, level, finest, playing)
         self.jobs.request(self._asked)
+
+
+@functools.cache
+def _is_software() -> bool:
+    """Whether there is no graphics card: trying Gaussians would cost seconds, for nothing."""
+    return str(gpu.platform.device_type_get()) == "SOFTWARE"
 
 
 _walked: tuple[int, int, DrawnScene] | None = None  # number of the change, address of the depsgraph, what it shows

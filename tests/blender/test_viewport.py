@@ -162,6 +162,17 @@ def test_playback_shows_a_small_picture_where_drawing_is_slow(drawn):
     assert np.abs(stored["small"] - stored["level"]).mean() < 0.01
 
 
+def test_playback_without_a_graphics_card_begins_with_a_small_picture(drawn):
+    found, _ = drawn
+    assert found["software"] == ["Small picture during playback"]
+
+
+def test_playback_waits_for_the_card_in_few_frames(drawn):
+    found, _ = drawn
+    assert 8 <= found["waits"] <= 24  # of 80 times that a frame could wait
+    assert found["measured"] > 0
+
+
 def test_frames_of_playback_show_their_own_splats(drawn):
     found, _ = drawn
     assert found["own"] == [True, True, True]

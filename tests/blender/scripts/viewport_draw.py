@@ -311,8 +311,19 @@ for level in range(4):
 small = in_buffer(lambda: draw(playing=True))
 stored["small"] = small
 report(small=[float(small[..., 3].max()), viewport.status(), viewport._drawable.picture is not None])
-# Each frame of playback shows its own splats.
+# Without a graphics card, as here, a small picture is tried before any Gaussians.
 viewport.jobs.pace = type(viewport.jobs.pace)()
+overlay._on_change()
+in_buffer(lambda: draw(playing=True))
+report(software=viewport.status())
+# Each frame of playback shows its own splats, and the time of few frames is taken, for that waits for the card.
+overlay.splat_view._is_software = lambda: False
+viewport.jobs.pace = type(viewport.jobs.pace)()
+finished, finish = [], viewport._picture.finish
+viewport._picture.finish = lambda: finished.append(finish())
+for _ in range(40):
+    in_buffer(lambda: draw(playing=True))
+report(waits=len(finished), measured=len(viewport.jobs.pace._shown))
 asked = []
 for value in (0.0, 0.5, 1.0):
     head["jawOpen"] = value

@@ -7,7 +7,8 @@ then places. Splats carry the unrefined colors, which look right without the net
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -98,13 +99,16 @@ def _shot(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> AvatarShot:
     return shot
 
 
-def hair_kept(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> HairUse:
-    """Return the hair of an avatar for its file: curves with what their modifiers do in this frame. Raises as `hair_worn`."""
+def hair_kept(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> Callable[[], HairUse]:
+    """Return what makes the hair of an avatar for its file, on any thread: curves with what their modifiers do in this frame.
+
+    Raises as `hair_worn`, here and there.
+    """
     shot = _shot(avatar, depsgraph)
     curves = avatar.object.grmm.hair.curves
     if shot.strands is not None and curves is not None:
         shot = replace(shot, strands=bound_strands(avatar.object, curves, depsgraph, shot.model_to_world))
-    return hair_of(shot, moves=False)
+    return functools.partial(hair_of, shot, moves=False)
 
 
 def lam_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: SplatOptions) -> LamAvatar:

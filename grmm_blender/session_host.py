@@ -95,6 +95,7 @@ _has_drawn = False
 _opened: dict[str, int] = {}  # ids of avatars in the session, by what was opened
 _opener: threading.Thread | None = None  # opens an avatar for the main thread
 _not_opened: dict[str, GrmmError] = {}  # why it could not, by what was to be opened, until the main thread hears of it
+_giving_clouds = threading.RLock()  # of calls about splat clouds: what one file lets go of is not what the next one takes
 _clouds: set[int] = set()  # ids of splat clouds in the session
 _KEPT_GROOMS = 4  # of each Curves object: a thread that began with one draws it to the end
 _grooms: dict[str, dict[str, int]] = {}  # in the session: by object, the places of its versions, the newest last
@@ -251,9 +252,11 @@ def known_avatar(source: str) -> int | None:
 
 def open_cloud(key: str, version: str, arrays: CloudArrays) -> int:
     """Hand a splat cloud to the session, where this version of it is not there already; returns its id for `Instance`."""
-    number = get_session().put_cloud(key, version, arrays)
-    with _lock:
-        _clouds.add(number)
+    session = get_session()
+    with _giving_clouds:
+        number = session.put_cloud(key, version, arrays)
+        with _lock:
+            _clouds.add(number)
     return number
 
 
@@ -273,13 +276,19 @@ def put_groom(key: str, version: str, groom: Groom) -> str:
 
 
 def release_clouds() -> None:
-    """Forget all splat clouds; called when another file is opened."""
+    """Forget all splat clouds; called when another file is opened, which does not wait for a session that is busy."""
     with _lock:
         session, numbers = _session, set(_clouds)
         _clouds.clear()
-    if session is not None:
-        for number in numbers:
-            session.release(number)
+
+    def release() -> None:
+        with _giving_clouds, contextlib.suppress(GrmmError):  # a session that has ended holds nothing
+            for number in numbers:
+                if number not in _clouds:  # the new file has another one of that name
+                    session.release(number)
+
+    if session is not None and numbers:
+        threading.Thread(target=release, name="GRMM clouds", daemon=True).start()
 
 
 def runtime_status() -> RuntimeStatus:

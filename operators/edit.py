@@ -23,8 +23,7 @@ from ..grmm_blender.rig.saved_codes import CODES, code_properties
 from ..grmm_core.avatar import AssetReference
 from ..grmm_core.controls.control import Control, is_sideways, mirrored, side_of
 from ..grmm_core.controls.table import EXPRESSION, EXPRESSIONS, JOINTS, REGIONS, SECTIONS, SHAPE, Z_ID
-from ..grmm_core.errors import GrmmError, RuntimeMissingError
-from ..grmm_core.session import AvatarInfo
+from ..grmm_core.errors import GrmmError
 from .common import OperatorMixin, Result, active_avatar, polls, reports_errors, require
 
 ALL = "ALL"
@@ -221,8 +220,8 @@ class GRMM_OT_random_identity(DrawsAnother, Edit, Operator):
 
     bl_label = "Random Identity"
     bl_description = (
-        "Move the active avatar's identity controls towards a random person: shape, and residual identity where there is a "
-        "runtime"
+        "Move the active avatar's identity controls towards a random person: shape, and residual identity where a network "
+        "draws the head"
     )
 
     amount: number("Amount", "0 is the avatar itself, 1 the random person", default=1.0, min=0.0, max=1.5, subtype="FACTOR")
@@ -233,28 +232,23 @@ class GRMM_OT_random_identity(DrawsAnother, Edit, Operator):
         avatar = active_avatar(context)
         shape = np.zeros(len(avatar.object[SHAPE]), np.float32)
         names = [SHAPE]
-        people = self._people(avatar)
-        if people is None:
+        if avatar.has_network:
+            # As the session draws a "sample:SEED", without asking it: it may be busy with a picture, or not be there.
+            person, own = read_identity(f"{session_host.SAMPLE_PREFIX}{self.seed}"), read_identity(avatar.source)
+            shape = _padded(person.shape, shape.size) - _padded(own.shape, shape.size)
+            alike = own.weights_sha256 == person.weights_sha256 and len(avatar.object[Z_ID]) == person.z_id_size
+            if alike and person.z_id is not None and own.z_id is not None:
+                write_array(avatar.object, Z_ID, (person.z_id - own.z_id) * self.amount)
+                names.append(Z_ID)
+        else:
             count = min(_RANDOM_SHAPE_COUNT, shape.size)
             shape[:count] = np.random.default_rng(self.seed).standard_normal(count)
-        else:
-            person, opened = people
-            own = read_identity(avatar.source)
-            shape = person.shape[: shape.size] - np.pad(own.shape, (0, shape.size))[: shape.size]
-            if person.z_id_size == len(avatar.object[Z_ID]) == opened.z_id_size:
-                write_array(avatar.object, Z_ID, (person.z_id - opened.z_id) * self.amount)
-                names.append(Z_ID)
         write_array(avatar.object, SHAPE, shape * self.amount)
         return self.finish(context, avatar, names)
 
-    def _people(self, avatar: Avatar) -> tuple[AvatarInfo, AvatarInfo] | None:
-        """The random person and the avatar itself; None where nothing runs the model, or no network draws the head."""
-        if not avatar.has_network:
-            return None
-        try:
-            return session_host.open_avatar(f"{session_host.SAMPLE_PREFIX}{self.seed}"), session_host.open_avatar(avatar.source)
-        except RuntimeMissingError:
-            return None
+
+def _padded(values: np.ndarray, size: int) -> np.ndarray:
+    return np.pad(values, (0, size))[:size]
 
 
 def _follower(context: bpy.types.Context) -> Avatar:

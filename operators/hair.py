@@ -10,7 +10,7 @@ import numpy as np
 
 from ..grmm_blender import exporting, session_host
 from ..grmm_blender.declare import Operator, choice, flag
-from ..grmm_blender.hair.build import make_curves, worn_hair
+from ..grmm_blender.hair.build import drawing, make_curves, worn_hair
 from ..grmm_blender.hair.grooms import HAIR_ITEMS, icon_of
 from ..grmm_blender.hair.swing import bake_path, hair_key, place_of_head
 from ..grmm_blender.properties import wear
@@ -20,7 +20,7 @@ from ..grmm_core.errors import ConfigError
 from ..grmm_core.hair import SETTINGS
 from ..grmm_core.hair.swing import write_bake
 from ..grmm_core.session.swinging import swinging
-from .common import FrameRange, Result, active_avatar, check_object_mode, polls, reports_errors, require
+from .common import FrameRange, Result, active_avatar, check_object_mode, polls, require
 from .steps import Step, SteppedOperator, Steps
 
 SCULPT = "SCULPT_CURVES"  # Blender's mode
@@ -34,7 +34,7 @@ def _combable(context: bpy.types.Context) -> Avatar:
     return avatar
 
 
-class GRMM_OT_hair_as_curves(Operator):
+class GRMM_OT_hair_as_curves(SteppedOperator, Operator):
     """Make the active avatar's hair Blender's curves and go to sculpt mode: comb, cut, grow and puff it."""
 
     bl_label = "Edit as Curves"
@@ -47,16 +47,19 @@ class GRMM_OT_hair_as_curves(Operator):
     sculpt: flag("Sculpt Mode", "Go to sculpt mode at once", default=True)
     poll = polls(_combable)
 
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> Result:
-        """Make the curves where there are none, and select them."""
+    def steps(self, context: bpy.types.Context) -> Steps:
+        """Make the curves where there are none, their places on a thread, and select them."""
         avatar = _combable(context)
         hair = avatar.object.grmm.hair
         if hair.curves is None:
             worn = worn_hair(avatar)
             if worn is None:
                 raise ConfigError("This avatar's own hair is no strands; choose a groom, or None to grow hair on a bald head.")
-            hair.curves = make_curves(avatar, worn.groom, worn.settings)
+            drawn = None
+            if worn.groom is not None and len(worn.groom):
+                draw = drawing(avatar, worn.groom)
+                drawn = yield Step(0.1, "Laying strands on the head", lambda stopped: draw())
+            hair.curves = make_curves(avatar, worn.groom, worn.settings, drawn)
             for row in SETTINGS:  # strands of its own bring settings along
                 if getattr(hair, row.name) != getattr(worn.settings, row.name):
                     setattr(hair, row.name, getattr(worn.settings, row.name))
@@ -68,7 +71,7 @@ class GRMM_OT_hair_as_curves(Operator):
             hair.curves.select_set(True)
             context.view_layer.objects.active = hair.curves
             bpy.ops.object.mode_set(mode=SCULPT)
-        return {"FINISHED"}
+        return "The hair is curves"
 
 
 class GRMM_OT_wear_hair(Operator):

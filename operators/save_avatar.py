@@ -11,7 +11,8 @@ from ..grmm_blender import exporting, session_host
 from ..grmm_blender.declare import Operator
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_core.avatar import EXTENSION
-from .common import Result, active_avatar, menu_entries, output_path, polls, reports_errors, require
+from .common import Result, active_avatar, menu_entries, output_path, polls, require
+from .steps import CancelCheck, Step, SteppedOperator, Steps
 
 
 def _savable(context: bpy.types.Context) -> Avatar:
@@ -21,7 +22,7 @@ def _savable(context: bpy.types.Context) -> Avatar:
     return avatar
 
 
-class GRMM_OT_save_avatar(Operator, ExportHelper):
+class GRMM_OT_save_avatar(SteppedOperator, Operator, ExportHelper):
     """Write the active avatar as an avatar file of its own, with the strands that it wears, combed ones as well."""
 
     bl_label = "Save Avatar"
@@ -32,14 +33,20 @@ class GRMM_OT_save_avatar(Operator, ExportHelper):
 
     poll = polls(_savable)
 
-    @reports_errors
-    def execute(self, context: bpy.types.Context) -> Result:
-        """Have the session write it."""
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Choose a file, or start the steps."""
+        return self.begin(context) if self.running else self.ask(context, event)
+
+    def steps(self, context: bpy.types.Context) -> Steps:
+        """Have the session write it, on a thread: it may be busy, and a picture of the avatar goes into the file."""
         path, avatar = output_path(self.filepath, (EXTENSION,), EXTENSION), _savable(context)
-        hair = exporting.hair_kept(avatar, context.evaluated_depsgraph_get())
-        session_host.get_session().save(session_host.open_avatar(avatar.source).id, path, hair)
-        self.report({"INFO"}, f"Wrote {path.name}")
-        return {"FINISHED"}
+        hair, source = exporting.hair_kept(avatar, context.evaluated_depsgraph_get()), avatar.source
+
+        def save(stopped: CancelCheck) -> None:
+            session_host.get_session().save(session_host.open_avatar(source).id, path, hair())
+
+        yield Step(0.1, "Writing", save)
+        return f"Wrote {path.name}"
 
 
 CLASSES = (GRMM_OT_save_avatar,)

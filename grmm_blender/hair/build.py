@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import bpy
 import numpy as np
@@ -99,15 +99,22 @@ def selected_curves(avatar: Avatar) -> Iterator[None]:
             obj.hide_set(hidden)
 
 
-def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | None = None) -> bpy.types.Object:
+def make_curves(
+    avatar: Avatar, groom: Groom | None, settings: HairSettings | None = None, drawn: Groom | None = None
+) -> bpy.types.Object:
     """Return a Curves object that stands on an avatar's head and is linked where the head is.
 
     Args:
         avatar: Whose mesh can be changed.
         groom: Its strands as recorded, or None for no curves yet; the curves are as they are drawn on this person.
         settings: Give the material its color.
+        drawn: What `drawing` gave; None asks the session here.
     """
-    head, drawn = avatar.object, None if groom is None or not len(groom) else _as_drawn(avatar, groom)
+    head = avatar.object
+    if groom is None or not len(groom):
+        drawn = None
+    elif drawn is None:
+        drawn = drawing(avatar, groom)()
     data = bpy.data.hair_curves.new(f"{head.name} hair")
     data.surface, data.surface_uv_map = head, _uv_map(head)
     if drawn is not None:
@@ -130,17 +137,22 @@ def make_curves(avatar: Avatar, groom: Groom | None, settings: HairSettings | No
     return obj
 
 
-def _as_drawn(avatar: Avatar, groom: Groom) -> Groom:
-    """A groom outside of the person's skin and ended at the bust's rim."""
+def drawing(avatar: Avatar, groom: Groom) -> Callable[[], Groom]:
+    """Return what gives a groom outside of the person's skin and ended at the bust's rim; for any thread, asks the session."""
     if not avatar.has_network:
-        return groom
-    now = avatar.controls(bpy.context.evaluated_depsgraph_get())
+        return lambda: groom
+    now, source = avatar.controls(bpy.context.evaluated_depsgraph_get()), avatar.source
     rest = Controls(shape=now.shape, z_id=now.z_id, residual_strength=now.residual_strength)
-    still = session_host.get_session().deform(session_host.open_avatar(avatar.source).id, rest).vertices
-    try:
-        return worn(load_head(AssetReference(avatar.object.grmm.head_name)), still, groom)
-    except ImportError:  # a Blender that draws by another Python has no numba
-        return groom
+    model = load_head(AssetReference(avatar.object.grmm.head_name))
+
+    def draw() -> Groom:
+        still = session_host.get_session().deform(session_host.open_avatar(source).id, rest).vertices
+        try:
+            return worn(model, still, groom)
+        except ImportError:  # a Blender that draws by another Python has no numba
+            return groom
+
+    return draw
 
 
 def _fill(data: bpy.types.Curves, head: bpy.types.Object, groom: Groom) -> None:

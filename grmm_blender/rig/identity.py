@@ -40,6 +40,8 @@ class Identity:
         shape: Its own shape coefficients, [<=S]; the rig's resting mesh.
         expression: Its own offset to the expression coefficients, [<=E].
         z_id_size, z_exp_size: Length of the residual codes.
+        z_id: Its own identity code, [z_id_size], or None.
+        weights_sha256: Of the weights that its codes belong to.
         painting: The person on the head's UV map, `Avatar.painting`, or None for a plain face.
         reference: What the rig stores as its head model, for `load_head`; empty for the head's name.
         hair: Length, color and so on of the strands that the avatar has of its own, or None.
@@ -52,6 +54,8 @@ class Identity:
     expression: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     z_id_size: int = _PAPER_SIZES[0]
     z_exp_size: int = _PAPER_SIZES[1]
+    z_id: np.ndarray | None = None
+    weights_sha256: str = ""
     offset: np.ndarray | None = None
     painting: np.ndarray | None = None
     reference: str = ""
@@ -106,7 +110,8 @@ def read_identity(source: str) -> Identity:
     sizes = avatar.z_id.size, avatar.z_exp.size
     hair = None if avatar.hair is None else avatar.hair.settings
     shape = avatar.shape[: head.shape_count]
-    return Identity(avatar.name, head, shape, avatar.expression, *sizes, painting=painting, hair=hair)
+    codes = {"z_id": avatar.z_id, "weights_sha256": avatar.weights.sha256}
+    return Identity(avatar.name, head, shape, avatar.expression, *sizes, **codes, painting=painting, hair=hair)
 
 
 def _random_person(source: str) -> Identity:
@@ -115,7 +120,8 @@ def _random_person(source: str) -> Identity:
     head = load_head(AssetReference(weights.head_name))
     sizes = code_sizes(weights.config, head)
     person = sampled_avatar(weights, sizes[1], int(source.removeprefix(session_host.SAMPLE_PREFIX)))
-    return Identity(person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1])
+    codes = {"z_id_size": sizes[0], "z_exp_size": sizes[1], "z_id": person.z_id, "weights_sha256": weights.sha256}
+    return Identity(person.name, head, person.shape[: head.shape_count], **codes)
 
 
 def avatar_file(source: str) -> str:

@@ -122,20 +122,37 @@ class SplatJobs(LatestRequestThread[SplatRequest, Drawable]):
             self._put(self._picture(request))
             return True
         made = self._made
-        if made is None or not self._serves(made, request, request.level, MOVING_DEGREES):
-            made = self._make(request, request.level)
-        self._show(made, request)
+        if made is not None and self._goes_along(made, request):
+            made = None  # the viewport moves what it has: coarser ones would be no better
+        else:
+            if made is None or not self._serves(made, request, request.level, MOVING_DEGREES):
+                made = self._make(request, request.level)
+            self._show(made, request)
         if request.playing:
             return True
         self._wait_for_rest(lambda: self._wanted is not request)
-        if self._wanted is request and not self._serves(made, request, request.finest, RESTING_DEGREES, exact=True):
+        if self._wanted is request and (
+            made is None or not self._serves(made, request, request.finest, RESTING_DEGREES, exact=True)
+        ):
             self._show(self._make(request, request.finest), request)
         return True
+
+    def _goes_along(self, made: _Made, request: SplatRequest) -> bool:
+        """Whether Gaussians show a request by a rigid movement, as of a rig that is dragged, finer than it asks for."""
+        if request.playing or made.level > request.level or sources.moved_since(made.scene, request.scene) is None:
+            return False
+        pairs = zip(made.scene.shots, request.scene.shots, strict=True)
+        placed = all(same_shot(dataclasses.replace(one, model_to_world=other.model_to_world), other) for one, other in pairs)
+        return placed and self._seen_alike(made, request, MOVING_DEGREES)
 
     def _serves(self, made: _Made, request: SplatRequest, level: int, degrees: float, exact: bool = False) -> bool:
         """Whether Gaussians fit a request; finer ones than needed do, unless `exact`."""
         if made.scene.shots is not request.scene.shots or made.level > level or (exact and made.level != level):
             return False
+        return self._seen_alike(made, request, degrees)
+
+    def _seen_alike(self, made: _Made, request: SplatRequest, degrees: float) -> bool:
+        """Whether the colors are those of the request's view, or nearly."""
         return all(
             _angle(direction, sources.view_direction(shot, request.camera)) <= degrees
             for direction, shot in zip(made.directions, request.scene.shots, strict=True)

@@ -141,6 +141,7 @@ def test_splats_go_along_with_a_rig_that_is_dragged(drawn):
     assert old_ones
     assert moved > 0.01
     assert late < 0.1 * moved
+    assert found["dragged_levels"] == [0, 2, 0]  # made when the rig rests; coarsely while the face changes, and at rest
 
 
 def test_playback_falls_back_to_the_mesh_and_says_so(drawn):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 from pathlib import Path
 
@@ -20,6 +21,7 @@ def main() -> int:
     parser.add_argument("--python", default="", help="a Python with torch, as Blender sees it: a photo becomes an avatar then")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="make the documents' pictures there instead of walking")
     arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that Blender and the screen end as well
     with WalkedBlender(arguments.output, arguments.root, display=arguments.display) as blender:
         blender.torch_python = arguments.python
         if arguments.pictures is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 
 from grmm_core.formats import format_to_read, format_to_write
@@ -10,7 +11,7 @@ from tools.demo.performance import write_performance
 from .blender import WalkedBlender, WalkError
 from .steps import HEAD, MIDDLE, PHOTO, SELECT_RIG, close_windows, open_panels, scroll_sidebar
 
-FIT_SECONDS = 1200.0
+FIT_SECONDS, WRITE_SECONDS = 1200.0, 300.0
 _RIG_PLACE = SELECT_RIG + "result = list(rig.location)"
 _STARTED_ON = """
 cube = bpy.data.objects["Cube"]
@@ -37,6 +38,11 @@ result = [watch.is_running(), watch.job().status.progress.picture if watch.is_ru
 """
 
 
+_AT_WORK = "result = any(o.bl_idname.startswith('GRMM_OT_') for o in window.modal_operators)"
+_WRITTEN = (  # operator, file or folder, options
+    ("contact_sheet", "sheet.png", "content='VIEWS', count=2"), ("export_splats", "splats_####.ply", "pose='SEQUENCE'"),
+    ("export_performance", "take.csv", ""), ("export_gaussian_avatar", "", ""), ("save_avatar", "saved.grmm", ""),
+)  # fmt: skip
 _CHOOSE = """
 for other in bpy.context.window_manager.windows:
     for space in (area for area in other.screen.areas if area.type == "FILE_BROWSER"):
@@ -106,6 +112,48 @@ def recordings(blender: WalkedBlender) -> None:
     action = blender.run(HEAD + "result = head.animation_data.action.name")
     if not action.startswith(table.stem):
         raise WalkError(f"the action is called {action} after {table.name} is read")
+
+
+def written(blender: WalkedBlender) -> None:
+    """Write files through their browsers (GaussianAvatars need a FLAME file), draw a person, make curves of hair."""
+    folder = blender.shared / "written"
+    folder.mkdir()
+    blender.run("bpy.context.scene.frame_start, bpy.context.scene.frame_end = 1, 3")
+    for operator, name, options in _WRITTEN:
+        blender.run(SELECT_RIG + f"bpy.ops.grmm.{operator}('INVOKE_DEFAULT', True, {options})")
+        time.sleep(2.0)
+        blender.run(_CHOOSE.format(folder=blender.inner(folder), name=name))
+        time.sleep(1.0)
+        blender.move(*MIDDLE)
+        blender.key("Return")
+        time.sleep(1.0)
+        if not name:  # a folder is asked for
+            blender.picture(operator, 1, settled=False)
+        _wait_for_operators(blender)
+        found = sorted(path.name for path in folder.rglob("*") if path.is_file())
+        if not found and name:
+            raise WalkError(f"{operator} writes nothing")
+        blender.note(f"{operator} writes {', '.join(found) or 'nothing'}")
+        shutil.rmtree(folder)
+        folder.mkdir()
+    blender.run(SELECT_RIG + "bpy.ops.grmm.random_identity('INVOKE_DEFAULT', True)")
+    blender.picture("random_identity", 3)
+    blender.run(SELECT_RIG + "bpy.ops.grmm.hair_as_curves('INVOKE_DEFAULT', True)")
+    _wait_for_operators(blender)
+    blender.picture("hair_as_curves", 3)
+    if blender.run("result = bpy.context.mode") != "SCULPT_CURVES":
+        raise WalkError("Edit as Curves does not end in sculpt mode")
+    blender.run("bpy.ops.object.mode_set(mode='OBJECT')")
+    for _ in range(2):
+        blender.run("bpy.ops.ed.undo()")
+
+
+def _wait_for_operators(blender: WalkedBlender) -> None:
+    deadline = time.monotonic() + WRITE_SECONDS
+    while blender.run(_AT_WORK):
+        if time.monotonic() > deadline:
+            raise WalkError("an operator does not end")
+        time.sleep(0.5)
 
 
 def turntable(blender: WalkedBlender) -> None:

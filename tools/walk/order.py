@@ -11,7 +11,7 @@ STEPS: tuple[steps.Step, ...] = (
     steps.start, steps.install, steps.add_head, steps.first_render, steps.panels, animator.drag_rig, animator.choose_runtime,
     steps.look, steps.sliders, steps.random_and_reset, steps.poses, steps.views, animator.bare_mesh, animator.import_options,
     steps.performance, steps.escape, steps.photos, steps.undo, animator.recordings, animator.turntable, animator.motion,
-    steps.save_and_reopen, steps.eevee, steps.drop, steps.delete, animator.fit, steps.disable_and_enable,
+    animator.written, steps.save_and_reopen, steps.eevee, steps.drop, steps.delete, animator.fit, steps.disable_and_enable,
 )  # fmt: skip
 
 

@@ -246,6 +246,24 @@ bpy.context.view_layer.update()
 overlay._on_change()
 settle()
 report(dragged=[went_along, float(np.abs(along - newest).mean()), float(np.abs(standing - newest).mean())])
+# Where full detail takes long to make, a dragged rig keeps what it has until it rests; a changed face does not.
+levels, make, pace = [], viewport.jobs._make, viewport.jobs.pace
+viewport.jobs._make = lambda request, level: levels.append(level) or make(request, level)
+for change in (lambda: setattr(rig.location, "x", 0.03), lambda: (head.__setitem__("jawOpen", 0.3), head.update_tag())):
+    viewport.jobs.pace = type(pace)()
+    for level in (0, 0, 1):
+        viewport.jobs.pace.record(level, 5.0)
+    change()
+    bpy.context.view_layer.update()
+    overlay._on_change()
+    settle()
+report(dragged_levels=levels)
+viewport.jobs._make, viewport.jobs.pace = make, pace
+rig.location.x, head["jawOpen"] = 0.0, 0.0
+head.update_tag()
+bpy.context.view_layer.update()
+overlay._on_change()
+settle()
 
 # A head that takes the scene's light shows roughly what lamps do; the others stay as they are.
 sun = bpy.data.objects.new("sun", bpy.data.lights.new("sun", "SUN"))

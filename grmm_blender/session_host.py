@@ -278,8 +278,11 @@ def put_groom(key: str, version: str, groom: Groom) -> str:
 def release_clouds() -> None:
     """Forget all splat clouds; called when another file is opened, which does not wait for a session that is busy."""
     with _lock:
-        session, numbers = _session, set(_clouds)
+        current, numbers = _session, set(_clouds)
         _clouds.clear()
+    if current is None or not numbers:
+        return
+    session = current
 
     def release() -> None:
         with _giving_clouds, contextlib.suppress(GrmmError):  # a session that has ended holds nothing
@@ -287,8 +290,7 @@ def release_clouds() -> None:
                 if number not in _clouds:  # the new file has another one of that name
                     session.release(number)
 
-    if session is not None and numbers:
-        threading.Thread(target=release, name="GRMM clouds", daemon=True).start()
+    threading.Thread(target=release, name="GRMM clouds", daemon=True).start()
 
 
 def runtime_status() -> RuntimeStatus:

@@ -110,8 +110,8 @@ def read_identity(source: str) -> Identity:
     sizes = avatar.z_id.size, avatar.z_exp.size
     hair = None if avatar.hair is None else avatar.hair.settings
     shape = avatar.shape[: head.shape_count]
-    codes = {"z_id": avatar.z_id, "weights_sha256": avatar.weights.sha256}
-    return Identity(avatar.name, head, shape, avatar.expression, *sizes, **codes, painting=painting, hair=hair)
+    own = avatar.z_id, avatar.weights.sha256
+    return Identity(avatar.name, head, shape, avatar.expression, *sizes, *own, painting=painting, hair=hair)
 
 
 def _random_person(source: str) -> Identity:
@@ -120,8 +120,10 @@ def _random_person(source: str) -> Identity:
     head = load_head(AssetReference(weights.head_name))
     sizes = code_sizes(weights.config, head)
     person = sampled_avatar(weights, sizes[1], int(source.removeprefix(session_host.SAMPLE_PREFIX)))
-    codes = {"z_id_size": sizes[0], "z_exp_size": sizes[1], "z_id": person.z_id, "weights_sha256": weights.sha256}
-    return Identity(person.name, head, person.shape[: head.shape_count], **codes)
+    return Identity(
+        person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1], z_id=person.z_id,
+        weights_sha256=weights.sha256,
+    )  # fmt: skip
 
 
 def avatar_file(source: str) -> str:

@@ -15,12 +15,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from grmm_core.files.access import atomic_write
+from grmm_core.hair.body import Body
 from grmm_core.hair.compact import compact
-from grmm_core.hair.groom import Groom, join
+from grmm_core.hair.groom import Groom, bind, join
 from grmm_core.hair.packaged import GROOM_SUFFIX, groom_folder
 from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from grmm_core.hair.strands import points_needed
 from grmm_core.head import HeadModel, load_open_head
+from grmm_studio.fields import smoothstep
 from grmm_studio.grooming import make_groom
 from grmm_studio.grooms import KNOTS
 from grmm_studio.mesh import RenderMesh
@@ -32,6 +34,13 @@ MAX_BYTES = 430_000  # of one before it is compressed: all of them together stay
 BEARD_STRANDS, BEARD_DRAWS = 9000, 4
 AROUND = 12  # roots, as far as which says how dense hair is somewhere
 CURL = 0.35  # a person's own, where a style has one
+FLAT, RISEN = 0.3, 0.05  # share of its height that parted hair keeps at the parting; metres from there to where it has all
+# where the package's grooms differ from the studio's: braids so many that no crown is bare between them, curls that hold
+# together, since hair of many directions in one place is seen as a weave
+CHANGES: dict[str, dict[str, Any]] = {
+    "braids": {"clumps": 300, "rope": 0.0027, "clearance": 0.004},
+    "ringlets": {"clumps": 260, "clumping": 0.95, "curl_spread": 0.12, "gather": 0.2},
+}
 # styles are cut differently on women; these are a woman's
 WOMENS = (
     "afro",
@@ -87,7 +96,26 @@ def _dense(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, s
         on_ear = np.isin(np.asarray(head.faces)[groom.triangles], head.regions["ears"]).any(1)
         found.append(groom.select((groom.groups == group) & (~on_ear | (group not in (SCALP, BEARD)))))
     groom = join(found)
-    return _even(groom, neutral, head) if group == SCALP and subject.hair_style not in KNOTS else groom
+    if group != SCALP or subject.hair_style in KNOTS:
+        return groom
+    if STYLES[subject.hair_style].comb == "parted":
+        groom = _settled(groom, neutral, head)
+    return _even(groom, neutral, head)
+
+
+def _settled(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
+    """A groom that lies flat where it begins: wisps that stand up at a parting are seen as arcs from the other side."""
+    points = np.asarray(groom.posed(groom.frames(vertices, head.faces), vertices), float)
+    steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
+    steps[groom.offsets[:-1]] = 0.0
+    along = np.cumsum(steps)
+    along -= np.repeat(along[groom.offsets[:-1]], groom.counts)
+    heights, up = Body.of(head, vertices, near=points).heights(points)
+    kept = FLAT + (1.0 - FLAT) * smoothstep(0.0, RISEN, along)
+    points -= ((1.0 - kept) * np.maximum(heights, 0.0))[:, None] * up
+    return bind(
+        head.v_template, head.faces, vertices, groom.triangles, groom.weights, points, groom.offsets, groom.widths, groom.groups
+    )
 
 
 def _even(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
@@ -130,6 +158,8 @@ def average_person(head: HeadModel) -> tuple[Subject, np.ndarray]:
 
 def main() -> int:
     """Write the files."""
+    for name, values in CHANGES.items():
+        STYLES[name] = replace(STYLES[name], **values)
     head = load_open_head()
     mesh = RenderMesh.build(head)
     someone, neutral = average_person(head)

@@ -271,9 +271,7 @@ class WorkerSession:
             return self._infos[avatar_id]
 
     def _open_remote(self, key: SourceKey) -> AvatarInfo:
-        if key.kind == "sample":
-            return self._call("sample", {"seed": int(key.name)})
-        return self._call("open", {"source": key.name})
+        return self._call("open", {"source": key.label})
 
     def _remote_id(self, avatar_id: int) -> int:
         """Return the worker's id of an avatar or a cloud, bringing it there if this worker does not have it."""

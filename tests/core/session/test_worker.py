@@ -293,6 +293,11 @@ def test_the_parent_needs_no_torch(weights):
     assert float(result.stdout) > 0.5
 
 
+def test_people_of_the_library_open_in_a_worker():
+    with create_session("worker", device="cpu", threads=1) as session:
+        assert session.open("library:beard").source == "library:beard"
+
+
 def test_a_dropped_session_ends_its_worker(weights):
     session = create_session("worker", weights=weights)
     session.open("default")

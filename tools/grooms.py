@@ -18,6 +18,7 @@ from grmm_core.files.access import atomic_write
 from grmm_core.hair.body import Body
 from grmm_core.hair.compact import compact
 from grmm_core.hair.groom import Groom, bind, join
+from grmm_core.hair.lashes import Lashes
 from grmm_core.hair.packaged import GROOM_SUFFIX, groom_folder
 from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from grmm_core.hair.strands import points_needed
@@ -34,6 +35,7 @@ MAX_BYTES = 430_000  # of one before it is compressed: all of them together stay
 BEARD_STRANDS, BEARD_DRAWS = 9000, 4
 AROUND = 12  # roots, as far as which says how dense hair is somewhere
 CURL = 0.35  # a person's own, where a style has one
+LASH_COUNTS, LASH_POINTS = (90, 42), 6  # of an upper and a lower lid; of a lash
 FLAT, RISEN = 0.3, 0.05  # share of its height that parted hair keeps at the parting; metres from there to where it has all
 # where the package's grooms differ from the studio's: braids so many that no crown is bare between them, curls that hold
 # together, since hair of many directions in one place is seen as a weave
@@ -74,7 +76,7 @@ FACE: dict[int, dict[str, dict[str, Any]]] = {
         "moustache": {"stubble": 1.0, "beard": 0.012, "beard_cut": "moustache"},
         "chinstrap": {"stubble": 1.0, "beard": 0.005, "beard_cut": "chinstrap"},
     },
-    LASHES: {"natural": {"lash_density": 1.0}},
+    LASHES: {"natural": {"lash_density": 4.0}},
 }
 
 
@@ -96,6 +98,8 @@ def _dense(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, s
         on_ear = np.isin(np.asarray(head.faces)[groom.triangles], head.regions["ears"]).any(1)
         found.append(groom.select((groom.groups == group) & (~on_ear | (group not in (SCALP, BEARD)))))
     groom = join(found)
+    if group == LASHES:
+        return _fanned(groom, neutral, head)
     if group != SCALP or subject.hair_style in KNOTS:
         return groom
     if STYLES[subject.hair_style].comb == "parted":
@@ -116,6 +120,43 @@ def _settled(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
     return bind(
         head.v_template, head.faces, vertices, groom.triangles, groom.weights, points, groom.offsets, groom.widths, groom.groups
     )
+
+
+def _fanned(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
+    """Some `LASH_COUNTS` lashes, evenly spread along their lids, that go out from the eyeball as a fan and bend away from it.
+
+    The cards of the head model lead them across the eye.
+    """
+    built = Lashes.build(head, vertices, groom)
+    assert built is not None  # it was grown on the cards
+    roots = built.edge_points(vertices)
+    points, kept, g = np.zeros((len(groom), LASH_POINTS, 3)), [], np.random.default_rng(7)
+    t = np.linspace(0.0, 1.0, LASH_POINTS)[:, None]
+    for eyeball, side in (("left_eyeball", 1), ("right_eyeball", -1)):
+        middle = vertices[head.regions[eyeball]].mean(0)
+        assert middle[0] * side > 0.0
+        for upper, count in zip((True, False), LASH_COUNTS, strict=True):
+            own = np.flatnonzero((built.upper == upper) & (built.sides == side))
+            place = np.abs(roots[own, 0])
+            place = (place - place.min()) / np.ptp(place)
+            wanted = (np.arange(count) + g.uniform(0.2, 0.8, count)) / count
+            chosen = np.unique(np.abs(place[:, None] - wanted).argmin(0))
+            own, place = own[chosen], place[chosen]
+            long = np.interp(place, (0.0, 0.2, 0.65, 1.0), (0.004, 0.006, 0.0085, 0.0075)) * g.normal(1.0, 0.1, len(own))
+            way = roots[own] - middle
+            way /= np.linalg.norm(way, axis=1, keepdims=True)
+            way[:, 0] += side * 0.3 * place
+            way += 0.25 * np.repeat(g.normal(0.0, 0.35, (len(own) // 3 + 1, 3)), 3, 0)[: len(own)]  # tips join by threes
+            bend = np.array([0.0, 0.6 if upper else -0.45, 0.0]) * t**2
+            scale = (long if upper else 0.5 * long)[:, None, None]
+            points[own] = roots[own, None] + scale * (0.85 * t * way[:, None] + bend)
+            kept.append(own)
+    rows = np.sort(np.concatenate(kept))
+    some = groom.select(rows)
+    return bind(
+        head.v_template, head.faces, vertices, some.triangles, some.weights, points[rows].reshape(-1, 3),
+        np.arange(len(rows) + 1) * LASH_POINTS, some.widths, some.groups,
+    )  # fmt: skip
 
 
 def _even(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:

@@ -1,4 +1,4 @@
-"""Lashes that follow their lids: they turn with the lash cards and, on shut eyes, stand on the seam. Needs numpy only.
+"""Lashes that follow their lids: they turn with them about the eyes and, on shut eyes, stand on the seam. Needs numpy only.
 
 Strands bound to triangles twist with the small triangles at a lid's edge, and a shut upper lid of the head model reaches below
 the edge of the lower one, which would hide its lashes inside the skin. Sessions and the capture studio pose lashes by this
@@ -20,6 +20,7 @@ LASH_CARD_ROWS = 4  # quads across a lash card
 SEAM_LIFT = np.array([0.0, 0.0003, 0.0007])  # metres from the lower lid's lash roots to those of a shut upper lid
 SHUT = 0.0015  # metres of overlap at which a lid counts as shut
 DROOP = 0.35  # of a lash's length that its tip sinks on a shut lid
+HANG = 0.25  # how steeply the lashes of a shut lid hang at least, of how far they reach
 
 
 @dataclass(frozen=True)
@@ -109,8 +110,8 @@ class Lashes:
         edge: The piece of a card's root edge under each strand, as two vertices, [N, 2].
         share: How far along it the root is, 0..1, [N].
         offsets: Points relative to the roots on the neutral head, metres, [N, K, 3].
-        tips: Outer card vertices behind the piece of edge, [N, 2].
-        direction: Unit direction of the card at each strand on the neutral head, [N, 3].
+        eyes: Vertices of the eyeball by sign of x, about whose middle lids turn.
+        direction: Unit direction from there to each root on the neutral head, [N, 3].
         upper: Whether a strand is on an upper lid, [N].
         seams: Lower lid's root vertices of the strand's eye from the middle outwards, by sign of x.
         sides: Sign of x of each strand, [N].
@@ -120,7 +121,7 @@ class Lashes:
     edge: np.ndarray
     share: np.ndarray
     offsets: np.ndarray
-    tips: np.ndarray
+    eyes: dict[int, np.ndarray]
     direction: np.ndarray
     upper: np.ndarray
     seams: dict[int, np.ndarray]
@@ -135,20 +136,19 @@ class Lashes:
         """
         if "lashes" not in head.regions:
             return None
-        pieces: dict[int, list[tuple[int, int, int, int, bool]]] = {}
+        pieces: dict[int, list[tuple[int, int, bool]]] = {}
         seams: dict[int, np.ndarray] = {}
         for card in lash_edges(head):
-            root, tip = card.root, card.tip
+            root = card.root
             for i, triangle in enumerate(card.triangles):
-                piece = (int(root[i]), int(root[i + 1]), int(tip[i]), int(tip[i + 1]), card.upper)
-                pieces.setdefault(int(triangle), []).append(piece)
+                pieces.setdefault(int(triangle), []).append((int(root[i]), int(root[i + 1]), card.upper))
             if not card.upper:
                 x = neutral[root, 0]
                 seams[1 if x.mean() > 0 else -1] = root[np.argsort(np.abs(x))]
         if len(seams) < 2 or not np.isin(groom.triangles, list(pieces)).all():
             return None
         corners = np.asarray(head.faces)[groom.triangles]
-        found = np.zeros((len(groom), 5), np.int64)
+        found = np.zeros((len(groom), 3), np.int64)
         for i, triangle in enumerate(groom.triangles):
             # a triangle in a corner has two pieces of the edge; the root lies on one of them
             found[i] = max(pieces[int(triangle)], key=lambda piece: groom.weights[i][np.isin(corners[i], piece[:2])].sum())
@@ -158,7 +158,8 @@ class Lashes:
         rest = neutral[np.concatenate(list(seams.values()))]
         sides = np.where(points[:, 0, 0] > 0, 1, -1)
         offsets = points - points[:, :1]
-        result = Lashes(edge, share, offsets, found[:, 2:4], np.zeros(0), found[:, 4] > 0, seams, sides, rest)
+        eyes = {1: head.regions["left_eyeball"], -1: head.regions["right_eyeball"]}
+        result = Lashes(edge, share, offsets, eyes, np.zeros(0), found[:, 2] > 0, seams, sides, rest)
         result.direction = result._directions(neutral)
         return result
 
@@ -167,22 +168,25 @@ class Lashes:
         whole = rigid(self.rest, vertices[np.concatenate(list(self.seams.values()))])
         turn = _between(self.direction @ whole, self._directions(vertices))
         offsets = self.offsets @ whole @ turn.transpose(0, 2, 1)
-        roots = self._roots(vertices)
+        roots = self.edge_points(vertices)
         upwards = np.array([0.0, 1.0, 0.0]) @ whole
         shift, shut = self._to_seam(vertices, roots, upwards)
         length = np.linalg.norm(self.offsets[:, -1], axis=1)
         along = np.linspace(0, 1, self.offsets.shape[1]) ** 1.5
         offsets -= DROOP * (shut * length)[:, None, None] * along[:, None] * upwards
+        rise = offsets @ upwards
+        reach = np.linalg.norm(offsets - rise[..., None] * upwards, axis=2)
+        offsets -= (shut[:, None] * np.maximum(rise + HANG * reach, 0.0))[..., None] * upwards
         return (roots + shift)[:, None] + offsets
 
-    def _roots(self, vertices: np.ndarray) -> np.ndarray:
+    def edge_points(self, vertices: np.ndarray) -> np.ndarray:
+        """Where lashes begin on the edges of their cards, on a head [V, 3], [N, 3]."""
         share = self.share[:, None]
         return vertices[self.edge[:, 0]] * (1 - share) + vertices[self.edge[:, 1]] * share
 
     def _directions(self, vertices: np.ndarray) -> np.ndarray:
-        share = self.share[:, None]
-        outer = vertices[self.tips[:, 0]] * (1 - share) + vertices[self.tips[:, 1]] * share
-        direction = outer - self._roots(vertices)
+        middles = {side: vertices[eye].mean(0) for side, eye in self.eyes.items()}
+        direction = self.edge_points(vertices) - np.where(self.sides[:, None] > 0, middles[1], middles[-1])
         return direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
 
     def _to_seam(self, vertices: np.ndarray, roots: np.ndarray, upwards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

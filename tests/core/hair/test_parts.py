@@ -68,6 +68,21 @@ def test_lashes_go_with_the_lids_and_end_on_the_seam(head):
         assert (roots[:, 1] - np.interp(roots[:, 0], line[:, 0], line[:, 1])).min() > -0.001
 
 
+def test_lashes_stand_as_a_fan_and_sink_with_their_lids(head):
+    lashes = Lashes.build(head, np.asarray(head.v_template, float), library_groom("natural", part="lashes"))
+    blink = sum(head.arkit_to_expression[ARKIT_NAMES.index(name)] for name in ("eyeBlinkLeft", "eyeBlinkRight"))
+    rises = []
+    for amount in (0.0, 0.5, 1.0):
+        points = lashes.points(np.asarray(head.vertices(np.zeros(300), amount * blink, np.zeros((5, 3))), float))
+        way = points[:, -1] - points[:, 0]
+        rises.append(np.degrees(np.arctan2(way[:, 1], np.hypot(way[:, 0], way[:, 2]))))
+        assert np.percentile(way[:, 2], 2) > 0.0  # all of them forwards
+    upper, outer = lashes.upper, np.abs(points[:, 0, 0]) > 0.03
+    assert np.median(rises[0][upper]) > 25 > np.median(rises[1][upper]) > 5 > -8 > np.median(rises[2][upper])
+    assert np.percentile(rises[2][upper & outer], 90) < 5  # none stands up at the outer corner of a shut eye
+    assert np.median(rises[0][~upper]) < -25
+
+
 def test_lashes_elsewhere_are_left_to_their_triangles(head):
     assert Lashes.build(head, np.asarray(head.v_template, float), library_groom("thin", part="brows")) is None
 

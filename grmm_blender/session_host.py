@@ -95,6 +95,7 @@ _has_drawn = False
 _opened: dict[str, int] = {}  # ids of avatars in the session, by what was opened
 _opener: threading.Thread | None = None  # opens an avatar for the main thread
 _not_opened: dict[str, GrmmError] = {}  # why it could not, by what was to be opened, until the main thread hears of it
+_disabled = False  # between `unregister` and `register`
 _giving_clouds = threading.RLock()  # of calls about splat clouds: what one file lets go of is not what the next one takes
 _clouds: set[int] = set()  # ids of splat clouds in the session
 _KEPT_GROOMS = 4  # of each Curves object: a thread that began with one draws it to the end
@@ -135,6 +136,8 @@ def get_session() -> Session:
     """
     global _session, _last_error
     with _lock:
+        if _disabled:
+            raise SessionError("The GRMM extension is switched off.")
         if _session is None:
             try:
                 mode, python = choose_runtime(_settings)
@@ -349,6 +352,15 @@ def shutdown() -> None:
         session.close()
 
 
+def register() -> None:
+    """Let sessions be made."""
+    global _disabled
+    _disabled = False
+
+
 def unregister() -> None:
-    """Close the session."""
+    """Close the session, and have threads that are still at work make no other: Blender takes their libraries away."""
+    global _disabled
+    with _lock:
+        _disabled = True
     shutdown()

@@ -38,6 +38,8 @@ def test_lifecycle(run_blender: RunBlender, blender_version: str):
     assert result["warnings"] == {}
     assert "GRMM_RenderEngine" in result["registered"]
     assert result["after_disable"] == []
+    assert "switched off" in result["session_while_off"]
+    assert "switched off" not in result["session_while_on"]
     assert result["temporary"] == result["registered"]
     assert result["device"] == "auto"
     assert result["after_enable"] == result["registered"]

@@ -46,7 +46,9 @@ _WRITTEN = (  # operator, file or folder, options
 _CHOOSE = """
 for other in bpy.context.window_manager.windows:
     for space in (area for area in other.screen.areas if area.type == "FILE_BROWSER"):
-        space.spaces.active.params.directory, space.spaces.active.params.filename = {folder!r}.encode(), {name!r}
+        space.spaces.active.params.directory = {folder!r}.encode()
+        if {name!r}:
+            space.spaces.active.params.filename = {name!r}
 """
 
 

@@ -26,6 +26,15 @@ def ours() -> list[str]:
     return found
 
 
+def session() -> str:
+    """What is said where a thread asks for the model."""
+    try:
+        module("grmm_blender.session_host").get_session()
+    except Exception as error:  # noqa: BLE001 - of either copy of the core
+        return str(error)
+    return ""
+
+
 enable()
 report(
     heavy=heavy_modules(),
@@ -33,12 +42,13 @@ report(
     warnings=dict(addon_utils._extensions_warnings_get()),
 )
 addon_utils.disable(MODULE, default_set=True)
-report(after_disable=ours())
+# A thread that is still at work must not start a worker whose libraries Blender takes away in this moment.
+report(after_disable=ours(), session_while_off=session())
 temporary = addon_utils.enable(MODULE)  # for this process only, as `blender --addons` does
 report(temporary=ours(), device=module("grmm_blender.preferences").get().device if temporary else "")
 addon_utils.disable(MODULE)
 enable()
-report(after_enable=ours())
+report(after_enable=ours(), session_while_on=session())
 repo_index = next(i for i, r in enumerate(bpy.context.preferences.extensions.repos) if r.module == "user_default")
 folder = Path(bpy.context.preferences.extensions.repos[repo_index].directory) / "grmm"
 bpy.ops.extensions.package_uninstall(repo_index=repo_index, pkg_id="grmm")

@@ -121,7 +121,11 @@ class SteppedOperator(OperatorMixin):
             names = [name for name in self.properties.keys() if name != "running"]  # noqa: SIM118 - no dictionary
             category, _, name = type(self).bl_idname.partition(".")  # of an instance it is "GRMM_OT_..."
             again = getattr(getattr(bpy.ops, category), name)
-            return again("INVOKE_DEFAULT", running=True, **{name: getattr(self, name) for name in names})
+            try:
+                return again("INVOKE_DEFAULT", running=True, **{name: getattr(self, name) for name in names})
+            except RuntimeError as error:  # what the other one reports comes out so
+                self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+                return {"CANCELLED"}
         steps, value = self.steps(context), None
         try:
             while True:
@@ -143,8 +147,10 @@ class SteppedOperator(OperatorMixin):
         timer = manager.event_timer_add(_INTERVAL, window=context.window)
         manager.progress_begin(0.0, 1.0)
         self._run = _Run(self.steps(context), timer, Reporter(EXPORT, lambda progress: self._show(context, progress)))
-        manager.modal_handler_add(self)
-        return self._advance(context, self._run, None)
+        result = self._advance(context, self._run, None)
+        if "RUNNING_MODAL" in result:  # Blender crashes on the handler of an operator that has ended
+            manager.modal_handler_add(self)
+        return result
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Look after the work; Escape cancels."""

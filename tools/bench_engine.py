@@ -245,7 +245,7 @@ def main() -> int:
         f"  playback in the rendered view, in the mean: {ms:.1f} ms a frame, {1e3 / ms:.1f} a second; "
         f"at {RATE} frames a second by the clock {shown:.1f} pictures a second"
     )
-    scenes = {name: value for name, value in result.items() if isinstance(value, dict) and "ms" in value}
+    scenes = {name: value for name, value in result.items() if isinstance(value, dict) and "overhead" in value}
     for name, values in scenes.items():
         ms, overhead = values["ms"], values["overhead"]
         print(

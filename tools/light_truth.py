@@ -32,7 +32,7 @@ from grmm_core.light.lamps import STUDIO, Lighting, soft_box
 from grmm_core.light.materials import materials_of
 from grmm_core.light.mesh_light import LitSurface, TexelGrid
 from grmm_core.light.relight import relit_pixels
-from grmm_core.light.resting import casters_of, casting_numbers
+from grmm_core.light.resting import Texels, casters_of, casting_numbers
 from grmm_core.light.shading import Arrived, Response, ratio, shade
 from grmm_core.light.shadows import Casters, Receivers, visible
 from grmm_core.light.surroundings import Surroundings, sphere
@@ -65,6 +65,7 @@ class Relighter:
         self._data, self._head, self._posed = data, load_open_head(), posed
         self._layout = texel_layout(self._head.uv, self._head.uv_faces, GRID)
         self._anchor = TexelAnchor(self._layout, self._head.faces, self._head.uv_faces, self._head.vertex_count)
+        self._texels = Texels.of(self._head, self._layout.face, self._layout.barycentric)
         self._materials = materials_of(self._head, self._layout.face, self._layout.barycentric)
         self._groups = triangle_groups(self._head)
         self._response = Response(scattering=0.0)
@@ -72,9 +73,9 @@ class Relighter:
         cards = self._head.marked("lashes")[corners].all(1)  # captures have hairs instead
         self._opacities = torch.from_numpy(np.where(cards, 0.0, 0.97).astype(np.float32))
         self._near = nearest_points(corners, self._layout.barycentric, self._head.vertex_count)
-        number = casting_numbers(self._head)
+        number, closed = casting_numbers(self._head)
         layout, faces = self._layout, self._head.faces[number]
-        self._grid = TexelGrid.of(faces, layout.uv, self._head.uv_faces[number], layout.grid, layout.texel)
+        self._grid = TexelGrid.of(faces, layout.uv, self._head.uv_faces[number], layout.grid, layout.texel, int(closed))
 
     def results(self, shot: Shot, view: View) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]]:
         """By the name of the light: relit picture, truth, picture in the rig, [H, W, 3] over black, and pixels by region."""
@@ -114,11 +115,9 @@ class Relighter:
     def _surface(self, vertices: np.ndarray) -> _Surface:
         vertices = np.asarray(vertices, np.float32)
         frames = self._anchor(torch.from_numpy(vertices))
-        normals = self._at_texels(vertex_normals(vertices, self._head.faces))
-        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         sides = torch.cat([frames.sizes * 0.6, frames.sizes.amin(-1, keepdim=True) * 0.35], -1)
         gaussians = Gaussians(frames.positions, frames.quats, sides, self._opacities, torch.zeros(len(sides), 3))
-        receivers = Receivers.around(frames.positions.numpy(), normals)
+        receivers = self._texels.receivers(vertices, vertex_normals(vertices, self._head.faces))
         return _Surface(vertices, receivers, casters_of(self._head, vertices), gaussians)
 
     def _at_texels(self, values: np.ndarray) -> np.ndarray:

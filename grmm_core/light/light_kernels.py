@@ -36,6 +36,51 @@ def interpolate(
                 out[i, k] /= math.sqrt(square)
 
 
+@compiled(**OPTIONS)
+def on_surface(
+    vertices: np.ndarray, normals: np.ndarray, corners: np.ndarray, weights: np.ndarray, points: np.ndarray, units: np.ndarray,
+    first: int, last: int,
+) -> None:  # fmt: skip
+    """Write points of a mesh and their unit normals, [N, 3] each; see `resting.Texels.receivers`. Vertices, normals [V, 3]."""
+    for i in range(first, last):
+        px = py = pz = nx = ny = nz = _0
+        for k in range(3):
+            a, weight = corners[i, k], weights[i, k]
+            px, py, pz = px + weight * vertices[a, 0], py + weight * vertices[a, 1], pz + weight * vertices[a, 2]
+            nx, ny, nz = nx + weight * normals[a, 0], ny + weight * normals[a, 1], nz + weight * normals[a, 2]
+        up_x = up_y = up_z = _0
+        for k in range(3):
+            a = corners[i, k]
+            ax, ay, az = normals[a, 0], normals[a, 1], normals[a, 2]
+            below = ax * (vertices[a, 0] - px) + ay * (vertices[a, 1] - py) + az * (vertices[a, 2] - pz)
+            lift = _HALF * weights[i, k] * max(below, _0)
+            up_x, up_y, up_z = up_x + lift * ax, up_y + lift * ay, up_z + lift * az
+        inverse = _1 / math.sqrt(nx * nx + ny * ny + nz * nz + np.float32(1e-20))
+        points[i, 0], points[i, 1], points[i, 2] = px + up_x, py + up_y, pz + up_z
+        units[i, 0], units[i, 1], units[i, 2] = nx * inverse, ny * inverse, nz * inverse
+
+
+@compiled(**OPTIONS)
+def dim(
+    seen: np.ndarray, rows: np.ndarray, corners: np.ndarray, weights: np.ndarray, through: np.ndarray, first: int, last: int
+) -> None:  # fmt: skip
+    """Multiply `seen` [N] at rows [M] by what comes through to the vertices around, [V]; corners and weights [N, 3]."""
+    for j in range(first, last):
+        i = rows[j]
+        a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
+        seen[i] *= weights[i, 0] * through[a] + weights[i, 1] * through[b] + weights[i, 2] * through[c]
+
+
+@compiled(**OPTIONS)
+def facing(
+    points: np.ndarray, normals: np.ndarray, eye: np.ndarray, least: float, out: np.ndarray, first: int, last: int
+) -> None:
+    """Write whether points face an eye [3] by a cosine times metres of more than `least`, [N] bool; the others [N, 3]."""
+    for i in range(first, last):
+        x, y, z = eye[0] - points[i, 0], eye[1] - points[i, 1], eye[2] - points[i, 2]
+        out[i] = normals[i, 0] * x + normals[i, 1] * y + normals[i, 2] * z > least
+
+
 @compiled(inline="always", **OPTIONS)
 def arriving(lamps: np.ndarray, k: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Direction to a lamp and irradiance, as `lamps.arriving`."""
@@ -110,133 +155,6 @@ def harmonics_of(x: float, y: float, z: float) -> tuple[Any, ...]:
         np.float32(1.092548) * x * y, np.float32(1.092548) * y * z, np.float32(0.315392) * (np.float32(3.0) * z * z - _1),
         np.float32(1.092548) * x * z, np.float32(0.546274) * (x * x - y * y),
     )  # fmt: skip
-
-
-@compiled(inline="always", **OPTIONS)
-def _lobe(alpha: float, tilt: float, cosine: float, facing: float) -> float:
-    square = alpha * alpha
-    base = tilt * tilt * (square - _1) + _1
-    k = _HALF * alpha
-    return square / (_PI * base * base * (cosine * (_1 - k) + k) * (facing * (_1 - k) + k))
-
-
-@compiled(inline="always", **OPTIONS)
-def _mirrored(rough: float, reflectance: float, facing: float) -> float:
-    """`shading.mirrored_share` of a surface."""
-    narrow = _1 - rough
-    outline = min(narrow * narrow, np.float32(math.exp(np.float32(-9.28 * math.log(2.0)) * facing))) * narrow
-    outline += np.float32(0.0425) - np.float32(0.0275) * rough
-    by_reflectance = np.float32(1.04) - np.float32(0.572) * rough - np.float32(1.04) * outline
-    return max(reflectance * by_reflectance + np.float32(1.04) * outline - np.float32(0.04) + np.float32(0.022) * rough, _0)
-
-
-@compiled(inline="always", **OPTIONS)
-def _wrapped(cosine: float, wander: float) -> float:
-    return max(cosine + wander, _0) / ((_1 + wander) * (_1 + wander))
-
-
-@compiled(inline="always", **OPTIONS)
-def _softened(log: float, wander: float) -> float:
-    return math.exp(log / (_1 + np.float32(1.5) * wander))
-
-
-@compiled(**OPTIONS)
-def shade(
-    lamps: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, smooth: np.ndarray, rough: np.ndarray,
-    share: np.ndarray, reflectance: np.ndarray, shine: np.ndarray, wander: np.ndarray, rows: np.ndarray, eye: np.ndarray,
-    turn: np.ndarray, colors: np.ndarray, mirrors: np.ndarray, factors: np.ndarray, out: np.ndarray, first: int, last: int,
-) -> None:  # fmt: skip
-    """Light at Gaussians of skin: what `shading.transport` and `Transport.light` give together.
-
-    Args:
-        lamps: Rows of `shading.lamp_rows`, [L, LAMP_VALUES].
-        points: [N, 3].
-        normals: [N, 3].
-        seen: [L, N].
-        smooth: Of `Materials`, [N].
-        rough: Likewise.
-        share: Likewise.
-        reflectance: Likewise.
-        shine: Likewise.
-        wander: Likewise.
-        rows: Of `transfer.transfer`, [N, 9].
-        eye: [3].
-        turn: From the axes of `rows` to those of the points, [3, 3].
-        colors: Coefficients of the surroundings for irradiance, [9, 3].
-        mirrors: The same for mirrored light, [9, 3].
-        factors: Of all light, of highlights, of wandering by color, and `shading.FADING` and `LEAST_FRONT`, [7].
-        out: Written: `shading.Arrived.values`, [N, 8].
-        first: Row of `out`.
-        last: The row after the last.
-    """
-    intensity, gloss = factors[0], factors[1]
-    for i in range(first, last):
-        px, py, pz, nx, ny, nz = points[i, 0], points[i, 1], points[i, 2], normals[i, 0], normals[i, 1], normals[i, 2]
-        vx, vy, vz = eye[0] - px, eye[1] - py, eye[2] - pz
-        inverse = _1 / max(math.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
-        vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
-        towards_eye = nx * vx + ny * vy + nz * vz
-        facing, front = min(max(towards_eye, np.float32(0.05)), _1), _1 + factors[5] * towards_eye
-        away_from_eye = front <= _0  # its highlights are nobody's
-        wr = min(max(wander[i] * factors[2], _0), np.float32(0.9))
-        wg = min(max(wander[i] * factors[3], _0), np.float32(0.9))
-        wb = min(max(wander[i] * factors[4], _0), np.float32(0.9))
-        red, green, blue, shine_r, shine_g, shine_b, arrives, whole = _0, _0, _0, _0, _0, _0, _0, _0
-        for k in range(len(lamps)):
-            lx, ly, lz, strength = arriving(lamps, k, px, py, pz)
-            cosine, part = nx * lx + ny * ly + nz * lz, seen[k, i]
-            if strength <= _0 or cosine + wr <= _0:
-                continue
-            strength *= intensity
-            lr, lg, lb = lamps[k, COLOR], lamps[k, COLOR + 1], lamps[k, COLOR + 2]
-            tr, tg, tb = _wrapped(cosine, wr) * strength, _wrapped(cosine, wg) * strength, _wrapped(cosine, wb) * strength
-            mean = (lr + lg + lb) / np.float32(9.0)
-            whole += (tr + tg + tb) * mean
-            if part <= _0:
-                continue
-            if part < _1:
-                log = math.log(part)
-                tr, tg, tb = tr * _softened(log, wr), tg * _softened(log, wg), tb * _softened(log, wb)
-            arrives += (tr + tg + tb) * mean
-            red, green, blue = red + tr * lr, green + tg * lg, blue + tb * lb
-            if cosine <= _0 or away_from_eye:
-                continue
-            hx, hy, hz = lx + vx, ly + vy, lz + vz
-            inverse = _1 / max(math.sqrt(hx * hx + hy * hy + hz * hz), _TINY)
-            tilt = min(max((nx * hx + ny * hy + nz * hz) * inverse, _0), _1)
-            away = _1 - min(max((vx * hx + vy * hy + vz * hz) * inverse, _0), _1)
-            square = away * away
-            fresnel = reflectance[i] + (_1 - reflectance[i]) * square * square * away
-            size, total = lamps[k, SIZE], _0
-            for which in range(2):
-                roughness = smooth[i] if which == 0 else rough[i]
-                narrow = roughness * roughness
-                alpha = min(math.sqrt(narrow * narrow + size * size), _1)
-                weight = share[i] if which == 0 else _1 - share[i]
-                total += weight * _lobe(alpha, tilt, cosine, facing)
-            amount = np.float32(0.25) * total * fresnel * shine[i] * cosine * part * strength * gloss
-            shine_r, shine_g, shine_b = shine_r + amount * lr, shine_g + amount * lg, shine_b + amount * lb
-        mean_rough = share[i] * smooth[i] + (_1 - share[i]) * rough[i]
-        free = min(max(rows[i, 0] / (_PI * np.float32(0.282095)), _0), _1)
-        glossy = _mirrored(mean_rough, reflectance[i], facing) * shine[i] * free * gloss
-        qx, qy, qz = _2 * towards_eye * nx - vx, _2 * towards_eye * ny - vy, _2 * towards_eye * nz - vz
-        x = turn[0, 0] * qx + turn[1, 0] * qy + turn[2, 0] * qz
-        y = turn[0, 1] * qx + turn[1, 1] * qy + turn[2, 1] * qz
-        z = turn[0, 2] * qx + turn[1, 2] * qy + turn[2, 2] * qz
-        basis = harmonics_of(x, y, z)
-        for c in range(3):
-            even, mirrored = _0, _0
-            for k in range(9):
-                even += rows[i, k] * colors[k, c]
-            if not away_from_eye:
-                for k in range(9):
-                    mirrored += basis[k] * mirrors[k, c]
-            out[i, c] = even * intensity
-            out[i, 3 + c] = mirrored * glossy * intensity
-        out[i, 0], out[i, 1], out[i, 2] = out[i, 0] + red, out[i, 1] + green, out[i, 2] + blue
-        out[i, 3], out[i, 4], out[i, 5] = out[i, 3] + shine_r, out[i, 4] + shine_g, out[i, 5] + shine_b
-        out[i, 6] = min(max(front, factors[6]), _1)
-        out[i, 7] = (arrives + np.float32(1e-6)) / (whole + np.float32(1e-6))
 
 
 @compiled(**OPTIONS)

@@ -32,14 +32,18 @@ class TexelGrid(NamedTuple):
         faces: That are drawn, [T, 3] int32.
         places: Of their corners on the grid, in texels, whose middles are whole numbers: column, row, [T, 3, 2] float32.
         rows: Which row of the light each texel has, -1 where none, [G, G] int32.
+        closed: How many of the faces, the first ones, are seen from outside only.
     """
 
     faces: np.ndarray
     places: np.ndarray
     rows: np.ndarray
+    closed: int = 0
 
     @staticmethod
-    def of(faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray, grid: int, texel: np.ndarray) -> TexelGrid:
+    def of(
+        faces: np.ndarray, uv: np.ndarray, uv_faces: np.ndarray, grid: int, texel: np.ndarray, closed: int = 0
+    ) -> TexelGrid:  # fmt: skip
         """Find it.
 
         Args:
@@ -48,11 +52,12 @@ class TexelGrid(NamedTuple):
             uv_faces: Of the same faces, [T, 3].
             grid: G.
             texel: Flat index of each texel that light is known of, [N].
+            closed: Of the faces the first ones, which are seen from outside only.
         """
         rows = np.full(grid * grid, -1, np.int32)
         rows[texel] = np.arange(len(texel))
         places = np.asarray(uv, np.float32)[uv_faces] * np.float32(grid) - np.float32(0.5)
-        return TexelGrid(np.ascontiguousarray(faces, np.int32), places, rows.reshape(grid, grid))
+        return TexelGrid(np.ascontiguousarray(faces, np.int32), places, rows.reshape(grid, grid), closed)
 
 
 class LitSurface(NamedTuple):
@@ -83,12 +88,12 @@ class LitSurface(NamedTuple):
         local, pixels = camera.project(self.vertices)
         linear = local[:, 2] if camera.orthographic else 1.0 / np.maximum(local[:, 2], _NEAREST)
         seen = np.concatenate([pixels, linear[:, None]], 1)
-        faces, places, rows = self.grid
+        faces, places, rows, closed = self.grid
         if local[:, 2].min() <= _NEAREST:
             ahead = (local[:, 2] > _NEAREST)[faces].all(1)
-            faces, places = faces[ahead], places[ahead]
+            faces, places, closed = faces[ahead], places[ahead], int(ahead[:closed].sum())
         light = np.ascontiguousarray(self.light, np.float32)
-        given = seen.astype(np.float32), faces, places, rows, light, camera.orthographic
+        given = seen.astype(np.float32), faces, closed, places, rows, light, camera.orthographic
         skin = np.ones_like(depth) if share is None else np.ascontiguousarray(share, np.float32)
         if compiled_kernels() is None:
             read(*given, channels[..., which], np.asarray(depth), skin)
@@ -102,7 +107,7 @@ class LitSurface(NamedTuple):
 
 
 def read(
-    seen: np.ndarray, faces: np.ndarray, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
+    seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
     channels: np.ndarray, depth: np.ndarray, share: np.ndarray,
 ) -> None:  # fmt: skip
     """Read light at each pixel: the readable twin of `mesh_light_kernels.read`.
@@ -110,7 +115,8 @@ def read(
     Args:
         seen: Column, row and what is linear on the picture (one over the depth; the depth itself if flat) of vertices, [V, 3].
         faces: [T, 3].
-        places: As of `TexelGrid`, [T, 3, 2].
+        closed: As of `TexelGrid`.
+        places: Likewise, [T, 3, 2].
         rows: Likewise, [G, G].
         light: Of the texels, [N, 8].
         flat: Whether the camera is orthographic.
@@ -133,7 +139,7 @@ def read(
         area = _cross(b - a, c - a)
         weights = np.stack([_cross(b - point, c - point), _cross(c - point, a - point), _cross(a - point, b - point)], -1)
         weights /= area[:, None]
-        inside = (weights >= 0.0).all(1) & (area != 0.0)
+        inside = (weights >= 0.0).all(1) & (area != 0.0) & ((face >= closed) | (area < 0.0))
     face, column, row, weights = face[inside], column[inside], row[inside], weights[inside]
     linear = corners[face, :, 2]
     value = (weights * linear).sum(1)

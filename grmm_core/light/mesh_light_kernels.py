@@ -26,8 +26,10 @@ def _spline(way: float) -> tuple[float, float, float]:
 
 
 @compiled(inline="always", **OPTIONS)
-def _apart(places: np.ndarray, t: int, x: float, y: float, far: float) -> bool:
-    """Whether a face lies far from a place on the grid; nothing, below 0, is far from everything."""
+def _apart(places: np.ndarray, t: int, own: int, x: float, y: float, far: float) -> bool:
+    """Whether a face lies far from a place on the grid, on its `own` face; nothing, below 0, is far from everything."""
+    if t == own:
+        return False
     if t < 0:
         return True
     ax, ay, bx, by, cx, cy = (
@@ -44,7 +46,7 @@ def _apart(places: np.ndarray, t: int, x: float, y: float, far: float) -> bool:
 
 @compiled(**OPTIONS)
 def read(
-    seen: np.ndarray, faces: np.ndarray, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
+    seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
     channels: np.ndarray, start: int, count: int, depth: np.ndarray, share: np.ndarray, limits: np.ndarray,
     first: int, last: int,
 ) -> None:  # fmt: skip
@@ -53,6 +55,7 @@ def read(
     Args:
         seen: As there, [V, 3].
         faces: As there, [T, 3].
+        closed: As there.
         places: As there, [T, 3, 2].
         rows: As there, [G, G].
         light: As there, [N, CHANNELS].
@@ -82,7 +85,7 @@ def read(
         left, right = max(math.ceil(low_x - _HALF), 0), min(math.floor(high_x - _HALF), width - 1)
         top, bottom = max(math.ceil(low_y - _HALF), above), min(math.floor(high_y - _HALF), below - 1)
         area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
-        if left > right or top > bottom or area == _0:
+        if left > right or top > bottom or area == _0 or (t < closed and area > _0):
             continue
         inverse = _1 / area
         # barycentric coordinates of the second and third corner, and how they change by column and row
@@ -136,10 +139,10 @@ def read(
             front = total[_FRONT]
             if front < limits[2]:
                 continue
-            edge = column > 0 and _apart(places, number[line, column - 1], x, y, apart)
-            edge = edge or (column < width - 1 and _apart(places, number[line, column + 1], x, y, apart))
-            edge = edge or (row > 0 and _apart(places, number[line - 1, column], x, y, apart))
-            edge = edge or (row < height - 1 and _apart(places, number[line + 1, column], x, y, apart))
+            edge = column > 0 and _apart(places, number[line, column - 1], t, x, y, apart)
+            edge = edge or (column < width - 1 and _apart(places, number[line, column + 1], t, x, y, apart))
+            edge = edge or (row > 0 and _apart(places, number[line - 1, column], t, x, y, apart))
+            edge = edge or (row < height - 1 and _apart(places, number[line + 1, column], t, x, y, apart))
             if edge:
                 amount *= limits[4]
             factor = channels[row, column, start + _FRONT] / front

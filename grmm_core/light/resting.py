@@ -13,8 +13,9 @@ from .bounce import Exchange, albedo_of, nearest_points
 from .lamps import STUDIO
 from .materials import Materials
 from .shading import reached, shade
-from .shadows import Casters, Receivers, compiled_kernels, visible
+from .shadows import Casters, Receivers, compiled_kernels, maps_of, visible
 from .surroundings import BANDS, basis, coefficients_of
+from .texel_shadows import TexelShadows
 from .transfer import transfer, vertex_normals
 
 if TYPE_CHECKING:
@@ -59,9 +60,35 @@ class Texels(NamedTuple):
         for_rows(kernels.interpolate, len(out), *given, out)
         return out
 
+    def dim(self, seen: np.ndarray, rows: np.ndarray, through: np.ndarray) -> None:
+        """Multiply what is seen at rows [M] of the points, [N], by what comes through to vertices, [V]; `seen` is changed."""
+        kernels = compiled_kernels()
+        if kernels is None:
+            seen[rows] *= np.einsum("nk,nk->n", self.barycentric[rows], through[self.corners[rows]])
+            return
+        from ..compute.threads import for_rows
+
+        given = rows, self.corners, self.barycentric, np.ascontiguousarray(through, np.float32)
+        for_rows(kernels.dim, len(rows), seen, *given)
+
     def receivers(self, vertices: np.ndarray, normals: np.ndarray) -> Receivers:
-        """The points on a mesh with unit normals, [V, 3] each."""
-        return Receivers.around(self.at(vertices), self.at(normals, as_unit=True))
+        """The points on a mesh with unit normals, [V, 3] each.
+
+        They are lifted half of the way to the planes at the corners of their faces, where these lie above (after Hanika 2021),
+        as on a ball: a face is flat, what it stands for is not, and its neighbours would shade it where light grazes it.
+        """
+        kernels = compiled_kernels()
+        if kernels is None:
+            points, around = self.at(vertices), vertices[self.corners]
+            below = np.einsum("nkc,nkc->nk", normals[self.corners], around - points[:, None]).clip(0.0, None)
+            lift = 0.5 * np.einsum("nk,nkc->nc", below * self.barycentric, normals[self.corners])
+            return Receivers.around((points + lift).astype(np.float32), self.at(normals, as_unit=True))
+        from ..compute.threads import for_rows
+
+        out = np.empty((2, len(self.corners), 3), np.float32)
+        given = (np.ascontiguousarray(array, np.float32) for array in (vertices, normals))
+        for_rows(kernels.on_surface, len(self.corners), *given, self.corners, self.barycentric, *out)
+        return Receivers.around(*out)
 
 
 class RestLight(NamedTuple):
@@ -89,7 +116,10 @@ class RestLight(NamedTuple):
     normals: np.ndarray
 
     @staticmethod
-    def of(head: HeadModel, texels: Texels, materials: Materials, vertices: np.ndarray, colors: np.ndarray) -> RestLight:
+    def of(
+        head: HeadModel, texels: Texels, materials: Materials, vertices: np.ndarray, colors: np.ndarray,
+        lying: TexelShadows | None = None,
+    ) -> RestLight:  # fmt: skip
         """Work it out.
 
         Args:
@@ -98,6 +128,7 @@ class RestLight(NamedTuple):
             materials: Of them.
             vertices: Of the person at rest, [V, 3] metres.
             colors: Of the texels under the rig, display sRGB, [N, 3]; those of the face say what skin throws back.
+            lying: How the texels lie, where a scene's shadows are looked for by it.
         """
         normals = vertex_normals(vertices, head.faces)
         by_vertex = transfer(vertices, normals, casting_faces(head)[0])
@@ -106,7 +137,10 @@ class RestLight(NamedTuple):
         by_vertex[mouth] = _OPEN * basis(normals[mouth]) * BANDS
         exchange.shares[mouth] = 0.0  # what red skin throws on teeth is in their learned colors, and not in the rig below
         rows, receivers, casters = texels.at(by_vertex), texels.receivers(vertices, normals), casters_of(head, vertices)
-        seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
+        if lying is None:
+            seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
+        else:
+            seen = np.stack([lying.all_seen(maps_of(lamp, receivers, casters), receivers, vertices) for lamp in STUDIO.lamps])
         eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
         straight = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, around).irradiance
         skin = np.isin(texels.corners[:, 0], head.regions.get(_SKIN, np.arange(len(vertices))))
@@ -156,15 +190,16 @@ def even_mouth(head: HeadModel, corners: np.ndarray, light: np.ndarray, front: i
 
 def casting_faces(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
     """Faces of a head's mesh as `Casters` has them, [T, 3] int32, and how many of them are closed, []."""
-    faces = head.faces[casting_numbers(head)].astype(np.int32)
+    number, closed = casting_numbers(head)
+    return head.faces[number].astype(np.int32), closed
+
+
+def casting_numbers(head: HeadModel) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the faces of a head's mesh that keep light off, closed ones first, [T], and how many are closed, []."""
+    number = np.flatnonzero(~head.marked(*_SHEER)[head.faces].all(1))
     loose = head.marked(*_LOOSE)
-    alone = loose[faces].any(1) if loose.any() else np.ones(len(faces), bool)
-    return faces[np.argsort(alone, kind="stable")], np.array((~alone).sum())
-
-
-def casting_numbers(head: HeadModel) -> np.ndarray:
-    """Numbers of the faces of a head's mesh that keep light off, [T]."""
-    return np.flatnonzero(~head.marked(*_SHEER)[head.faces].all(1))
+    alone = loose[head.faces[number]].any(1) if loose.any() else np.ones(len(number), bool)
+    return number[np.argsort(alone, kind="stable")], np.array((~alone).sum())
 
 
 def casters_of(head: HeadModel, vertices: np.ndarray) -> Casters:

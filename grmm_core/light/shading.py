@@ -15,7 +15,7 @@ import numpy as np
 
 from ..geometry.libraries import Array
 from .lamps import Area, Lamp, Point, Spot, Sun, arriving, half_angle
-from .materials import WANDER, Materials
+from .materials import SOFTER, WANDER, Materials
 from .shadows import Receivers, compiled_kernels
 from .surroundings import basis
 from .transfer import openness
@@ -103,14 +103,15 @@ def transport(
     view = eye - receivers.points
     view = view / np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-9)
     facing = np.clip((normals * view).sum(1), 0.05, 1.0)
-    wander = np.clip(materials.wander[:, None] * WANDER * response.scattering, 0.0, 0.9)  # [N, 3]
+    flesh = materials.wander[:, None] * response.scattering
+    wander = np.clip(flesh * materials.curvature[:, None] * WANDER, 0.0, 0.9)  # [N, 3]
     diffuse, highlights = [], []
     for lamp, part in zip(lamps, seen, strict=True):
         towards, strength = arriving(lamp, receivers.points)
         cosine = (normals * towards).sum(1)
         # wrapped diffuse that keeps the energy; shadows have soft red edges for the same reason
         reach = np.maximum(cosine[:, None] + wander, 0.0) / (1.0 + wander) ** 2
-        through = np.power(np.clip(part, 0.0, 1.0)[:, None], 1.0 / (1.0 + 1.5 * wander))
+        through = part[:, None] * (1.0 + flesh * SOFTER) / (1.0 + flesh * SOFTER * part[:, None])
         diffuse.append(reach * through * strength[:, None] * response.intensity)
         size = _widening(lamp, receivers.centre)
         lobes = _lobes(materials, normals, view, facing, towards, np.maximum(cosine, 0.0), size)
@@ -166,7 +167,7 @@ def shade(
     Args:
         lamps: As in `transport`.
         receivers: As there.
-        seen: Which part of each lamp they see, [L, N].
+        seen: Which part of each lamp they see, below 0 where nobody asks, [L, N].
         materials: As there.
         rows: As there.
         eye: As there.
@@ -176,24 +177,40 @@ def shade(
     """
     kernels = compiled_kernels()
     if kernels is None:
-        parts = transport(lamps, receivers, list(seen), materials, rows, eye, response, turn)
-        whole = transport(lamps, receivers, list(np.ones_like(seen)), materials, rows, eye, response, turn)
+        parts = transport(lamps, receivers, list(seen.clip(0.0, None)), materials, rows, eye, response, turn)
+        whole = transport(lamps, receivers, list((seen >= 0.0).astype(np.float32)), materials, rows, eye, response, turn)
         light, view = parts.light(colors_of(lamps), harmonics.astype(np.float32)), eye - receivers.points
         facing = (receivers.normals * view).sum(1) / np.maximum(np.linalg.norm(view, axis=1), 1e-9)
         front = 1.0 + FADING * facing[:, None]
         shine, share = light[1] * (front > 0.0), arriving_share(lamps, parts, whole)
         return Arrived(np.concatenate([light[0], shine, front.clip(LEAST_FRONT, 1.0), share], 1).astype(np.float32))
     from ..compute.threads import for_rows
+    from . import skin_light_kernel
 
     out = np.empty((len(receivers.points), 8), np.float32)
-    factors = np.array([response.intensity, response.gloss, *(WANDER * response.scattering), FADING, LEAST_FRONT])
+    scattering = response.scattering
+    factors = [response.intensity, response.gloss, *(WANDER * scattering), FADING, LEAST_FRONT, *(SOFTER * scattering)]
     arrays = (
         lamp_rows(lamps, receivers.centre), receivers.points, receivers.normals, seen.reshape(len(lamps), len(out)),
-        *vars(materials).values(), rows, eye, np.eye(3) if turn is None else turn, harmonics,
-        harmonics * _MIRROR_BANDS[:, None], factors,
+        np.stack([*vars(materials).values()]), rows, eye, np.eye(3) if turn is None else turn, harmonics,
+        harmonics * _MIRROR_BANDS[:, None], np.array(factors),
     )  # fmt: skip
-    for_rows(kernels.shade, len(out), *(np.ascontiguousarray(array, np.float32) for array in arrays), out)
+    for_rows(skin_light_kernel.shade, len(out), *(np.ascontiguousarray(array, np.float32) for array in arrays), out)
     return Arrived(out)
+
+
+def facing(receivers: Receivers, eye: np.ndarray, least: float) -> np.ndarray:
+    """Whether receivers face an eye [3] by a cosine times metres of more than `least`, [N] bool."""
+    kernels = compiled_kernels()
+    if kernels is None:
+        found: np.ndarray = np.einsum("nk,nk->n", receivers.normals, eye - receivers.points) > least
+        return found
+    from ..compute.threads import for_rows
+
+    out = np.empty(len(receivers.points), np.bool_)
+    given = (np.ascontiguousarray(array, np.float32) for array in (receivers.points, receivers.normals, eye))
+    for_rows(kernels.facing, len(out), *given, np.float32(least), out)
+    return out
 
 
 class Learned(NamedTuple):

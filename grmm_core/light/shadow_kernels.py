@@ -142,7 +142,7 @@ def compared(
         points: [N, 3].
         normals: [N, 3].
         rows: Of the points, [M].
-        seen: Written, [M].
+        seen: Written at these rows, [N].
         first: Row of `rows`.
         last: The row after the last.
     """
@@ -190,7 +190,7 @@ def compared(
                 u, v = x - _HALF - np.float32(left), y - _HALF - np.float32(top)
                 w[6 * _B + j] += share * _tent(depth, top, left, u, v, z, right, down)
         for j in range(min(_B, last - start)):
-            seen[start + j] = w[6 * _B + j]
+            seen[rows[start + j]] = w[6 * _B + j]
 
 
 @compiled(**OPTIONS)
@@ -223,3 +223,30 @@ def softly(
 @compiled(inline="always", **OPTIONS)
 def _lit(beyond: float, slope: float) -> float:
     return min(max(beyond * slope, _0), _1)
+
+
+@compiled(**OPTIONS)
+def same_around(some: np.ndarray, between: np.ndarray, alike: float, known: np.ndarray, left: np.ndarray) -> int:
+    """Write what the points around some see, where that is the same; see `texel_shadows`.
+
+    Args:
+        some: Numbers of points, [M].
+        between: Numbers of those around each point, [N, 4].
+        alike: What these may differ by.
+        known: Below 0 where nothing is known, changed, [N].
+        left: Written from the start: numbers of the other points, [M].
+
+    Returns:
+        How many these are.
+    """
+    count = 0
+    for j in range(len(some)):
+        i = some[j]
+        a, b, c, d = known[between[i, 0]], known[between[i, 1]], known[between[i, 2]], known[between[i, 3]]
+        least, most = min(a, b, c, d), max(a, b, c, d)
+        if least >= _0 and most - least <= alike:
+            known[i] = np.float32(0.25) * (a + b + c + d)
+        else:
+            left[count] = i
+            count += 1
+    return count

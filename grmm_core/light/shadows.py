@@ -18,7 +18,7 @@ from ..geometry.zbuffer import triangle_depth
 from ..geometry.zbuffer_numpy import EMPTY
 from .lamps import Area, Lamp, Sun, half_angle
 
-RESOLUTION, SOFT_RESOLUTION = 256, 224  # pixels of a map that holds all receivers: alone, and of several of a wide lamp
+RESOLUTION, SOFT_RESOLUTION = 512, 224  # pixels of a map that holds all receivers: alone, and of several of a wide lamp
 _BIAS = 0.0003  # metres along the normal: what smooth normals and flat triangles differ by
 _LIFT = 0.35  # pixels along the normal besides, where the surface is steep to the rays: what it is curved within a pixel
 _STEEP = 0.25  # cosine between a surface and a lamp's rays below which its plane is no longer followed
@@ -120,19 +120,22 @@ class Maps(NamedTuple):
         places = zip(self.depths, self.turns, self.shifts, self.focals, strict=True)
         return [(depth, _Map(turn, shift, float(focal), bool(self.flat))) for depth, turn, shift, focal in places]
 
-    def seen(self, receivers: Receivers, rows: np.ndarray | None = None) -> np.ndarray:
-        """Which part of the lamp receivers, or those of some rows [M], see, 0..1, [N] or [M] float32."""
+    def seen(self, receivers: Receivers, rows: np.ndarray | None = None, known: np.ndarray | None = None) -> np.ndarray:
+        """Which part of the lamp receivers, or those of some rows [M], see, 0..1, [N] float32.
+
+        What `known` [N] holds of the others is kept, and it is changed.
+        """
+        result = np.zeros(len(receivers.points), np.float32) if known is None else known
+        rows = np.arange(len(result)) if rows is None else rows
         if compiled_kernels() is None:
-            some = slice(None) if rows is None else rows
-            receivers = dataclasses.replace(receivers, points=receivers.points[some], normals=receivers.normals[some])
-            parts = [compared(depth, receivers, one) for depth, one in self.each]
-            mean: np.ndarray = np.mean(parts, 0, np.float32)
-            return mean
+            some = dataclasses.replace(receivers, points=receivers.points[rows], normals=receivers.normals[rows])
+            result[rows] = np.mean([compared(depth, some, one) for depth, one in self.each], 0, np.float32)
+            return result
         from . import shadow_kernels as kernels
 
-        rows = np.arange(len(receivers.points)) if rows is None else rows
         limits = np.array([_BIAS, _LIFT, _AWAY, _STEEP], np.float32)
-        return self._for_points(kernels.compared, len(rows), limits, receivers.points, receivers.normals, rows=rows)
+        self._for_points(kernels.compared, result, len(rows), limits, receivers.points, receivers.normals, rows=rows)
+        return result
 
     def reaching(self, points: np.ndarray) -> np.ndarray:
         """Which part of the lamp's light reaches points [N, 3] among hair, 0..1, [N] float32.
@@ -147,18 +150,18 @@ class Maps(NamedTuple):
             return mean
         from . import shadow_kernels as kernels
 
-        return self._for_points(kernels.softly, len(points), np.array([_SHALLOW, _DEEP], np.float32), points)
+        seen = np.empty(len(points), np.float32)
+        self._for_points(kernels.softly, seen, len(points), np.array([_SHALLOW, _DEEP], np.float32), points)
+        return seen
 
     def _for_points(
-        self, kernel: Callable[..., None], count: int, *arrays: np.ndarray, rows: np.ndarray | None = None
-    ) -> np.ndarray:  # fmt: skip
+        self, kernel: Callable[..., None], seen: np.ndarray, count: int, *arrays: np.ndarray, rows: np.ndarray | None = None
+    ) -> None:  # fmt: skip
         from ..compute.threads import for_rows
 
-        seen = np.empty(count, np.float32)
         given = [np.ascontiguousarray(array, np.float32) for array in arrays]
         some = () if rows is None else (np.ascontiguousarray(rows, np.int32),)
         for_rows(kernel, count, *self[:4], bool(self.flat), _NEAR, *given, *some, seen)
-        return seen
 
 
 def maps_of(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> Maps:

@@ -32,6 +32,7 @@ from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..hair.ribbons import Eye
 from ..light.mesh_light import LitSurface
 from ..light.relight import relit, relit_pixels
+from ..light.shadows import compiled_kernels
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
@@ -143,12 +144,25 @@ def _read_from_meshes(gathered: Gathered, raster: RasterOutput[Any], camera: Cam
     features, depth = to_numpy(present(raster.features)), to_numpy(raster.depth)
     share = None
     if channels.skin is not None:
-        share = features[..., channels.skin] / np.maximum(to_numpy(raster.alpha), MIN_ALPHA)
+        share = _skin_share(to_numpy(raster.alpha), features[..., channels.skin])
     for item, surface in zip(gathered.placed, gathered.surfaces, strict=True):
         if surface is not None:
             local = camera.transformed(item.instance.model_to_world)
             surface.read_into(features, channels.light, depth, share, local)
     return dataclasses.replace(raster, features=as_like(features, present(raster.features)))
+
+
+def _skin_share(alpha: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    """How much of the cover `alpha` is `skin`, both [H, W]."""
+    if compiled_kernels() is None:
+        result: np.ndarray = skin / np.maximum(alpha, MIN_ALPHA)
+        return result
+    from ..compute.threads import for_rows
+    from .cover_kernels import skin_share
+
+    share = np.empty_like(alpha)
+    for_rows(skin_share, len(share), alpha, skin, MIN_ALPHA, share, smallest=_ROWS_MIN)
+    return share
 
 
 def _relit(refined: Any, raster: RasterOutput[Any], which: slice) -> Any:

@@ -1,4 +1,4 @@
-"""The compiled twin of what `compose` asks of a picture before it is refined; importing this module loads numba."""
+"""The compiled twin of what `compose` asks of a picture of skin and strands; importing this module loads numba."""
 
 from __future__ import annotations
 
@@ -29,3 +29,11 @@ def skin_cover(
             strands = alpha[y, x] - skin[y, x]
             left = alpha[y, x] - (strands if strands > np.float32(rounding) else _ZERO) - np.float32(least)
             cover[y, x] = max(left, _ZERO)
+
+
+@compiled(fastmath=True, boundscheck=False, error_model="numpy", nogil=True)
+def skin_share(alpha: np.ndarray, skin: np.ndarray, least: float, share: np.ndarray, first: int, last: int) -> None:
+    """Write how much of each pixel's cover, if that is `least` or more, is skin, in rows first..last; arrays as above."""
+    for y in range(first, last):
+        for x in range(alpha.shape[1]):
+            share[y, x] = skin[y, x] / max(alpha[y, x], np.float32(least))

@@ -22,9 +22,10 @@ from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
 from ..light.mesh_light import LitSurface, TexelGrid
 from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
-from ..light.shading import FADING, Learned, Response, reached, relative, shade
+from ..light.shading import FADING, Learned, Response, facing, reached, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, maps_of
 from ..light.surroundings import coefficients_of
+from ..light.texel_shadows import TexelShadows
 from ..light.transfer import turn_between, vertex_normals
 from ..splat.types import Gaussians
 from .evaluator import Evaluator, Inputs, OpenAvatar
@@ -106,36 +107,38 @@ class LitAvatar:
             return None
 
         def make() -> tuple[np.ndarray, ...]:
-            number, layout = casting_numbers(self._head), self._target.model.layout
+            (number, closed), layout = casting_numbers(self._head), self._target.model.layout
             faces, uv_faces = self._head.faces[number], self._head.uv_faces[number]
-            return tuple(TexelGrid.of(faces, layout.uv, uv_faces, layout.grid, layout.texel))
+            return *TexelGrid.of(faces, layout.uv, uv_faces, layout.grid, layout.texel)[:3], closed
 
-        grid = TexelGrid(*self._evaluator.cache.get((self._target.id, "texel grid"), make))
-        return LitSurface(grid, self._vertices, light)
+        faces, places, rows, closed = self._evaluator.cache.get((self._target.id, "texel grid"), make)
+        return LitSurface(TexelGrid(faces, places, rows, int(closed)), self._vertices, light)
 
     def _skin(self, eye: np.ndarray) -> np.ndarray:
         rest = self._rest()
         turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
         asked = self._asked(eye)
-        seen = np.array([self._seen(lamp, asked) for lamp in self.lamps], np.float32)
+        split = (asked, asked[:0]) if self._lod else self._texel_shadows.split(asked)
+        seen = np.array([self._seen(lamp, asked, split) for lamp in self.lamps], np.float32).reshape(
+            -1, len(self._drawn.corners)
+        )
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
         scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn)
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
-        corners, weights = self._texels.corners[self._rows], self._texels.barycentric[self._rows]
-        found = relative(scene, bounced, corners, weights, learned, self._response.gloss)
+        corners = self._drawn.corners
+        found = relative(scene, bounced, corners, self._drawn.barycentric, learned, self._response.gloss)
         if self._response.even_mouth:
             even_mouth(self._head, corners, found, FRONT)
         return found
 
     def _asked(self, eye: np.ndarray) -> np.ndarray:
         """Numbers of Gaussians whose shadows are needed: what faces the eye (`Arrived.front`), and what lies at vertices."""
-        points = self._receivers.points
-        cosines = np.einsum("nk,nk->n", self._receivers.normals, eye.astype(np.float32) - points)
-        farthest = float(np.linalg.norm(eye - self._receivers.centre)) + self._receivers.radius
-        asked = cosines > -farthest / FADING
+        held = self._receivers
+        farthest = float(np.linalg.norm(eye - held.centre)) + held.radius
+        asked = facing(held, eye, -farthest / FADING)
         asked[self._at_vertices] = True
-        return np.flatnonzero(asked)
+        return np.flatnonzero(asked).astype(np.int32)
 
     def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray, these: bytes) -> np.ndarray:
         """What lights strands, `these`, as `channels` has it, less what their colors hold of the rig's."""
@@ -172,7 +175,8 @@ class LitAvatar:
             )
             vertices = to_numpy(self._evaluator.mesh(self._target, inputs).vertices).astype(np.float64)
             colors = to_numpy(self._evaluator.appearance(self._target, inputs, np.array([0.0, 0.0, 1.0]))[0])
-            return RestLight.of(self._head, self._texels, materials_of(self._head, *self._texels[:2]), vertices, colors)
+            materials = materials_of(self._head, *self._texels[:2])
+            return RestLight.of(self._head, self._texels, materials, vertices, colors, self._texel_shadows)
 
         key = (self._target.id, "lit rest", *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, make)
@@ -190,16 +194,21 @@ class LitAvatar:
         person = (*self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get((self._target.id, "learned", direction.tobytes(), self._lod, *person), make)[0]
 
-    def _seen(self, lamp: Lamp, asked: np.ndarray) -> np.ndarray:
-        """Which part of a lamp the skin sees at `asked` numbers of Gaussians, [N]; 0 at others."""
-        result, (known, _, *maps) = np.zeros(len(self._receivers.points), np.float32), self._shadow(lamp)
-        new = asked[known[asked] < 0.0]
-        if len(new):
-            known[new] = Maps(*maps).seen(self._receivers, new)
-            if self._cloud is not None:
-                known[new] *= self._at_texels(self._through(lamp, self._cloud)[:, None])[new, 0]
-        result[asked] = known[asked]
-        return result
+    def _seen(self, lamp: Lamp, asked: np.ndarray, split: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """Which part of a lamp the skin sees at `asked` numbers of Gaussians, [N]; not to be written to.
+
+        At others it may be below 0. `split` is what `TexelShadows.split` makes of them.
+        """
+        known, _, *maps = self._shadow(lamp)
+        fresh = self._lod == 0 and bool((known < 0.0).all())
+        new = asked if fresh else asked[known[asked] < 0.0]
+        if fresh:
+            self._texel_shadows.seen(Maps(*maps), self._receivers, split, known, self._vertices)
+        elif len(new):
+            Maps(*maps).seen(self._receivers, new, known)
+        if len(new) and self._cloud is not None:
+            self._drawn.dim(known, new, self._through(lamp, self._cloud))
+        return known
 
     def _shadow(self, lamp: Lamp) -> tuple[np.ndarray, ...]:
         """What is known of a lamp's shadow.
@@ -224,7 +233,7 @@ class LitAvatar:
         return self._evaluator.cache.get(key, make)
 
     def _through(self, lamp: Lamp, cloud: HairCloud) -> np.ndarray:
-        """What hair leaves of a lamp's light at each vertex, [V, 1]; its cells are no finer than the mesh.
+        """What hair leaves of a lamp's light at each vertex, [V]; its cells are no finer than the mesh.
 
         Hair that stays as on the head at rest is followed to vertices at rest: an expression that does not turn the head finds
         the last one's.
@@ -301,23 +310,33 @@ class LitAvatar:
         return Texels(*self._evaluator.cache.get((self._target.id, "texels"), make))
 
     @functools.cached_property
+    def _texel_shadows(self) -> TexelShadows:
+        def make() -> tuple[np.ndarray, ...]:
+            layout, template = self._target.model.layout, self._head.v_template
+            uv, places = layout.uv[self._head.uv_faces[layout.face]] * layout.grid, self._texels.at(template)
+            return TexelShadows.of(layout.grid, layout.texel, self._texels.corners, uv, template, places)
+
+        return TexelShadows(*self._evaluator.cache.get((self._target.id, "texel shadows"), make))
+
+    @functools.cached_property
     def _at_vertices(self) -> np.ndarray:
         """Number of a texel, of those with a Gaussian, that is nearest to each vertex, [V]."""
 
         def make() -> tuple[np.ndarray]:
-            texels = self._texels
-            return (nearest_points(texels.corners[self._rows], texels.barycentric[self._rows], len(self._vertices)),)
+            return (nearest_points(self._drawn.corners, self._drawn.barycentric, len(self._vertices)),)
 
         return self._evaluator.cache.get((self._target.id, "texels at vertices", self._lod), make)[0]
 
-    def _at_texels(self, values: np.ndarray) -> np.ndarray:
-        return self._texels.at(values)[self._rows]
+    @functools.cached_property
+    def _drawn(self) -> Texels:
+        """Texels that have a Gaussian at the level of detail."""
+        return self._texels if self._lod == 0 else Texels(*(array[self._rows] for array in self._texels))
 
     @functools.cached_property
     def _receivers(self) -> Receivers:
         def make() -> tuple[np.ndarray, np.ndarray]:
-            normals = vertex_normals(self._vertices, self._head.faces)
-            return self._at_texels(self._vertices), self._texels.at(normals, as_unit=True)[self._rows]
+            found = self._drawn.receivers(self._vertices, vertex_normals(self._vertices, self._head.faces))
+            return found.points, found.normals
 
         key = (self._target.id, "receivers", self._lod, *self._inputs.mesh_key)
         return Receivers.around(*self._evaluator.cache.get(key, make))

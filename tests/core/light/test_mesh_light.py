@@ -26,8 +26,8 @@ def head():
 
 def lit(head, light):
     """A head with light [N, 7] by its texels' places on the template."""
-    layout, number = texel_layout(head.uv, head.uv_faces, GRID), casting_numbers(head)
-    grid = TexelGrid.of(head.faces[number], head.uv, head.uv_faces[number], GRID, layout.texel)
+    layout, (number, closed) = texel_layout(head.uv, head.uv_faces, GRID), casting_numbers(head)
+    grid = TexelGrid.of(head.faces[number], head.uv, head.uv_faces[number], GRID, layout.texel, int(closed))
     places = np.einsum("nk,nkx->nx", layout.barycentric, head.v_template[head.faces[layout.face]])
     return LitSurface(grid, head.v_template, np.ascontiguousarray(light(places), np.float32))
 

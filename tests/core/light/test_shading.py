@@ -253,7 +253,10 @@ def test_light_of_a_sun_is_lamberts_on_matt_skin_and_wanders_further_in_red():
     seen = [np.ones(len(points))]
     dull = transport((sun,), receivers, seen, plain(len(points)), none, np.array([0, 0, 2.0]), Response(scattering=0.0))
     np.testing.assert_allclose(dull.diffuse[0], np.maximum(normals[:, 2:], 0.0) * [[2.0] * 3], atol=1e-5)
-    skin = transport((sun,), receivers, seen, plain(len(points)), none, np.array([0, 0, 2.0])).diffuse[0]
+    wide = transport((sun,), receivers, seen, plain(len(points)), none, np.array([0, 0, 2.0])).diffuse[0]
+    assert wide[normals[:, 2] < -0.02].max() == 0.0  # a millimetre is little on a ball like a head
+    nose = replace(plain(len(points)), curvature=np.full(len(points), 100.0, np.float32))
+    skin = transport((sun,), receivers, seen, nose, none, np.array([0, 0, 2.0])).diffuse[0]
     beyond = (normals[:, 2] < -0.01) & (normals[:, 2] > -0.1)
     assert (skin[beyond, 0] > 2 * skin[beyond, 1]).all()
     # the same light all in all: the mean over the ball of max(0, (c + w) / (1 + w)^2) is 1/4 for every w

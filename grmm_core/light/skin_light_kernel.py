@@ -1,0 +1,225 @@
+"""The compiled twin of light at points of skin (`shading.transport`). Importing this loads numba.
+
+All arrays are contiguous float32. Points are lit in blocks, as strands are (`strand_light_kernel`): what a block's points have
+in common stands in one scratch array, so that the compiler does eight points at a time. What nobody asks for is left out by
+block and lamp.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..compute.kernels import compiled
+from .light_kernels import (
+    AREA,
+    COLOR,
+    FADE,
+    INNER,
+    KIND,
+    NEAREST_SQUARE,
+    OPTIONS,
+    PLACE,
+    POWER,
+    SIZE,
+    SPOT,
+    SPREAD,
+    SUN,
+    TOWARDS,
+    harmonics_of,
+)
+from .shadow_kernels import single
+
+_0, _1, _2, _3, _HALF = single(0.0), single(1.0), single(2.0), single(3.0), single(0.5)
+_TINY, _PI = single(1e-9), single(math.pi)
+_B = 64  # points of a block
+# where its quantities begin in the scratch array: three columns of a vector or a color, or one
+_POINT, _NORMAL, _VIEW, _LAMP, _THROUGH, _WANDER = 0, 3 * _B, 6 * _B, 9 * _B, 12 * _B, 15 * _B
+_POWER, _TO_EYE, _KNOWN, _PART, _LOOK, _SUMS, _ROWS, _BASIS, _ALL = (
+    18 * _B, 19 * _B, 20 * _B, 21 * _B, 22 * _B, 27 * _B, 35 * _B, 44 * _B, 53 * _B
+)  # fmt: skip
+
+
+@compiled(inline="always", **OPTIONS)
+def _lobe(alpha: float, tilt: float, cosine: float, facing: float) -> float:
+    square = alpha * alpha
+    base = tilt * tilt * (square - _1) + _1
+    k = _HALF * alpha
+    return square / (_PI * base * base * (cosine * (_1 - k) + k) * (facing * (_1 - k) + k))
+
+
+@compiled(inline="always", **OPTIONS)
+def _mirrored(rough: float, reflectance: float, facing: float) -> float:
+    """`shading.mirrored_share` of a surface."""
+    narrow = _1 - rough
+    outline = min(narrow * narrow, np.float32(math.exp(np.float32(-9.28 * math.log(2.0)) * facing))) * narrow
+    outline += np.float32(0.0425) - np.float32(0.0275) * rough
+    by_reflectance = np.float32(1.04) - np.float32(0.572) * rough - np.float32(1.04) * outline
+    return max(reflectance * by_reflectance + np.float32(1.04) * outline - np.float32(0.04) + np.float32(0.022) * rough, _0)
+
+
+@compiled(**OPTIONS)
+def _arriving(w: np.ndarray, lamp: np.ndarray) -> None:
+    """Write directions to a lamp and irradiance, as `light_kernels.arriving`."""
+    x, y, z, power, spread = lamp[PLACE], lamp[PLACE + 1], lamp[PLACE + 2], lamp[POWER], lamp[SPREAD]
+    if lamp[KIND] == SUN:
+        for j in range(_B):
+            w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j], w[_POWER + j] = x, y, z, power
+        return
+    ax, ay, az, inner, fade = lamp[TOWARDS], lamp[TOWARDS + 1], lamp[TOWARDS + 2], lamp[INNER], lamp[FADE]
+    area, spot = np.float32(lamp[KIND] == AREA), np.float32(lamp[KIND] == SPOT)
+    ball = _1 - area - spot
+    for j in range(_B):
+        dx, dy, dz = x - w[_POINT + j], y - w[_POINT + _B + j], z - w[_POINT + 2 * _B + j]
+        square = dx * dx + dy * dy + dz * dz
+        inverse = _1 / math.sqrt(max(square, np.float32(1e-12)))
+        dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
+        along = -(dx * ax + dy * ay + dz * az)
+        share = min(max((along - inner) * fade, _0), _1)
+        cone = ball + area * max(along, _0) + spot * share * share * (_3 - _2 * share)
+        w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j] = dx, dy, dz
+        w[_POWER + j] = power * cone / (max(square, NEAREST_SQUARE) + spread)
+
+
+@compiled(**OPTIONS)
+def _find(
+    w: np.ndarray, points: np.ndarray, normals: np.ndarray, looks: np.ndarray, rows: np.ndarray, eye: np.ndarray, first: int,
+    last: int,
+) -> None:  # fmt: skip
+    """Write what the lamps have in common of points `first` to `last`, the last one as often as the block has room."""
+    for j in range(_B):
+        i = min(first + j, last - 1)
+        w[_POINT + j], w[_POINT + _B + j], w[_POINT + 2 * _B + j] = points[i, 0], points[i, 1], points[i, 2]
+        w[_NORMAL + j], w[_NORMAL + _B + j], w[_NORMAL + 2 * _B + j] = normals[i, 0], normals[i, 1], normals[i, 2]
+        for k in range(5):
+            w[_LOOK + k * _B + j] = looks[k, i]
+        w[_WANDER + j], w[_WANDER + _B + j] = looks[5, i], looks[5, i] * looks[6, i]
+        for k in range(9):
+            w[_ROWS + k * _B + j] = rows[i, k]
+    for j in range(_B):
+        vx, vy, vz = eye[0] - w[_POINT + j], eye[1] - w[_POINT + _B + j], eye[2] - w[_POINT + 2 * _B + j]
+        inverse = _1 / max(math.sqrt(vx * vx + vy * vy + vz * vz), _TINY)
+        vx, vy, vz = vx * inverse, vy * inverse, vz * inverse
+        w[_VIEW + j], w[_VIEW + _B + j], w[_VIEW + 2 * _B + j] = vx, vy, vz
+        w[_TO_EYE + j] = w[_NORMAL + j] * vx + w[_NORMAL + _B + j] * vy + w[_NORMAL + 2 * _B + j] * vz
+    w[_SUMS:_ROWS] = _0
+
+
+@compiled(**OPTIONS)
+def _coming_through(w: np.ndarray, seen: np.ndarray, factors: np.ndarray, first: int, last: int) -> bool:
+    """Write which part of a lamp is seen, by color, with edges that flesh makes softer; return whether anybody asks."""
+    asked = False
+    for j in range(_B):
+        part = seen[min(first + j, last - 1)]
+        known = part >= _0
+        asked = asked or known
+        part = max(part, _0)
+        w[_KNOWN + j], w[_PART + j] = _1 if known else _0, part
+    for c in range(3):
+        for j in range(_B):
+            more = w[_WANDER + j] * factors[7 + c]
+            w[_THROUGH + c * _B + j] = w[_PART + j] * (_1 + more) / (_1 + more * w[_PART + j])
+    return asked
+
+
+@compiled(**OPTIONS)
+def shade(
+    lamps: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, looks: np.ndarray, rows: np.ndarray,
+    eye: np.ndarray, turn: np.ndarray, colors: np.ndarray, mirrors: np.ndarray, factors: np.ndarray, out: np.ndarray,
+    first: int, last: int,
+) -> None:  # fmt: skip
+    """Light at Gaussians of skin: what `shading.transport` and `Transport.light` give together.
+
+    Args:
+        lamps: Rows of `shading.lamp_rows`, [L, LAMP_VALUES].
+        points: [N, 3].
+        normals: [N, 3].
+        seen: Below 0 where nobody asks, [L, N].
+        looks: `Materials`, [7, N].
+        rows: Of `transfer.transfer`, [N, 9].
+        eye: [3].
+        turn: From the axes of `rows` to those of the points, [3, 3].
+        colors: Coefficients of the surroundings for irradiance, [9, 3].
+        mirrors: The same for mirrored light, [9, 3].
+        factors: Of all light and of highlights, of wandering by color, in metres, `shading.FADING` and `LEAST_FRONT`, and by
+            how much shadows are softer, by color, [10].
+        out: Written: `shading.Arrived.values`, [N, 8].
+        first: Row of `out`.
+        last: The row after the last.
+    """
+    intensity, gloss, fading, least = factors[0], factors[1], factors[5], factors[6]
+    most = np.float32(0.9)
+    w = np.empty(_ALL, np.float32)
+    for start in range(first, last, _B):
+        _find(w, points, normals, looks, rows, eye, start, last)
+        for k in range(len(lamps)):
+            if not _coming_through(w, seen[k], factors, start, last):
+                continue
+            _arriving(w, lamps[k])
+            red, green, blue, size = lamps[k, COLOR], lamps[k, COLOR + 1], lamps[k, COLOR + 2], lamps[k, SIZE]
+            mean, wide = (red + green + blue) / np.float32(9.0), size * size
+            for j in range(_B):
+                lx, ly, lz, strength = w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j], w[_POWER + j] * intensity
+                vx, vy, vz = w[_VIEW + j], w[_VIEW + _B + j], w[_VIEW + 2 * _B + j]
+                nx, ny, nz = w[_NORMAL + j], w[_NORMAL + _B + j], w[_NORMAL + 2 * _B + j]
+                cosine, bent = nx * lx + ny * ly + nz * lz, w[_WANDER + _B + j]
+                wr, wg, wb = min(bent * factors[2], most), min(bent * factors[3], most), min(bent * factors[4], most)
+                tr = max(cosine + wr, _0) / ((_1 + wr) * (_1 + wr)) * strength
+                tg = max(cosine + wg, _0) / ((_1 + wg) * (_1 + wg)) * strength
+                tb = max(cosine + wb, _0) / ((_1 + wb) * (_1 + wb)) * strength
+                w[_SUMS + 7 * _B + j] += (tr + tg + tb) * mean * w[_KNOWN + j]
+                tr, tg, tb = tr * w[_THROUGH + j], tg * w[_THROUGH + _B + j], tb * w[_THROUGH + 2 * _B + j]
+                w[_SUMS + 6 * _B + j] += (tr + tg + tb) * mean
+                w[_SUMS + j] += tr * red
+                w[_SUMS + _B + j] += tg * green
+                w[_SUMS + 2 * _B + j] += tb * blue
+                hx, hy, hz = lx + vx, ly + vy, lz + vz
+                inverse = _1 / max(math.sqrt(hx * hx + hy * hy + hz * hz), _TINY)
+                tilt = min(max((nx * hx + ny * hy + nz * hz) * inverse, _0), _1)
+                away = _1 - min(max((vx * hx + vy * hy + vz * hz) * inverse, _0), _1)
+                square, above = away * away, max(cosine, _0)
+                facing, reflectance = min(max(w[_TO_EYE + j], np.float32(0.05)), _1), w[_LOOK + 3 * _B + j]
+                fresnel = reflectance + (_1 - reflectance) * square * square * away
+                smooth, rough, share = w[_LOOK + j], w[_LOOK + _B + j], w[_LOOK + 2 * _B + j]
+                smooth, rough = smooth * smooth, rough * rough
+                narrow = min(math.sqrt(smooth * smooth + wide), _1)
+                broad = min(math.sqrt(rough * rough + wide), _1)
+                total = share * _lobe(narrow, tilt, above, facing) + (_1 - share) * _lobe(broad, tilt, above, facing)
+                amount = np.float32(0.25) * total * fresnel * w[_LOOK + 4 * _B + j] * above * w[_PART + j] * strength * gloss
+                w[_SUMS + 3 * _B + j] += amount * red
+                w[_SUMS + 4 * _B + j] += amount * green
+                w[_SUMS + 5 * _B + j] += amount * blue
+        for j in range(_B):
+            towards_eye, share = w[_TO_EYE + j], w[_LOOK + 2 * _B + j]
+            rough, facing = share * w[_LOOK + j] + (_1 - share) * w[_LOOK + _B + j], min(max(towards_eye, np.float32(0.05)), _1)
+            free = min(max(w[_ROWS + j] / (_PI * np.float32(0.282095)), _0), _1)
+            # what faces away has no highlights: they would be nobody's
+            there = np.float32(_1 + fading * towards_eye > _0)
+            glossy = _mirrored(rough, w[_LOOK + 3 * _B + j], facing) * w[_LOOK + 4 * _B + j] * free * gloss * intensity * there
+            qx = _2 * towards_eye * w[_NORMAL + j] - w[_VIEW + j]
+            qy = _2 * towards_eye * w[_NORMAL + _B + j] - w[_VIEW + _B + j]
+            qz = _2 * towards_eye * w[_NORMAL + 2 * _B + j] - w[_VIEW + 2 * _B + j]
+            x = turn[0, 0] * qx + turn[1, 0] * qy + turn[2, 0] * qz
+            y = turn[0, 1] * qx + turn[1, 1] * qy + turn[2, 1] * qz
+            z = turn[0, 2] * qx + turn[1, 2] * qy + turn[2, 2] * qz
+            basis = harmonics_of(x, y, z)
+            w[_BASIS + j], w[_BASIS + _B + j], w[_BASIS + 2 * _B + j] = basis[0] * glossy, basis[1] * glossy, basis[2] * glossy
+            w[_BASIS + 3 * _B + j], w[_BASIS + 4 * _B + j] = basis[3] * glossy, basis[4] * glossy
+            w[_BASIS + 5 * _B + j], w[_BASIS + 6 * _B + j] = basis[5] * glossy, basis[6] * glossy
+            w[_BASIS + 7 * _B + j], w[_BASIS + 8 * _B + j] = basis[7] * glossy, basis[8] * glossy
+            w[_SUMS + 3 * _B + j] *= there
+            w[_SUMS + 4 * _B + j] *= there
+            w[_SUMS + 5 * _B + j] *= there
+        for c in range(3):
+            for k in range(9):
+                even, mirrored = colors[k, c] * intensity, mirrors[k, c]
+                for j in range(_B):
+                    w[_SUMS + c * _B + j] += w[_ROWS + k * _B + j] * even
+                    w[_SUMS + (3 + c) * _B + j] += w[_BASIS + k * _B + j] * mirrored
+        for j in range(min(_B, last - start)):
+            i = start + j
+            for c in range(6):
+                out[i, c] = w[_SUMS + c * _B + j]
+            out[i, 6] = min(max(_1 + fading * w[_TO_EYE + j], least), _1)
+            out[i, 7] = (w[_SUMS + 6 * _B + j] + np.float32(1e-6)) / (w[_SUMS + 7 * _B + j] + np.float32(1e-6))

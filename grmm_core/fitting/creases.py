@@ -3,7 +3,7 @@
 The coarse mesh has no normals for them. They lie where the expression stretches or folds the skin, and stand out from the skin
 around. Painted on the person they would stay in the neutral face. So they become a color map of the person that comes and goes
 with the expression code, as the trained ones do (`model.decoders.ExpressionMaps`): whole in the photo's expression, nothing at
-rest.
+rest. Of several photos each has its own, for what it shows otherwise than the calmer ones.
 
 Called by `decoder_stage`. Imports torch.
 """
@@ -18,16 +18,25 @@ from torch import Tensor
 
 from ..head import HeadModel
 from ..model.decoders import ExpressionMaps
+from ..model.grmm import GRMM
+from .photo_targets import FitView
 from .surface import SKIN, Surface
 
 MAPS = "decoders.expression.maps"
 FEATURES = ("lips", "lids", "brows")
 STRAIN = (0.08, 0.25)  # share by which skin is stretched or folded: below the first nothing is a crease, above the second all
+OWN_STRAIN = (0.03, 0.12)  # likewise where other photos show the skin otherwise
+OWN_TEXELS = 16.0  # length below which that is a fold
+OWN_SHARES = (0.5, 0.6)  # of folds and of parts that an expression brings: expressions unlike any photo's overdo the rest
 SPREAD = 3  # times that the strain is averaged over neighbouring vertices: folds lie beside what moves
 WIDTH_TEXELS = 10.0  # length below which colors are creases
 PORES = 0.03  # of the detail that stays in every expression: about so much of it
 RIM_TEXELS, AWAY = 2.0, (0.6, 0.95)  # from features: smoothed share of plain skin
-_FAINT = 0.05  # strength of the expression, in the trained maps' weights, below which a photo counts as neutral
+# strength of the expression, in the trained maps' weights: below the first a photo counts as neutral, above the second not
+FAINT = (0.04, 0.06)
+FOLDED_TELLS = 0.3  # how much strained skin tells of the colors at rest beside skin at rest
+MOST = 0.6  # of a color, as that of teeth where another photo shows lips
+_ALIKE = 0.02  # of the mean square of the photos' weights
 _RIDGE = 0.02  # of the other expressions' weights: keeps creases out of those that are unlike
 
 
@@ -61,6 +70,54 @@ def _plane_edges(corners: np.ndarray) -> np.ndarray:
     return np.stack([np.stack([length, x], -1), np.stack([np.zeros_like(y), y], -1)], 1)
 
 
+class Folding:
+    """How the expressions of a person's photos strain the skin.
+
+    Args:
+        model: Model.
+        surface: Texels.
+        views: Photos.
+        parts: Lips, eyes and mouth, [N] bool.
+        z_id: Of the person, [Z].
+        offsets: z_exp of each photo less that of the face at rest, [P, Y].
+
+    Attributes:
+        strains: `strained` at the texels, by photo, [P, N].
+        features: Lips, lids and brows, [N] bool.
+        parts: These and eyes and mouth, likewise.
+        calm: How much a photo tells of the colors that the skin has at rest, beside the photo that tells most, 0..1 [P, N].
+    """
+
+    def __init__(
+        self, model: GRMM, surface: Surface, views: Sequence[FitView], parts: Tensor, z_id: Tensor, offsets: Tensor
+    ) -> None:  # fmt: skip
+        head, like = model.head_model, model.anchor.barycentric
+        corners = head.faces[model.layout.face]
+        strains = []
+        for view in views:
+            shape, expression, pose = (part.cpu().numpy() for part in (view.shape, view.expression, view.pose))
+            resting = head.vertices(shape, np.zeros_like(expression), np.zeros_like(pose))
+            strains.append(torch.as_tensor(strained(head, resting, head.vertices(shape, expression, pose))).to(like))
+        self.strains = (torch.stack(strains)[:, corners] * like).sum(-1)
+        features = head.marked(*(name for name in FEATURES if name in head.regions))[corners].any(1)
+        self.features = torch.as_tensor(features, device=like.device)
+        self.parts = parts | self.features
+        trained = model.decoders.expression
+        if trained is None:  # nothing can come and go
+            self.calm = torch.ones_like(self.strains)
+            return
+        strength = (trained.weights(offsets) * (1.0 + trained.gains(z_id))).norm(dim=1)  # [P]
+        moved = ((strength - FAINT[0]) / (FAINT[1] - FAINT[0])).clamp(0, 1)[:, None]
+        skin = (surface.group == SKIN).to(like)
+        calm = 1.0 - (1.0 - FOLDED_TELLS) * moved * torch.where(self.parts, 1.0, skin * share_of(self.strains, OWN_STRAIN))
+        self.calm = (calm / calm.amax(0)).detach()
+
+
+def share_of(strain: Tensor, strains: tuple[float, float] = STRAIN) -> Tensor:
+    """How much of what stands out of the skin belongs to the expression that strains it so, 0..1."""
+    return ((strain - strains[0]) / (strains[1] - strains[0])).clamp(0, 1)
+
+
 def crease_colors(surface: Surface, colors: Tensor, strain: Tensor, features: Tensor) -> Tensor:
     """The part of the skin's colors [N, 3] that belongs to the photos' expression.
 
@@ -74,35 +131,60 @@ def crease_colors(surface: Surface, colors: Tensor, strain: Tensor, features: Te
     around = surface.smooth(colors * plain, WIDTH_TEXELS) / surface.smooth(plain, WIDTH_TEXELS).clamp(min=1e-3)
     detail = colors - around
     lasting = PORES * torch.tanh(detail / PORES)
-    share = ((strain - STRAIN[0]) / (STRAIN[1] - STRAIN[0])).clamp(0, 1)
-    away = ((surface.smooth(plain, RIM_TEXELS)[:, 0] - AWAY[0]) / (AWAY[1] - AWAY[0])).clamp(0, 1)  # from lips, lids and brows
-    return (share * away * plain[:, 0])[:, None] * (detail - lasting)
+    return (share_of(strain) * _away(surface, plain))[:, None] * (detail - lasting)
+
+
+def own_colors(surface: Surface, difference: Tensor, strain: Tensor, parts: Tensor) -> Tensor:
+    """The part of what one photo shows otherwise than the calmest does [N, 3] that belongs to its expression.
+
+    Args:
+        surface: Texels.
+        difference: As the photo shows it, [N, 3].
+        strain: `strained` at the texels, [N].
+        parts: Lips, lids, brows, eyes and mouth, [N] bool: they move, and are never tracked to the texel.
+    """
+    skin = (surface.group == SKIN).to(difference)
+    detail = difference - surface.smooth(difference * skin[:, None], OWN_TEXELS)  # what is wide is the photo's light
+    share = OWN_SHARES[0] * skin * share_of(strain, OWN_STRAIN)
+    own = torch.where(parts[:, None], OWN_SHARES[1] * difference, share[:, None] * detail)
+    return own.clamp(-MOST, MOST)
+
+
+def _away(surface: Surface, plain: Tensor) -> Tensor:
+    """1 on plain skin [N, 1] away from lips, lids and brows, [N]."""
+    away = ((surface.smooth(plain, RIM_TEXELS)[:, 0] - AWAY[0]) / (AWAY[1] - AWAY[0])).clamp(0, 1)
+    return away * plain[:, 0]
 
 
 def crease_maps(
     maps: ExpressionMaps, creases: Tensor, z_id: Tensor, resting: Tensor, shown: Sequence[Tensor], others: Tensor
 ) -> Tensor | None:  # fmt: skip
-    """Change of the trained expression maps that brings creases with the photos' expression.
+    """Change of the trained expression maps that brings creases with the expressions of photos.
 
     Args:
         maps: The trained ones.
-        creases: `crease_colors`, [N, 3].
+        creases: Of each photo, [P, N, 3].
         z_id: Of the person, [Z].
         resting: z_exp of the face at rest, [Y].
         shown: Of each photo, [Y].
-        others: Of expressions that should have none of it, [K, Y], added to `resting`.
+        others: Of expressions that should have none but what is like the photos', [K, Y], added to `resting`.
 
     Returns:
         Added to `maps.maps`, and to be made up for at rest by `weights(resting) @ change`; None where the photos are neutral.
     """
     gains = 1.0 + maps.gains(z_id)
-    weights = maps.weights(torch.stack(list(shown)).mean(0) - resting) * gains  # [M]
-    if float(weights.norm()) < _FAINT:
+    weights = maps.weights(torch.stack(list(shown)) - resting) * gains  # [P, M]
+    told = weights.norm(dim=1) >= 0.5 * sum(FAINT)
+    if not bool(told.any()):
         return None
+    weights, creases = weights[told], creases[told].flatten(1)
     rest = maps.weights(others) * gains  # [K, M]
-    # u with u . weights = 1 that gives little to expressions which differ
-    alike = (rest @ weights / weights.square().sum()).clamp(0, 1)
-    square = rest.T @ rest * _RIDGE + torch.outer(weights, weights) + 1e-4 * torch.eye(len(weights)).to(weights)
-    direction = torch.linalg.solve(square, weights + _RIDGE * rest.T @ alike)
-    direction = direction / (direction @ weights)
-    return torch.outer(direction, creases.reshape(-1))
+    own = weights @ weights.T
+    own = own + _ALIKE * own.trace() / len(own) * torch.eye(len(own)).to(own)  # photos that are alike share
+    alike = torch.linalg.solve(own, weights @ rest.T).T.clamp(0, 1)  # [K, P]
+    # u of each photo with u . weights = 1 for it and 0 for the others, that gives little to expressions which differ
+    square = rest.T @ rest * _RIDGE + weights.T @ weights + 1e-4 * torch.eye(weights.shape[1]).to(weights)
+    directions = torch.linalg.solve(square, weights.T + _RIDGE * rest.T @ alike)  # [M, P]
+    if len(weights) == 1:  # of several, reaching each exactly would overdo what is unlike all of them
+        directions = directions / (weights @ directions)
+    return directions @ creases

@@ -16,11 +16,9 @@ Called by `invert`. Imports torch.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -29,9 +27,9 @@ from ..light.relight import unlit
 from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
-from .creases import FEATURES, MAPS, crease_colors, crease_maps, strained
+from .creases import MAPS, Folding, crease_colors, crease_maps, own_colors
 from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, lid_exposure, uncut
-from .locality import LOCALITY_WEIGHT, Locality
+from .locality import LOCALITY_WEIGHT, Locality, tunable_copy
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .photo_targets import FitView
 from .presets import DecoderSettings
@@ -62,6 +60,7 @@ SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colors
 REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
 LOCALITY_EVERY = 2  # steps of which one has L_loc, with that much more weight: decoding at another code is a third of a step
 COLOR_ROUNDS, LAST_ROUNDS = 3, 6  # of `Tuner.match_colors` at the beginning of each level, and at the end
+OWN_ROUNDS = 8  # of `Tuner.differences`
 
 
 def start_colors(colors: Tensor, codes: Codes, surface: Surface) -> Tensor:
@@ -96,7 +95,7 @@ class Tuner:
         self.model, self.codes, self.surface, self.light, self.settings = model, codes, surface, light, settings
         self.levels, self.perceptual, self.locality_weight = [list(level) for level in levels], perceptual, locality
         self.networks = SURFACE_NETWORKS if model.config.hairless else NETWORKS
-        self.tuned = _tunable_copy(model, self.networks) if settings.networks else model
+        self.tuned = tunable_copy(model, self.networks) if settings.networks else model
         self.step_count = 0
         self._lit: dict[tuple[int, int], Tensor] = {}
         self.last_drawn = (0, 0)  # level and photo
@@ -127,6 +126,8 @@ class Tuner:
         zeros = torch.zeros(count, dtype=model.dtype, device=model.device)
         self.parts = (surface.group == INNER) | surface.lips
         lids = torch.as_tensor(model.head_model.marked("lids")[corners_of(model)].all(1)).to(self.parts)
+        offsets = torch.stack([inputs.z_exp for inputs in self.inputs]) - codes.z_exp
+        self.folding = Folding(model, surface, first, self.parts, codes.z_id, offsets)
         self.half_seen = torch.where(self.parts | lids, HALF_SEEN_FINE, HALF_SEEN_PIXELS).to(zeros)
         self.seen, self.seen_rim, self.seen_shape, self.seen_by = zeros, zeros, zeros, [zeros] * len(first)
         self.frontal_by = [torch.ones_like(zeros)] * len(first)
@@ -241,6 +242,8 @@ class Tuner:
                 gradient = present(value.grad)
                 if name in TRUSTED:  # a grazing view of skin shows what is behind it as well
                     gradient *= self.frontal_by[index][:, None]
+                if name == "color":
+                    gradient *= self.folding.calm[index][:, None]
                 gradient.addcmul_(self.pulls[name], value, value=2.0 / len(value))  # of the mean of pull * value^2
         self.optimiser.step()
         self.step_count += 1
@@ -252,15 +255,30 @@ class Tuner:
         for turn in range(rounds):
             variant = turn if turn < rounds - 1 else None
             change, weight = torch.zeros_like(self.tint), torch.zeros_like(self.tint[:, :1])
-            for index, view in enumerate(self.levels[level]):
-                attributes = self.attributes(index, variant)
-                drawn = draw(self.model, view.camera, self.meshes[index], attributes)
-                target = unlit(view.image, self.lit(level, index)) * drawn.alpha[..., None]
-                both = 0.5 * ((target - drawn.image) + (target - drawn.raw))
-                step = spread_to_colors(self.model, view, self.meshes[index], attributes, both * view.inside[..., None])
-                shown = self.seen_by[index][:, None]
+            for index in range(len(self.levels[level])):
+                shown = (self.seen_by[index] * self.folding.calm[index])[:, None]
+                step = self._color_step(level, index, self.attributes(index, variant))
                 change, weight = change + shown * step, weight + shown
             self.maps["color"] += change / weight.clamp(min=1.0)
+
+    def _color_step(self, level: int, index: int, attributes: Attributes) -> Tensor:
+        """Change of the colors that brings a picture nearer to its photo, [N, 3]."""
+        view = self.levels[level][index]
+        drawn = draw(self.model, view.camera, self.meshes[index], attributes)
+        target = unlit(view.image, self.lit(level, index)) * drawn.alpha[..., None]
+        both = 0.5 * ((target - drawn.image) + (target - drawn.raw))
+        return spread_to_colors(self.model, view, self.meshes[index], attributes, both * view.inside[..., None])
+
+    def differences(self) -> list[Tensor]:
+        """What each photo shows otherwise than the colors that all share, [N, 3]."""
+        level, found = len(self.levels) - 1, []
+        for index in range(len(self.inputs)):
+            base, own = self.attributes(index), torch.zeros_like(self.tint)
+            for _ in range(OWN_ROUNDS):
+                step = self._color_step(level, index, base.recolored(base.colors + own))
+                own = own + self.seen_by[index][:, None] * step
+            found.append(own)
+        return found
 
     @torch.no_grad()
     def look_around(self, level: int) -> None:
@@ -325,24 +343,21 @@ class Tuner:
         if trained is None or table is None:
             maps["color"] = maps["color"] + rim
             return None
-        head, strains = self.model.head_model, []
-        for view in self.levels[0]:
-            shape, expression, pose = (part.cpu().numpy() for part in (view.shape, view.expression, view.pose))
-            resting = head.vertices(shape, np.zeros_like(expression), np.zeros_like(pose))
-            strains.append(strained(head, resting, head.vertices(shape, expression, pose)))
+        folding = self.folding
         # where one photo shows the skin unstrained, what all show is the person's
-        corners = corners_of(self.model)
-        strain = (torch.as_tensor(np.min(strains, 0)).to(self.tint)[corners] * self.model.anchor.barycentric).sum(1)
-        features = torch.as_tensor(head.marked(*(name for name in FEATURES if name in head.regions))[corners].any(1))
         colors = self.decoded[0].colors + self.tint + maps["color"]
-        creases = crease_colors(self.surface, colors, strain, features.to(colors.device)) + rim
+        shared = crease_colors(self.surface, colors, folding.strains.amin(0), folding.features) + rim
+        creases = shared.expand(len(self.inputs), -1, -1)
+        if len(self.inputs) > 1:
+            own = zip(self.differences(), folding.strains, strict=True)
+            creases = creases + torch.stack([own_colors(self.surface, d, strain, folding.parts) for d, strain in own])
         shown = [inputs.z_exp for inputs in self.inputs]
         change = crease_maps(trained, creases, self.codes.z_id, self.codes.z_exp, shown, table)
         if change is None:  # the photos' expression is the face at rest
             maps["color"] = maps["color"] + rim
         else:
             at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))
-            maps["color"] = maps["color"] + rim - creases - (at_rest @ change).view_as(creases)
+            maps["color"] = maps["color"] + rim - shared - (at_rest @ change).view_as(shared)
         return change
 
     def _hairy(self) -> Tensor:
@@ -382,15 +397,3 @@ class Tuner:
 
     def _parameters(self) -> list[Tensor]:
         return [parameter for group in self.optimiser.param_groups for parameter in group["params"]]
-
-
-def _tunable_copy(model: GRMM, networks: Sequence[str]) -> GRMM:
-    """A model some of whose decoder networks are its own and need gradients; everything else is shared."""
-    own = {id(p) for name in networks for p in getattr(model.decoders, name).parameters()}
-    memo: dict[int, object] = {id(p): p for p in model.parameters() if id(p) not in own}
-    memo |= {id(value): value for value in model.buffers()}
-    memo[id(model.head_model)] = model.head_model
-    tuned = copy.deepcopy(model, memo)
-    for name in networks:
-        getattr(tuned.decoders, name).requires_grad_(True)
-    return tuned

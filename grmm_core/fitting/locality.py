@@ -5,6 +5,8 @@ Called by `decoder_stage`. Imports torch.
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -67,3 +69,15 @@ def code_distances(model: GRMM, prior: CodePrior) -> tuple[float, float]:
 def _towards(start: Tensor, target: Tensor, distance: float) -> Tensor:
     offset = target - start
     return start + offset * (distance / offset.norm().clamp(min=1e-6))
+
+
+def tunable_copy(model: GRMM, networks: Sequence[str]) -> GRMM:
+    """A model some of whose decoder networks are its own and need gradients; everything else is shared."""
+    own = {id(p) for name in networks for p in getattr(model.decoders, name).parameters()}
+    memo: dict[int, object] = {id(p): p for p in model.parameters() if id(p) not in own}
+    memo |= {id(value): value for value in model.buffers()}
+    memo[id(model.head_model)] = model.head_model
+    tuned = copy.deepcopy(model, memo)
+    for name in networks:
+        getattr(tuned.decoders, name).requires_grad_(True)
+    return tuned

@@ -45,6 +45,8 @@ _ROUNDS, _CUT = 6, 5.0  # of robust weights
 _NOT_SKIN = ("lips", "lids", "brows", "lashes", "mouth_interior")
 _FACING = 0.25  # cosine between normal and view from which skin tells its color
 _BEHIND = 0.004  # metres behind the mesh's depth that still are its surface
+_AGAIN = 2  # times that the lights of several photos are found again, by the colors that all of them show
+_DARK = 0.004  # linear color of a texel below which it tells no light
 _FEW = 60  # texels: less skin tells no light
 
 
@@ -141,6 +143,19 @@ class PhotoHead:
         even_mouth(self._head, self._texels.corners, found, 3)
         return found
 
+    def again(self, seen: Seen, light: Light, flat: np.ndarray) -> Light:
+        """Find the light of a photo once more, when the colors of each texel are known from all photos.
+
+        Args:
+            seen: Its skin.
+            light: As it was found.
+            flat: Colors in the studio's rig, linear RGB, [N, 3].
+        """
+        counted = (seen.weights > 0) & self._told & (flat > _DARK).all(1)
+        wanted = np.asarray(to_linear(np.asarray(seen.colors[counted], np.float64))) / flat[counted]
+        level = np.median(wanted, 0)
+        return self._found(seen.weights, counted, wanted / level, level, light.tone)
+
     def solve(self, seen: Seen, tone: np.ndarray | None = None) -> Light:
         """Find the light of a photo.
 
@@ -153,26 +168,29 @@ class PhotoHead:
         own = tone is None
         level = np.maximum(np.median(linear[counted], 0), 1e-4)
         tone = level if tone is None else tone
-        parts = transport(
-            SUNS, self._receivers, list(self._seen), self._materials, self._rest.transfer, self._eye, MATT, self._turn
-        )  # fmt: skip
-        direct = np.concatenate([parts.diffuse.transpose(1, 0, 2), np.repeat(parts.ambient[:, :, None], 3, 2)], 1)
-        columns = direct / self._rest.rig[:, None].astype(np.float64)  # [N, U, 3]
         # skin of one tone that the rig lit is no even color: the trained colors carry its shade below brows, nose and chin
         rig = self._rest.rig[counted]
         wanted = linear[counted] / level * (np.median(rig, 0) / rig)
         if np.median(np.abs(np.log(np.maximum(wanted, 1e-3))).mean(1)) < _AS_RIG:
             return Light.studio(tone, level / tone)
-        here, weights, rest = columns[counted], seen.weights[counted], columns[self._told]
-        grey = _robust(here.mean(2), wanted.mean(1), weights, rest.mean(2), None)
-        found = np.stack([_robust(here[:, :, c], wanted[:, c], weights, rest[:, :, c], grey) for c in range(3)], 1)
-        found *= level / tone
-        suns, around = found[: len(SUNS)].astype(np.float32), Surroundings(found[len(SUNS) :]).turned(self._turn).coefficients
-        light = Light(suns, around.astype(np.float32), tone, np.ones(3, np.float32))
+        light = self._found(seen.weights, counted, wanted, level / tone, tone)
         if own:
             middle = np.median(self.ratio(light)[counted], 0)
             light = light._replace(suns=light.suns / middle, around=light.around / middle)
         return light
+
+    def _found(self, given: np.ndarray, counted: np.ndarray, wanted: np.ndarray, scale: np.ndarray, tone: np.ndarray) -> Light:
+        """The light whose ratio to the rig's is nearest to `wanted` [K, 3] at the `counted` texels, times `scale` [3]."""
+        parts = transport(
+            SUNS, self._receivers, list(self._seen), self._materials, self._rest.transfer, self._eye, MATT, self._turn
+        )  # fmt: skip
+        direct = np.concatenate([parts.diffuse.transpose(1, 0, 2), np.repeat(parts.ambient[:, :, None], 3, 2)], 1)
+        columns = direct / self._rest.rig[:, None].astype(np.float64)  # [N, U, 3]
+        here, weights, rest = columns[counted], given[counted], columns[self._told]
+        grey = _robust(here.mean(2), wanted.mean(1), weights, rest.mean(2), None)
+        found = np.stack([_robust(here[:, :, c], wanted[:, c], weights, rest[:, :, c], grey) for c in range(3)], 1) * scale
+        suns, around = found[: len(SUNS)].astype(np.float32), Surroundings(found[len(SUNS) :]).turned(self._turn).coefficients
+        return Light(suns, around.astype(np.float32), tone, np.ones(3, np.float32))
 
 
 def _skin(head: HeadModel) -> np.ndarray:
@@ -236,10 +254,11 @@ def found_lights(
     texels = Texels.of(head, layout.face, layout.barycentric)
     lights: list[Light] = []
     ratios: list[np.ndarray] = []
+    every: list[tuple[Seen, PhotoHead | None]] = []
     tone = None
     for track, (camera, picture, inside) in zip(tracks, pictures, strict=True):
         seen = seen_skin(head, texels, _posed(head, track), camera, picture, inside)
-        colors, light = seen.colors[seen.weights > 0], Light.studio()
+        colors, light, here = seen.colors[seen.weights > 0], Light.studio(), None
         if len(colors) >= _FEW:
             middle = np.median(colors, 0)
             here = _photo_head(head, texels, track, middle)
@@ -250,8 +269,32 @@ def found_lights(
                 light = Light.studio(level if tone is None else tone, 1.0 if tone is None else level / tone)
             tone = light.tone
         lights.append(light)
-        ratios.append(here.spread(light) if light.known else _even(light, layout))
+        every.append((seen, here))
+        ratios.append(here.spread(light) if light.known and here is not None else _even(light, layout))
+    for _ in range(_AGAIN if sum(light.known for light in lights) > 1 else 0):
+        flat = mean_flat(every, ratios)
+        for index, (seen, here) in enumerate(every):
+            if here is not None and lights[index].known:
+                lights[index] = here.again(seen, lights[index], flat)
+                ratios[index] = here.spread(lights[index])
     return lights, np.stack(ratios)
+
+
+def mean_flat(every: Sequence[tuple[Seen, PhotoHead | None]], ratios: Sequence[np.ndarray]) -> np.ndarray:
+    """Colors of the texels in the studio's rig, the mean over the photos, linear RGB, [N, 3]; 0 where none shows them.
+
+    Args:
+        every: What each photo shows, and its head.
+        ratios: `PhotoHead.spread` of each photo's light.
+    """
+    total, weight = np.zeros((len(ratios[0]), 3)), np.full((len(ratios[0]), 1), 1e-6)
+    for (seen, _), ratio in zip(every, ratios, strict=True):
+        linear = np.asarray(to_linear(np.asarray(seen.colors, np.float64)))
+        light = ratio[:, :3] / ratio[:, 3:]
+        told = seen.weights[:, None]
+        total += told * linear / np.maximum(light, 1e-2)
+        weight += told
+    return total / weight
 
 
 def kept_lights(head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrack], lights: Sequence[Light]) -> np.ndarray:

@@ -6,14 +6,18 @@ along the gradient only, are further terms of the landmarks' least squares, and 
 to fine. Both pictures are compared without what varies slowly, for light and skin tone are not known exactly. The result is
 kept only where it makes the pictures agree better and the landmarks do not contradict it.
 
+Of several photos the avatar is then painted with what all of them show, eyes and brows too, and they are tracked once more:
+each photo moves to where it agrees with the others.
+
 Called by `api` and the evaluation. Imports torch.
 """
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -22,18 +26,20 @@ from ..controls.names import ALIGNED_NAMES
 from ..geometry.triangles import vertex_normals
 from ..geometry.zbuffer import triangle_depth
 from ..head import HeadModel
+from ..jobs.progress import Share, nobody, within
 from ..model.grmm import GRMM
 from ..model.weights_file import WeightsInfo
 from ..photo.parser import parse
 from ..pictures.sampling import bilinear
 from .blurring import blurred
 from .code_stage import Codes, code_prior, fit_codes
+from .decoder_stage import Tuner
 from .landmark_stage import LandmarkFit, finished, restarted
 from .objective import decode, draw, relit
 from .photo_light import found_lights
 from .photo_targets import FitView, bare_pixels, fit_view
 from .point_rig import LandmarkRig, PointRig
-from .presets import CodeSettings
+from .presets import CodeSettings, DecoderSettings
 from .recoloring import PhotoLight, recolor
 from .solver import Term, solve
 from .surface import Surface, texel_surface
@@ -45,6 +51,8 @@ QUICK = CodeSettings(192, 96, 12, 1, 0, 12)
 """Of the avatar that is compared."""
 SIDE = 384  # pixels of the pictures that are compared
 BLURS = (3.0, 2.0, 1.2)  # pixels, one for each round
+PAINTED_BLURS = (2.0, 1.2, 0.8)  # likewise of several photos, with an avatar that is painted with them
+PAINT_ROUNDS = 3  # of `Tuner.match_colors`
 SLOW = 16.0  # pixels: what varies more slowly is light or tone
 ITERATIONS = 2  # of the least squares in each round
 POINTS = 5000  # texels that are looked at
@@ -58,14 +66,13 @@ HIDDEN = 0.003  # metres behind the mesh's depth that still are its surface
 MOST_LANDMARK_LOSS = 0.03  # eye distances by which the mean landmark error may grow: faces are off by 0.02 as it is
 _REGIONS = ("face", "lips", "ears")  # eyes are where the landmarks are exact, and people differ most
 _NOT = ("mouth_interior", "lashes", "lids")
+_PAINTED_REGIONS = (*_REGIONS, "lids", "brows", "left_eyeball", "right_eyeball")  # on these a person's photos agree
 _GREY, _INSIDE = 0.5, 0.9
 _QUICK_SHARE = 0.5  # of the time
 
-Progress = Callable[[float], None]
-
 
 def track_pixels(
-    tracks: Sequence[PhotoTrack], model: GRMM, info: WeightsInfo, *, progress: Progress | None = None
+    tracks: Sequence[PhotoTrack], model: GRMM, info: WeightsInfo, *, progress: Share | None = None
 ) -> list[PhotoTrack]:  # fmt: skip
     """Track photos of one person again, by all their pixels.
 
@@ -78,37 +85,50 @@ def track_pixels(
     Returns:
         Tracks of the same pictures, or `tracks` where the pixels tell nothing better.
     """
-    told = progress or (lambda share: None)
+    told = progress or nobody
     head = model.head_model
     if head.landmarks478 is None or not model.config.residuals:
         return list(tracks)
     rig = LandmarkRig(head)
-    fit = restarted(tracks, rig)
     # what a pixel shows does not change while the head moves by a pixel or two: the parser is asked once
     labelled = [replace(track, labels=np.stack(astuple(parse(track, head)))) for track in tracks]
-    appearance = _Appearance(labelled, model, info, lambda share: told(_QUICK_SHARE * share))
-    now, differences = labelled, []
-    for number, blur in enumerate((*BLURS, BLURS[0])):
-        told(_QUICK_SHARE + (1.0 - _QUICK_SHARE) * number / (len(BLURS) + 1))
+    appearance = _Appearance(labelled, model, info, within(told, 0.0, _QUICK_SHARE))
+    several = len(tracks) > 1
+    end = _QUICK_SHARE + (1.0 - _QUICK_SHARE) * (0.5 if several else 1.0)
+    moved = _rounds(labelled, appearance, rig, BLURS, False, within(told, _QUICK_SHARE, end))
+    if several:  # what one photo's avatar is painted with lies where it was tracked, and tells nothing
+        moved = _rounds(moved, appearance, rig, PAINTED_BLURS, True, within(told, end, 1.0))
+    worse = max(new.landmark_error - old.landmark_error for new, old in zip(moved, tracks, strict=True))
+    logger.debug("pixels: landmark error grows by %.4f", worse)
+    if moved is labelled or worse > MOST_LANDMARK_LOSS:
+        return list(tracks)
+    return [replace(track, labels=old.labels) for track, old in zip(moved, tracks, strict=True)]
+
+
+def _rounds(
+    tracks: list[PhotoTrack], appearance: _Appearance, rig: LandmarkRig, blurs: Sequence[float], painted: bool, told: Share
+) -> list[PhotoTrack]:
+    """Tracks that agree better with pictures of the avatar, from coarse to fine; `tracks` where they do not."""
+    fit, now, differences = restarted(tracks, rig), tracks, []
+    for number, blur in enumerate((*blurs, blurs[0])):
+        told(number / (len(blurs) + 1))
+        if painted:
+            appearance.paint(now)
         compared = [appearance.compared(track, index, blur) for index, track in enumerate(now)]
         if not all(len(found.target) for found in compared):
-            return list(tracks)
+            return tracks
         differences.append(sum(found.difference for found in compared) / len(compared))
-        if number == len(BLURS):
+        if number == len(blurs):
             break
         photos = tuple(
-            replace(photo, terms=(*photo.terms, found.term(head, now[index])))
+            replace(photo, terms=(*photo.terms, found.term(rig.head, now[index])))
             for index, (photo, found) in enumerate(zip(fit.problem.photos, compared, strict=True))
         )
         solution = solve(replace(fit.problem, photos=photos), fit.solution, ITERATIONS)
         fit = finished(fit.problem, solution, fit.units, rig)
-        now = [_moved(track, fit, index) for index, track in enumerate(labelled)]
-    before, after = differences[0], differences[-1]
-    worse = max(new.landmark_error - old.landmark_error for new, old in zip(now, tracks, strict=True))
-    logger.debug("pixels: difference %.4f to %.4f, landmark error grows by %.4f", before, after, worse)
-    if after >= before or worse > MOST_LANDMARK_LOSS:
-        return list(tracks)
-    return [replace(track, labels=old.labels) for track, old in zip(now, tracks, strict=True)]
+        now = [_moved(track, fit, index) for index, track in enumerate(tracks)]
+    logger.debug("pixels: differences %s", differences)
+    return now if differences[-1] < differences[0] else tracks
 
 
 @dataclass(frozen=True)
@@ -141,10 +161,27 @@ class Compared:
         return Term(PointRig(head, self.triangles, self.barycentric), target, self.sigma * scale, self.normals)
 
 
+class _Points(NamedTuple):
+    """Texels that are looked at: their triangles [P] and barycentric coordinates [P, 3]."""
+
+    triangles: np.ndarray
+    barycentric: np.ndarray
+
+
+def _points(model: GRMM, regions: Sequence[str], left_out: Sequence[str]) -> _Points:
+    """Texels of some regions of the head, evenly fewer than there are."""
+    head = model.head_model
+    corners = head.faces[model.layout.face]
+    chosen = np.flatnonzero((head.marked(*regions) & ~head.marked(*left_out))[corners].all(1))
+    if len(chosen) > POINTS:
+        chosen = np.sort(np.random.default_rng(0).choice(chosen, POINTS, replace=False))
+    return _Points(model.layout.face[chosen], np.asarray(model.layout.barycentric, np.float64)[chosen])
+
+
 class _Appearance:
     """What the photos' person looks like, as far as a quick search tells."""
 
-    def __init__(self, tracks: Sequence[PhotoTrack], model: GRMM, info: WeightsInfo, told: Progress) -> None:
+    def __init__(self, tracks: Sequence[PhotoTrack], model: GRMM, info: WeightsInfo, told: Share) -> None:
         self.model, head = model, model.head_model
         self.surface: Surface = texel_surface(model)
         views = self.views(tracks, SIDE)
@@ -155,21 +192,16 @@ class _Appearance:
         was = [parameter.requires_grad for parameter in model.parameters()]
         model.requires_grad_(False)
         try:
-            prior = code_prior(info, model)
+            self.prior = code_prior(info, model)
             with torch.enable_grad():
                 self.codes: Codes = fit_codes(
-                    model, prior, large, small, self.surface, self.light, QUICK, lambda share, _: told(share)
+                    model, self.prior, large, small, self.surface, self.light, QUICK, lambda share, _: told(share)
                 )
         finally:
             for parameter, needed in zip(model.parameters(), was, strict=True):
                 parameter.requires_grad_(needed)
-        corners = head.faces[model.layout.face]
-        chosen = np.flatnonzero((head.marked(*_REGIONS) & ~head.marked(*_NOT))[corners].all(1))
-        if len(chosen) > POINTS:
-            chosen = np.sort(np.random.default_rng(0).choice(chosen, POINTS, replace=False))
-        self.triangles = model.layout.face[chosen]
-        self.corners = corners[chosen]
-        self.barycentric = np.asarray(model.layout.barycentric, np.float64)[chosen]
+        self.painted: Tuner | None = None
+        self._points = _points(model, _REGIONS, _NOT)
 
     def views(self, tracks: Sequence[PhotoTrack], side: int, first: int = 0) -> list[FitView]:
         """The photos at a size."""
@@ -181,6 +213,16 @@ class _Appearance:
             for i, track in enumerate(tracks)
         ]  # fmt: skip
 
+    def paint(self, tracks: Sequence[PhotoTrack]) -> None:
+        """Give the avatar what the photos show where they are tracked: the mean of all of them."""
+        settings = DecoderSettings(((SIDE, 0),), False)
+        self.painted = Tuner(
+            self.model, self.prior, self.codes, [self.views(tracks, SIDE)], self.surface, self.light, settings
+        )  # fmt: skip
+        self._points = _points(self.model, _PAINTED_REGIONS, ())
+        self.painted.look_around(0)
+        self.painted.match_colors(0, PAINT_ROUNDS)
+
     @torch.no_grad()
     def drawn(self, view: FitView) -> tuple[np.ndarray, np.ndarray]:
         """The person as tracked over grey, in the photo's light, [H, W, 3], and the posed vertices, [V, 3]."""
@@ -188,7 +230,10 @@ class _Appearance:
         inputs = self.codes.inputs(model, view)
         vertices, decoded = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
         lit = self.light.picture(model, view, vertices, decoded)
-        colored = decoded.recolored(recolor(decoded.colors, self.codes.maps, self.surface))
+        if self.painted is None:
+            colored = decoded.recolored(recolor(decoded.colors, self.codes.maps, self.surface))
+        else:
+            colored = self.painted.changed(decoded)
         picture = relit(draw(model, view.camera, vertices, colored), lit).over((_GREY,) * 3)
         return picture.image.cpu().numpy(), vertices.cpu().numpy().astype(np.float64)
 
@@ -198,7 +243,9 @@ class _Appearance:
         shown, vertices = self.drawn(view)
         cover = view.mask.cpu().numpy()[..., None]
         photo = view.image.cpu().numpy() * cover + _GREY * (1.0 - cover)
-        bare = (view.measured.cpu().numpy() > 0.5).astype(np.float32) * _hairless(track, view, self.model.head_model)
+        bare = (view.measured.cpu().numpy() > 0.5).astype(np.float32)
+        if self.painted is None:
+            bare *= _hairless(track, view, self.model.head_model)
         pixels, told = self._visible(view, vertices, bare)
         ours, theirs = _fast_part(shown, bare, blur), _fast_part(photo, bare, blur)
         points, targets, normals, sigmas, squares = [], [], [], [], []
@@ -218,15 +265,16 @@ class _Appearance:
         every = np.concatenate(points)
         difference = float(np.sqrt(np.mean(np.concatenate(squares)))) if len(every) else 0.0
         return Compared(
-            self.triangles[every], self.barycentric[every], np.concatenate(targets), np.concatenate(normals),
+            self._points.triangles[every], self._points.barycentric[every], np.concatenate(targets), np.concatenate(normals),
             np.concatenate(sigmas) * max(1.0, NOISE * difference), difference, view,
         )  # fmt: skip
 
     def _visible(self, view: FitView, vertices: np.ndarray, bare: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where the points are in the picture, [P, 2], and those that are seen on bare skin, [N] indices."""
         camera, faces = view.camera, self.model.head_model.faces
-        places = (vertices[self.corners] * self.barycentric[..., None]).sum(1)
-        normals = (vertex_normals(vertices, faces)[self.corners] * self.barycentric[..., None]).sum(1)
+        corners, weights = faces[self._points.triangles], self._points.barycentric[..., None]
+        places = (vertices[corners] * weights).sum(1)
+        normals = (vertex_normals(vertices, faces)[corners] * weights).sum(1)
         local, pixels = camera.project(places)
         rays = places - camera.position
         facing = -(normals * rays).sum(1) / np.maximum(np.linalg.norm(rays, axis=1), 1e-9)

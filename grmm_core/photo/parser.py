@@ -26,6 +26,9 @@ SIZE = 128
 REACH = 0.2  # metres from the head's origin that are 1 in the channels of place
 EDGE_RADIUS, EDGE_EPSILON = 1.0 / 96.0, 4e-4  # of the guided filter: share of the side, squared intensity
 LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller finds are dark eyes, buttons, shadows
+# of the eyes' distance: how far above or below them glasses cross the nose, and where; the share that they then have there:
+# drawn glasses have 0.22 and more, dark sockets 0.09 at most
+BRIDGE_HEIGHT, BRIDGE, BRIDGED = 0.4, (0.3, 0.7), 0.15
 LEAST_HAT = 0.35  # of hat and hair together; a smaller part is hair in another light
 AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair
 # of the face: larger pieces of skin that hair parts from eyes and mouth are skin; more hair than one part in so many parts them
@@ -109,7 +112,8 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
     mesh = mesh_channels(head, vertices, track.camera.resized(SIZE, SIZE))
     with torch.no_grad():
         logits = load_parser(INPUTS, len(LABELS))(network_input(small, torch.from_numpy(mesh)[None]))
-        shares = functional.interpolate(_believed(logits.softmax(1)), pixels.shape[2:], mode="bilinear", align_corners=False)
+        shares = _believed(logits.softmax(1), mesh)
+        shares = functional.interpolate(shares, pixels.shape[2:], mode="bilinear", align_corners=False)
         radius = max(1, round(max(pixels.shape[2:]) * EDGE_RADIUS))
         sharp = guided_filter(pixels[:, :3].mean(1, keepdim=True), shares[0, :, None], radius, EDGE_EPSILON)[:, 0].clamp_min(
             0.0
@@ -178,17 +182,41 @@ def _by_color(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
     return divided
 
 
-def _believed(shares: Tensor) -> Tensor:
-    """Give what is too small to be glasses, a hat or a thing to the other labels; shares [1, L, S, S]."""
+def _believed(shares: Tensor, mesh: np.ndarray) -> Tensor:
+    """Give what is too small to be glasses, a hat or a thing, and glasses without a bridge, to the other labels.
+
+    Args:
+        shares: Of the labels, [1, L, S, S].
+        mesh: `mesh_channels`.
+    """
     seen = (shares > 0.5).sum((0, 2, 3)).double()
     glasses, hat, other, hair, background = (LABELS.index(name) for name in ("glasses", "hat", "other", "hair", "background"))
     person = shares[0, 0].numel() - seen[background]
     kept = torch.ones(len(LABELS))
-    kept[glasses] = float(seen[glasses] > LEAST_GLASSES * person)
+    kept[glasses] = float(seen[glasses] > LEAST_GLASSES * person and bridged(shares[0, glasses].numpy(), mesh))
     kept[other] = float(seen[other] > LEAST_THING * person)
     kept[hat] = float(seen[hat] > LEAST_HAT * (seen[hat] + seen[hair]))
     shares = shares * kept[:, None, None] + 1e-6
     return shares / shares.sum(1, keepdim=True)
+
+
+def bridged(glasses: np.ndarray, mesh: np.ndarray) -> bool:
+    """Whether what may be glasses runs over the nose from eye to eye: sockets in deep shade do not.
+
+    Args:
+        glasses: Their share of each pixel, [S, S].
+        mesh: `mesh_channels`.
+    """
+    eyes, up, across = mesh[tuple(MESH_PARTS).index("eyes")] > 0.5, mesh[-2], mesh[-1]
+    middle = float(across[eyes].mean()) if eyes.any() else 0.0
+    sides = [eyes & (across < middle), eyes & (across >= middle)]
+    if not all(side.any() for side in sides):  # of a face from the side
+        return True
+    left, right = (float(across[side].mean()) for side in sides)
+    zone = np.abs(up - float(up[eyes].mean())) < BRIDGE_HEIGHT * (right - left)
+    place = (across - left) / (right - left)
+    parts = [zone & (place >= low) & (place < low + 0.1) for low in np.arange(*BRIDGE, 0.1)]
+    return all(float(glasses[part].max()) > BRIDGED for part in parts if part.any())
 
 
 def network_input(picture: Tensor, mesh: Tensor) -> Tensor:

@@ -85,26 +85,68 @@ def misled(track, pixels):
     )
 
 
+def places(track, head):
+    """Where the face's vertices are in the picture, [V, 2]."""
+    vertices = head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
+    return project(vertices[head.regions["face"]], track.camera)
+
+
 def off(track, truth, head):
     """Mean distance in pixels of the face's vertices from where they are in truth."""
 
-    def places(one):
-        vertices = head.vertices(one.shape, one.expression, head.pose_of(one.expression, one.pose))
-        return project(vertices[head.regions["face"]], one.camera)
-
-    return float(np.linalg.norm(places(track) - places(truth), axis=1).mean())
+    return float(np.linalg.norm(places(track, head) - places(truth, head), axis=1).mean())
 
 
 def test_pixels_bring_the_head_to_where_the_picture_shows_it(person, truth):
     model, info = person
     start, told = misled(truth, 1.5), []
-    (found,) = track_pixels([start], model, info, progress=told.append)
+    (found,) = track_pixels([start], model, info, progress=lambda share, message="": told.append(share))
     assert off(found, truth, model.head_model) < 0.6 * off(start, truth, model.head_model)
     assert found.image is start.image or np.array_equal(found.image, start.image)
     assert found.labels is None  # what the parser said stays the parser's
     np.testing.assert_allclose(found.camera.fx / found.photo_camera.fx, start.camera.fx / start.photo_camera.fx, rtol=1e-6)
     assert told == sorted(told)
     assert 0.0 <= told[0] <= told[-1] <= 1.0
+
+
+def test_several_photos_are_tracked_to_where_they_agree(person, truth, monkeypatch):
+    """Of somebody with marks that no training person has; another expression in each, and every track errs in its own way."""
+    model, info = person
+    plain = model.decoders.appearance_mean.clone()
+    spots = model.anchor(model.head.v_template).positions * 420.0
+    torch.manual_seed(4)
+    model.decoders.appearance_mean[:, :3] += 0.15 * torch.sin(spots @ torch.randn(3, 3))
+    head = model.head_model
+    smile = truth.expression + 0.5 * head.arkit_to_expression[ARKIT_NAMES.index("mouthSmileLeft")]
+    camera = Camera.orbit(SIZE, SIZE, yaw=-14.0, distance=1.1, fov=23.0)
+    truths = [
+        drawn(model, truth.shape, truth.expression, truth.camera),
+        drawn(model, truth.shape, smile.astype(np.float32), camera),
+    ]
+    model.decoders.appearance_mean.copy_(plain)
+    wrong = [
+        track.landmarks + 1.5 * np.cos(track.landmarks / length) for track, length in zip(truths, (30.0, 50.0), strict=True)
+    ]
+    shape = misled(truth, 0.0).shape
+    starts = [
+        dataclasses.replace(track, shape=shape, landmarks=marks, landmarks_fitted=marks)
+        for track, marks in zip(truths, wrong, strict=True)
+    ]
+    found = track_pixels(starts, model, info)
+    rounds = pixel_stage._rounds
+    monkeypatch.setattr(
+        pixel_stage, "_rounds", lambda tracks, *others: tracks if others[3] else rounds(tracks, *others)
+    )  # never painted
+    apart = track_pixels(starts, model, info)
+
+    def beside(tracks):
+        """Mean distance in pixels by which the photos are tracked otherwise than each other."""
+        errors = [places(track, head) - places(right, head) for track, right in zip(tracks, truths, strict=True)]
+        return float(np.linalg.norm(errors[0] - errors[1], axis=1).mean())
+
+    assert beside(found) < 0.8 * beside(apart)
+    assert sum(map(off, found, truths, [head] * 2)) < 1.25 * sum(map(off, apart, truths, [head] * 2))
+    np.testing.assert_array_equal(found[0].shape, found[1].shape)
 
 
 def test_pixels_that_contradict_the_landmarks_are_not_believed(person, truth, monkeypatch):

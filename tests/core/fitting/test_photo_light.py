@@ -10,7 +10,7 @@ import torch
 
 from grmm_core.controls.names import EXPRESSION_NAMES
 from grmm_core.errors import ShapeError
-from grmm_core.fitting.photo_light import MATT, SUNS, Light, PhotoHead, Seen, seen_skin
+from grmm_core.fitting.photo_light import MATT, SUNS, Light, PhotoHead, Seen, mean_flat, seen_skin
 from grmm_core.fitting.result import photo_light
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
@@ -82,6 +82,29 @@ def test_light_of_a_second_photo_is_found_for_the_tone_of_the_first(photo_head, 
     colors = to_display(SKIN * photo_head.ratio(dimmed) * shade)
     found = photo_head.ratio(photo_head.solve(Seen(colors, np.ones(len(colors))), SKIN))
     np.testing.assert_allclose(found.mean(0), photo_head.ratio(dimmed).mean(0), rtol=0.08)
+
+
+def test_several_photos_tell_marks_from_light(photo_head, side, shade):
+    """A face whose one half is darker than the other; a second photo shows that half only."""
+    places = photo_head._rest.vertices[photo_head._texels.corners].mean(1)
+    dark = places[:, 0] < 0.0
+    color = SKIN * np.where(dark, 0.7, 1.0)[:, None] * shade
+    even = side._replace(suns=0.0 * side.suns + 0.3, around=1.5 * side.around)
+    seen = [
+        Seen(to_display(color * photo_head.ratio(light)), weights)
+        for light, weights in ((even, np.ones(len(dark))), (side, dark.astype(float)))
+    ]
+    first = photo_head.solve(seen[0])
+    alone = found = [first, photo_head.solve(seen[1], first.tone)]
+    for _ in range(2):
+        flat = mean_flat([(one, photo_head) for one in seen], [photo_head.spread(light) for light in found])
+        found = [photo_head.again(one, light, flat) for one, light in zip(seen, found, strict=True)]
+
+    def apart(lights):
+        one, two = (to_linear(s.colors) / photo_head.ratio(light) for s, light in zip(seen, lights, strict=True))
+        return float(np.abs(np.log(one / two))[photo_head._told & dark].mean())
+
+    assert apart(found) < 0.6 * apart(alone)
 
 
 def test_colors_of_the_studio_stay_as_they_are(photo_head, shade):

@@ -13,7 +13,7 @@ from grmm_core.fitting.photo_targets import left_out
 from grmm_core.fitting.track import track_photos
 from grmm_core.head.open_head import load_open_head
 from grmm_core.photo import parser_network
-from grmm_core.photo.parser import LABELS, MESH_PARTS, face_parts, mesh_channels, parse
+from grmm_core.photo.parser import LABELS, MESH_PARTS, bridged, face_parts, mesh_channels, parse
 
 HASHES = {"astronaut": "370adb9cb9dd03ca#0", "admiral": "fd98d05804ffd964#0"}
 
@@ -55,6 +55,36 @@ def test_parts_cover_each_pixel_once(tracks, head):
 def test_portraits_are_labeled_as_drawn_by_hand(name, least, tracks, head, repository):
     found = overlaps_of(name, tracks, head, repository)
     assert {group for group, share in least.items() if found[group] < share} == set(), found
+
+
+def test_dark_sockets_are_no_glasses_but_lenses_with_a_bridge_are(tracks, head):
+    track = tracks["astronaut"]
+    marks = track.landmarks
+    outer = float(np.linalg.norm(marks[263] - marks[33]))
+    rows, columns = np.mgrid[: track.image.shape[0], : track.image.shape[1]] + 0.5
+    lenses = np.zeros(rows.shape, bool)
+    for corners in ((33, 133), (362, 263)):
+        x, y = marks[list(corners)].mean(0)
+        lenses |= ((columns - x) / (0.24 * outer)) ** 2 + ((rows - y) / (0.2 * outer)) ** 2 < 1.0
+    inner = marks[[133, 362]]
+    bridge = (columns > inner[:, 0].min()) & (columns < inner[:, 0].max())
+    bridge &= np.abs(rows - inner[:, 1].mean() + 0.06 * outer) < 0.03 * outer
+
+    def worn(dark):
+        return parse(dataclasses.replace(track, image=np.where(dark[..., None], np.float32(0.07), track.image)), head).glasses
+
+    assert (worn(lenses | bridge) > 0.5).sum() > 0.7 * lenses.sum()
+    mesh = mesh_channels(head, head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose)),
+                         track.camera.resized(128, 128))  # fmt: skip
+    eyes = mesh[0] > 0.5
+    sockets = np.zeros_like(mesh[0])
+    across = np.abs(mesh[-1][eyes]).mean()
+    sockets[(np.abs(np.abs(mesh[-1]) - across) < 0.4 * across) & (np.abs(mesh[-2] - mesh[-2][eyes].mean()) < 0.4 * across)] = (
+        0.8
+    )
+    assert not bridged(sockets, mesh)
+    bar = np.abs(mesh[-2] - mesh[-2][eyes].mean()) < 0.1 * across
+    assert bridged(np.where(bar, 0.8, sockets), mesh)
 
 
 def test_what_is_left_out_is_said(tracks, head):

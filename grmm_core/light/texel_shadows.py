@@ -16,10 +16,8 @@ from .shadows import Maps, Receivers, compiled_kernels
 
 _NEAR = 0.0065  # metres between the texels at both sides of one that need not be compared
 _ALIKE = 0.02  # of a lamp that they may differ by
-_LONG, _STEP = (
-    0.0035,
-    0.25,
-)  # metres of a texel that is looked at from several places, where the lamp changes by so much beside it
+# metres of a texel that is looked at from several places, where the lamp changes by so much beside it
+_LONG, _STEP = 0.0035, 0.25
 _PLACES = np.linspace(-0.9, 0.9, 8, dtype=np.float32)  # on it and to the middles of those at its ends, in lengths
 _WEIGHTS = (1.0 - np.abs(_PLACES)) / (1.0 - np.abs(_PLACES)).sum()
 
@@ -78,9 +76,8 @@ class TexelShadows(NamedTuple):
         at_corners = vertices[corners]
         sides_uv, sides_at = uv[:, 1:] - uv[:, :1], at_corners[:, 1:] - at_corners[:, :1]
         with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = np.linalg.pinv(
-                sides_uv
-            )  # barycentric coordinates of the second and third corner by column and row, [N, 2, 2]
+            # barycentric coordinates of the second and third corner by column and row, [N, 2, 2]
+            inverse = np.linalg.pinv(sides_uv)
         lengths = np.linalg.norm(inverse @ sides_at, axis=2)  # metres by column and row
         axis = lengths.argmax(1)
         long = np.flatnonzero(lengths.max(1) > _LONG)

@@ -19,6 +19,7 @@ _TINY, _PI = single(1e-9), single(math.pi)
 (KIND, PLACE, POWER, SPREAD, TOWARDS, INNER, FADE, SIZE, COLOR, LAMP_VALUES) = (0, 1, 4, 5, 6, 9, 10, 11, 12, 15)
 SUN, POINT, SPOT, AREA = 0, 1, 2, 3
 NEAREST_SQUARE = np.float32(0.02**2)
+BLOCK = 64  # points that are lit together: the compiler does eight or sixteen of them at once
 
 
 @compiled(**OPTIONS)
@@ -99,6 +100,37 @@ def arriving(lamps: np.ndarray, k: int, x: float, y: float, z: float) -> tuple[f
             share = min(max((along - lamps[k, INNER]) * lamps[k, FADE], _0), _1)
             strength *= share * share * (np.float32(3.0) - _2 * share)
     return dx, dy, dz, strength
+
+
+@compiled(**OPTIONS)
+def arriving_at_block(w: np.ndarray, lamp: np.ndarray, at: int, towards: int, strength: int) -> None:
+    """Write directions to a lamp and irradiance of the points of a block, as `lamps.arriving`.
+
+    Args:
+        w: Numbers of the block, a column of `BLOCK` for each quantity.
+        lamp: Row of `shading.lamp_rows`.
+        at: Where the points begin in `w`, three columns.
+        towards: Likewise the directions that are written.
+        strength: Likewise the irradiance, one column.
+    """
+    x, y, z, power, spread = lamp[PLACE], lamp[PLACE + 1], lamp[PLACE + 2], lamp[POWER], lamp[SPREAD]
+    if lamp[KIND] == SUN:
+        for j in range(BLOCK):
+            w[towards + j], w[towards + BLOCK + j], w[towards + 2 * BLOCK + j], w[strength + j] = x, y, z, power
+        return
+    ax, ay, az, inner, fade = lamp[TOWARDS], lamp[TOWARDS + 1], lamp[TOWARDS + 2], lamp[INNER], lamp[FADE]
+    area, spot = np.float32(lamp[KIND] == AREA), np.float32(lamp[KIND] == SPOT)
+    ball = _1 - area - spot
+    for j in range(BLOCK):
+        dx, dy, dz = x - w[at + j], y - w[at + BLOCK + j], z - w[at + 2 * BLOCK + j]
+        square = dx * dx + dy * dy + dz * dz
+        inverse = _1 / math.sqrt(max(square, np.float32(1e-12)))
+        dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
+        along = -(dx * ax + dy * ay + dz * az)
+        share = min(max((along - inner) * fade, _0), _1)
+        cone = ball + area * max(along, _0) + spot * share * share * (np.float32(3.0) - _2 * share)
+        w[towards + j], w[towards + BLOCK + j], w[towards + 2 * BLOCK + j] = dx, dy, dz
+        w[strength + j] = power * cone / (max(square, NEAREST_SQUARE) + spread)
 
 
 @compiled(**OPTIONS)

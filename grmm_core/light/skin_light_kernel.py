@@ -12,28 +12,12 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from .light_kernels import (
-    AREA,
-    COLOR,
-    FADE,
-    INNER,
-    KIND,
-    NEAREST_SQUARE,
-    OPTIONS,
-    PLACE,
-    POWER,
-    SIZE,
-    SPOT,
-    SPREAD,
-    SUN,
-    TOWARDS,
-    harmonics_of,
-)
+from .light_kernels import BLOCK, COLOR, OPTIONS, SIZE, arriving_at_block, harmonics_of
 from .shadow_kernels import single
 
-_0, _1, _2, _3, _HALF = single(0.0), single(1.0), single(2.0), single(3.0), single(0.5)
+_0, _1, _2, _HALF = single(0.0), single(1.0), single(2.0), single(0.5)
 _TINY, _PI = single(1e-9), single(math.pi)
-_B = 64  # points of a block
+_B = BLOCK
 # where its quantities begin in the scratch array: three columns of a vector or a color, or one
 _POINT, _NORMAL, _VIEW, _LAMP, _THROUGH, _WANDER = 0, 3 * _B, 6 * _B, 9 * _B, 12 * _B, 15 * _B
 _POWER, _TO_EYE, _KNOWN, _PART, _LOOK, _SUMS, _ROWS, _BASIS, _ALL = (
@@ -57,29 +41,6 @@ def _mirrored(rough: float, reflectance: float, facing: float) -> float:
     outline += np.float32(0.0425) - np.float32(0.0275) * rough
     by_reflectance = np.float32(1.04) - np.float32(0.572) * rough - np.float32(1.04) * outline
     return max(reflectance * by_reflectance + np.float32(1.04) * outline - np.float32(0.04) + np.float32(0.022) * rough, _0)
-
-
-@compiled(**OPTIONS)
-def _arriving(w: np.ndarray, lamp: np.ndarray) -> None:
-    """Write directions to a lamp and irradiance, as `light_kernels.arriving`."""
-    x, y, z, power, spread = lamp[PLACE], lamp[PLACE + 1], lamp[PLACE + 2], lamp[POWER], lamp[SPREAD]
-    if lamp[KIND] == SUN:
-        for j in range(_B):
-            w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j], w[_POWER + j] = x, y, z, power
-        return
-    ax, ay, az, inner, fade = lamp[TOWARDS], lamp[TOWARDS + 1], lamp[TOWARDS + 2], lamp[INNER], lamp[FADE]
-    area, spot = np.float32(lamp[KIND] == AREA), np.float32(lamp[KIND] == SPOT)
-    ball = _1 - area - spot
-    for j in range(_B):
-        dx, dy, dz = x - w[_POINT + j], y - w[_POINT + _B + j], z - w[_POINT + 2 * _B + j]
-        square = dx * dx + dy * dy + dz * dz
-        inverse = _1 / math.sqrt(max(square, np.float32(1e-12)))
-        dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
-        along = -(dx * ax + dy * ay + dz * az)
-        share = min(max((along - inner) * fade, _0), _1)
-        cone = ball + area * max(along, _0) + spot * share * share * (_3 - _2 * share)
-        w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j] = dx, dy, dz
-        w[_POWER + j] = power * cone / (max(square, NEAREST_SQUARE) + spread)
 
 
 @compiled(**OPTIONS)
@@ -156,7 +117,7 @@ def shade(
         for k in range(len(lamps)):
             if not _coming_through(w, seen[k], factors, start, last):
                 continue
-            _arriving(w, lamps[k])
+            arriving_at_block(w, lamps[k], _POINT, _LAMP, _POWER)
             red, green, blue, size = lamps[k, COLOR], lamps[k, COLOR + 1], lamps[k, COLOR + 2], lamps[k, SIZE]
             mean, wide = (red + green + blue) / np.float32(9.0), size * size
             for j in range(_B):

@@ -12,26 +12,11 @@ import math
 import numpy as np
 
 from ..compute.kernels import compiled
-from .light_kernels import (
-    AREA,
-    COLOR,
-    FADE,
-    INNER,
-    KIND,
-    NEAREST_SQUARE,
-    OPTIONS,
-    PLACE,
-    POWER,
-    SPOT,
-    SPREAD,
-    SUN,
-    TOWARDS,
-    harmonics_of,
-)
+from .light_kernels import BLOCK, COLOR, OPTIONS, arriving_at_block, harmonics_of
 from .shadow_kernels import single
 
 _0, _1, _2, _3, _TINY = single(0.0), single(1.0), single(2.0), single(3.0), single(1e-9)
-_B = 64  # pieces of a block
+_B = BLOCK
 # where its quantities begin in the scratch array: three columns of a vector, or one
 _POINT, _TANGENT, _OUTWARD, _VIEW, _LAMP = 0, 3 * _B, 6 * _B, 9 * _B, 12 * _B
 _POWER, _RIM, _ALONG, _SUMS, _PARTS = 15 * _B, 16 * _B, 17 * _B, 18 * _B, 26 * _B
@@ -98,29 +83,6 @@ def _find(
 
 
 @compiled(**OPTIONS)
-def _arriving(w: np.ndarray, lamp: np.ndarray) -> None:
-    """Write directions to a lamp and irradiance, as `light_kernels.arriving`."""
-    x, y, z, power, spread = lamp[PLACE], lamp[PLACE + 1], lamp[PLACE + 2], lamp[POWER], lamp[SPREAD]
-    if lamp[KIND] == SUN:
-        for j in range(_B):
-            w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j], w[_POWER + j] = x, y, z, power
-        return
-    ax, ay, az, inner, fade = lamp[TOWARDS], lamp[TOWARDS + 1], lamp[TOWARDS + 2], lamp[INNER], lamp[FADE]
-    area, spot = np.float32(lamp[KIND] == AREA), np.float32(lamp[KIND] == SPOT)
-    ball = _1 - area - spot
-    for j in range(_B):
-        dx, dy, dz = x - w[_POINT + j], y - w[_POINT + _B + j], z - w[_POINT + 2 * _B + j]
-        square = dx * dx + dy * dy + dz * dz
-        inverse = _1 / math.sqrt(max(square, np.float32(1e-12)))
-        dx, dy, dz = dx * inverse, dy * inverse, dz * inverse
-        along = -(dx * ax + dy * ay + dz * az)
-        share = min(max((along - inner) * fade, _0), _1)
-        cone = ball + area * max(along, _0) + spot * share * share * (_3 - _2 * share)
-        w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j] = dx, dy, dz
-        w[_POWER + j] = power * cone / (max(square, NEAREST_SQUARE) + spread)
-
-
-@compiled(**OPTIONS)
 def shade(
     lamps: np.ndarray, points: np.ndarray, quats: np.ndarray, parts: np.ndarray, to_grid: np.ndarray, centre: np.ndarray,
     eye: np.ndarray, colors: np.ndarray, factors: np.ndarray, out: np.ndarray, first: int, last: int,
@@ -146,7 +108,7 @@ def shade(
     for start in range(first, last, _B):
         _find(w, points, quats, parts, to_grid, centre, eye, rims, start, last)
         for k in range(len(lamps)):
-            _arriving(w, lamps[k])
+            arriving_at_block(w, lamps[k], _POINT, _LAMP, _POWER)
             red, green, blue = lamps[k, COLOR], lamps[k, COLOR + 1], lamps[k, COLOR + 2]
             mean, offset = (red + green + blue) / _3, _PARTS + k * _B
             for j in range(_B):

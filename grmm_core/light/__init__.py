@@ -5,10 +5,12 @@
 ``transfer``      how much of the light from everywhere reaches each vertex of a head that shadows itself
 ``bounce``        light that skin throws on skin
 ``shadows``       which part of each lamp a point sees, by depth maps of meshes
+``texel_shadows`` the same for the texels of a head: fewer looks at wide lamps, more where texels are long
 ``materials``     what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``hair_shading``  the same for strands
-``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting; ``strand_light_kernel`` strands
+``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting;
+                  ``skin_light_kernel`` skin in blocks; ``strand_light_kernel`` strands
 ``resting``       what light does on a head at rest, made once for a person
 ``rough``         all of it at a glance, for viewports
 ``mesh_light``    light read from the mesh at each pixel; ``mesh_light_kernels`` again, compiled

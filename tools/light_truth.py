@@ -136,7 +136,8 @@ class Relighter:
         assert drawn.features is not None
         light_here = drawn.features.numpy()
         surface_light = LitSurface(self._grid, surface.vertices, light.astype(np.float32))
-        surface_light.read_into(light_here, slice(0, light.shape[1]), drawn.depth.numpy(), None, view.camera)
+        picture = drawn.depth.numpy(), drawn.alpha.numpy(), None, view.camera
+        surface_light.read_into(light_here, slice(0, light.shape[1]), *picture)
         return relit_pixels(flat, mask, light_here, 0)
 
 

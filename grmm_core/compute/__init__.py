@@ -1,5 +1,6 @@
 """What this machine computes with.
 
+``buffers``   memory for pictures, given out again
 ``devices``   torch's devices and threads
 ``graphs``    small networks on a graphics card as CUDA graphs (imports torch)
 ``kernels``   how compiled kernels are cached (loads numba)

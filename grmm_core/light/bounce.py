@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .relight import to_linear
+from .shadows import compiled_kernels
 from .transfer import openness
 
 PATCH = 0.02  # metres
@@ -68,7 +69,12 @@ class Exchange(NamedTuple):
 
     def bounced(self, irradiance: np.ndarray, albedo: np.ndarray) -> np.ndarray:
         """Irradiance at vertices of light that left skin once, [V, 3], of what arrives there straight, [V, 3]."""
-        count = int(self.patch.max()) + 1
+        count, kernels = int(self.patch.max()) + 1, compiled_kernels()
+        if kernels is not None:
+            out, sums = np.empty((len(self.shares), 3), np.float32), np.zeros((count, 3), np.float32)
+            values = (np.ascontiguousarray(array, np.float32) for array in (irradiance, albedo))
+            kernels.bounced(self.patch, self.area, self.givers, self.shares, *values, sums, out)
+            return out
         means = np.stack([np.bincount(self.patch, self.area * irradiance[:, k], count) for k in range(3)], -1)
         result: np.ndarray = np.einsum("vk,vkc->vc", self.shares, (means * albedo).astype(np.float32)[self.givers])
         return result

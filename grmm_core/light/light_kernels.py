@@ -38,6 +38,23 @@ def interpolate(
 
 
 @compiled(**OPTIONS)
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray, out: np.ndarray) -> None:
+    """Add unit normals of a mesh to zeros, [V, 3] float64; see `transfer.vertex_normals`. Vertices likewise, faces [F, 3]."""
+    for t in range(len(faces)):
+        a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
+        ux, uy, uz = vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2]
+        vx, vy, vz = vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2]
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        for k in range(3):
+            i = faces[t, k]
+            out[i, 0], out[i, 1], out[i, 2] = out[i, 0] + nx, out[i, 1] + ny, out[i, 2] + nz
+    for i in range(len(out)):
+        length = math.sqrt(out[i, 0] * out[i, 0] + out[i, 1] * out[i, 1] + out[i, 2] * out[i, 2])
+        inverse = 1.0 / max(length, 1e-20)
+        out[i, 0], out[i, 1], out[i, 2] = out[i, 0] * inverse, out[i, 1] * inverse, out[i, 2] * inverse
+
+
+@compiled(**OPTIONS)
 def on_surface(
     vertices: np.ndarray, normals: np.ndarray, corners: np.ndarray, weights: np.ndarray, points: np.ndarray, units: np.ndarray,
     first: int, last: int,
@@ -219,6 +236,24 @@ def relative(
             light[i, k] = ratio * light[i, 6]
             light[i, 3 + k] = (light[i, 3 + k] - shine * learned[i, k] * ratio) * light[i, 6]
         light[i, 7] *= light[i, 6]
+
+
+@compiled(**OPTIONS)
+def bounced(
+    patch: np.ndarray, area: np.ndarray, givers: np.ndarray, shares: np.ndarray, irradiance: np.ndarray, albedo: np.ndarray,
+    sums: np.ndarray, out: np.ndarray,
+) -> None:  # fmt: skip
+    """Write what comes from patches of skin to vertices, [V, 3]; see `bounce.Exchange`. Zeros are `sums` [P, 3] before."""
+    for i in range(len(patch)):
+        for c in range(3):
+            sums[patch[i], c] += area[i] * irradiance[i, c]
+    red, green, blue = albedo[0], albedo[1], albedo[2]
+    for i in range(len(out)):
+        r = g = b = _0
+        for k in range(givers.shape[1]):
+            share, p = shares[i, k], givers[i, k]
+            r, g, b = r + share * sums[p, 0], g + share * sums[p, 1], b + share * sums[p, 2]
+        out[i, 0], out[i, 1], out[i, 2] = r * red, g * green, b * blue
 
 
 # --- pictures ----------------------------------------------------------------------------------------------------------------

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry.camera import Camera
+from ..pictures.color import MIN_ALPHA
 from .shadows import compiled_kernels
 
 NEAR, FAR = 0.004, 0.010  # metres between mesh and picture up to which light is the mesh's, and from which on it is not
@@ -74,7 +75,7 @@ class LitSurface(NamedTuple):
     light: np.ndarray
 
     def read_into(
-        self, channels: np.ndarray, which: slice, depth: np.ndarray, share: np.ndarray | None, camera: Camera
+        self, channels: np.ndarray, which: slice, depth: np.ndarray, alpha: np.ndarray, skin: int | None, camera: Camera
     ) -> None:
         """Put the surface's light into a picture's channels where it shows the surface.
 
@@ -82,7 +83,8 @@ class LitSurface(NamedTuple):
             channels: Of the picture, contiguous float32, [H, W, C]; changed.
             which: Of them the light: all of `light`, or without its last.
             depth: Of the picture, metres, [H, W].
-            share: How much of each pixel's cover is skin, 0..1, [H, W]; None: all.
+            alpha: Of the picture, [H, W].
+            skin: Number of the channel that holds how much of the cover is skin; None: all.
             camera: In the axes of the vertices.
         """
         local, pixels = camera.project(self.vertices)
@@ -94,15 +96,16 @@ class LitSurface(NamedTuple):
             faces, places, closed = faces[ahead], places[ahead], int(ahead[:closed].sum())
         light = np.ascontiguousarray(self.light, np.float32)
         given = seen.astype(np.float32), faces, closed, places, rows, light, camera.orthographic
-        skin = np.ones_like(depth) if share is None else np.ascontiguousarray(share, np.float32)
         if compiled_kernels() is None:
-            read(*given, channels[..., which], np.asarray(depth), skin)
+            share = np.ones_like(depth) if skin is None else channels[..., skin] / np.maximum(alpha, MIN_ALPHA)
+            read(*given, channels[..., which], np.asarray(depth), share)
             return
         from ..compute.threads import for_rows
         from .mesh_light_kernels import read as compiled_read
 
-        limits = np.array([NEAR, FAR, _LEAST_FRONT, _APART, _AT_EDGES], np.float32)
-        picture = channels, which.start, which.stop - which.start, np.ascontiguousarray(depth, np.float32), skin
+        limits = np.array([NEAR, FAR, _LEAST_FRONT, _APART, _AT_EDGES, MIN_ALPHA], np.float32)
+        depth, alpha = (np.ascontiguousarray(array, np.float32) for array in (depth, alpha))
+        picture = channels, which.start, which.stop - which.start, depth, alpha, -1 if skin is None else skin
         for_rows(compiled_read, len(depth), *given, *picture, limits, smallest=_ROWS)
 
 

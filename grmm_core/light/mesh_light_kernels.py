@@ -26,28 +26,28 @@ def _spline(way: float) -> tuple[float, float, float]:
 
 
 @compiled(inline="always", **OPTIONS)
-def _apart(places: np.ndarray, t: int, own: int, x: float, y: float, far: float) -> bool:
-    """Whether a face lies far from a place on the grid, on its `own` face; nothing, below 0, is far from everything."""
-    if t == own:
-        return False
-    if t < 0:
-        return True
-    ax, ay, bx, by, cx, cy = (
-        places[t, 0, 0],
-        places[t, 0, 1],
-        places[t, 1, 0],
-        places[t, 1, 1],
-        places[t, 2, 0],
-        places[t, 2, 1],
-    )
-    beside = max(min(ax, bx, cx) - x, x - max(ax, bx, cx))
-    return max(beside, min(ay, by, cy) - y, y - max(ay, by, cy)) > far
+def _apart(spans: np.ndarray, t: int, x: float, y: float) -> float:
+    """How far a face lies from a place on the grid, at most along column or row; below 0 where it is on the face."""
+    return max(max(spans[t, 0] - x, x - spans[t, 1]), max(spans[t, 2] - y, y - spans[t, 3]))
+
+
+@compiled(**OPTIONS)
+def _spans(places: np.ndarray) -> np.ndarray:
+    """Least and most column and row of faces [T, 3, 2], then of nothing, far from everywhere, and of everything, [T + 2, 4]."""
+    count = len(places)
+    spans = np.empty((count + 2, 4), np.float32)
+    for t in range(count):
+        for axis in range(2):
+            a, b, c = places[t, 0, axis], places[t, 1, axis], places[t, 2, axis]
+            spans[t, 2 * axis], spans[t, 2 * axis + 1] = min(a, b, c), max(a, b, c)
+    spans[count], spans[count + 1, ::2], spans[count + 1, 1::2] = _EMPTY, -_EMPTY, _EMPTY
+    return spans
 
 
 @compiled(**OPTIONS)
 def read(
     seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
-    channels: np.ndarray, start: int, count: int, depth: np.ndarray, share: np.ndarray, limits: np.ndarray,
+    channels: np.ndarray, start: int, count: int, depth: np.ndarray, alpha: np.ndarray, skin: int, limits: np.ndarray,
     first: int, last: int,
 ) -> None:  # fmt: skip
     """Read light at each pixel of some rows of a picture; see `mesh_light.read`.
@@ -64,15 +64,19 @@ def read(
         start: Of them the first of light.
         count: How many of them.
         depth: As there, [H, W].
-        share: As there, [H, W].
-        limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, [5].
+        alpha: As there, [H, W].
+        skin: As there, or below 0.
+        limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, and the least cover, [6].
         first: Row of the picture.
         last: The row after the last.
     """
     height, width = depth.shape
     above, below = max(first - 1, 0), min(last + 1, height)  # edges are seen from both sides
     nearest = np.full((below - above, width), _EMPTY, np.float32)
-    number = np.full((below - above, width), -1, np.int32)
+    # faces, between columns that border on everything: branches on neighbors would cost more than looking at them
+    nothing, anything = len(faces), len(faces) + 1
+    number = np.full((below - above + 2, width + 2), nothing, np.int32)
+    number[:, 0] = number[:, width + 1] = number[0] = number[below - above + 1] = anything
     for t in range(len(faces)):
         a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
         ax, ay, bx, by, cx, cy = seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1]
@@ -95,26 +99,28 @@ def read(
             dx, dy = np.float32(left) + _HALF - ax, np.float32(row) + _HALF - ay
             u, v = u_x * dx + u_y * dy, v_x * dx + v_y * dy
             for column in range(left, right + 1):
-                if u >= _0 and v >= _0 and u + v <= _1:
-                    value = base + u * to_b + v * to_c
-                    deep = value if flat else _1 / value
-                    if deep < nearest[row - above, column]:
-                        nearest[row - above, column] = deep
-                        number[row - above, column] = t
+                value = base + u * to_b + v * to_c
+                deep = value if flat else _1 / value
+                before = nearest[row - above, column]
+                nearer = min(u, v, _1 - u - v) >= _0 and deep < before  # without branches, which small faces take at random
+                nearest[row - above, column] = deep if nearer else before
+                number[row - above + 1, column + 1] = t if nearer else number[row - above + 1, column + 1]
                 u += u_x
                 v += v_x
     slope, most, apart = _1 / (limits[1] - limits[0]), len(rows) - 2, limits[3]
-    total = np.empty(CHANNELS, np.float32)
+    total, spans = np.empty(CHANNELS, np.float32), _spans(places)
     for row in range(first, last):
         line = row - above
         for column in range(width):
-            t = number[line, column]
-            if t < 0:
+            t = number[line + 1, column + 1]
+            if t == nothing:
                 continue
             deep = nearest[line, column]
-            amount = min((limits[1] - abs(depth[row, column] - deep)) * slope, _1) * share[row, column]
+            amount = min((limits[1] - abs(depth[row, column] - deep)) * slope, _1)
             if amount <= _0:
                 continue
+            if skin >= 0:
+                amount *= channels[row, column, skin] / max(alpha[row, column], limits[5])
             a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
             ax, ay, bx, by, cx, cy = seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1]
             inverse = _1 / ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay))
@@ -139,11 +145,9 @@ def read(
             front = total[_FRONT]
             if front < limits[2]:
                 continue
-            edge = column > 0 and _apart(places, number[line, column - 1], t, x, y, apart)
-            edge = edge or (column < width - 1 and _apart(places, number[line, column + 1], t, x, y, apart))
-            edge = edge or (row > 0 and _apart(places, number[line - 1, column], t, x, y, apart))
-            edge = edge or (row < height - 1 and _apart(places, number[line + 1, column], t, x, y, apart))
-            if edge:
+            beside = max(_apart(spans, number[line + 1, column], x, y), _apart(spans, number[line + 1, column + 2], x, y))
+            under = max(_apart(spans, number[line, column + 1], x, y), _apart(spans, number[line + 2, column + 1], x, y))
+            if max(beside, under) > apart:
                 amount *= limits[4]
             factor = channels[row, column, start + _FRONT] / front
             for channel in range(count):

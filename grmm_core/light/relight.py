@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 
+from ..compute.buffers import empty
 from ..geometry.libraries import Array, library_of
 from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_TOE_SLOPE
 from .shadows import compiled_kernels
@@ -58,7 +59,7 @@ def relit_pixels(rgb: np.ndarray, alpha: np.ndarray, channels: np.ndarray, start
         return relit(rgb, alpha, light[..., :3], light[..., 3:6])
     from ..compute.threads import for_rows
 
-    out = np.empty(rgb.shape, np.float32)
+    out = empty(rgb.shape)
     flat = (np.ascontiguousarray(array, np.float32) for array in (rgb.reshape(-1, 3), alpha.reshape(-1)))
     light = channels.reshape(-1, channels.shape[-1])
     for_rows(kernels.relit, alpha.size, *flat, light, start, *_tables(), MIN_ALPHA, _MOST, out.reshape(-1, 3))

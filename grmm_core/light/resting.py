@@ -82,13 +82,13 @@ class Texels(NamedTuple):
             points, around = self.at(vertices), vertices[self.corners]
             below = np.einsum("nkc,nkc->nk", normals[self.corners], around - points[:, None]).clip(0.0, None)
             lift = 0.5 * np.einsum("nk,nkc->nc", below * self.barycentric, normals[self.corners])
-            return Receivers.around((points + lift).astype(np.float32), self.at(normals, as_unit=True))
+            return Receivers.around((points + lift).astype(np.float32), self.at(normals, as_unit=True), vertices)
         from ..compute.threads import for_rows
 
         out = np.empty((2, len(self.corners), 3), np.float32)
         given = (np.ascontiguousarray(array, np.float32) for array in (vertices, normals))
         for_rows(kernels.on_surface, len(self.corners), *given, self.corners, self.barycentric, *out)
-        return Receivers.around(*out)
+        return Receivers.around(out[0], out[1], vertices)
 
 
 class RestLight(NamedTuple):

@@ -190,12 +190,15 @@ def shade(
     out = np.empty((len(receivers.points), 8), np.float32)
     scattering = response.scattering
     factors = [response.intensity, response.gloss, *(WANDER * scattering), FADING, LEAST_FRONT, *(SOFTER * scattering)]
-    arrays = (
-        lamp_rows(lamps, receivers.centre), receivers.points, receivers.normals, seen.reshape(len(lamps), len(out)),
-        np.stack([*vars(materials).values()]), rows, eye, np.eye(3) if turn is None else turn, harmonics,
-        harmonics * _MIRROR_BANDS[:, None], np.array(factors),
+    before = lamp_rows(lamps, receivers.centre), receivers.points, receivers.normals, seen.reshape(len(lamps), len(out))
+    behind = (
+        rows, eye, np.eye(3) if turn is None else turn, harmonics, harmonics * _MIRROR_BANDS[:, None], np.array(factors)
     )  # fmt: skip
-    for_rows(skin_light_kernel.shade, len(out), *(np.ascontiguousarray(array, np.float32) for array in arrays), out)
+    first, looks, last = (
+        tuple(np.ascontiguousarray(array, np.float32) for array in arrays)
+        for arrays in (before, vars(materials).values(), behind)
+    )  # fmt: skip
+    for_rows(skin_light_kernel.shade, len(out), *first, looks, *last, out)
     return Arrived(out)
 
 

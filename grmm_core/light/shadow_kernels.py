@@ -22,7 +22,7 @@ _LEVEL = np.float32(0.02)  # change of a face's reciprocal depth that counts as 
 @compiled(**OPTIONS)
 def draw_map(
     vertices: np.ndarray, faces: np.ndarray, closed: int, turn: np.ndarray, shift: np.ndarray, focal: float, flat: bool,
-    near: float, depth: np.ndarray, crossing: np.ndarray,
+    near: float, depth: np.ndarray, empty: float, crossing: np.ndarray,
 ) -> int:  # fmt: skip
     """Write the nearest depths of a mesh into a square map, as `geometry.zbuffer.triangle_depth` has them.
 
@@ -35,14 +35,16 @@ def draw_map(
         focal: Pixels; of an orthographic map pixels a metre.
         flat: Whether it is orthographic.
         near: What is nearer is not drawn, metres.
-        depth: Written, [R, R]; holds the farthest value before.
+        depth: Written, [R, R].
+        empty: Depth where nothing is.
         crossing: Written from the start: faces that lie on both sides of `near`, which are not drawn, [T].
 
     Returns:
         Their number.
     """
     side = depth.shape[0]
-    middle, scale, count = np.float32(0.5 * side), np.float32(focal), 0
+    middle, scale, far, count = np.float32(0.5 * side), np.float32(focal), np.float32(empty), 0
+    depth[:] = far
     seen = np.empty((len(vertices), 3), np.float32)  # column, row, and what is linear on the map
     deep = np.empty(len(vertices), np.bool_)
     for i in range(len(vertices)):
@@ -84,10 +86,10 @@ def draw_map(
         dx, dy = np.float32(left) + _HALF - ax, np.float32(top) + _HALF - ay
         for row in range(top, bottom + 1):
             u, v = u_x * dx + u_y * dy, v_x * dx + v_y * dy
-            for column in range(left, right + 1):
-                if u >= _0 and v >= _0 and u + v <= _1:
-                    value = base + u * to_b + v * to_c
-                    depth[row, column] = min(depth[row, column], value if straight else _1 / value)
+            for column in range(left, right + 1):  # without branches, which small faces would take at random
+                value = base + u * to_b + v * to_c
+                value = value if straight else _1 / value
+                depth[row, column] = min(depth[row, column], value if min(u, v, _1 - u - v) >= _0 else far)
                 u += u_x
                 v += v_x
             dy += _1
@@ -248,5 +250,20 @@ def same_around(some: np.ndarray, between: np.ndarray, alike: float, known: np.n
             known[i] = np.float32(0.25) * (a + b + c + d)
         else:
             left[count] = i
+            count += 1
+    return count
+
+
+@compiled(**OPTIONS)
+def at_edges(long: np.ndarray, beside: np.ndarray, step: float, known: np.ndarray, found: np.ndarray) -> int:
+    """Write from the start of `found` [M] which of the points `long` [M] see another part than those `beside` [M, 2].
+
+    They differ by more than `step`; where `known` [N] is below 0, nothing is. Returns how many there are.
+    """
+    count = 0
+    for j in range(len(long)):
+        own, one, other = known[long[j]], known[beside[j, 0]], known[beside[j, 1]]
+        if min(own, one, other) >= _0 and max(abs(one - own), abs(other - own)) > step:
+            found[count] = j
             count += 1
     return count

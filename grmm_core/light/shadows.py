@@ -52,9 +52,9 @@ class Receivers:
     radius: float
 
     @staticmethod
-    def around(points: np.ndarray, normals: np.ndarray) -> Receivers:
-        """With box and ball around the points."""
-        columns = [points[:, k] for k in range(3)]  # much faster than along the first axis
+    def around(points: np.ndarray, normals: np.ndarray, within: np.ndarray | None = None) -> Receivers:
+        """With box and ball around the points, or around fewer others that they lie between."""
+        columns = [(points if within is None else within)[:, k] for k in range(3)]  # much faster than along the first axis
         low, high = np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
         centre, corners = 0.5 * (low + high), _SIGNS * (0.5 * (high - low) + _LEAST)
         return Receivers(points, normals, centre, corners, float(np.linalg.norm(corners[0])))
@@ -138,20 +138,22 @@ class Maps(NamedTuple):
         return result
 
     def reaching(self, points: np.ndarray) -> np.ndarray:
-        """Which part of the lamp's light reaches points [N, 3] among hair, 0..1, [N] float32.
+        """Which part of the lamp's light reaches points [N, 3] among hair, 0..1, [N] float32, from places across the lamp.
 
         Hair lets light in: a point is lit down to `_SHALLOW` metres behind what the map holds and dark from `_DEEP` on, so that
         shadows on strands are soft and wander smoothly. Points need no normals, and those just inside a head are lit as the
         hair on it.
         """
+        step = math.isqrt(len(self.depths)) + 1  # along the diagonal: what is soft already needs no more
+        across = Maps(self.depths[::step], self.turns[::step], self.shifts[::step], self.focals[::step], self.flat)
         if compiled_kernels() is None:
-            parts = [softly(depth, points, one) for depth, one in self.each]
+            parts = [softly(depth, points, one) for depth, one in across.each]
             mean: np.ndarray = np.mean(parts, 0, np.float32)
             return mean
         from . import shadow_kernels as kernels
 
         seen = np.empty(len(points), np.float32)
-        self._for_points(kernels.softly, seen, len(points), np.array([_SHALLOW, _DEEP], np.float32), points)
+        across._for_points(kernels.softly, seen, len(points), np.array([_SHALLOW, _DEEP], np.float32), points)
         return seen
 
     def _for_points(
@@ -161,7 +163,8 @@ class Maps(NamedTuple):
 
         given = [np.ascontiguousarray(array, np.float32) for array in arrays]
         some = () if rows is None else (np.ascontiguousarray(rows, np.int32),)
-        for_rows(kernel, count, *self[:4], bool(self.flat), _NEAR, *given, *some, seen)
+        maps = (np.ascontiguousarray(array) for array in self[:4])
+        for_rows(kernel, count, *maps, bool(self.flat), _NEAR, *given, *some, seen)
 
 
 def maps_of(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float = 1.0) -> Maps:
@@ -177,8 +180,8 @@ def maps_of(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float 
     side = RESOLUTION if len(places) == 1 else SOFT_RESOLUTION
     each = [_map_at(lamp, place, receivers, side) for place in places]
     turns, shifts, focals, flat = (np.array(column) for column in zip(*each, strict=True))
-    empty = np.full((len(each), side, side), EMPTY, np.float32)
-    maps = Maps(empty, turns.astype(np.float32), shifts.astype(np.float32), focals.astype(np.float32), flat[0])
+    depths = np.empty((len(each), side, side), np.float32)
+    maps = Maps(depths, turns.astype(np.float32), shifts.astype(np.float32), focals.astype(np.float32), flat[0])
     if compiled_kernels() is None:
         for depth, one in zip(maps.depths, each, strict=True):
             depth[:] = drawn(casters, one, side)
@@ -190,7 +193,7 @@ def maps_of(lamp: Lamp, receivers: Receivers, casters: Casters, softness: float 
 
     def look(number: int) -> None:
         (depth, *place), crossing = (array[number] for array in maps[:4]), np.empty(len(faces), np.int32)
-        cut = kernels.draw_map(vertices, faces, casters.closed, *place, each[0].flat, _NEAR, depth, crossing)
+        cut = kernels.draw_map(vertices, faces, casters.closed, *place, each[0].flat, _NEAR, depth, EMPTY, crossing)
         if cut:
             some = casters._replace(faces=casters.faces[crossing[:cut]])
             np.minimum(depth, drawn(some, each[number], side), out=depth)

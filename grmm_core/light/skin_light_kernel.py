@@ -45,8 +45,8 @@ def _mirrored(rough: float, reflectance: float, facing: float) -> float:
 
 @compiled(**OPTIONS)
 def _find(
-    w: np.ndarray, points: np.ndarray, normals: np.ndarray, looks: np.ndarray, rows: np.ndarray, eye: np.ndarray, first: int,
-    last: int,
+    w: np.ndarray, points: np.ndarray, normals: np.ndarray, looks: tuple[np.ndarray, ...], rows: np.ndarray, eye: np.ndarray,
+    first: int, last: int,
 ) -> None:  # fmt: skip
     """Write what the lamps have in common of points `first` to `last`, the last one as often as the block has room."""
     for j in range(_B):
@@ -54,8 +54,8 @@ def _find(
         w[_POINT + j], w[_POINT + _B + j], w[_POINT + 2 * _B + j] = points[i, 0], points[i, 1], points[i, 2]
         w[_NORMAL + j], w[_NORMAL + _B + j], w[_NORMAL + 2 * _B + j] = normals[i, 0], normals[i, 1], normals[i, 2]
         for k in range(5):
-            w[_LOOK + k * _B + j] = looks[k, i]
-        w[_WANDER + j], w[_WANDER + _B + j] = looks[5, i], looks[5, i] * looks[6, i]
+            w[_LOOK + k * _B + j] = looks[k][i]
+        w[_WANDER + j], w[_WANDER + _B + j] = looks[5][i], looks[5][i] * looks[6][i]
         for k in range(9):
             w[_ROWS + k * _B + j] = rows[i, k]
     for j in range(_B):
@@ -86,9 +86,9 @@ def _coming_through(w: np.ndarray, seen: np.ndarray, factors: np.ndarray, first:
 
 @compiled(**OPTIONS)
 def shade(
-    lamps: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, looks: np.ndarray, rows: np.ndarray,
-    eye: np.ndarray, turn: np.ndarray, colors: np.ndarray, mirrors: np.ndarray, factors: np.ndarray, out: np.ndarray,
-    first: int, last: int,
+    lamps: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, looks: tuple[np.ndarray, ...],
+    rows: np.ndarray, eye: np.ndarray, turn: np.ndarray, colors: np.ndarray, mirrors: np.ndarray, factors: np.ndarray,
+    out: np.ndarray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Light at Gaussians of skin: what `shading.transport` and `Transport.light` give together.
 
@@ -97,7 +97,7 @@ def shade(
         points: [N, 3].
         normals: [N, 3].
         seen: Below 0 where nobody asks, [L, N].
-        looks: `Materials`, [7, N].
+        looks: `Materials`, seven [N].
         rows: Of `transfer.transfer`, [N, 9].
         eye: [3].
         turn: From the axes of `rows` to those of the points, [3, 3].

@@ -135,13 +135,26 @@ class TexelShadows(NamedTuple):
 
     def _averaged(self, maps: Maps, receivers: Receivers, known: np.ndarray, vertices: np.ndarray) -> None:
         """Put the mean of several places into long texels that see quite another part of the lamp than what is beside them."""
-        own, one, other = known[self.long], known[self.beside[:, 0]], known[self.beside[:, 1]]
-        differs = np.maximum(np.abs(one - own), np.abs(other - own)) > _STEP
-        some = np.flatnonzero(differs & (own >= 0.0) & (one >= 0.0) & (other >= 0.0))
-        if not len(some):
+        number = self._at_edges(known)
+        if not len(number):
             return
-        number = self.long[some]
-        axis = np.einsum("mk,mkx->mx", self.along[some], vertices[self.corners[some]])
-        points = (receivers.points[number, None] + _PLACES[:, None] * axis[:, None]).reshape(-1, 3)
-        there = dataclasses.replace(receivers, points=points, normals=np.repeat(receivers.normals[number], len(_PLACES), 0))
-        known[number] = maps.seen(there).reshape(-1, len(_PLACES)) @ _WEIGHTS
+        some, points = self.long[number], self._places(number, receivers.points, vertices)
+        there = dataclasses.replace(receivers, points=points, normals=np.repeat(receivers.normals[some], len(_PLACES), 0))
+        known[some] = maps.seen(there).reshape(-1, len(_PLACES)) @ _WEIGHTS
+
+    def _at_edges(self, known: np.ndarray) -> np.ndarray:
+        """Which of the long texels lie at the edge of a shadow, [K]."""
+        if compiled_kernels() is None:
+            own, one, other = known[self.long], known[self.beside[:, 0]], known[self.beside[:, 1]]
+            differs = np.maximum(np.abs(one - own), np.abs(other - own)) > _STEP
+            return np.flatnonzero(differs & (own >= 0.0) & (one >= 0.0) & (other >= 0.0))
+        from .shadow_kernels import at_edges
+
+        found = np.empty(len(self.long), np.int32)
+        return found[: at_edges(self.long, self.beside, np.float32(_STEP), known, found)]
+
+    def _places(self, number: np.ndarray, points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+        """Places on some of the long texels, `_PLACES` on each, [K * P, 3]; points of all texels [N, 3]."""
+        axis = np.einsum("mk,mkx->mx", self.along[number], vertices[self.corners[number]])
+        there: np.ndarray = (points[self.long[number], None] + _PLACES[:, None] * axis[:, None]).reshape(-1, 3)
+        return there

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from .lamps import Sun
-from .shadows import Casters, Receivers, visible
+from .shadows import Casters, Receivers, compiled_kernels, visible
 from .surroundings import basis, sphere
 
 DIRECTIONS = 96
@@ -44,6 +44,11 @@ def openness(rows: np.ndarray) -> np.ndarray:
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Unit normals of a mesh, by area, [V, 3]."""
+    kernels = compiled_kernels()
+    if kernels is not None:
+        normals = np.zeros((len(vertices), 3))
+        kernels.vertex_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32), normals)
+        return normals
     corners = vertices[faces]
     flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     summed = np.stack([np.bincount(faces.ravel(), np.repeat(flat[:, k], 3), len(vertices)) for k in range(3)], -1)

@@ -32,11 +32,9 @@ from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..hair.ribbons import Eye
 from ..light.mesh_light import LitSurface
 from ..light.relight import relit, relit_pixels
-from ..light.shadows import compiled_kernels
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
-from ..pictures.color import MIN_ALPHA
 from ..splat.compensation import compensation
 from ..splat.types import Gaussians, RasterOutput
 from .api import CancelCheck
@@ -44,6 +42,7 @@ from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, Hair, LitAvatar
 from .passes import ROUNDING, Channels, buffers, empty, light_of, strands_of
+from .stacking import with_light
 from .values import LIGHT_PASSES, LINEAR_PASS, RAW_LINEAR_PASS, Instance, RenderOptions
 from .wardrobe import Wardrobe, Worn, at_rest
 
@@ -142,27 +141,12 @@ def _read_from_meshes(gathered: Gathered, raster: RasterOutput[Any], camera: Cam
     if channels.light is None or not any(gathered.surfaces):
         return raster
     features, depth = to_numpy(present(raster.features)), to_numpy(raster.depth)
-    share = None
-    if channels.skin is not None:
-        share = _skin_share(to_numpy(raster.alpha), features[..., channels.skin])
+    alpha = to_numpy(raster.alpha)
     for item, surface in zip(gathered.placed, gathered.surfaces, strict=True):
         if surface is not None:
             local = camera.transformed(item.instance.model_to_world)
-            surface.read_into(features, channels.light, depth, share, local)
+            surface.read_into(features, channels.light, depth, alpha, channels.skin, local)
     return dataclasses.replace(raster, features=as_like(features, present(raster.features)))
-
-
-def _skin_share(alpha: np.ndarray, skin: np.ndarray) -> np.ndarray:
-    """How much of the cover `alpha` is `skin`, both [H, W]."""
-    if compiled_kernels() is None:
-        result: np.ndarray = skin / np.maximum(alpha, MIN_ALPHA)
-        return result
-    from ..compute.threads import for_rows
-    from .cover_kernels import skin_share
-
-    share = np.empty_like(alpha)
-    for_rows(skin_share, len(share), alpha, skin, MIN_ALPHA, share, smallest=_ROWS_MIN)
-    return share
 
 
 def _relit(refined: Any, raster: RasterOutput[Any], which: slice) -> Any:
@@ -261,6 +245,9 @@ def _gaussians(
     if strands is not None:
         own = Gaussians.concatenate([dataclasses.replace(own, features=None), strands])
     own_slice = None if item.model is None else channels.features.get(id(item.model))
+    light: list[np.ndarray] = []
+    if channels.light is not None:
+        light, surface = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own))
     if channels.count == 0:
         stacked = None
     elif strands is None and own_slice is not None and own_slice == slice(0, channels.count):
@@ -268,6 +255,9 @@ def _gaussians(
     elif own_slice is not None and isinstance(item, PlacedAvatar) and not channels.vary:
         ones = [] if channels.skin is None else [channels.skin]
         stacked = evaluator.with_channels(item.target, present(features), own_slice, ones, channels.count, len(own))
+    elif channels.light is not None and channels.normals is None and channels.coverage is None:
+        skin = present(features) if own_slice is not None else own.means[:count]
+        stacked = with_light(skin, own_slice, channels.skin, light, channels.light, channels.count)
     else:
         stacked = zeros((len(own), channels.count), own.means)
         if own_slice is not None:
@@ -281,11 +271,8 @@ def _gaussians(
         if channels.skin is not None:
             stacked[:count, channels.skin] = 1.0
         if channels.light is not None:
-            (light, surface), first = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own)), 0
-            for rows in light:
-                here = evaluator.engine.array(rows[:, : channels.light.stop - channels.light.start])
-                stacked[first : first + len(rows), channels.light] = here
-                first += len(rows)
+            lit = np.concatenate(light)[:, : channels.light.stop - channels.light.start]
+            stacked[:, channels.light] = evaluator.engine.array(lit)
     means, quats, scales = own.means, own.quats, own.scales
     if not single:
         to_camera = camera.world_to_camera @ model_to_world

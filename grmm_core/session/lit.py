@@ -339,7 +339,7 @@ class LitAvatar:
             return found.points, found.normals
 
         key = (self._target.id, "receivers", self._lod, *self._inputs.mesh_key)
-        return Receivers.around(*self._evaluator.cache.get(key, make))
+        return Receivers.around(*self._evaluator.cache.get(key, make), self._vertices)
 
     @functools.cached_property
     def _cloud(self) -> HairCloud | None:

@@ -21,7 +21,7 @@ Map:
         tiling.py, blocks.py   a tile's blocks of pixels, and which Gaussian reaches which
         forward.py     blending of a tile
         backward.py    gradients of a tile, and their sums per Gaussian
-        simd.py, buffers.py, jit.py   vectors in kernels, memory of pictures, how kernels compile
+        simd.py, jit.py   vectors in kernels, how kernels compile
         count.py       how much work a drawing was, for `grmm bench`
     cuda/         backend "cuda": gsplat where that is installed, else own kernels without nvcc
         adapter.py     the choice between them; a check of the graphics card

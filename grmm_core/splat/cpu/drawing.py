@@ -10,11 +10,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...compute import buffers
 from ...compute.threads import TASKS, for_each, pieces, thread_count
 from ...errors import BackendError
 from ..rules import TILE, View
 from ..types import GaussianArrays, PictureArrays
-from . import backward, binning, blocks, buffers, forward, projection, records, tiling
+from . import backward, binning, blocks, forward, projection, records, tiling
 
 CHUNK_MIN, TILES_MIN = 2048, 4  # smallest task
 CHUNKS_MAX = 64  # chunks of Gaussians; each counts every tile

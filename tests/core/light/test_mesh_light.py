@@ -16,7 +16,7 @@ from grmm_core.light.resting import casting_numbers
 from grmm_core.model.layout import texel_layout
 
 GRID, SIDE = 256, 96
-LIGHT = slice(2, 10)
+LIGHT, SKIN = slice(2, 10), 1
 
 
 @pytest.fixture(scope="module")
@@ -55,11 +55,12 @@ def test_compiled_light_is_the_readable_one(head, orthographic, monkeypatch):
     if orthographic:
         camera = dataclasses.replace(camera, fx=300.0, fy=300.0, orthographic=True)
     depth = seen(one, camera) + g.normal(0.0, 0.004, (SIDE + 10, SIDE)).astype(np.float32)
-    share, before = g.random(depth.shape, np.float32), pictures(camera, g)
+    alpha, before = g.random(depth.shape, np.float32), pictures(camera, g)
+    before[..., SKIN] = alpha * g.random(depth.shape, np.float32)
     fast, slow = before.copy(), before.copy()
-    one.read_into(fast, LIGHT, depth, share, camera)
+    one.read_into(fast, LIGHT, depth, alpha, SKIN, camera)
     monkeypatch.setattr(mesh_light, "compiled_kernels", lambda: None)
-    one.read_into(slow, LIGHT, depth, share, camera)
+    one.read_into(slow, LIGHT, depth, alpha, SKIN, camera)
     assert (np.abs(slow - before).max(-1) > 0.05).mean() > 0.1
     off = np.abs(fast - slow).max(-1) > 1e-3
     assert off.mean() < 2e-3  # pixels whose middle lies on an edge may see the other face
@@ -72,7 +73,7 @@ def test_light_stands_where_the_mesh_is_and_keeps_its_cover(head):
     depth = seen(one, camera)
     channels = np.zeros((SIDE, SIDE, 8), np.float32)
     channels[..., FRONT] = 0.5
-    one.read_into(channels, slice(0, 8), depth, None, camera)
+    one.read_into(channels, slice(0, 8), depth, depth, None, camera)
     heights = (camera.cy - np.arange(SIDE)[:, None] - 0.5) / camera.fy * depth
     inside = np.abs(np.roll(depth, 1, 0) - np.roll(depth, -1, 0)) + np.abs(np.roll(depth, 1, 1) - np.roll(depth, -1, 1)) < 0.005
     off = np.abs(channels[..., 0] / 0.5 / 10.0 - heights)[inside & (depth < 5.0)]
@@ -88,18 +89,19 @@ def test_what_stands_before_or_behind_the_mesh_keeps_its_light(head):
     depth = seen(one, camera)
     for away, changed in ((0.5 * NEAR, True), (FAR + 1e-3, False), (-FAR - 1e-3, False)):
         channels = np.full((SIDE, SIDE, 8), 0.25, np.float32)
-        one.read_into(channels, slice(0, 8), depth + np.float32(away), None, camera)
+        one.read_into(channels, slice(0, 8), depth + np.float32(away), depth, None, camera)
         assert (channels[..., 0] != 0.25).any() == changed
-    channels = np.full((SIDE, SIDE, 8), 0.25, np.float32)
-    one.read_into(channels, slice(0, 8), depth, np.zeros_like(depth), camera)  # all strands
-    assert (channels == 0.25).all()
+    channels = np.full((SIDE, SIDE, 9), 0.25, np.float32)
+    channels[..., 8] = 0.0
+    one.read_into(channels, slice(0, 8), depth, np.ones_like(depth), 8, camera)  # all strands
+    assert (channels[..., :8] == 0.25).all()
 
 
 def test_an_edge_of_light_is_as_sharp_as_texels(head):
     one = lit(head, lambda places: np.concatenate([places[:, :1] > 0.0, np.ones((len(places), 7))], 1))
     camera = Camera.orbit(256, 256, fov=8.0, target=(0.0, 0.09, 0.0))  # the forehead, 0.55 mm a pixel
     channels = np.ones((256, 256, 8), np.float32)
-    one.read_into(channels, slice(0, 8), seen(one, camera), None, camera)
+    one.read_into(channels, slice(0, 8), *2 * (seen(one, camera),), None, camera)
     row = channels[128, :, 0]
     between = ((row > 0.02) & (row < 0.98)).sum()
     assert row.min() < 0.01
@@ -116,7 +118,7 @@ def test_a_picture_does_not_depend_on_how_it_is_shared_out(head, monkeypatch):
     for rows in (SIDE, 7):
         monkeypatch.setattr(mesh_light, "_ROWS", rows)
         results.append(before.copy())
-        one.read_into(results[-1], LIGHT, depth, None, camera)
+        one.read_into(results[-1], LIGHT, depth, depth, None, camera)
     np.testing.assert_array_equal(*results)
 
 
@@ -124,5 +126,5 @@ def test_faces_at_the_camera_are_left_out(head):
     one = lit(head, by_height)
     camera = Camera.orbit(SIDE, SIDE, distance=0.05)
     channels = np.ones((SIDE, SIDE, 8), np.float32)
-    one.read_into(channels, slice(0, 8), seen(one, camera), None, camera)
+    one.read_into(channels, slice(0, 8), *2 * (seen(one, camera),), None, camera)
     assert np.isfinite(channels).all()

@@ -91,7 +91,7 @@ def test_compiled_shadow_maps_are_the_readable_ones(lamp):
     depth, crossing = np.full((RESOLUTION, RESOLUTION), 1e30, np.float32), np.empty(len(casters.faces), np.int32)
     meshes = casters.vertices.astype(np.float32), casters.faces.astype(np.int32)
     place = seen_from.turn.astype(np.float32), seen_from.shift.astype(np.float32)
-    cut = kernels.draw_map(*meshes, 0, *place, seen_from.focal, seen_from.flat, 1e-3, depth, crossing)
+    cut = kernels.draw_map(*meshes, 0, *place, seen_from.focal, seen_from.flat, 1e-3, depth, 1e30, crossing)
     if cut:
         np.minimum(depth, drawn(casters._replace(faces=casters.faces[crossing[:cut]]), seen_from), out=depth)
     assert (np.abs(np.minimum(depth, 99.0) - np.minimum(readable, 99.0)) < 1e-3).mean() > 0.998  # but for edges

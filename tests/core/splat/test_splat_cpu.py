@@ -199,13 +199,13 @@ def test_memory_of_dropped_pictures_is_used_again_and_held_pictures_are_left_alo
 
 
 def kept_bytes():
-    from grmm_core.splat.cpu import buffers
+    from grmm_core.compute import buffers
 
     return sum(one.nbytes for one in buffers._free)
 
 
 def test_kept_memory_is_bounded(monkeypatch):
-    from grmm_core.splat.cpu import buffers
+    from grmm_core.compute import buffers
 
     monkeypatch.setattr(buffers, "KEPT_BYTES", 3 << 20)
     held = [buffers.empty((1 << 18,)) for _ in range(6)]

@@ -8,6 +8,7 @@ refinement network and its depth range look at the whole avatar: a region then e
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import bpy
 import numpy as np
@@ -18,8 +19,8 @@ from .. import events, session_host
 from ..hair import read
 from ..scene.cameras import Eye, render_region, scene_camera
 from ..scene.meshes import MeshCache
-from ..scene.shot import Frame, Region
-from ..scene.walk import drawn_objects, take_frame
+from ..scene.shot import Frame, Occluders, Region
+from ..scene.walk import begin_frame, drawn_objects
 from . import output, passes, picture, pipeline
 from .occlusion import OccluderDepths
 from .passes import COMBINED
@@ -81,12 +82,15 @@ def _render(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> N
     if _has_window:
         _show_before(engine, region, view_layer.name, views)
     values: dict[str, dict[str, np.ndarray]] = {}  # by view, then pass
-    for index, view in enumerate(views):
-        if view:
-            engine.active_view_set(view)
-        report = _Progress(engine, index / len(views), 1.0 / len(views))
-        values[view] = _view_values(engine, depsgraph, settings, items, region, report)
-    _write(engine, region, view_layer.name, values)
+    with _Result(engine, region, view_layer.name) as result:
+        for index, view in enumerate(views):
+            if view:
+                engine.active_view_set(view)
+            report = _Progress(engine, index / len(views), 1.0 / len(views))
+            beside = None if view else result.begin
+            values[view] = _view_values(engine, depsgraph, settings, items, region, report, beside)
+        for view, passes_of in values.items():
+            result.write(passes_of, view)
     if _has_window:
         _before.update({(view_layer.name, view): passes_of[COMBINED] for view, passes_of in values.items()})
 
@@ -98,15 +102,18 @@ def _view_values(
     items: list[passes.RenderPass],
     region: Region,
     progress: _Progress,
+    beside: Callable[[], object] | None = None,
 ) -> dict[str, np.ndarray]:
-    """Return the passes of one eye, each [H, W, C] of the region."""
+    """Return the passes of one eye, each [H, W, C] of the region; `beside` may be called while a worker draws."""
     scene = depsgraph.scene_eval
     if not scene.render.use_motion_blur:
-        frame = _take_frame(engine, depsgraph)
+        frame, meshes = _begin_frame(engine, depsgraph)
         if not frame.scene.avatars:
             engine.report({"WARNING"}, NO_AVATARS)
         _report_notes(engine, frame)
-        return pipeline.frame_values(frame, settings, items, region, engine.test_break, progress, _depths)
+        if meshes is not None and beside is not None:
+            meshes = _after(beside, meshes)
+        return pipeline.frame_values(frame, settings, items, region, engine.test_break, progress, _depths, meshes)
     # Blur: the mean of pictures spread evenly over the shutter time. Positions and codes cannot be averaged, so depth and
     # normals are those of the middle of the shutter.
     steps = scene.grmm_render.motion_steps
@@ -117,10 +124,10 @@ def _view_values(
         for step, offset in enumerate(offsets):
             _set_time(engine, start + offset)
             part = progress.part(step / steps, 1.0 / steps)
-            frame = _take_frame(engine, depsgraph)
+            frame, meshes = _begin_frame(engine, depsgraph)
             if step == 0:
                 _report_notes(engine, frame)
-            found = pipeline.frame_values(frame, settings, items, region, engine.test_break, part, _depths)
+            found = pipeline.frame_values(frame, settings, items, region, engine.test_break, part, _depths, meshes)
             for item in items:
                 if item.kind in ("depth", "normal"):
                     if step == steps // 2:
@@ -139,8 +146,10 @@ def _report_notes(engine: bpy.types.RenderEngine, frame: Frame) -> None:
         engine.report({"WARNING"}, note)
 
 
-def _take_frame(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) -> Frame:
-    """Copy what a picture of the depsgraph's moment needs, as the eye that is being rendered sees it."""
+def _begin_frame(
+    engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph
+) -> tuple[Frame, Callable[[], Occluders] | None]:
+    """Copy what a picture of the depsgraph's moment needs, as the eye that is being rendered sees it. See `begin_frame`."""
     scene = depsgraph.scene_eval
     camera = scene_camera(depsgraph, engine.camera_override)
     # Off-axis stereo shifts the lens of each eye; a camera by itself knows of its own shift only.
@@ -149,28 +158,57 @@ def _take_frame(engine: bpy.types.RenderEngine, depsgraph: bpy.types.Depsgraph) 
     eye = Eye(np.array(engine.camera_model_matrix(camera), np.float64), shift)
     _meshes.doubt()  # the depsgraph may be another one: nothing says what has changed
     size = engine.resolution_x, engine.resolution_y
-    return take_frame(depsgraph, size, camera, eye, scene.grmm_render.use_occlusion, _meshes)
+    return begin_frame(depsgraph, size, camera, eye, scene.grmm_render.use_occlusion, _meshes)
 
 
 def _show_before(engine: bpy.types.RenderEngine, region: Region, layer: str, views: list[str]) -> None:
     """Show the picture of the frame before until there is a new one; Blender empties its window with every frame."""
     known = {view: _before[layer, view] for view in views if (layer, view) in _before}
     if known and all(last.shape[:2] == (region.height, region.width) for last in known.values()):
-        _write(engine, region, layer, {view: {COMBINED: last} for view, last in known.items()})
+        with _Result(engine, region, layer) as result:
+            for view, last in known.items():
+                result.write({COMBINED: last}, view)
 
 
-def _write(engine: bpy.types.RenderEngine, region: Region, layer: str, values: dict[str, dict[str, np.ndarray]]) -> None:
-    """Hand finished passes to Blender; nothing before this point can leave a half result behind."""
-    for view, view_values in values.items():
-        result = engine.begin_result(0, 0, region.width, region.height, layer=layer, view=view)
-        cancelled = True
-        try:
-            for target in result.layers[0].passes:
-                if target.name in view_values:
-                    target.rect.foreach_set(picture.blender_rows(view_values[target.name]))
-            cancelled = False
-        finally:
-            engine.end_result(result, cancel=cancelled)
+class _Result:
+    """Blender's result of a view layer; whatever happens, what was begun is ended, and nothing half is left behind."""
+
+    def __init__(self, engine: bpy.types.RenderEngine, region: Region, layer: str) -> None:
+        self._engine, self._region, self._layer = engine, region, layer
+        self._begun: bpy.types.RenderResult | None = None
+
+    def __enter__(self) -> _Result:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end(cancel=True)
+
+    def begin(self, view: str = "") -> bpy.types.RenderResult:
+        """Have Blender make room for the passes of a view, which takes a millisecond; harmless when done twice."""
+        if self._begun is None:
+            width, height = self._region.width, self._region.height
+            self._begun = self._engine.begin_result(0, 0, width, height, layer=self._layer, view=view)
+        return self._begun
+
+    def write(self, values: dict[str, np.ndarray], view: str = "") -> None:
+        """Hand the finished passes of a view to Blender."""
+        for target in self.begin(view).layers[0].passes:
+            if target.name in values:
+                target.rect.foreach_set(picture.blender_rows(values[target.name]))
+        self._end(cancel=False)
+
+    def _end(self, cancel: bool) -> None:
+        begun, self._begun = self._begun, None
+        if begun is not None:
+            self._engine.end_result(begun, cancel=cancel)
+
+
+def _after(first: Callable[[], object], then: Callable[[], Occluders]) -> Callable[[], Occluders]:
+    def both() -> Occluders:
+        first()
+        return then()
+
+    return both
 
 
 def _shutter_offsets(position: str, shutter: float, steps: int) -> list[float]:

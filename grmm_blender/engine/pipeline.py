@@ -6,7 +6,7 @@ Shared by final renders and the viewport. Touches none of Blender's data, so tha
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +17,7 @@ from ...grmm_core.jobs.progress import Share, nobody
 from ...grmm_core.session import FINAL_STRANDS, CancelCheck, HairUse, Instance, RenderOptions
 from .. import session_host
 from ..rig.avatar import missing_file
-from ..scene.shot import AvatarShot, Frame, Region
+from ..scene.shot import AvatarShot, Frame, Occluders, Region
 from . import passes, picture
 from .occlusion import OccluderDepths, Visibility
 
@@ -57,6 +57,7 @@ def frame_values(
     should_cancel: CancelCheck,
     progress: Share = nobody,
     depths: OccluderDepths | None = None,
+    meshes: Callable[[], Occluders] | None = None,
 ) -> dict[str, np.ndarray]:
     """Return the values of passes, each [H, W, C] of the region, top row first.
 
@@ -68,6 +69,7 @@ def frame_values(
         should_cancel: Asked now and then.
         progress: Told where this stands.
         depths: Keeps what frames have in common; not to be used on two threads at once.
+        meshes: Reads those that hide avatars, if the frame does not have them; called while the session draws.
 
     Raises:
         CancelledError: `should_cancel` said so.
@@ -78,11 +80,18 @@ def frame_values(
     progress(0.0, session_host.loading("opening avatars"))
     instances = open_instances(frame.scene.avatars)
     progress(OPENED, session_host.loading(f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}"))
-    occluders, world = frame.scene.occluders, frame.scene.world
-    hiding = None
-    if occluders:
-        hiding = (OccluderDepths() if depths is None else depths).of(occluders, frame.camera, settings.samples, frame.clip)
-    buffers = session_host.get_session().render(instances, frame.camera, _options(frame, settings, items), should_cancel)
+    world, hiding = frame.scene.world, None
+
+    def begin_hiding() -> None:
+        nonlocal hiding
+        occluders = frame.scene.occluders if meshes is None else meshes()
+        if occluders:
+            hiding = (OccluderDepths() if depths is None else depths).of(occluders, frame.camera, settings.samples, frame.clip)
+
+    hides = meshes is not None or bool(frame.scene.occluders)
+    with _Beside(begin_hiding, should_cancel) as beside:
+        options = _options(frame, settings, items, hides)
+        buffers = session_host.get_session().render(instances, frame.camera, options, beside)
     session_host.note_drawn()
     progress(DRAWN, "putting the scene in front")
     x, y = region.x, frame.camera.height - region.y - region.height  # Blender counts rows from below
@@ -104,11 +113,46 @@ def announce(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass
         if number is None or shot.cloud is not None or shot.strands is not None:
             return
         instances.append(_placed(shot, number, shot.controls, shot.hair))
-    session_host.get_session().prepare(instances, frame.camera, _options(frame, settings, items))
+    options = _options(frame, settings, items, bool(frame.scene.occluders))
+    session_host.get_session().prepare(instances, frame.camera, options)
 
 
-def _options(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass]) -> RenderOptions:
-    wanted = (*passes.session_passes(items), *(["depth"] if frame.scene.occluders else []))
+class _Beside:
+    """Work for the thread that waits for the session, done when it first asks whether to stop: a worker draws meanwhile.
+
+    What goes wrong in it must not leave the session in the middle of a call: it stops the picture, and is raised afterwards.
+    """
+
+    def __init__(self, work: Callable[[], None], should_cancel: CancelCheck) -> None:
+        self._work: Callable[[], None] | None = work
+        self._should_cancel = should_cancel
+        self._error: Exception | None = None
+
+    def __call__(self) -> bool:
+        """What the session asks."""
+        self._do()
+        return self._error is not None or self._should_cancel()
+
+    def __enter__(self) -> _Beside:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: object) -> None:
+        if kind is None:
+            self._do()
+        if self._error is not None and (kind is None or issubclass(kind, CancelledError)):
+            raise self._error
+
+    def _do(self) -> None:
+        work, self._work = self._work, None
+        if work is not None:
+            try:
+                work()
+            except Exception as error:  # noqa: BLE001 - raised again by `__exit__`
+                self._error = error
+
+
+def _options(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass], hides: bool) -> RenderOptions:
+    wanted = (*passes.session_passes(items), *(["depth"] if hides else []))
     return RenderOptions(
         refine=settings.refine, passes=tuple(dict.fromkeys(wanted)), lod=settings.lod, lighting=frame.scene.lighting,
         strands=settings.strands, coarse=settings.coarse,

@@ -7,6 +7,7 @@ avatars' own head meshes do not.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import bpy
@@ -85,12 +86,29 @@ class _Mesh:
     faces: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Found:
+    """A mesh that touches the picture.
+
+    Attributes:
+        triangles: Reads them.
+        matrix: Places it in the world.
+        cuts: It is a holdout.
+        carrier: Object whose cloud may take its place.
+    """
+
+    triangles: Callable[[], np.ndarray]
+    matrix: np.ndarray
+    cuts: bool
+    carrier: bpy.types.Object | None
+
+
 class OccluderReader:
-    """Copies the meshes that touch a picture while `walk` goes over the scene."""
+    """Finds the meshes that touch a picture while `walk` goes over the scene, and copies them afterwards."""
 
     def __init__(
         self,
-        view_layer: bpy.types.ViewLayer,
+        depsgraph: bpy.types.Depsgraph,
         camera: Camera | None = None,
         use_scene: bool = True,
         kept: MeshCache | None = None,
@@ -98,21 +116,20 @@ class OccluderReader:
         """Prepare for one pass.
 
         Args:
-            view_layer: Says what is a holdout.
+            depsgraph: Evaluated scene; its view layer says what is a holdout.
             camera: Camera of the picture: what lies wholly beside or behind it is left out; None keeps everything.
             use_scene: Meshes hide avatars. The meshes in whose place Gaussians are drawn never do, but holdouts among them cut.
             kept: Triangles of earlier pictures.
         """
-        self._view_layer, self._camera, self._use_scene = view_layer, camera, use_scene
+        self._depsgraph, self._view_layer = depsgraph, depsgraph.view_layer
+        self._camera, self._use_scene = camera, use_scene
         self._kept = MeshCache() if kept is None else kept
         self._generated: dict[_Key, np.ndarray] = {}  # of instances, by object and mesh
         self._meshes_of: Counter[int] = Counter()
-        self._plain: list[Occluder] = []
-        self._holdouts: list[Occluder] = []
-        self._carriers: list[tuple[bpy.types.Object, Occluder, bool]] = []  # whose clouds may come later in the pass
+        self._found: list[_Found] = []  # in the order of the pass, for a carrier's cloud may come after it
 
     def visit(self, instance: bpy.types.DepsgraphObjectInstance, is_drawn: bool) -> None:
-        """Copy a mesh.
+        """Note a mesh.
 
         Args:
             instance: Anything of the evaluated scene.
@@ -134,40 +151,48 @@ class OccluderReader:
         box = np.array(candidate.bound_box, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         if self._camera is not None and not _touches(self._camera, box):
             return
-        triangles = self._triangles(instance)
-        if not len(triangles):
-            return
         cuts = replaced or original.is_holdout or is_holdout(owner, view_layer)
-        occluder = Occluder(triangles, matrix)
-        if carries:
-            self._carriers.append((original, occluder, cuts))
-        else:
-            (self._holdouts if cuts else self._plain).append(occluder)
+        self._found.append(_Found(self._triangles(instance), matrix, cuts, original if carries else None))
+
+    @property
+    def found(self) -> bool:
+        """Whether there may be any."""
+        return bool(self._found)
 
     def occluders(self, replaced: dict[bpy.types.Object, bool]) -> Occluders:
-        """Return what was copied, after the pass.
+        """Copy and return them, after the pass and before the depsgraph changes.
 
         Args:
             replaced: Mesh objects in whose place Gaussians are drawn, and whether these are a holdout.
         """
-        for carrier, occluder, cuts in self._carriers:
-            if carrier in replaced:
-                self._holdouts += [occluder] if replaced[carrier] else []
-            elif self._use_scene:
-                (self._holdouts if cuts else self._plain).append(occluder)
+        plain: list[Occluder] = []
+        holdouts: list[Occluder] = []
+        for mesh in self._found:
+            cuts, known = mesh.cuts, mesh.carrier is not None and mesh.carrier in replaced
+            if known and not replaced[mesh.carrier]:
+                continue
+            if mesh.carrier is not None and not known and not self._use_scene:
+                continue
+            triangles = mesh.triangles()
+            if len(triangles):
+                (holdouts if known or cuts else plain).append(Occluder(triangles, mesh.matrix))
         self._kept.drop_unused()
-        return Occluders(tuple(self._plain), tuple(self._holdouts))
+        return Occluders(tuple(plain), tuple(holdouts))
 
-    def _triangles(self, instance: bpy.types.DepsgraphObjectInstance) -> np.ndarray:
-        candidate = instance.object
+    def _triangles(self, instance: bpy.types.DepsgraphObjectInstance) -> Callable[[], np.ndarray]:
+        candidate, original = instance.object, instance.object.original
+        if not instance.is_instance and candidate.type == original.type == "MESH":
+            # what the pass lends is somebody else's with the next object, also where it is no instance
+            return lambda: self._kept.get(original.evaluated_get(self._depsgraph))
         if not instance.is_instance:
-            return self._kept.get(candidate)
+            triangles = self._kept.get(candidate)
+            return lambda: triangles
         # All instances are lent one object of Blender's in turn: what tells meshes apart is their data.
-        key = (candidate.original.session_uid, candidate.data.as_pointer())
+        key = (original.session_uid, candidate.data.as_pointer())
         if key not in self._generated:
             self._meshes_of[key[0]] += 1
             self._generated[key] = self._kept.get(candidate, self._meshes_of[key[0]])
-        return self._generated[key]
+        return lambda: self._generated[key]
 
 
 def drawn_triangles(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Occluder | None:

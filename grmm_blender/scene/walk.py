@@ -18,7 +18,7 @@ from .cameras import Eye, clip_range, render_camera, scene_camera
 from .clouds import DrawnCloud, clouds_in, drawn_cloud
 from .lights import LightReader
 from .meshes import MeshCache, OccluderReader
-from .shot import Frame, SceneShot
+from .shot import Frame, Occluders, SceneShot
 from .visibility import is_rendered
 from .world import world_color
 
@@ -56,7 +56,18 @@ def read_scene(
     use_meshes: bool = True,
     kept: MeshCache | None = None,
 ) -> SceneShot:
-    """Copy what a render of the depsgraph's moment shows.
+    """Copy what a render of the depsgraph's moment shows. See `begin_scene`."""
+    shot, meshes = begin_scene(depsgraph, camera, use_meshes, kept)
+    return shot if meshes is None else replace(shot, occluders=meshes())
+
+
+def begin_scene(
+    depsgraph: bpy.types.Depsgraph,
+    camera: Camera | None = None,
+    use_meshes: bool = True,
+    kept: MeshCache | None = None,
+) -> tuple[SceneShot, Callable[[], Occluders] | None]:
+    """Copy what a render of the depsgraph's moment shows, but perhaps for the meshes that hide avatars.
 
     Args:
         depsgraph: Evaluated scene.
@@ -64,13 +75,17 @@ def read_scene(
         use_meshes: Meshes hide avatars.
         kept: Triangles of earlier pictures.
 
+    Returns:
+        The scene, and what copies its meshes on the same thread before the depsgraph changes; None: it has them, or there are
+        none. They may wait until the avatars are being drawn, for only light asks for them earlier.
+
     Raises:
         FileFormatError: A cloud was damaged by edits.
     """
     view_layer, scene = depsgraph.view_layer, depsgraph.scene_eval
     is_lit = any(avatar.object.grmm.lighting == SCENE_LIGHT for avatar in avatars_in(depsgraph))
     # what is beside the picture may throw a shadow into it
-    reader = OccluderReader(view_layer, None if is_lit else camera, use_meshes, kept)
+    reader = OccluderReader(depsgraph, None if is_lit else camera, use_meshes, kept)
     lights = LightReader()
 
     def visit(instance: bpy.types.DepsgraphObjectInstance, is_drawn: bool) -> None:
@@ -85,8 +100,11 @@ def read_scene(
         ]
     replaced = {mesh: shot.holdout for drawn, shot in zip(shown, shots, strict=True) for mesh in drawn.meshes}
     world = None if scene.render.film_transparent else world_color(scene)
-    occluders, drawn_shots = reader.occluders(replaced), tuple(shot for shot in shots if not shot.holdout)
-    return SceneShot(drawn_shots, occluders, world, lights.lighting(scene, occluders.plain) if is_lit else None)
+    drawn_shots = tuple(shot for shot in shots if not shot.holdout)
+    if is_lit or not reader.found:
+        occluders = reader.occluders(replaced)
+        return SceneShot(drawn_shots, occluders, world, lights.lighting(scene, occluders.plain) if is_lit else None), None
+    return SceneShot(drawn_shots, world=world), lambda: reader.occluders(replaced)
 
 
 def take_frame(
@@ -97,7 +115,20 @@ def take_frame(
     use_meshes: bool = True,
     kept: MeshCache | None = None,
 ) -> Frame:
-    """Copy everything that a picture of the depsgraph's moment is made from.
+    """Copy everything that a picture of the depsgraph's moment is made from. See `begin_frame`."""
+    frame, meshes = begin_frame(depsgraph, size, camera, eye, use_meshes, kept)
+    return frame if meshes is None else replace(frame, scene=replace(frame.scene, occluders=meshes()))
+
+
+def begin_frame(
+    depsgraph: bpy.types.Depsgraph,
+    size: tuple[int, int],
+    camera: bpy.types.Object | None = None,
+    eye: Eye | None = None,
+    use_meshes: bool = True,
+    kept: MeshCache | None = None,
+) -> tuple[Frame, Callable[[], Occluders] | None]:
+    """Copy everything that a picture of the depsgraph's moment is made from, but perhaps for meshes, as `begin_scene`.
 
     Args:
         depsgraph: Evaluated scene.
@@ -113,7 +144,8 @@ def take_frame(
     """
     camera = scene_camera(depsgraph) if camera is None else camera
     view = render_camera(depsgraph, camera, *size, eye)
-    return Frame(read_scene(depsgraph, view, use_meshes, kept), view, clip_range(camera))
+    scene, meshes = begin_scene(depsgraph, view, use_meshes, kept)
+    return Frame(scene, view, clip_range(camera)), meshes
 
 
 def drawn_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:

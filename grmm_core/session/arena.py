@@ -108,7 +108,7 @@ class SharedArena:
         return self._map
 
     def write(self, arrays: list[np.ndarray]) -> list[int]:
-        """Copy arrays into the arena, growing it as needed, and return their offsets in bytes."""
+        """Copy arrays into the arena, growing it as needed, and return their offsets in bytes. Views lie there as they look."""
         offsets = []
         end = 0
         for array in arrays:
@@ -119,7 +119,7 @@ class SharedArena:
             if array.size == 0:
                 continue
             target = np.frombuffer(self._memory(), array.dtype, array.size, offset)
-            target[:] = array.reshape(-1)
+            target.reshape(array.shape)[...] = array
         return offsets
 
     def read(self, dtype: str, shape: tuple[int, ...], offset: int) -> np.ndarray:

@@ -63,8 +63,15 @@ _PLAIN = frozenset({str, int, float, bool, type(None)})  # most of a message, as
 _DTYPES = frozenset({"<f4", "<f8", "<i4", "<i8", "|u1", "|b1"})
 
 
-def send(stream: BinaryIO, message: Mapping[str, Any], arena: SharedArena | None = None) -> None:
+def send(stream: BinaryIO, message: Mapping[str, Any], arena: SharedArena | None = None, turned: bool = False) -> None:
     """Write one message; its arrays go to the arena first, without one into the message itself.
+
+    Args:
+        stream: Where to.
+        message: Names and values.
+        arena: Memory that both sides share.
+        turned: Arrays lie in the arena from their last row to the first, as Blender's pictures do. The other side sees them as
+            they are, and copies of its own in Blender's order cost it nothing.
 
     Raises:
         OSError, ValueError: The other side is gone (broken pipe, closed stream).
@@ -73,8 +80,9 @@ def send(stream: BinaryIO, message: Mapping[str, Any], arena: SharedArena | None
     arrays: list[np.ndarray] = []
     tree = _pack(message, arrays)
     if arena is not None:
-        offsets = arena.write(arrays)
+        offsets = arena.write([_turned(a) for a in arrays] if turned else arrays)
         tree["$arena"] = arena.spec()
+        tree["$turned"] = turned
         tree["$arrays"] = [[a.dtype.str, list(a.shape), offset] for a, offset in zip(arrays, offsets, strict=True)]
     elif arrays:
         tree["$arrays"] = [[a.dtype.str, list(a.shape), base64.b64encode(a.tobytes()).decode("ascii")] for a in arrays]
@@ -109,7 +117,7 @@ def receive(stream: BinaryIO) -> dict[str, Any] | None:
 
 def unpack(message: dict[str, Any], arena: SharedArena | None) -> dict[str, Any]:
     """Replace the descriptions in a received message by arrays (copies) and dataclasses."""
-    spec = message.pop("$arena", None)
+    spec, turned = message.pop("$arena", None), message.pop("$turned", False)
     places = message.pop("$arrays", [])
     arrays: list[np.ndarray] = []
     if arena is not None and spec is not None:
@@ -120,7 +128,8 @@ def unpack(message: dict[str, Any], arena: SharedArena | None) -> dict[str, Any]
         if isinstance(place, str):
             arrays.append(np.frombuffer(base64.b64decode(place), dtype).reshape(shape))
         elif arena is not None:
-            arrays.append(arena.read(dtype, tuple(shape), place))
+            found = arena.read(dtype, tuple(shape), place)
+            arrays.append(_turned(found) if turned else found)
     return {name: _unpack(value, arrays) for name, value in message.items()}
 
 
@@ -131,6 +140,10 @@ def digest(value: Any) -> tuple[str, int]:
     for array in arrays:
         content.update(array.tobytes())
     return content.hexdigest(), sum(array.nbytes for array in arrays)
+
+
+def _turned(array: np.ndarray) -> np.ndarray:
+    return array[::-1] if array.ndim else array
 
 
 def _pack(value: Any, arrays: list[np.ndarray]) -> Any:

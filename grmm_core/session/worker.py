@@ -98,7 +98,7 @@ def main() -> None:
         else:
             reply = _answer(session, message, requests)
         try:
-            send(replies, reply, arena)
+            send(replies, reply, arena, turned=message["call"] == "render")
         except SessionError as error:  # no shared memory for this result
             send(replies, {"id": message["id"], "error": _describe(error)}, arena)
         if message["call"] == "render" and failure is None and requests.idle:

@@ -58,12 +58,12 @@ def at_third_call(error: BaseException):
 # As in a window, which shows the frame before until there is a new one.
 final._has_window = True
 written = []
-write = final._write
-final._write = lambda engine, region, layer, values: written.append(list(values[""])) or write(engine, region, layer, values)
+write = final._Result.write
+final._Result.write = lambda result, values, view="": written.append(list(values)) or write(result, values, view)
 original = at_third_call(KeyboardInterrupt())
 attempt("interrupted", animation=True)
 pipeline.frame_values = original
-final._write, final._has_window = write, False
+final._Result.write, final._has_window = write, False
 pictures = [load_png(folder / "interrupted" / f"frame_000{number}.png") for number in (1, 2)]
 report(written=len(written), shown_before=max(difference(found, alone) for found in pictures))
 original = at_third_call(errors.CancelledError("The picture was cancelled."))

@@ -387,6 +387,19 @@ def test_messages_keep_arrays_and_types():
     assert digest(back) == digest(message) != digest({"id": 3})
 
 
+def test_pictures_lie_as_blender_wants_them():
+    arena, stream = SharedArena(), io.BytesIO()
+    picture = np.random.default_rng(1).normal(size=(5, 7, 3)).astype(np.float32)
+    send(stream, {"result": {"rgb": picture, "alpha": picture[..., :1], "count": np.array(3.0)}}, arena, turned=True)
+    stream.seek(0)
+    back = unpack(receive(stream), arena)["result"]
+    np.testing.assert_array_equal(back["rgb"], picture)
+    np.testing.assert_array_equal(back["alpha"], picture[..., :1])
+    assert back["rgb"][::-1].flags.c_contiguous  # from the last row to the first
+    assert back["count"] == 3.0
+    arena.close()
+
+
 @pytest.mark.parametrize(
     "data", [b"\xff\xff\xff\xff", b"\x04\x00\x00\x00nope", b"\x02\x00\x00\x00[]", b"\x03\x00\x00\x00\xff\xfe\xfd"]
 )

@@ -125,6 +125,15 @@ def output_path(filepath: str, extensions: tuple[str, ...], default: str) -> Pat
     return path
 
 
+def add_suffix(operator: Any, extensions: tuple[str, ...], default: str) -> bool:
+    """For `check` of a file browser: add `default` as `output_path` does, so that Blender marks the name where it exists."""
+    path = Path(operator.filepath)
+    if not path.name or path.suffix.lower() in extensions:
+        return False
+    operator.filepath = str(path.with_name(path.name + default))
+    return True
+
+
 def flame_path(option: str) -> str:
     """Return the FLAME file that an operator's option names, else that of the preferences, absolute, or ""."""
     named = option or preferences.get().flame

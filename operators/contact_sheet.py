@@ -22,7 +22,7 @@ from ..grmm_core.errors import ConfigError
 from ..grmm_core.model.portrait import portrait_camera
 from ..grmm_core.pictures.color import linear_to_srgb
 from ..grmm_core.pictures.images import quantize, write_png
-from .common import Result, active_avatar, output_path, polls
+from .common import Result, active_avatar, add_suffix, output_path, polls
 from .steps import CancelCheck, Step, SteppedOperator, Steps
 
 ALL = "ALL"
@@ -68,10 +68,14 @@ class GRMM_OT_contact_sheet(SteppedOperator, Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Ask for the file, or begin once there is one."""
         if self.running:
-            return self.begin(context)
+            return self.begin(context, event)
         if not self.filepath:
             self.filepath = "contact_sheet.png"
         return self.ask(context, event)
+
+    def check(self, context: bpy.types.Context) -> bool:
+        """Show the whole name."""
+        return add_suffix(self, (".png",), ".png")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Options that matter for the content."""

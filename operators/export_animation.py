@@ -20,6 +20,7 @@ from .common import (
     Result,
     active_avatar,
     active_performer,
+    add_suffix,
     flame_path,
     menu_entries,
     output_path,
@@ -35,6 +36,7 @@ CACHES = (
     (".abc", "Alembic (.abc)", "Moving mesh, through Blender's Alembic exporter"),
     (".usdc", "USD (.usdc)", "Moving mesh, through Blender's USD exporter"),
 )
+_CACHE_SUFFIXES = (".abc", ".usd", ".usdc", ".usda")
 
 
 class GRMM_OT_export_performance(SteppedOperator, FrameRange, Operator, ExportHelper):
@@ -55,7 +57,11 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, Operator, ExportHe
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a file, or start the steps."""
-        return self.begin(context) if self.running else self.ask(context, event)
+        return self.begin(context, event) if self.running else self.ask(context, event)
+
+    def check(self, context: bpy.types.Context) -> bool:
+        """Show the whole name."""
+        return add_suffix(self, written_suffixes(PERFORMANCES), self.format)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options in the file browser's side panel."""
@@ -109,10 +115,14 @@ class GRMM_OT_export_cache(FrameRange, Operator, ExportHelper):
 
     poll = polls(_selectable)
 
+    def check(self, context: bpy.types.Context) -> bool:
+        """Show the whole name."""
+        return add_suffix(self, _CACHE_SUFFIXES, self.format)
+
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Select head and hair, and let Blender export them."""
-        path = output_path(self.filepath, (".abc", ".usd", ".usdc", ".usda"), self.format)
+        path = output_path(self.filepath, _CACHE_SUFFIXES, self.format)
         frames = self.frames(context)
         first, last = frames[0], frames[-1]
         scene, avatar = context.scene, _selectable(context)

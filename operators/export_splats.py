@@ -25,6 +25,7 @@ from .common import (
     Result,
     UnavailableError,
     active_avatar,
+    add_suffix,
     flame_path,
     menu_entries,
     output_path,
@@ -90,13 +91,20 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, Operator, ExportHelper)
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a file, or start the steps."""
         if self.running:
-            return self.begin(context)
+            return self.begin(context, event)
         self.filename_ext = self.format
         return self.ask(context, event)
 
     def is_slow(self, context: bpy.types.Context) -> bool:
         """Sequences are."""
         return self.pose == "SEQUENCE"
+
+    def written(self, context: bpy.types.Context) -> list[Path]:
+        """The files of a sequence."""
+        if self.pose != "SEQUENCE":
+            return []
+        path = output_path(self.filepath, written_suffixes(SPLATS), self.format)
+        return [frame_path(path, frame) for frame in self.frames(context)]
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options in the file browser's side panel."""
@@ -164,6 +172,10 @@ class GRMM_OT_export_mesh(Operator, ExportHelper):
 
     poll = polls(partial(active_avatar, linked=True))
 
+    def check(self, context: bpy.types.Context) -> bool:
+        """Show the whole name."""
+        return add_suffix(self, written_suffixes(MESHES), self.filename_ext)
+
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Write."""
@@ -194,7 +206,12 @@ class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a folder, or start the steps."""
-        return self.begin(context) if self.running else self.ask(context, event)
+        return self.begin(context, event) if self.running else self.ask(context, event)
+
+    def written(self, context: bpy.types.Context) -> list[Path]:
+        """Both files."""
+        folder = Path(bpy.path.abspath(self.directory))
+        return [folder / PLY_NAME, folder / TRACK_NAME] if self.directory else []
 
     def steps(self, context: bpy.types.Context) -> Steps:
         """Sample the animation, then write both files."""

@@ -35,7 +35,7 @@ class GRMM_OT_save_avatar(SteppedOperator, Operator, ExportHelper):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Choose a file, or start the steps."""
-        return self.begin(context) if self.running else self.ask(context, event)
+        return self.begin(context, event) if self.running else self.ask(context, event)
 
     def steps(self, context: bpy.types.Context) -> Steps:
         """Have the session write it, on a thread: it may be busy, and a picture of the avatar goes into the file."""

@@ -8,8 +8,9 @@ responsive.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -91,6 +92,7 @@ class SteppedOperator(OperatorMixin):
     """Base of such operators: give it `steps`. One that asks for a file first has an `invoke` of its own, with `ask`."""
 
     running: bpy.props.BoolProperty(default=False, options={"HIDDEN", "SKIP_SAVE"})
+    replaces: bpy.props.BoolProperty(default=False, options={"HIDDEN", "SKIP_SAVE"})
     _asked = False
     _run: _Run | None = None
 
@@ -102,9 +104,13 @@ class SteppedOperator(OperatorMixin):
         """Whether there is anything to watch; else `execute` does it all."""
         return True
 
+    def written(self, context: bpy.types.Context) -> Iterable[Path]:
+        """Files that it writes and whose names the file browser did not show: it marks a chosen name that exists, only."""
+        return ()
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Begin, for somebody who watches."""
-        return self.begin(context)
+        return self.begin(context, event)
 
     def ask(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Have the file browser ask for a file; `execute` comes afterwards."""
@@ -115,14 +121,16 @@ class SteppedOperator(OperatorMixin):
         return {"RUNNING_MODAL"}
 
     def execute(self, context: bpy.types.Context) -> Result:
-        """Run to the end, or begin where a file was asked for: then somebody watches."""
-        if self._asked and context.window is not None and self.is_slow(context):
+        """Run to the end, or begin where a file or whether to replace some was asked for: then somebody watches."""
+        confirmed = self.running and not bpy.app.background
+        if (self._asked or confirmed) and context.window is not None and (confirmed or self.is_slow(context)):
             # The file browser frees its operator when this returns, so that another one has to go modal.
-            names = [name for name in self.properties.keys() if name != "running"]  # noqa: SIM118 - no dictionary
+            names = [name for name in self.properties.keys() if name not in ("running", "replaces")]  # noqa: SIM118
             category, _, name = type(self).bl_idname.partition(".")  # of an instance it is "GRMM_OT_..."
             again = getattr(getattr(bpy.ops, category), name)
             try:
-                return again("INVOKE_DEFAULT", running=True, **{name: getattr(self, name) for name in names})
+                given = {name: getattr(self, name) for name in names}
+                return again("INVOKE_DEFAULT", running=True, replaces=confirmed, **given)
             except RuntimeError as error:  # what the other one reports comes out so
                 self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
                 return {"CANCELLED"}
@@ -139,10 +147,17 @@ class SteppedOperator(OperatorMixin):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
 
-    def begin(self, context: bpy.types.Context) -> Result:
-        """Begin, and look after the work from now on."""
+    def begin(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
+        """Begin, and look after the work from now on; before files are replaced, ask."""
         if bpy.app.background or context.window is None:
             return self.execute(context)
+        there = [] if self.replaces else self._there(context)
+        if there:
+            others = f" and {len(there) - 1} more" if len(there) > 1 else ""
+            return context.window_manager.invoke_confirm(
+                self, event, title="Replace Files?", confirm_text="Replace", icon="WARNING",
+                message=f"{there[0].name}{others} in {there[0].parent.name} will be replaced.",
+            )  # fmt: skip
         manager = context.window_manager
         timer = manager.event_timer_add(_INTERVAL, window=context.window)
         manager.progress_begin(0.0, 1.0)
@@ -151,6 +166,12 @@ class SteppedOperator(OperatorMixin):
         if "RUNNING_MODAL" in result:  # Blender crashes on the handler of an operator that has ended
             manager.modal_handler_add(self)
         return result
+
+    def _there(self, context: bpy.types.Context) -> list[Path]:
+        try:
+            return [path for path in self.written(context) if path.exists()]
+        except GrmmError:  # the steps meet the same
+            return []
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> Result:
         """Look after the work; Escape cancels."""

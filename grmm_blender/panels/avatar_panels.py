@@ -49,7 +49,8 @@ class _Avatar(AvatarPanel):
             row = layout.row()
             row.active = settings.live_detail
             row.prop(settings, "detail_in_playback")
-        wrong = avatar.missing_file or live.state_of(avatar).message
+        # what no runtime draws is no fault of the file: the sentence below says what to do
+        wrong = avatar.missing_file or (live.state_of(avatar).message if runtime_status().available else "")
         problem = wrong or live.limitation(avatar)
         if problem:
             draw_text(layout, problem, context, icon="ERROR")

@@ -11,7 +11,7 @@ from tools.demo.performance import write_performance
 from .blender import WalkedBlender, WalkError
 from .steps import HEAD, MIDDLE, PHOTO, SELECT_RIG, close_windows, open_panels, scroll_sidebar
 
-FIT_SECONDS, WRITE_SECONDS = 1200.0, 300.0
+FIT_SECONDS, WRITE_SECONDS, BROWSER_SECONDS = 1200.0, 300.0, 60.0
 _RIG_PLACE = SELECT_RIG + "result = list(rig.location)"
 _STARTED_ON = """
 cube = bpy.data.objects["Cube"]
@@ -43,6 +43,10 @@ _WRITTEN = (  # operator, file or folder, options
     ("contact_sheet", "sheet.png", "content='VIEWS', count=2"), ("export_splats", "splats_####.ply", "pose='SEQUENCE'"),
     ("export_performance", "take.csv", ""), ("export_gaussian_avatar", "", ""), ("save_avatar", "saved.grmm", ""),
 )  # fmt: skip
+_BROWSER = """
+result = any(area.type == "FILE_BROWSER" and area.spaces.active.params is not None
+             for other in bpy.context.window_manager.windows for area in other.screen.areas)
+"""
 _CHOOSE = """
 for other in bpy.context.window_manager.windows:
     for space in (area for area in other.screen.areas if area.type == "FILE_BROWSER"):
@@ -90,9 +94,10 @@ def choose_runtime(blender: WalkedBlender) -> None:
 def import_options(blender: WalkedBlender) -> None:
     """Open the file browser of *Import Performance* and look at its options."""
     blender.run(SELECT_RIG + "bpy.ops.grmm.import_performance('INVOKE_DEFAULT')")
+    _wait_for_browser(blender)
     blender.picture("import_options", 3, settled=False)
     blender.key("Escape")
-    time.sleep(1.0)
+    _wait_for_browser(blender, there=False)
 
 
 def recordings(blender: WalkedBlender) -> None:
@@ -105,10 +110,11 @@ def recordings(blender: WalkedBlender) -> None:
         (blender.shared / name).write_bytes(content)
     for name in ("video.mp4", "speech.wav", table.name):
         blender.run(SELECT_RIG + "bpy.ops.grmm.import_performance('INVOKE_DEFAULT', True)")
-        time.sleep(2.0)
+        _wait_for_browser(blender)
         blender.run(_CHOOSE.format(folder=blender.inner(blender.shared), name=name))
         blender.move(*MIDDLE)
         blender.key("Return")
+        _wait_for_browser(blender, there=False)
         blender.picture(f"import_{name.partition('.')[2]}", 8, settled=False)
         blender.key("Escape")
     action = blender.run(HEAD + "result = head.animation_data.action.name")
@@ -122,13 +128,7 @@ def written(blender: WalkedBlender) -> None:
     folder.mkdir()
     blender.run("bpy.context.scene.frame_start, bpy.context.scene.frame_end = 1, 3")
     for operator, name, options in _WRITTEN:
-        blender.run(SELECT_RIG + f"bpy.ops.grmm.{operator}('INVOKE_DEFAULT', True, {options})")
-        time.sleep(2.0)
-        blender.run(_CHOOSE.format(folder=blender.inner(folder), name=name))
-        time.sleep(1.0)
-        blender.move(*MIDDLE)
-        blender.key("Return")
-        time.sleep(1.0)
+        _write(blender, operator, options, blender.inner(folder), name)
         if not name:  # a folder is asked for
             blender.picture(operator, 1, settled=False)
         _wait_for_operators(blender)
@@ -136,6 +136,14 @@ def written(blender: WalkedBlender) -> None:
         if not found and name:
             raise WalkError(f"{operator} writes nothing")
         blender.note(f"{operator} writes {', '.join(found) or 'nothing'}")
+        if "SEQUENCE" in options:  # no browser knows these files: it must be asked before they are replaced
+            before = [(folder / each).stat().st_mtime_ns for each in found]
+            _write(blender, operator, options, blender.inner(folder), name)
+            blender.picture("replace_files", 2, settled=False)
+            blender.key("Escape")
+            _wait_for_operators(blender)
+            if [(folder / each).stat().st_mtime_ns for each in found] != before:
+                raise WalkError("a sequence is replaced unasked")
         shutil.rmtree(folder)
         folder.mkdir()
     blender.run(SELECT_RIG + "bpy.ops.grmm.random_identity('INVOKE_DEFAULT', True)")
@@ -148,6 +156,28 @@ def written(blender: WalkedBlender) -> None:
     blender.run("bpy.ops.object.mode_set(mode='OBJECT')")
     for _ in range(2):
         blender.run("bpy.ops.ed.undo()")
+
+
+def _write(blender: WalkedBlender, operator: str, options: str, folder: str, name: str) -> None:
+    """Start an operator that writes, and answer its browser."""
+    blender.run(SELECT_RIG + f"bpy.ops.grmm.{operator}('INVOKE_DEFAULT', True, {options})")
+    _wait_for_browser(blender)
+    blender.run(_CHOOSE.format(folder=folder, name=name))
+    time.sleep(1.0)
+    blender.move(*MIDDLE)
+    blender.key("Return")
+    _wait_for_browser(blender, there=False)
+    time.sleep(1.0)
+
+
+def _wait_for_browser(blender: WalkedBlender, there: bool = True) -> None:
+    """Wait until a file browser is open, or no longer."""
+    deadline = time.monotonic() + BROWSER_SECONDS
+    while blender.run(_BROWSER) != there:
+        if time.monotonic() > deadline:
+            raise WalkError(f"a file browser does not {'open' if there else 'close'}")
+        time.sleep(0.2)
+    time.sleep(1.0)
 
 
 def _wait_for_operators(blender: WalkedBlender) -> None:

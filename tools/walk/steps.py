@@ -19,7 +19,7 @@ Step = Callable[[WalkedBlender], None]
 SPLASH_CLOSE = (40, 700)  # pixels: outside the splash, over the timeline's left end
 MIDDLE = (500, 400)  # pixels: in the viewport, beside its panels
 PHOTO = Path(__file__).resolve().parents[2] / "tests" / "data" / "photos" / "astronaut.jpg"
-RENDER_SECONDS, POSES_SECONDS, ESCAPE_SECONDS = 400.0, 400.0, 20.0
+RENDER_SECONDS, POSES_SECONDS, FILE_SECONDS, ESCAPE_SECONDS = 400.0, 400.0, 300.0, 20.0
 SCROLLS = 60  # clicks of the wheel from the sidebar's upper panels to its end
 HEAD = "head = next((o for o in bpy.context.scene.objects if 'jawOpen' in o.keys()), None)\n"
 SELECT_RIG = """
@@ -263,6 +263,12 @@ def photos(blender: WalkedBlender) -> None:
     except WalkError as error:
         blender.note(f"Make Avatar says: {str(error).strip().splitlines()[-1]}")
     blender.picture("photos", 3)
+    (blender.shared / "person.grmm").write_bytes(b"")
+    made = blender.inner(blender.shared / "person.grmm")
+    blender.run(f"bpy.context.window_manager.grmm_fit.output = {made!r}\nbpy.ops.grmm.fit_photos('INVOKE_DEFAULT', True)")
+    blender.picture("replace_avatar", 2, settled=False)  # it is asked before an avatar that is there is replaced
+    blender.key("Escape")
+    blender.run("bpy.context.window_manager.grmm_fit.output = ''")
 
 
 def undo(blender: WalkedBlender) -> None:
@@ -281,8 +287,8 @@ def undo(blender: WalkedBlender) -> None:
 def save_and_reopen(blender: WalkedBlender) -> None:
     """Save, open again: the head is there and drawn."""
     path = blender.inner(blender.shared / "walk.blend")
-    blender.run(f"bpy.ops.wm.save_as_mainfile(filepath={path!r})")
-    blender.run(f"bpy.ops.wm.open_mainfile(filepath={path!r})")
+    blender.run(f"bpy.ops.wm.save_as_mainfile(filepath={path!r})", FILE_SECONDS)
+    blender.run(f"bpy.ops.wm.open_mainfile(filepath={path!r})", FILE_SECONDS)
     blender.picture("reopened", 8)
 
 

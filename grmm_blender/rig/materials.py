@@ -22,12 +22,14 @@ _PLAIN_FACE = "grmm_plain"  # custom property of an image: a plain face where th
 # part, words of its regions; of parts that heads share: color (linear) and alpha, roughness
 _PLAIN = (
     ("Teeth", ("teeth",), (0.72, 0.68, 0.58, 1.0), 0.25),
+    ("Back Teeth", (), (0.16, 0.1, 0.085, 1.0), 0.5),  # as in the shade of lips and cheeks, which solid view does not have
     ("Mouth", ("mouth_interior", "tongue"), (0.38, 0.11, 0.1, 1.0), 0.35),
     ("Lashes", ("lash",), (0.03, 0.02, 0.015, 0.15), 0.6),  # sheets: opaque ones look like paint on the lids
 )
 _PAINTED = {"Skin": 0.5, "Eyes": 0.1, "Irises": 0.1, "Pupils": 0.1, "Lips": 0.35, "Hair": 0.7}  # roughness
 _IRIS, _PUPIL = np.cos(np.radians((IRIS_DEGREES, PUPIL_DEGREES)))
 _HAIR, _BROW = 0.5, 0.15  # how far from skin to hair a face's color is that counts as hair; brows are narrower than faces
+_FRONT_TEETH = 0.009  # metres from the foremost tooth back; those behind show at the corners of lips that do not quite meet
 _WHITEST = 0.75  # quantile of an eye's colors: lashes shade most of the white
 
 
@@ -78,10 +80,12 @@ def _parts(head: HeadModel, colors: np.ndarray) -> np.ndarray:
 
     A face belongs to a part when all its corners do.
     """
-    parts = np.full(len(head.faces), "Skin", dtype="<U8")
+    parts = np.full(len(head.faces), "Skin", dtype="<U10")
     for name, words in (("Eyes", ("eye",)), *((name, words) for name, words, *_ in _PLAIN)):
-        regions = (region for region in head.regions if "lid" not in region and any(word in region for word in words))
+        regions = [region for region in head.regions if "lid" not in region and any(word in region for word in words)]
         parts[head.marked(*regions)[head.faces].all(1)] = name
+    ahead, teeth = head.v_template[head.faces].mean(1)[:, 2], parts == "Teeth"
+    parts[teeth & (ahead < ahead.max(where=teeth, initial=-np.inf) - _FRONT_TEETH)] = "Back Teeth"
     joints = head.joints(np.zeros(head.shape_count, np.float32))
     for side in ("left", "right"):
         ball = head.marked(f"{side}_eyeball")[head.faces].all(1)

@@ -62,7 +62,9 @@ def test_a_head_has_named_controls_with_ranges(structure):
 def test_the_mesh_alone_is_painted_as_a_face(structure):
     first, second, random = (structure["painted"][who] for who in ("first", "second", "random"))
     for look in (first, second, random):
-        assert {"Skin", "Eyes", "Irises", "Pupils", "Lips", "Hair", "Teeth", "Mouth", "Lashes"} == set(look["parts"])
+        assert {"Skin", "Eyes", "Irises", "Pupils", "Lips", "Hair", "Teeth", "Back Teeth", "Mouth", "Lashes"} == set(
+            look["parts"]
+        )
         assert look["one_image"]
         assert look["size"] == ([512, 512] if look is random and not structure["painted"]["runtime"] else [256, 256])
         assert min(look["faces"].values()) > 4

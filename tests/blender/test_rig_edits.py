@@ -144,7 +144,7 @@ def test_a_users_flame_head(run_blender: RunBlender, version: str, tmp_path: Pat
     assert max(result["everything"]) < RIG_PARITY
     assert result["reset"] < RIG_PARITY
     assert result["detail_poll"] is False
-    assert {"Skin", "Eyes", "Irises", "Pupils", "Lips", "Hair", "Teeth"} <= set(result["parts"])
+    assert {"Skin", "Eyes", "Irises", "Pupils", "Lips", "Hair", "Teeth", "Back Teeth"} <= set(result["parts"])
     assert result["drawn"] == 0
     assert result["masks"] == []
 

@@ -6,6 +6,7 @@ Headless Blender runs such operators straight through, so `begin` and `modal` ar
 from __future__ import annotations
 
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
@@ -85,11 +86,16 @@ class Window:
     def modal_handler_add(self, _operator: object) -> None:
         self.handlers += 1
 
+    def invoke_confirm(self, _operator: object, _event: object, *, message: str, **_options: str) -> set[str]:
+        self.shown.append(message)
+        return {"INTERFACE"}
+
 
 class Job(steps.SteppedOperator):
     """Three steps: one here, one on a thread, one here; `fails` says in which there is an error."""
 
     bl_label = "Job"
+    running = replaces = False
 
     def __init__(self, fails: str = "") -> None:
         self.fails, self.said, self.log = fails, [], []
@@ -136,7 +142,7 @@ class Job(steps.SteppedOperator):
 
 def finished() -> dict:
     job, window = Job(), Window()
-    first = job.begin(window)
+    first = job.begin(window, CLICK)
     swallowed = job.modal(window, CLICK)  # nothing may be edited while a step on this thread waits for its turn
     job.modal(window, TIMER)
     job.started.wait(PATIENCE)
@@ -152,7 +158,7 @@ def finished() -> dict:
 
 def cancelled() -> dict:
     job, window = Job(), Window()
-    job.begin(window)
+    job.begin(window, CLICK)
     job.modal(window, TIMER)
     job.started.wait(PATIENCE)
     result = job.modal(window, ESCAPE)
@@ -162,14 +168,25 @@ def cancelled() -> dict:
 def failed(where: str) -> dict:
     job, window = Job(where), Window()
     job.go_on.set()
-    job.begin(window)
+    job.begin(window, CLICK)
     result = job.until_done(window)
     return {"result": sorted(result), "said": job.said, "log": job.log[-1], "timers": window.open}
 
 
 def failed_at_once() -> dict:
     job, window = Job("at once"), Window()
-    return {"result": sorted(job.begin(window)), "said": job.said, "handlers": window.handlers, "timers": window.open}
+    return {"result": sorted(job.begin(window, CLICK)), "said": job.said, "handlers": window.handlers, "timers": window.open}
+
+
+def replaces() -> dict:
+    """Files that the file browser did not mark: asked about first, then written; `execute` is what a popup calls."""
+    job, window = Job(), Window()
+    there = Path(__file__)
+    job.written = lambda _context: [there.with_name("not there"), there, there.with_name("support.py")]
+    asked = job.begin(window, CLICK)
+    waits = window.open, window.handlers
+    job.replaces = True
+    return {"asked": sorted(asked), "shown": window.shown[:1], "waits": waits, "then": sorted(job.begin(window, CLICK))}
 
 
 def in_a_script(where: str = "") -> dict:
@@ -179,4 +196,4 @@ def in_a_script(where: str = "") -> dict:
 
 
 report(finished=finished(), cancelled=cancelled(), here=failed("here"), thread=failed("thread"), at_once=failed_at_once())
-report(script=in_a_script(), script_fails=in_a_script("thread"))
+report(replaces=replaces(), script=in_a_script(), script_fails=in_a_script("thread"))

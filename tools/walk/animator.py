@@ -139,7 +139,7 @@ def written(blender: WalkedBlender) -> None:
         if "SEQUENCE" in options:  # no browser knows these files: it must be asked before they are replaced
             before = [(folder / each).stat().st_mtime_ns for each in found]
             _write(blender, operator, options, blender.inner(folder), name)
-            blender.picture("replace_files", 2, settled=False)
+            blender.picture("replace_files", 5, settled=False)
             blender.key("Escape")
             _wait_for_operators(blender)
             if [(folder / each).stat().st_mtime_ns for each in found] != before:

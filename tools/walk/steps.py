@@ -266,7 +266,8 @@ def photos(blender: WalkedBlender) -> None:
     (blender.shared / "person.grmm").write_bytes(b"")
     made = blender.inner(blender.shared / "person.grmm")
     blender.run(f"bpy.context.window_manager.grmm_fit.output = {made!r}\nbpy.ops.grmm.fit_photos('INVOKE_DEFAULT', True)")
-    blender.picture("replace_avatar", 2, settled=False)  # it is asked before an avatar that is there is replaced
+    blender.move(MIDDLE[0] + 20, MIDDLE[1])  # a question that no click called is drawn once the mouse moves
+    blender.picture("replace_avatar", 3, settled=False)  # asked before an avatar that is there is replaced
     blender.key("Escape")
     blender.run("bpy.context.window_manager.grmm_fit.output = ''")
 

@@ -22,7 +22,10 @@ from tools.light_pictures import _light, _shot
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs/images/hair_curves.jpg"
 SIZE, SAMPLES, QUALITY = 400, 48, 88
-SWEPT, CUT = (0.03, 0.10, 0.05), 0.35  # metres that tips are combed, Blender's axes; share that is left on the other side
+SWEPT, CUT = (
+    (0.14, 0.46, 0.23),
+    0.35,
+)  # of its length that a tip is combed, Blender's axes; share left on the other side
 
 
 def pictures(person: str, groom: str, folder: Path) -> list[np.ndarray]:
@@ -67,7 +70,8 @@ def comb(data: Any) -> None:
     data.attributes["position"].data.foreach_get("vector", flat)
     points, t = flat.reshape(-1, count, 3), np.linspace(0, 1, count, dtype=np.float32)
     left = points[:, 0, 0] > 0.012
-    points[left] += (t**1.5)[None, :, None] * np.array(SWEPT, np.float32)
+    lengths = np.linalg.norm(np.diff(points[left], axis=1), axis=2).sum(1)
+    points[left] += (lengths[:, None] * t**1.5)[..., None] * np.array(SWEPT, np.float32)
     at = CUT * t * (count - 1)
     base = np.minimum(at.astype(int), count - 2)
     part = (at - base)[None, :, None]

@@ -1,7 +1,8 @@
 """What strands stay outside of: a head's skin with the hull of its ears, as heights on a grid. Needs numba where it is made.
 
 Height is measured above the tangent planes of the skin's vertices around a point, so that it is smooth, about the distance near
-the skin, and negative inside. An ear counts as the bulge around it: hair lies over ears, not between their folds.
+the skin, and negative inside. An ear counts as the bulge around it, which falls off to all sides: hair lies over ears, not
+between their folds, and leans out before them.
 """
 
 from __future__ import annotations
@@ -11,18 +12,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..geometry.triangles import vertex_normals
 from ..head import HeadModel
 from .groom import Groom, join
 from .occlusion import sample
+from .pigment import locks_of
 from .roots import SCALP, RootFrames
-from .strands import lengths_of, locks_of
+from .strands import lengths_of
 
 CELL = 0.008  # metres
 MARGIN = 0.05  # metres around the skin
 EAR = 0.018  # metres: how far around a vertex of an ear its hull is the highest that there is
 # what the hull falls by upwards, and to the other sides, metres a metre: hair leans out before an ear and does not break there
 LEAN, STEEP = 0.38, 1.0
-SIDEWAYS = 0.75  # of the skin's normal, from where it is the side of a head
+STRAIGHT, BEND = 0.025, 300.0  # metres that it has fallen where skin is reached, and how it falls away below that, 1/m
 REACH = 0.015  # metres: see `body_kernels.heights_into`
 BURIED = 0.05  # metres: what is deeper is left, it is no strand on a head
 # of contact while hair swings: share of what it is inside the skin that a step pushes out, metres at most, and the share of
@@ -51,21 +54,19 @@ class Body:
     field: np.ndarray
 
     @staticmethod
-    def of(head: HeadModel, vertices: np.ndarray, among: np.ndarray | None = None, near: np.ndarray | None = None) -> Body:
+    def of(head: HeadModel, vertices: np.ndarray, near: np.ndarray | None = None) -> Body:
         """Measure a head.
 
         Args:
             head: For its topology.
-            vertices: The head, metres, [V, 3].
-            among: Which vertices count, [V] bool; all of the outer skin when None.
+            vertices: The head, upright, metres, [V, 3].
             near: Points [P, 3] around which heights are asked, up to `BLOCK` cells away; anywhere when None.
         """
         from ..compute.threads import for_rows
         from .body_kernels import BLOCK, heights_into
 
-        points, normals, kept = _skin(head, np.asarray(vertices, float))
-        kept = kept if among is None else kept & among
-        points, normals = points[kept], normals[kept]
+        vertices = np.asarray(vertices, float)
+        points, normals = _skin(head, vertices)
         low = points.min(0) - MARGIN
         size = np.ceil((points.max(0) + MARGIN - low) / CELL).astype(int) + 1
         heights = np.full(tuple(size), MARGIN, np.float32)
@@ -80,6 +81,7 @@ class Body:
                 some[:-1] |= before[1:]
         planes = (np.ascontiguousarray(part, np.float32) for part in (points, normals, low))
         for_rows(heights_into, int(blocks[0]), *planes, CELL, REACH, wanted, heights, smallest=1)
+        _over_ears(head, vertices, low, heights)
         slope = np.stack(np.gradient(heights, CELL), -1)
         slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
         return Body(low, np.concatenate([heights[..., None], slope], -1).astype(np.float32))
@@ -201,16 +203,16 @@ def cut(strands: np.ndarray, shares: np.ndarray) -> np.ndarray:
 
 
 def worn(head: HeadModel, still: np.ndarray, groom: Groom) -> Groom:
-    """A groom whose scalp hair is as it is drawn `on_person`: each strand gets as many points as the longest of its group."""
+    """A groom whose scalp hair is as it is drawn `on_person`; strands get as many points, evenly, as any of their group has."""
     template = np.asarray(head.v_template, float)
     parts = []
     for group in np.unique(groom.groups):
         some = groom.select(groom.groups == group)
         count = int(some.counts.max())
         if group == SCALP and count > 1:
-            some = some if (some.counts == count).all() else some.resampled(count)
+            some = some.resampled(count)
             local, frames = some.points.reshape(len(some), count, 3).astype(np.float32), some.frames(template, head.faces)
-            lock = locks_of(local, np.random.default_rng(len(some)))
+            lock = locks_of(some, template, head.faces)
             some = replace(some, points=on_person(head, still, frames, local, lock).reshape(-1, 3).astype(np.float32))
         parts.append(some)
     return join(parts) if parts else groom
@@ -224,44 +226,30 @@ def _edge(head: HeadModel) -> np.ndarray:
     return np.unique(edges[number == 1])
 
 
-def _skin(head: HeadModel, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points and normals of the planes at the vertices, and which belong to the outer skin: [V, 3], [V, 3], [V]."""
+def _skin(head: HeadModel, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points and normals of the planes at the vertices of the outer skin without the ears, [S, 3] each."""
     faces = np.asarray(head.faces)[np.asarray(head.uv_islands) == 0]
-    corners = vertices[faces]
-    normals = np.zeros_like(vertices)
-    np.add.at(normals, faces, np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, None])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-15)
+    normals = vertex_normals(vertices, faces)
     outer = np.zeros(len(vertices), bool)
     outer[faces] = True
-    for name in _INSIDE:
+    for name in (*_INSIDE, "ears"):
         outer[head.regions.get(name, np.zeros(0, int))] = False
-    points = vertices.copy()
-    ears = np.asarray(head.regions.get("ears", np.zeros(0, int)))
-    side = np.sign(vertices[ears, 0])
-    normals[ears] = side[:, None] * np.array([1.0, 0.0, 0.0])
-    near = np.linalg.norm(vertices[ears, None, 1:] - vertices[None, ears, 1:], axis=2) < EAR
-    near &= side[:, None] == side[None]
-    points[ears, 0] = side * np.where(near, np.abs(vertices[ears, 0])[None], 0.0).max(1, initial=0.0)
-    around = outer.copy()
-    around[ears] = False
-    for sign in (1.0, -1.0):
-        own = np.flatnonzero(around & (sign * vertices[:, 0] > 0.0) & (sign * normals[:, 0] > SIDEWAYS))
-        _lean_out(points, normals, own, points[ears[side == sign]], sign)
-    return points, normals, outer
+    return vertices[outer], normals[outer]
 
 
-def _lean_out(points: np.ndarray, normals: np.ndarray, skin: np.ndarray, ear: np.ndarray, side: float) -> None:
-    """Raise the planes at the vertices `skin` [S] of one side of the head onto slopes that lead to its ear's hull [E, 3]."""
-    if not len(ear):
-        return
-    away = points[skin, None, 1:] - ear[None, :, 1:]
-    falls = np.where(away[..., 0] > 0.0, LEAN, STEEP) * away[..., 0], STEEP * away[..., 1]
-    fall = np.hypot(*falls)
-    top = side * ear[None, :, 0] - fall
-    highest = top.argmax(1)
-    raised = np.flatnonzero(top.max(1) > side * points[skin, 0])
-    best, skin = (raised, highest[raised]), skin[raised]
-    points[skin, 0] = side * top[best]
-    slope = [part[best] * factor / np.maximum(fall[best], TINY) for part, factor in zip(falls, (LEAN, STEEP), strict=True)]
-    normals[skin] = np.stack([np.full(len(skin), side), *slope], 1)
-    normals[skin] /= np.linalg.norm(normals[skin], axis=1, keepdims=True)
+def _over_ears(head: HeadModel, vertices: np.ndarray, low: np.ndarray, heights: np.ndarray) -> None:
+    """Lower heights [X, Y, Z] of cells from `low` on to what they are above the hull of the ears."""
+    x, y, z = (low[axis] + CELL * np.arange(count) for axis, count in enumerate(heights.shape))
+    ears = vertices[head.regions.get("ears", np.zeros(0, int))]
+    for side in (1.0, -1.0):
+        ear = ears[side * ears[:, 0] > 0.0]
+        if not len(ear):
+            continue
+        near = np.linalg.norm(ear[:, None, 1:] - ear[None, :, 1:], axis=2) < EAR
+        out = np.where(near, side * ear[:, 0], 0.0).max(1)  # the highest around
+        up, across = y[:, None] - ear[:, 1], STEEP * (z[:, None] - ear[:, 2])
+        fall = np.hypot(np.where(up > 0.0, LEAN, STEEP)[:, None] * up[:, None], across[None])
+        top = (out - fall - BEND * np.maximum(fall - STRAIGHT, 0.0) ** 2).max(2)  # [Y, Z]
+        flat = 1.0 / np.sqrt(1.0 + sum(part**2 for part in np.gradient(top, CELL)))
+        own = side * x > 0.0
+        heights[own] = np.minimum(heights[own], (side * x[own, None, None] - top) * flat)

@@ -1,10 +1,11 @@
-"""Colors of strands from a few pigments, for a person's settings. Needs numpy only."""
+"""Colors of strands from a few pigments, for a person's settings, and their locks. Needs numpy only."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..pictures.color import srgb_to_linear
+from .groom import Groom
 from .settings import HairSettings
 
 # linear RGB: what eumelanin leaves of light hair, what red pigment leaves, and hair without pigment
@@ -12,6 +13,7 @@ ABSORPTION, BLOND = np.array([3.4, 4.1, 5.0]), np.array([0.62, 0.44, 0.235])
 GINGER, GINGER_ABSORPTION = np.array([0.34, 0.10, 0.025]), 1.6
 WHITE = np.array([0.46, 0.455, 0.45])
 ROOT_SHADE = 0.78  # of the color at the tip
+LOCKS = 400  # of differing color
 
 
 def albedos(settings: HairSettings, lock: np.ndarray, chance: np.ndarray, hairs: float = 1.0, share: float = 1.0) -> np.ndarray:
@@ -42,3 +44,21 @@ def albedos(settings: HairSettings, lock: np.ndarray, chance: np.ndarray, hairs:
     color = color + s.dye * (dyed - color)
     tip = color * (1.0 + 1.2 * max(s.tips, 0.0)) * (1.0 + 0.7 * min(s.tips, 0.0)) + 0.05 * max(s.tips, 0.0)
     return np.clip(np.stack([color * ROOT_SHADE, tip], 1), 0.0, 0.95).astype(np.float32)
+
+
+def locks_of(groom: Groom, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """How strands differ by the locks that they are in, about -1..1, float32 [N]; the same of the same strands.
+
+    Args:
+        groom: The strands of one group, in the order in which they are recorded.
+        vertices: The head model's mean, metres, [V, 3].
+        faces: Its triangles, [F, 3].
+    """
+    roots, axes = groom.frames(vertices, faces).at(vertices)
+    ends = np.einsum("ni,nij->nj", groom.points[groom.offsets[1:] - 1].astype(float), axes)
+    tips, g = roots + ends + 0.4 * roots, np.random.default_rng(len(groom))
+    seeds = tips[g.integers(len(tips), size=min(LOCKS, len(tips)))]
+    near = np.concatenate(
+        [((part[:, None] - seeds) ** 2).sum(2).argmin(1) for part in np.array_split(tips, len(tips) // 512 + 1)]
+    )
+    return np.clip(g.normal(0, 0.5, len(seeds)), -1, 1)[near].astype(np.float32)

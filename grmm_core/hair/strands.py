@@ -15,7 +15,7 @@ import numpy as np
 
 from .groom import Groom
 from .occlusion import openness
-from .pigment import albedos
+from .pigment import albedos, locks_of
 from .roots import BEARD, GROUPS, SCALP, RootFrames
 from .settings import HairSettings
 
@@ -29,7 +29,6 @@ BEND = 0.0006  # metres that a coarser number of points may be off
 FINEST, SHORN = 0.00012, 0.6  # metres: parents are split until strands are about this wide; of short hair, share of it
 FEW = 0.03  # of the scalp's strands: so few long or short ones are not told apart
 MOST_CHILDREN = 8
-LOCKS = 400  # of differing color
 ROOT_SPREAD, TIP_SPREAD = 0.95, 0.45  # of the distance between parents, how far their children are at root and tip
 TOGETHER = 0.33  # share of the former that is left at the tip
 SHORTER = 0.3  # of its length by which a child of a short parent is shorter at most
@@ -232,7 +231,9 @@ def blocks_of(
     for group in range(len(GROUPS)):
         rows = np.flatnonzero(groom.groups == group)
         if len(rows):
-            rows = rows[np.argsort((np.arange(len(rows)) * _GOLDEN) % 1.0)]
+            order = np.argsort((np.arange(len(rows)) * _GOLDEN) % 1.0)
+            lock = locks_of(groom.select(rows), vertices, faces)[order]
+            rows = rows[order]
             some = groom.select(rows)
             count = points_needed(some)
             even = some.resampled(count)
@@ -242,12 +243,13 @@ def blocks_of(
             long = lengths_of(posed) > CROPPED
             apart = group == SCALP and FEW < long.mean() < 1.0 - FEW  # each with levels of detail of its own
             for part in (long, ~long) if apart else (np.ones(len(rows), bool),):
-                made.append(_block(some.select(part), rows[part], group, part.mean(), vertices, faces, seen[part]))
+                made.append(_block(some.select(part), rows[part], group, part.mean(), vertices, faces, seen[part], lock[part]))
     return tuple(made)
 
 
 def _block(
-    groom: Groom, rows: np.ndarray, group: int, part: float, vertices: np.ndarray, faces: np.ndarray, seen: np.ndarray
+    groom: Groom, rows: np.ndarray, group: int, part: float, vertices: np.ndarray, faces: np.ndarray, seen: np.ndarray,
+    lock: np.ndarray,
 ) -> StrandBlock:  # fmt: skip
     count = points_needed(groom)
     groom = groom.resampled(count)
@@ -284,21 +286,10 @@ def _block(
         spread[fresh, 1] += (left - 1.0) * ends[owner[fresh]]
     numbers = np.arange(total)
     chance = np.stack([(numbers * step + 0.37) % 1.0 for step in (_PLASTIC, _THIRD, _GOLDEN)], 1)
-    lock = locks_of(posed, g)
     return StrandBlock(
         group, rows, part, frames, local, widths / children, light, lock, owner, spread.astype(np.float32),
         chance.astype(np.float32), groom.tints if groom.tints is not None and groom.tints.any() else None,
     )  # fmt: skip
-
-
-def locks_of(points: np.ndarray, g: np.random.Generator) -> np.ndarray:
-    """How strands [M, K, 3] differ by the locks that they are in, about -1..1, float32 [M]."""
-    tips = points[:, -1] + 0.4 * points[:, 0]
-    seeds = tips[g.integers(len(tips), size=min(LOCKS, len(tips)))]
-    near = np.concatenate(
-        [((part[:, None] - seeds) ** 2).sum(2).argmin(1) for part in np.array_split(tips, len(tips) // 512 + 1)]
-    )
-    return np.clip(g.normal(0, 0.5, len(seeds)), -1, 1)[near].astype(np.float32)
 
 
 def lengths_of(points: np.ndarray) -> np.ndarray:

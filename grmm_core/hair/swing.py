@@ -4,14 +4,15 @@ What swings are a few places along each strand. Each is drawn to where the groom
 that is the slower the farther from the root it is, as a pendulum of that length would be; gravity counts by how it has turned
 in the head's axes, so that a still upright head wears exactly its groom. Springs are integrated implicitly, so that no step is
 too large; segments keep their lengths from the root on (follow the leader: Mueller, Kim and Chentanez 2012); what would enter
-the head or the shoulders is pushed out. After each frame strands go part of the way of those around them, as hair drags hair
-along; within it each is on its own, so that threads and order change nothing. What comes out is
-how far each place is from where it would follow the head: curls, cuts and settings of the strands ride on that.
+the head or the shoulders, as they are posed in that frame, is pushed out. After each frame strands go part of the way of those
+around them, as hair drags hair along; within it each is on its own, so that threads and order change nothing. Last, lengths and
+the skin are asked in turns, the skin also between places. What comes out is how far each place is from where it would follow
+the head: curls, cuts and settings of the strands ride on that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,10 +22,10 @@ from ..errors import ConfigError, FileFormatError, ShapeError
 from ..files.access import atomic_write
 from ..files.npz import read_npz
 from ..head import HeadModel
-from .body import BURIED, DEEP, MOST, SLIDE, SOFT, Body
+from .body import BURIED, DEEP, MOST, SLIDE, SOFT, Body, worn
 from .groom import Groom
 from .roots import SCALP
-from .strands import nearest
+from .strands import evened, nearest
 
 PLACES = 8  # along a strand that swing, the root among them
 STEPS = 4  # of a frame
@@ -40,7 +41,8 @@ CLEARANCE = 0.001  # metres above the skin
 ROUNDS = 2  # of smoothing along a strand
 FARTHEST = 0.6  # of its distance along the strand from the root, how far a place may be from where the groom has it
 AROUND, TOGETHER = 12, 0.5  # strands around one, and how far it moves as these do in a frame: hair drags hair along
-OUT = 3  # rounds in which what is drawn is brought out of the head
+OUT = 4  # rounds in which what is drawn gets its lengths and is brought out of the head
+FINE = 2 * PLACES - 1  # points of a strand that are asked for it: places and middles between them
 RISE, HIGHEST = 0.25, 0.008  # so much of how far a place has swung it is drawn higher above the skin, metres at most
 _VERSION = 1
 
@@ -52,6 +54,11 @@ class Obstacle:
     body: Body
     turn: np.ndarray
     shift: np.ndarray
+
+    def numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Field, first cell and motion, as the kernels read them."""
+        motion = np.concatenate([self.turn, self.shift[:, None]], 1)
+        return self.body.field, self.body.low.astype(np.float32), np.ascontiguousarray(motion, np.float32)
 
 
 @dataclass
@@ -85,17 +92,16 @@ class Swing:
         if not 1.0 <= self.fps <= 1000.0:
             raise ConfigError(f"Hair cannot swing at {self.fps} frames a second; use 1 to 1000.")
         self._rows = np.flatnonzero(self.groom.groups == SCALP)
-        some = self.groom.select(self._rows)
-        self._sparse = some.resampled(PLACES)
-        self._frames = some.frames(np.asarray(self.head.v_template, float), self.head.faces)
         rest = np.asarray(self.rest, float)
-        still = self._sparse.posed(self._frames, rest).reshape(-1, PLACES, 3)
-        moving = np.asarray(self.head.weights)[:, 2:].sum(1) + np.asarray(self.head.weights)[:, 1] > 0.5  # with neck and jaw
-        self._bodies = (Body.of(self.head, rest, moving), Body.of(self.head, rest, ~moving))
+        some = worn(self.head, rest, self.groom.select(self._rows))  # what swings is what is drawn
+        self._frames = some.frames(np.asarray(self.head.v_template, float), self.head.faces)
+        count = int(some.counts.max(initial=2))
+        self._local = evened(some.points.reshape(-1, count, 3), FINE).astype(np.float32)
+        fine = self._posed(rest)
+        still = fine[:, ::2]
         self._rigid = np.asarray(self.head.regions["scalp"])
-        self._clear = np.stack(
-            [np.minimum(body.heights(still.reshape(-1, 3))[0], CLEARANCE).reshape(still.shape[:2]) for body in self._bodies]
-        ).astype(np.float32)
+        heights = Body.of(self.head, rest, near=fine.reshape(-1, 3)).heights(fine.reshape(-1, 3))[0]
+        self._clear = np.minimum(heights, CLEARANCE).reshape(fine.shape[:2]).astype(np.float32)
         steps = np.linalg.norm(np.diff(still, axis=1), axis=2)
         self._lengths = steps.astype(np.float32)
         along = np.concatenate([np.zeros((len(steps), 1)), np.cumsum(steps, 1)], 1)
@@ -103,7 +109,9 @@ class Swing:
         tips = still[:, 0] + 0.5 * still[:, -1]  # strands are neighbours that grow and end beside each other
         self._around = nearest(tips, tips, min(AROUND, len(tips)))[0] if len(tips) else np.zeros((0, 1), int)
         self._rates = (STIFF * np.sqrt(GRAVITY / np.maximum(along, SHORTEST))).astype(np.float32)
-        sunk = np.logical_or.accumulate((self._clear < -SUNK).any(0), axis=1)  # what is inside the head stays where it is
+        sunk = self._clear[:, ::2] < -SUNK
+        sunk[:, 0] = False  # roots stay anyway, and those beside an ear are below its hull
+        sunk = np.logical_or.accumulate(sunk, axis=1)  # what is inside the head stays where it is
         self._loose = ((along > SHORTEST) & ~sunk).astype(np.float32)
 
     def frames(self, poses: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
@@ -132,25 +140,27 @@ class Swing:
         about, by = (np.eye(3), np.zeros(3)) if place is None else (place[:3, :3], place[:3, 3])
         vertices = vertices @ about.T + by
         turn, shift = _rigid_motion(vertices[self._rigid], np.asarray(self.rest, float)[self._rigid])
-        targets = np.ascontiguousarray(self._sparse.posed(self._frames, vertices).reshape(-1, PLACES, 3), np.float32)
+        fine = self._posed(vertices)
+        targets = np.ascontiguousarray(fine[:, ::2])
         down = np.array([0.0, -GRAVITY, 0.0])
         gravity = (down - down @ turn).astype(np.float32)  # what is not in the groom already
         still = _State(targets.copy(), np.zeros_like(targets), targets, gravity)
         state, count = self._state, STEPS
         if state is None or np.abs(targets[:, 0] - state.targets[:, 0]).max(initial=0.0) > (JUMP if place is None else CARRIED):
             state, count = still, round(STEPS * SETTLE * self.fps)
-        obstacles = (Obstacle(self._bodies[0], turn, shift), Obstacle(self._bodies[1], about.T, -by @ about))
+        near = np.concatenate([fine.reshape(-1, 3), state.places.reshape(-1, 3)]) @ turn.T + shift
+        obstacle = Obstacle(Body.of(self.head, vertices @ turn.T + shift, near=near), turn, shift)
+        clear = np.ascontiguousarray(self._clear[:, ::2])
         dt = 1.0 / (STEPS * self.fps)
         drags = np.float32(2.0 * DAMPING) * self._rates
         springs = self._rates, drags, self._loose, self._farthest, self._lengths, gravity
         if self.compiled:
-            moved, numbers = (state.places, state.speeds, state.targets, targets), _numbers(obstacles)
-            swing_into(*moved, *springs, count, np.float32(dt), self._clear, *numbers)
+            moved = state.places, state.speeds, state.targets, targets
+            swing_into(*moved, *springs, count, np.float32(dt), clear, *obstacle.numbers())
         else:
             found = swing_readable(
-                state.places, state.speeds, state.targets, targets, *springs, count=count, dt=dt, clear=self._clear,
-                obstacles=obstacles,
-            )  # fmt: skip
+                state.places, state.speeds, state.targets, targets, *springs, count=count, dt=dt, clear=clear, obstacle=obstacle
+            )
             state.places, state.speeds = (part.astype(np.float32) for part in found)
         apart = TOGETHER * self._loose[..., None]  # what stays with the head stays
         for part in (state.places, state.speeds):
@@ -158,17 +168,25 @@ class Swing:
             part += apart * (own[self._around].mean(1) - own)
         self._state = _State(state.places, state.speeds, targets, gravity)
         result = np.zeros((len(self.groom), PLACES, 3), np.float32)
-        points = np.ascontiguousarray(targets + _unfolded(state.places - targets), np.float32)
-        # between places that touch a cheek a strand would cut through it
-        clear = self._clear + np.minimum(RISE * np.linalg.norm(points - targets, axis=2), HIGHEST).astype(np.float32)
+        offsets = np.ascontiguousarray(_unfolded(state.places - targets), np.float32)
+        # strands around this one would cut through a cheek that it touches
+        far = np.minimum(RISE * np.linalg.norm(offsets, axis=2), HIGHEST)
+        clear = (self._clear + evened(far[..., None], FINE)[..., 0]).astype(np.float32)
         for _ in range(OUT):
+            points = targets + offsets
             _shortened(points, self._lengths)
+            offsets = points - targets
             if self.compiled:
-                raise_into(points, clear, *_numbers(obstacles))
+                raise_into(fine, offsets, clear, _BETWEEN, *obstacle.numbers())
             else:
-                points[:, 1:] = _outside(points[:, 1:], np.ones_like(self._loose[:, 1:]), clear[:, :, 1:], obstacles)
-        result[self._rows] = (points - targets) @ about.astype(np.float32)
+                offsets = raised_readable(fine, offsets, clear, obstacle)
+        result[self._rows] = offsets @ about.astype(np.float32)
         return result
+
+    def _posed(self, vertices: np.ndarray) -> np.ndarray:
+        """Points of the strands that follow a head [V, 3], float32 [M, FINE, 3]."""
+        origin, axes = (part.astype(np.float32) for part in self._frames.at(vertices))
+        return np.ascontiguousarray(np.matmul(self._local, axes) + origin[:, None])
 
 
 def _unfolded(offsets: np.ndarray) -> np.ndarray:
@@ -188,15 +206,6 @@ def _shortened(points: np.ndarray, lengths: np.ndarray) -> None:
         points[:, s] = points[:, s - 1] + step
 
 
-def _numbers(obstacles: tuple[Obstacle, ...]) -> list[np.ndarray]:
-    """Field, first cell and motion of each obstacle, as the kernel reads them."""
-    parts: list[np.ndarray] = []
-    for one in obstacles:
-        motion = np.concatenate([one.turn, one.shift[:, None]], 1)
-        parts += [one.body.field, one.body.low.astype(np.float32), np.ascontiguousarray(motion, np.float32)]
-    return parts
-
-
 def _rigid_motion(posed: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Turn [3, 3] and shift [3] that bring posed points [M, 3] best back to rest: `posed @ turn.T + shift`."""
     u, _, v = np.linalg.svd((posed - posed.mean(0)).T @ (rest - rest.mean(0)))
@@ -207,7 +216,7 @@ def _rigid_motion(posed: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.n
 def swing_readable(
     places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, drags: np.ndarray,
     loose: np.ndarray, farthest: np.ndarray, lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float,
-    clear: np.ndarray, obstacles: Sequence[Obstacle],
+    clear: np.ndarray, obstacle: Obstacle,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """The readable twin of `swing_kernel.swing_into`, which says what the arguments are; returns places and speeds."""
     places, speeds = places.astype(float), speeds.astype(float)
@@ -227,7 +236,7 @@ def swing_readable(
                 along = new[:, s] - new[:, s - 1]
                 along *= (lengths[:, s - 1] / np.maximum(np.linalg.norm(along, axis=1), 1e-9))[:, None]
                 held = new[:, s - 1] + along
-                out = _outside(held, loose[:, s], clear[:, :, s], obstacles)
+                out = _outside(held, loose[:, s], clear[:, s], obstacle)
                 touched |= (out != held).any(1)
                 held = out
                 new[:, s] = np.where(free[:, None], held, new[:, s])
@@ -236,29 +245,50 @@ def swing_readable(
     return places, speeds
 
 
-def _outside(points: np.ndarray, loose: np.ndarray, clear: np.ndarray, obstacles: Sequence[Obstacle]) -> np.ndarray:
-    """Points [..., 3] where they are loose [...] brought some of the way up to their height above each body, [2, ...]."""
-    for wanted, one in zip(clear, obstacles, strict=True):
-        heights, up = one.body.heights((points @ one.turn.T + one.shift).reshape(-1, 3))
-        heights = heights.reshape(loose.shape)
-        under = wanted - heights
-        push = np.maximum(np.clip(SOFT * under, 0.0, MOST), under - DEEP)
-        push = np.where((heights > -BURIED) & (loose > 0), push, 0.0)
-        points = points + push[..., None] * (up @ one.turn).reshape(points.shape)
-    return points
+def _outside(points: np.ndarray, loose: np.ndarray, clear: np.ndarray, obstacle: Obstacle) -> np.ndarray:
+    """Points [N, 3] where they are loose [N] brought some of the way up to their heights [N] above a body."""
+    under, up = _under(points, clear, obstacle)
+    push = np.maximum(np.clip(SOFT * under, 0.0, MOST), under - DEEP)
+    return np.asarray(points + np.where(loose > 0, push, 0.0)[:, None] * up)
 
 
-def swung(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Strands [N, K, 3] with what `Swing` says of them, [N, S, 3], on smooth curves (Catmull and Rom) between its places."""
-    count, last = points.shape[1], offsets.shape[1] - 1
+def _under(points: np.ndarray, clear: np.ndarray, obstacle: Obstacle) -> tuple[np.ndarray, np.ndarray]:
+    """How far points [N, 3] are below their heights [N] above a body, 0 where they are not, and the way out, [N, 3]."""
+    heights, up = obstacle.body.heights(points @ obstacle.turn.T + obstacle.shift)
+    return np.where(heights > -BURIED, np.maximum(clear - heights, 0.0), 0.0), up @ obstacle.turn
+
+
+def raised_readable(fine: np.ndarray, offsets: np.ndarray, clear: np.ndarray, obstacle: Obstacle) -> np.ndarray:
+    """The readable twin of `swing_kernel.raise_into`, which says what the arguments are; returns offsets."""
+    points = swung(fine, offsets)
+    under, up = (
+        part.reshape(points.shape[:2] + part.shape[1:]) for part in _under(points.reshape(-1, 3), clear.ravel(), obstacle)
+    )
+    shares = under[:, :, None] * _BETWEEN.clip(0.0)  # [M, FINE, PLACES]
+    push = np.einsum("mfp,mfc->mpc", shares**2, up) / np.maximum(shares.sum(1), 1e-9)[..., None]
+    push[:, 0] = 0.0
+    return (offsets + push).astype(np.float32)
+
+
+def _between(count: int, places: int) -> np.ndarray:
+    """What of each of `places` even places points between them take, [count, places]: Catmull and Rom's smooth curve."""
+    last = places - 1
     at = np.linspace(0, last, count)
     base = np.minimum(at.astype(int), last - 1)
     t = at - base
     rows = (-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2)
-    shares = np.zeros((count, last + 1), np.float32)
+    shares = np.zeros((count, places), np.float32)
     for step, row in enumerate(rows):
         np.add.at(shares, (np.arange(count), np.clip(base + step - 1, 0, last)), 0.5 * row)
-    return (points + np.matmul(shares, offsets)).astype(np.float32)
+    return shares
+
+
+_BETWEEN = _between(FINE, PLACES)
+
+
+def swung(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    """Strands [N, K, 3] with what `Swing` says of them, [N, S, 3], on smooth curves between its places."""
+    return (points + np.matmul(_between(points.shape[1], offsets.shape[1]), offsets)).astype(np.float32)
 
 
 def write_bake(path: str | Path, frames: Iterable[np.ndarray], start: int, fps: float) -> int:

@@ -16,31 +16,42 @@ _ZERO, _ONE = F(0.0), F(1.0)
 
 
 @compiled(**_OPTIONS)
-def _raised(
+def _under(
     x: float, y: float, z: float, wanted: float, field: np.ndarray, low: np.ndarray, motion: np.ndarray
-) -> tuple[float, float, float]:
-    """A point brought up to the height `wanted` above a body that has moved."""
+) -> tuple[float, float, float, float]:
+    """How far a point is below the height `wanted` above a body that has moved, 0 where it is not, and the way out."""
     px = motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3]
     py = motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3]
     pz = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3]
     u, v, w = (px - low[0]) / F(CELL), (py - low[1]) / F(CELL), (pz - low[2]) / F(CELL)
     height, dx, dy, dz = sampled(field, u, v, w)
-    if height >= wanted or height < -F(BURIED):
+    if height >= wanted or height <= -F(BURIED):
+        return _ZERO, _ZERO, _ZERO, _ZERO
+    scale = _ONE / (math.sqrt(dx * dx + dy * dy + dz * dz) + F(1e-6))
+    dx, dy, dz = dx * scale, dy * scale, dz * scale
+    ux = motion[0, 0] * dx + motion[1, 0] * dy + motion[2, 0] * dz
+    uy = motion[0, 1] * dx + motion[1, 1] * dy + motion[2, 1] * dz
+    uz = motion[0, 2] * dx + motion[1, 2] * dy + motion[2, 2] * dz
+    return wanted - height, ux, uy, uz
+
+
+@compiled(**_OPTIONS)
+def _raised(
+    x: float, y: float, z: float, wanted: float, field: np.ndarray, low: np.ndarray, motion: np.ndarray
+) -> tuple[float, float, float]:
+    """A point brought some of the way up to the height `wanted` above a body that has moved."""
+    under, dx, dy, dz = _under(x, y, z, wanted, field, low, motion)
+    if under <= _ZERO:
         return x, y, z
-    push = max(min(F(SOFT) * (wanted - height), F(MOST)), wanted - height - F(DEEP))
-    push /= math.sqrt(dx * dx + dy * dy + dz * dz) + F(1e-6)
-    dx, dy, dz = dx * push, dy * push, dz * push
-    x += motion[0, 0] * dx + motion[1, 0] * dy + motion[2, 0] * dz
-    y += motion[0, 1] * dx + motion[1, 1] * dy + motion[2, 1] * dz
-    z += motion[0, 2] * dx + motion[1, 2] * dy + motion[2, 2] * dz
-    return x, y, z
+    push = max(min(F(SOFT) * under, F(MOST)), under - F(DEEP))
+    return x + push * dx, y + push * dy, z + push * dz
 
 
 @compiled(**_OPTIONS)
 def swing_into(
     places: np.ndarray, speeds: np.ndarray, before: np.ndarray, targets: np.ndarray, rates: np.ndarray, drags: np.ndarray,
     loose: np.ndarray, farthest: np.ndarray, lengths: np.ndarray, gravity: np.ndarray, count: int, dt: float, clear: np.ndarray,
-    field0: np.ndarray, low0: np.ndarray, motion0: np.ndarray, field1: np.ndarray, low1: np.ndarray, motion1: np.ndarray,
+    field: np.ndarray, low: np.ndarray, motion: np.ndarray,
 ) -> None:  # fmt: skip
     """Move strands by one frame.
 
@@ -57,13 +68,10 @@ def swing_into(
         gravity: That is not in the groom, m/s^2, [3].
         count: Steps.
         dt: Seconds of a step.
-        clear: Height above each body that a place keeps, [2, M, S].
-        field0: Of the first body, see `Body`.
-        low0: Likewise.
-        motion0: What brings points to it, [3, 4].
-        field1: Of the second body.
-        low1: Likewise.
-        motion1: Likewise.
+        clear: Height above the body that a place keeps, [M, S].
+        field: Of the body, see `Body`.
+        low: Likewise.
+        motion: What brings points to it, [3, 4].
     """
     inverse = _ONE / dt
     new, goals = np.empty(3, np.float32), np.empty(3, np.float32)
@@ -92,8 +100,7 @@ def swing_into(
                         keep = lengths[m, s - 1] / max(math.sqrt(dx * dx + dy * dy + dz * dz), F(1e-9))
                         x, y, z = ax + dx * keep, ay + dy * keep, az + dz * keep
                         hx, hy, hz = x, y, z
-                        x, y, z = _raised(x, y, z, clear[0, m, s], field0, low0, motion0)
-                        x, y, z = _raised(x, y, z, clear[1, m, s], field1, low1, motion1)
+                        x, y, z = _raised(x, y, z, clear[m, s], field, low, motion)
                         if x != hx or y != hy or z != hz:
                             slide = F(SLIDE)
                 new[0], new[1], new[2] = x, y, z
@@ -104,13 +111,44 @@ def swing_into(
 
 @compiled(**_OPTIONS)
 def raise_into(
-    points: np.ndarray, clear: np.ndarray,
-    field0: np.ndarray, low0: np.ndarray, motion0: np.ndarray, field1: np.ndarray, low1: np.ndarray, motion1: np.ndarray,
+    fine: np.ndarray, offsets: np.ndarray, clear: np.ndarray, shares: np.ndarray,
+    field: np.ndarray, low: np.ndarray, motion: np.ndarray,
 ) -> None:  # fmt: skip
-    """Bring points [M, S, 3] besides roots out of bodies; see `swing_into` for the arguments."""
-    for m in range(len(points)):
-        for s in range(1, points.shape[1]):
-            x, y, z = points[m, s, 0], points[m, s, 1], points[m, s, 2]
-            x, y, z = _raised(x, y, z, clear[0, m, s], field0, low0, motion0)
-            x, y, z = _raised(x, y, z, clear[1, m, s], field1, low1, motion1)
-            points[m, s, 0], points[m, s, 1], points[m, s, 2] = x, y, z
+    """Move strands out of a body, so that they stay smooth.
+
+    A place goes its share of the way of the points beside it, most that of the deepest.
+
+    Args:
+        fine: Where the groom has points of the strands, among them between their places, [M, P, 3].
+        offsets: Changed but for the roots', how far the places are from there, [M, S, 3].
+        clear: Height above the body that the points are to have, [M, P].
+        shares: What a point takes of each place's offset, [P, S].
+        field: Of the body; see `swing_into` for what follows.
+        low: Likewise.
+        motion: Likewise.
+    """
+    points, places = shares.shape
+    push, total = np.empty((places, 3), np.float32), np.empty(places, np.float32)
+    for m in range(len(fine)):
+        push[:] = _ZERO
+        total[:] = _ZERO
+        for p in range(1, points):
+            x, y, z = fine[m, p, 0], fine[m, p, 1], fine[m, p, 2]
+            for s in range(places):
+                share = shares[p, s]
+                if share != _ZERO:
+                    x, y, z = x + share * offsets[m, s, 0], y + share * offsets[m, s, 1], z + share * offsets[m, s, 2]
+            under, dx, dy, dz = _under(x, y, z, clear[m, p], field, low, motion)
+            if under > _ZERO:
+                for s in range(1, places):
+                    share = shares[p, s] * under
+                    if share > _ZERO:
+                        total[s] += share
+                        share *= share
+                        push[s, 0] += share * dx
+                        push[s, 1] += share * dy
+                        push[s, 2] += share * dz
+        for s in range(1, places):
+            if total[s] > _ZERO:
+                for c in range(3):
+                    offsets[m, s, c] += push[s, c] / total[s]

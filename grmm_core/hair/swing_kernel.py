@@ -16,23 +16,21 @@ _ZERO, _ONE = F(0.0), F(1.0)
 
 
 @compiled(**_OPTIONS)
-def _under(
-    x: float, y: float, z: float, wanted: float, field: np.ndarray, low: np.ndarray, motion: np.ndarray
+def _height(
+    x: float, y: float, z: float, field: np.ndarray, low: np.ndarray, motion: np.ndarray
 ) -> tuple[float, float, float, float]:
-    """How far a point is below the height `wanted` above a body that has moved, 0 where it is not, and the way out."""
+    """How high a point is above a body that has moved, and the unit direction out of it."""
     px = motion[0, 0] * x + motion[0, 1] * y + motion[0, 2] * z + motion[0, 3]
     py = motion[1, 0] * x + motion[1, 1] * y + motion[1, 2] * z + motion[1, 3]
     pz = motion[2, 0] * x + motion[2, 1] * y + motion[2, 2] * z + motion[2, 3]
     u, v, w = (px - low[0]) / F(CELL), (py - low[1]) / F(CELL), (pz - low[2]) / F(CELL)
     height, dx, dy, dz = sampled(field, u, v, w)
-    if height >= wanted or height <= -F(BURIED):
-        return _ZERO, _ZERO, _ZERO, _ZERO
     scale = _ONE / (math.sqrt(dx * dx + dy * dy + dz * dz) + F(1e-6))
     dx, dy, dz = dx * scale, dy * scale, dz * scale
     ux = motion[0, 0] * dx + motion[1, 0] * dy + motion[2, 0] * dz
     uy = motion[0, 1] * dx + motion[1, 1] * dy + motion[2, 1] * dz
     uz = motion[0, 2] * dx + motion[1, 2] * dy + motion[2, 2] * dz
-    return wanted - height, ux, uy, uz
+    return height, ux, uy, uz
 
 
 @compiled(**_OPTIONS)
@@ -40,10 +38,10 @@ def _raised(
     x: float, y: float, z: float, wanted: float, field: np.ndarray, low: np.ndarray, motion: np.ndarray
 ) -> tuple[float, float, float]:
     """A point brought some of the way up to the height `wanted` above a body that has moved."""
-    under, dx, dy, dz = _under(x, y, z, wanted, field, low, motion)
-    if under <= _ZERO:
+    height, dx, dy, dz = _height(x, y, z, field, low, motion)
+    if height >= wanted or height <= -F(BURIED):
         return x, y, z
-    push = max(min(F(SOFT) * under, F(MOST)), under - F(DEEP))
+    push = max(min(F(SOFT) * (wanted - height), F(MOST)), wanted - height - F(DEEP))
     return x + push * dx, y + push * dy, z + push * dz
 
 
@@ -138,8 +136,9 @@ def raise_into(
                 share = shares[p, s]
                 if share != _ZERO:
                     x, y, z = x + share * offsets[m, s, 0], y + share * offsets[m, s, 1], z + share * offsets[m, s, 2]
-            under, dx, dy, dz = _under(x, y, z, clear[m, p], field, low, motion)
-            if under > _ZERO:
+            height, dx, dy, dz = _height(x, y, z, field, low, motion)
+            under = clear[m, p] - height
+            if under > _ZERO and height > -F(BURIED):
                 for s in range(1, places):
                     share = shares[p, s] * under
                     if share > _ZERO:

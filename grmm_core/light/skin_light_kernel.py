@@ -34,6 +34,12 @@ def _lobe(alpha: float, tilt: float, cosine: float, facing: float) -> float:
 
 
 @compiled(inline="always", **OPTIONS)
+def _uneven(cosine: float, relief: float) -> float:
+    """`shading.uneven` by the square of twice its `relief`."""
+    return _HALF * (cosine + math.sqrt(cosine * cosine + relief))
+
+
+@compiled(inline="always", **OPTIONS)
 def _mirrored(rough: float, reflectance: float, facing: float) -> float:
     """`shading.mirrored_share` of a surface."""
     narrow = _1 - rough
@@ -104,7 +110,7 @@ def shade(
         colors: Coefficients of the surroundings for irradiance, [9, 3].
         mirrors: The same for mirrored light, [9, 3].
         factors: Of all light and of highlights, of wandering by color, in metres, `shading.FADING` and `LEAST_FRONT`, and by
-            how much shadows are softer, by color, [10].
+            how much shadows are softer, by color, and twice `materials.RELIEF`, [11].
         out: Written: `shading.Arrived.values`, [N, 8].
         first: Row of `out`.
         last: The row after the last.
@@ -126,9 +132,11 @@ def shade(
                 nx, ny, nz = w[_NORMAL + j], w[_NORMAL + _B + j], w[_NORMAL + 2 * _B + j]
                 cosine, bent = nx * lx + ny * ly + nz * lz, w[_WANDER + _B + j]
                 wr, wg, wb = min(bent * factors[2], most), min(bent * factors[3], most), min(bent * factors[4], most)
-                tr = max(cosine + wr, _0) / ((_1 + wr) * (_1 + wr)) * strength
-                tg = max(cosine + wg, _0) / ((_1 + wg) * (_1 + wg)) * strength
-                tb = max(cosine + wb, _0) / ((_1 + wb) * (_1 + wb)) * strength
+                relief = w[_LOOK + _B + j] * w[_LOOK + _B + j] * factors[10]
+                relief *= relief
+                tr = _uneven(cosine + wr, relief) / ((_1 + wr) * (_1 + wr)) * strength
+                tg = _uneven(cosine + wg, relief) / ((_1 + wg) * (_1 + wg)) * strength
+                tb = _uneven(cosine + wb, relief) / ((_1 + wb) * (_1 + wb)) * strength
                 w[_SUMS + 7 * _B + j] += (tr + tg + tb) * mean * w[_KNOWN + j]
                 tr, tg, tb = tr * w[_THROUGH + j], tg * w[_THROUGH + _B + j], tb * w[_THROUGH + 2 * _B + j]
                 w[_SUMS + 6 * _B + j] += (tr + tg + tb) * mean

@@ -15,7 +15,7 @@ from grmm_core.light import shadow_kernels as kernels
 from grmm_core.light.bounce import Exchange, albedo_of
 from grmm_core.light.hair_shading import CELL, HairCloud
 from grmm_core.light.lamps import Lighting, Point, Spot, Sun, soft_box
-from grmm_core.light.materials import MATERIALS, SKIN, Materials, materials_of
+from grmm_core.light.materials import MATERIALS, RELIEF, SKIN, Materials, materials_of
 from grmm_core.light.relight import over_cover, relit, relit_pixels, to_display, to_linear
 from grmm_core.light.shading import (
     MAX_RATIO,
@@ -251,17 +251,37 @@ def test_light_of_a_sun_is_lamberts_on_matt_skin_and_wanders_further_in_red():
     receivers, sun = Receivers.around(points, normals), Sun(direction=(0.0, 0.0, 1.0), strength=2.0)
     none = np.zeros((len(points), 9))
     seen = [np.ones(len(points))]
-    dull = transport((sun,), receivers, seen, plain(len(points)), none, np.array([0, 0, 2.0]), Response(scattering=0.0))
+    even_skin = replace(plain(len(points)), rough=np.zeros(len(points), np.float32))  # without pores and wrinkles
+    dull = transport((sun,), receivers, seen, even_skin, none, np.array([0, 0, 2.0]), Response(scattering=0.0))
     np.testing.assert_allclose(dull.diffuse[0], np.maximum(normals[:, 2:], 0.0) * [[2.0] * 3], atol=1e-5)
-    wide = transport((sun,), receivers, seen, plain(len(points)), none, np.array([0, 0, 2.0])).diffuse[0]
+    wide = transport((sun,), receivers, seen, even_skin, none, np.array([0, 0, 2.0])).diffuse[0]
     assert wide[normals[:, 2] < -0.02].max() == 0.0  # a millimetre is little on a ball like a head
-    nose = replace(plain(len(points)), curvature=np.full(len(points), 100.0, np.float32))
+    nose = replace(even_skin, curvature=np.full(len(points), 100.0, np.float32))
     skin = transport((sun,), receivers, seen, nose, none, np.array([0, 0, 2.0])).diffuse[0]
     beyond = (normals[:, 2] < -0.01) & (normals[:, 2] > -0.1)
     assert (skin[beyond, 0] > 2 * skin[beyond, 1]).all()
     # the same light all in all: the mean over the ball of max(0, (c + w) / (1 + w)^2) is 1/4 for every w
     even = np.sqrt(np.maximum(1.0 - normals[:, 1] ** 2, 0.0))[:, None]  # the grid's points crowd at the poles
     assert (skin * even).sum(0) == pytest.approx(np.full(3, (dull.diffuse[0] * even)[:, 0].sum()), rel=0.03)
+
+
+def test_pores_soften_the_terminator_of_skin_alone():
+    points, normals, _ = ball()
+    receivers, sun = Receivers.around(points, normals), Sun(direction=(0.0, 0.0, 1.0))
+    given = (sun,), receivers, [np.ones(len(points))]
+    eye, still = np.array([0, 0, 2.0]), Response(scattering=0.0)
+    none, count = np.zeros((len(points), 9)), len(points)
+    skin = transport(*given, plain(count), none, eye, still).diffuse[0, :, 0]
+    ivory = Materials(*(np.full(count, value, np.float32) for value in vars(MATERIALS["left_eyeball"]).values()))
+    smooth = transport(*given, ivory, none, eye, still).diffuse[0, :, 0]
+    cosine = np.maximum(normals[:, 2], 0.0)
+    beside = np.abs(normals[:, 2]) < 1e-9
+    assert skin[beside] == pytest.approx(RELIEF * SKIN.rough**2, rel=1e-4)
+    assert (skin - cosine)[normals[:, 2] > 0.5].max() < 2e-3
+    assert skin[normals[:, 2] < -0.2].max() < 4e-3
+    assert np.abs(smooth - cosine).max() < 0.3 * np.abs(skin - cosine).max()
+    order = np.argsort(normals[:, 2])
+    assert (np.diff(skin[order]) >= -1e-7).all()
 
 
 def test_highlights_stand_where_a_mirror_would_throw_the_lamp():

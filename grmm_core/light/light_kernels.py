@@ -209,7 +209,7 @@ def harmonics_of(x: float, y: float, z: float) -> tuple[Any, ...]:
 @compiled(**OPTIONS)
 def relative(
     light: np.ndarray, corners: np.ndarray, bounced: np.ndarray, weights: np.ndarray, rig: np.ndarray, learned: np.ndarray,
-    gloss: float, most: float, first: int, last: int,
+    inside: np.ndarray, gloss: float, most: float, least: float, first: int, last: int,
 ) -> None:  # fmt: skip
     """Turn what arrives into what changes colors; see `shading.relative`.
 
@@ -220,8 +220,10 @@ def relative(
         weights: As `corners`.
         rig: [N, 3].
         learned: Highlights, [N, 3].
+        inside: Irradiance of what faces away, [3], or [0].
         gloss: Their factor.
         most: Of a ratio.
+        least: Cover that counts of what faces away.
         first: Row of `light`.
         last: The row after the last.
     """
@@ -232,7 +234,10 @@ def relative(
             if len(corners):
                 a, b, c = corners[i, 0], corners[i, 1], corners[i, 2]
                 more = weights[i, 0] * bounced[a, k] + weights[i, 1] * bounced[b, k] + weights[i, 2] * bounced[c, k]
-            ratio = min(max((light[i, k] + more) / rig[i, k], _0), limit)
+            there = light[i, k] + more
+            if len(inside) and light[i, 6] <= least:
+                there = inside[k]
+            ratio = min(max(there / rig[i, k], _0), limit)
             light[i, k] = ratio * light[i, 6]
             light[i, 3 + k] = (light[i, 3 + k] - shine * learned[i, k] * ratio) * light[i, 6]
         light[i, 7] *= light[i, 6]

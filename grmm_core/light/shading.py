@@ -241,8 +241,9 @@ class Learned(NamedTuple):
 
 
 def relative(
-    arrived: Arrived, bounced: np.ndarray, corners: np.ndarray, weights: np.ndarray, learned: Learned, gloss: float
-) -> np.ndarray:
+    arrived: Arrived, bounced: np.ndarray, corners: np.ndarray, weights: np.ndarray, learned: Learned, gloss: float,
+    inside: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Light as it changes learned colors: `ratio`, highlights less those that are in the colors, share of the lamps' light.
 
     All three are premultiplied by `Arrived.front`, which is there besides: Gaussians are a little transparent, and what a lamp
@@ -255,6 +256,7 @@ def relative(
         weights: Of them, likewise.
         learned: At the Gaussians.
         gloss: Factor of the highlights in colors.
+        inside: Irradiance of what is seen from behind, [3], such as the inner side of an open bust, whatever arrives outside.
 
     Returns:
         Ratio (3), highlights (3), `front` (1), share (1), [N, 8] float32.
@@ -263,13 +265,17 @@ def relative(
     if kernels is None:
         more = np.einsum("nk,nkc->nc", weights, bounced[corners]) if len(corners) else 0.0
         light = ratio(arrived.irradiance + more, learned.rig)
-        shine = arrived.highlights - gloss * learned.highlights * light
         front = arrived.front
+        if inside is not None:
+            light = np.where(front <= LEAST_FRONT, ratio(np.broadcast_to(inside, light.shape), learned.rig), light)
+        shine = arrived.highlights - gloss * learned.highlights * light
         return np.concatenate([light * front, shine * front, front, arrived.share * front], 1).astype(np.float32)
     from ..compute.threads import for_rows
 
     arrays = (np.ascontiguousarray(array, np.float32) for array in (bounced, weights, *learned))
-    for_rows(kernels.relative, len(arrived.values), arrived.values, corners, *arrays, float(gloss), MAX_RATIO)
+    within = np.zeros(0, np.float32) if inside is None else np.ascontiguousarray(inside, np.float32)
+    limits = MAX_RATIO, np.float32(LEAST_FRONT)
+    for_rows(kernels.relative, len(arrived.values), arrived.values, corners, *arrays, within, float(gloss), *limits)
     return arrived.values
 
 

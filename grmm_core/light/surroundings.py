@@ -131,6 +131,12 @@ def coefficients_of(surroundings: Surroundings | None, turn: np.ndarray | None =
     return (surroundings if turn is None else surroundings.turned(turn)).coefficients.astype(np.float32)
 
 
+def mean_irradiance(surroundings: Surroundings | None) -> np.ndarray:
+    """Irradiance in the mean over all normals, [3]; 0 of a black world."""
+    found: np.ndarray = np.maximum(coefficients_of(surroundings)[0] * (BANDS[0] * 0.5 / math.sqrt(math.pi)), 0.0)
+    return found
+
+
 def sphere(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Evenly spread unit vectors (a Fibonacci lattice), [count, 3], and their solid angles, [count]."""
     i = np.arange(count) + 0.5

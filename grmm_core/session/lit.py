@@ -24,7 +24,7 @@ from ..light.mesh_light import LitSurface, TexelGrid
 from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
 from ..light.shading import FADING, Learned, Response, facing, reached, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, maps_of
-from ..light.surroundings import coefficients_of
+from ..light.surroundings import coefficients_of, mean_irradiance
 from ..light.texel_shadows import TexelShadows
 from ..light.transfer import turn_between, vertex_normals
 from ..splat.types import Gaussians
@@ -36,6 +36,7 @@ UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0], np.float32)  # what c
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _RIGID = "scalp"  # region whose turn is the head's
+_BOWL = 0.5  # of light from all around that reaches the inner side of an open bust
 _PLACES = 5  # of numbers that a turn is known by: what an expression pulls at the scalp is no turn
 
 
@@ -127,7 +128,8 @@ class LitAvatar:
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         corners = self._drawn.corners
-        found = relative(scene, bounced, corners, self._drawn.barycentric, learned, self._response.gloss)
+        inside = mean_irradiance(self._lighting.surroundings) * (_BOWL * self._response.intensity)
+        found = relative(scene, bounced, corners, self._drawn.barycentric, learned, self._response.gloss, inside)
         if self._response.even_mouth:
             even_mouth(self._head, corners, found, FRONT)
         return found

@@ -18,6 +18,7 @@ from grmm_core.light.lamps import Lighting, Point, Spot, Sun, soft_box
 from grmm_core.light.materials import MATERIALS, RELIEF, SKIN, Materials, materials_of
 from grmm_core.light.relight import over_cover, relit, relit_pixels, to_display, to_linear
 from grmm_core.light.shading import (
+    LEAST_FRONT,
     MAX_RATIO,
     Arrived,
     Learned,
@@ -136,9 +137,15 @@ def test_compiled_relative_light_is_the_readable_one(monkeypatch):
     corners, weights = random.integers(0, 20, (50, 3)).astype(np.int32), random.dirichlet(np.ones(3), 50)
     learned = Learned(random.uniform(0.1, 1.0, (50, 3)), random.random((50, 3)))
     values, bounced = random.random((50, 8)).astype(np.float32), random.random((20, 3))
-    fast = relative(Arrived(values.copy()), bounced, corners, weights, learned, 0.7)
+    values[:10, 6] = LEAST_FRONT
+    inside = np.array([0.3, 0.2, 0.1])
+    arguments = bounced, corners, weights, learned, 0.7
+    fast, within = (relative(Arrived(values.copy()), *arguments, given) for given in (None, inside))
     monkeypatch.setattr(shading, "compiled_kernels", lambda: None)
-    np.testing.assert_allclose(fast, relative(Arrived(values), bounced, corners, weights, learned, 0.7), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(fast, relative(Arrived(values), *arguments), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(within, relative(Arrived(values), *arguments, inside), rtol=1e-4, atol=1e-5)
+    np.testing.assert_array_equal(within[10:], fast[10:])
+    np.testing.assert_allclose(within[:10, :3], LEAST_FRONT * inside / learned.rig[:10], rtol=1e-5)
 
 
 def test_a_lit_wall_lights_the_one_that_stands_on_it():

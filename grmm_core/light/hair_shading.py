@@ -210,7 +210,7 @@ def strand_transport(
         half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         mirrored = np.clip(1.0 - (tangents * half).sum(1) ** 2, 0.0, 1.0)
         shine, colored = (weight * mirrored ** (0.5 * power) for power, weight in _LOBES)
-        amount = ((across * (facing * part + behind) + colored * facing * part) * strength * response.intensity)[:, None]
+        amount = ((across * (facing + behind) * part + colored * facing * part) * strength * response.intensity)[:, None]
         diffuse.append(np.broadcast_to(amount, (len(points), 3)))
         highlights.append(shine * facing * part * strength * (response.gloss * response.intensity))
     count = len(points)

@@ -121,7 +121,7 @@ def shade(
                 across, behind = math.sqrt(max(_1 - along * along, _0)) * strength, w[_RIM + j] * max(-opposite, _0)
                 whole, open_ = across * (facing + behind) * mean, facing
                 facing *= part
-                amount = across * (facing + behind)
+                amount = across * (facing + behind * part)
                 # the half vector's length is that of two unit vectors' sum
                 lean = along + w[_ALONG + j]
                 square = min(max(_1 - lean * lean / max(_2 + _2 * opposite, np.float32(1e-6)), _0), _1)

@@ -258,7 +258,7 @@ class LitAvatar:
         there = Lighting((lamp,)).in_space(to_cloud).lamps[0]
 
         def make() -> tuple[np.ndarray]:
-            return (cloud.between(there, grid.points @ to_cloud[:3, :3].T + to_cloud[:3, 3]).reshape(grid.size),)
+            return (cloud.through(there, grid.points @ to_cloud[:3, :3].T + to_cloud[:3, 3]).reshape(grid.size),)
 
         where = to_cloud.tobytes(), grid.low.tobytes(), grid.size
         return self._evaluator.cache.get((self._target.id, "in hair", repr(there), *where, *self._hair_key), make)[0]

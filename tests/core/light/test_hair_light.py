@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from grmm_core.light import hair_shading, shadows
-from grmm_core.light.hair_shading import GRID, HairCloud, LightGrid, Reaching, strand_light
+from grmm_core.light.hair_shading import GRID, HairCloud, LightGrid, Reaching, strand_light, strand_transport
 from grmm_core.light.lamps import Point, Spot, Sun, soft_box
 from grmm_core.light.shading import Response
 from grmm_core.light.shadows import Casters, Receivers, maps_of
@@ -58,11 +58,22 @@ def test_the_light_between_places_changes_evenly_and_places_stay_where_they_are(
     assert wave.at(np.array([[1.0, 0.0, 0.0]]))[0, 0] == pytest.approx(0.06, abs=GRID * 0.01)
 
 
-def test_hair_dims_what_hair_lies_behind_it_less_than_skin():
+def test_hair_dims_what_lies_in_it_and_more_what_lies_behind_it():
     pieces = np.random.default_rng(0).uniform(-0.05, 0.05, (4000, 3)) * [1.0, 1.0, 0.3]
     cloud = HairCloud.of(pieces, np.full(len(pieces), 2e-6))
     places = np.array([[0.0, 0.0, 0.04], [0.0, 0.0, 0.0], [0.0, 0.0, -0.04]])  # before it, within, behind
-    hair, skin = (dim(Sun(direction=(0.0, 0.0, 1.0)), places) for dim in (cloud.between, cloud.through))
-    assert hair[0] == skin[0] == 1.0
-    assert 0.0 < hair[2] < hair[1] < 1.0
-    assert (hair[1:] > skin[1:]).all()
+    through = cloud.through(Sun(direction=(0.0, 0.0, 1.0)), places)
+    assert through[0] == 1.0
+    assert 0.0 < through[2] < through[1] < 1.0
+
+
+def test_no_lamp_shines_through_hair_that_it_does_not_reach():
+    g = np.random.default_rng(1)
+    points, tangents = g.normal(0.0, 0.1, (200, 3)), g.normal(0.0, 1.0, (200, 3))
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    lamps, eye = (Sun(direction=(0.0, 0.0, -1.0)),), np.array([0.0, 0.0, 1.0])  # behind, as the eye sees it
+    dark, lit = (
+        strand_transport(lamps, points, tangents, [np.full(200, part)], np.zeros(3), eye).diffuse for part in (0.0, 1.0)
+    )
+    assert dark.max() == 0.0
+    assert (lit > 0.0).mean() > 0.5

@@ -156,7 +156,8 @@ def measure(every: list[CaptureDataset], sheet: Path | None, posed: bool = True)
     kept = defaultdict(list)
     relighters = [Relighter(data, posed) for data in every]
     for relighter, (shot, view) in ((one, item) for one, data in zip(relighters, every, strict=True) for item in data.views()):
-        for kind, each in {"bare": view.bare, "hair": view if view.image != (view.bare or view).image else None}.items():
+        haired = view.bare is None or view.image != view.bare.image
+        for kind, each in {"bare": view.bare, "hair": view if haired else None}.items():
             if each is None:
                 continue
             results = relighter.results(shot, each)

@@ -28,7 +28,8 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import MAPS, Folding, crease_colors, crease_maps, own_colors
-from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, lid_exposure, uncut
+from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, uncut
+from .lids import lid_exposure, lid_share, plain_lids
 from .locality import LOCALITY_WEIGHT, Locality, tunable_copy
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .photo_targets import FitView
@@ -115,8 +116,8 @@ class Tuner:
         self.variants = self._variants(prior.mean)
         pulls = {name: torch.tensor([PULL[name][g] for g in (SKIN, SCALP, INNER)]).to(self.tint) for name in WIDTHS}
         self.pulls = {name: pull[surface.group][:, None] for name, pull in pulls.items()}  # [N, 1]
-        fixed = ("opacity",) if model.config.hairless else ()
-        groups = [{"params": [value], "peak": 0.0 if name in fixed else RATES[name]} for name, value in self.maps.items()]
+        rates = {**RATES, "opacity": 0.0} if model.config.hairless else RATES
+        groups = [{"params": [value], "peak": rates[name]} for name, value in self.maps.items()]
         if settings.networks:
             groups.append({"params": self.network_parameters(), "peak": RATES["networks"]})
             self.locality = Locality(model, prior, codes, first[0]) if locality else None
@@ -312,13 +313,14 @@ class Tuner:
             prior, start = recolor(decoded, self.codes.maps, self.surface), decoded + self.tint
             folded = torch.stack([lid_exposure(self.model, view) for view in self.levels[0]]).amin(0)
             maps["color"] = fill_colors(self.surface, prior, start, maps["color"], self.seen, folded, self._hairy())
+            share = lid_share(self.model, self.levels[0][0])
+            maps["color"] = plain_lids(self.surface, start + maps["color"], prior, share, known_of(self.seen)) - start
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
         rim = (shown - maps["color"]) * known_of(self.seen_rim)[:, None] * self.parts[:, None]
         creases = self._creases(maps, rim) if fill else None
-        features = torch.zeros(len(self.tint), self.model.config.features).to(self.tint)
-        rotation = torch.zeros(len(self.tint), 4).to(self.tint)
+        features, rotation = (torch.zeros(len(self.tint), width).to(self.tint) for width in (self.model.config.features, 4))
         deltas = {
             "decoders.transform_mean": torch.cat([maps["position"], rotation, maps["scale"]], 1),
             "decoders.opacity_mean": maps["opacity"],
@@ -327,10 +329,8 @@ class Tuner:
         if creases is not None:
             deltas[MAPS] = creases
         if self.settings.networks:
-            frozen = dict(self.model.named_parameters())
-            for name, value in self.tuned.named_parameters():
-                if value is not frozen[name]:
-                    deltas[name] = value.detach() - frozen[name].detach()
+            pairs = zip(self.tuned.named_parameters(), self.model.parameters(), strict=True)
+            deltas |= {name: (value - frozen).detach() for (name, value), frozen in pairs if value is not frozen}
         return deltas
 
     def _creases(self, maps: dict[str, Tensor], rim: Tensor) -> Tensor | None:
@@ -369,8 +369,6 @@ class Tuner:
                 hair += contributions(self.model, view, self.meshes[index], attributes, view.inside * view.hair)
                 every += contributions(self.model, view, self.meshes[index], attributes, view.inside)
         return torch.where(self.surface.group == SKIN, hair / every, torch.zeros_like(hair))
-
-    # --- state -----------------------------------------------------------------------------------------------------
 
     def state(self) -> dict[str, Tensor]:
         """Step, what the photos show, parameters and moments of the optimiser, by name: what `restore` takes."""

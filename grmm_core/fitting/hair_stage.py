@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import torch
-from torch.nn import functional
 
 from ..avatar import Hair
 from ..geometry.zbuffer import EMPTY, triangle_depth
@@ -30,6 +29,7 @@ from ..photo.parser import MESH_PARTS, part_map
 from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays
 from .face_hair import face_hair
+from .hair_grain import WINDOW, coiliness, coils, structure
 from .hair_shape import Course, bent, field_to, offsets, with_hairline
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
 
 SIDE = 160  # pixels: longer side of the pictures that are compared
 STRANDS, POINTS = 900, 10  # of a drawn candidate: enough for a silhouette
+GRAIN_POINTS = 24  # of a strand whose coils are counted
 LENGTHS = (0.6, 0.8, 1.0, 1.25)
 FINER = (0.9, 1.0, 1.1)  # factors of the second round
 BENT = 2  # grooms that are bent to the photos; what they cost to bend is in their score
@@ -50,10 +51,11 @@ UNDER_HATS = ("bob", "crop", "pixie")
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
+COILY = 0.1  # of the score that strands lose which are straight where the photos show coils
 CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
+HARDLY = 0.05  # cover by hair of what is plain skin
 BEHIND = 0.004  # metres below the skin that are still seen
 _SURE = 8  # power that labels are raised to
-_WINDOW = 5  # px: over which a photo's directions are averaged
 
 
 def hair_view(track: PhotoTrack, parts: PhotoParts, head: HeadModel) -> HairView:
@@ -182,6 +184,7 @@ class _Candidate:
         self.name, self.flipped, self.template = name, flipped, np.asarray(head.v_template, np.float64)
         groom = library_groom(name, head.name)
         rows = np.flatnonzero(groom.groups == SCALP)
+        self.coils = coils(groom.select(rows[:: max(1, len(rows) // STRANDS)]).resampled(GRAIN_POINTS))
         kept = rows[np.argsort((np.arange(len(rows)) * 0.6180339887498949) % 1.0)[:STRANDS]]  # spread evenly
         thin = groom.select(np.sort(kept)).resampled(POINTS)
         thin = mirrored(thin, head) if flipped else thin
@@ -220,6 +223,8 @@ class _Stage:
         self.weights = self.counts * (1.0 + INSIDE * (self.depth < EMPTY))
         self.share = float((self.hair * self.counts).sum() / max((self.depth < EMPTY).sum(), 1))
         scalp = part_map(head, view.vertices, self.camera)[0] == tuple(MESH_PARTS).index("scalp")
+        bald = _enlarged(self.depth < EMPTY, view.hair.shape)
+        self.coily = coiliness(view.image, view.hair * view.counts, bald & (view.hair < HARDLY) & (view.counts > 0.5))
         self.hidden = float((1.0 - self.counts)[scalp].mean()) if scalp.any() else 0.0
 
     def drawn(self, points: np.ndarray, radii: np.ndarray) -> tuple[np.ndarray, Directions]:
@@ -243,6 +248,13 @@ class _Stage:
         return picture.alpha, Directions(picture.features[..., 0], picture.features[..., 1])
 
 
+def _enlarged(mask: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """The nearest pixel's value at another size, [H, W]."""
+    rows, columns = (np.arange(new) * old // new for new, old in zip(size, mask.shape, strict=True))
+    chosen: np.ndarray = mask[rows[:, None], columns]
+    return chosen
+
+
 def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, field: torch.Tensor | None = None) -> Match:
     scores = []
     course = candidate.course(stages, length)
@@ -256,12 +268,14 @@ def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, fiel
         agree = (stage.seen.cosine * way.cosine + stage.seen.sine * way.sine) * stage.counts
         turned = float(agree.sum() / max(clear.sum(), 1e-6)) if clear.sum() > 1.0 else 0.0
         scores.append((overlap + ORIENTATION * overlap * turned) / (1.0 + ORIENTATION))
+    coily = [stage.coily for stage in stages if stage.coily is not None]
+    straight = COILY * (1.0 - candidate.coils) * float(np.mean(coily)) if coily else 0.0
     reach = float(np.linalg.norm(course.rest[:, -1] - course.rest[:, 0], axis=1).mean())
-    return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)) - SHY * reach, field)
+    return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)) - SHY * reach - straight, field)
 
 
-def directions(image: np.ndarray, hair: np.ndarray, window: int = _WINDOW, clear: float = CLEAR) -> Directions:
-    """Directions of strands by the structure tensor of the lightness (Bigun and Granlund 1987), clear ones of length 1.
+def directions(image: np.ndarray, hair: np.ndarray, window: int = WINDOW, clear: float = CLEAR) -> Directions:
+    """Directions of strands by the structure tensor of the lightness, clear ones of length 1.
 
     Args:
         image: [H, W, 3].
@@ -269,10 +283,7 @@ def directions(image: np.ndarray, hair: np.ndarray, window: int = _WINDOW, clear
         window: Pixels over which the tensor is averaged, odd.
         clear: Coherence, 0..1, above which a direction is clear.
     """
-    grey = np.asarray(image, np.float64).mean(2)
-    down, across = np.gradient(grey)
-    squares = torch.from_numpy(np.stack([across**2 - down**2, 2 * across * down, across**2 + down**2]))[None]
-    mean = functional.avg_pool2d(squares, window, 1, window // 2, count_include_pad=False)[0].numpy()
+    mean = structure(image, window)
     # the strand lies across the gradient: twice its angle is half a turn further
     coherence = np.hypot(mean[0], mean[1]) / (mean[2] + 1e-5)
     factor = np.where(coherence > clear, -np.asarray(hair) / (mean[2] + 1e-5), 0.0)

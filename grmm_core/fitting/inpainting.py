@@ -3,7 +3,6 @@
 ``uncut``           what a picture's edge cuts through is not known either
 ``amid_own``        nor is the rim of lips, eyes and mouth
 ``facing``          skin that a photo sees edge-on tells nothing
-``lid_exposure``    skin that lies folded away in the photo and comes out when the eyes close
 ``fill_colors``    change of skin and hair, spread along the surface; hair of no other color than the photo's
 
 Called by `decoder_stage`. Imports torch.
@@ -17,9 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..controls.names import ARKIT_NAMES
 from ..geometry.libraries import present
-from ..head import HeadModel
 from ..model.grmm import GRMM, Attributes
 from ..splat import rasterize
 from .blurring import widened
@@ -33,8 +30,6 @@ GRAZING = (0.1, 0.4)  # cosine between normal and view below which colors say no
 TONE_TEXELS = 40.0  # length above which colors are a general tone
 COLOR_REST = 5e-4  # pulls unseen colors to the general tone; the reach is some 45 texels
 SURELY_SEEN = (0.2, 0.6)  # below the first a texel's color counts as unknown, above the second as known
-LID_TRAVEL = (0.001, 0.003)  # metres that closing the eyes moves skin: below the first it was seen, above the second folded
-LASH_LINE = (0.0018, 0.0032)  # metres from the lashes up to which a lid's edge keeps its dark line, and from where it does not
 LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may be, and from where on it is not believed
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like, or changed otherwise
 FEATHER_TEXELS, FADES = 5.0, (0.05, 0.45)  # how far what was seen goes on before plain skin stands: length, smoothed knowledge
@@ -46,7 +41,6 @@ HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
 HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
 SEEN_HAIR_RANGE = (0.03, 0.97)  # likewise of the seen hair itself: extremes cancel out in the photo's view only
-_BLINKS = ("eyeBlinkLeft", "eyeBlinkRight")
 _FEW_TEXELS = 100
 
 
@@ -98,44 +92,9 @@ def amid_own(
     return torch.where(own.any(1), share, torch.ones_like(share))
 
 
-def lid_exposure(model: GRMM, view: FitView) -> Tensor:
-    """How much each texel's skin lies folded in a photo's lids and comes out when the eyes close, 0..1, [N]."""
-    head = model.head_model
-    expression = view.expression.cpu().numpy()
-    closed = expression.copy()
-    for name in _BLINKS:
-        closed = np.maximum(closed, head.arkit_to_expression[ARKIT_NAMES.index(name)][: len(closed)])
-    shape, pose = view.shape.cpu().numpy(), np.zeros((5, 3), np.float32)
-    moved = head.vertices(shape, closed, pose) - head.vertices(shape, expression, pose)
-    travel = torch.as_tensor(np.linalg.norm(moved, axis=1).astype(np.float32))[:, None] * _lids(head)
-    corners = torch.as_tensor(corners_of(model))
-    at_texels = (travel[corners][..., 0] * model.anchor.barycentric.cpu()).sum(1).to(view.image)
-    folded = ((at_texels - LID_TRAVEL[0]) / (LID_TRAVEL[1] - LID_TRAVEL[0])).clamp(0, 1)
-    if not model.config.hairless:
-        return folded
-    mean = torch.as_tensor(np.array(head.v_template, np.float32))
-    rows = torch.nonzero(folded > 0.0)[:, 0]
-    far = torch.full_like(folded, LASH_LINE[1])
-    positions = (mean[corners[rows]] * model.anchor.barycentric.cpu()[rows][..., None]).sum(1)
-    far[rows] = torch.cdist(positions, mean[torch.as_tensor(head.marked("lashes"))]).amin(1).to(far)
-    return folded * ((far - LASH_LINE[0]) / (LASH_LINE[1] - LASH_LINE[0])).clamp(0, 1)
-
-
 def corners_of(model: GRMM) -> np.ndarray:
     """Vertices of the triangle under each texel, [N, 3]."""
     return np.ascontiguousarray(model.head_model.faces[model.layout.face])
-
-
-def _lids(head: HeadModel) -> Tensor:
-    """1 at vertices of face and lids, [V, 1]: eyeballs and lashes are not skin."""
-    chosen = torch.zeros(head.vertex_count, 1)
-    for name in ("face", "lids"):
-        if name in head.regions:
-            chosen[torch.as_tensor(np.array(head.regions[name]))] = 1.0
-    for name in ("left_eyeball", "right_eyeball", "lashes"):
-        if name in head.regions:
-            chosen[torch.as_tensor(np.array(head.regions[name]))] = 0.0
-    return chosen
 
 
 def known_of(seen: Tensor) -> Tensor:
@@ -160,7 +119,7 @@ def fill_colors(
         start: Colors that the changes are added to: the same with smoothed skin, [N, 3].
         changes: [N, 3].
         seen: How well each texel was seen, 0..1, [N].
-        folded: `lid_exposure`, [N].
+        folded: `lids.lid_exposure`, [N].
         hairy: Share of each texel's pixels that are hair before the face, 0..1, [N].
     """
     # what peeps out at the edge of something else, as a raised lid does, has not been seen

@@ -11,7 +11,8 @@ from photo_parts import parts_of
 
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from grmm_core.fitting import photo_targets
-from grmm_core.fitting.inpainting import facing, fill_colors, lid_exposure, uncut
+from grmm_core.fitting.inpainting import facing, fill_colors, uncut
+from grmm_core.fitting.lids import LIGHTNESS, lid_exposure, lid_share, plain_lids
 from grmm_core.fitting.objective import FIT_WEIGHTS, fit_loss
 from grmm_core.fitting.photo_targets import fit_view, project
 from grmm_core.fitting.surface import INNER, SCALP, SKIN, texel_surface
@@ -194,6 +195,26 @@ def test_shade_in_folded_lids_is_not_taken_for_their_color(model, surface):
     torch.testing.assert_close(filled[mole], changes[mole])
     untouched = fill_colors(surface, start, start, changes, known, torch.zeros_like(folded), torch.zeros_like(folded))
     assert float(untouched[lids].mean()) < -0.35
+
+
+def test_lids_of_a_photo_take_the_tone_of_plain_skin(bare, bare_surface):
+    """Grey with shade and lashes in the photo, they would be grey patches whenever the avatar blinks."""
+    model, surface = bare, bare_surface
+    share = lid_share(model, view_of(model, blink=1.0))
+    torch.testing.assert_close(share, lid_share(model, view_of(model)))  # whatever the photo's own expression
+    prior = torch.tensor([0.7, 0.5, 0.4]).expand(model.gaussian_count, 3)
+    person = 0.8 * prior
+    lids, elsewhere = share > 0.95, share == 0.0
+    assert int(lids.sum()) > 10
+    seen = person.clone()
+    seen[lids] = 0.3
+    mole = (elsewhere & (surface.group == SKIN)).nonzero()[-1]
+    seen[mole] = 0.2
+    plain = plain_lids(surface, seen, prior, share, torch.ones_like(share))
+    darkest = LIGHTNESS[0] * person[0]
+    torch.testing.assert_close(plain[lids], darkest.expand(int(lids.sum()), 3), atol=0.02, rtol=0.0)
+    torch.testing.assert_close(plain[elsewhere], seen[elsewhere])
+    torch.testing.assert_close(plain_lids(surface, seen, prior, share, torch.zeros_like(share)), seen)
 
 
 def test_hair_at_the_back_takes_no_tint_that_the_seen_hair_lacks(model, surface):

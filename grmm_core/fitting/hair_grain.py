@@ -1,0 +1,70 @@
+"""Straight or coily, by the grain of hair in a photo: a silhouette does not tell short coily hair from short combed hair.
+
+Strands that lie side by side make gradients of one direction within a millimetre or two; coils make speckles. Blur and
+small faces leave only what has a direction, so that few are taken for coily that are not. Imports torch.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from ..hair.groom import Groom
+
+WINDOW, GRAIN_WINDOW = 5, 9  # px: over which a structure tensor is averaged, for directions and for grain
+INSIDE, MARGIN = 0.6, 2  # cover above which a pixel is hair, and how far around it all must be
+FEW = 3000  # pixels of hair: fewer tell nothing
+ABOVE_SKIN = 2.0  # squared gradients of hair over those of skin: below, they are the picture's noise
+COILY, STRAIGHT = 0.32, 0.5  # mean coherence of what is surely coily, and of what is surely not
+SHOWN = 0.012  # metres: shorter strands show no coils, as stubble
+TURNING = (45.0, 90.0)  # degrees a centimetre: strands that turn less are straight, that turn more are coily
+
+
+def structure(image: np.ndarray, window: int = WINDOW) -> np.ndarray:
+    """Structure tensor of the lightness (Bigun and Granlund 1987) of a picture [H, W, 3], averaged over a window, [3, H, W].
+
+    Squared gradient times cosine and sine of twice its angle, and the squared gradient.
+    """
+    down, across = np.gradient(np.asarray(image, np.float64).mean(2))
+    squares = torch.from_numpy(np.stack([across**2 - down**2, 2 * across * down, across**2 + down**2]))[None]
+    mean: np.ndarray = functional.avg_pool2d(squares, window, 1, window // 2, count_include_pad=False)[0].numpy()
+    return mean
+
+
+def amid(mask: np.ndarray) -> np.ndarray:
+    """Pixels of a mask [H, W] that lie `MARGIN` inside it, bool."""
+    outside = torch.from_numpy(1.0 - np.asarray(mask, np.float32))[None, None]
+    inside: np.ndarray = functional.max_pool2d(outside, 2 * MARGIN + 1, 1, MARGIN)[0, 0].numpy() == 0.0
+    return inside
+
+
+def coiliness(image: np.ndarray, hair: np.ndarray, skin: np.ndarray) -> float | None:
+    """How coily hair in a picture looks, 0..1; None where too little shows.
+
+    Args:
+        image: [H, W, 3].
+        hair: Cover, [H, W].
+        skin: Pixels of plain skin, for the noise of the picture, [H, W] bool.
+    """
+    inside = amid(np.asarray(hair) > INSIDE)
+    if inside.sum() < FEW:
+        return None
+    even, odd, energy = structure(image, GRAIN_WINDOW)
+    bare = amid(skin)
+    if bare.any() and np.median(energy[inside]) < ABOVE_SKIN * np.median(energy[bare]):
+        return None
+    coherence = float((np.hypot(even, odd) / (energy + 1e-6))[inside].mean())
+    return float(np.clip((STRAIGHT - coherence) / (STRAIGHT - COILY), 0.0, 1.0))
+
+
+def coils(groom: Groom) -> float:
+    """How coily the strands of a groom are, 0..1: by their turning over their length (strands of one number of points)."""
+    points = groom.points.reshape(len(groom), -1, 3)
+    steps = np.diff(points, axis=1)
+    lengths = np.linalg.norm(steps, axis=2)
+    ways = steps / np.maximum(lengths, 1e-9)[..., None]
+    turns = np.degrees(np.arccos(np.clip((ways[:, 1:] * ways[:, :-1]).sum(2), -1.0, 1.0))).sum(1)
+    turning = float(np.median(turns / np.maximum(100.0 * lengths.sum(1), 1e-6)))
+    shown = min(1.0, float(np.median(lengths.sum(1))) / SHOWN)
+    return shown * float(np.clip((turning - TURNING[0]) / (TURNING[1] - TURNING[0]), 0.0, 1.0))

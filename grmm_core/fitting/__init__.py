@@ -16,9 +16,10 @@
 ``objective``          attributes drawn into a photo's camera, and their loss
 ``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light
 ``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest,
-                       ``creases`` binds folds to the expression
+                       ``creases`` binds folds to the expression, ``lids`` are of plain skin
 ``hair_light``         hair as the studio's light would show it; ``blurring``: planes of pictures
-``hair_stage``         the groom that photos show, for weights without hair; ``face_hair``: brows, beard and lashes
+``hair_stage``         the groom that photos show, for weights without hair; ``hair_grain``: straight or coily;
+                       ``face_hair``: brows, beard and lashes
 ``invert``             tracks to an avatar by both stages
 ``folder``             the work folder: whose state it holds, what is refused before work begins; ``checkpoint``: the tuning's
 ``batch``              a folder of people, here or on a cluster; ``result``: what a fit becomes in an avatar

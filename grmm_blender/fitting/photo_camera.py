@@ -15,11 +15,13 @@ from ...grmm_core.errors import ConfigError
 from ...grmm_core.fitting.result import photo_controls
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.head import load_open_head
+from ...grmm_core.photo.orientation import orientation_of, upright
 from ...grmm_core.session import HEAD_TO_BLENDER
 from ..rig.avatar import Avatar, avatar_of
 
 _SENSOR = 36.0  # millimetres
 _OPACITY = 0.5
+_COPY_SIDE = 2048  # pixels of a copy's longer side
 _TO_BLENDER_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # a Blender camera looks along its -z with y up
 
 
@@ -99,11 +101,34 @@ def _add_background(data: bpy.types.Camera, photo: Path, camera: Camera) -> None
         image = bpy.data.images.load(str(photo), check_existing=True)
     except RuntimeError:
         return  # a format that Blender does not read
+    orientation = orientation_of(photo)
+    if orientation != 1:
+        image = _turned(image, orientation)
     width, height = image.size
     if (width > height) != (camera.width > camera.height) and camera.width != camera.height:
-        return  # the file is turned by its EXIF tag, which Blender does not follow
+        return  # not the picture that was fitted
     data.show_background_images = True
     background = data.background_images.new()
     background.image = image
     background.alpha = _OPACITY
     background.frame_method = "FIT"
+
+
+def _turned(image: bpy.types.Image, orientation: int) -> bpy.types.Image:
+    """A photo as its EXIF tag means it to be seen, which Blender does not follow: a smaller copy kept in the .blend file."""
+    width, height = image.size
+    if not width:  # its pixels cannot be read
+        return image
+    stored = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(stored)
+    rows = upright(stored.reshape(height, width, 4)[::-1], orientation)[::-1]
+    copy = bpy.data.images.new(f"{image.name} upright", rows.shape[1], rows.shape[0])
+    copy.colorspace_settings.name = image.colorspace_settings.name
+    copy.pixels.foreach_set(np.ascontiguousarray(rows).ravel())
+    share = min(1.0, _COPY_SIDE / max(copy.size))
+    if share < 1.0:
+        copy.scale(*(max(1, round(side * share)) for side in copy.size))
+    copy.pack()
+    if not image.users:
+        bpy.data.images.remove(image)
+    return copy

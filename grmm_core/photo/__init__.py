@@ -1,11 +1,11 @@
 """What a photo shows: faces, landmarks, expression coefficients, the person's outline.
 
 ``networks``  runs the converted networks of the asset photo_networks.safetensors
-``load``      files of every kind to upright RGB
+``load``      files of every kind to upright RGB; ``orientation``: which way up a file is, without torch
 ``faces``     face boxes, 478 landmarks, 52 ARKit coefficients
 ``person``    the mask of the person, its edge refined on the picture
 ``parser``    skin, hair, beard, glasses, hat, clothes and the rest, where the head was tracked (``parser_network``)
 ``glasses``   frames too thin for that
 
-Needs torch; imports nothing of the model. Used by fitting.
+Needs torch, but for `orientation`; imports nothing of the model. Used by fitting.
 """

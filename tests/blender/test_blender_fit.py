@@ -42,6 +42,28 @@ def environment() -> dict[str, str]:
 
 
 @pytest.mark.parametrize("version", ["4.5", "5.2"])
+def test_a_photo_that_its_tag_turns_stands_upright_behind_its_camera(run_blender: RunBlender, tmp_path: Path, version: str):
+    find_python(version)
+    rows, columns = np.mgrid[:64, :96]
+    seen = np.stack([2 * columns, 3 * rows, 255 - columns - rows], 2).astype(np.uint8)
+    stored = {1: seen, 3: seen[::-1, ::-1], 6: np.rot90(seen, 1), 8: np.rot90(seen, -1)}
+    for orientation, pixels in stored.items():
+        exif = Image.Exif()
+        exif[0x0112] = orientation
+        Image.fromarray(np.ascontiguousarray(pixels)).save(tmp_path / f"{orientation}.png", exif=exif)
+    other = tmp_path / "other.png"  # no longer the photo that was fitted
+    Image.fromarray(np.ascontiguousarray(seen.transpose(1, 0, 2))).save(other)
+    photos = [tmp_path / f"{orientation}.png" for orientation in stored]
+    done = run_blender("photo_background.py", *photos, other, python=version)
+    for found, orientation in zip(done.result["shown"], stored, strict=False):
+        assert found["shown"]
+        assert found["packed"] == (orientation != 1)
+        np.testing.assert_allclose(found["pixels"], seen / 255.0, atol=0.01)
+    assert done.result["shown"][-1] == {"shown": False}
+    assert done.result["kept"] == 3
+
+
+@pytest.mark.parametrize("version", ["4.5", "5.2"])
 def test_photos_are_looked_at(run_blender: RunBlender, folder: Path, version: str):
     find_python(version)
     done = run_blender("fit_panel.py", folder, "look", python=version, environment=environment(), timeout=400.0)

@@ -12,7 +12,8 @@ from PIL import Image
 
 from grmm_core.errors import FileAccessError, FileFormatError, GrmmError
 from grmm_core.photo.load import load_photo
-from grmm_core.photo.person import guided_filter, person_mask
+from grmm_core.photo.orientation import orientation_of, upright
+from grmm_core.photo.person import box_sum, guided_filter, person_mask
 
 
 @pytest.fixture
@@ -41,6 +42,24 @@ def test_every_exif_orientation_is_undone(tmp_path, gradient, orientation):
     path = tmp_path / "turned.png"
     Image.fromarray(np.ascontiguousarray(stored)).save(path, exif=exif)
     np.testing.assert_allclose(load_photo(path).pixels, gradient / 255.0, atol=1e-6)
+    assert orientation_of(path) == orientation
+    np.testing.assert_array_equal(upright(stored, orientation), gradient)
+
+
+@pytest.mark.parametrize("kind", ["jpeg", "webp", "tiff", "png"])
+def test_the_orientation_of_files_that_others_write(tmp_path, gradient, kind):
+    exif = Image.Exif()
+    exif[0x010F], exif[0x0112] = "A camera", 6
+    path = tmp_path / f"x.{kind}"
+    Image.fromarray(gradient).save(path, exif=exif)
+    assert orientation_of(path) == 6
+    Image.fromarray(gradient).save(path)
+    assert orientation_of(path) == 1
+    whole = path.read_bytes()
+    for end in range(0, min(len(whole), 400), 7):
+        path.write_bytes(whole[:end])
+        assert orientation_of(path) == 1
+    assert orientation_of(tmp_path / "missing.jpg") == 1
 
 
 @pytest.mark.parametrize("kind", ["grey", "16-bit", "palette", "1-bit", "cmyk"])
@@ -119,6 +138,14 @@ def test_damaged_photos_give_typed_errors_only(tmp_path, gradient, suffix):
         except GrmmError:
             refused += 1
     assert refused > 20
+
+
+@pytest.mark.parametrize("radius", [1, 4, 40])
+def test_box_sums(radius):
+    values = torch.rand(2, 1, 21, 17, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    size = 2 * radius + 1
+    wanted = torch.nn.functional.conv2d(values, torch.ones(1, 1, size, size, dtype=torch.float64), padding=radius)
+    torch.testing.assert_close(box_sum(values, radius), wanted)
 
 
 def test_guided_filter_of_a_flat_guide_is_a_mean_and_keeps_edges_of_the_guide():

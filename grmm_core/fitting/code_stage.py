@@ -57,6 +57,10 @@ class CodePrior:
         """z_id [Z] of a person who is w [R] standard deviations along the principal directions."""
         return self.mean + w @ self.directions
 
+    def deviations(self, z_id: Tensor) -> Tensor:
+        """The nearest w [R] of a code [Z]."""
+        return (z_id - self.mean) @ torch.linalg.pinv(self.directions)
+
 
 def code_prior(info: WeightsInfo, model: GRMM) -> CodePrior:
     """Fit the Gaussian; of fewer than two people it is a point, the default avatar's code."""
@@ -95,7 +99,7 @@ class Codes:
 
 def fit_codes(
     model: GRMM, prior: CodePrior, views: Sequence[FitView], small: Sequence[FitView], surface: Surface,
-    light: PhotoLight, settings: CodeSettings, tick: Tick, perceptual: Perceptual | None = None,
+    light: PhotoLight, settings: CodeSettings, tick: Tick, perceptual: Perceptual | None = None, begun: Tensor | None = None,
 ) -> Codes:  # fmt: skip
     """Minimise eq. 19.
 
@@ -109,15 +113,20 @@ def fit_codes(
         settings: Steps.
         tick: Progress.
         perceptual: Distance of two pictures, or None.
+        begun: A z_id that was found before, [Z]; taken by settings that go on from one.
     """
     if not model.config.residuals:  # eq. 21: the tracked coefficients are the codes
         z_exp = prior.mean.new_zeros(model.z_exp_size)
         search = _Search(model, prior, views, surface, light, perceptual, fixed=views[0].shape)
         search.color()
         return Codes(views[0].shape, z_exp, z_exp.new_zeros((len(views), len(z_exp))), search.maps)
-    total = settings.starts * settings.trial_steps + settings.steps
     share = 0.3 if settings.candidates else 0.0
-    starts = _starts(model, prior, small, surface, light, settings, lambda f: tick(share * f, None))
+    if begun is not None and settings.goes_on:
+        share, settings = 0.0, replace(settings, starts=1, trial_steps=0)
+        starts = [prior.deviations(begun)]
+    else:
+        starts = _starts(model, prior, small, surface, light, settings, lambda f: tick(share * f, None))
+    total = settings.starts * settings.trial_steps + settings.steps
     done = 0
     searches = []
     for start in starts:

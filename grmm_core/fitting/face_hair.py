@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from torch.nn import functional
 
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..hair.coloring import HairView, hiding_faces, with_colors
@@ -22,6 +21,7 @@ from ..hair.settings import HairSettings
 from ..head.flame_align import closest_on_surface
 from ..photo.glasses import thin_frames
 from ..photo.parser import MESH_PARTS, PhotoParts, part_map
+from ..photo.person import box_sum
 from .blurring import widened
 
 if TYPE_CHECKING:
@@ -87,9 +87,9 @@ def brow_cover(track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadM
     light = np.asarray(track.image, np.float32).mean(2)
     planes = torch.from_numpy(np.stack([light * skin, skin]).astype(np.float32))[None]
     reach = max(1, round(AROUND * height))
-    lit, count = functional.avg_pool2d(planes, 2 * reach + 1, 1, reach)[0].numpy()
-    darker = 1.0 - light * count / np.maximum(lit, 1e-4)
-    cover: np.ndarray = np.clip((darker - DARK[0]) / (DARK[1] - DARK[0]), 0.0, 1.0) * region * (count > 1e-3)
+    lit, count = box_sum(planes.double(), reach)[0].float().numpy()
+    darker = 1.0 - light * count / np.maximum(lit, 1e-4 * (2 * reach + 1) ** 2)
+    cover: np.ndarray = np.clip((darker - DARK[0]) / (DARK[1] - DARK[0]), 0.0, 1.0) * region * (count > 0.5)
     cover *= _at_landmarks(track, max(1.0, ARCH * height))
     return (
         cover

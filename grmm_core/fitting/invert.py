@@ -158,9 +158,11 @@ class _Inversion:
             self._tell(CODES, share, views[0], drawn)
             self.report.check()
 
+        identity = self.tracks[0].identity
+        begun = None if identity is None else torch.as_tensor(np.array(identity)).to(like)
         codes = fit_codes(
             self.model, code_prior(self.info, self.model), views, self.views(settings.small_side), surface, light, settings,
-            tick, self.perceptual,
+            tick, self.perceptual, begun,
         )  # fmt: skip
         if self.work is not None:
             save_codes(self.work, self.codes_key, codes)

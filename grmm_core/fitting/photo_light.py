@@ -331,12 +331,10 @@ def _robust(
     The same columns of all skin [M, U] are pulled to 1, and unknowns to those of `near` [U].
     """
     trust = np.ones(len(wanted))
-    share = _EVEN / len(everywhere)
+    even = everywhere.T @ everywhere * (_EVEN / len(everywhere)), everywhere.mean(0) * _EVEN
     for _ in range(_ROUNDS):
         weighted = columns * (weights * trust / weights.sum())[:, None]
-        square, right = weighted.T @ columns, weighted.T @ wanted
-        square += share * everywhere.T @ everywhere
-        right += share * everywhere.sum(0)
+        square, right = weighted.T @ columns + even[0], weighted.T @ wanted + even[1]
         pull = (_RIDGE if near is None else _TINT) * np.trace(square) / len(square)
         square += pull * np.eye(len(square))
         found = _not_below_zero(square, right if near is None else right + pull * near)

@@ -102,7 +102,8 @@ def track_pixels(
     logger.debug("pixels: landmark error grows by %.4f", worse)
     if moved is labelled or worse > MOST_LANDMARK_LOSS:
         return list(tracks)
-    return [replace(track, labels=old.labels) for track, old in zip(moved, tracks, strict=True)]
+    identity = appearance.codes.z_id.cpu().numpy()
+    return [replace(track, labels=old.labels, identity=identity) for track, old in zip(moved, tracks, strict=True)]
 
 
 def _rounds(

@@ -19,6 +19,7 @@ class CodeSettings:
         starts: Starts that are followed.
         trial_steps: Steps of each.
         steps: Steps of the best.
+        goes_on: Start from the code of the quick avatar that the photos were tracked by, where there is one; no other is tried.
     """
 
     side: int
@@ -27,6 +28,7 @@ class CodeSettings:
     starts: int
     trial_steps: int
     steps: int
+    goes_on: bool = False
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,9 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "fast": Preset("fast", CodeSettings(192, 96, 24, 2, 6, 16), DecoderSettings(((192, 40), (384, 50)), False), (11.0, 10.0)),
+    "fast": Preset(
+        "fast", CodeSettings(192, 96, 24, 2, 6, 16, goes_on=True), DecoderSettings(((192, 40), (384, 50)), False), (11.0, 10.0)
+    ),
     "standard": Preset(
         "standard",
         CodeSettings(256, 128, 64, 3, 16, 60),

@@ -20,6 +20,7 @@ VERSION = 1
 LANDMARK_COUNT = 478
 LABEL_COUNT = 14
 _CAMERAS = ("camera", "photo_camera")
+_OPTIONAL = ("labels", "identity")  # arrays that a track may lack
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +45,7 @@ class PhotoTrack:
         arkit: The 52 ARKit coefficients as the network reported them (a start value, no measurement), [52].
         labels: What each pixel shows where that is known (of a capture), as `photo.parser.PhotoParts` orders it, 0..1,
             [14, H, W]; None asks the parser.
+        identity: z_id of the quick avatar by whose pixels the photos were tracked, [Z]; None where they were not.
         presence: Confidence that the landmarks are a face's, 0..1.
     """
 
@@ -60,6 +62,7 @@ class PhotoTrack:
     landmarks_fitted: np.ndarray
     arkit: np.ndarray
     labels: np.ndarray | None = None
+    identity: np.ndarray | None = None
     presence: float = 1.0
 
     def __post_init__(self) -> None:
@@ -136,8 +139,8 @@ def load_tracks(path: str | os.PathLike[str]) -> list[PhotoTrack]:
                 presence=float(tensors[f"{index}.presence"]),
                 camera=_camera(tensors, f"{index}.camera"),
                 photo_camera=_camera(tensors, f"{index}.photo_camera"),
-                **{name: tensors[f"{index}.{name}"] for name in arrays if name != "labels"},
-                labels=tensors.get(f"{index}.labels"),
+                **{name: tensors[f"{index}.{name}"] for name in arrays if name not in _OPTIONAL},
+                **{name: tensors.get(f"{index}.{name}") for name in _OPTIONAL},
             )
             for index in range(int(metadata["count"]))
         ]

@@ -104,6 +104,21 @@ def test_both_stages_bring_the_avatar_nearer_to_the_photo(person):
         assert torch.equal(value, before[name]), f"{name} of the shared model was changed"
 
 
+def test_a_search_goes_on_from_the_code_that_tracking_found(person):
+    """Its own start may be nobody's: the search neither tries people nor leaves it without a reason."""
+    model, info, z_id = person
+    begun = dataclasses.replace(photo(model, z_id), identity=(0.8 * info.z_id[2] + 0.2 * info.z_id[0]).astype(np.float32))
+    for goes_on, near in ((True, True), (False, False)):
+        codes = CodeSettings(64, 48, 4, 1, 0, 0, goes_on=goes_on)
+        avatar = invert([begun], model, model.head_model, Preset("none", codes, QUICK.decoders), info=info, second_stage=False)
+        assert np.allclose(avatar.z_id, begun.identity, atol=1e-3) == near
+    avatar = invert(
+        [begun], model, model.head_model, Preset("some", dataclasses.replace(QUICK.codes, goes_on=True), QUICK.decoders),
+        info=info, second_stage=False,
+    )  # fmt: skip
+    assert np.linalg.norm(avatar.z_id - z_id) < 0.8 * np.linalg.norm(begun.identity - z_id)
+
+
 def test_the_avatar_says_that_it_was_made_from_photos_and_knows_how_they_were(person, tmp_path):
     model, info, z_id = person
     tracks = [photo(model, z_id, yaw=20.0, smile=0.7)]

@@ -11,6 +11,7 @@ Called by `decoder_stage`. Imports torch.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -27,7 +28,7 @@ FEATURES = ("lips", "lids", "brows")
 STRAIN = (0.08, 0.25)  # share by which skin is stretched or folded: below the first nothing is a crease, above the second all
 OWN_STRAIN = (0.03, 0.12)  # likewise where other photos show the skin otherwise
 OWN_TEXELS = 16.0  # length below which that is a fold
-OWN_SHARES = (0.5, 0.6)  # of folds and of parts that an expression brings: expressions unlike any photo's overdo the rest
+MOST_BROUGHT = 1.0  # of what a photo shows otherwise than others: no trained expression brings more of it
 SPREAD = 3  # times that the strain is averaged over neighbouring vertices: folds lie beside what moves
 WIDTH_TEXELS = 10.0  # length below which colors are creases
 PORES = 0.03  # of the detail that stays in every expression: about so much of it
@@ -36,6 +37,8 @@ RIM_TEXELS, AWAY = 2.0, (0.6, 0.95)  # from features: smoothed share of plain sk
 FAINT = (0.04, 0.06)
 FOLDED_TELLS = 0.3  # how much strained skin tells of the colors at rest beside skin at rest
 MOST = 0.6  # of a color, as that of teeth where another photo shows lips
+WRONG_WAY = 0.1  # of a fold that other expressions may have as a ridge
+_ROUNDS, _BEYOND = 8, 15.0  # of the least squares, and how much what lies beyond these limits counts in them
 _ALIKE = 0.02  # of the mean square of the photos' weights
 _RIDGE = 0.02  # of the other expressions' weights: keeps creases out of those that are unlike
 
@@ -145,9 +148,8 @@ def own_colors(surface: Surface, difference: Tensor, strain: Tensor, parts: Tens
     """
     skin = (surface.group == SKIN).to(difference)
     detail = difference - surface.smooth(difference * skin[:, None], OWN_TEXELS)  # what is wide is the photo's light
-    share = OWN_SHARES[0] * skin * share_of(strain, OWN_STRAIN)
-    own = torch.where(parts[:, None], OWN_SHARES[1] * difference, share[:, None] * detail)
-    return own.clamp(-MOST, MOST)
+    share = skin * share_of(strain, OWN_STRAIN)
+    return torch.where(parts[:, None], difference, share[:, None] * detail).clamp(-MOST, MOST)
 
 
 def _away(surface: Surface, plain: Tensor) -> Tensor:
@@ -156,35 +158,70 @@ def _away(surface: Surface, plain: Tensor) -> Tensor:
     return away * plain[:, 0]
 
 
-def crease_maps(
-    maps: ExpressionMaps, creases: Tensor, z_id: Tensor, resting: Tensor, shown: Sequence[Tensor], others: Tensor
-) -> Tensor | None:  # fmt: skip
-    """Change of the trained expression maps that brings creases with the expressions of photos.
+class Bringing(NamedTuple):
+    """How expressions bring what photos show in theirs, through the trained expression maps.
+
+    Attributes:
+        told: Photos whose expression differs from rest, [P] bool.
+        directions: Of each of these T among the K maps' weights, [K, T].
+        shares: How much of what a photo alone shows can be brought, so that no trained expression overdoes it, [P].
+    """
+
+    told: Tensor
+    directions: Tensor
+    shares: Tensor
+
+    def maps(self, creases: Tensor) -> Tensor:
+        """Change of the maps [K, N * 3] that brings creases of each photo, [P, N, 3]."""
+        return self.directions @ creases[self.told].flatten(1)
+
+
+def bringing(
+    maps: ExpressionMaps, z_id: Tensor, resting: Tensor, shown: Sequence[Tensor], others: Tensor
+) -> Bringing | None:  # fmt: skip
+    """How the expressions of photos bring what these show.
 
     Args:
         maps: The trained ones.
-        creases: Of each photo, [P, N, 3].
         z_id: Of the person, [Z].
         resting: z_exp of the face at rest, [Y].
         shown: Of each photo, [Y].
-        others: Of expressions that should have none but what is like the photos', [K, Y], added to `resting`.
+        others: Of expressions that should have none but what is like the photos', [E, Y], added to `resting`.
 
     Returns:
-        Added to `maps.maps`, and to be made up for at rest by `weights(resting) @ change`; None where the photos are neutral.
+        None where the photos are neutral. What it brings is to be made up for at rest by `weights(resting) @ change`.
     """
     gains = 1.0 + maps.gains(z_id)
-    weights = maps.weights(torch.stack(list(shown)) - resting) * gains  # [P, M]
+    weights = maps.weights(torch.stack(list(shown)) - resting) * gains  # [P, K]
     told = weights.norm(dim=1) >= 0.5 * sum(FAINT)
     if not bool(told.any()):
         return None
-    weights, creases = weights[told], creases[told].flatten(1)
-    rest = maps.weights(others) * gains  # [K, M]
+    weights = weights[told]
+    rest = maps.weights(others) * gains  # [E, K]
     own = weights @ weights.T
     own = own + _ALIKE * own.trace() / len(own) * torch.eye(len(own)).to(own)  # photos that are alike share
-    alike = torch.linalg.solve(own, weights @ rest.T).T.clamp(0, 1)  # [K, P]
-    # u of each photo with u . weights = 1 for it and 0 for the others, that gives little to expressions which differ
-    square = rest.T @ rest * _RIDGE + weights.T @ weights + 1e-4 * torch.eye(weights.shape[1]).to(weights)
-    directions = torch.linalg.solve(square, weights.T + _RIDGE * rest.T @ alike)  # [M, P]
+    alike = torch.linalg.solve(own, weights @ rest.T).T.clamp(0, 1)  # [E, T]
+    directions = torch.stack([_direction(weights, index, rest, alike[:, index]) for index in range(len(weights))], 1)
     if len(weights) == 1:  # of several, reaching each exactly would overdo what is unlike all of them
         directions = directions / (weights @ directions)
-    return directions @ creases
+    shares = torch.ones(len(told)).to(weights)
+    shares[told] = (MOST_BROUGHT / (rest @ directions).amax(0).clamp(min=1e-3)).clamp(max=1.0)
+    return Bringing(told, directions, shares)
+
+
+def _direction(weights: Tensor, index: int, rest: Tensor, alike: Tensor) -> Tensor:
+    """Among the maps' weights, [K]: 1 for one photo, 0 for the others, and for other expressions `alike` [E] and little more.
+
+    Least squares in rounds: what an expression would have the wrong way round, folds as ridges, or more of than a photo shows
+    counts much.
+    """
+    wanted, counts = alike, torch.ones_like(alike)
+    fitted, own = weights.T @ weights + 1e-4 * torch.eye(weights.shape[1]).to(weights), weights[index]
+    for _ in range(_ROUNDS):
+        told = _RIDGE * rest.T * counts  # [K, E]
+        direction = torch.linalg.solve(fitted + told @ rest, own + told @ wanted)
+        reached = rest @ direction
+        inside = reached.clamp(-WRONG_WAY, MOST_BROUGHT)
+        wanted = torch.where(reached == inside, alike, inside)
+        counts = torch.where(reached == inside, 1.0, _BEYOND)
+    return direction

@@ -27,7 +27,7 @@ from ..light.relight import unlit
 from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
-from .creases import MAPS, Folding, crease_colors, crease_maps, own_colors
+from .creases import MAPS, Folding, bringing, crease_colors, own_colors
 from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, uncut
 from .lids import lid_exposure, lid_share, plain_lids
 from .locality import LOCALITY_WEIGHT, Locality, tunable_copy
@@ -347,17 +347,19 @@ class Tuner:
         # where one photo shows the skin unstrained, what all show is the person's
         colors = self.decoded[0].colors + self.tint + maps["color"]
         shared = crease_colors(self.surface, colors, folding.strains.amin(0), folding.features) + rim
+        shown = [inputs.z_exp for inputs in self.inputs]
+        brought = bringing(trained, self.codes.z_id, self.codes.z_exp, shown, table)
+        if brought is None:  # the photos' expression is the face at rest
+            maps["color"] = maps["color"] + rim
+            return None
         creases = shared.expand(len(self.inputs), -1, -1)
         if len(self.inputs) > 1:
-            own = zip(self.differences(), folding.strains, strict=True)
-            creases = creases + torch.stack([own_colors(self.surface, d, strain, folding.parts) for d, strain in own])
-        shown = [inputs.z_exp for inputs in self.inputs]
-        change = crease_maps(trained, creases, self.codes.z_id, self.codes.z_exp, shown, table)
-        if change is None:  # the photos' expression is the face at rest
-            maps["color"] = maps["color"] + rim
-        else:
-            at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))
-            maps["color"] = maps["color"] + rim - shared - (at_rest @ change).view_as(shared)
+            every = zip(self.differences(), folding.strains, brought.shares, strict=True)
+            own = [share * own_colors(self.surface, found, strain, folding.parts) for found, strain, share in every]
+            creases = creases + torch.stack(own)
+        change = brought.maps(creases)
+        at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))
+        maps["color"] = maps["color"] + rim - shared - (at_rest @ change).view_as(shared)
         return change
 
     def _hairy(self) -> Tensor:

@@ -37,7 +37,7 @@ EDGE_TEXELS, EDGE = 12.0, (0.5, 0.75)  # likewise beside the face where what was
 # beside the face and below it: smooth shading over so many texels, how much of it is kept, and what more where it is well seen
 SHADING_TEXELS, SHADING, WELL_SEEN = 5.0, 0.06, 0.5
 NECK_SHADING = 0.16  # likewise below the chin: a neck is darker than the face in nearly every light, and turns less
-BURNT = 0.15  # how much lighter than plain skin any skin may be: highlights are, and rims of light beyond
+BURNT = 0.15  # how much lighter than plain skin any may be beside and below the face: highlights are, and rims of light beyond
 HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
 HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
@@ -167,7 +167,7 @@ def _fill_surface(
     dark = ((beyond - seen).mean(1, keepdim=True) / BARE_SKIN).clamp(0, 1)
     edge = surface.beside[:, None] * ((EDGE[1] - far) / (EDGE[1] - EDGE[0])).clamp(0, 1)
     seen = torch.lerp(seen, beyond, edge * dark)
-    burnt = ((seen - beyond).mean(1, keepdim=True) - BURNT).clamp(min=0.0) * skin[:, None]
+    burnt = ((seen - beyond).mean(1, keepdim=True) - BURNT).clamp(min=0.0) * (surface.beside * skin)[:, None]
     seen = seen - burnt  # a rim of light is none of the person's colors
     off = surface.smooth(seen, SHADING_TEXELS) - beyond  # shadows of hair, chin and collar would turn with the head
     doubted = surface.beside[:, None] * (1.0 - WELL_SEEN * far.clamp(0, 1))

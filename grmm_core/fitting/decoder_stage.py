@@ -28,7 +28,7 @@ from ..model.grmm import GRMM, Attributes, Picture
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import MAPS, Folding, bringing, crease_colors, own_colors
-from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, uncut
+from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, unclipped, uncut
 from .lids import lid_exposure, lid_share, plain_lids
 from .locality import LOCALITY_WEIGHT, Locality, tunable_copy
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
@@ -293,11 +293,13 @@ class Tuner:
             every = contributions(self.model, view, self.meshes[index], attributes, torch.ones_like(view.weight))
             # what a photo's edge or a mask cuts through was moved by its few pixels as far as the rest by many
             share = (shown / every.clamp(min=1e-6)) * uncut(self.model, view, self.meshes[index])
-            amid = amid_own(self.model, view, self.meshes[index], attributes, self.surface, every)
+            share_amid = share * amid_own(self.model, view, self.meshes[index], attributes, self.surface, every)
             frontal = facing(self.model, view, self.meshes[index], self.surface)
+            if len(self.inputs) > 1:
+                frontal = frontal * unclipped(self.model, view, self.meshes[index], attributes)
             self.frontal_by[index] = frontal
             told = frontal * self.light.tells(index)
-            loose, sure = (shown * ((part - CUT[0]) / (CUT[1] - CUT[0])).clamp(0, 1) for part in (share, share * amid))
+            loose, sure = (shown * ((part - CUT[0]) / (CUT[1] - CUT[0])).clamp(0, 1) for part in (share, share_amid))
             self.seen_by[index] = told * loose / (loose + self.half_seen)
             self.seen = torch.maximum(self.seen, told * sure / (sure + self.half_seen))
             self.seen_rim = torch.maximum(self.seen_rim, self.seen_by[index])
@@ -326,8 +328,7 @@ class Tuner:
             "decoders.opacity_mean": maps["opacity"],
             "decoders.appearance_mean": torch.cat([self.tint + maps["color"], features], 1),
         }
-        if creases is not None:
-            deltas[MAPS] = creases
+        deltas |= {} if creases is None else {MAPS: creases}
         if self.settings.networks:
             pairs = zip(self.tuned.named_parameters(), self.model.parameters(), strict=True)
             deltas |= {name: (value - frozen).detach() for (name, value), frozen in pairs if value is not frozen}

@@ -1,5 +1,6 @@
 """What a photo does not show, or shows wrongly: how far its colors are known, and what stands where they are not.
 
+``unclipped``       what one photo has burnt out another tells
 ``uncut``           what a picture's edge cuts through is not known either
 ``amid_own``        nor is the rim of lips, eyes and mouth
 ``facing``          skin that a photo sees edge-on tells nothing
@@ -20,6 +21,7 @@ from ..geometry.libraries import present
 from ..model.grmm import GRMM, Attributes
 from ..splat import rasterize
 from .blurring import widened
+from .objective import contributions
 from .photo_targets import FitView
 from .surface import INNER, SCALP, SKIN, Surface
 
@@ -62,6 +64,12 @@ def uncut(model: GRMM, view: FitView, vertices: Tensor) -> Tensor:
     size = np.array([view.camera.width, view.camera.height])
     within = np.minimum(pixels, size - pixels).min(1)
     return torch.as_tensor(np.clip(within / EDGE_PIXELS, 0.0, 1.0)).to(vertices)
+
+
+def unclipped(model: GRMM, view: FitView, vertices: Tensor, attributes: Attributes) -> Tensor:
+    """How far each texel's color is told by a photo that has not burnt it out, 0..1, [N]: of several, another may tell it."""
+    clear, shown = (contributions(model, view, vertices, attributes, part) for part in (view.inside * view.clear, view.inside))
+    return (clear / shown.clamp(min=1e-6)).clamp(0, 1).square()
 
 
 def amid_own(

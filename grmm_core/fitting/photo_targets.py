@@ -48,6 +48,7 @@ HAIR_RIM = 0.016  # likewise from hair and hats
 SHADOW_RIM = 0.05  # likewise: how far beside the face hair throws a shadow
 SHADOW = 0.88  # of the face's lightness: less is shadow there
 NECK_TINT, NECK_LIGHT = 0.05, 1.15  # how far a neck's chromaticity and how much its lightness may exceed the face's: collars do
+CLIPPED = 0.985  # of a channel: from here on a photo does not say how bright it was
 BURNT, BURNT_RIM = 1.75, 0.016  # times the face's median lightness; of the head's height
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
@@ -95,6 +96,11 @@ class FitView:
         return self.inside * (1.0 - widened(outside, reach)[0])
 
     @property
+    def clear(self) -> Tensor:
+        """Pixels whose colors the photo tells, no channel at its end, [H, W] 0..1."""
+        return (self.image.amax(-1) < CLIPPED).to(self.image)
+
+    @property
     def measured(self) -> Tensor:
         """Pixels of the head and of the bare neck, [H, W] 0..1: what of `inside` is no cloth."""
         return self.inside * (1.0 - self.clothes)
@@ -106,8 +112,8 @@ class FitView:
 
 
 def bare_pixels(view: FitView) -> np.ndarray:
-    """Pixels that show skin and no hair before it, 0..1, [H, W]."""
-    bare: np.ndarray = (view.measured * (1.0 - view.hair)).cpu().numpy()
+    """Pixels that show skin and no hair before it, and tell its color, 0..1, [H, W]."""
+    bare: np.ndarray = (view.measured * view.clear * (1.0 - view.hair)).cpu().numpy()
     return bare
 
 

@@ -244,7 +244,7 @@ class _Appearance:
         shown, vertices = self.drawn(view)
         cover = view.mask.cpu().numpy()[..., None]
         photo = view.image.cpu().numpy() * cover + _GREY * (1.0 - cover)
-        bare = (view.measured.cpu().numpy() > 0.5).astype(np.float32)
+        bare = ((view.measured * view.clear).cpu().numpy() > 0.5).astype(np.float32)  # where light ends is no feature
         if self.painted is None:
             bare *= _hairless(track, view, self.model.head_model)
         pixels, told = self._visible(view, vertices, bare)

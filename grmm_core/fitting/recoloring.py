@@ -30,6 +30,7 @@ _PULL = {SKIN: 0.004, SCALP: 0.004, INNER: 0.05}  # towards no change, as a shar
 _OFFSET_PULL = 0.3  # of an offset, relative to the pull of the matrix
 DIM = (0.2, 0.5)  # of the rig's light: below the first colors are not believed, above the second wholly
 _ROUNDS, _SOFTENING = 3, 0.06  # of iterated weights: photos have glasses, hats, highlights
+_TOLD = 0.2  # of a photo's pixels that tell their color; where fewer do, all are believed
 _MIN_PIXELS = 50.0
 _COLUMNS = 4  # red, green, blue, one
 
@@ -91,6 +92,8 @@ def solve_maps(
         scene.features = spread
         parts = present(rasterize(scene, view.camera, antialiased=model.config.antialias).features)  # [H, W, 12]
         inside = view.inside > 0.5
+        told = inside & (view.clear > 0.5)
+        inside = told if int(told.sum()) > _TOLD * int(inside.sum()) else inside
         parts, image = parts[inside], unlit(view.image[inside], light[inside])
         alpha = parts[:, 3::_COLUMNS].sum(1, keepdim=True)  # uncovered pixels of the person say nothing
         rows.append(parts)

@@ -140,7 +140,8 @@ def load_tracks(path: str | os.PathLike[str]) -> list[PhotoTrack]:
                 camera=_camera(tensors, f"{index}.camera"),
                 photo_camera=_camera(tensors, f"{index}.photo_camera"),
                 **{name: tensors[f"{index}.{name}"] for name in arrays if name not in _OPTIONAL},
-                **{name: tensors.get(f"{index}.{name}") for name in _OPTIONAL},
+                labels=tensors.get(f"{index}.labels"),
+                identity=tensors.get(f"{index}.identity"),
             )
             for index in range(int(metadata["count"]))
         ]

@@ -21,8 +21,7 @@ from .settings import HairSettings
 
 HAIRS = 100_000  # on a head
 SOFT = 0.35  # power of the strands that a drawn one stands for: how much fainter it is, and wider
-SOFTEST = 0.9  # likewise of the shortest, wide bundles of which are dots, and of curls, which are loose
-STRAIGHT, CURLY, LOOSE = 0.14, 0.30, 0.5  # of their length that curls take, from and to; how much farther apart children are
+SOFTEST = 0.9  # likewise of the shortest: wide bundles of these are dots
 STUBBLE, CROPPED = 0.004, 0.02  # metres: strands so short are the shortest, longer ones are not short
 FADE = 0.15  # share of a level's strands that are fading in
 POINTS = (4, 6, 8, 12, 16, 24, 32, 40)  # numbers of points that a group may be drawn with
@@ -107,7 +106,7 @@ class StrandBlock:
     @functools.cached_property
     def softness(self) -> np.ndarray:
         """Power of the strands that a drawn one stands for by which it is fainter and wider, of the parents, float32 [M]."""
-        return (SOFT + (SOFTEST - SOFT) * np.maximum(_short(self.lengths), _curly(self.points))).astype(np.float32)
+        return (SOFT + (SOFTEST - SOFT) * _short(self.lengths)).astype(np.float32)
 
     @functools.cached_property
     def segment_tints(self) -> np.ndarray | None:
@@ -304,12 +303,6 @@ def _short(lengths: np.ndarray) -> np.ndarray:
     return np.clip((CROPPED - lengths) / (CROPPED - STUBBLE), 0.0, 1.0)
 
 
-def _curly(strands: np.ndarray) -> np.ndarray:
-    """How far strands [M, K, 3] count as curly, 0..1 [M]."""
-    taken = 1.0 - lengths_of(smoothed(strands)) / np.maximum(lengths_of(strands), 1e-9)
-    return np.asarray(np.clip((taken - STRAIGHT) / (CURLY - STRAIGHT), 0.0, 1.0))
-
-
 def points_needed(groom: Groom) -> int:
     """The smallest of `POINTS` with which most strands keep their shape."""
     some = groom.select(np.linspace(0, len(groom) - 1, min(len(groom), 400)).astype(int))
@@ -341,8 +334,7 @@ def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.nda
     tip = (TOGETHER + (1.0 - TOGETHER) * short) * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
     spread = root_distance(groom, vertices, faces) * np.stack([root, tip], 1)
     spread[: len(groom)] = 0.0
-    loose = 1.0 + LOOSE * _curly(groom.points.reshape(len(groom), -1, 3))
-    return np.asarray(spread * loose[owner, None, None])
+    return spread
 
 
 def smoothed(points: np.ndarray) -> np.ndarray:

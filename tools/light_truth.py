@@ -5,7 +5,7 @@ rig is relit for each of its other lights, as avatars are: irradiance and highli
 each pixel, applied in linear light. So the figures are those of the light alone, not of a model's colors. The rig is taken off
 as it lit the very picture; `--rest` takes it off as on the head at rest, which avatars' colors stand for. PSNR in dB, in the
 mask and on the face without eyes and mouth; "unlit" is the picture in the rig held against the same truth. The studio's skin
-scatters no light unless `--subsurface` was given, so scattering is off here, too.
+scatters no light unless `--subsurface` was given, so scattering is off here, too; `--detail` is that of highlights.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ from grmm_core.light.materials import materials_of
 from grmm_core.light.mesh_light import LitSurface, TexelGrid
 from grmm_core.light.relight import relit_pixels
 from grmm_core.light.resting import Texels, casters_of, casting_numbers
-from grmm_core.light.shading import Arrived, Response, ratio, shade
+from grmm_core.light.shading import NO_TILTS, Arrived, Response, ratio, shade
 from grmm_core.light.shadows import Casters, Receivers, visible
+from grmm_core.light.skin_relief import lying
 from grmm_core.light.surroundings import Surroundings, sphere
 from grmm_core.light.transfer import transfer, turn_between, vertex_normals
 from grmm_core.model.layout import texel_layout
@@ -61,14 +62,14 @@ class _Surface:
 class Relighter:
     """Relights the views of one capture; `posed` takes the rig off as it is on the posed head, else as on the head at rest."""
 
-    def __init__(self, data: CaptureDataset, posed: bool = True) -> None:
+    def __init__(self, data: CaptureDataset, posed: bool = True, detail: float = 1.0) -> None:
         self._data, self._head, self._posed = data, load_open_head(), posed
         self._layout = texel_layout(self._head.uv, self._head.uv_faces, GRID)
         self._anchor = TexelAnchor(self._layout, self._head.faces, self._head.uv_faces, self._head.vertex_count)
         self._texels = Texels.of(self._head, self._layout.face, self._layout.barycentric)
         self._materials = materials_of(self._head, self._layout.face, self._layout.barycentric)
         self._groups = triangle_groups(self._head)
-        self._response = Response(scattering=0.0)
+        self._response = Response(scattering=0.0, detail=detail)
         corners = self._head.faces[self._layout.face]
         cards = self._head.marked("lashes")[corners].all(1)  # captures have hairs instead
         self._opacities = torch.from_numpy(np.where(cards, 0.0, 0.97).astype(np.float32))
@@ -104,10 +105,11 @@ class Relighter:
         for layer in view.layers:
             if layer.startswith(LIGHT_PREFIX):
                 name = layer.removeprefix(LIGHT_PREFIX)
-                scene = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn)
+                relief = lying(self._head, rest, self._layout.uv, GRID, self._layout.face)
+                scene = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn, relief)
                 relative = ratio(bounced(scene.irradiance), bounced(rig))
                 light = np.concatenate([relative, scene.highlights - learned * relative, np.ones_like(scene.front)], 1)
-                relit = self._draw(here, view, light * scene.front, flat, picture.mask)
+                relit = self._draw(here, view, light * scene.front, relief, flat, picture.mask)
                 truth = self._data.layer(shot, view, layer) * picture.mask[..., None]
                 found[name] = (relit.clip(0.0, 1.0), truth, flat, pixels)
         return found
@@ -124,18 +126,24 @@ class Relighter:
         corners = self._head.faces[self._layout.face]
         return np.einsum("nk,nkc->nc", self._layout.barycentric, values[corners]).astype(np.float32)
 
-    def _light(self, light: Lighting, surface: _Surface, rows: np.ndarray, eye: np.ndarray, turn: np.ndarray) -> Arrived:
+    def _light(
+        self, light: Lighting, surface: _Surface, rows: np.ndarray, eye: np.ndarray, turn: np.ndarray,
+        relief: np.ndarray = NO_TILTS,
+    ) -> Arrived:  # fmt: skip
         lamps = light.strongest((0.0, 0.0, 0.0))
         seen = np.array([visible(lamp, surface.receivers, surface.casters) for lamp in lamps], np.float32)
         around = Surroundings.even((0.0, 0.0, 0.0)) if light.surroundings is None else light.surroundings.turned(turn.T)
-        return shade(lamps, surface.receivers, seen, self._materials, rows, eye, around.coefficients, self._response, turn)
+        given = lamps, surface.receivers, seen, self._materials, rows, eye, around.coefficients
+        return shade(*given, self._response, turn, relief)
 
-    def _draw(self, surface: _Surface, view: View, light: np.ndarray, flat: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    def _draw(
+        self, surface: _Surface, view: View, light: np.ndarray, relief: np.ndarray, flat: np.ndarray, mask: np.ndarray
+    ) -> np.ndarray:
         channels = torch.from_numpy(light.astype(np.float32))
         drawn = rasterize(dataclasses.replace(surface.gaussians, features=channels), view.camera)
         assert drawn.features is not None
         light_here = drawn.features.numpy()
-        surface_light = LitSurface(self._grid, surface.vertices, light.astype(np.float32))
+        surface_light = LitSurface(self._grid, surface.vertices, light.astype(np.float32), relief, self._response.detail)
         picture = drawn.depth.numpy(), drawn.alpha.numpy(), None, view.camera
         surface_light.read_into(light_here, slice(0, light.shape[1]), *picture)
         return relit_pixels(flat, mask, light_here, 0)
@@ -151,10 +159,10 @@ def lighting_of(light: Light) -> Lighting:
     return Lighting(lamps, Surroundings.of_directions(directions, radiance, solid))
 
 
-def measure(every: list[CaptureDataset], sheet: Path | None, posed: bool = True) -> dict[str, Any]:
+def measure(every: list[CaptureDataset], sheet: Path | None, posed: bool = True, detail: float = 1.0) -> dict[str, Any]:
     """Figures of all views; writes a sheet of the first bare one: truth, relit and unlit below each other."""
     kept = defaultdict(list)
-    relighters = [Relighter(data, posed) for data in every]
+    relighters = [Relighter(data, posed, detail) for data in every]
     for relighter, (shot, view) in ((one, item) for one, data in zip(relighters, every, strict=True) for item in data.views()):
         haired = view.bare is None or view.image != view.bare.image
         for kind, each in {"bare": view.bare, "hair": view if haired else None}.items():
@@ -197,8 +205,10 @@ def main() -> int:
     parser.add_argument("data", type=Path, nargs="+")
     parser.add_argument("--sheet", type=Path, help="PNG of the first view in all lights: Cycles, relit, and not relit")
     parser.add_argument("--rest", action="store_true", help="take the rig off as it lies on a head at rest")
+    parser.add_argument("--detail", type=float, default=1.0, help="factor of pores and furrows in highlights (%(default)s)")
     args = parser.parse_args()
-    json.dump(measure([CaptureDataset(each) for each in args.data], args.sheet, not args.rest), sys.stdout, indent=1)
+    every = [CaptureDataset(each) for each in args.data]
+    json.dump(measure(every, args.sheet, not args.rest, args.detail), sys.stdout, indent=1)
     return 0
 
 

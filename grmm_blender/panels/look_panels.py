@@ -16,7 +16,7 @@ from .twins import CATEGORY
 
 _NO_PHOTO_LIGHT = "This avatar knows no photo's light; it stays in the studio's."
 _PICTURE = 5.0  # heights of a button
-_FACTORS = ("light_intensity", "skin_gloss", "skin_scattering", "shadow_softness")
+_FACTORS = ("light_intensity", "skin_gloss", "skin_detail", "skin_scattering", "shadow_softness")
 
 
 class _LookPanel(bpy.types.Panel):

@@ -40,7 +40,8 @@ def _light(settings: bpy.types.PropertyGroup, source: str) -> tuple[Response | N
         return None if own is None else MATT, own
     if settings.lighting != SCENE_LIGHT:
         return None, None
-    return Response(settings.light_intensity, settings.skin_gloss, settings.skin_scattering, settings.shadow_softness), None
+    factors = settings.light_intensity, settings.skin_gloss, settings.skin_scattering, settings.shadow_softness
+    return Response(*factors, detail=settings.skin_detail), None
 
 
 @functools.lru_cache(maxsize=64)

@@ -7,6 +7,8 @@
 ``shadows``       which part of each lamp a point sees, by depth maps of meshes
 ``texel_shadows`` the same for the texels of a head: fewer looks at wide lamps, more where texels are long
 ``materials``     what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
+``lobes``         what surfaces mirror
+``skin_relief``   pores and furrows in highlights; ``skin_relief_kernel`` again, compiled
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``hair_shading``  the same for strands
 ``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting;

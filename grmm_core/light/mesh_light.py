@@ -16,8 +16,10 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..pictures.color import MIN_ALPHA
 from .shadows import compiled_kernels
+from .skin_relief import DULL, REPEATS, SIDE, VALUES, gleam, texel_ways, tile
 
 NEAR, FAR = 0.004, 0.010  # metres between mesh and picture up to which light is the mesh's, and from which on it is not
+SHINE = slice(3, 6)  # channels of highlights
 FRONT = 6  # number of the channel that others are premultiplied by (`shading.relative`)
 _LEAST_FRONT = 0.2  # of the texels around a point: what is turned further from the viewer was not lit for it
 _APART = 6.0  # texels from a point to the face beside it in a picture: one of them hides what the other borders on
@@ -68,11 +70,16 @@ class LitSurface(NamedTuple):
         grid: Where the light is.
         vertices: [V, 3] metres.
         light: Of the texels, as of `shading.relative`, [N, 8] float32.
+        relief: How highlights change with the normal (`shading.Transport.tilts`), and how relief lies there
+            (`skin_relief.lying`), [N, skin_relief.VALUES] float32; None: as smooth as the mesh.
+        detail: Factor of the relief's tilts.
     """
 
     grid: TexelGrid
     vertices: np.ndarray
     light: np.ndarray
+    relief: np.ndarray | None = None
+    detail: float = 1.0
 
     def read_into(
         self, channels: np.ndarray, which: slice, depth: np.ndarray, alpha: np.ndarray, skin: int | None, camera: Camera
@@ -98,7 +105,7 @@ class LitSurface(NamedTuple):
         given = seen.astype(np.float32), faces, closed, places, rows, light, camera.orthographic
         if compiled_kernels() is None:
             share = np.ones_like(depth) if skin is None else channels[..., skin] / np.maximum(alpha, MIN_ALPHA)
-            read(*given, channels[..., which], np.asarray(depth), share)
+            read(*given, channels[..., which], np.asarray(depth), share, self.vertices, self.relief, self.detail)
             return
         from ..compute.threads import for_rows
         from .mesh_light_kernels import read as compiled_read
@@ -106,12 +113,16 @@ class LitSurface(NamedTuple):
         limits = np.array([NEAR, FAR, _LEAST_FRONT, _APART, _AT_EDGES, MIN_ALPHA], np.float32)
         depth, alpha = (np.ascontiguousarray(array, np.float32) for array in (depth, alpha))
         picture = channels, which.start, which.stop - which.start, depth, alpha, -1 if skin is None else skin
-        for_rows(compiled_read, len(depth), *given, *picture, limits, smallest=_ROWS)
+        relief = np.zeros((0, VALUES), np.float32) if self.relief is None or not self.detail else self.relief
+        scale = np.float32(REPEATS * SIDE / len(rows))
+        below = np.ascontiguousarray(self.vertices, np.float32), relief, *tile(), scale, np.float32(self.detail)
+        for_rows(compiled_read, len(depth), *given, *picture, limits, *below, smallest=_ROWS)
 
 
 def read(
     seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
-    channels: np.ndarray, depth: np.ndarray, share: np.ndarray,
+    channels: np.ndarray, depth: np.ndarray, share: np.ndarray, vertices: np.ndarray, relief: np.ndarray | None = None,
+    detail: float = 1.0,
 ) -> None:  # fmt: skip
     """Read light at each pixel: the readable twin of `mesh_light_kernels.read`.
 
@@ -126,6 +137,9 @@ def read(
         channels: The picture's light, changed, [H, W, K].
         depth: [H, W] metres.
         share: [H, W].
+        vertices: [V, 3] metres.
+        relief: As of `LitSurface`, [N, VALUES].
+        detail: Likewise.
     """
     height, width = depth.shape
     corners = seen[faces].astype(np.float64)
@@ -154,13 +168,19 @@ def read(
 
     place = np.einsum("nk,nkc->nc", weights, places[face])
     middle = np.floor(place + 0.5).astype(np.int64).clip(1, len(rows) - 2)
-    total = np.zeros((len(face), channels.shape[-1]))
+    total, fine = np.zeros((len(face), channels.shape[-1])), np.zeros((len(face), VALUES))
     splines = [_spline(place[:, axis] - middle[:, axis]) for axis in (0, 1)]
     for across, down in itertools.product(range(3), repeat=2):
         texel = rows[middle[:, 1] + down - 1, middle[:, 0] + across - 1]
         weight = splines[0][across] * splines[1][down] * (texel >= 0)
         total += weight[:, None] * light[texel, : channels.shape[-1]]
+        fine += 0.0 if relief is None else weight[:, None] * relief[texel]
     front = total[:, FRONT]
+    if relief is not None and detail:
+        steps = np.linalg.norm(_per_pixel(corners[face, :, :2], places[face]), axis=-1).max(1)
+        shine = gleam(fine, texel_ways(vertices[faces[face]], places[face]), place, steps, len(rows), detail)
+        bright = total[:, SHINE].max(1) > DULL * front
+        total[:, SHINE] *= np.where(bright[:, None] & (total[:, SHINE] > 0.0), shine[:, None], 1.0)
     amount = np.clip((FAR - np.abs(depth[row, column] - deep)) / (FAR - NEAR), 0.0, 1.0) * share[row, column]
     number = np.full((height + 2, width + 2), -1)
     number[row + 1, column + 1] = face
@@ -179,6 +199,16 @@ def _spline(way: np.ndarray) -> tuple[np.ndarray, ...]:
     """Weights of a quadratic B-spline at three points in a row, `way` behind the middle one."""
     before, behind = 0.5 * (0.5 - way) ** 2, 0.5 * (0.5 + way) ** 2
     return before, 1.0 - before - behind, behind
+
+
+def _per_pixel(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """How far a pixel reaches on the grid, along columns and rows of the picture, by flat faces, [N, 2, 2]; all [N, 3, 2]."""
+    b, c = np.moveaxis(corners[:, 1:] - corners[:, :1], 1, 0)
+    to_b, to_c = np.moveaxis(places[:, 1:] - places[:, :1], 1, 0)
+    inverse = 1.0 / _cross(b, c)[:, None]
+    across = (to_b * c[:, 1:] - to_c * b[:, 1:]) * inverse
+    down = (to_c * b[:, :1] - to_b * c[:, :1]) * inverse
+    return np.stack([across, down], 1)
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -11,11 +11,13 @@ import numpy as np
 
 from ..compute.kernels import compiled
 from .shadow_kernels import OPTIONS, single
+from .skin_relief import DULL, VALUES
+from .skin_relief_kernel import gleam
 
 _0, _1, _HALF = single(0.0), single(1.0), single(0.5)
-_EMPTY = single(1e10)
+_EMPTY, _DULL = single(1e10), single(DULL)
 CHANNELS = 8  # of light
-_FRONT = 6
+_SHINE, _FRONT = 3, 6
 
 
 @compiled(inline="always", **OPTIONS)
@@ -48,6 +50,7 @@ def _spans(places: np.ndarray) -> np.ndarray:
 def read(
     seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
     channels: np.ndarray, start: int, count: int, depth: np.ndarray, alpha: np.ndarray, skin: int, limits: np.ndarray,
+    vertices: np.ndarray, relief: np.ndarray, tile: np.ndarray, spread: np.ndarray, scale: float, detail: float,
     first: int, last: int,
 ) -> None:  # fmt: skip
     """Read light at each pixel of some rows of a picture; see `mesh_light.read`.
@@ -67,6 +70,12 @@ def read(
         alpha: As there, [H, W].
         skin: As there, or below 0.
         limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, and the least cover, [6].
+        vertices: [V, 3] metres.
+        relief: As there, [N, VALUES], or [0, VALUES].
+        tile: Of `skin_relief.Tile`, [T, 3].
+        spread: Likewise.
+        scale: Texels of the tile in one of the grid.
+        detail: As there.
         first: Row of the picture.
         last: The row after the last.
     """
@@ -109,6 +118,7 @@ def read(
                 v += v_x
     slope, most, apart = _1 / (limits[1] - limits[0]), len(rows) - 2, limits[3]
     total, spans = np.empty(CHANNELS, np.float32), _spans(places)
+    fine, corners = np.empty(VALUES, np.float32), np.empty((3, 3), np.float32)
     for row in range(first, last):
         line = row - above
         for column in range(width):
@@ -149,6 +159,23 @@ def read(
             under = max(_apart(spans, number[line, column + 1], x, y), _apart(spans, number[line + 2, column + 1], x, y))
             if max(beside, under) > apart:
                 amount *= limits[4]
+            if len(relief) and max(total[_SHINE], total[_SHINE + 1], total[_SHINE + 2]) > _DULL * front:
+                fine[:] = _0
+                for step in range(3):
+                    line_of = top + step - 1
+                    for other in range(3):
+                        i = rows[line_of, left + other - 1]
+                        weight = across[other] * down[step] if i >= 0 else _0
+                        for k in range(VALUES):
+                            fine[k] += weight * relief[i, k]
+                for axis in range(3):
+                    corners[0, axis], corners[1, axis] = vertices[a, axis], vertices[b, axis]
+                    corners[2, axis] = vertices[c, axis]
+                inverse = _1 / ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay))
+                steps = (cy - ay) * inverse, (ax - cx) * inverse, (ay - by) * inverse, (bx - ax) * inverse
+                shine = gleam(fine, corners, places[t], x, y, steps, tile, spread, scale, detail)
+                for channel in range(_SHINE, _SHINE + 3):
+                    total[channel] *= shine if total[channel] > _0 else _1
             factor = channels[row, column, start + _FRONT] / front
             for channel in range(count):
                 here = channels[row, column, start + channel]

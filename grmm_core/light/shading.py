@@ -13,10 +13,12 @@ from typing import Generic, NamedTuple
 
 import numpy as np
 
-from ..geometry.libraries import Array
+from ..geometry.libraries import Array, present
 from .lamps import Area, Lamp, Point, Spot, Sun, arriving, half_angle
+from .lobes import lobes, mirrored_share
 from .materials import RELIEF, SOFTER, WANDER, Materials
 from .shadows import Receivers, compiled_kernels
+from .skin_relief import FAINT
 from .surroundings import basis
 from .transfer import openness
 
@@ -25,6 +27,7 @@ _DARKEST = 0.06  # of the rig's most: where it hardly reaches (in the mouth), co
 MAX_RATIO = 200.0
 FADING, LEAST_FRONT = 10.0, 0.02  # skin whose normal is turned from the viewer by a cosine of 1 / FADING counts least
 _MIRROR_BANDS = np.array([1.0] + [0.75] * 3 + [0.4] * 5)  # what a rough mirror leaves of the harmonics
+NO_TILTS = np.zeros((0, 4), np.float32)
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ class Response:
         softness: Of the size of lamps, where it makes shadows soft.
         unlit_by: Numbers of lamps in `Lighting.lamps` that are not for this avatar.
         even_mouth: The whole mouth takes the light of the lips (`resting.even_mouth`).
+        detail: Of pores and furrows in highlights (`skin_relief`); 0: they are as smooth as the mesh.
     """
 
     intensity: float = 1.0
@@ -46,6 +50,7 @@ class Response:
     softness: float = 1.0
     unlit_by: tuple[int, ...] = ()
     even_mouth: bool = False
+    detail: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unlit_by", tuple(self.unlit_by))
@@ -60,12 +65,14 @@ class Transport(Generic[Array]):
         highlights: Radiance that a unit of each lamp's color gives towards the viewer, [L, N].
         ambient: Irradiance of a unit of each harmonic, [N, 9].
         mirrored: Radiance towards the viewer of a unit of each harmonic, [N, 9].
+        tilting: How `highlights` change with the normal's tilt (`lobes.lobes`), [L, N, 4]; None where nobody asks.
     """
 
     diffuse: Array
     highlights: Array
     ambient: Array
     mirrored: Array
+    tilting: Array | None = None
 
     def light(self, colors: Array, coefficients: Array) -> tuple[Array, Array]:
         """Irradiance and highlights of lights.
@@ -80,6 +87,12 @@ class Transport(Generic[Array]):
         irradiance = (self.diffuse * colors[:, None, :]).sum(0) + self.ambient @ coefficients
         shine = self.highlights.T @ colors + self.mirrored @ coefficients
         return irradiance, shine
+
+    def tilts(self, colors: Array, shine: Array) -> Array:
+        """By how much the logarithm of highlights `shine` [N, 3] of lamps of these colors changes with tilts, [N, 4]."""
+        bright = shine.mean(1)[:, None]
+        result: Array = (present(self.tilting) * colors.mean(1)[:, None, None]).sum(0) / bright.clip(FAINT, None)
+        return result * (bright > FAINT)
 
 
 def transport(
@@ -106,7 +119,7 @@ def transport(
     flesh = materials.wander[:, None] * response.scattering
     relief = RELIEF * materials.rough**2
     wander = np.clip(flesh * materials.curvature[:, None] * WANDER, 0.0, 0.9)  # [N, 3]
-    diffuse, highlights = [], []
+    diffuse, highlights, tilting = [], [], []
     for lamp, part in zip(lamps, seen, strict=True):
         towards, strength = arriving(lamp, receivers.points)
         cosine = (normals * towards).sum(1)
@@ -115,8 +128,10 @@ def transport(
         through = part[:, None] * (1.0 + flesh * SOFTER) / (1.0 + flesh * SOFTER * part[:, None])
         diffuse.append(reach * through * strength[:, None] * response.intensity)
         size = _widening(lamp, receivers.centre)
-        lobes = _lobes(materials, normals, view, facing, towards, np.maximum(cosine, 0.0), size)
-        highlights.append(lobes * part * strength * (response.gloss * response.intensity))
+        mirrored, change = lobes(materials, normals, view, facing, towards, np.maximum(cosine, 0.0), size)
+        arrives = part * strength * (response.gloss * response.intensity)
+        highlights.append(mirrored * arrives)
+        tilting.append(change * arrives[:, None])
     count = len(normals)
     mirror = 2.0 * (normals * view).sum(1, keepdims=True) * normals - view
     mirror = mirror if turn is None else mirror @ turn
@@ -126,6 +141,7 @@ def transport(
         np.stack(highlights).astype(np.float32) if highlights else np.zeros((0, count), np.float32),
         (rows * response.intensity).astype(np.float32),
         (glossy[:, None] * basis(mirror) * _MIRROR_BANDS).astype(np.float32),
+        np.stack(tilting).astype(np.float32) if tilting else np.zeros((0, count, 4), np.float32),
     )
 
 
@@ -171,7 +187,7 @@ class Arrived(NamedTuple):
 
 def shade(
     lamps: tuple[Lamp, ...], receivers: Receivers, seen: np.ndarray, materials: Materials, rows: np.ndarray, eye: np.ndarray,
-    harmonics: np.ndarray, response: Response = Response(), turn: np.ndarray | None = None,
+    harmonics: np.ndarray, response: Response = Response(), turn: np.ndarray | None = None, tilts: np.ndarray = NO_TILTS,
 ) -> Arrived:  # fmt: skip
     """`transport` and `Transport.light` in one compiled pass where there is numba.
 
@@ -185,12 +201,15 @@ def shade(
         harmonics: Coefficients of the surroundings, [9, 3].
         response: As there.
         turn: As there.
+        tilts: Written in the first four columns: how highlights change with the normal (`Transport.tilts`), [N, C] or [0, C].
     """
     kernels = compiled_kernels()
     if kernels is None:
         parts = transport(lamps, receivers, list(seen.clip(0.0, None)), materials, rows, eye, response, turn)
         whole = transport(lamps, receivers, list((seen >= 0.0).astype(np.float32)), materials, rows, eye, response, turn)
         light, view = parts.light(colors_of(lamps), harmonics.astype(np.float32)), eye - receivers.points
+        if len(tilts):
+            tilts[:, :4] = parts.tilts(colors_of(lamps), light[1])
         facing = (receivers.normals * view).sum(1) / np.maximum(np.linalg.norm(view, axis=1), 1e-9)
         front = 1.0 + FADING * facing[:, None]
         shine, share = light[1] * (front > 0.0), arriving_share(lamps, parts, whole)
@@ -210,7 +229,7 @@ def shade(
         tuple(np.ascontiguousarray(array, np.float32) for array in arrays)
         for arrays in (before, vars(materials).values(), behind)
     )  # fmt: skip
-    for_rows(skin_light_kernel.shade, len(out), *first, looks, *last, out)
+    for_rows(skin_light_kernel.shade, len(out), *first, looks, *last, out, tilts)
     return Arrived(out)
 
 
@@ -351,46 +370,3 @@ def _widening(lamp: Lamp, at: np.ndarray) -> float:
         assert isinstance(lamp, (Point, Area))
         distance = float(np.linalg.norm(np.asarray(lamp.position) - at))
     return math.hypot(0.5 * half_angle(lamp, distance), _TURN)
-
-
-def mirrored_share(materials: Materials, facing: np.ndarray) -> np.ndarray:
-    """Share of even light from all around that surfaces mirror to a viewer, [N]; `facing` is the cosine to it, [N].
-
-    The GGX lobe over all directions, fitted (Karis 2014): a rough surface mirrors much less at its outline than a smooth one.
-    """
-    rough = materials.share * materials.smooth + (1.0 - materials.share) * materials.rough
-    narrow = 1.0 - rough
-    at_outline = np.minimum(narrow * narrow, np.exp2(-9.28 * facing)) * narrow + 0.0425 - 0.0275 * rough
-    result: np.ndarray = (
-        materials.reflectance * (1.04 - 0.572 * rough - 1.04 * at_outline) + 1.04 * at_outline - 0.04 + 0.022 * rough
-    )
-    return np.maximum(result, 0.0)
-
-
-def _lobes(
-    materials: Materials,
-    normals: np.ndarray,
-    view: np.ndarray,
-    facing: np.ndarray,
-    towards: np.ndarray,
-    cosine: np.ndarray,
-    size: float,
-) -> np.ndarray:
-    """Two GGX lobes (Walter et al. 2007) times the cosine, widened by `_widening`, [N].
-
-    The square of a lobe's width is its own and the lamp's, and a wider one is lower by as much.
-    """
-    half = towards + view
-    half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-    tilt = np.clip((normals * half).sum(1), 0.0, 1.0)
-    fresnel = materials.reflectance + (1.0 - materials.reflectance) * (1.0 - np.clip((view * half).sum(1), 0.0, 1.0)) ** 5
-    total = np.zeros(len(normals))
-    for roughness, share in ((materials.smooth, materials.share), (materials.rough, 1.0 - materials.share)):
-        squares = np.minimum(roughness**4 + size * size, 1.0)
-        alpha = np.sqrt(squares)
-        spread = squares / (np.pi * (tilt * tilt * (squares - 1.0) + 1.0) ** 2)
-        k = 0.5 * alpha
-        visible = 1.0 / ((cosine * (1.0 - k) + k) * (facing * (1.0 - k) + k))
-        total += share * spread * visible
-    result: np.ndarray = 0.25 * total * fresnel * materials.shine * cosine
-    return result

@@ -14,14 +14,15 @@ import numpy as np
 from ..compute.kernels import compiled
 from .light_kernels import BLOCK, COLOR, OPTIONS, SIZE, arriving_at_block, harmonics_of
 from .shadow_kernels import single
+from .skin_relief import FAINT
 
-_0, _1, _2, _HALF = single(0.0), single(1.0), single(2.0), single(0.5)
-_TINY, _PI = single(1e-9), single(math.pi)
+_0, _1, _2, _3, _4, _HALF = single(0.0), single(1.0), single(2.0), single(3.0), single(4.0), single(0.5)
+_TINY, _PI, _FAINT = single(1e-9), single(math.pi), single(FAINT)
 _B = BLOCK
 # where its quantities begin in the scratch array: three columns of a vector or a color, or one
 _POINT, _NORMAL, _VIEW, _LAMP, _THROUGH, _WANDER = 0, 3 * _B, 6 * _B, 9 * _B, 12 * _B, 15 * _B
-_POWER, _TO_EYE, _KNOWN, _PART, _LOOK, _SUMS, _ROWS, _BASIS, _ALL = (
-    18 * _B, 19 * _B, 20 * _B, 21 * _B, 22 * _B, 27 * _B, 35 * _B, 44 * _B, 53 * _B
+_POWER, _TO_EYE, _KNOWN, _PART, _LOOK, _SUMS, _TILT, _ROWS, _BASIS, _ALL = (
+    18 * _B, 19 * _B, 20 * _B, 21 * _B, 22 * _B, 27 * _B, 35 * _B, 39 * _B, 48 * _B, 57 * _B
 )  # fmt: skip
 
 
@@ -94,7 +95,7 @@ def _coming_through(w: np.ndarray, seen: np.ndarray, factors: np.ndarray, first:
 def shade(
     lamps: np.ndarray, points: np.ndarray, normals: np.ndarray, seen: np.ndarray, looks: tuple[np.ndarray, ...],
     rows: np.ndarray, eye: np.ndarray, turn: np.ndarray, colors: np.ndarray, mirrors: np.ndarray, factors: np.ndarray,
-    out: np.ndarray, first: int, last: int,
+    out: np.ndarray, tilts: np.ndarray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Light at Gaussians of skin: what `shading.transport` and `Transport.light` give together.
 
@@ -112,6 +113,7 @@ def shade(
         factors: Of all light and of highlights, of wandering by color, in metres, `shading.FADING` and `LEAST_FRONT`, and by
             how much shadows are softer, by color, and twice `materials.RELIEF`, [11].
         out: Written: `shading.Arrived.values`, [N, 8].
+        tilts: Written: `shading.Transport.tilts`, the first four columns of [N, C], unless it is [0, C].
         first: Row of `out`.
         last: The row after the last.
     """
@@ -154,11 +156,24 @@ def shade(
                 smooth, rough = smooth * smooth, rough * rough
                 narrow = min(math.sqrt(smooth * smooth + wide), _1)
                 broad = min(math.sqrt(rough * rough + wide), _1)
-                total = share * _lobe(narrow, tilt, above, facing) + (_1 - share) * _lobe(broad, tilt, above, facing)
-                amount = np.float32(0.25) * total * fresnel * w[_LOOK + 4 * _B + j] * above * w[_PART + j] * strength * gloss
+                sharp, wide_one = share * _lobe(narrow, tilt, above, facing), (_1 - share) * _lobe(broad, tilt, above, facing)
+                factor = np.float32(0.25) * fresnel * w[_LOOK + 4 * _B + j] * above * w[_PART + j] * strength * gloss
+                amount = (sharp + wide_one) * factor
                 w[_SUMS + 3 * _B + j] += amount * red
                 w[_SUMS + 4 * _B + j] += amount * green
                 w[_SUMS + 5 * _B + j] += amount * blue
+                # how much a lobe changes with the normal's tilt, and how quickly it falls to all sides
+                tilt = max(tilt, np.float32(0.1))
+                inverse, away = inverse / tilt, _1 / (tilt * tilt) - _1
+                first_lobe, second_lobe = _1 / (narrow * narrow + away), _1 / (broad * broad + away)
+                factor *= mean * _3
+                sharp, wide_one = sharp * first_lobe * factor, wide_one * second_lobe * factor
+                fall = narrow * narrow * first_lobe * sharp + broad * broad * second_lobe * wide_one
+                slope = _4 * (sharp + wide_one)
+                w[_TILT + j] += (hx * inverse - nx) * slope
+                w[_TILT + _B + j] += (hy * inverse - ny) * slope
+                w[_TILT + 2 * _B + j] += (hz * inverse - nz) * slope
+                w[_TILT + 3 * _B + j] += _2 * fall
         for j in range(_B):
             towards_eye, share = w[_TO_EYE + j], w[_LOOK + 2 * _B + j]
             rough, facing = share * w[_LOOK + j] + (_1 - share) * w[_LOOK + _B + j], min(max(towards_eye, np.float32(0.05)), _1)
@@ -192,3 +207,8 @@ def shade(
                 out[i, c] = w[_SUMS + c * _B + j]
             out[i, 6] = min(max(_1 + fading * w[_TO_EYE + j], least), _1)
             out[i, 7] = (w[_SUMS + 6 * _B + j] + np.float32(1e-6)) / (w[_SUMS + 7 * _B + j] + np.float32(1e-6))
+            if len(tilts):
+                bright = (w[_SUMS + 3 * _B + j] + w[_SUMS + 4 * _B + j] + w[_SUMS + 5 * _B + j]) / _3
+                inverse = _1 / bright if bright > _FAINT else _0
+                for c in range(4):
+                    tilts[i, c] = w[_TILT + c * _B + j] * inverse

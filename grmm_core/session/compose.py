@@ -40,8 +40,9 @@ from ..splat.types import Gaussians, RasterOutput
 from .api import CancelCheck
 from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
-from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, Hair, LitAvatar
+from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
 from .passes import ROUNDING, Channels, buffers, empty, light_of, strands_of
+from .shading_hair import Hair
 from .stacking import with_light
 from .values import LIGHT_PASSES, LINEAR_PASS, RAW_LINEAR_PASS, Instance, RenderOptions
 from .wardrobe import Wardrobe, Worn, at_rest

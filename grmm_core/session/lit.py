@@ -9,8 +9,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import hashlib
-from collections.abc import Callable, Hashable
-from typing import NamedTuple
+from collections.abc import Hashable
 
 import numpy as np
 
@@ -24,11 +23,13 @@ from ..light.mesh_light import LitSurface, TexelGrid
 from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
 from ..light.shading import FADING, Learned, Response, facing, reached, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, maps_of
+from ..light.skin_relief import VALUES, lying
 from ..light.surroundings import coefficients_of, mean_irradiance
 from ..light.texel_shadows import TexelShadows
 from ..light.transfer import turn_between, vertex_normals
 from ..splat.types import Gaussians
 from .evaluator import Evaluator, Inputs, OpenAvatar
+from .shading_hair import Hair
 
 RATIO, HIGHLIGHTS, FRONT, SHADOW = slice(0, 3), slice(3, 6), 6, slice(7, 8)  # of `shading.relative`
 LIGHT_CHANNELS = 8
@@ -38,20 +39,6 @@ _AROUND = 0.08  # metres around a head at rest within which the rig's light in h
 _RIGID = "scalp"  # region whose turn is the head's
 _BOWL = 0.5  # of light from all around that reaches the inner side of an open bust
 _PLACES = 5  # of numbers that a turn is known by: what an expression pulls at the scalp is no turn
-
-
-class Hair(NamedTuple):
-    """What throws shadows on the skin besides the mesh.
-
-    Attributes:
-        key: What identifies it.
-        pieces: Gives middles and areas of its pieces (`Wardrobe.covering`).
-        moves: They are where this frame's strands are; else on the head at rest, to be carried along by the head's turn.
-    """
-
-    key: Hashable
-    pieces: Callable[[], tuple[np.ndarray, np.ndarray]]
-    moves: bool
 
 
 class LitAvatar:
@@ -94,7 +81,7 @@ class LitAvatar:
         worn = () if self._hair is None else self._hair.key
         key = (eye.tobytes(), self._response, *light, worn, *self._inputs.mesh_key)
         cache, owner = self._evaluator.cache, self._target.id
-        skin: np.ndarray = cache.get((owner, "lit", self._lod, *key), lambda: (self._skin(eye),))[0]
+        skin, self._relief = cache.get((owner, "lit", self._lod, *key), lambda: self._skin(eye))
         if strands is None:
             return [skin]
         points, quats = to_numpy(strands.means), to_numpy(strands.quats)
@@ -113,9 +100,10 @@ class LitAvatar:
             return *TexelGrid.of(faces, layout.uv, uv_faces, layout.grid, layout.texel)[:3], closed
 
         faces, places, rows, closed = self._evaluator.cache.get((self._target.id, "texel grid"), make)
-        return LitSurface(TexelGrid(faces, places, rows, int(closed)), self._vertices, light)
+        grid = TexelGrid(faces, places, rows, int(closed))
+        return LitSurface(grid, self._vertices, light, self._relief if self._response.detail else None, self._response.detail)
 
-    def _skin(self, eye: np.ndarray) -> np.ndarray:
+    def _skin(self, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rest = self._rest()
         turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
         asked = self._asked(eye)
@@ -124,7 +112,8 @@ class LitAvatar:
             -1, len(self._drawn.corners)
         )
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
-        scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn)
+        relief = self._lying()
+        scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn, relief)
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         corners = self._drawn.corners
@@ -132,7 +121,7 @@ class LitAvatar:
         found = relative(scene, bounced, corners, self._drawn.barycentric, learned, self._response.gloss, inside)
         if self._response.even_mouth:
             even_mouth(self._head, corners, found, FRONT)
-        return found
+        return found, relief
 
     def _asked(self, eye: np.ndarray) -> np.ndarray:
         """Numbers of Gaussians whose shadows are needed: what faces the eye (`Arrived.front`), and what lies at vertices."""
@@ -168,6 +157,18 @@ class LitAvatar:
             return tuple(vars(materials_of(self._head, *self._texels[:2]).taken(self._rows)).values())
 
         return Materials(*self._evaluator.cache.get((self._target.id, "materials", self._lod), make))
+
+    def _lying(self) -> np.ndarray:
+        """A copy of `skin_relief.lying`; empty where light is not read from the mesh."""
+        if self._lod:
+            return np.zeros((0, VALUES), np.float32)
+
+        def make() -> tuple[np.ndarray]:
+            layout = self._target.model.layout
+            return (lying(self._head, self._rest().vertices, layout.uv, layout.grid, layout.face),)
+
+        key = (self._target.id, "relief", *self._inputs.identity_key, *self._inputs.shape_key)
+        return self._evaluator.cache.get(key, make)[0].copy()
 
     def _rest(self) -> RestLight:
         def make() -> RestLight:

@@ -127,6 +127,19 @@ def test_gloss_intensity_and_scattering_do_what_they_say(session):
     assert red > 1.05 * blue
 
 
+def test_detail_is_in_highlights_alone_and_none_from_afar(session):
+    light = Lighting((soft_box(45, 30, 1.0, 0.05, 30.0),))
+    close = Camera.orbit(128, 128, 20, 5, fov=4, target=(0.03, 0.06, 0.08))
+    fine, usual, smooth = (drawn(session, light, Response(detail=value), camera=close) for value in (2.0, 1.0, 0.0))
+    np.testing.assert_allclose(usual["diffuse"], smooth["diffuse"], atol=1e-3)
+    changed = [np.abs(one["specular"] - smooth["specular"]).mean() for one in (usual, fine)]
+    assert changed[1] > 1.2 * changed[0] > 0.02 * smooth["specular"].mean()
+    assert usual["specular"].mean() == pytest.approx(smooth["specular"].mean(), rel=0.1)
+    far = Camera.orbit(64, 64, 20, 5, fov=40)
+    one, other = (drawn(session, light, Response(detail=value), camera=far)["rgb"] for value in (1.0, 0.0))
+    assert np.abs(one - other).max() < 4e-3
+
+
 def test_coarser_levels_are_lit_alike(session):
     """Blocks of texels have the light of their middle."""
     placed = Instance(session.open("default").id, response=Response())

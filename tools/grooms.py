@@ -36,6 +36,7 @@ BEARD_STRANDS, BEARD_DRAWS = 9000, 4
 AROUND = 12  # roots, as far as which says how dense hair is somewhere
 CURL = 0.35  # a person's own, where a style has one
 LASH_COUNTS, LASH_POINTS = (90, 42), 6  # of an upper and a lower lid; of a lash
+LASH_LENGTHS = (0.003, 0.0045, 0.0062, 0.0055)  # metres of upper lashes at four places: without mascara they hardly show
 FLAT, RISEN = 0.3, 0.05  # share of its height that parted hair keeps at the parting; metres from there to where it has all
 # where the package's grooms differ from the studio's: braids so many that no crown is bare between them, curls that hold
 # together, since hair of many directions in one place is seen as a weave
@@ -142,12 +143,12 @@ def _fanned(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
             wanted = (np.arange(count) + g.uniform(0.2, 0.8, count)) / count
             chosen = np.unique(np.abs(place[:, None] - wanted).argmin(0))
             own, place = own[chosen], place[chosen]
-            long = np.interp(place, (0.0, 0.2, 0.65, 1.0), (0.004, 0.006, 0.0085, 0.0075)) * g.normal(1.0, 0.1, len(own))
+            long = np.interp(place, (0.0, 0.2, 0.65, 1.0), LASH_LENGTHS) * g.normal(1.0, 0.1, len(own))
             way = roots[own] - middle
             way /= np.linalg.norm(way, axis=1, keepdims=True)
             way[:, 0] += side * 0.3 * place
             way += 0.25 * np.repeat(g.normal(0.0, 0.35, (len(own) // 3 + 1, 3)), 3, 0)[: len(own)]  # tips join by threes
-            bend = np.array([0.0, 0.6 if upper else -0.45, 0.0]) * t**2
+            bend = np.array([0.0, 0.45 if upper else -0.35, 0.0]) * t**2
             scale = (long if upper else 0.5 * long)[:, None, None]
             points[own] = roots[own, None] + scale * (0.85 * t * way[:, None] + bend)
             kept.append(own)

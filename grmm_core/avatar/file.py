@@ -1,10 +1,10 @@
 """`.grmm` files: one avatar as a safetensors file with a JSON description. Nothing in it is ever executed.
 
-Layout, versions 1 to 3. Metadata of the tensor file (all strings):
+Layout, versions 1 to 4. Metadata of the tensor file (all strings):
 
 ``format``          "grmm-avatar"
-``format_version``  "3" where changes are packed in eight bits, else "2" for an avatar with hair of its own,
-                    else "1": the lowest that a reader must know
+``format_version``  "4" for an avatar with lashes of its own, else "3" where changes are packed in eight bits, else "2"
+                    for one with other hair of its own, else "1": the lowest that a reader must know
 ``avatar``          JSON object: name, head {name, sha256}, weights {name, sha256}, provenance {made_by, from_photos,
                     photos [{name, sha256}], date, licence}, camera or null, thumbnail (PNG, base64),
                     from version 2 on hair: {settings {name: number}, parts {part: settings}, scalp true/false} or null
@@ -13,7 +13,8 @@ Tensors, float32: ``z_id`` [Z], ``z_exp`` [Y], ``shape`` [300], ``expression`` [
 ``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact; from version 3 on
 maps [N, C] in int8, with float16 ``delta_scale/PARAMETER`` [C, ceil(N / 64)], see `files.packing`),
 ``hair/NAME`` the strands as `hair.compact` has them, ``hair/PART/NAME`` those of brows, beard and lashes, at most 1 MB in
-all; without them an avatar with hair settings has none.
+all; without them an avatar with hair settings has none. Lashes of earlier versions stood wrong on lids that move: on the open
+head the package's take their place.
 Uint8, where there is one: ``painting`` [P, P, 3]; what does not know it passes over it.
 
 Called by sessions, fitting, the command line and Blender's panels (`read_avatar_header`). Needs numpy only.
@@ -35,13 +36,16 @@ from ..errors import FileFormatError, GrmmError, ShapeError
 from ..files.tensorfile import read_metadata, read_tensors, write_tensors
 from ..geometry.camera import Camera
 from ..hair.compact import compact_parts, restored_parts
-from ..hair.roots import GROUPS
+from ..hair.groom import Groom, join
+from ..hair.packaged import HEAD, library_groom
+from ..hair.roots import GROUPS, LASHES
 from ..hair.settings import HairSettings
 from .deltas import SCALE, delta_tensors, deltas_of
 from .types import MAX_NAME_LENGTH, AssetReference, Avatar, Hair, PhotoRecord, Provenance
 
 FORMAT_NAME = "grmm-avatar"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
+OWN_LASHES = 4  # version from which on lashes are as they shall be
 EXTENSION = ".grmm"
 _TRACKING = "tracking/"
 _PAINTING = "painting"
@@ -87,6 +91,7 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
         "thumbnail": base64.b64encode(avatar.thumbnail).decode("ascii"),
     }
     hair = avatar.hair
+    version = 1 if hair is None else 2
     if hair is not None:
         parts = {name: settings.to_json() for name, settings in hair.parts.items()}
         description["hair"] = {"settings": hair.settings.to_json(), "parts": parts, "scalp": hair.scalp}
@@ -98,9 +103,11 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
         tensors[_PAINTING] = avatar.painting
     if hair is not None and hair.groom is not None:
         tensors |= {_HAIR + name: array for name, array in compact_parts(hair.groom).items()}
+        version = OWN_LASHES if (hair.groom.groups == LASHES).any() else version
+    version = max(version, 3 if any(name.startswith(SCALE) for name in changes) else 1)
     metadata = {
         "format": FORMAT_NAME,
-        "format_version": "3" if any(name.startswith(SCALE) for name in changes) else "1" if hair is None else "2",
+        "format_version": str(version),
         "avatar": json.dumps(description, ensure_ascii=False, allow_nan=False),
     }
     write_tensors(path, tensors, metadata)
@@ -141,11 +148,19 @@ def load_avatar(path: str | os.PathLike[str]) -> Avatar:
             deltas=deltas_of(tensors),
             provenance=header.provenance,
             thumbnail=header.thumbnail,
-            hair=None if header.hair is None else replace(header.hair, groom=restored_parts(_with_prefix(tensors, _HAIR))),
+            hair=None if header.hair is None else replace(header.hair, groom=_groom(header, _with_prefix(tensors, _HAIR))),
             **({_PAINTING: tensors[_PAINTING]} if _PAINTING in tensors else {}),
         )
     except (ShapeError, FileFormatError) as error:
         raise _damaged(path, str(error).rstrip(".").replace(";", ",")) from error
+
+
+def _groom(header: AvatarHeader, tensors: dict[str, np.ndarray]) -> Groom | None:
+    groom = restored_parts(tensors)
+    if groom is None or header.format_version >= OWN_LASHES or header.head.name != HEAD:
+        return groom
+    others = groom.select(groom.groups != LASHES)
+    return groom if len(others) == len(groom) else join([others, library_groom("natural", part=GROUPS[LASHES])])
 
 
 def _parse_header(path: Path, metadata: dict[str, str]) -> AvatarHeader:

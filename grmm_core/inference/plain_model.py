@@ -52,6 +52,7 @@ class PlainModel:
         names |= {"refinement": "refinement."} if config.refine else {}
         self._networks = {name: self._network(name, prefix, like) for name, prefix in names.items()}
         self._sums: dict[str, tuple[bytes, np.ndarray]] = {}  # of basis maps and means: the last code and what it gave
+        self._empty = file.layout.on_lash_cards(file.head) if config.hairless else np.zeros(0, np.int64)
         self._tables: _Tables = _Tables(file) if like is None else like._tables
 
     def changed(self, deltas: Mapping[str, np.ndarray]) -> PlainModel:
@@ -90,12 +91,14 @@ class PlainModel:
         return self._decode("transform", self._person_offsets(z_id), np.concatenate([z_id, z_exp])[None])
 
     def opacity(self, z_id: np.ndarray) -> np.ndarray:
-        """Phi_alpha: opacities 0..1 from z_id [Z], [N]."""
+        """Phi_alpha: opacities 0..1 from z_id [Z], [N]; where strands are the lashes, nothing stands on their cards."""
         logits = self._decode("opacity", self._mean("opacity", 1), z_id[None])
         added = self._basis("opacity", z_id)
         if added is not None:
             logits += added
-        return (1.0 / (1.0 + np.exp(-(logits[:, 0] + np.float32(self.config.opacity_bias))))).astype(np.float32)
+        opacity: np.ndarray = (1.0 / (1.0 + np.exp(-(logits[:, 0] + np.float32(self.config.opacity_bias))))).astype(np.float32)
+        opacity[self._empty] = 0.0
+        return opacity
 
     def appearance(self, z_id: np.ndarray, view: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Phi_app: display sRGB [N, 3] and features [N, F] from z_id [Z] and the unit view direction [3]."""

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from ..head import HeadModel
 
 NECK, JAW = JOINT_NAMES.index("neck"), JOINT_NAMES.index("jaw")
+NO_OPACITY = -30.0  # logit
 CODE_INIT = 0.1  # standard deviation of the table of expression codes before training
 
 
@@ -126,6 +127,7 @@ class GRMM(nn.Module):
     """
 
     aligned_codes: nn.Parameter | None
+    empty_texels: Tensor
 
     def __init__(self, head: HeadModel, config: GRMMConfig, layout: TexelLayout | None = None) -> None:
         super().__init__()
@@ -142,6 +144,8 @@ class GRMM(nn.Module):
         if layout.grid != config.grid:
             raise ConfigError(f"The texel layout has a grid of {layout.grid}; the configuration says {config.grid}.")
         self.layout = layout
+        empty = layout.on_lash_cards(head) if config.hairless else np.zeros(0, np.int64)
+        self.register_buffer("empty_texels", torch.tensor(empty, device="cpu"), persistent=False)
         self.anchor = TexelAnchor(layout, head.faces, head.uv_faces, vertex_count, config.focus)
         self.mesh_decoder = MeshDecoder(config, self.z_id_size, self.z_exp_size, torch.from_numpy(face_mask(head)))
         self.decoders = AttributeDecoders(config, self.z_id_size, self.z_exp_size, layout.texel)
@@ -246,7 +250,11 @@ class GRMM(nn.Module):
 
     def opacity(self, z_id: Tensor) -> Tensor:
         """Phi_alpha: opacities 0..1 from z_id [..., Z], [..., N]. Constant per avatar."""
-        return torch.sigmoid(self.decoders.opacity_logits(z_id))
+        return torch.sigmoid(self.opacity_logits(z_id))
+
+    def opacity_logits(self, z_id: Tensor) -> Tensor:
+        """Opacities before the sigmoid, [..., N]; where strands are the lashes, nothing stands on their cards."""
+        return self.decoders.opacity_logits(z_id).index_fill(-1, self.empty_texels, NO_OPACITY)
 
     def appearance(self, z_id: Tensor, view: Tensor) -> tuple[Tensor, Tensor]:
         """Phi_app: display sRGB [..., N, 3] and features [..., N, F] from z_id [..., Z] and unit view directions [..., 3]."""
@@ -261,7 +269,7 @@ class GRMM(nn.Module):
         z_id, z_exp = inputs.z_id, inputs.z_exp
         colors, features = self.appearance(z_id, view)
         colors = colors + self.expression_colors(z_id, z_exp)
-        return Attributes(self.offsets(z_id, z_exp), self.decoders.opacity_logits(z_id), colors, features)
+        return Attributes(self.offsets(z_id, z_exp), self.opacity_logits(z_id), colors, features)
 
     def geometry(self, vertices: Tensor, offsets: Tensor) -> Geometry:
         """Place the Gaussians on posed vertices [..., V, 3] with offsets [..., N, 10] (eq. 12)."""

@@ -13,10 +13,14 @@ Conventions: texel (row i, column j) has its centre at u = (j + 1/2) / N_g, v = 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..errors import ShapeError
+
+if TYPE_CHECKING:
+    from ..head import HeadModel
 
 _INSIDE = -1e-7  # barycentric tolerance: a texel centre on an edge belongs to the first of its faces
 
@@ -44,6 +48,11 @@ class TexelLayout:
 
     def __len__(self) -> int:
         return len(self.texel)
+
+    def on_lash_cards(self, head: HeadModel) -> np.ndarray:
+        """Numbers of the texels on the strips of a head that lashes stand on, [K]; none where it has no such strips."""
+        corners = head.faces[self.face]
+        return np.flatnonzero(head.marked("lashes")[corners].any(1))
 
 
 def texel_layout(uv: np.ndarray, uv_faces: np.ndarray, grid: int) -> TexelLayout:

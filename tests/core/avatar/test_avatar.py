@@ -88,7 +88,7 @@ def edit(path, change):
 
 def test_a_newer_version_says_what_to_do(saved):
     edit(saved, lambda tensors, metadata: metadata.update(format_version="7"))
-    with pytest.raises(FileFormatError, match=r"format 7, newer than 3.*update GRMM"):
+    with pytest.raises(FileFormatError, match=r"format 7, newer than 4.*update GRMM"):
         load_avatar(saved)
 
 

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from grmm_core.avatar import load_avatar, read_avatar_header
+from grmm_core.avatar import load_avatar, read_avatar_header, save_avatar
 from grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_names, library_path
 from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileAccessError
 from grmm_core.geometry.camera import Camera
+from grmm_core.hair import library_groom
+from grmm_core.hair.groom import join
+from grmm_core.hair.roots import LASHES, SCALP
 from grmm_core.session import Instance, create_session
 
 PIXELS = 128
@@ -56,6 +60,34 @@ def test_every_avatar_is_drawn(weights):
     np.testing.assert_array_equal(default, pictures.pop(DEFAULT_NAME))
     for picture in pictures.values():
         assert np.abs(picture - default).mean() > 0.01
+
+
+def test_lashes_of_earlier_files_are_replaced_and_later_ones_kept(tmp_path):
+    path, usual = library_path(DEFAULT_NAME), library_groom("natural", part="lashes")
+    assert read_avatar_header(path).format_version < 4
+    old = load_avatar(path)
+
+    def lashes(avatar):
+        return avatar.hair.groom.select(avatar.hair.groom.groups == LASHES)
+
+    np.testing.assert_allclose(lashes(old).points, usual.points, atol=1e-4)
+    scalp, few = old.hair.groom.select(old.hair.groom.groups == SCALP), usual.select(np.arange(0, len(usual), 3))
+    save_avatar(replace(old, hair=replace(old.hair, groom=join([scalp, few]))), tmp_path / "own.grmm")
+    assert read_avatar_header(tmp_path / "own.grmm").format_version == 4
+    own = load_avatar(tmp_path / "own.grmm")
+    assert len(lashes(own)) == len(few)
+    assert len(own.hair.groom) == len(scalp) + len(few)
+
+
+def test_nothing_stands_on_the_cards_where_strands_are_the_lashes():
+    with create_session() as session:
+        avatar = session.open("default")
+        model = session.engine.store.default().model
+        on_cards = model.layout.on_lash_cards(model.head_model)
+        opacities = session.gaussians(avatar.id, Controls()).opacities
+    assert len(on_cards) > 100
+    assert np.asarray(opacities)[on_cards].max() < 1e-6
+    assert np.median(np.asarray(opacities)[: model.gaussian_count]) > 0.8
 
 
 def test_weights_of_ones_own_have_their_own_default_person(weights):

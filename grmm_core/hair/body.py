@@ -54,25 +54,29 @@ class Body:
     field: np.ndarray
 
     @staticmethod
-    def of(head: HeadModel, vertices: np.ndarray, near: np.ndarray | None = None) -> Body:
+    def of(head: HeadModel, vertices: np.ndarray, near: np.ndarray | None = None, below: float = np.inf) -> Body:
         """Measure a head.
 
         Args:
             head: For its topology.
             vertices: The head, upright, metres, [V, 3].
             near: Points [P, 3] around which heights are asked, up to `BLOCK` cells away; anywhere when None.
+            below: Height up to which heights are asked, below the ears; what is above is high. It saves time.
         """
         from ..compute.threads import for_rows
         from .body_kernels import BLOCK, heights_into
 
         vertices = np.asarray(vertices, float)
         points, normals = _skin(head, vertices)
+        some = points[:, 1] < below + MARGIN
+        points, normals = points[some], normals[some]
         low = points.min(0) - MARGIN
         size = np.ceil((points.max(0) + MARGIN - low) / CELL).astype(int) + 1
         heights = np.full(tuple(size), MARGIN, np.float32)
         blocks = -(-size // BLOCK)
         wanted = np.full(tuple(blocks), near is None)
         if near is not None:
+            near = near[near[:, 1] < below + CELL]
             wanted[tuple(np.clip(((near - low) / (CELL * BLOCK)).astype(int), 0, blocks - 1).T)] = True
             for axis in range(3):  # and the blocks around these
                 some = np.moveaxis(wanted, axis, 0)
@@ -81,7 +85,8 @@ class Body:
                 some[:-1] |= before[1:]
         planes = (np.ascontiguousarray(part, np.float32) for part in (points, normals, low))
         for_rows(heights_into, int(blocks[0]), *planes, CELL, REACH, wanted, heights, smallest=1)
-        _over_ears(head, vertices, low, heights)
+        if not np.isfinite(below):
+            _over_ears(head, vertices, low, heights)
         slope = np.stack(np.gradient(heights, CELL), -1)
         slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
         return Body(low, np.concatenate([heights[..., None], slope], -1).astype(np.float32))

@@ -22,12 +22,12 @@ from ..errors import ConfigError, FileFormatError, ShapeError
 from ..files.access import atomic_write
 from ..files.npz import read_npz
 from ..head import HeadModel
-from .body import BURIED, DEEP, MOST, SLIDE, SOFT, Body, worn
+from .body import DEEP, MOST, SLIDE, SOFT, Body, worn
+from .contact import FINE, PLACES, Obstacle, held_out, rigid_motion
 from .groom import Groom
 from .roots import SCALP
 from .strands import evened, nearest
 
-PLACES = 8  # along a strand that swing, the root among them
 STEPS = 4  # of a frame
 GRAVITY = 9.81  # m/s^2, along -y
 STIFF = 1.3  # how much faster than a pendulum of its length hair swings back
@@ -42,23 +42,8 @@ ROUNDS = 2  # of smoothing along a strand
 FARTHEST = 0.6  # of its distance along the strand from the root, how far a place may be from where the groom has it
 AROUND, TOGETHER = 12, 0.5  # strands around one, and how far it moves as these do in a frame: hair drags hair along
 OUT = 4  # rounds in which what is drawn gets its lengths and is brought out of the head
-FINE = 2 * PLACES - 1  # points of a strand that are asked for it: places and middles between them
 RISE, HIGHEST = 0.25, 0.008  # so much of how far a place has swung it is drawn higher above the skin, metres at most
 _VERSION = 1
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """A body, and how it has moved: rows of points `p @ turn.T + shift` are where it was measured."""
-
-    body: Body
-    turn: np.ndarray
-    shift: np.ndarray
-
-    def numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Field, first cell and motion, as the kernels read them."""
-        motion = np.concatenate([self.turn, self.shift[:, None]], 1)
-        return self.body.field, self.body.low.astype(np.float32), np.ascontiguousarray(motion, np.float32)
 
 
 @dataclass
@@ -135,11 +120,11 @@ class Swing:
             place: From the space of the vertices to one that does not move, y up, for a head that is carried or turned as a
                 whole, its shoulders with it; rigid, [4, 4]. What comes out is in the space of the vertices all the same.
         """
-        from .swing_kernel import raise_into, swing_into
+        from .swing_kernel import swing_into
 
         about, by = (np.eye(3), np.zeros(3)) if place is None else (place[:3, :3], place[:3, 3])
         vertices = vertices @ about.T + by
-        turn, shift = _rigid_motion(vertices[self._rigid], np.asarray(self.rest, float)[self._rigid])
+        turn, shift = rigid_motion(vertices[self._rigid], np.asarray(self.rest, float)[self._rigid])
         fine = self._posed(vertices)
         targets = np.ascontiguousarray(fine[:, ::2])
         down = np.array([0.0, -GRAVITY, 0.0])
@@ -172,14 +157,7 @@ class Swing:
         # strands around this one would cut through a cheek that it touches
         far = np.minimum(RISE * np.linalg.norm(offsets, axis=2), HIGHEST)
         clear = (self._clear + evened(far[..., None], FINE)[..., 0]).astype(np.float32)
-        for _ in range(OUT):
-            points = targets + offsets
-            _shortened(points, self._lengths)
-            offsets = points - targets
-            if self.compiled:
-                raise_into(fine, offsets, clear, _BETWEEN, *obstacle.numbers())
-            else:
-                offsets = raised_readable(fine, offsets, clear, obstacle)
+        offsets = held_out(fine, offsets, self._lengths, clear, obstacle, OUT, self.compiled)
         result[self._rows] = offsets @ about.astype(np.float32)
         return result
 
@@ -196,21 +174,6 @@ def _unfolded(offsets: np.ndarray) -> np.ndarray:
         middle = 0.5 * offsets[:, 1:-1] + 0.25 * (offsets[:, :-2] + offsets[:, 2:])
         offsets = np.concatenate([offsets[:, :1], middle, tip], 1)
     return offsets
-
-
-def _shortened(points: np.ndarray, lengths: np.ndarray) -> None:
-    """Draw strands [M, S, 3] in where segments are longer than `lengths` [M, S - 1], from the root on."""
-    for s in range(1, points.shape[1]):
-        step = points[:, s] - points[:, s - 1]
-        step *= np.minimum(1.0, lengths[:, s - 1] / np.maximum(np.linalg.norm(step, axis=1), 1e-9))[:, None]
-        points[:, s] = points[:, s - 1] + step
-
-
-def _rigid_motion(posed: np.ndarray, rest: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Turn [3, 3] and shift [3] that bring posed points [M, 3] best back to rest: `posed @ turn.T + shift`."""
-    u, _, v = np.linalg.svd((posed - posed.mean(0)).T @ (rest - rest.mean(0)))
-    turn = (u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ v))]) @ v).T
-    return turn, rest.mean(0) - posed.mean(0) @ turn.T
 
 
 def swing_readable(
@@ -247,48 +210,9 @@ def swing_readable(
 
 def _outside(points: np.ndarray, loose: np.ndarray, clear: np.ndarray, obstacle: Obstacle) -> np.ndarray:
     """Points [N, 3] where they are loose [N] brought some of the way up to their heights [N] above a body."""
-    under, up = _under(points, clear, obstacle)
+    under, up = obstacle.under(points, clear)
     push = np.maximum(np.clip(SOFT * under, 0.0, MOST), under - DEEP)
     return np.asarray(points + np.where(loose > 0, push, 0.0)[:, None] * up)
-
-
-def _under(points: np.ndarray, clear: np.ndarray, obstacle: Obstacle) -> tuple[np.ndarray, np.ndarray]:
-    """How far points [N, 3] are below their heights [N] above a body, 0 where they are not, and the way out, [N, 3]."""
-    heights, up = obstacle.body.heights(points @ obstacle.turn.T + obstacle.shift)
-    return np.where(heights > -BURIED, np.maximum(clear - heights, 0.0), 0.0), up @ obstacle.turn
-
-
-def raised_readable(fine: np.ndarray, offsets: np.ndarray, clear: np.ndarray, obstacle: Obstacle) -> np.ndarray:
-    """The readable twin of `swing_kernel.raise_into`, which says what the arguments are; returns offsets."""
-    points = swung(fine, offsets)
-    under, up = (
-        part.reshape(points.shape[:2] + part.shape[1:]) for part in _under(points.reshape(-1, 3), clear.ravel(), obstacle)
-    )
-    shares = under[:, :, None] * _BETWEEN.clip(0.0)  # [M, FINE, PLACES]
-    push = np.einsum("mfp,mfc->mpc", shares**2, up) / np.maximum(shares.sum(1), 1e-9)[..., None]
-    push[:, 0] = 0.0
-    return (offsets + push).astype(np.float32)
-
-
-def _between(count: int, places: int) -> np.ndarray:
-    """What of each of `places` even places points between them take, [count, places]: Catmull and Rom's smooth curve."""
-    last = places - 1
-    at = np.linspace(0, last, count)
-    base = np.minimum(at.astype(int), last - 1)
-    t = at - base
-    rows = (-t + 2 * t**2 - t**3, 2 - 5 * t**2 + 3 * t**3, t + 4 * t**2 - 3 * t**3, t**3 - t**2)
-    shares = np.zeros((count, places), np.float32)
-    for step, row in enumerate(rows):
-        np.add.at(shares, (np.arange(count), np.clip(base + step - 1, 0, last)), 0.5 * row)
-    return shares
-
-
-_BETWEEN = _between(FINE, PLACES)
-
-
-def swung(points: np.ndarray, offsets: np.ndarray) -> np.ndarray:
-    """Strands [N, K, 3] with what `Swing` says of them, [N, S, 3], on smooth curves between its places."""
-    return (points + np.matmul(_between(points.shape[1], offsets.shape[1]), offsets)).astype(np.float32)
 
 
 def write_bake(path: str | Path, frames: Iterable[np.ndarray], start: int, fps: float) -> int:

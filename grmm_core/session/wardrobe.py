@@ -20,6 +20,7 @@ from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
 from ..hair.body import on_person, outside
+from ..hair.contact import moved as displaced
 from ..hair.drawing import Hiding, level_shares, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
@@ -28,8 +29,8 @@ from ..hair.prior import random_groom
 from ..hair.ribbons import Eye
 from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
+from ..hair.shoulders import Shoulders
 from ..hair.strands import StrandBlock, blocks_of
-from ..hair.swing import swung
 from ..head import HeadModel
 from ..splat.types import Gaussians
 from .cap import Cap
@@ -223,7 +224,7 @@ class Wardrobe:
             count = block.parents(share, fewer)
             points, axes = self._posed(evaluator, target, inputs, layer, settings, vertices, number, block, count)
             if block.group == SCALP and layer.swing is not None:
-                points = swung(points, layer.swing[block.rows[: len(points)]])
+                points = displaced(points, layer.swing[block.rows[: len(points)]])
             if fewer < 1.0:
                 block, some = block.sparse
                 points = points[:, some]
@@ -292,12 +293,13 @@ class Wardrobe:
 
         rest, head = at_rest(evaluator, target, inputs), target.model.head_model
 
-        def styled() -> tuple[np.ndarray]:
+        def styled() -> tuple[np.ndarray, tuple[Shoulders, ...]]:
             local = block.styled(settings)
             if block.group != SCALP:
-                return (local,)
+                return local, ()
             still = to_numpy(evaluator.mesh(target, rest).vertices)
-            return (on_person(head, still, block.frames, local, block.lock),)
+            local = on_person(head, still, block.frames, local, block.lock)
+            return local, Shoulders.of(head, still, stood(local, *block.frames.standing(still)), block.lock)
 
         def make() -> tuple[np.ndarray, np.ndarray]:
             origin, axes = block.frames.standing(vertices, some)
@@ -308,16 +310,22 @@ class Wardrobe:
                     moved = np.matmul(block.styled(settings, local), axes) + origin[:, None]
                 return moved, axes
             key = (target.id, "styled", number, *layer.key, *settings.shape_key, *rest.mesh_key)
-            local = evaluator.cache.get(key, styled)[0]
+            local, shoulders = evaluator.cache.get(key, styled)
+            points = stood(local, origin, axes)
+            for one in shoulders if layer.swing is None else ():
+                points = one.left(vertices, points)
+            return points, axes
+
+        def stood(local: np.ndarray, origin: np.ndarray, axes: np.ndarray) -> np.ndarray:
             points = np.empty((len(origin), *local.shape[1:]), np.float32)
             stand(np.ascontiguousarray(local, np.float32), origin, axes, points)
-            return points, axes
+            return points
 
         some = None if layer.points is not None else count
         if layer.points is not None:
             return make()
         return evaluator.cache.get(
-            (target.id, "strands", number, some, *layer.key, *settings.shape_key, *inputs.mesh_key), make
+            (target.id, "strands", number, some, layer.swing is None, *layer.key, *settings.shape_key, *inputs.mesh_key), make
         )
 
     def _on_lids(

@@ -9,9 +9,10 @@ from grmm_core.errors import ConfigError, FileFormatError, ShapeError
 from grmm_core.geometry.triangles import vertex_normals
 from grmm_core.hair import join, library_groom
 from grmm_core.hair.body import Body, worn
+from grmm_core.hair.contact import moved
 from grmm_core.hair.groom import Groom
 from grmm_core.hair.roots import SCALP
-from grmm_core.hair.swing import Swing, SwingBake, swung, write_bake
+from grmm_core.hair.swing import Swing, SwingBake, write_bake
 from grmm_core.head import load_open_head
 from grmm_core.head.flame_align import closest_on_surface
 
@@ -72,7 +73,7 @@ def drawn(head, groom, vertices, offsets) -> tuple[np.ndarray, np.ndarray]:
     rest, scalp = np.asarray(head.v_template, float), groom.groups == SCALP
     some = worn(head, rest, groom.select(scalp))
     still = some.posed(some.frames(rest, head.faces), vertices).reshape(len(some), -1, 3)
-    return still, swung(still, offsets[scalp])
+    return still, moved(still, offsets[scalp])
 
 
 def test_strands_keep_their_lengths(head, groom, shaken, played):

@@ -1,0 +1,95 @@
+"""Long hair of a head that turns or bows, kept out of the shoulders and the neck when it does not swing. Needs numba.
+
+Strands follow the scalp, and shoulders do not turn with it. What would get into them is brought out, with its length, onto the
+skin as it is posed: a function of the pose alone, so that every frame is the same whichever was drawn before.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..head import HeadModel
+from .body import CLEARANCE, LYING, Body
+from .contact import FINE, Obstacle, held_out, moved, rigid_motion
+from .strands import evened, lengths_of
+
+LONG = 0.06  # metres: shorter strands reach no shoulder
+ROOT_SHARE = 0.3  # of a vertex's skinning weights that the root joint has from where on it does not turn with the head
+STILL = 0.001  # metres that these may move in the head's axes before it counts, as they do with a raised brow
+GIVES = 0.006  # metres that strands may sink in where it begins to count, so that nothing jumps
+ROUNDS = 4
+TOUCHED = 1e-5  # metres that a place is moved by more than rounding does
+
+
+@dataclass(frozen=True)
+class Shoulders:
+    """What strands of one person's hair reach the shoulders, and how high above these they lie.
+
+    Attributes:
+        head: The head model.
+        rest: The person at rest, metres, [V, 3].
+        below: Height below which shoulders are, at rest, metres.
+        rows: Which strands reach there, [M].
+        clear: Height above the skin that their points keep, float32 [M, FINE] metres.
+        lengths: Between their places, float32 [M, PLACES - 1] metres.
+    """
+
+    head: HeadModel
+    rest: np.ndarray
+    below: float
+    rows: np.ndarray
+    clear: np.ndarray
+    lengths: np.ndarray
+
+    @staticmethod
+    def of(head: HeadModel, rest: np.ndarray, strands: np.ndarray, lock: np.ndarray) -> tuple[Shoulders, ...]:
+        """Prepare strands [N, K, 3] of a person at rest [V, 3]; nothing where no strand gets there.
+
+        `lock` is how high each lock lies among others, -1..1 [N].
+        """
+        own = np.asarray(head.weights)[:, 0] > ROOT_SHARE
+        if not own.any() or strands.shape[1] < 2:
+            return ()
+        below = float(rest[own, 1].max())
+        lengths = lengths_of(strands)
+        rows = np.flatnonzero((strands[..., 1].min(1) < below) & (lengths > LONG))
+        if not len(rows):
+            return ()
+        fine = evened(strands[rows], FINE)
+        heights = Body.of(head, rest, near=fine.reshape(-1, 3), below=below).heights(fine.reshape(-1, 3))[0]
+        lying = (LYING * lengths[rows] * (1.0 + 0.5 * lock[rows]))[:, None] * np.linspace(0, 1, FINE) ** 2
+        steps = np.linalg.norm(np.diff(fine[:, ::2], axis=1), axis=2).astype(np.float32)
+        clear = np.minimum(heights.reshape(fine.shape[:2]), CLEARANCE + lying)
+        return (Shoulders(head, rest, below, rows, clear.astype(np.float32), steps),)
+
+    @property
+    def nbytes(self) -> int:
+        """What it takes, bytes, as caches ask."""
+        return sum(array.nbytes for array in (self.rest, self.rows, self.clear, self.lengths))
+
+    def left(self, vertices: np.ndarray, strands: np.ndarray, compiled: bool = True) -> np.ndarray:
+        """Strands [N, K, 3] that follow a posed head [V, 3], the first of those that were prepared, out of its shoulders.
+
+        `compiled` as of `contact.held_out`.
+        """
+        count = int(np.searchsorted(self.rows, len(strands)))
+        rigid, own = np.asarray(self.head.regions["scalp"]), np.asarray(self.head.weights)[:, 0] > ROOT_SHARE
+        turn, shift = rigid_motion(vertices[rigid], self.rest[rigid])
+        upright = vertices @ turn.T + shift
+        far = float(np.linalg.norm(upright[own] - self.rest[own], axis=1).max())
+        if far < STILL or not count:
+            return strands
+        gives = GIVES * max(0.0, 1.0 - (far - STILL) / GIVES)
+        rows = self.rows[:count]
+        fine = evened(strands[rows], FINE).astype(np.float32)
+        body = Body.of(self.head, upright, near=fine.reshape(-1, 3) @ turn.T + shift, below=self.below)
+        obstacle, clear = Obstacle(body, turn, shift), self.clear[:count] - np.float32(gives)
+        offsets = np.zeros((count, self.lengths.shape[1] + 1, 3), np.float32)
+        offsets = held_out(fine, offsets, self.lengths[:count], clear, obstacle, 1, compiled)
+        some = np.flatnonzero((np.abs(offsets) > TOUCHED).any((1, 2)))
+        offsets = held_out(fine[some], offsets[some], self.lengths[some], clear[some], obstacle, ROUNDS, compiled)
+        result = strands.copy()
+        result[rows[some]] = moved(strands[rows[some]], offsets)
+        return result

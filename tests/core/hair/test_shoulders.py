@@ -1,0 +1,97 @@
+"""Long hair of a head that turns: out of the shoulders, as long as before, a function of the pose that does not jump."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grmm_core.hair import library_groom
+from grmm_core.hair.body import Body, worn
+from grmm_core.hair.pigment import locks_of
+from grmm_core.hair.roots import SCALP
+from grmm_core.hair.shoulders import Shoulders
+from grmm_core.head import load_open_head
+
+SUNK = 0.003  # metres
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+class Worn:
+    """A packaged groom on the mean's skin."""
+
+    def __init__(self, head, name: str, share: float = 0.1) -> None:
+        self.head, rest = head, np.asarray(head.v_template, float)
+        groom = library_groom(name)
+        self.groom = worn(head, rest, groom.select(groom.groups == SCALP).level(share))
+        self.frames = self.groom.frames(rest, head.faces)
+        self.shoulders = Shoulders.of(head, rest, self.followed(rest), locks_of(self.groom, rest, head.faces))
+
+    def posed(self, nod: float = 0.0, yaw: float = 0.0, tilt: float = 0.0) -> np.ndarray:
+        pose = np.zeros((5, 3))
+        pose[1] = nod, yaw, tilt
+        return np.asarray(self.head.vertices(np.zeros(300), np.zeros(1), pose), float)
+
+    def followed(self, vertices: np.ndarray) -> np.ndarray:
+        return self.groom.posed(self.frames, vertices).reshape(len(self.groom), -1, 3).astype(np.float32)
+
+    def sunk(self, vertices: np.ndarray, strands: np.ndarray) -> float:
+        """Share of the points beside the shoulders that are inside of them."""
+        points = strands[:, 2:].reshape(-1, 3)
+        heights = Body.of(self.head, vertices, below=-0.02).heights(points[points[:, 1] < -0.03])[0]
+        return float((heights < -SUNK).mean())
+
+
+@pytest.fixture(scope="module")
+def long(head) -> Worn:
+    return Worn(head, "long")
+
+
+@pytest.mark.parametrize("turn", [{"yaw": 0.58}, {"nod": -0.35}, {"nod": 0.3, "yaw": 0.4, "tilt": 0.2}])
+def test_strands_are_out_of_the_shoulders_and_as_long_as_before(long, turn):
+    vertices = long.posed(**turn)
+    before = long.followed(vertices)
+    after = long.shoulders[0].left(vertices, before)
+    assert long.sunk(vertices, before) > 0.02
+    assert long.sunk(vertices, after) < 1e-3
+    np.testing.assert_array_equal(after[:, 0], before[:, 0])
+    ratio = np.divide(*(np.linalg.norm(np.diff(part, axis=1), axis=2).sum(1) for part in (after, before)))
+    assert ratio.max() < 1.02
+    assert np.percentile(ratio, 1) > 0.85
+
+
+def test_an_upright_head_and_short_hair_are_left_alone(long, head):
+    rest = long.posed()
+    strands = long.followed(rest)
+    assert long.shoulders[0].left(rest, strands) is strands
+    assert Worn(head, "crop").shoulders == ()
+
+
+def test_nothing_jumps_while_a_head_turns(long):
+    moves = []
+    for yaw in np.linspace(0.0, 0.5, 26):
+        vertices = long.posed(yaw=yaw)
+        followed = long.followed(vertices)
+        moves.append(long.shoulders[0].left(vertices, followed) - followed)
+    steps = np.abs(np.diff(moves, axis=0)).max((1, 2, 3))
+    assert np.max(np.abs(moves)) > 0.02
+    assert steps.max() < 0.008  # beside 10 mm that tips move a step themselves
+
+
+def test_any_first_part_of_the_strands_is_brought_out_alike(long):
+    vertices = long.posed(yaw=0.5)
+    strands = long.followed(vertices)
+    some = long.shoulders[0].left(vertices, strands[:200])
+    np.testing.assert_allclose(some, long.shoulders[0].left(vertices, strands)[:200], atol=2e-5)
+
+
+def test_the_compiled_kernel_does_what_its_twin_does(long):
+    vertices = long.posed(yaw=0.5)
+    strands = long.followed(vertices)
+    fast, slow = (long.shoulders[0].left(vertices, strands, compiled) for compiled in (True, False))
+    off = np.abs(fast - slow).max(2)
+    assert (off < 3e-4).mean() > 0.995
+    assert off.max() < 0.005

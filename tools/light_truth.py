@@ -106,10 +106,11 @@ class Relighter:
             if layer.startswith(LIGHT_PREFIX):
                 name = layer.removeprefix(LIGHT_PREFIX)
                 relief = lying(self._head, rest, self._layout.uv, GRID, self._layout.face)
-                scene = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn, relief)
+                tilts = np.empty_like(relief)
+                scene = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn, tilts)
                 relative = ratio(bounced(scene.irradiance), bounced(rig))
                 light = np.concatenate([relative, scene.highlights - learned * relative, np.ones_like(scene.front)], 1)
-                relit = self._draw(here, view, light * scene.front, relief, flat, picture.mask)
+                relit = self._draw(here, view, light * scene.front, (tilts, relief), flat, picture.mask)
                 truth = self._data.layer(shot, view, layer) * picture.mask[..., None]
                 found[name] = (relit.clip(0.0, 1.0), truth, flat, pixels)
         return found
@@ -128,22 +129,23 @@ class Relighter:
 
     def _light(
         self, light: Lighting, surface: _Surface, rows: np.ndarray, eye: np.ndarray, turn: np.ndarray,
-        relief: np.ndarray = NO_TILTS,
+        tilts: np.ndarray = NO_TILTS,
     ) -> Arrived:  # fmt: skip
         lamps = light.strongest((0.0, 0.0, 0.0))
         seen = np.array([visible(lamp, surface.receivers, surface.casters) for lamp in lamps], np.float32)
         around = Surroundings.even((0.0, 0.0, 0.0)) if light.surroundings is None else light.surroundings.turned(turn.T)
         given = lamps, surface.receivers, seen, self._materials, rows, eye, around.coefficients
-        return shade(*given, self._response, turn, relief)
+        return shade(*given, self._response, turn, tilts)
 
     def _draw(
-        self, surface: _Surface, view: View, light: np.ndarray, relief: np.ndarray, flat: np.ndarray, mask: np.ndarray
-    ) -> np.ndarray:
+        self, surface: _Surface, view: View, light: np.ndarray, fine: tuple[np.ndarray, np.ndarray], flat: np.ndarray,
+        mask: np.ndarray,
+    ) -> np.ndarray:  # fmt: skip
         channels = torch.from_numpy(light.astype(np.float32))
         drawn = rasterize(dataclasses.replace(surface.gaussians, features=channels), view.camera)
         assert drawn.features is not None
         light_here = drawn.features.numpy()
-        surface_light = LitSurface(self._grid, surface.vertices, light.astype(np.float32), relief, self._response.detail)
+        surface_light = LitSurface(self._grid, surface.vertices, light.astype(np.float32), *fine, self._response.detail)
         picture = drawn.depth.numpy(), drawn.alpha.numpy(), None, view.camera
         surface_light.read_into(light_here, slice(0, light.shape[1]), *picture)
         return relit_pixels(flat, mask, light_here, 0)

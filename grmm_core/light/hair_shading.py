@@ -19,13 +19,21 @@ from .shading import Arrived, Response, Transport, arriving_share, colors_of, la
 from .shadows import compiled_kernels
 from .surroundings import BANDS, basis
 
-_WANDER = 1.2  # how far light reaches around a mass of hair; this and `_THROUGH` fitted to Cycles' hair of three people
+_WANDER = (
+    1.5  # how far light reaches around a mass of hair; this, `_THROUGH` and `_HIDING` fitted to Cycles' hair of three people
+)
 _LOBES = ((120.0, 0.030), (18.0, 1.0))  # exponent and strength: reflected at the surface, and, in the hair's color, from inside
-_THROUGH = 0.15  # of the light of a lamp behind: what comes through the rim
+_THROUGH = 0.1  # of the light of a lamp behind: what comes through the rim
+_HIDING = 0.6
+"""How much more of a lamp falls on strands that are seen from its side, and less on those seen from the other.
+
+What hides a strand from the viewer is what keeps light off it where the lamp stands behind the viewer, and what is seen there
+lies before that (Hapke 1986, the opposition effect).
+"""
 
 CELL = 0.006  # metres
 REACH = 0.16  # metres that light is followed through hair
-_LOCKS = 0.55  # of the extinction of evenly spread cylinders: strands lie in locks, with gaps between
+_LOCKS = 0.55  # of the extinction of evenly spread cylinders on skin: strands lie in locks, with gaps between
 GRID = 0.012  # metres between places where hair's light is known
 
 
@@ -50,6 +58,11 @@ class HairCloud(NamedTuple):
         for axis in range(3):  # its edge is empty: nothing comes in from the other side
             cloud = 0.25 * np.roll(cloud, 1, axis) + 0.5 * cloud + 0.25 * np.roll(cloud, -1, axis)
         return HairCloud(np.ascontiguousarray(cloud, np.float32), low)
+
+    def through_to_hair(self, lamp: Lamp, points: np.ndarray) -> np.ndarray:
+        """As `through`, to places in the midst of locks, between which there are no gaps for them."""
+        result: np.ndarray = self.through(lamp, points) ** np.float32(1.0 / _LOCKS)
+        return result
 
     def through(self, lamp: Lamp, points: np.ndarray) -> np.ndarray:
         """Share of a lamp's light that comes through to points [N, 3], 0..1, [N] float32."""
@@ -165,7 +178,7 @@ def strand_light(
     from .strand_light_kernel import shade
 
     out = np.empty((len(points), 8), np.float32)
-    factors = np.array([response.intensity, response.gloss, _WANDER, _THROUGH, *(strength for _, strength in _LOBES)])
+    factors = np.array([response.intensity, response.gloss, _WANDER, _THROUGH, *(strength for _, strength in _LOBES), _HIDING])
     arrays = (
         lamp_rows(lamps, centre), points, quats, reaching.parts, reaching.coordinates, centre, eye,
         harmonics * BANDS[:, None], factors,
@@ -199,14 +212,16 @@ def strand_transport(
         towards, strength = arriving(lamp, points)
         across = np.sqrt(np.clip(1.0 - (tangents * towards).sum(1) ** 2, 0.0, 1.0))
         facing = np.clip(((outward * towards).sum(1) + _WANDER) / (1.0 + _WANDER), 0.0, 1.0)
-        behind = _THROUGH * rim * np.clip(-(view * towards).sum(1), 0.0, 1.0)
+        opposite = (view * towards).sum(1)
+        behind = _THROUGH * rim * np.clip(-opposite, 0.0, 1.0)
+        shown = part / (part + (1.0 - part) * (1.0 - _HIDING * opposite) ** 2 + 1e-9)
         half = towards + view
         half = half / np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
         mirrored = np.clip(1.0 - (tangents * half).sum(1) ** 2, 0.0, 1.0)
         shine, colored = (weight * mirrored ** (0.5 * power) for power, weight in _LOBES)
-        amount = ((across * (facing + behind) * part + colored * facing * part) * strength * response.intensity)[:, None]
+        amount = ((across * (facing + behind) * shown + colored * facing * shown) * strength * response.intensity)[:, None]
         diffuse.append(np.broadcast_to(amount, (len(points), 3)))
-        highlights.append(shine * facing * part * strength * (response.gloss * response.intensity))
+        highlights.append(shine * facing * shown * strength * (response.gloss * response.intensity))
     count = len(points)
     return Transport(
         np.stack(diffuse).astype(np.float32) if diffuse else np.zeros((0, count, 3), np.float32),

@@ -70,14 +70,15 @@ class LitSurface(NamedTuple):
         grid: Where the light is.
         vertices: [V, 3] metres.
         light: Of the texels, as of `shading.relative`, [N, 8] float32.
-        relief: How highlights change with the normal (`shading.Transport.tilts`), and how relief lies there
-            (`skin_relief.lying`), [N, skin_relief.VALUES] float32; None: as smooth as the mesh.
+        tilts: How highlights change with the normal (`shading.Transport.tilts`), [N, 4] float32; None: as smooth as the mesh.
+        relief: How relief lies there (`skin_relief.lying`), [N, 4] float32.
         detail: Factor of the relief's tilts.
     """
 
     grid: TexelGrid
     vertices: np.ndarray
     light: np.ndarray
+    tilts: np.ndarray | None = None
     relief: np.ndarray | None = None
     detail: float = 1.0
 
@@ -105,7 +106,7 @@ class LitSurface(NamedTuple):
         given = seen.astype(np.float32), faces, closed, places, rows, light, camera.orthographic
         if compiled_kernels() is None:
             share = np.ones_like(depth) if skin is None else channels[..., skin] / np.maximum(alpha, MIN_ALPHA)
-            read(*given, channels[..., which], np.asarray(depth), share, self.vertices, self.relief, self.detail)
+            read(*given, channels[..., which], np.asarray(depth), share, self.vertices, self.tilts, self.relief, self.detail)
             return
         from ..compute.threads import for_rows
         from .mesh_light_kernels import read as compiled_read
@@ -113,16 +114,17 @@ class LitSurface(NamedTuple):
         limits = np.array([NEAR, FAR, _LEAST_FRONT, _APART, _AT_EDGES, MIN_ALPHA], np.float32)
         depth, alpha = (np.ascontiguousarray(array, np.float32) for array in (depth, alpha))
         picture = channels, which.start, which.stop - which.start, depth, alpha, -1 if skin is None else skin
-        relief = np.zeros((0, VALUES), np.float32) if self.relief is None or not self.detail else self.relief
+        nothing = np.zeros((0, VALUES), np.float32)
+        fine = (nothing, nothing) if self.tilts is None or self.relief is None or not self.detail else (self.tilts, self.relief)
         scale = np.float32(REPEATS * SIDE / len(rows))
-        below = np.ascontiguousarray(self.vertices, np.float32), relief, *tile(), scale, np.float32(self.detail)
+        below = np.ascontiguousarray(self.vertices, np.float32), *fine, *tile(), scale, np.float32(self.detail)
         for_rows(compiled_read, len(depth), *given, *picture, limits, *below, smallest=_ROWS)
 
 
 def read(
     seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
-    channels: np.ndarray, depth: np.ndarray, share: np.ndarray, vertices: np.ndarray, relief: np.ndarray | None = None,
-    detail: float = 1.0,
+    channels: np.ndarray, depth: np.ndarray, share: np.ndarray, vertices: np.ndarray, tilts: np.ndarray | None = None,
+    relief: np.ndarray | None = None, detail: float = 1.0,
 ) -> None:  # fmt: skip
     """Read light at each pixel: the readable twin of `mesh_light_kernels.read`.
 
@@ -138,7 +140,8 @@ def read(
         depth: [H, W] metres.
         share: [H, W].
         vertices: [V, 3] metres.
-        relief: As of `LitSurface`, [N, VALUES].
+        tilts: As of `LitSurface`, [N, VALUES].
+        relief: Likewise.
         detail: Likewise.
     """
     height, width = depth.shape
@@ -168,17 +171,18 @@ def read(
 
     place = np.einsum("nk,nkc->nc", weights, places[face])
     middle = np.floor(place + 0.5).astype(np.int64).clip(1, len(rows) - 2)
-    total, fine = np.zeros((len(face), channels.shape[-1])), np.zeros((len(face), VALUES))
+    total, fine = np.zeros((len(face), channels.shape[-1])), np.zeros((2, len(face), VALUES))
+    rough = None if tilts is None or relief is None or not detail else np.stack([tilts, relief])
     splines = [_spline(place[:, axis] - middle[:, axis]) for axis in (0, 1)]
     for across, down in itertools.product(range(3), repeat=2):
         texel = rows[middle[:, 1] + down - 1, middle[:, 0] + across - 1]
         weight = splines[0][across] * splines[1][down] * (texel >= 0)
         total += weight[:, None] * light[texel, : channels.shape[-1]]
-        fine += 0.0 if relief is None else weight[:, None] * relief[texel]
+        fine += 0.0 if rough is None else weight[:, None] * rough[:, texel]
     front = total[:, FRONT]
-    if relief is not None and detail:
+    if rough is not None:
         steps = np.linalg.norm(_per_pixel(corners[face, :, :2], places[face]), axis=-1).max(1)
-        shine = gleam(fine, texel_ways(vertices[faces[face]], places[face]), place, steps, len(rows), detail)
+        shine = gleam(*fine, texel_ways(vertices[faces[face]], places[face]), place, steps, len(rows), detail)
         bright = total[:, SHINE].max(1) > DULL * front
         total[:, SHINE] *= np.where(bright[:, None] & (total[:, SHINE] > 0.0), shine[:, None], 1.0)
     amount = np.clip((FAR - np.abs(depth[row, column] - deep)) / (FAR - NEAR), 0.0, 1.0) * share[row, column]

@@ -50,8 +50,8 @@ def _spans(places: np.ndarray) -> np.ndarray:
 def read(
     seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
     channels: np.ndarray, start: int, count: int, depth: np.ndarray, alpha: np.ndarray, skin: int, limits: np.ndarray,
-    vertices: np.ndarray, relief: np.ndarray, tile: np.ndarray, spread: np.ndarray, scale: float, detail: float,
-    first: int, last: int,
+    vertices: np.ndarray, tilts: np.ndarray, relief: np.ndarray, tile: np.ndarray, spread: np.ndarray, scale: float,
+    detail: float, first: int, last: int,
 ) -> None:  # fmt: skip
     """Read light at each pixel of some rows of a picture; see `mesh_light.read`.
 
@@ -71,7 +71,8 @@ def read(
         skin: As there, or below 0.
         limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, and the least cover, [6].
         vertices: [V, 3] metres.
-        relief: As there, [N, VALUES], or [0, VALUES].
+        tilts: As there, [N, VALUES], or [0, VALUES].
+        relief: As there, likewise.
         tile: Of `skin_relief.Tile`, [T, 3].
         spread: Likewise.
         scale: Texels of the tile in one of the grid.
@@ -118,7 +119,7 @@ def read(
                 v += v_x
     slope, most, apart = _1 / (limits[1] - limits[0]), len(rows) - 2, limits[3]
     total, spans = np.empty(CHANNELS, np.float32), _spans(places)
-    fine, corners = np.empty(VALUES, np.float32), np.empty((3, 3), np.float32)
+    fine, corners = np.empty(2 * VALUES, np.float32), np.empty((3, 3), np.float32)
     for row in range(first, last):
         line = row - above
         for column in range(width):
@@ -159,7 +160,7 @@ def read(
             under = max(_apart(spans, number[line, column + 1], x, y), _apart(spans, number[line + 2, column + 1], x, y))
             if max(beside, under) > apart:
                 amount *= limits[4]
-            if len(relief) and max(total[_SHINE], total[_SHINE + 1], total[_SHINE + 2]) > _DULL * front:
+            if len(tilts) and max(total[_SHINE], total[_SHINE + 1], total[_SHINE + 2]) > _DULL * front:
                 fine[:] = _0
                 for step in range(3):
                     line_of = top + step - 1
@@ -167,7 +168,8 @@ def read(
                         i = rows[line_of, left + other - 1]
                         weight = across[other] * down[step] if i >= 0 else _0
                         for k in range(VALUES):
-                            fine[k] += weight * relief[i, k]
+                            fine[k] += weight * tilts[i, k]
+                            fine[VALUES + k] += weight * relief[i, k]
                 for axis in range(3):
                     corners[0, axis], corners[1, axis] = vertices[a, axis], vertices[b, axis]
                     corners[2, axis] = vertices[c, axis]

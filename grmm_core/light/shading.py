@@ -201,7 +201,7 @@ def shade(
         harmonics: Coefficients of the surroundings, [9, 3].
         response: As there.
         turn: As there.
-        tilts: Written in the first four columns: how highlights change with the normal (`Transport.tilts`), [N, C] or [0, C].
+        tilts: Written: how highlights change with the normal (`Transport.tilts`), [N, 4]; or [0, 4].
     """
     kernels = compiled_kernels()
     if kernels is None:
@@ -209,7 +209,7 @@ def shade(
         whole = transport(lamps, receivers, list((seen >= 0.0).astype(np.float32)), materials, rows, eye, response, turn)
         light, view = parts.light(colors_of(lamps), harmonics.astype(np.float32)), eye - receivers.points
         if len(tilts):
-            tilts[:, :4] = parts.tilts(colors_of(lamps), light[1])
+            tilts[:] = parts.tilts(colors_of(lamps), light[1])
         facing = (receivers.normals * view).sum(1) / np.maximum(np.linalg.norm(view, axis=1), 1e-9)
         front = 1.0 + FADING * facing[:, None]
         shine, share = light[1] * (front > 0.0), arriving_share(lamps, parts, whole)

@@ -113,7 +113,7 @@ def shade(
         factors: Of all light and of highlights, of wandering by color, in metres, `shading.FADING` and `LEAST_FRONT`, and by
             how much shadows are softer, by color, and twice `materials.RELIEF`, [11].
         out: Written: `shading.Arrived.values`, [N, 8].
-        tilts: Written: `shading.Transport.tilts`, the first four columns of [N, C], unless it is [0, C].
+        tilts: Written: `shading.Transport.tilts`, [N, 4], unless it is [0, 4].
         first: Row of `out`.
         last: The row after the last.
     """

@@ -28,7 +28,7 @@ GATHER, SMOOTHEST, ROUGHEST = 5.0, 0.5, 4.0
 """By how much tilts grow with the share of its length that skin has lost, and the least and the most."""
 FAINT = 1e-5  # highlights of which it does not matter how they change
 DULL = 0.002  # radiance of highlights that are left as they are
-VALUES = 8  # of `LitSurface.relief`: change with a tilt (3), fall, lengths along the grid (2), strength, and nothing
+VALUES = 4  # of `lying`: lengths along the grid (2), strength, and nothing; of `Transport.tilts`: change with a tilt (3), fall
 _MM = 0.125  # of a texel of the tile
 _UNDULATING = ((6.0, 0.030), (3.0, 0.020), (1.6, 0.008))  # wavelength and height of smooth relief, mm
 _FURROWS = (0.9, 0.030, 0.12)  # spacing of cells, depth and half width of the furrows between them, mm
@@ -90,7 +90,7 @@ def tile() -> Tile:
 
 
 def lying(head: HeadModel, vertices: np.ndarray, uv: np.ndarray, grid: int, face: np.ndarray) -> np.ndarray:
-    """How the relief lies on a head at rest: all of `LitSurface.relief` that stays, behind four zeros, [N, VALUES] float32.
+    """How the relief lies on a head at rest: lengths of texels in metres (2), strength (1) and 0, [N, VALUES] float32.
 
     Args:
         head: Head model.
@@ -101,12 +101,12 @@ def lying(head: HeadModel, vertices: np.ndarray, uv: np.ndarray, grid: int, face
     """
     found = np.zeros((len(face), VALUES), np.float32)
     ways = texel_ways(vertices[head.faces[face]], uv[head.uv_faces[face]] * grid)
-    found[:, 4:6] = np.linalg.norm(ways, axis=-1)
+    found[:, :2] = np.linalg.norm(ways, axis=-1)
     strength = np.zeros(len(vertices), np.float32)
     for name, value in _STRENGTHS.items():
         strength[head.marked(name)] = value
-    short = ((_LONGER - found[:, 4:6].max(1)) / (_LONGER - _LONG)).clip(0.0, 1.0)
-    found[:, 6] = strength[head.faces[face]].mean(1) * short
+    short = ((_LONGER - found[:, :2].max(1)) / (_LONGER - _LONG)).clip(0.0, 1.0)
+    found[:, 2] = strength[head.faces[face]].mean(1) * short
     return found
 
 
@@ -124,11 +124,14 @@ def texel_ways(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
     return np.stack([b * cy[:, None] - c * by[:, None], c * bx[:, None] - b * cx[:, None]], 1) / area[..., None]
 
 
-def gleam(relief: np.ndarray, ways: np.ndarray, places: np.ndarray, step: np.ndarray, grid: int, detail: float) -> np.ndarray:
+def gleam(
+    tilts: np.ndarray, relief: np.ndarray, ways: np.ndarray, places: np.ndarray, step: np.ndarray, grid: int, detail: float
+) -> np.ndarray:
     """What relief makes of highlights, a factor, [N].
 
     Args:
-        relief: As of `LitSurface.relief`, at pixels, [N, VALUES].
+        tilts: How highlights change at pixels, as of `shading.Transport.tilts`, [N, VALUES].
+        relief: As of `lying`, at pixels, [N, VALUES].
         ways: Of `texel_ways` of what is seen there, [N, 2, 3].
         places: On the grid, texels, column and row, [N, 2].
         step: How far a pixel reaches on it, texels, [N].
@@ -137,17 +140,17 @@ def gleam(relief: np.ndarray, ways: np.ndarray, places: np.ndarray, step: np.nda
     """
     found, spread = _read(places, step, grid)
     lengths = np.linalg.norm(ways, axis=-1)
-    gathered = (1.0 + GATHER * (1.0 - lengths / np.maximum(relief[:, 4:6], 1e-9))).clip(SMOOTHEST, ROUGHEST)
-    strength = relief[:, 6:7] * detail * gathered
+    gathered = (1.0 + GATHER * (1.0 - lengths / np.maximum(relief[:, :2], 1e-9))).clip(SMOOTHEST, ROUGHEST)
+    strength = relief[:, 2:3] * detail * gathered
     squares = spread[:, None] * strength**2
-    change = np.einsum("nkx,nx->nk", ways, relief[:, :3]) / np.maximum(lengths, 1e-9)
+    change = np.einsum("nkx,nx->nk", ways, tilts[:, :3]) / np.maximum(lengths, 1e-9)
     change = change / np.sqrt(1.0 + (change**2 * squares).sum(1, keepdims=True) / STEEPEST**2)
-    fall = FALL * relief[:, 3:4]
+    fall = FALL * tilts[:, 3:4]
     fall = fall / (1.0 + 2.0 * fall * squares.max(1, keepdims=True))
     wide = 1.0 + 2.0 * fall * squares
     tilt = found[:, :2] * strength
     mean = 0.5 * (np.log(wide) - change**2 * squares / wide)
-    logarithm = (change * tilt - fall * tilt**2 + mean).sum(1) + CAVITY * relief[:, 6] * detail * found[:, 2]
+    logarithm = (change * tilt - fall * tilt**2 + mean).sum(1) + CAVITY * relief[:, 2] * detail * found[:, 2]
     result: np.ndarray = np.exp(logarithm.clip(DARKEST, BRIGHTEST))
     return result
 

@@ -24,7 +24,7 @@ def gleam(
     """What relief makes of highlights at a pixel; see `skin_relief.gleam`.
 
     Args:
-        here: Of `LitSurface.relief`, [VALUES].
+        here: As of `shading.Transport.tilts`, and then of `skin_relief.lying`, [2 * VALUES].
         corners: Of the face that is seen, [3, 3] metres.
         places: Of them on the grid, [3, 2].
         x: Place of the pixel on the grid, along columns.

@@ -98,12 +98,14 @@ def shade(
         centre: Of the head, [3].
         eye: [3].
         colors: Coefficients of the surroundings for irradiance, [9, 3].
-        factors: Of all light and of highlights, how far light reaches around, share through the rim, strength of lobes, [6].
+        factors: Of all light and of highlights, how far light reaches around, share through the rim, strength of lobes,
+            and `hair_shading._HIDING`, [7].
         out: Written: `shading.Arrived.values`, [N, 8].
         first: Row of `out`.
         last: The row after the last.
     """
-    intensity, gloss, reach, rims, surface, inside = factors[0], factors[1], factors[2], factors[3], factors[4], factors[5]
+    intensity, gloss, reach, rims = factors[0], factors[1], factors[2], factors[3]
+    surface, inside, hiding = factors[4], factors[5], factors[6]
     w, nearer = np.empty(_PARTS + len(lamps) * _B, np.float32), _1 / (_1 + reach)
     for start in range(first, last, _B):
         _find(w, points, quats, parts, to_grid, centre, eye, rims, start, last)
@@ -120,6 +122,7 @@ def shade(
                 strength = w[_POWER + j] * intensity
                 across, behind = math.sqrt(max(_1 - along * along, _0)) * strength, w[_RIM + j] * max(-opposite, _0)
                 whole, open_ = across * (facing + behind) * mean, facing
+                part /= part + (_1 - part) * (_1 - hiding * opposite) * (_1 - hiding * opposite) + _TINY
                 facing *= part
                 amount = across * (facing + behind * part)
                 # the half vector's length is that of two unit vectors' sum

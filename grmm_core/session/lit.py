@@ -81,7 +81,7 @@ class LitAvatar:
         worn = () if self._hair is None else self._hair.key
         key = (eye.tobytes(), self._response, *light, worn, *self._inputs.mesh_key)
         cache, owner = self._evaluator.cache, self._target.id
-        skin, self._relief = cache.get((owner, "lit", self._lod, *key), lambda: self._skin(eye))
+        skin, self._tilts = cache.get((owner, "lit", self._lod, *key), lambda: self._skin(eye))
         if strands is None:
             return [skin]
         points, quats = to_numpy(strands.means), to_numpy(strands.quats)
@@ -100,8 +100,8 @@ class LitAvatar:
             return *TexelGrid.of(faces, layout.uv, uv_faces, layout.grid, layout.texel)[:3], closed
 
         faces, places, rows, closed = self._evaluator.cache.get((self._target.id, "texel grid"), make)
-        grid = TexelGrid(faces, places, rows, int(closed))
-        return LitSurface(grid, self._vertices, light, self._relief if self._response.detail else None, self._response.detail)
+        grid, detail = TexelGrid(faces, places, rows, int(closed)), self._response.detail
+        return LitSurface(grid, self._vertices, light, self._tilts, self._lying() if detail else None, detail)
 
     def _skin(self, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rest = self._rest()
@@ -112,8 +112,8 @@ class LitAvatar:
             -1, len(self._drawn.corners)
         )
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
-        relief = self._lying()
-        scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn, relief)
+        tilts = np.empty((0 if self._lod else len(self._drawn.corners), VALUES), np.float32)
+        scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn, tilts)
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         corners = self._drawn.corners
@@ -121,7 +121,7 @@ class LitAvatar:
         found = relative(scene, bounced, corners, self._drawn.barycentric, learned, self._response.gloss, inside)
         if self._response.even_mouth:
             even_mouth(self._head, corners, found, FRONT)
-        return found, relief
+        return found, tilts
 
     def _asked(self, eye: np.ndarray) -> np.ndarray:
         """Numbers of Gaussians whose shadows are needed: what faces the eye (`Arrived.front`), and what lies at vertices."""
@@ -159,16 +159,12 @@ class LitAvatar:
         return Materials(*self._evaluator.cache.get((self._target.id, "materials", self._lod), make))
 
     def _lying(self) -> np.ndarray:
-        """A copy of `skin_relief.lying`; empty where light is not read from the mesh."""
-        if self._lod:
-            return np.zeros((0, VALUES), np.float32)
-
         def make() -> tuple[np.ndarray]:
             layout = self._target.model.layout
             return (lying(self._head, self._rest().vertices, layout.uv, layout.grid, layout.face),)
 
         key = (self._target.id, "relief", *self._inputs.identity_key, *self._inputs.shape_key)
-        return self._evaluator.cache.get(key, make)[0].copy()
+        return self._evaluator.cache.get(key, make)[0]
 
     def _rest(self) -> RestLight:
         def make() -> RestLight:
@@ -259,7 +255,7 @@ class LitAvatar:
         there = Lighting((lamp,)).in_space(to_cloud).lamps[0]
 
         def make() -> tuple[np.ndarray]:
-            return (cloud.through(there, grid.points @ to_cloud[:3, :3].T + to_cloud[:3, 3]).reshape(grid.size),)
+            return (cloud.through_to_hair(there, grid.points @ to_cloud[:3, :3].T + to_cloud[:3, 3]).reshape(grid.size),)
 
         where = to_cloud.tobytes(), grid.low.tobytes(), grid.size
         return self._evaluator.cache.get((self._target.id, "in hair", repr(there), *where, *self._hair_key), make)[0]

@@ -77,3 +77,26 @@ def test_no_lamp_shines_through_hair_that_it_does_not_reach():
     )
     assert dark.max() == 0.0
     assert (lit > 0.0).mean() > 0.5
+
+
+def test_strands_show_the_side_that_is_lit_to_who_looks_from_the_lamp():
+    """Where half of the light comes through, more of it is on what is seen from the lamp's side than from the other."""
+    points, centre = np.array([[0.0, 0.1, 0.0]]), np.zeros(3)
+    sun, tangents = Sun(direction=(0.0, 0.6, 0.8)), np.array([[1.0, 0.0, 0.0]])
+
+    def of(part, eye):
+        return float(strand_transport((sun,), points, tangents, [np.array([part])], centre, np.array(eye)).diffuse[0, 0, 0])
+
+    ahead, behind = (0.0, 0.7, 0.8), (0.0, 0.7, -0.8)
+    assert of(0.5, ahead) / of(1.0, ahead) > 0.7 > 0.35 > of(0.5, behind) / of(1.0, behind)
+    assert of(0.0, ahead) == of(0.0, behind) == 0.0
+
+
+def test_locks_keep_more_light_off_themselves_than_off_skin():
+    random = np.random.default_rng(5)
+    cloud = HairCloud.of(random.uniform(-0.05, 0.05, (4000, 3)), np.full(4000, 2e-6))
+    sun, inside = Sun(direction=(0.0, 0.0, 1.0)), random.uniform(-0.04, 0.04, (50, 3))
+    skin, hair = cloud.through(sun, inside), cloud.through_to_hair(sun, inside)
+    assert (hair <= skin).all()
+    assert hair.mean() < 0.95 * skin.mean()
+    np.testing.assert_array_equal(cloud.through_to_hair(sun, np.full((1, 3), 0.3)), 1.0)

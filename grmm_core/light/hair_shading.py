@@ -19,9 +19,7 @@ from .shading import Arrived, Response, Transport, arriving_share, colors_of, la
 from .shadows import compiled_kernels
 from .surroundings import BANDS, basis
 
-_WANDER = (
-    1.5  # how far light reaches around a mass of hair; this, `_THROUGH` and `_HIDING` fitted to Cycles' hair of three people
-)
+_WANDER = 1.5  # how far light reaches around a mass of hair; fitted to Cycles, three people, with what follows
 _LOBES = ((120.0, 0.030), (18.0, 1.0))  # exponent and strength: reflected at the surface, and, in the hair's color, from inside
 _THROUGH = 0.1  # of the light of a lamp behind: what comes through the rim
 _HIDING = 0.6

@@ -182,7 +182,7 @@ def read(
     front = total[:, FRONT]
     if rough is not None:
         steps = np.linalg.norm(_per_pixel(corners[face, :, :2], places[face]), axis=-1).max(1)
-        shine = gleam(*fine, texel_ways(vertices[faces[face]], places[face]), place, steps, len(rows), detail)
+        shine = gleam(fine[0], fine[1], texel_ways(vertices[faces[face]], places[face]), place, steps, len(rows), detail)
         bright = total[:, SHINE].max(1) > DULL * front
         total[:, SHINE] *= np.where(bright[:, None] & (total[:, SHINE] > 0.0), shine[:, None], 1.0)
     amount = np.clip((FAR - np.abs(depth[row, column] - deep)) / (FAR - NEAR), 0.0, 1.0) * share[row, column]

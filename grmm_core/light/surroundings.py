@@ -19,8 +19,11 @@ TERMS = 9
 BANDS = np.array([math.pi] + [2 * math.pi / 3] * 3 + [math.pi / 4] * 5)
 """Factors from radiance to irradiance, by band."""
 MAX_SPOTS = 3
-_SPOT_SHARE = 0.08  # of the whole irradiance that makes a spot worth a lamp of its own
-_SPOT_RADIUS = math.radians(6.0)
+_SPOT_RADIUS = math.radians(18.0)  # at most
+_SMALL = math.radians(12.0)  # diameter up to which a spot is a sun; a larger one is a window or a soft box
+_SMALL_SHARE, _LARGE_SHARE = 0.08, 0.25  # of the whole light that makes a spot worth a lamp of its own
+_LEAST = 0.02  # irradiance anywhere, of the mean: nine numbers of a strong narrow light swing below 0 beside it
+_STEPS = 4
 _SPOT_FLOOR = 0.2  # of its peak: what is darker does not belong to a spot
 _ROWS = 128  # a larger picture is averaged down
 
@@ -104,7 +107,7 @@ class Surroundings:
                 break
             spots.append(spot)
         smooth = Surroundings.of_directions(directions.reshape(-1, 3), image.reshape(-1, 3), solid.reshape(-1))
-        return _checked(Surroundings(smooth.coefficients, tuple(spots)))
+        return _checked(Surroundings(_without_swing(smooth.coefficients), tuple(spots)))
 
     def irradiance(self, normals: np.ndarray) -> np.ndarray:
         """Irradiance of the coefficients on unshadowed surfaces with unit normals [N, 3]: linear RGB, [N, 3]."""
@@ -163,23 +166,40 @@ def _averaged(image: np.ndarray) -> np.ndarray:
     return image[: rows * step, : columns * step].reshape(rows, step, columns, step, 3).mean((1, 3))
 
 
+def _without_swing(coefficients: np.ndarray) -> np.ndarray:
+    """Coefficients [9, 3] whose higher bands are weaker where irradiance would fall below 0 (Sloan 2008, by the Laplacian)."""
+    bands = basis(sphere(256)[0]) * BANDS
+    degree = np.array([0] + [1] * 3 + [2] * 5)
+    for strength in (0.0, *np.geomspace(0.002, 64.0, 32)):
+        weaker: np.ndarray = coefficients / (1.0 + strength * (degree * (degree + 1)) ** 2)[:, None]
+        if (bands @ weaker >= _LEAST * bands[:, :1] * coefficients[:1]).all():
+            break
+    return weaker
+
+
 def _take_spot(image: np.ndarray, directions: np.ndarray, solid: np.ndarray) -> SunSpot | None:
     """Remove the strongest spot from a picture [H, W, 3], in place, where it is worth a lamp."""
     light = image.sum(-1)
     peak = np.unravel_index(int(light.argmax()), light.shape)
-    near = directions @ directions[peak] > math.cos(_SPOT_RADIUS)
-    ring = (directions @ directions[peak] > math.cos(2.0 * _SPOT_RADIUS)) & ~near
+    bright, centre = light > _SPOT_FLOOR * light[peak], directions[peak]
+    for _ in range(_STEPS):  # from its edge, where it is as bright everywhere, to its middle
+        middle = np.einsum("hwc,hw->c", directions, bright * light * solid * (directions @ centre > math.cos(_SPOT_RADIUS)))
+        centre = middle / max(float(np.linalg.norm(middle)), 1e-12)
+    near = directions @ centre > math.cos(_SPOT_RADIUS)
+    ring = (directions @ centre > math.cos(2.0 * _SPOT_RADIUS)) & ~near
     floor = np.median(image[ring], 0) if ring.any() else np.zeros(3)
-    inside = near & (light > _SPOT_FLOOR * light[peak])
+    inside = near & bright
     above = np.maximum(image[inside] - floor, 0.0) * solid[inside][:, None]
     irradiance = above.sum(0)
-    if irradiance.sum() < _SPOT_SHARE * (image * solid[..., None]).sum() or irradiance.sum() <= 0.0:
+    wide = 2.0 * math.sqrt(float(solid[inside].sum()) / math.pi)
+    share = _SMALL_SHARE if wide <= _SMALL else _LARGE_SHARE
+    if irradiance.sum() < share * (image * solid[..., None]).sum() or irradiance.sum() <= 0.0:
         return None
     weight = above.sum(-1)
     middle = (directions[inside] * weight[:, None]).sum(0)
     middle /= np.linalg.norm(middle)
     image[inside] = np.minimum(image[inside], floor)
-    return SunSpot(middle, irradiance, 2.0 * math.sqrt(float(solid[inside].sum()) / math.pi))
+    return SunSpot(middle, irradiance, wide)
 
 
 def _checked(surroundings: Surroundings) -> Surroundings:

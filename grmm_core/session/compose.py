@@ -35,7 +35,7 @@ from ..light.relight import relit, relit_pixels
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
-from ..splat.compensation import compensation
+from ..splat.compensation import filtered
 from ..splat.types import Gaussians, RasterOutput
 from .api import CancelCheck
 from .clouds import OpenCloud
@@ -237,8 +237,7 @@ def _gaussians(
     count = len(own)
     features = own.features
     if item.model is not None and item.model.config.antialias:
-        kept = compensation(own.means, own.quats, own.scales, local_camera)
-        own = dataclasses.replace(own, opacities=own.opacities * kept)
+        own = filtered(own, local_camera, np.array(HEAD_CENTRE))
     if played and hiding is not None:
         seen = np.ones(count, np.float32)
         hiding.hide(to_numpy(own.means), Eye.of(local_camera).numbers(), seen, _FAR_SIDE)

@@ -1,4 +1,4 @@
-"""Mip-Splatting's opacity compensation apart from a backend: for some Gaussians of a scene, before it is drawn as a whole.
+"""Mip-Splatting's filters apart from a backend: for some Gaussians of a scene, before it is drawn as a whole.
 
 The rasterisers' own switch, `antialiased`, holds for everything they draw; a scene may hold avatars trained with it beside
 others, splat files and strands (which bring a factor of their own). For numpy's arrays compiled, for tensors with gradients.
@@ -6,6 +6,7 @@ others, splat files and strands (which bring a factor of their own). For numpy's
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,9 +14,42 @@ import numpy as np
 from ..geometry.libraries import Array, as_like, library_of
 from ..geometry.rotations import quaternion_to_matrix
 from .rules import COMPENSATION_MIN, DILATION, NEAR, View
+from .types import Gaussians
 
 if TYPE_CHECKING:
     from ..geometry.camera import Camera
+
+FINEST = 4e-4  # metres of a pixel in the nearest of the pictures that a model learned from
+
+
+def widened(scales: Array, camera: Camera, target: np.ndarray) -> tuple[Array, Array | float]:
+    """Widen Gaussians in a close-up by what a pixel of the training pictures did: the smoothing filter in 3D.
+
+    Every picture spreads Gaussians by a share of a pixel. Those of an iris learned to be a closed surface with it; nearer than
+    they were seen, the spread shrinks to nothing and gaps open. From `FINEST` on nothing is changed.
+
+    Args:
+        scales: Standard deviations, the last along the surface's normal, which stays, [N, 3].
+        camera: From where they are seen.
+        target: Where pixels are measured, [3].
+
+    Returns:
+        Scales [N, 3], and what the opacities are to be multiplied by, [N] or 1.
+    """
+    depth = 1.0 if camera.orthographic else max(float(camera.project(target[None])[0][0, 2]), NEAR)
+    missing = DILATION * (FINEST**2 - (depth / camera.fx) ** 2)
+    if missing <= 0.0:
+        return scales, 1.0
+    flat = (scales[:, :2] ** 2 + missing) ** 0.5
+    area: Array = scales[:, :2].prod(-1) / flat.prod(-1)
+    return library_of(scales).concatenate([flat, scales[:, 2:]], -1), area
+
+
+def filtered(gaussians: Gaussians, camera: Camera, target: np.ndarray) -> Gaussians:
+    """Gaussians as a camera shall see them: `widened` where it is near, and their opacities with `compensation`."""
+    scales, spread = widened(gaussians.scales, camera, target)
+    kept = compensation(gaussians.means, gaussians.quats, scales, camera)
+    return replace(gaussians, scales=scales, opacities=gaussians.opacities * kept * spread)
 
 
 def compensation(means: Array, quats: Array, scales: Array, camera: Camera) -> Array:

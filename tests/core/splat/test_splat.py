@@ -13,7 +13,7 @@ from splat_scenes import OUTPUTS, SCENES, assert_parity, leaves_of, orbit, pulle
 from grmm_core.errors import BackendError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.splat import Gaussians, available_backends, rasterize
-from grmm_core.splat.compensation import compensation
+from grmm_core.splat.compensation import FINEST, compensation, filtered
 from grmm_core.splat.rules import NEAR, View
 
 BACKENDS = [info.name for info in available_backends() if info.available and info.name != "cuda"]
@@ -134,6 +134,48 @@ def test_opacities_compensated_beforehand_draw_the_antialiased_picture(name):
     expected = rasterize(gaussians, camera, antialiased=True)
     torch.testing.assert_close(drawn.rgb, expected.rgb, rtol=0, atol=2e-3)
     torch.testing.assert_close(drawn.alpha, expected.alpha, rtol=0, atol=2e-3)
+
+
+def sheet(library):
+    """A surface of small Gaussians 0.4 mm apart, a metre before the camera, that training pictures saw as closed."""
+    x, y = np.meshgrid(np.arange(-20, 21) * 4e-4, np.arange(-20, 21) * 4e-4)
+    count = x.size
+    parts = (
+        np.stack([x.ravel(), y.ravel(), np.ones(count)], 1), np.tile([1.0, 0, 0, 0], (count, 1)),
+        np.tile([1e-4, 1e-4, 1e-5], (count, 1)), np.full(count, 0.9), np.full((count, 3), 0.5),
+    )  # fmt: skip
+    return Gaussians(*(library(part.astype(np.float32)) for part in parts))
+
+
+def test_a_close_up_has_no_gaps_between_what_training_pictures_saw_closed():
+    middle = np.array([0.0, 0.0, 1.0])
+
+    def alpha(pixel, prepare):
+        camera = Camera(np.eye(4), 1 / pixel, 1 / pixel, 32, 32, 64, 64)
+        return rasterize(prepare(sheet(torch.from_numpy), camera), camera).alpha[28:36, 28:36]
+
+    def plain(gaussians, camera):
+        kept = compensation(gaussians.means, gaussians.quats, gaussians.scales, camera)
+        return dataclasses.replace(gaussians, opacities=gaussians.opacities * kept)
+
+    def near(gaussians, camera):
+        return filtered(gaussians, camera, middle)
+
+    torch.testing.assert_close(alpha(FINEST, near), alpha(FINEST, plain), rtol=0, atol=0)
+    torch.testing.assert_close(alpha(1.5 * FINEST, near), alpha(1.5 * FINEST, plain), rtol=0, atol=0)
+    seen, gap, closed = alpha(FINEST, plain).mean(), alpha(0.1 * FINEST, plain).min(), alpha(0.1 * FINEST, near).min()
+    assert gap < 0.6 * seen
+    assert closed > 0.85 * seen
+
+
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_close_up_is_the_same_for_arrays_and_tensors(orthographic):
+    camera = Camera(np.eye(4), 9000.0, 9000.0, 32, 32, 64, 64, orthographic=orthographic)
+    arrays, tensors = (filtered(sheet(kind), camera, np.array([0.0, 0.0, 1.0])) for kind in (np.asarray, torch.from_numpy))
+    for name in ("scales", "opacities"):
+        np.testing.assert_allclose(getattr(arrays, name), getattr(tensors, name).numpy(), rtol=2e-3, atol=1e-9)
+    assert (arrays.scales[:, :2] > 1.1e-4).all()
+    np.testing.assert_array_equal(arrays.scales[:, 2], sheet(np.asarray).scales[:, 2])
 
 
 @each_backend

@@ -70,29 +70,27 @@ def splat_target(obj: bpy.types.Object | None, scene: bpy.types.Scene) -> Avatar
     return avatar
 
 
-def splats_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: SplatOptions) -> SplatCloud:
-    """Return the splats of the depsgraph's moment, head axes.
+def splats_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: SplatOptions) -> Callable[[], SplatCloud]:
+    """Return what makes the splats of the depsgraph's moment, head axes, on any thread: the model may be busy, and is slow.
 
     Raises:
-        GrmmError: The model cannot run, or the cloud was damaged by edits.
+        GrmmError: The model cannot run, or the cloud was damaged by edits; here and there.
     """
     if isinstance(target, Cloud):
-        return target.resting() if options.canonical else target.splats(depsgraph)
-    info = session_host.open_avatar(target.source)
-    controls, hair = _controls(target, depsgraph, options.canonical), hair_worn(target, depsgraph, not options.canonical)
-    return splat_cloud(session_host.get_session(), info.id, controls, options.degree, options.lod, hair)
+        cloud = target.resting() if options.canonical else target.splats(depsgraph)
+        return lambda: cloud
+    controls, shot = _controls(target, depsgraph, options.canonical), _shot(target, depsgraph)
+    hair, source = functools.partial(hair_of, shot, moves=not options.canonical), target.source
 
+    def make() -> SplatCloud:
+        session, number = session_host.get_session(), session_host.open_avatar(source).id
+        return splat_cloud(session, number, controls, options.degree, options.lod, hair())
 
-def hair_worn(avatar: Avatar, depsgraph: bpy.types.Depsgraph, moves: bool = True) -> HairUse:
-    """Return the hair of an avatar in the depsgraph's moment; see `engine.pipeline.hair_of`.
-
-    Raises:
-        ShapeError: It is to wear curves that cannot be hair; the sentence says why.
-    """
-    return hair_of(_shot(avatar, depsgraph), moves)
+    return make
 
 
 def _shot(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> AvatarShot:
+    """Copy an avatar. Raises `ShapeError` where it is to wear curves that cannot be hair; the sentence says why."""
     shot = DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph)
     if shot.note:
         raise ShapeError(shot.note)
@@ -102,7 +100,7 @@ def _shot(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> AvatarShot:
 def hair_kept(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> Callable[[], HairUse]:
     """Return what makes the hair of an avatar for its file, on any thread: curves with what their modifiers do in this frame.
 
-    Raises as `hair_worn`, here and there.
+    Raises as `splats_of`.
     """
     shot = _shot(avatar, depsgraph)
     curves = avatar.object.grmm.hair.curves
@@ -111,12 +109,17 @@ def hair_kept(avatar: Avatar, depsgraph: bpy.types.Depsgraph) -> Callable[[], Ha
     return functools.partial(hair_of, shot, moves=False)
 
 
-def lam_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: SplatOptions) -> LamAvatar:
-    """Return an avatar as LAM's viewer shows it, in the pose of the depsgraph's moment. Raises as `splats_of`."""
+def lam_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: SplatOptions) -> Callable[[], LamAvatar]:
+    """Return what makes an avatar as LAM's viewer shows it, in the pose of the depsgraph's moment. As `splats_of`."""
     if isinstance(target, Cloud):
         raise FileFormatError("LAM files are of avatars that the ARKit shapes move; select a GRMM avatar.")
-    controls, hair = _controls(target, depsgraph, options.canonical), hair_worn(target, depsgraph, moves=False)
-    return lam_avatar(session_host.get_session(), session_host.open_avatar(target.source).id, controls, options.lod, hair=hair)
+    controls, shot, source = _controls(target, depsgraph, options.canonical), _shot(target, depsgraph), target.source
+
+    def make() -> LamAvatar:
+        session, number = session_host.get_session(), session_host.open_avatar(source).id
+        return lam_avatar(session, number, controls, options.lod, hair=hair_of(shot, moves=False))
+
+    return make
 
 
 def write_avatar_mesh(path: Path, avatar: Avatar, depsgraph: bpy.types.Depsgraph, canonical: bool, morphs: bool) -> int:
@@ -213,8 +216,8 @@ def flame_head(avatar: Avatar) -> HeadModel | None:
 
 def gaussian_avatar(
     avatar: Avatar, cloud: Cloud | None, track: Performance, flame: str, options: SplatOptions
-) -> GaussianAvatar:
-    """Return an avatar as GaussianAvatars store it: splats bound to FLAME's triangles, and FLAME's parameters.
+) -> Callable[[], GaussianAvatar]:
+    """Return what makes an avatar as GaussianAvatars store it, on any thread: bound splats and FLAME's parameters.
 
     Args:
         avatar: A FLAME head with its cloud, or a head of ours, which is transferred to the user's FLAME.
@@ -224,19 +227,27 @@ def gaussian_avatar(
         options: Degree and detail of the splats.
 
     Raises:
-        GrmmError: As `recorded_flame`; the model cannot run.
+        GrmmError: As `recorded_flame`; the model cannot run; here and there.
     """
     if cloud is not None:
         head = load_head(AssetReference(avatar.object.grmm.head_name))
         shape, offset = carried_person(avatar, head)
-        faces = triangles(avatar.object.data)
-        bound = bind_to_mesh(cloud.resting(), head.shaped(shape) + offset, faces, cloud.binding())
-        return GaussianAvatar(bound, replace(track, shape=shape, static_offset=offset))
-    head = load_flame(bpy.path.abspath(flame))
-    session, number = session_host.get_session(), session_host.open_avatar(avatar.source).id
-    depsgraph = bpy.context.evaluated_depsgraph_get()
-    controls, hair = _controls(avatar, depsgraph, canonical=True), hair_worn(avatar, depsgraph, moves=False)
-    return flame_avatar(session, number, controls, head, track, options.degree, options.lod, hair)
+        faces, resting, binding = triangles(avatar.object.data), cloud.resting(), cloud.binding()
+
+        def bind() -> GaussianAvatar:
+            bound = bind_to_mesh(resting, head.shaped(shape) + offset, faces, binding)
+            return GaussianAvatar(bound, replace(track, shape=shape, static_offset=offset))
+
+        return bind
+    path, source, depsgraph = bpy.path.abspath(flame), avatar.source, bpy.context.evaluated_depsgraph_get()
+    controls, shot = _controls(avatar, depsgraph, canonical=True), _shot(avatar, depsgraph)
+
+    def make() -> GaussianAvatar:
+        session, number = session_host.get_session(), session_host.open_avatar(source).id
+        hair = hair_of(shot, moves=False)
+        return flame_avatar(session, number, controls, load_flame(path), track, options.degree, options.lod, hair)
+
+    return make
 
 
 def save_gaussian_avatar(folder: Path, avatar: GaussianAvatar) -> None:

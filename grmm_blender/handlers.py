@@ -9,6 +9,7 @@ picture keeps it; a timer catches up.
 from __future__ import annotations
 
 import contextlib
+import threading
 from collections.abc import Iterable
 
 import bpy
@@ -126,7 +127,9 @@ def _animate_again(avatar: Avatar) -> None:
             data.update_tag(refresh={"TIME"})
 
 
-def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail: bool = True, brief: bool = False) -> bool:
+def _update(
+    avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail: bool = True, brief: bool = False, patient: bool = True
+) -> bool:
     global _busy
     problem = ""
     _busy = True
@@ -135,7 +138,7 @@ def _update(avatar: Avatar, depsgraph: bpy.types.Depsgraph | None, allow_detail:
             detail = allow_detail
             if allow_detail and avatar.object.grmm.live_detail and not _may_wait():
                 try:
-                    detail = stack.enter_context(session_host.answering(avatar.source))
+                    detail = stack.enter_context(session_host.answering(avatar.source, patient))
                 except RuntimeMissingError:
                     pass  # `live.update` meets it at once, and knows what to do
                 except GrmmError as error:
@@ -174,14 +177,17 @@ def _is_playing() -> bool:
 
 
 def _may_wait() -> bool:
-    return bpy.app.background or bpy.app.is_job_running("RENDER")
+    """Whether the next picture is rendered from what is written now. A render in a window has a thread of its own."""
+    if bpy.app.background:
+        return True
+    return bpy.app.is_job_running("RENDER") and threading.current_thread() is not threading.main_thread()
 
 
 def _catch_up() -> float | None:
     """Timer: update everything, again and again until the model has answered."""
     avatars = avatars_in(bpy.context.scene)
     for avatar in avatars:
-        _update(avatar, None)
+        _update(avatar, None, patient=False)  # it comes again
     return _CATCH_UP_SECONDS if any(live.state_of(avatar).stale for avatar in avatars) else None
 
 

@@ -207,11 +207,11 @@ def open_avatar(source: str) -> AvatarInfo:
 
 
 @contextlib.contextmanager
-def answering(source: str) -> Iterator[bool]:
+def answering(source: str, patient: bool = True) -> Iterator[bool]:
     """Tell whether the model answers what the main thread asks about an avatar within the block, without a wait worth noticing.
 
     Where it does not, because it is being loaded or compiled for another thread's picture, the avatar is opened on a thread
-    meanwhile: ask again in a moment.
+    meanwhile: ask again in a moment. An impatient one does not wait for another thread's picture at all.
 
     Raises:
         GrmmError: The session cannot be made, or the avatar could not be opened since the last time that this was asked.
@@ -220,7 +220,7 @@ def answering(source: str) -> Iterator[bool]:
     problem = _not_opened.pop(source, None)
     if problem is not None:
         raise problem
-    with session.at_once(_WAIT_SECONDS if _has_drawn else 0.0) as free:
+    with session.at_once(_WAIT_SECONDS if patient and _has_drawn else 0.0) as free:
         ready = free and source in _opened
         yield ready
     if not ready:

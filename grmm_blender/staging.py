@@ -47,7 +47,7 @@ def set_up(context: bpy.types.Context, avatar: Avatar, fresh: bool) -> None:
     """Show a head: a camera and the viewport before it, rendered by GRMM.
 
     Args:
-        context: Its viewport looks at the head, if it has one.
+        context: Its viewport looks at the head, or the window's largest.
         avatar: The head.
         fresh: The scene was as Blender starts it: its camera is moved, and a head inside its cube stands upon it.
     """
@@ -63,13 +63,22 @@ def set_up(context: bpy.types.Context, avatar: Avatar, fresh: bool) -> None:
         scene.view_settings.view_transform = "Standard"  # pictures as solid view shows them; AgX grades them paler
     aim(scene, avatar, (scene.camera if fresh else None) or _portrait_camera(scene))
     scene.render.engine = ENGINE
-    view = context.region_data
-    if view is not None and context.space_data.type == "VIEW_3D":
-        place = place_of(avatar, context.evaluated_depsgraph_get())
+    space = _viewport(context)
+    if space is not None:
+        place, view = place_of(avatar, context.evaluated_depsgraph_get()), space.region_3d
         view.view_location, view.view_distance = place.centre, _VIEW_RADII * place.radius
         view.view_rotation = Euler((math.pi / 2 - _PITCH, 0.0, place.facing + _YAW)).to_quaternion()
         view.view_perspective = "PERSP"
-        context.space_data.shading.color_type = "TEXTURE"  # the mesh is painted: a face also before there are splats
+        space.shading.color_type = "TEXTURE"  # the mesh is painted: a face also before there are splats
+
+
+def _viewport(context: bpy.types.Context) -> bpy.types.SpaceView3D | None:
+    """The viewport that a menu belongs to, whose region is then its header; the largest of the window for *File > Import*."""
+    if context.space_data is not None and context.space_data.type == "VIEW_3D":
+        return context.space_data
+    areas = [] if context.screen is None else [area for area in context.screen.areas if area.type == "VIEW_3D"]
+    largest = max(areas, key=lambda area: area.width * area.height, default=None)
+    return None if largest is None else largest.spaces.active
 
 
 def aim(scene: bpy.types.Scene, avatar: Avatar, camera: bpy.types.Object) -> None:

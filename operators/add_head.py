@@ -18,9 +18,7 @@ from ..grmm_core.errors import FileAccessError
 from .common import OperatorMixin, Result, check_object_mode, menu_entries, polls, reports_errors
 from .importing import ImportsFiles, TakesDrops
 
-LIBRARY_ITEMS = tuple(
-    (name, name.replace("_", " ").capitalize(), f"The avatar {name} of the library") for name in library_names()
-)
+LIBRARY_ITEMS = tuple((name, name.replace("_", " ").title(), f"The avatar {name} of the library") for name in library_names())
 _NOT_KEPT = {"SKIP_SAVE"}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -33,7 +34,7 @@ from .common import (
     reports_errors,
 )
 from .file_formats import draw_options, has_options, listed, menu_items, option_values, write_filter, written_suffixes
-from .steps import Step, SteppedOperator, Steps
+from .steps import CancelCheck, Step, SteppedOperator, Steps
 
 SPLATS = (*formats("splats", written=True), *(one for one in formats("avatar", written=True) if not one.folder))
 MESHES = formats("mesh", written=True)
@@ -95,10 +96,6 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, Operator, ExportHelper)
         self.filename_ext = self.format
         return self.ask(context, event)
 
-    def is_slow(self, context: bpy.types.Context) -> bool:
-        """Sequences are."""
-        return self.pose == "SEQUENCE"
-
     def written(self, context: bpy.types.Context) -> list[Path]:
         """The files of a sequence."""
         if self.pose != "SEQUENCE":
@@ -128,11 +125,13 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, Operator, ExportHelper)
         options = SplatOptions(self.degree, self.lod, self.pose == "CANONICAL")
         scene = context.scene
         if self._format(path).holds == "avatar":
-            avatar = exporting.lam_of(target, context.evaluated_depsgraph_get(), options)
+            made = exporting.lam_of(target, context.evaluated_depsgraph_get(), options)
+            avatar = yield Step(0.1, "Reading the model", lambda stopped: made())
             self._say(self._format(path).write(path, avatar))
             return f"Wrote {path.name}"
         if self.pose != "SEQUENCE":
-            self._say(self._write(path, exporting.splats_of(target, context.evaluated_depsgraph_get(), options)))
+            write = self._writing(path, exporting.splats_of(target, context.evaluated_depsgraph_get(), options))
+            self._say((yield Step(0.1, "Writing", write)))
             return f"Wrote {path.name}"
         frames = self.frames(context)
         lost: tuple[str, ...] = ()
@@ -140,8 +139,8 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, Operator, ExportHelper)
             for number, frame in enumerate(frames):
                 scene.frame_set(frame)
                 cloud = exporting.splats_of(target, context.evaluated_depsgraph_get(), options)
-                lost = self._write(frame_path(path, frame), cloud) or lost
-                yield Step((number + 1) / len(frames))
+                write = self._writing(frame_path(path, frame), cloud)
+                lost = (yield Step((number + 0.1) / len(frames), work=write, walks=True)) or lost
         self._say(lost)
         return f"Wrote {len(frames)} files to {path.parent}"
 
@@ -149,9 +148,11 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, Operator, ExportHelper)
     def _format(path: Path) -> Format:
         return format_to_write(path if path.suffix else Path(f"a{path}"), ("splats", "avatar"))
 
-    def _write(self, path: Path, cloud: SplatCloud) -> tuple[str, ...]:
+    def _writing(self, path: Path, make: Callable[[], SplatCloud]) -> Callable[[CancelCheck], tuple[str, ...]]:
+        """What makes and writes a cloud on a thread; it returns what the file cannot hold, in sentences."""
         found = self._format(path)
-        return found.write(path, cloud, **option_values(self, found, "writing"))
+        values = option_values(self, found, "writing")
+        return lambda stopped: found.write(path, make(), **values)
 
     def _say(self, sentences: tuple[str, ...]) -> None:
         for sentence in sentences:
@@ -229,7 +230,8 @@ class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, Operator):
                 yield Step(0.9 * len(controls) / len(frames))
         track = exporting.recorded_flame(avatar, controls, frames, rate, flame_path(self.flame_file))
         cloud = target if isinstance(target, Cloud) else None
-        made = exporting.gaussian_avatar(avatar, cloud, track, flame_path(self.flame_file), SplatOptions(self.degree))
+        make = exporting.gaussian_avatar(avatar, cloud, track, flame_path(self.flame_file), SplatOptions(self.degree))
+        made = yield Step(0.9, "Binding splats", lambda stopped: make())
         folder = Path(bpy.path.abspath(self.directory))
         exporting.save_gaussian_avatar(folder, made)
         return f"Wrote {made.cloud.count} splats and {len(frames)} frames to {folder}"

@@ -35,11 +35,13 @@ class Step:
         text: What comes next; empty where the progress says enough.
         work: Called with a function that says whether to stop; its result is what the generator's `yield` returns. None where
             the generator does everything itself.
+        walks: The generator is on a walk through the scene, which nobody may edit meanwhile, whatever runs on the thread.
     """
 
     fraction: float
     text: str = ""
     work: Callable[[CancelCheck], Any] | None = None
+    walks: bool = False
 
 
 Steps = Generator[Step, Any, str]
@@ -54,6 +56,7 @@ class _Work:
         self.error: BaseException | None = None
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
+        self.walks = step.walks or step.work is None
         if step.work is not None:
             self._thread = threading.Thread(target=self._run, args=(step.work,), daemon=True, name="grmm-step")
             self._thread.start()
@@ -63,10 +66,6 @@ class _Work:
             self.value = work(self._stop.is_set)
         except BaseException as error:  # noqa: BLE001 - raised again on the main thread
             self.error = error
-
-    @property
-    def threaded(self) -> bool:
-        return self._thread is not None
 
     @property
     def done(self) -> bool:
@@ -183,8 +182,7 @@ class SteppedOperator(OperatorMixin):
         if run is None or run.work is None:
             return {"PASS_THROUGH"}
         if event.type != "TIMER" or not run.work.done:
-            # What steps on this thread walk through must not be edited meanwhile.
-            return {"PASS_THROUGH"} if run.work.threaded else {"RUNNING_MODAL"}
+            return {"RUNNING_MODAL"} if run.work.walks else {"PASS_THROUGH"}
         work, run.work = run.work, None
         return self._advance(context, run, work)
 

@@ -39,6 +39,7 @@ GROWTH = 0.05
 ROW = ("minutes", "blender_mb", "worker_mb", "threads", "open_files", "children", "temporary")
 FRAMES = 12  # rendered
 PLAYED = 60  # of the performance, at 30 a second
+FULL_FRAMES, FULL_BYTES, MOST_FRAMES = 40, 1 << 20, 2000  # the cache is full where so many frames add no more
 FIT_SECONDS = 25.0  # at most, before it is cancelled
 PROCESSES = Path("/proc")
 
@@ -63,6 +64,7 @@ class Soak:
         self.cancelled: dict[str, int] = {}
         self._write_performance()
         self._new_scene()
+        self._fill_cache()
 
     def round(self) -> None:
         """Do everything once."""
@@ -77,6 +79,20 @@ class Soak:
             values = [f"{self._chance.random():.4f}" for _ in names]
             rows.append([f"00:00:{number // 30:02d}:{number % 30:02d}.000", "61", *values])
         (self._folder / "performance.csv").write_text("".join(",".join(row) + "\n" for row in rows))
+
+    def _fill_cache(self) -> None:
+        """Draw new expressions until the worker keeps no more of them: what grows from here on is not its cache."""
+        core, session = _module("grmm_core.session"), self._host.get_session()
+        avatar, camera = session.open("default").id, _module("grmm_core.geometry.camera").Camera.orbit(96, 96)
+        controls, before = _module("grmm_core.controls.frame").Controls(), 0
+        for frame in range(MOST_FRAMES):
+            shown = controls.set_named({"jawOpen": self._chance.random(), "browInnerUp": self._chance.random()})
+            session.render([core.Instance(avatar, shown)], camera, core.RenderOptions())
+            if frame % FULL_FRAMES == 0:
+                now = session.status().memory_bytes
+                if 0 < now <= before + FULL_BYTES:
+                    return
+                before = now
 
     def _new_scene(self) -> None:
         bpy = self._bpy

@@ -23,6 +23,7 @@ KEYS: dict[str, int | str] = {
 }  # fmt: skip
 SIZE = (1600, 1000)
 START_SECONDS = 120.0
+DRAG_SECONDS = 120.0
 SETTLE_SECONDS = 600.0  # the first splats take minutes on a busy machine
 _BUSY = """
 import sys
@@ -65,7 +66,8 @@ class WalkedBlender:
 
     def __enter__(self) -> Self:
         self.output.mkdir(parents=True, exist_ok=True)
-        shutil.copy(Path(__file__).with_name("inside.py"), self.shared / "inside.py")
+        for name in ("inside.py", "waits.py", "drag_source.py"):
+            shutil.copy(Path(__file__).with_name(name), self.shared / name)
         snippets = self.shared / "snippets"
         snippets.mkdir()
         width, height = SIZE
@@ -102,6 +104,12 @@ class WalkedBlender:
     def console(self) -> str:
         """What Blender has written to its console."""
         return (self.shared / "console.txt").read_text("utf-8", errors="replace")
+
+    @property
+    def waits(self) -> list[dict[str, Any]]:
+        """What kept Blender's main thread so far, see `waits.Watch`."""
+        path = self.shared / "waits.txt"
+        return [json.loads(line) for line in path.read_text("utf-8").splitlines()] if path.exists() else []
 
     def run(self, snippet: str, timeout: float = 60.0) -> Any:
         """Run Python inside the live window and return its `result`. Raises `WalkError` with its traceback."""
@@ -144,6 +152,25 @@ class WalkedBlender:
         self.move(x, y)
         self._command(["xdotool", "click", str(button)])
         time.sleep(0.3)
+
+    def drop(self, path: str, x: int, y: int) -> None:
+        """Drag a file, by its path as Blender sees it, onto the window, to pixels of the screen. Raises `WalkError`."""
+        self.move(x, y)
+        source = self.inner(self.shared / "drag_source.py")
+        command = self._inside(["python3", source, self._window(), str(x), str(y), path])
+        done = subprocess.run(
+            command, env=self._environment(), capture_output=True, text=True, timeout=DRAG_SECONDS, check=False
+        )
+        if done.returncode:
+            raise WalkError(f"{path} cannot be dropped: {done.stdout}{done.stderr}")
+        self._command(["xdotool", "mousemove", str(x + 1), str(y)])  # Blender looks where the mouse is
+
+    def _window(self) -> str:
+        """Number of Blender's own window for X."""
+        command = self._inside(["xdotool", "search", "--onlyvisible", "--class", "Blender"])
+        return subprocess.run(
+            command, env=self._environment(), capture_output=True, text=True, timeout=60.0, check=True
+        ).stdout.split()[0]
 
     def settle(self) -> None:
         """Wait until no viewport has splats or pictures under way. Raises `WalkError` where that does not end."""

@@ -14,6 +14,9 @@ from typing import Any
 
 import bpy
 
+sys.path.append(str(Path(__file__).parent))
+from waits import Watch  # beside this file, wherever that was copied to
+
 FOLDER = Path(sys.argv[sys.argv.index("--") + 1])
 POLL_SECONDS = 0.1
 
@@ -43,4 +46,5 @@ def poll() -> float:
     return POLL_SECONDS
 
 
+Watch(FOLDER.parent / "waits.txt").start()
 bpy.app.timers.register(poll, first_interval=1.0, persistent=True)

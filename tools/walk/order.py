@@ -25,10 +25,13 @@ def walk(blender: WalkedBlender, extension: Path) -> list[str]:
     problems = []
     blender.bring(extension, "grmm.zip")
     for step in STEPS:
-        before = len(blender.console)
+        before, waited = len(blender.console), len(blender.waits)
         try:
             step(blender)
         except WalkError as error:
             problems.append(f"{step.__name__}: {error}")
+        for wait in blender.waits[waited:]:
+            places = "; ".join(place for place, _ in wait["places"])
+            blender.note(f"{step.__name__}: {wait['seconds']} s, {wait['processor_seconds']} s of them computing, in {places}")
         problems += [f"{step.__name__}: {line}" for line in check_console(blender.console[before:])]
     return problems

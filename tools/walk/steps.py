@@ -19,7 +19,7 @@ Step = Callable[[WalkedBlender], None]
 SPLASH_CLOSE = (40, 700)  # pixels: outside the splash, over the timeline's left end
 MIDDLE = (500, 400)  # pixels: in the viewport, beside its panels
 PHOTO = Path(__file__).resolve().parents[2] / "tests" / "data" / "photos" / "astronaut.jpg"
-RENDER_SECONDS, POSES_SECONDS, FILE_SECONDS, ESCAPE_SECONDS = 400.0, 400.0, 300.0, 20.0
+RENDER_SECONDS, POSES_SECONDS, FILE_SECONDS, ESCAPE_SECONDS, DROP_SECONDS = 400.0, 400.0, 300.0, 20.0, 60.0
 SCROLLS = 60  # clicks of the wheel from the sidebar's upper panels to its end
 HEAD = "head = next((o for o in bpy.context.scene.objects if 'jawOpen' in o.keys()), None)\n"
 SELECT_RIG = """
@@ -62,6 +62,11 @@ _STATUSES = """
 import sys
 result = next(module for name, module in sys.modules.items() if name.endswith("viewport.overlay")).statuses()
 """
+_ADD = """
+with bpy.context.temp_override(window=window, area=area, region=header):
+    bpy.ops.grmm.add_head("INVOKE_DEFAULT", True)
+"""
+_RIGS = "result = sum(o.type == 'ARMATURE' for o in bpy.context.scene.objects)"
 _DRAWN = """
 image = bpy.data.images.get("Render Result")
 result = bool(image and image.has_data) and not bpy.app.is_job_running("RENDER")
@@ -91,8 +96,8 @@ def install(blender: WalkedBlender) -> None:
 
 
 def add_head(blender: WalkedBlender) -> None:
-    """Add the default head into the startup scene."""
-    blender.run("bpy.ops.grmm.add_head('INVOKE_DEFAULT', True)", 120)
+    """Add the default head into the startup scene, from the header's menu: the viewport looks at it."""
+    blender.run(f"header = next(part for part in area.regions if part.type == 'HEADER')\n{_ADD}", 120)
     blender.picture("added", 10, settled=False)
 
 
@@ -224,10 +229,17 @@ def views(blender: WalkedBlender) -> None:
 
 
 def performance(blender: WalkedBlender) -> None:
-    """Drop a recording on the viewport, as its file handler takes it, and play it."""
+    """Drop a recording on the viewport, and play it."""
     path = blender.shared / "performance.json"
     write_performance(path)
-    blender.run(SELECT_RIG + f"bpy.ops.grmm.import_performance('EXEC_DEFAULT', True, filepath={blender.inner(path)!r})")
+    blender.run(SELECT_RIG)
+    blender.drop(blender.inner(path), *MIDDLE)
+    blender.picture("performance_dropped", 2, settled=False)
+    deadline = time.monotonic() + DROP_SECONDS
+    while not blender.run(HEAD + _KEYED)[1]:
+        if time.monotonic() > deadline:
+            raise WalkError("a recording that is dropped does nothing")
+        time.sleep(0.5)
     blender.run("bpy.context.scene.frame_set(26)")
     blender.picture("performance", 4)
     blender.run("bpy.ops.screen.animation_play()")
@@ -302,14 +314,20 @@ def eevee(blender: WalkedBlender) -> None:
 
 
 def drop(blender: WalkedBlender) -> None:
-    """Drop another avatar's file into the viewport, as its file handler takes it."""
+    """Drop another avatar's file into the viewport."""
     path = blender.run("import importlib, sys\nname = next(n for n in sys.modules if n.endswith('grmm_core.avatar.library'))\n"
                        "result = str(sys.modules[name].library_path('beard'))")  # fmt: skip
     blender.run(
         "bpy.data.objects['Cube'].hide_set(True)\n"
-        "bpy.context.scene.cursor.location = (0.4, 0.0, 1.0)\n"
-        f"bpy.ops.grmm.open_avatar('INVOKE_DEFAULT', True, filepath={path!r})"
+        "bpy.context.scene.cursor.location = (0.4, 0.0, 1.0)\nbpy.ops.object.select_all(action='DESELECT')"
     )
+    rigs = blender.run(_RIGS)
+    blender.drop(path, *MIDDLE)
+    deadline = time.monotonic() + DROP_SECONDS
+    while blender.run(_RIGS) == rigs:
+        if time.monotonic() > deadline:
+            raise WalkError("an avatar's file that is dropped does nothing")
+        time.sleep(0.5)
     blender.run("bpy.ops.view3d.view_selected()\narea.spaces.active.region_3d.view_distance *= 3.0")
     blender.picture("dropped", 8)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+import types
 
 import bpy
 import numpy as np
@@ -13,6 +14,23 @@ enable()
 handlers, host, live = (module(f"grmm_blender.{name}") for name in ("handlers", "session_host", "rig.live"))
 avatar_of, errors = module("grmm_blender.rig.avatar").avatar_of, module("grmm_core.errors")
 LONG = 120.0  # seconds
+
+
+def waits_in_render() -> bool:
+    """Whether a handler of this thread waits for the model while a window renders."""
+    app = types.SimpleNamespace(background=False, is_job_running=lambda name: name == "RENDER")
+    handlers.bpy, actual = types.SimpleNamespace(app=app), handlers.bpy
+    try:
+        return handlers._may_wait()
+    finally:
+        handlers.bpy = actual
+
+
+rendering: list[bool] = []
+worker = threading.Thread(target=lambda: rendering.append(waits_in_render()))
+worker.start()
+worker.join()
+report(window_waits=waits_in_render(), render_waits=rendering[0])
 handlers._may_wait = lambda: False  # as in a window
 
 

@@ -29,8 +29,24 @@ def lowest() -> float:
 
 
 def add_as_in_a_window() -> None:
-    """Add a head with what the operator's `invoke` chooses; without a window Blender leaves that out."""
+    """Add a head from the header with what the operator's `invoke` chooses; without a window Blender leaves that out."""
+    window = bpy.context.window_manager.windows[0]
+    area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+    header = next(region for region in area.regions if region.type == "HEADER")
+    with bpy.context.temp_override(window=window, area=area, region=header):
+        add()
+
+
+def add() -> None:
+    """Call the operator."""
     bpy.ops.grmm.add_head(person="RANDOM", seed=3, stand=True, set_up=staging.is_as_started(bpy.context.scene))
+
+
+def seen(avatar: object) -> bool:
+    """Whether the viewport looks at the head: its *Add* menu belongs to its header, which has no view of its own."""
+    area = next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D")
+    view = area.spaces.active.region_3d
+    return bool(view.view_distance < 1.5 and (view.view_location - avatar.root.location).length < 0.3)
 
 
 # Somebody presses Add and F12 and nothing else.
@@ -45,6 +61,7 @@ report(
     engine=scene.render.engine,
     graded=scene.view_settings.view_transform,
     started_again=staging.is_as_started(scene),
+    seen=seen(avatar),
 )
 exact_colors(scene)
 scene.render.resolution_x, scene.render.resolution_y, scene.render.film_transparent = 160, 90, True

@@ -20,7 +20,7 @@ from ...grmm_core.hair.body import worn
 from ...grmm_core.hair.groom import join
 from ...grmm_core.hair.pigment import ABSORPTION, BLOND, GINGER, GINGER_ABSORPTION, ROOT_SHADE, WHITE, albedos
 from ...grmm_core.hair.prior import random_groom
-from ...grmm_core.hair.roots import SCALP
+from ...grmm_core.hair.roots import LASHES, SCALP
 from .. import session_host
 from ..rig.avatar import Avatar
 from ..rig.identity import load_head, own_hair
@@ -40,7 +40,7 @@ _GLOSS, _GLINT = 0.6, 0.8  # roughness and specular level of the material: as so
 def worn_hair(avatar: Avatar) -> Hair | None:
     """Return the groom that an avatar wears where there are no curves, with the panel's settings; None for trained hair.
 
-    With brows and beard; lashes go with the lids, and curves do not.
+    With brows, beard and lashes, of which some may be in its Gaussians.
 
     Raises:
         GrmmError: The avatar's file cannot be read.
@@ -119,8 +119,9 @@ def make_curves(
     data.surface, data.surface_uv_map = head, _uv_map(head)
     if drawn is not None:
         _fill(data, head, drawn)
-        for part in HELD:
-            data[f"{HELD_PREFIX}{part}"] = getattr(head.grmm.hair, part)
+        for part, group in HELD.items():
+            if group != LASHES or (drawn.groups == LASHES).any():  # usual ones, and those in Gaussians, stay what they are
+                data[f"{HELD_PREFIX}{part}"] = getattr(head.grmm.hair, part)
     data.materials.append(_material(data.name, head, settings or HairSettings()))
     obj = bpy.data.objects.new(data.name, data)
     for collection in head.users_collection:

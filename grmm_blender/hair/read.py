@@ -20,7 +20,7 @@ from ...grmm_core.avatar import AssetReference
 from ...grmm_core.errors import GrmmError, ShapeError
 from ...grmm_core.hair import Groom, groom_from_curves
 from ...grmm_core.hair.groom import MAX_POINTS
-from ...grmm_core.hair.roots import BEARD, BROWS, GROUPS, RootFrames
+from ...grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, RootFrames
 from ...grmm_core.session import HEAD_TO_BLENDER
 from ..rig.identity import load_head
 from .curve_children import CHILD
@@ -30,7 +30,7 @@ from .strands import StrandShot
 DEFORM_NODE = "GeometryNodeDeformCurvesOnSurface"
 UV_COORDINATE = "surface_uv_coordinate"  # Blender's name for the place of a root
 TINT = "grmm_tint"  # what is added to a point's color, see `Groom.tints`; may be below 0, and so is no color of Blender's
-HELD = {GROUPS[group]: group for group in (BROWS, BEARD)}  # parts that curves have besides the scalp's hair
+HELD = {GROUPS[group]: group for group in (BROWS, BEARD, LASHES)}  # parts that curves have besides the scalp's hair
 HELD_PREFIX = "grmm_"  # before their names: the panel's choice that curves were made from
 SAME_REST = 0.003  # metres
 _TO_HEAD = np.linalg.inv(HEAD_TO_BLENDER)

@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..head import HeadModel
 from .groom import MAX_POINTS, Groom, bind
-from .roots import BEARD, BROWS, GROUPS, SCALP
+from .roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 
 OFF_SURFACE = 0.03  # metres between a curve's first point and its place on the head: more is another head
 _CELLS = 96  # of the UV map along a side, in which triangles are looked up
@@ -84,6 +84,8 @@ def groups_at(head: HeadModel, triangles: np.ndarray, weights: np.ndarray) -> np
     groups = np.full(len(triangles), SCALP)
     if "brows" not in head.regions:
         return groups
+    card = np.zeros(len(head.v_template), bool)
+    card[np.asarray(head.regions.get("lashes", np.zeros(0, int)), int)] = True
     mean = np.asarray(head.v_template, float)
     places = (mean[np.asarray(head.faces)[triangles]] * weights[..., None]).sum(1)
     groups[(places[:, 1] < CHIN) & (places[:, 2] > FRONT)] = BEARD
@@ -92,6 +94,7 @@ def groups_at(head: HeadModel, triangles: np.ndarray, weights: np.ndarray) -> np
     around = np.flatnonzero(((places > low) & (places < high)).all(1))
     far = np.linalg.norm(places[around, None] - brows, axis=2).min(1) if len(around) else np.zeros(0)
     groups[around[far < BROW]] = BROWS
+    groups[card[np.asarray(head.faces)[triangles]].all(1)] = LASHES
     return groups
 
 

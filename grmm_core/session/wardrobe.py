@@ -228,7 +228,7 @@ class Wardrobe:
             if fewer < 1.0:
                 block, some = block.sparse
                 points = points[:, some]
-            if block.group == LASHES and layer.points is None:
+            if block.group == LASHES:  # also of curves: small triangles would twist them
                 points = self._on_lids(head, layer, settings, vertices, block, points)
             parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer))
         return Gaussians(*(self._engine.array(np.concatenate(arrays)) for arrays in zip(*parts, strict=True)))

@@ -161,11 +161,12 @@ def test_hair_swings_as_it_was_baked(hair_script):
 
 def test_brows_and_beard_become_curves_and_stay_what_they_are(hair_script):
     found = hair_script("hair_parts.py")
-    scalp, brows, beard = found["grooms"]
-    assert found["counts"] == found["told"] == [scalp, brows, beard, 0]
+    scalp, brows, beard, lashes = found["grooms"]
+    assert found["counts"] == found["told"] == [scalp, brows, beard, lashes]
     assert found["same"] < 0.3 < found["shaved"]
-    assert found["use"] == ["own", "own"]
-    assert found["lengths"] == pytest.approx([0.5, 1.0, 1.0], abs=0.03)  # sliders shape the scalp's hair
+    assert found["use"] == ["own"] * 3
+    assert found["blinked"] < 0.3 < found["lid"]
+    assert found["lengths"] == pytest.approx([0.5, 1.0, 1.0, 1.0], abs=0.03)  # sliders shape the scalp's hair
     assert all(count > 0.9 * whole for count, whole in zip(found["saved"], found["grooms"], strict=True))
     assert [found["shaved_use"], found["cut_use"]] == ["none", "none"]
-    assert found["cut"] == [scalp, brows, 0, 0]
+    assert found["cut"] == [scalp, brows, 0, lashes]

@@ -1,4 +1,4 @@
-"""Brows and beard as Blender's curves: hair_parts.py WEIGHTS FOLDER. Reports what the test judges."""
+"""Brows, beard and lashes as Blender's curves: hair_parts.py WEIGHTS FOLDER. Reports what the test judges."""
 
 from __future__ import annotations
 
@@ -44,27 +44,39 @@ def lengths(strands) -> list[float]:
     steps = np.linalg.norm(np.diff(strands.points, axis=0), axis=1)
     steps[strands.groom.offsets[1:-1] - 1] = 0.0
     every = np.add.reduceat(np.append(steps, 0.0), strands.groom.offsets[:-1])
-    return [float(every[strands.groom.groups == group].mean()) for group in (roots.SCALP, roots.BROWS, roots.BEARD)]
+    return [float(every[strands.groom.groups == group].mean()) for group in range(len(roots.GROUPS))]
 
 
-hair.groom, hair.brows, hair.beard, hair.melanin = "crop", "bushy", "goatee", 0.4
+hair.groom, hair.brows, hair.beard, hair.lashes, hair.melanin = "crop", "bushy", "goatee", "natural", 0.4
 library = module("grmm_core.hair").library_groom
-report(grooms=[len(library("crop")), len(library("bushy", part="brows")), len(library("goatee", part="beard"))])
+parts = {"brows": "bushy", "beard": "goatee", "lashes": "natural"}
+report(grooms=[len(library("crop")), *(len(library(name, part=part)) for part, name in parts.items())])
 plain = picture("plain")
 bpy.ops.grmm.hair_as_curves(sculpt=False)
 curves, data = hair.curves, hair.curves.data
 strands, shown = worn(), picture("curves")
-report(same=apart(shown, plain), counts=counts(strands.strands), use=[strands.hair.brows, strands.hair.beard])
+report(
+    same=apart(shown, plain), counts=counts(strands.strands), use=[strands.hair.brows, strands.hair.beard, strands.hair.lashes]
+)
 before = lengths(strands.strands)
 hair.length = 0.5
 report(lengths=np.divide(lengths(worn().strands), before).tolist())
 hair.length = 1.0
 
+# Lashes go with their lids, as those of the package do.
+head["eyeBlinkLeft"] = 1.0
+head.update_tag()
+blinked = picture("blinked")
+kept, hair.curves = hair.curves, None
+report(blinked=apart(picture("blinked_groom"), blinked), lid=apart(blinked, shown))
+hair.curves, head["eyeBlinkLeft"] = kept, 0.0
+head.update_tag()
+
 # Back into a file, and what the panel says anew counts instead.
 file = folder / "parts.grmm"
 bpy.ops.grmm.save_avatar(filepath=str(file))
 saved = module("grmm_core.avatar").load_avatar(file).hair.groom
-report(saved=np.bincount(saved.groups, minlength=3)[:3].tolist())
+report(saved=np.bincount(saved.groups, minlength=4).tolist())
 hair.beard = "NONE"
 report(shaved=apart(picture("shaved"), shown), shaved_use=worn().hair.beard)
 hair.beard = "goatee"

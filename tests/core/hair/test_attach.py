@@ -53,7 +53,7 @@ def test_own_colors_of_strands_go_through_the_points_of_curves(head, curves):
 
 
 @pytest.mark.parametrize("part", GROUPS[:3])
-def test_roots_tell_brows_and_beard_from_scalp_hair_unless_a_curve_says_what_it_is(head, part):
+def test_roots_tell_brows_beard_and_lashes_from_scalp_hair_unless_a_curve_says_what_it_is(head, part):
     for name in groom_names(part):
         groom = library_groom(name, part=part).level(0.1)
         assert (groups_at(head, groom.triangles, groom.weights) == GROUPS.index(part)).all(), name

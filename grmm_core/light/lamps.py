@@ -47,7 +47,8 @@ class Lamp:
                 object.__setattr__(self, each.name, tuple(float(number) for number in value))
         values = np.concatenate([np.ravel(getattr(self, f.name)) for f in dataclasses.fields(self)]).astype(np.float64)
         if not np.isfinite(values).all() or not 0.0 <= self.strength <= MAX_STRENGTH or min(self.color) < 0.0:
-            raise ConfigError(f"A {self.name} light has numbers that are not finite or below zero; correct it in the scene.")
+            kind = ("An " if self.name[0] in "aeiou" else "A ") + self.name
+            raise ConfigError(f"{kind} light has numbers that are not finite or below zero; correct it in the scene.")
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ def test_long_operators(run_blender: RunBlender, blender_version: str):
     # Blender crashes on the handler of an operator that has ended before it was handed over.
     assert found["at_once"] == {"result": ["CANCELLED"], "said": [["ERROR", "No folder."]], "handlers": 0, "timers": 0}
 
+    assert found["walking"] == {"swallowed": ["RUNNING_MODAL"], "last": ["FINISHED"], "log": [False]}
     assert found["replaces"] == {
         "asked": ["INTERFACE"], "shown": ["operator_steps.py and 1 more in scripts will be replaced."], "waits": [0, 0],
         "then": ["RUNNING_MODAL"],

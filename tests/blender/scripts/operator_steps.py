@@ -156,6 +156,23 @@ def finished() -> dict:
     }  # fmt: skip
 
 
+class Walk(Job):
+    """Work on a thread in the middle of a walk through the scene's frames."""
+
+    def steps(self, _context: object):
+        yield steps.Step(0.5, work=self.work, walks=True)
+        return "walked"
+
+
+def walking() -> dict:
+    job, window = Walk(), Window()
+    job.begin(window, CLICK)
+    job.started.wait(PATIENCE)
+    swallowed = job.modal(window, CLICK)  # nothing may be edited, although Blender goes on drawing
+    job.go_on.set()
+    return {"swallowed": sorted(swallowed), "last": sorted(job.until_done(window)), "log": job.log}
+
+
 def cancelled() -> dict:
     job, window = Job(), Window()
     job.begin(window, CLICK)
@@ -196,4 +213,4 @@ def in_a_script(where: str = "") -> dict:
 
 
 report(finished=finished(), cancelled=cancelled(), here=failed("here"), thread=failed("thread"), at_once=failed_at_once())
-report(replaces=replaces(), script=in_a_script(), script_fails=in_a_script("thread"))
+report(walking=walking(), replaces=replaces(), script=in_a_script(), script_fails=in_a_script("thread"))

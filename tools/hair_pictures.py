@@ -35,6 +35,7 @@ BEARDS: tuple[tuple[str, HairSettings], ...] = (
     ("moustache", LOOK.changed(melanin=0.35, redness=0.6)), ("full", LOOK),
 )  # fmt: skip
 SIDES = (0.0, 40.0, 90.0, 180.0)
+WHOLE = 23.0  # degrees of a picture that has all of an afro or a mohawk
 FPS, SHOWN = 30.0, (0, 14, 18, 24, 40, 59)  # frames of the shaken head
 
 
@@ -86,7 +87,7 @@ def sheets(session: Session, size: int, out: Path) -> None:
     heads = [session.open(LIBRARY_PREFIX + skin).id for skin in SKINS]
     for name in groom_names():
         use = HairUse(GROOM_PREFIX + name, LOOK)
-        tiles = [drawn(session, Instance(head, hair=use), camera(size, yaw)) for head in heads for yaw in SIDES]
+        tiles = [drawn(session, Instance(head, hair=use), camera(size, yaw, WHOLE)) for head in heads for yaw in SIDES]
         sheet(tiles, len(SIDES)).save(out / f"{name}.jpg", quality=QUALITY)
 
 

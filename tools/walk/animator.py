@@ -95,7 +95,7 @@ def import_options(blender: WalkedBlender) -> None:
     """Open the file browser of *Import Performance* and look at its options."""
     blender.run(SELECT_RIG + "bpy.ops.grmm.import_performance('INVOKE_DEFAULT')")
     _wait_for_browser(blender)
-    blender.picture("import_options", 3, settled=False)
+    blender.picture("import_options", 10, settled=False)  # software draws the viewport first
     blender.key("Escape")
     _wait_for_browser(blender, there=False)
 

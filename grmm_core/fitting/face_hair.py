@@ -143,7 +143,10 @@ def _near(plane: np.ndarray, reach: float) -> np.ndarray:
 
 
 def _kept(groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, head: HeadModel) -> np.ndarray:
-    """Which strands of a groom stand where a photo shows their part; hidden ones as those on the other side, [N] bool."""
+    """Which strands of a groom stand where a photo shows their part; hidden ones as those on the other side, [N] bool.
+
+    Hidden by the head, or by a hat or thing.
+    """
     frames = groom.frames(np.asarray(head.v_template, np.float64), head.faces)
     posed = groom.posed(frames, view.vertices)
     local, pixels = view.camera.project(posed)
@@ -151,7 +154,7 @@ def _kept(groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, he
     strand = groom.strand_of_point
     mean, seen = (
         np.bincount(strand, part, len(groom)) / groom.counts
-        for part in (cover[row, column], local[:, 2] < depth[row, column] + BEHIND)
+        for part in (cover[row, column], (local[:, 2] < depth[row, column] + BEHIND) * view.counts[row, column])
     )
     chance = (np.arange(len(groom)) * 0.6180339887498949) % 1.0
     shown = seen > 0.5

@@ -36,6 +36,10 @@ MOST_APART, PASSED = 0.12, 3.0
 # hair or skin by color: steps of each channel, share from which a label is sure, share of the picture that must be, a color's
 # likelihood that is none, how much a color can say, and the share of either from which on the other is not asked
 COLORS, SURE, LEAST_SURE, LEAST_LIKELY, STRONGEST, DOUBT = 24, 0.8, 0.002, 1e-6, 20.0, 0.08
+PERSON = ("skin", "hair", "brows", "beard", "eyes", "lips", "mouth", "ears", "neck")
+# share of a pixel from which on its color is a thing's, how much likelier than the person's a color must be to be one, and
+# how far around it that is asked, as a share of the side; beyond, the person's colors are read
+THING, FOREIGN, AROUND_THING = 0.3, 8.0, 0.12
 MESH_PARTS = {
     "eyes": ("left_eyeball", "right_eyeball"), "mouth": ("mouth_interior", "upper_teeth", "lower_teeth", "tongue"),
     "lips": ("lips",), "brows": ("brows",), "ears": ("ears",), "scalp": ("scalp",), "neck": ("neck",), "skin": (),
@@ -124,7 +128,7 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
         eyes = torch.from_numpy(mesh[[tuple(MESH_PARTS).index(name) for name in ("eyes", "mouth")]]).amax(0)[None, None]
         features = functional.max_pool2d(eyes, 2 * AROUND_EYES + 1, 1, AROUND_EYES)
         features = functional.interpolate(features, pixels.shape[2:])[0, 0]
-        divided = _by_color(sharp, pixels[0, :3], features)
+        divided = _things(_by_color(sharp, pixels[0, :3], features), pixels[0, :3])
     return PhotoParts(*_enclosed(divided, eyes).numpy())
 
 
@@ -160,18 +164,9 @@ def _by_color(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
     """
     hair, skin = (LABELS.index(name) for name in ("hair", "skin"))
     both = shares[hair] + shares[skin]
-    smooth = functional.avg_pool2d(picture[None], 3, 1, 1, count_include_pad=False)[0]
-    cell = (smooth.clamp(0, 1) * (COLORS - 1)).round().long()
-    number = ((cell[0] * COLORS + cell[1]) * COLORS + cell[2]).flatten()
-    likely = []
-    for label in (hair, skin):
-        sure = (shares[label] * (shares[label] > SURE)).flatten()
-        if float(sure.sum()) < LEAST_SURE * sure.numel():
-            return shares
-        counted = torch.bincount(number, sure, COLORS**3).reshape(1, 1, COLORS, COLORS, COLORS)
-        for _ in range(2):
-            counted = functional.avg_pool3d(counted, 3, 1, 1)
-        likely.append((counted.flatten() / counted.sum())[number].reshape(both.shape) + LEAST_LIKELY)
+    likely = [_likelihood(picture, shares[label] * (shares[label] > SURE)) for label in (hair, skin)]
+    if likely[0] is None or likely[1] is None:
+        return shares
     evidence = (likely[0] / likely[1]).log()[None, None]
     ratio = functional.avg_pool2d(evidence, 5, 1, 2, count_include_pad=False)[0, 0].exp().clamp(1.0 / STRONGEST, STRONGEST)
     told = shares[hair] / both.clamp_min(1e-6)
@@ -180,6 +175,43 @@ def _by_color(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
     divided = shares.clone()
     divided[hair], divided[skin] = both * told, both * (1.0 - told)
     return divided
+
+
+def _likelihood(picture: Tensor, sure: Tensor) -> Tensor | None:
+    """How likely each pixel's color [3, H, W] is where something surely is, [H, W] likewise; None where it is nowhere."""
+    if float(sure.sum()) < LEAST_SURE * sure.numel():
+        return None
+    smooth = functional.avg_pool2d(picture[None], 3, 1, 1, count_include_pad=False)[0]
+    cell = (smooth.clamp(0, 1) * (COLORS - 1)).round().long()
+    number = ((cell[0] * COLORS + cell[1]) * COLORS + cell[2]).flatten()
+    counted = torch.bincount(number, sure.flatten(), COLORS**3).reshape(1, 1, COLORS, COLORS, COLORS)
+    for _ in range(2):
+        counted = functional.avg_pool3d(counted, 3, 1, 1)
+    return (counted.flatten() / counted.sum())[number].reshape(sure.shape) + LEAST_LIKELY
+
+
+def _things(shares: Tensor, picture: Tensor) -> Tensor:
+    """Give what has the color of a thing in front of the person, and hardly any of the person has, to the thing.
+
+    Around it the network sees neither skin nor hair, and calls what the mesh has there.
+
+    Args:
+        shares: Of the labels, [L, H, W].
+        picture: [3, H, W].
+    """
+    other, person = LABELS.index("other"), [LABELS.index(name) for name in PERSON]
+    own = shares[person].sum(0)
+    thing = _likelihood(picture, shares[other] * (shares[other] > THING))
+    reach = round(AROUND_THING * max(own.shape))
+    around = functional.max_pool2d((shares[other] > THING)[None, None].float(), 2 * reach + 1, 1, reach)[0, 0]
+    body = _likelihood(picture, own * (own > SURE) * (1.0 - around))
+    if thing is None or body is None:
+        return shares
+    taken = shares.clone()
+    foreign = functional.avg_pool2d((thing > FOREIGN * body)[None, None].float(), 5, 1, 2)[0, 0].round() * around
+    taken[other] += foreign * own
+    taken[person] *= 1.0 - foreign
+    return taken
 
 
 def _believed(shares: Tensor, mesh: np.ndarray) -> Tensor:

@@ -87,6 +87,21 @@ def test_dark_sockets_are_no_glasses_but_lenses_with_a_bridge_are(tracks, head):
     assert bridged(np.where(bar, 0.8, sockets), mesh)
 
 
+def test_a_board_before_half_a_face_is_a_thing_with_all_of_its_color(tracks, head):
+    track = tracks["astronaut"]
+    before = parse(track, head)
+    board = np.zeros(track.image.shape[:2], bool)
+    x, top, chin = (int(value) for value in (*track.landmarks[1, :1], *track.landmarks[[10, 152], 1]))
+    board[top - (chin - top) // 3 : chin, x : x + (chin - top)] = True
+    image = np.where(board[..., None], np.float32([0.28, 0.44, 0.64]), track.image)
+    after = parse(dataclasses.replace(track, image=image), head)
+    hidden = board & (before.skin + before.hair > 0.9)
+    assert hidden.sum() > 3000
+    assert after.other[hidden].mean() > 0.9
+    assert after.hair[hidden].mean() < 0.05
+    assert after.other[~board & (before.skin > 0.9)].mean() < 0.05
+
+
 def test_what_is_left_out_is_said(tracks, head):
     said = left_out([tracks["admiral"], tracks["astronaut"]], head)
     assert any("hat" in sentence and "admiral.jpg" in sentence for sentence in said)

@@ -16,11 +16,12 @@ from .contact import FINE, Obstacle, held_out, moved, rigid_motion
 from .strands import evened, lengths_of
 
 LONG = 0.06  # metres: shorter strands reach no shoulder
-ROOT_SHARE = 0.3  # of a vertex's skinning weights that the root joint has from where on it does not turn with the head
-STILL = 0.001  # metres that these may move in the head's axes before it counts, as they do with a raised brow
+ROOT_SHARE = 0.3  # of a vertex's skinning weights that the root joint has from where on it is a shoulder's or the neck's
+FIXED_SHARE = 0.6  # and from where on it neither turns with the head nor moves with the jaw
+STILL = 0.002  # metres that the fixed ones may move in the head's axes before it counts, as they do with a raised brow
 GIVES = 0.006  # metres that strands may sink in where it begins to count, so that nothing jumps
 ROUNDS = 4
-TOUCHED = 1e-5  # metres that a place is moved by more than rounding does
+TOUCHED, SHALLOW = 1e-5, 1e-3  # metres: moves beyond rounding, and up to where one round is enough
 
 
 @dataclass(frozen=True)
@@ -75,7 +76,7 @@ class Shoulders:
         `compiled` as of `contact.held_out`.
         """
         count = int(np.searchsorted(self.rows, len(strands)))
-        rigid, own = np.asarray(self.head.regions["scalp"]), np.asarray(self.head.weights)[:, 0] > ROOT_SHARE
+        rigid, own = np.asarray(self.head.regions["scalp"]), np.asarray(self.head.weights)[:, 0] > FIXED_SHARE
         turn, shift = rigid_motion(vertices[rigid], self.rest[rigid])
         upright = vertices @ turn.T + shift
         far = float(np.linalg.norm(upright[own] - self.rest[own], axis=1).max())
@@ -88,8 +89,9 @@ class Shoulders:
         obstacle, clear = Obstacle(body, turn, shift), self.clear[:count] - np.float32(gives)
         offsets = np.zeros((count, self.lengths.shape[1] + 1, 3), np.float32)
         offsets = held_out(fine, offsets, self.lengths[:count], clear, obstacle, 1, compiled)
-        some = np.flatnonzero((np.abs(offsets) > TOUCHED).any((1, 2)))
-        offsets = held_out(fine[some], offsets[some], self.lengths[some], clear[some], obstacle, ROUNDS, compiled)
+        most = np.abs(offsets).max((1, 2))
+        deep, some = np.flatnonzero(most > SHALLOW), np.flatnonzero(most > TOUCHED)
+        offsets[deep] = held_out(fine[deep], offsets[deep], self.lengths[deep], clear[deep], obstacle, ROUNDS, compiled)
         result = strands.copy()
-        result[rows[some]] = moved(strands[rows[some]], offsets)
+        result[rows[some]] = moved(strands[rows[some]], offsets[some])
         return result

@@ -95,3 +95,12 @@ def test_the_compiled_kernel_does_what_its_twin_does(long):
     off = np.abs(fast - slow).max(2)
     assert (off < 3e-4).mean() > 0.995
     assert off.max() < 0.005
+
+
+@pytest.mark.parametrize("name", ["jawOpen", "browInnerUp", "mouthStretchLeft"])
+def test_faces_do_not_move_shoulders(head, long, name):
+    expression = np.zeros(len(head.expression_names))
+    expression[list(head.expression_names).index(name)] = 1.0
+    vertices = np.asarray(head.vertices(np.zeros(300), expression, head.pose_of(expression, np.zeros((5, 3)))), float)
+    before = long.followed(vertices)
+    assert long.shoulders[0].left(vertices, before) is before

@@ -35,7 +35,9 @@ BUST = 0.075  # metres above the lowest vertex: an edge of the skin below that i
 RAGGED, ABOVE = 0.010, 0.006  # metres: how far locks end apart at the rim, and how far above it on average
 SHORT, LONG = 0.03, 0.06  # metres: hair so short stays on the skin that it grows on and beside the ears; longer is pushed
 CLEARANCE, LYING = 0.001, 0.025  # metres that hair stays above the skin; share of its length that ends lie higher, in layers
-TORN, UNDER = 1.5, 0.012  # a segment that gets so many times longer when it is pushed out from so deep, metres, ends its strand
+# a segment that gets so many times longer, or keeps no more of its direction, when it is pushed out from so deep, metres, ends
+# its strand
+TORN, TURNED, UNDER = 1.5, 0.3, 0.012
 _INSIDE = ("mouth_interior", "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes")
 _ROUNDS = 3  # of pushing
 TINY = 1e-6
@@ -117,8 +119,9 @@ class Body:
 
     def untorn(self, strands: np.ndarray, pushed: np.ndarray) -> np.ndarray:
         """Pushed strands [N, K, 3], cut where they were on their way through the head: they would lie across a face."""
-        before, after = (np.linalg.norm(np.diff(part, axis=1), axis=2) for part in (strands, pushed))
-        torn = after > TORN * before + CLEARANCE
+        steps, moved = np.diff(strands, axis=1), np.diff(pushed, axis=1)
+        before, after = np.linalg.norm(steps, axis=2), np.linalg.norm(moved, axis=2)
+        torn = (after > TORN * before + CLEARANCE) | ((steps * moved).sum(2) < TURNED * before * after)
         some = np.flatnonzero(torn.any(1))
         heights = self.heights(strands[some].reshape(-1, 3))[0].reshape(len(some), strands.shape[1])
         torn = torn[some] & (np.minimum(heights[:, 1:], heights[:, :-1]) < -UNDER)

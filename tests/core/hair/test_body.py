@@ -163,3 +163,15 @@ def test_a_strand_that_goes_through_the_head_ends_where_it_enters(body):
     assert longest[2] < 1.5 * longest[0]
     np.testing.assert_array_equal(ended[0, 0], pushed[0, 0])
     np.testing.assert_array_equal(ended[1], pushed[1])
+
+
+def test_a_strand_that_turns_into_the_head_does_not_come_out_elsewhere(body):
+    """Its segments keep their lengths when they are pushed out, and would lie across the cheek."""
+    beside = np.array([[0.062, y, 0.048] for y in np.linspace(0.072, 0.022, 6)])
+    inwards = 1e-3 * np.array([[49.0, 20, 46], [39, 18, 45], [29, 16, 44], [24, 8, 42], [22, -1, 40]])
+    strands = np.concatenate([beside, inwards])[None]
+    pushed = body.pushed(strands)
+    ended = body.untorn(strands, pushed)
+    assert pushed[0, :, 2].max() > 0.056
+    assert ended[0, :, 2].max() < 0.054
+    np.testing.assert_array_equal(ended[0, 0], pushed[0, 0])

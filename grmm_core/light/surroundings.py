@@ -22,7 +22,6 @@ MAX_SPOTS = 3
 _SPOT_RADIUS = math.radians(18.0)  # at most
 _SMALL = math.radians(12.0)  # diameter up to which a spot is a sun; a larger one is a window or a soft box
 _SMALL_SHARE, _LARGE_SHARE = 0.08, 0.25  # of the whole light that makes a spot worth a lamp of its own
-_LEAST = 0.02  # irradiance anywhere, of the mean: nine numbers of a strong narrow light swing below 0 beside it
 _STEPS = 4
 _SPOT_FLOOR = 0.2  # of its peak: what is darker does not belong to a spot
 _ROWS = 128  # a larger picture is averaged down
@@ -107,7 +106,7 @@ class Surroundings:
                 break
             spots.append(spot)
         smooth = Surroundings.of_directions(directions.reshape(-1, 3), image.reshape(-1, 3), solid.reshape(-1))
-        return _checked(Surroundings(_without_swing(smooth.coefficients), tuple(spots)))
+        return _checked(Surroundings(smooth.coefficients, tuple(spots)))
 
     def irradiance(self, normals: np.ndarray) -> np.ndarray:
         """Irradiance of the coefficients on unshadowed surfaces with unit normals [N, 3]: linear RGB, [N, 3]."""
@@ -164,17 +163,6 @@ def _averaged(image: np.ndarray) -> np.ndarray:
     step = max(1, image.shape[0] // _ROWS)
     rows, columns = image.shape[0] // step, image.shape[1] // step
     return image[: rows * step, : columns * step].reshape(rows, step, columns, step, 3).mean((1, 3))
-
-
-def _without_swing(coefficients: np.ndarray) -> np.ndarray:
-    """Coefficients [9, 3] whose higher bands are weaker where irradiance would fall below 0 (Sloan 2008, by the Laplacian)."""
-    bands = basis(sphere(256)[0]) * BANDS
-    degree = np.array([0] + [1] * 3 + [2] * 5)
-    for strength in (0.0, *np.geomspace(0.002, 64.0, 32)):
-        weaker: np.ndarray = coefficients / (1.0 + strength * (degree * (degree + 1)) ** 2)[:, None]
-        if (bands @ weaker >= _LEAST * bands[:, :1] * coefficients[:1]).all():
-            break
-    return weaker
 
 
 def _take_spot(image: np.ndarray, directions: np.ndarray, solid: np.ndarray) -> SunSpot | None:

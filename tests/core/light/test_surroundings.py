@@ -67,21 +67,6 @@ def test_a_window_becomes_a_wide_lamp():
     np.testing.assert_allclose(with_spots(found, normals()), exact, atol=0.05 * exact.max())
 
 
-def test_no_side_of_strong_narrow_worlds_is_dark_in_one_color_only():
-    """What is left when all spots are taken: nine numbers alone would be below 0 beside it, in one color before the others."""
-    directions, _ = picture_directions(64, 128)
-    for wide in (10.0, 25.0, 40.0):
-        picture = np.full((64, 128, 3), 0.02)
-        for around in (0.0, 0.9, 1.8, 2.7, 3.6):  # more than become lamps
-            towards = np.array([math.sin(around), 0.2, math.cos(around)]) / math.hypot(1.0, 0.2)
-            picture[directions @ towards > math.cos(math.radians(wide))] = [30.0, 20.0, 5.0]
-        left = Surroundings.of_picture(picture).irradiance(normals(300))
-        assert left.min() > 0.0
-        exact = truth(picture, normals(300))
-        found = with_spots(Surroundings.of_picture(picture), normals(300))
-        assert np.abs(found - exact).mean() < 0.08 * exact.max()
-
-
 def test_light_turns_with_the_world():
     directions, _ = picture_directions(64, 128)
     sky = Surroundings.of_picture(np.maximum(directions[..., [1, 1, 0]], 0.0) + 0.1)

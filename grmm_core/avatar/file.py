@@ -156,6 +156,7 @@ def load_avatar(path: str | os.PathLike[str]) -> Avatar:
 
 
 def _groom(header: AvatarHeader, tensors: dict[str, np.ndarray]) -> Groom | None:
+    """The strands of a file; lashes of versions that stood wrong on lids that move are the package's."""
     groom = restored_parts(tensors)
     if groom is None or header.format_version >= OWN_LASHES or header.head.name != HEAD:
         return groom

@@ -42,29 +42,22 @@ def test_a_soft_sky_is_held_by_nine_numbers():
     )
 
 
-def test_the_sun_of_a_picture_becomes_a_lamp():
+@pytest.mark.parametrize(
+    ("around", "radius", "radiance", "share"),
+    [(0.3, 2.5, (900.0, 700.0, 400.0), 0.03), (0.1, 14.0, (60.0, 45.0, 25.0), 0.05)],
+    ids=["sun", "window"],
+)
+def test_the_sun_of_a_picture_and_a_window_become_lamps(around, radius, radiance, share):
     directions, _ = picture_directions(96, 192)
     towards = np.array([0.48, 0.64, 0.6])
-    picture = np.full((96, 192, 3), 0.3)
-    picture[directions @ towards > math.cos(math.radians(2.5))] = [900.0, 700.0, 400.0]
+    picture = np.full((96, 192, 3), around)
+    picture[directions @ towards > math.cos(math.radians(radius))] = radiance
     found = Surroundings.of_picture(picture)
     (spot,) = found.spots
     assert spot.direction @ towards > math.cos(math.radians(1.0))
-    assert math.degrees(spot.angle) == pytest.approx(5.0, rel=0.2)
-    np.testing.assert_allclose(with_spots(found, normals()), truth(picture, normals()), rtol=0.03, atol=0.3)
-
-
-def test_a_window_becomes_a_wide_lamp():
-    directions, _ = picture_directions(96, 192)
-    towards = np.array([0.48, 0.64, 0.6])
-    picture = np.full((96, 192, 3), 0.1)
-    picture[directions @ towards > math.cos(math.radians(14.0))] = [60.0, 45.0, 25.0]
-    found = Surroundings.of_picture(picture)
-    (spot,) = found.spots
-    assert spot.direction @ towards > math.cos(math.radians(1.0))
-    assert math.degrees(spot.angle) == pytest.approx(28.0, rel=0.1)
+    assert math.degrees(spot.angle) == pytest.approx(2 * radius, rel=0.2 if radius < 5 else 0.1)
     exact = truth(picture, normals())
-    np.testing.assert_allclose(with_spots(found, normals()), exact, atol=0.05 * exact.max())
+    np.testing.assert_allclose(with_spots(found, normals()), exact, atol=share * exact.max())
 
 
 def test_light_turns_with_the_world():

@@ -27,6 +27,7 @@ from .sources import ViewportShot
 REST_SECONDS = 0.2  # without a newer request before full detail is made
 MOVING_DEGREES = 8.0  # that an avatar may have turned before its colors are made anew while the view moves
 RESTING_DEGREES = 0.5  # the same when it rests
+MOVING_SPREAD, RESTING_SPREAD = 1.0, 0.02  # the same of what close-ups widen Gaussians by, as a share of the most
 
 _log = logging.getLogger(__name__)
 
@@ -77,7 +78,7 @@ class _Made:
 
     scene: ViewportShot
     level: int
-    directions: tuple[np.ndarray, ...]
+    seen: tuple[sources.Seen, ...]
     packed: Packed
     messages: tuple[str, ...]
 
@@ -103,7 +104,7 @@ class SplatJobs(LatestRequestThread[SplatRequest, Drawable]):
         self.pace = Pace()
         self._clock = clock
         self._made: _Made | None = None  # of the thread
-        self._parts: dict[int, tuple[AvatarShot, int, np.ndarray, arrays.WorldGaussians]] = {}  # of the thread
+        self._parts: dict[int, tuple[AvatarShot, int, sources.Seen, arrays.WorldGaussians]] = {}  # of the thread
 
     def of(self, request: SplatRequest, seconds: float) -> Drawable | None:
         """Take the newest, after waiting for what a request asks for; that may be another's where it does not come in time."""
@@ -125,15 +126,13 @@ class SplatJobs(LatestRequestThread[SplatRequest, Drawable]):
         if made is not None and self._goes_along(made, request):
             made = None  # the viewport moves what it has: coarser ones would be no better
         else:
-            if made is None or not self._serves(made, request, request.level, MOVING_DEGREES):
+            if made is None or not self._serves(made, request, request.level):
                 made = self._make(request, request.level)
             self._show(made, request)
         if request.playing:
             return True
         self._wait_for_rest(lambda: self._wanted is not request)
-        if self._wanted is request and (
-            made is None or not self._serves(made, request, request.finest, RESTING_DEGREES, exact=True)
-        ):
+        if self._wanted is request and (made is None or not self._serves(made, request, request.finest, resting=True)):
             self._show(self._make(request, request.finest), request)
         return True
 
@@ -143,29 +142,28 @@ class SplatJobs(LatestRequestThread[SplatRequest, Drawable]):
             return False
         pairs = zip(made.scene.shots, request.scene.shots, strict=True)
         placed = all(same_shot(dataclasses.replace(one, model_to_world=other.model_to_world), other) for one, other in pairs)
-        return placed and self._seen_alike(made, request, MOVING_DEGREES)
+        return placed and self._seen_alike(made, request)
 
-    def _serves(self, made: _Made, request: SplatRequest, level: int, degrees: float, exact: bool = False) -> bool:
-        """Whether Gaussians fit a request; finer ones than needed do, unless `exact`."""
-        if made.scene.shots is not request.scene.shots or made.level > level or (exact and made.level != level):
+    def _serves(self, made: _Made, request: SplatRequest, level: int, resting: bool = False) -> bool:
+        """Whether Gaussians fit a request; finer ones than needed do while the view moves."""
+        if made.scene.shots is not request.scene.shots or made.level > level or (resting and made.level != level):
             return False
-        return self._seen_alike(made, request, degrees)
+        return self._seen_alike(made, request, resting)
 
-    def _seen_alike(self, made: _Made, request: SplatRequest, degrees: float) -> bool:
-        """Whether the colors are those of the request's view, or nearly."""
-        return all(
-            _angle(direction, sources.view_direction(shot, request.camera)) <= degrees
-            for direction, shot in zip(made.directions, request.scene.shots, strict=True)
-        )
+    def _seen_alike(self, made: _Made, request: SplatRequest, resting: bool = False) -> bool:
+        """Whether colors and close-up are those of the request's view, or nearly."""
+        limits = (RESTING_DEGREES, RESTING_SPREAD) if resting else (MOVING_DEGREES, MOVING_SPREAD)
+        pairs = zip(made.seen, request.scene.shots, strict=True)
+        return all(seen.near(sources.seen_by(shot, request.camera), *limits) for seen, shot in pairs)
 
     def _make(self, request: SplatRequest, level: int) -> _Made:
         started = self._clock()
         found, messages = [], [request.scene.message] if request.scene.message else []
-        directions = tuple(sources.view_direction(shot, request.camera) for shot in request.scene.shots)
+        views = tuple(sources.seen_by(shot, request.camera) for shot in request.scene.shots)
         parts = {}
-        for index, (shot, direction) in enumerate(zip(request.scene.shots, directions, strict=True)):
+        for index, (shot, seen) in enumerate(zip(request.scene.shots, views, strict=True)):
             known = self._parts.get(index)
-            if known is not None and known[1] == level and same_shot(known[0], shot) and _angle(known[2], direction) == 0.0:
+            if known is not None and known[1] == level and same_shot(known[0], shot) and known[2].near(seen, 0.0, 0.0):
                 part = known[3]
             else:
                 try:
@@ -173,12 +171,12 @@ class SplatJobs(LatestRequestThread[SplatRequest, Drawable]):
                 except GrmmError as error:
                     messages.append(str(error) if shot.name in str(error) else f"{shot.name}: {error}")
                     continue
-            parts[index] = (shot, level, direction, part)
+            parts[index] = (shot, level, seen, part)
             found.append(part)
         self._parts = parts
         packed = arrays.pack(arrays.WorldGaussians.concatenate(found))
         self.pace.record(level, self._clock() - started)
-        self._made = _Made(request.scene, level, directions, packed, tuple(messages))
+        self._made = _Made(request.scene, level, views, packed, tuple(messages))
         return self._made
 
     def _picture(self, request: SplatRequest) -> Drawable:
@@ -200,13 +198,6 @@ def _nothing(request: SplatRequest, message: str) -> Drawable:
     empty = arrays.pack(arrays.WorldGaussians.concatenate([]))
     messages = (message,) if message else ()
     return Drawable(empty, arrays.depth_order(empty, request.camera), request, request.level, messages)
-
-
-def _angle(one: np.ndarray, other: np.ndarray) -> float:
-    """Degrees between unit vectors; exactly 0 for equal ones."""
-    if np.array_equal(one, other):
-        return 0.0
-    return float(np.degrees(np.arccos(np.clip(one @ other, -1.0, 1.0))))
 
 
 def same_shot(one: AvatarShot, other: AvatarShot) -> bool:

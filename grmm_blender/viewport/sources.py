@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import bpy
 import numpy as np
@@ -18,6 +19,8 @@ from ...grmm_core.light.rough import evened, rough_normals, roughly_lit
 from ...grmm_core.light.shading import Response
 from ...grmm_core.session import CloudArrays, RenderOptions
 from ...grmm_core.session.harmonics import harmonic_basis
+from ...grmm_core.splat.compensation import FINEST, unresolved, widened
+from ...grmm_core.splat.rules import DILATION
 from ...grmm_core.splat.types import GaussianArrays
 from .. import session_host
 from ..engine.pipeline import PLAYED_STRANDS, hair_of, open_instances
@@ -120,6 +123,35 @@ def moved_since(then: ViewportShot, now: ViewportShot) -> np.ndarray | None:
     return steps[0] if np.allclose(turned @ turned.T, np.eye(3), atol=_SAME_STEP) else None
 
 
+class Seen(NamedTuple):
+    """How a camera sees an avatar, as far as its Gaussians depend on it.
+
+    Attributes:
+        direction: Unit vector towards the camera in the avatar's space, [3].
+        unresolved: Close-ups: what their Gaussians are widened by, see `compensation.unresolved`.
+    """
+
+    direction: np.ndarray
+    unresolved: float
+
+    def near(self, other: Seen, degrees: float, spread: float) -> bool:
+        """Whether directions differ by so many degrees at most, and spreads by a share of the widest."""
+        most = DILATION**0.5 * FINEST * spread
+        return angle(self.direction, other.direction) <= degrees and abs(self.unresolved**0.5 - other.unresolved**0.5) <= most
+
+
+def seen_by(shot: AvatarShot, camera: Camera) -> Seen:
+    """Return how a camera sees an avatar."""
+    return Seen(view_direction(shot, camera), unresolved(camera.transformed(shot.model_to_world), HEAD_CENTRE))
+
+
+def angle(one: np.ndarray, other: np.ndarray) -> float:
+    """Degrees between unit vectors; exactly 0 for equal ones."""
+    if np.array_equal(one, other):
+        return 0.0
+    return float(np.degrees(np.arccos(np.clip(one @ other, -1.0, 1.0))))
+
+
 def view_direction(shot: AvatarShot, camera: Camera) -> np.ndarray:
     """Unit vector from an avatar towards the camera in the avatar's space, [3]."""
     return camera.transformed(shot.model_to_world).view_direction(HEAD_CENTRE)
@@ -141,9 +173,13 @@ def world_gaussians(shot: AvatarShot, camera: Camera, lod: int) -> WorldGaussian
     colors = found.colors
     if shot.lighting is not None:
         colors = _lit_colors(found, shot, studio_light.in_world(shot, shot.lighting, camera.world_to_camera))
-    return WorldGaussians.place(
-        found.means, found.quats, found.scales, found.opacities, colors, shot.model_to_world, info.antialiased
-    )
+    scales, opacities = found.scales, found.opacities
+    if info.antialiased and lod == 0:  # thinned out ones are wider than that, and strands, which come last, are not learned
+        skin = info.gaussian_count
+        wide, spread = widened(scales[:skin], unresolved(camera.transformed(shot.model_to_world), HEAD_CENTRE))
+        scales = np.concatenate([wide, scales[skin:]])
+        opacities = np.concatenate([opacities[:skin] * spread, opacities[skin:]])
+    return WorldGaussians.place(found.means, found.quats, scales, opacities, colors, shot.model_to_world, info.antialiased)
 
 
 def _lit_colors(found: GaussianArrays, shot: AvatarShot, lighting: Lighting) -> np.ndarray:

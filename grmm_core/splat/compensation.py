@@ -22,22 +22,33 @@ if TYPE_CHECKING:
 FINEST = 4e-4  # metres of a pixel in the nearest of the pictures that a model learned from
 
 
-def widened(scales: Array, camera: Camera, target: np.ndarray) -> tuple[Array, Array | float]:
+def unresolved(camera: Camera, target: np.ndarray) -> float:
+    """What a camera in a model's space lacks of the spread that training pictures gave Gaussians, square metres of the model.
+
+    Every picture spreads Gaussians by a share of a pixel: 0 where pixels are `FINEST` or larger.
+
+    Args:
+        camera: From where they are seen, `Camera.transformed` by the model's placement, which may scale it.
+        target: Where pixels are measured, [3].
+    """
+    scale = abs(np.linalg.det(camera.world_to_camera[:3, :3])) ** (1.0 / 3.0)
+    depth = 1.0 if camera.orthographic else max(float(camera.project(target[None])[0][0, 2]), NEAR)
+    return max(0.0, DILATION * (FINEST**2 - (depth / (camera.fx * scale)) ** 2))
+
+
+def widened(scales: Array, missing: float) -> tuple[Array, Array | float]:
     """Widen Gaussians in a close-up by what a pixel of the training pictures did: the smoothing filter in 3D.
 
-    Every picture spreads Gaussians by a share of a pixel. Those of an iris learned to be a closed surface with it; nearer than
-    they were seen, the spread shrinks to nothing and gaps open. From `FINEST` on nothing is changed.
+    Those of an iris learned to be a closed surface with it; nearer than they were seen, the spread shrinks to nothing and gaps
+    open.
 
     Args:
         scales: Standard deviations, the last along the surface's normal, which stays, [N, 3].
-        camera: From where they are seen.
-        target: Where pixels are measured, [3].
+        missing: See `unresolved`; nothing is changed where it is 0.
 
     Returns:
         Scales [N, 3], and what the opacities are to be multiplied by, [N] or 1.
     """
-    depth = 1.0 if camera.orthographic else max(float(camera.project(target[None])[0][0, 2]), NEAR)
-    missing = DILATION * (FINEST**2 - (depth / camera.fx) ** 2)
     if missing <= 0.0:
         return scales, 1.0
     flat = (scales[:, :2] ** 2 + missing) ** 0.5
@@ -47,7 +58,7 @@ def widened(scales: Array, camera: Camera, target: np.ndarray) -> tuple[Array, A
 
 def filtered(gaussians: Gaussians, camera: Camera, target: np.ndarray) -> Gaussians:
     """Gaussians as a camera shall see them: `widened` where it is near, and their opacities with `compensation`."""
-    scales, spread = widened(gaussians.scales, camera, target)
+    scales, spread = widened(gaussians.scales, unresolved(camera, target))
     kept = compensation(gaussians.means, gaussians.quats, scales, camera)
     return replace(gaussians, scales=scales, opacities=gaussians.opacities * kept * spread)
 

@@ -10,6 +10,8 @@ import pytest
 from blender_process import RunBlender
 
 from grmm_core.geometry.camera import Camera
+from grmm_core.splat.compensation import FINEST
+from grmm_core.splat.rules import DILATION
 
 pytestmark = pytest.mark.blender
 
@@ -67,6 +69,16 @@ def test_pictures_are_those_of_the_rasteriser(drawn, kind, antialiased):
     assert (wanted[..., 3] > 0.5).mean() > 0.1
     assert error.mean() < MEAN_ERROR
     assert np.quantile(error, 0.999) < TAIL_ERROR
+
+
+def test_close_ups_have_no_gaps(drawn):
+    found, _ = drawn
+    plain, near, far, thinned = found["widths"]  # metres
+    wide = DILATION**0.5 * FINEST
+    assert plain < 0.7 * wide
+    assert near >= 0.99 * wide
+    assert far == thinned == plain
+    assert found["paler"] < 0.01  # what is widened covers as much
 
 
 def test_order_is_from_far_to_near(drawn):
@@ -204,6 +216,7 @@ def test_without_graphics_nothing_fails(run_blender: RunBlender, weights: Path, 
     assert found["other_hair"] == [True, False]  # a hairstyle alone is a reason to draw
     assert found["camera_moved"] == []
     assert found["turned"] == [["a", 2, 1.0], ["a", 0, 1.0]]
+    assert found["neared"] == [[], [["a", 0, 1.0]], []]
     assert found["error"] == ["a: The model worker ended."]
     assert found["defect"] == ["Splats cannot be shown (ZeroDivisionError: oops)."]
     assert found["thinned"] <= 100

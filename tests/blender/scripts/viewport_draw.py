@@ -5,6 +5,7 @@ The test compares what this stores with the CPU rasteriser, which Blender 5.2 do
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from pathlib import Path
 from types import SimpleNamespace
@@ -136,6 +137,21 @@ direction = module("grmm_blender.viewport.sources").view_direction(viewport._sce
 found = module("grmm_blender.session_host").get_session().gaussians(info.id, viewport._scene.shots[0].controls, direction)
 for name in ("means", "quats", "scales", "opacities", "colors"):
     stored[f"avatar_{name}"] = getattr(found, name)
+# In a close-up, what learned to be a closed surface is as wide as a pixel of the pictures it learned from.
+sources, session_host = module("grmm_blender.viewport.sources"), module("grmm_blender.session_host")
+shot, far, near = viewport._scene.shots[0], viewport._asked.camera, camera_class.orbit(*SIZE, distance=0.02)
+near = near.transformed(np.linalg.inv(shot.model_to_world))
+small = SimpleNamespace(gaussians=lambda *_, **__: found._replace(scales=0.02 * found.scales))
+kept, session_host.get_session = session_host.get_session, lambda: small
+opened, widths, covers = session_host.open_avatar, [], []
+for antialiased_one, eye, lod in ((False, near, 0), (True, near, 0), (True, far, 0), (True, near, 1)):
+    session_host.open_avatar = lambda _, flag=antialiased_one: dataclasses.replace(info, antialiased=flag)
+    part = sources.world_gaussians(shot, eye, lod)
+    spread = np.sort(np.linalg.eigvalsh(part.covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)))[:, 1:]
+    widths.append(float(spread.min() ** 0.5))
+    covers.append(np.sqrt(spread.prod(-1)) * part.opacities)
+session_host.get_session, session_host.open_avatar = kept, opened
+report(widths=widths, paler=float(np.abs(covers[0] - covers[1]).max() / covers[0].max()))
 solid = alone[..., 3] > 0.98
 RED, BLUE = (1.0, 0.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
 half = SIZE[0] // 2

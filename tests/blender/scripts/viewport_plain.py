@@ -82,9 +82,9 @@ ticks = itertools.count()
 jobs = jobs_module.SplatJobs(clock=lambda: float(next(ticks)), wait_for_rest=lambda is_outdated: None)
 
 
-def served(scene_shots, yaw: float, playing: bool = False) -> list[list[object]]:
+def served(scene_shots, yaw: float, playing: bool = False, distance: float = 1.0) -> list[list[object]]:
     log.clear()
-    camera = camera_class.orbit(64, 64, yaw=yaw)
+    camera = camera_class.orbit(64, 64, yaw=yaw, distance=distance)
     jobs.request(jobs_module.SplatRequest(scene_shots, camera, level=2, finest=0, playing=playing))
     if not jobs.wait(60):
         raise RuntimeError("stuck")
@@ -101,6 +101,9 @@ report(other_hair=[jobs_module.same_shot(shots.shots[0], one) for one in (shot_c
 report(camera_moved=served(shots, 0.2))
 # Turned so far that colors are stale: they come in the moving level first, then in full.
 report(turned=served(shots, 40.0))
+# So near that pixels are finer than those of training pictures: Gaussians are widened once the view rests.
+report(neared=[served(shots, 40.0, distance=distance) for distance in (0.5, 0.02, 0.0201)])
+served(shots, 40.0)
 plan.error = errors.SessionError("The model worker ended.")
 served(sources.ViewportShot(tuple([*shots.shots])), 0.0)
 served(sources.ViewportShot((shot_class("a", "default", controls_class(), np.eye(4) * 1.0),)), 80.0)

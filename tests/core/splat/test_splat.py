@@ -13,7 +13,7 @@ from splat_scenes import OUTPUTS, SCENES, assert_parity, leaves_of, orbit, pulle
 from grmm_core.errors import BackendError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.splat import Gaussians, available_backends, rasterize
-from grmm_core.splat.compensation import FINEST, compensation, filtered
+from grmm_core.splat.compensation import FINEST, compensation, filtered, unresolved
 from grmm_core.splat.rules import NEAR, View
 
 BACKENDS = [info.name for info in available_backends() if info.available and info.name != "cuda"]
@@ -176,6 +176,15 @@ def test_a_close_up_is_the_same_for_arrays_and_tensors(orthographic):
         np.testing.assert_allclose(getattr(arrays, name), getattr(tensors, name).numpy(), rtol=2e-3, atol=1e-9)
     assert (arrays.scales[:, :2] > 1.1e-4).all()
     np.testing.assert_array_equal(arrays.scales[:, 2], sheet(np.asarray).scales[:, 2])
+
+
+def test_a_scaled_model_is_near_where_its_own_pixels_are_fine():
+    middle, camera = np.array([0.0, 0.0, 1.0]), Camera(np.eye(4), 9000.0, 9000.0, 32, 32, 64, 64)
+    here = unresolved(camera, middle)
+    assert here > 0
+    for scale in (0.1, 10.0):
+        assert unresolved(camera.transformed(np.diag([scale, scale, scale, 1.0])), middle) == pytest.approx(here)
+    assert unresolved(Camera(np.eye(4), 2000.0, 2000.0, 32, 32, 64, 64), middle) == 0
 
 
 @each_backend

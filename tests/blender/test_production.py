@@ -68,8 +68,11 @@ def test_presets_menus_and_operators(run_blender: RunBlender, blender_version: s
         assert label, name
         assert len(description) > 10, name
         assert not description.endswith("."), name  # Blender adds it
-        assert f"grmm.{name}" in result["drawn"], name  # the search finds what a menu holds
+        # The search finds what a menu holds; buttons that mean nothing outside of their panel stay out of it.
+        assert (f"grmm.{name}" in result["drawn"]) != (name in result["internal"]), name
         assert incomplete == [], name
+    assert {"Cancel", "Remove"} & {result["described"][name][0] for name in result["internal"]}
+    assert {"Look At", "Blinking", "Breathing", "Face Bones"} <= set(result["labels"])
     assert "GRMM_MT_expression_presets" in result["drawn"]
     assert result["places"] == [True, True]
 

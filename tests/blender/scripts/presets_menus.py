@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 from rig_support import fresh_head
@@ -68,14 +69,16 @@ report(removed=not own[0].exists())
 bpy.ops.grmm.render_preset_add(remove_name=True, name="mine")
 
 # Every operator: described, with a class, in a menu that the search looks into.
-described, drawn = {}, []
+described, drawn, labels = {}, [], []
 
 
 class Recorder:
     operator_context = ""
 
-    def operator(self, name: str, **_: object) -> None:
+    def operator(self, name: str, text: str = "", **_: object) -> SimpleNamespace:
         drawn.append(name)
+        labels.append(text)
+        return SimpleNamespace()
 
     def menu(self, name: str, **_: object) -> None:
         drawn.append(name)
@@ -87,10 +90,13 @@ class Recorder:
 
 
 Recorder().menu("GRMM_MT_main")
+internal = [
+    name for name in dir(bpy.ops.grmm) if "INTERNAL" in getattr(getattr(bpy.types, f"GRMM_OT_{name}"), "bl_options", ())
+]
 for name in dir(bpy.ops.grmm):
     kind = getattr(bpy.ops.grmm, name).get_rna_type()
     described[name] = [kind.name, kind.description, [p.identifier for p in kind.properties if not p.is_hidden
                        and p.identifier != "rna_type" and not (p.name and p.description)]]  # fmt: skip
-report(described=described, drawn=drawn)
+report(described=described, drawn=drawn, labels=labels, internal=internal)
 shown_in = [bpy.types.VIEW3D_MT_object, bpy.types.VIEW3D_MT_pose]
 report(places=[any(f.__module__.endswith("menus") for f in menu.draw._draw_funcs) for menu in shown_in])

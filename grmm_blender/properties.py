@@ -11,6 +11,7 @@ import bpy
 
 from ..grmm_core.controls.names import JOINT_NAMES
 from ..grmm_core.hair import SETTINGS
+from ..grmm_core.session.values import MAX_WRINKLES
 from .declare import choice, flag, number, text, whole
 from .hair import grooms
 from .hair.grooms import HAIR_ITEMS, OWN_HAIR, PART_ITEMS, label_of
@@ -147,6 +148,10 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
     skin_detail: number("Skin Detail", "Factor of pores and furrows in highlights; 0: smooth as the mesh", **_FACTOR)
     skin_scattering: number("Scattering", "How far light wanders inside the skin: softer, redder edges of shadows", **_FACTOR)
     shadow_softness: number("Shadow Softness", "Factor of the size that lamps have for shadows on the avatar", **_FACTOR)
+    wrinkles: number(
+        "Wrinkles", "Factor of the furrows that expressions draw into the skin of pictures; 0: none",
+        **{**_FACTOR, "soft_max": 2.0, "max": MAX_WRINKLES},
+    )  # fmt: skip
     live_detail: flag(
         "Learned Detail on Mesh",
         "Keep the residual shape key up to date with the model, so that the mesh shows the learned displacement",

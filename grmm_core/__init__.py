@@ -14,6 +14,7 @@ The map, from the ground up; each part uses only those above it:
 ``hair``                                strands bound to the head's triangles: posed, shaped, colored, drawn as Gaussians
 ``avatar``                              `.grmm` files, and the library of avatars that come with the package
 ``model``                               the paper's networks, weights, and the one way from inputs to a picture
+``wrinkles``                            furrows that an expression draws into the skin
 ``inference``                           the model again without torch: numpy, numba and onnxruntime
 ``performance`` ``formats``             animation files, splat and mesh files
 ``session``                             open, deform, render: in this process or in a worker process

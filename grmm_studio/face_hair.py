@@ -8,8 +8,9 @@ import numpy as np
 
 from grmm_core.hair.lashes import lash_edges
 from grmm_core.head import HeadModel
+from grmm_core.wrinkles.noise import smoothstep, wave_noise
 
-from .fields import beard_density, smoothstep, wave_noise
+from .fields import beard_density
 from .hair import Roots, skin_triangles
 from .mesh import RenderMesh
 from .subjects import Subject

@@ -10,41 +10,13 @@ import math
 
 import numpy as np
 
+from grmm_core.wrinkles.noise import bump, smoothstep, wave_noise
+
 HEAD_CENTRE = np.array([0.0, 0.045, 0.0])
 # Hairline of the mean head: azimuth in degrees from the front (0) to the nape (180), height in metres.
 HAIRLINE_AZIMUTH = (0.0, 20.0, 35.0, 48.0, 60.0, 70.0, 80.0, 92.0, 104.0, 118.0, 140.0, 180.0)
 HAIRLINE_HEIGHT = (0.101, 0.102, 0.099, 0.080, 0.058, 0.022, 0.016, 0.034, 0.030, -0.012, -0.032, -0.040)
 RECEDED_HEIGHT = (0.123, 0.133, 0.138, 0.122, 0.075, 0.028, 0.016, 0.034, 0.030, -0.012, -0.032, -0.040)
-
-
-def smoothstep(low: float | np.ndarray, high: float | np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Cubic step from 0 at `low` to 1 at `high`."""
-    t = np.clip((x - low) / (np.asarray(high) - low), 0.0, 1.0)
-    return t * t * (3.0 - 2.0 * t)
-
-
-def bump(
-    points: np.ndarray, centre: tuple[float, float, float], radii: tuple[float, float, float], mirror: bool = True
-) -> np.ndarray:
-    """Gaussian blob around a template point, on both sides where `mirror`; points [..., 3] -> [...]."""
-    p = points.copy()
-    if mirror:
-        p[..., 0] = np.abs(p[..., 0])
-    return np.exp(-(((p - np.array(centre)) / np.array(radii)) ** 2).sum(-1))
-
-
-def wave_noise(points: np.ndarray, scale: float, seed: int, octaves: int = 3) -> np.ndarray:
-    """Smooth noise in about -1..1 from sums of random plane waves; points [..., 3] in metres, scale in metres."""
-    g = np.random.default_rng(seed)
-    total = np.zeros(points.shape[:-1])
-    weight = 0.0
-    for octave in range(octaves):
-        amplitude = 0.55**octave
-        for _ in range(5):
-            direction = g.normal(0, 1, 3)
-            total += amplitude * np.sin(points @ direction * (2.0 * math.pi * 1.9**octave / scale / 1.7) + g.uniform(0, 6.3))
-        weight += amplitude
-    return total / (weight * 2.2)
 
 
 def azimuth(points: np.ndarray) -> np.ndarray:

@@ -16,8 +16,8 @@ from scipy.spatial import cKDTree
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.hair.lashes import rigid
 from grmm_core.head import HeadModel
+from grmm_core.wrinkles.noise import bump, smoothstep
 
-from .fields import bump, smoothstep
 from .mesh import region_vertices
 from .subjects import Subject
 

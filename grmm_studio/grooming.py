@@ -7,9 +7,10 @@ import numpy as np
 from grmm_core.hair.groom import Groom, bind, join
 from grmm_core.hair.roots import BEARD, BROWS, LASHES, SCALP
 from grmm_core.head import HeadModel
+from grmm_core.wrinkles.noise import smoothstep
 
 from .face_hair import Hairs, beard, brows, lashes
-from .fields import scalp_density, smoothstep
+from .fields import scalp_density
 from .grooms import KNOTS, growth_of, tail_points
 from .hair import Roots, Skull, grow, resample, shortened, skin_triangles
 from .mesh import RenderMesh

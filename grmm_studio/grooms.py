@@ -11,7 +11,9 @@ from functools import partial
 
 import numpy as np
 
-from .fields import azimuth, smoothstep, wave_noise
+from grmm_core.wrinkles.noise import smoothstep, wave_noise
+
+from .fields import azimuth
 from .styles import BALD, STYLES, Style
 from .subjects import Subject
 

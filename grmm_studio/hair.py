@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from grmm_core.head import HeadModel
+from grmm_core.wrinkles.noise import smoothstep, wave_noise
 
-from .fields import smoothstep, wave_noise
 from .grooms import Growth
 from .mesh import RenderMesh, region_vertices
 from .styles import Style

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .fields import bump, smoothstep, wave_noise
+from grmm_core.wrinkles.noise import bump, smoothstep, wave_noise
+
 from .subjects import Subject, skin_albedo
 
 LIPSTICKS = (

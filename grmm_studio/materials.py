@@ -13,11 +13,11 @@ import bpy
 import numpy as np
 
 from grmm_core.data.layers import ALBEDO, PARTS
+from grmm_core.wrinkles.families import LINE_DEPTH
 
 from .passes import PART_OUTPUTS
 from .subjects import Subject
 from .textures import SkinTextures
-from .wrinkles import LINE_DEPTH
 
 Socket = Any  # a bpy node socket, or a constant for it
 TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068, 0.0100, 0.0095)  # from the middle outwards, metres

@@ -14,15 +14,15 @@ from scipy.spatial import cKDTree
 
 from grmm_core.hair.lashes import lash_edges
 from grmm_core.head import HeadModel
+from grmm_core.wrinkles.lines import paint_lines
+from grmm_core.wrinkles.noise import bump, smoothstep
 
 from . import fields
 from .face_hair import beard_field, brow_density
-from .fields import smoothstep
 from .grooms import growth_of
 from .marks import Canvas, paint_marks
 from .mesh import region_vertices
 from .subjects import Subject, skin_albedo
-from .wrinkles import paint_lines
 
 LATTICE = 64  # cells of the periodic noise lattice
 
@@ -141,8 +141,8 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     color = _mix(fields.eye_shadow(rest) * g.uniform(0.2, 0.9), color, dark)
     if s.freckles > 0.05:
         zone = (
-            fields.bump(rest, (0.03, 0.008, 0.10), (0.035, 0.025, 0.05))
-            + fields.bump(rest, (0, 0.01, 0.115), (0.02, 0.02, 0.02), False)
+            bump(rest, (0.03, 0.008, 0.10), (0.035, 0.025, 0.05))
+            + bump(rest, (0, 0.01, 0.115), (0.02, 0.02, 0.02), False)
             + 0.2
         )
         zone = np.clip(zone * smoothstep(0.35, 0.6, noise(rest, 80.0, seed + 5)), 0, 1)
@@ -195,8 +195,7 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
     height = height + (noise(rest, 190.0, seed + 9, 2) - 0.5) * 0.0006 * (0.35 + s.wrinkles) * (1 - mouth)
     height = height + (lip_lines - 0.5) * 0.0006 * lips
     oily = np.clip(
-        fields.bump(rest, (0, 0.03, 0.11), (0.02, 0.05, 0.03), False)
-        + 0.6 * fields.bump(rest, (0, 0.085, 0.10), (0.035, 0.02, 0.03), False),
+        bump(rest, (0, 0.03, 0.11), (0.02, 0.05, 0.03), False) + 0.6 * bump(rest, (0, 0.085, 0.10), (0.035, 0.02, 0.03), False),
         0,
         1,
     )
@@ -209,7 +208,7 @@ def paint_skin(subject: Subject, atlas: Atlas) -> SkinTextures:
         albedo=np.clip(canvas.color, 0, 1).astype(np.float16)[atlas.nearest],
         groove_albedo=np.asarray(dark / skin_albedo(s.melanin, s.blood)),
         detail=np.stack([canvas.height, groove, canvas.roughness], -1).astype(np.float16)[atlas.nearest],
-        lines=(paint_lines(s, rest) * (1 - mouth)[:, None]).astype(np.float16)[atlas.nearest],
+        lines=(paint_lines(rest, s.asymmetry, s.wrinkles) * (1 - mouth)[:, None]).astype(np.float16)[atlas.nearest],
     )
 
 

@@ -23,7 +23,7 @@ from grmm_core.hair.packaged import GROOM_SUFFIX, groom_folder
 from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from grmm_core.hair.strands import points_needed
 from grmm_core.head import HeadModel, load_open_head
-from grmm_studio.fields import smoothstep
+from grmm_core.wrinkles.noise import smoothstep
 from grmm_studio.grooming import make_groom
 from grmm_studio.grooms import KNOTS
 from grmm_studio.mesh import RenderMesh

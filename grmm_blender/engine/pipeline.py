@@ -160,7 +160,10 @@ def _options(frame: Frame, settings: DrawSettings, items: list[passes.RenderPass
 
 
 def _placed(shot: AvatarShot, number: int, controls: Controls, hair: HairUse) -> Instance:
-    return Instance(number, controls, shot.model_to_world, hair=hair, response=shot.response, lighting=shot.own_light)
+    return Instance(
+        number, controls, shot.model_to_world, hair=hair, response=shot.response, lighting=shot.own_light,
+        wrinkles=shot.wrinkles,
+    )  # fmt: skip
 
 
 def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:

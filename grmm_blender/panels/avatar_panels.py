@@ -49,6 +49,7 @@ class _Avatar(AvatarPanel):
             row = layout.row()
             row.active = settings.live_detail
             row.prop(settings, "detail_in_playback")
+            layout.prop(settings, "wrinkles", slider=True)
         # what no runtime draws is no fault of the file: the sentence below says what to do
         wrong = avatar.missing_file or (live.state_of(avatar).message if runtime_status().available else "")
         problem = wrong or live.limitation(avatar)

@@ -102,7 +102,7 @@ class DrawnAvatar:
         response, own_light = _light(settings, self.avatar.source)
         return AvatarShot(
             self.avatar.name, self.avatar.source, controls, self.model_to_world, cuts, hair=hair, strands=strands, note=note,
-            response=response, own_light=own_light,
+            response=response, own_light=own_light, wrinkles=settings.wrinkles,
         )  # fmt: skip
 
     def _hair(

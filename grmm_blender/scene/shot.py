@@ -38,6 +38,7 @@ class AvatarShot:
         lighting: What lights it in a viewport of splats; None: as `response` says, in the shot of the scene.
         lit_by_view: That light turns with the view and is in its axes, y up and z to the viewer; else in the world's.
         own_light: Light that it takes in the place of the scene's, in head space.
+        wrinkles: Factor of the furrows of its expression.
     """
 
     name: str
@@ -51,6 +52,7 @@ class AvatarShot:
     lighting: Lighting | None = None
     lit_by_view: bool = False
     own_light: Lighting | None = None
+    wrinkles: float = 1.0
     strands: StrandShot | None = None
     note: str = ""
 

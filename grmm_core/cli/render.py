@@ -76,6 +76,9 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--light", action="append", default=[], metavar="LIGHT", help=f"light it by {FORMS}; several times for several lights"
     )
+    parser.add_argument(
+        "--wrinkles", type=float, default=1.0, metavar="X", help="factor of the furrows of the expression (default: 1)"
+    )
     parser.add_argument("--yaw", type=float, default=0.0, help="camera angle to the subject's left, degrees (default: 0)")
     parser.add_argument("--pitch", type=float, default=0.0, help="camera angle upwards, degrees (default: 0)")
     parser.add_argument("--distance", type=float, default=PORTRAIT_DISTANCE, help="metres from the head (default: %(default)s)")
@@ -131,7 +134,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             if number < first:
                 continue
             start = time.perf_counter()
-            buffers = session.render([Instance(avatar.id, posed, hair=worn, response=response)], camera, options)
+            shown = Instance(avatar.id, posed, hair=worn, response=response, wrinkles=args.wrinkles)
+            buffers = session.render([shown], camera, options)
             seconds += time.perf_counter() - start
             target = path if played is None else frame_path(path, number)
             written = write_buffers(target, buffers, args.passes, args.background is not None)

@@ -92,19 +92,20 @@ def roughly_lit(colors: np.ndarray, normals: np.ndarray, lighting: Lighting, int
         intensity: Factor of the light.
     """
     harmonics = basis(normals.astype(np.float32)).astype(np.float32)
-    light, rig = (harmonics @ coefficients.astype(np.float32) for coefficients in (_coefficients(lighting), _rig()))
+    light, rig = (harmonics @ coefficients.astype(np.float32) for coefficients in (harmonics_of(lighting), rig_harmonics()))
     ratio = np.clip(light * np.float32(intensity) / np.maximum(rig, 1e-3), 0.0, MAX_RATIO)
     found: np.ndarray = colors * ratio ** np.float32(1.0 / _GAMMA)
     return found
 
 
 @functools.cache
-def _rig() -> np.ndarray:
-    return _coefficients(STUDIO)
+def rig_harmonics() -> np.ndarray:
+    """`harmonics_of` the studio's rig; not to be written to."""
+    return harmonics_of(STUDIO)
 
 
-def _coefficients(lighting: Lighting) -> np.ndarray:
-    """Irradiance of a ball in the head's place as harmonics of its normals, [9, 3]."""
+def harmonics_of(lighting: Lighting) -> np.ndarray:
+    """Irradiance of a ball in the place of a head, in whose space the light is, as harmonics of its normals, [9, 3]."""
     normals, solid = sphere(_DIRECTIONS)
     total = np.zeros((len(normals), 3))
     if lighting.surroundings is not None:

@@ -30,6 +30,7 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..hair.ribbons import Eye
+from ..light.lamps import Lighting
 from ..light.mesh_light import LitSurface
 from ..light.relight import relit, relit_pixels
 from ..model.config import GRMMConfig
@@ -37,9 +38,11 @@ from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_
 from ..model.store import Model
 from ..splat.compensation import filtered
 from ..splat.types import Gaussians, RasterOutput
+from ..wrinkles.furrows import Furrows
 from .api import CancelCheck
 from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
+from .furrowed import furrows_of
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
 from .passes import ROUNDING, Channels, buffers, empty, light_of, strands_of
 from .shading_hair import Hair
@@ -83,11 +86,12 @@ Placed = PlacedAvatar | PlacedCloud
 
 @dataclass(frozen=True)
 class Gathered:
-    """What a picture is drawn from: the instances, each one's Gaussians and lit mesh, and what their channels mean."""
+    """What a picture is drawn from: the instances, each one's Gaussians, lit mesh and furrows, and what their channels mean."""
 
     placed: Sequence[Placed]
     parts: list[Gaussians]
     surfaces: list[LitSurface | None]
+    furrows: list[Furrows | None]
     channels: Channels
 
 
@@ -103,11 +107,12 @@ def gather(
     check = _canceller(should_cancel)
     check()
     channels = _plan(placed, options)
-    gathered = Gathered(placed, [], [], channels)
+    gathered = Gathered(placed, [], [], [], channels)
     for index, item in enumerate(placed):
         own, surface = _gaussians(item, index, evaluator, wardrobe, camera, options, channels, single=len(placed) == 1)
         gathered.parts.append(own)
         gathered.surfaces.append(surface)
+        gathered.furrows.append(_furrows(item, evaluator, options))
         check()
     return gathered
 
@@ -130,6 +135,8 @@ def draw(
     refined = raster.rgb
     if _refines(options):
         refined = _refine(placed, raster, channels, options, check)
+    if any(gathered.furrows):
+        refined = _furrowed(gathered, refined, raster, camera)
     if channels.light is not None:
         raster = _read_from_meshes(gathered, raster, camera)
         refined = _relit(refined, raster, channels.light)
@@ -148,6 +155,17 @@ def _read_from_meshes(gathered: Gathered, raster: RasterOutput[Any], camera: Cam
             local = camera.transformed(item.instance.model_to_world)
             surface.read_into(features, channels.light, depth, alpha, channels.skin, local)
     return dataclasses.replace(raster, features=as_like(features, present(raster.features)))
+
+
+def _furrowed(gathered: Gathered, refined: Any, raster: RasterOutput[Any], camera: Camera) -> Any:
+    """The picture with furrows; the splatted one stays as it is."""
+    picture, skin = np.array(to_numpy(refined), np.float32, order="C"), gathered.channels.skin
+    share = None if skin is None else to_numpy(present(raster.features))[..., skin]
+    for item, furrows in zip(gathered.placed, gathered.furrows, strict=True):
+        if furrows is not None:
+            local = camera.transformed(item.instance.model_to_world)
+            furrows.draw(picture, to_numpy(raster.depth), to_numpy(raster.alpha), share, local)
+    return as_like(picture, refined)
 
 
 def _relit(refined: Any, raster: RasterOutput[Any], which: slice) -> Any:
@@ -284,14 +302,29 @@ def _gaussians(
     return Gaussians(means, quats, scales, own.opacities, own.colors, stacked), surface
 
 
+def _furrows(item: Placed, evaluator: Evaluator, options: RenderOptions) -> Furrows | None:
+    """The furrows of one instance, in the light that falls on it; none of what is no avatar."""
+    if isinstance(item, PlacedCloud):
+        return None
+    still = at_rest(evaluator, item.target, item.inputs)
+    return furrows_of(evaluator, item.target, item.inputs, still, item.instance.wrinkles, _lighting(item, options))
+
+
+def _lighting(item: PlacedAvatar, options: RenderOptions) -> Lighting | None:
+    """The light of one instance in its head space; None: the studio's."""
+    response, own = item.instance.response, item.instance.lighting
+    if own is None and response is not None and options.lighting is not None:
+        own = options.lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
+    return own if response is not None else None
+
+
 def _light(
     item: Placed, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
     strands: Gaussians | None, count: int,
 ) -> tuple[list[np.ndarray], LitSurface | None]:  # fmt: skip
     """What light does to one instance: its Gaussians in parts of [N, LIGHT_CHANNELS], and its mesh; nothing where unlit."""
-    response, own = item.instance.response, item.instance.lighting
-    if own is None and response is not None and options.lighting is not None:
-        own = options.lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
+    response = item.instance.response
+    own = None if isinstance(item, PlacedCloud) else _lighting(item, options)
     if isinstance(item, PlacedCloud) or response is None or own is None:
         return [np.tile(UNLIT, (count, 1))], None
     hair = None

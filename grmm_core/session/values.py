@@ -31,6 +31,7 @@ EMPTY_DEPTH = 1.0e10
 """Depth in metres of pixels that no Gaussian covers: Blender's value for an empty Z pass."""
 MAX_LOD = 3
 FINAL_STRANDS, MAX_STRANDS = 2.0, 8.0
+MAX_WRINKLES = 4.0
 """Of `RenderOptions.strands`: for final pictures, and at most."""
 CLOUD_TERMS = (1, 4, 9, 16)
 """Numbers of spherical harmonics that a cloud may have: those of the degrees 0 to 3."""
@@ -144,6 +145,7 @@ class Instance:
         hair: What it wears.
         response: How it takes the light of `RenderOptions.lighting`; None: it stays in the studio's light, as learned.
         lighting: Light of its own in the place of that, in head space, such as a photo's.
+        wrinkles: Factor of the height of the furrows that its expression draws, 0 to `MAX_WRINKLES`.
     """
 
     avatar_id: int
@@ -152,8 +154,11 @@ class Instance:
     hair: HairUse = field(default_factory=HairUse)
     response: Response | None = None
     lighting: Lighting | None = None
+    wrinkles: float = 1.0
 
     def __post_init__(self) -> None:
+        if not 0.0 <= self.wrinkles <= MAX_WRINKLES:  # neither is NaN
+            raise ConfigError(f"The factor of the wrinkles is {self.wrinkles}; it must be 0 to {MAX_WRINKLES:g}.")
         matrix = np.array(self.model_to_world, np.float64)
         if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
             raise ShapeError("An avatar's placement must be a 4x4 matrix of finite numbers.")

@@ -9,11 +9,13 @@ from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.hair.lashes import Lashes
 from grmm_core.hair.roots import LASHES
 from grmm_core.head.open_head import load_people_model
-from grmm_studio.fields import bump
+from grmm_core.wrinkles.families import DRIVERS, line_depth
+from grmm_core.wrinkles.lines import paint_lines
+from grmm_core.wrinkles.noise import bump
 from grmm_studio.grooming import make_groom
 from grmm_studio.mesh import RenderMesh, region_vertices
 from grmm_studio.subjects import draw_subject
-from grmm_studio.wrinkles import DRIVERS, LineField, line_depth, paint_lines
+from grmm_studio.wrinkles import LineField
 
 OLD, YOUNG = 0, 20  # people of seed 5, aged 55 and 26
 
@@ -65,7 +67,7 @@ def test_one_side_moves_alone(head, people):
 
 
 def test_lines_deepen_with_age_and_nobody_has_none(people):
-    assert line_depth(people[OLD]) > 1.5 * line_depth(people[YOUNG]) > 0.45
+    assert line_depth(people[OLD].wrinkles) > 1.5 * line_depth(people[YOUNG].wrinkles) > 0.45
 
 
 def test_blood_follows_the_expression(head, people):
@@ -82,9 +84,9 @@ def test_blood_follows_the_expression(head, people):
 def test_painted_lines_are_personal_and_where_they_belong(people):
     x, y = np.meshgrid(np.linspace(-0.06, 0.06, 121), np.linspace(-0.07, 0.1, 171))
     front = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.10)], 1)
-    lines = paint_lines(people[OLD], front)
-    np.testing.assert_array_equal(lines, paint_lines(people[OLD], front))
-    assert np.abs(lines - paint_lines(people[YOUNG], front)).max() > 0.5
+    lines = paint_lines(front, people[OLD].asymmetry, people[OLD].wrinkles)
+    np.testing.assert_array_equal(lines, paint_lines(front, people[OLD].asymmetry, people[OLD].wrinkles))
+    assert np.abs(lines - paint_lines(front, people[YOUNG].asymmetry, people[YOUNG].wrinkles)).max() > 0.5
     assert lines.min() >= -1.0
     assert lines.max() <= 0.5
     forehead = lines[:, 0].reshape(x.shape)[y[:, 0] > 0.068]

@@ -1,0 +1,84 @@
+"""The furrows of an avatar's expression: what a session keeps of them. `compose` calls."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.libraries import to_numpy
+from ..head import load_open_head, load_people_model
+from ..light.lamps import Lighting
+from ..light.rough import harmonics_of, rig_harmonics
+from ..light.transfer import vertex_normals
+from ..wrinkles.furrows import Furrows, sizes_of
+from ..wrinkles.relief import FINER, Relief, age_of, seed_of
+from .evaluator import Evaluator, Inputs, OpenAvatar
+
+_MIDDLE = 0.5  # of a pixel or texel
+
+
+def furrows_of(
+    evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, still: Inputs, strength: float, lighting: Lighting | None
+) -> Furrows | None:
+    """The furrows of an avatar; None where its face is smooth, and on heads other than the open one.
+
+    Those of its face at rest and of the photos that it was made from are in its colors.
+
+    Args:
+        evaluator: Of the session.
+        target: Who.
+        inputs: Of the frame.
+        still: Of the person at rest.
+        strength: Factor of their height.
+        lighting: Light in head space; None: the studio's.
+    """
+    head, layout = target.model.head_model, target.model.layout
+    moved = not np.array_equal(inputs.expression, still.expression)
+    if not strength or not moved or head.name != load_open_head().name:
+        return None
+
+    def paint() -> Relief:
+        own = target.avatar.shape
+        return Relief.of(head, layout.uv, layout.grid, seed_of(own), age_of(own, load_people_model()))
+
+    relief = Relief(*evaluator.cache.get((target.id, "furrow relief"), paint))
+
+    held = np.stack([still.expression, *_of_photos(target, len(still.expression))])
+
+    def hold() -> tuple[np.ndarray]:
+        return (relief.driven(*held),)
+
+    def rise() -> tuple[np.ndarray, ...]:
+        left = relief.driven(inputs.expression)
+        if held.any():
+            left = left - evaluator.cache.get((target.id, "furrows held", held.tobytes()), hold)[0]
+        heights = relief.heights(left)
+        return () if heights is None else (sizes_of(heights * np.float32(strength)),)
+
+    key = (inputs.expression.tobytes(), held.tobytes(), strength)
+    levels = evaluator.cache.get((target.id, "furrow heights", *key), rise)
+    if not levels:
+        return None
+    vertices = to_numpy(evaluator.mesh(target, inputs).vertices).astype(np.float32)
+
+    def lie() -> tuple[np.ndarray, ...]:
+        corners = np.asarray(layout.uv)[head.uv_faces[relief.faces]] * (layout.grid * FINER) - _MIDDLE - relief.corner[::-1]
+        return np.ascontiguousarray(head.faces[relief.faces], np.int32), corners.astype(np.float32)
+
+    def lean() -> tuple[np.ndarray]:
+        return (vertex_normals(vertices, head.faces).astype(np.float32),)
+
+    faces, places = evaluator.cache.get((target.id, "furrow places"), lie)
+    normals = evaluator.cache.get((target.id, "vertex normals", *inputs.mesh_key), lean)[0]
+    light = rig_harmonics() if lighting is None else harmonics_of(lighting)
+    size = int(relief.size[0]), int(relief.size[1])
+    return Furrows(levels[0], size, faces, places, vertices, normals, light.astype(np.float32))
+
+
+def _of_photos(target: OpenAvatar, count: int) -> np.ndarray:
+    """Expression coefficients in the photos that an avatar was made from, [P, count]."""
+    tracked = target.avatar.tracking.get("expression", np.zeros((0, 0), np.float32))
+    found = np.zeros((len(tracked) if tracked.ndim == 2 else 0, count), np.float32)
+    if len(found):
+        shared = min(count, tracked.shape[1])
+        found[:, :shared] = tracked[:, :shared]
+    return found

@@ -12,6 +12,7 @@ from PIL import Image
 
 from grmm_core.avatar.library import LIBRARY_PREFIX, library_names
 from grmm_core.controls.frame import Controls
+from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.geometry.camera import Camera
 from grmm_core.pictures.images import quantize
 from grmm_core.session import FINAL_STRANDS, create_session
@@ -28,14 +29,28 @@ EXPRESSIONS: tuple[Mapping[str, float], ...] = (
 )  # fmt: skip
 
 
+FURROWED = ("default", "library:grey", "library:bald")
+FURROWING = (
+    ("browInnerUp", "browOuterUp"),
+    ("browDown", "noseSneer"),
+    ("mouthSmile", "cheekSquint"),
+    ("mouthPucker", "mouthShrugLower"),
+)
+
+
+def both(names: Sequence[str], weight: float = 0.9) -> dict[str, float]:
+    """ARKit shapes of the given names, without their sides, at one weight."""
+    return {name: weight for name in ARKIT_NAMES if name.removesuffix("Left").removesuffix("Right") in names}
+
+
 def camera(size: int, yaw: float, fov: float = 18.0) -> Camera:
     """A head and its shoulders, square."""
     return Camera.orbit(size, size, yaw=yaw, pitch=4.0, distance=1.1, fov=fov, target=(0.0, -0.005, 0.015))
 
 
-def drawn(session: Session, number: int, expression: Mapping[str, float], view: Camera) -> np.ndarray:
+def drawn(session: Session, number: int, expression: Mapping[str, float], view: Camera, wrinkles: float = 1.0) -> np.ndarray:
     """One picture, uint8 [H, W, 3]."""
-    instance = Instance(number, Controls().set_named(expression))
+    instance = Instance(number, Controls().set_named(expression), wrinkles=wrinkles)
     return quantize(session.render([instance], view, RenderOptions(background=PAPER, strands=FINAL_STRANDS))["rgb"])
 
 
@@ -61,6 +76,10 @@ def main() -> int:
         ]
         rows = [tile for i in range(0, len(plain), 8) for tile in (*plain[i : i + 8], *moved[i : i + 8])]
         sheet(rows, 8).save(arguments.out / "library.jpg", quality=85)
+        faces = [session.open(name).id for name in FURROWED]
+        near = camera(arguments.size, 15.0, 12.0)
+        tiles = [drawn(session, who, both(each), near, much) for who in faces for much in (0.0, 1.0) for each in FURROWING]
+        sheet(tiles, 8).save(arguments.out / "wrinkles.jpg", quality=85)
         people = [session.sample(seed).id for seed in range(24)]
         tiles = [drawn(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(people)]
         sheet(tiles, 8).save(arguments.out / "random_people.jpg", quality=85)

@@ -42,7 +42,7 @@ from ..wrinkles.furrows import Furrows
 from .api import CancelCheck
 from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
-from .furrowed import furrows_of
+from .furrowed import furrows_of, with_furrows
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
 from .passes import ROUNDING, Channels, buffers, empty, light_of, strands_of
 from .shading_hair import Hair
@@ -86,12 +86,12 @@ Placed = PlacedAvatar | PlacedCloud
 
 @dataclass(frozen=True)
 class Gathered:
-    """What a picture is drawn from: the instances, each one's Gaussians, lit mesh and furrows, and what their channels mean."""
+    """What a picture is drawn from: the instances, their Gaussians, lit meshes and furrows, and what channels mean."""
 
     placed: Sequence[Placed]
     parts: list[Gaussians]
     surfaces: list[LitSurface | None]
-    furrows: list[Furrows | None]
+    furrows: list[tuple[Furrows, Camera]]
     channels: Channels
 
 
@@ -112,7 +112,11 @@ def gather(
         own, surface = _gaussians(item, index, evaluator, wardrobe, camera, options, channels, single=len(placed) == 1)
         gathered.parts.append(own)
         gathered.surfaces.append(surface)
-        gathered.furrows.append(_furrows(item, evaluator, options))
+        if isinstance(item, PlacedAvatar) and not _is_played(options):
+            local, light = camera.transformed(item.instance.model_to_world), _lighting(item, options)
+            found = furrows_of(evaluator, item.target, item.inputs, item.instance.wrinkles, light)
+            if found is not None:
+                gathered.furrows.append((found, local))
         check()
     return gathered
 
@@ -135,8 +139,7 @@ def draw(
     refined = raster.rgb
     if _refines(options):
         refined = _refine(placed, raster, channels, options, check)
-    if any(gathered.furrows):
-        refined = _furrowed(gathered, refined, raster, camera)
+    refined = with_furrows(gathered.furrows, refined, raster, channels.skin)
     if channels.light is not None:
         raster = _read_from_meshes(gathered, raster, camera)
         refined = _relit(refined, raster, channels.light)
@@ -155,17 +158,6 @@ def _read_from_meshes(gathered: Gathered, raster: RasterOutput[Any], camera: Cam
             local = camera.transformed(item.instance.model_to_world)
             surface.read_into(features, channels.light, depth, alpha, channels.skin, local)
     return dataclasses.replace(raster, features=as_like(features, present(raster.features)))
-
-
-def _furrowed(gathered: Gathered, refined: Any, raster: RasterOutput[Any], camera: Camera) -> Any:
-    """The picture with furrows; the splatted one stays as it is."""
-    picture, skin = np.array(to_numpy(refined), np.float32, order="C"), gathered.channels.skin
-    share = None if skin is None else to_numpy(present(raster.features))[..., skin]
-    for item, furrows in zip(gathered.placed, gathered.furrows, strict=True):
-        if furrows is not None:
-            local = camera.transformed(item.instance.model_to_world)
-            furrows.draw(picture, to_numpy(raster.depth), to_numpy(raster.alpha), share, local)
-    return as_like(picture, refined)
 
 
 def _relit(refined: Any, raster: RasterOutput[Any], which: slice) -> Any:
@@ -222,6 +214,10 @@ def _plan(placed: Sequence[Placed], options: RenderOptions) -> Channels:
     return Channels(features, normals, coverage, skin, light, count)
 
 
+def _is_played(options: RenderOptions) -> bool:
+    return options.coarse and options.strands < 1.0
+
+
 def _is_lit(item: Placed, options: RenderOptions) -> bool:
     there = options.lighting is not None or item.instance.lighting is not None
     return there and item.instance.response is not None and isinstance(item, PlacedAvatar)
@@ -238,7 +234,7 @@ def _gaussians(
     model_to_world = item.instance.model_to_world
     local_camera = camera.transformed(model_to_world)
     strands = hiding = surface = None
-    played = options.coarse and options.strands < 1.0
+    played = _is_played(options)
     if isinstance(item, PlacedCloud):
         own = item.target.seen_from(local_camera, options.lod)
     else:
@@ -300,14 +296,6 @@ def _gaussians(
         quats = multiply_quaternions(as_like(matrix_to_quaternion(to_camera[:3, :3] / size), quats), quats)
         scales = scales * size
     return Gaussians(means, quats, scales, own.opacities, own.colors, stacked), surface
-
-
-def _furrows(item: Placed, evaluator: Evaluator, options: RenderOptions) -> Furrows | None:
-    """The furrows of one instance, in the light that falls on it; none of what is no avatar."""
-    if isinstance(item, PlacedCloud):
-        return None
-    still = at_rest(evaluator, item.target, item.inputs)
-    return furrows_of(evaluator, item.target, item.inputs, still, item.instance.wrinkles, _lighting(item, options))
 
 
 def _lighting(item: PlacedAvatar, options: RenderOptions) -> Lighting | None:

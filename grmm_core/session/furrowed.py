@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
-from ..geometry.libraries import to_numpy
+from ..controls.frame import Controls
+from ..geometry.camera import Camera
+from ..geometry.libraries import as_like, present, to_numpy
 from ..head import load_open_head, load_people_model
 from ..light.lamps import Lighting
 from ..light.rough import harmonics_of, rig_harmonics
 from ..light.transfer import vertex_normals
+from ..splat.types import RasterOutput
 from ..wrinkles.furrows import Furrows, sizes_of
 from ..wrinkles.relief import FINER, Relief, age_of, seed_of
 from .evaluator import Evaluator, Inputs, OpenAvatar
@@ -17,7 +23,7 @@ _MIDDLE = 0.5  # of a pixel or texel
 
 
 def furrows_of(
-    evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, still: Inputs, strength: float, lighting: Lighting | None
+    evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, strength: float, lighting: Lighting | None
 ) -> Furrows | None:
     """The furrows of an avatar; None where its face is smooth, and on heads other than the open one.
 
@@ -27,13 +33,12 @@ def furrows_of(
         evaluator: Of the session.
         target: Who.
         inputs: Of the frame.
-        still: Of the person at rest.
         strength: Factor of their height.
         lighting: Light in head space; None: the studio's.
     """
     head, layout = target.model.head_model, target.model.layout
-    moved = not np.array_equal(inputs.expression, still.expression)
-    if not strength or not moved or head.name != load_open_head().name:
+    still = evaluator.inputs(target, Controls()).expression
+    if not strength or np.array_equal(inputs.expression, still) or head.name != load_open_head().name:
         return None
 
     def paint() -> Relief:
@@ -42,7 +47,7 @@ def furrows_of(
 
     relief = Relief(*evaluator.cache.get((target.id, "furrow relief"), paint))
 
-    held = np.stack([still.expression, *_of_photos(target, len(still.expression))])
+    held = np.stack([still, *_of_photos(target, len(still))])
 
     def hold() -> tuple[np.ndarray]:
         return (relief.driven(*held),)
@@ -72,6 +77,24 @@ def furrows_of(
     light = rig_harmonics() if lighting is None else harmonics_of(lighting)
     size = int(relief.size[0]), int(relief.size[1])
     return Furrows(levels[0], size, faces, places, vertices, normals, light.astype(np.float32))
+
+
+def with_furrows(found: Sequence[tuple[Furrows, Camera]], refined: Any, raster: RasterOutput[Any], skin: int | None) -> Any:
+    """A refined picture with furrows, [H, W, 3]; what was splatted stays as it is.
+
+    Args:
+        found: Furrows of avatars, each with the camera in its head space.
+        refined: Premultiplied, [H, W, 3].
+        raster: What it was refined from.
+        skin: Number of the channel that holds how much of the cover is skin; None: all.
+    """
+    if not found:
+        return refined
+    picture = np.array(to_numpy(refined), np.float32, order="C")
+    share = None if skin is None else to_numpy(present(raster.features))[..., skin]
+    for furrows, camera in found:
+        furrows.draw(picture, to_numpy(raster.depth), to_numpy(raster.alpha), share, camera)
+    return as_like(picture, refined)
 
 
 def _of_photos(target: OpenAvatar, count: int) -> np.ndarray:

@@ -67,11 +67,10 @@ _CHANNELS = {
 }  # fmt: skip
 _MIDDLE = ("forehead_middle", "neck", "chin", "lips")
 FAMILIES = tuple(
-    Family(name, side, _CHANNELS[name])
-    for sides in (("",), ("Left",), ("Right",))
-    for side in sides
-    for name in _CHANNELS
-    if (name in _MIDDLE) == (side == "")
+    Family(name, side, channel)
+    for channel in range(CHANNELS)  # in order, which `driven` counts on
+    for name, own in _CHANNELS.items()
+    for side in ((("",) if name in _MIDDLE else ("Left", "Right")) if own == channel else ())
 )
 
 
@@ -137,8 +136,10 @@ def driven(places: np.ndarray, weights: Mapping[str, float]) -> np.ndarray:
         places: Of `family_places`, [F, n].
         weights: ARKit names to their coefficients.
     """
-    amounts = np.zeros((CHANNELS, len(FAMILIES)), places.dtype)
-    for number, family in enumerate(FAMILIES):
-        amounts[family.channel, number] = drive(weights, family.name, family.side) ** 0.8
-    result: np.ndarray = np.minimum(amounts @ places, 1.0).T
-    return result
+    amounts = np.array([drive(weights, family.name, family.side) for family in FAMILIES], places.dtype) ** 0.8
+    result, first = np.empty((CHANNELS, places.shape[1]), places.dtype), 0
+    for channel in range(CHANNELS):
+        last = first + sum(family.channel == channel for family in FAMILIES)
+        np.matmul(amounts[first:last], places[first:last], out=result[channel])
+        first = last
+    return np.minimum(result, 1.0, out=result).T

@@ -19,14 +19,8 @@ from ..light.skin_relief import texel_ways
 from ..light.surroundings import basis
 from ..pictures.color import MIN_ALPHA
 from .families import LINE_DEPTH
+from .shade import BRIGHTEST, DARKEST, DEPTHS, GROOVE, LEVELS, TILT
 
-LEVELS = 4  # sizes of the relief: each half of the last
-TILT = 0.42
-"""Share of the relief's slope that the normal takes: the studio's material takes 0.6, Gaussians are softer than its skin."""
-GROOVE = (0.19, 0.28, 0.28)  # of the light, by color, that the deepest groove loses: blood leaves it red
-DEPTHS = -1.25, 0.5  # limits of a height by `LINE_DEPTH` that counts as deep
-DARKEST, BRIGHTEST = 0.25, 1.6
-"""Limits of the factor: a scene's lamp may leave a slope without any light."""
 _GAMMA = 2.2  # of display values, nearly
 _NEAREST = 1e-3  # metres: faces that reach nearer to the camera are left out
 _ROWS = 96  # of a picture that a task takes at least

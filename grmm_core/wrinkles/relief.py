@@ -88,7 +88,9 @@ class Relief(NamedTuple):
             expressions: Coefficients of the open head, the first of which are ARKit's, [E] each.
         """
         found = [driven(self.places, dict(zip(ARKIT_NAMES, e.tolist(), strict=False))) for e in expressions if e.any()]
-        return np.max(found, axis=0) if found else np.zeros((len(self.pixel), CHANNELS), np.float32)
+        if not found:
+            return np.zeros((len(self.pixel), CHANNELS), np.float32)
+        return found[0] if len(found) == 1 else np.max(found, axis=0)
 
     def heights(self, amounts: np.ndarray) -> np.ndarray | None:
         """How high the skin stands above the smooth one, metres, [*size] float32; None where it is smooth.

@@ -44,6 +44,7 @@ def _before_frame(scene: bpy.types.Scene, *_: object) -> None:
 def _on_frame(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     playing = _is_playing()
     for avatar in avatars_in(scene):
+        _left_rigs.note_place(avatar)
         wrote = _update(avatar, depsgraph, not playing or avatar.object.grmm.detail_in_playback, brief=True)
         if wrote and depsgraph.mode == "RENDER":
             _animate_again(avatar)
@@ -61,6 +62,7 @@ def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         for avatar in avatars_in(scene):
             group_channels(avatar)
     for avatar in _touched(depsgraph.updates):
+        _left_rigs.note_place(avatar)
         _update(avatar, depsgraph)
     for obj in _hair_of(scene, depsgraph.updates):
         display.follow_mode(obj)

@@ -14,7 +14,7 @@
 ``layers``             what adds to named expressions beside their sliders
 ``components``         what single components of the residual codes do, in words
 ``weighted_sums``      sums of hundreds of small shape components, quick from frame to frame
-``left_rigs``          rigs whose heads were deleted
+``left_rigs``          rigs whose heads were deleted, heads whose rigs were
 ``live``               what the add-on keeps up to date: residual key, rest joints
 =====================  =================================================================================
 

@@ -1,15 +1,19 @@
-"""What deleted heads leave: Blender deletes the object that is selected, and the rig of a head is another one."""
+"""What deleted heads and rigs leave: Blender deletes the object that is selected, and the rig of a head is another one."""
 
 from __future__ import annotations
 
 import bpy
+from mathutils import Matrix
 
 from .armature import EXTRA, is_head_rig
 from .avatar import Avatar, is_avatar
 
 
 class LeftRigs:
-    """Notices heads that are deleted, and removes the rigs that they leave behind. `handlers` asks after edits."""
+    """Notices heads that are deleted, and removes the rigs that they leave behind. `handlers` asks after edits.
+
+    A head whose rig is deleted stays, as a mesh with its sliders, where it stood: Blender would drop it to the world's origin.
+    """
 
     def __init__(self) -> None:
         """Know of nothing."""
@@ -17,9 +21,15 @@ class LeftRigs:
         self._rig_of: dict[int, int] = {}  # by head; both by `session_uid`
         self._left: set[int] = set()
         self._gone = False  # heads are, whatever became of their rigs
+        self._places: dict[int, Matrix] = {}  # in the world, of heads
+        self._dropped: set[int] = set()  # heads that have lost their rigs
+
+    def note_place(self, avatar: Avatar) -> None:
+        """Remember where a head stands; asked whenever one may have moved."""
+        self._places[avatar.object.session_uid] = avatar.object.matrix_world.copy()
 
     def notice_deleted(self) -> bool:
-        """Compare the objects with those of the last call; returns whether deleted heads left something to `remove`."""
+        """Compare the objects with those of the last call; returns whether there is something to `remove` or to put back."""
         if len(bpy.data.objects) != self._count:
             self._count = len(bpy.data.objects)
             present, known, self._rig_of = {obj.session_uid for obj in bpy.data.objects}, self._rig_of, {}
@@ -27,23 +37,29 @@ class LeftRigs:
                 rig = Avatar(obj).armature if is_avatar(obj) else None
                 if rig is not None:
                     self._rig_of[obj.session_uid] = rig.session_uid
+                    self.note_place(Avatar(obj))
             gone = {rig for head, rig in known.items() if head not in present}
             self._left |= gone - set(self._rig_of.values())
             self._gone = self._gone or bool(gone)
-        return self._gone
+            self._dropped |= {head for head, rig in known.items() if head in present and rig not in present}
+        return self._gone or bool(self._dropped)
 
     def remove(self) -> None:
-        """Remove the rigs, and what `motion` made for them.
+        """Remove the rigs, and what `motion` made for them; put heads without a rig where they stood, free to be moved.
 
         Linked rigs stay, and those that something else hangs on, or that have other bones than ours.
         """
         for obj in list(bpy.data.objects):
+            if obj.session_uid in self._dropped and obj.session_uid in self._places and obj.library is None and not obj.parent:
+                obj.matrix_world = self._places[obj.session_uid]
+                obj.lock_location = obj.lock_rotation = obj.lock_scale = (False, False, False)
             if obj.session_uid in self._left and obj.library is None and not obj.children and is_head_rig(obj):
                 armature = obj.data
                 bpy.data.objects.remove(obj)
                 if not armature.users:
                     bpy.data.armatures.remove(armature)
         self._left.clear()
+        self._dropped.clear()
         self._gone = False
         remove_unused()
         self._count = len(bpy.data.objects)
@@ -51,6 +67,7 @@ class LeftRigs:
     def forget(self) -> None:
         """Begin anew: another file, or another point of the undo history, is there now."""
         self._count, self._rig_of, self._left, self._gone = -1, {}, set(), False
+        self._places, self._dropped = {}, set()
 
 
 def remove_unused() -> None:

@@ -38,6 +38,7 @@ def test_a_head_is_seen_moved_opened_and_deleted_as_expected(run_blender: RunBle
     assert found["portrait"] == ["Portrait Camera", ["Camera", "Portrait Camera"], "GRMM"]
     assert found["dropped"] == [True, ".grmm", "person.grmm"]
     assert "No avatar file is chosen" in found["none_chosen"]
+    assert found["rig_deleted"] == [True, True, True, False, False]
     assert found["deleted"] == {
         "head": [False, True, False],
         "cube": [False, False, True],

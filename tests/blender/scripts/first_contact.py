@@ -121,6 +121,25 @@ def after_deleting(name: str, hat: bool = False, other_bone: bool = False) -> li
     return [before, noticed, any(obj.type == "ARMATURE" for obj in bpy.data.objects)]
 
 
+# Who deletes a rig alone has the head as a mesh, where it stood and free to be moved.
+startup()
+bpy.ops.grmm.add_head(person="RANDOM", seed=3)
+kept = avatars.avatars_in(bpy.context.scene)[0]
+rig, left_head = kept.armature, kept.object
+rig.location, rig.rotation_euler, rig.scale = (1.0, 2.0, 3.0), (0.0, 0.0, 0.5), (2.0, 2.0, 2.0)
+left_rigs.forget()
+left_rigs.notice_deleted()
+bpy.context.view_layer.update()
+left_rigs.note_place(kept)
+stood = left_head.matrix_world.copy()
+bpy.data.objects.remove(rig)
+bpy.context.view_layer.update()
+jumped = (left_head.matrix_world.translation - stood.translation).length
+noticed_head = left_rigs.notice_deleted()
+left_rigs.remove()
+bpy.context.view_layer.update()
+off = max(abs(a - b) for one, other in zip(left_head.matrix_world, stood, strict=True) for a, b in zip(one, other, strict=True))
+report(rig_deleted=[jumped > 1.0, noticed_head, off < 1e-5, any(left_head.lock_location), left_rigs.notice_deleted()])
 report(
     deleted={
         "head": after_deleting("head"),

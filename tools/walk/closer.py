@@ -44,6 +44,7 @@ def close_up(blender: WalkedBlender) -> None:
 
 def search(blender: WalkedBlender) -> None:
     """Type words into the search."""
+    blender.settle()
     for word in WORDS:
         blender.move(*MIDDLE)
         blender.key("F3")

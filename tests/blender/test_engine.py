@@ -324,6 +324,13 @@ def test_frames_in_any_order_and_process_are_the_same(render_script, blender_ver
     assert len({pictures[name] for name in files if name.startswith("forwards")}) == 4
 
 
+def test_keys_on_the_slider_deepen_the_furrows_of_a_lifted_brow(render_script, blender_version):
+    seen = render_script("engine_wrinkles.py", python=blender_version)
+    assert seen["at_rest"] == 0.0
+    assert seen["value"] == 2.0
+    assert 0.0 < seen["half"] < seen["whole"]
+
+
 def test_two_machines_of_a_farm_render_what_one_does(render_script, blender_version, tmp_path):
     """Odd and even frames in two processes, one of them from the last to the first; a third draws what a lost one left."""
     render_script("engine_farm.py", "make", python=blender_version)

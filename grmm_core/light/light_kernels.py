@@ -270,7 +270,7 @@ TABLE, LINEAR_END, DISPLAY_END = 4096, 1.25, 1.5
 @compiled(inline="always", **OPTIONS)
 def _read(table: np.ndarray, at: float) -> float:
     low = int(at)
-    return table[low] + (at - low) * (table[low + 1] - table[low])
+    return table[low] + (at - np.float32(low)) * (table[low + 1] - table[low])  # numba makes float64 of less an integer
 
 
 @compiled(**OPTIONS)

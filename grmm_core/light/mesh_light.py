@@ -24,6 +24,7 @@ FRONT = 6  # number of the channel that others are premultiplied by (`shading.re
 _LEAST_FRONT = 0.2  # of the texels around a point: what is turned further from the viewer was not lit for it
 _APART = 6.0  # texels from a point to the face beside it in a picture: one of them hides what the other borders on
 _AT_EDGES = 0.5  # of the mesh's light there: one sample a pixel would make steps
+_LEAST = 0.002  # share of the mesh's light in a pixel below which it is left out, as where strands hide skin
 _NEAREST = 1e-3  # metres: faces that reach nearer to the camera are left out
 _ROWS = 96  # of a picture that a task takes at least
 
@@ -111,7 +112,7 @@ class LitSurface(NamedTuple):
         from ..compute.threads import for_rows
         from .mesh_light_kernels import read as compiled_read
 
-        limits = np.array([NEAR, FAR, _LEAST_FRONT, _APART, _AT_EDGES, MIN_ALPHA], np.float32)
+        limits = np.array([NEAR, FAR, _LEAST_FRONT, _APART, _AT_EDGES, MIN_ALPHA, _LEAST], np.float32)
         depth, alpha = (np.ascontiguousarray(array, np.float32) for array in (depth, alpha))
         picture = channels, which.start, which.stop - which.start, depth, alpha, -1 if skin is None else skin
         nothing = np.zeros((0, VALUES), np.float32)
@@ -186,6 +187,7 @@ def read(
         bright = total[:, SHINE].max(1) > DULL * front
         total[:, SHINE] *= np.where(bright[:, None] & (total[:, SHINE] > 0.0), shine[:, None], 1.0)
     amount = np.clip((FAR - np.abs(depth[row, column] - deep)) / (FAR - NEAR), 0.0, 1.0) * share[row, column]
+    amount = np.where(amount < _LEAST, 0.0, amount)
     number = np.full((height + 2, width + 2), -1)
     number[row + 1, column + 1] = face
     edge = np.zeros(len(face), bool)

@@ -69,7 +69,7 @@ def read(
         depth: As there, [H, W].
         alpha: As there, [H, W].
         skin: As there, or below 0.
-        limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, and the least cover, [6].
+        limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, the least cover, and `_LEAST`, [7].
         vertices: [V, 3] metres.
         tilts: As there, [N, VALUES], or [0, VALUES].
         relief: As there, likewise.
@@ -132,6 +132,8 @@ def read(
                 continue
             if skin >= 0:
                 amount *= channels[row, column, skin] / max(alpha[row, column], limits[5])
+                if amount < limits[6]:
+                    continue
             a, b, c = faces[t, 0], faces[t, 1], faces[t, 2]
             ax, ay, bx, by, cx, cy = seen[a, 0], seen[a, 1], seen[b, 0], seen[b, 1], seen[c, 0], seen[c, 1]
             inverse = _1 / ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay))

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..geometry.boxes import box_around
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import triangle_depth
 from ..geometry.zbuffer_numpy import EMPTY
@@ -23,7 +24,13 @@ _BIAS = 0.0003  # metres along the normal: what smooth normals and flat triangle
 _LIFT = 0.35  # pixels along the normal besides, where the surface is steep to the rays: what it is curved within a pixel
 _STEEP = 0.25  # cosine between a surface and a lamp's rays below which its plane is no longer followed
 _AWAY = 0.4  # cosine between normal and a lamp's rays from which on a point is turned away
-_SOFT, _SOFTER = math.radians(1.5), math.radians(12.0)  # half angles from which 4 and 9 places on a lamp are looked from
+_SOFT, _SOFTER = math.radians(1.5), math.radians(12.0)  # half angles from which on 3 and 9 places on a lamp are looked from
+_THIRDS = (np.arange(3) + 0.5) / 3 * 2.0 - 1.0
+# of a lamp's halves across and up: three places that spread as far as four in a square, and nine
+_PATTERNS = {
+    2: [(math.sqrt(0.5) * math.cos(a), math.sqrt(0.5) * math.sin(a)) for a in (math.pi / 2, math.pi * 7 / 6, math.pi * 11 / 6)],
+    3: list(itertools.product(_THIRDS, repeat=2)),
+}
 _SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 _LEAST = 0.002  # metres that a box reaches beyond its points, who are lifted
 _FAR = 12.0  # metres: as far before the receivers a sun's occluders may stand
@@ -54,8 +61,7 @@ class Receivers:
     @staticmethod
     def around(points: np.ndarray, normals: np.ndarray, within: np.ndarray | None = None) -> Receivers:
         """With box and ball around the points, or around fewer others that they lie between."""
-        columns = [(points if within is None else within)[:, k] for k in range(3)]  # much faster than along the first axis
-        low, high = np.array([c.min() for c in columns]), np.array([c.max() for c in columns])
+        low, high = box_around(points if within is None else within)
         centre, corners = 0.5 * (low + high), _SIGNS * (0.5 * (high - low) + _LEAST)
         return Receivers(points, normals, centre, corners, float(np.linalg.norm(corners[0])))
 
@@ -144,7 +150,7 @@ class Maps(NamedTuple):
         shadows on strands are soft and wander smoothly. Points need no normals, and those just inside a head are lit as the
         hair on it.
         """
-        step = math.isqrt(len(self.depths)) + 1  # along the diagonal: what is soft already needs no more
+        step = 4 if len(self.depths) > 3 else 1  # of nine the diagonal: what is soft already needs no more
         across = Maps(self.depths[::step], self.turns[::step], self.shifts[::step], self.focals[::step], self.flat)
         if compiled_kernels() is None:
             parts = [softly(depth, points, one) for depth, one in across.each]
@@ -217,7 +223,6 @@ def _places(lamp: Lamp, receivers: Receivers, softness: float) -> np.ndarray:
     side = 3 if half > _SOFTER else 2 if half > _SOFT else 1
     if side == 1:
         return middle[None]
-    steps = (np.arange(side) + 0.5) / side * 2.0 - 1.0
     if isinstance(lamp, Area):
         shrink = math.sqrt(math.pi) / 2.0 if lamp.ellipse else 1.0
         across, up = np.asarray(lamp.across) * softness * shrink, np.asarray(lamp.up) * softness * shrink
@@ -225,8 +230,7 @@ def _places(lamp: Lamp, receivers: Receivers, softness: float) -> np.ndarray:
         towards = middle if isinstance(lamp, Sun) else middle - receivers.centre
         size = math.tan(half) * (1.0 if isinstance(lamp, Sun) else distance) * math.sqrt(math.pi) / 2.0
         across, up = (axis * size for axis in _axes(towards))
-    grid = [middle + a * across + b * up for a in steps for b in steps]
-    return np.array(grid)
+    return np.array([middle + a * across + b * up for a, b in _PATTERNS[side]])
 
 
 def _axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -14,19 +14,21 @@ from collections.abc import Hashable
 import numpy as np
 
 from ..controls.frame import Controls
+from ..geometry.boxes import box_around
 from ..geometry.libraries import to_numpy
 from ..light.bounce import nearest_points
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
 from ..light.mesh_light import LitSurface, TexelGrid
+from ..light.posture import Posture
 from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
 from ..light.shading import FADING, Learned, Response, facing, reached, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, maps_of
 from ..light.skin_relief import VALUES, lying
 from ..light.surroundings import coefficients_of, mean_irradiance
 from ..light.texel_shadows import TexelShadows
-from ..light.transfer import turn_between, vertex_normals
+from ..light.transfer import vertex_normals
 from ..splat.types import Gaussians
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .shading_hair import Hair
@@ -38,7 +40,6 @@ _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _RIGID = "scalp"  # region whose turn is the head's
 _BOWL = 0.5  # of light from all around that reaches the inner side of an open bust
-_PLACES = 5  # of numbers that a turn is known by: what an expression pulls at the scalp is no turn
 
 
 class LitAvatar:
@@ -63,7 +64,8 @@ class LitAvatar:
         self._hair = hair
         self._head = target.model.head_model
         self._vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
-        self._centre = 0.5 * (self._vertices.min(0) + self._vertices.max(0))
+        self._box = box_around(self._vertices)
+        self._centre = 0.5 * (self._box[0] + self._box[1])
         self.lamps = lighting.strongest(tuple(self._centre))
 
     def channels(self, eye: np.ndarray, strands: Gaussians | None) -> list[np.ndarray]:
@@ -85,7 +87,7 @@ class LitAvatar:
         if strands is None:
             return [skin]
         points, quats = to_numpy(strands.means), to_numpy(strands.quats)
-        these = hashlib.blake2b(np.ascontiguousarray(points).data, digest_size=16).digest()  # combed, swinging, thinned out
+        these = hash(np.ascontiguousarray(points).tobytes())  # combed, swinging, thinned out
         hair = cache.get((owner, "lit hair", these, *key), lambda: (self._strands(points, quats, eye, these),))[0]
         return [skin, hair]
 
@@ -105,7 +107,7 @@ class LitAvatar:
 
     def _skin(self, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rest = self._rest()
-        turn = turn_between(rest.vertices[self._rigid()], self._vertices[self._rigid()])
+        turn = self._posture.turn
         asked = self._asked(eye)
         split = (asked, asked[:0]) if self._lod else self._texel_shadows.split(asked)
         seen = np.array([self._seen(lamp, asked, split) for lamp in self.lamps], np.float32).reshape(
@@ -131,9 +133,9 @@ class LitAvatar:
         asked[self._at_vertices] = True
         return np.flatnonzero(asked).astype(np.int32)
 
-    def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray, these: bytes) -> np.ndarray:
+    def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray, these: int) -> np.ndarray:
         """What lights strands, `these`, as `channels` has it, less what their colors hold of the rig's."""
-        grid, centre = self._grid, self._middle
+        grid, centre = self._grid, self._posture.middle
         parts = np.stack([self._shadow(lamp)[1] for lamp in self.lamps], -1) if self.lamps else np.zeros((*grid.size, 0))
         here = Reaching(parts, grid.coordinates(np.eye(3), np.zeros(3)))
         scene = strand_light(
@@ -146,7 +148,7 @@ class LitAvatar:
             rig = strand_light(STUDIO.lamps, points, quats, within, centre, eye, around)
             return Learned(reached(rig.irradiance), rig.highlights)
 
-        key = (self._target.id, "rig on hair", these, eye.tobytes(), self._to_rest.tobytes())
+        key = (self._target.id, "rig on hair", these, eye.tobytes(), self._posture.to_rest.tobytes())
         learned = Learned(*self._evaluator.cache.get((*key, *self._inputs.identity_key, *self._inputs.shape_key), make))
         return relative(scene, nowhere, nowhere, nowhere, learned, self._response.gloss)
 
@@ -240,7 +242,7 @@ class LitAvatar:
         assert self._hair is not None
         if self._hair.moves:
             return cloud.through(lamp, self._vertices)
-        there = Lighting((lamp,)).in_space(self._to_rest).lamps[0]
+        there = self._posture.moved(lamp, self._posture.to_rest)
         key = (self._target.id, "through", self._hair.key, repr(there), *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, lambda: (cloud.through(there, self._rest().vertices),))[0]
 
@@ -252,7 +254,7 @@ class LitAvatar:
         cloud = self._cloud
         if cloud is None or not lamp.shadow:
             return np.ones(grid.size, np.float32)
-        there = Lighting((lamp,)).in_space(to_cloud).lamps[0]
+        there = self._posture.moved(lamp, to_cloud)
 
         def make() -> tuple[np.ndarray]:
             return (cloud.through_to_hair(there, grid.points @ to_cloud[:3, :3].T + to_cloud[:3, 3]).reshape(grid.size),)
@@ -270,8 +272,9 @@ class LitAvatar:
 
     def _rig_in_hair(self) -> Reaching:
         """Which part of the rig's lamps reaches hair on the head at rest, carried along by the head's turn."""
-        rest, back = self._rest(), self._to_rest
-        grid = LightGrid.around(rest.vertices.min(0) - _AROUND, rest.vertices.max(0) + _AROUND)
+        rest, back = self._rest(), self._posture.to_rest
+        low, high = self._posture.rest_box
+        grid = LightGrid.around(low - _AROUND, high + _AROUND)
         person = (*self._inputs.identity_key, *self._inputs.shape_key)
 
         def bald() -> tuple[np.ndarray]:
@@ -298,9 +301,6 @@ class LitAvatar:
     def _rows(self) -> np.ndarray | slice:
         """Texels that have a Gaussian at the level of detail."""
         return slice(None) if self._lod == 0 else np.asarray(self._evaluator.blocks(self._target, self._lod).middle)
-
-    def _rigid(self) -> np.ndarray:
-        return np.asarray(self._head.regions.get(_RIGID, np.arange(len(self._vertices))))
 
     @functools.cached_property
     def _texels(self) -> Texels:
@@ -354,32 +354,21 @@ class LitAvatar:
         return cloud if cloud.extinction.size else None
 
     @functools.cached_property
-    def _to_rest(self) -> np.ndarray:
-        """From head space to the axes of the head at rest, by the turn and the way of its rigid part, [4, 4]."""
-        rest, posed = self._rest().vertices[self._rigid()], self._vertices[self._rigid()]
-        back = np.eye(4)
-        back[:3, :3] = turn_between(rest, posed).T
-        back[:3, 3] = rest.mean(0) - back[:3, :3] @ posed.mean(0)
-        return np.round(back, _PLACES) + 0.0  # without negative zeros, which keys would tell apart
-
-    @functools.cached_property
-    def _middle(self) -> np.ndarray:
-        """Of the rigid head, from where hair grows outwards, [3]: not of the mesh, whose jaw opens."""
-        vertices, back = self._rest().vertices, self._to_rest
-        middle: np.ndarray = (0.5 * (vertices.min(0) + vertices.max(0)) - back[:3, 3]) @ back[:3, :3]
-        return middle
+    def _posture(self) -> Posture:
+        rigid = np.asarray(self._head.regions.get(_RIGID, np.arange(len(self._vertices))))
+        return Posture(self._rest().vertices, self._vertices, rigid)
 
     @property
     def _to_cloud(self) -> np.ndarray:
         """From head space to the axes of `_cloud`, [4, 4]."""
-        return np.eye(4) if self._hair is None or self._hair.moves else self._to_rest
+        return np.eye(4) if self._hair is None or self._hair.moves else self._posture.to_rest
 
     @functools.cached_property
     def _grid(self) -> LightGrid:
         """Places all over head and hair; none where no hair is worn."""
         if self._hair is None:
             return LightGrid(np.zeros(3), (0, 0, 0))
-        low, high = self._vertices.min(0), self._vertices.max(0)
+        low, high = self._box
         if self._cloud is not None:
             corners = self._cloud.low + CELL * np.array(list(np.ndindex(2, 2, 2))) * self._cloud.extinction.shape
             corners = (corners - self._to_cloud[:3, 3]) @ self._to_cloud[:3, :3]

@@ -16,7 +16,7 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..pictures.color import MIN_ALPHA
 from .shadows import compiled_kernels
-from .skin_relief import DULL, REPEATS, SIDE, VALUES, gleam, texel_ways, tile
+from .skin_relief import DIMMEST, DULL, LIGHTEST, REPEATS, SIDE, VALUES, gleam, texel_ways, tile
 
 NEAR, FAR = 0.004, 0.010  # metres between mesh and picture up to which light is the mesh's, and from which on it is not
 SHINE = slice(3, 6)  # channels of highlights
@@ -27,6 +27,7 @@ _AT_EDGES = 0.5  # of the mesh's light there: one sample a pixel would make step
 _LEAST = 0.002  # share of the mesh's light in a pixel below which it is left out, as where strands hide skin
 _NEAREST = 1e-3  # metres: faces that reach nearer to the camera are left out
 _ROWS = 96  # of a picture that a task takes at least
+NOT_SOFTENED = np.zeros(0, np.float32)
 
 
 class TexelGrid(NamedTuple):
@@ -71,9 +72,11 @@ class LitSurface(NamedTuple):
         grid: Where the light is.
         vertices: [V, 3] metres.
         light: Of the texels, as of `shading.relative`, [N, 8] float32.
-        tilts: How highlights change with the normal (`shading.Transport.tilts`), [N, 4] float32; None: as smooth as the mesh.
+        tilts: How highlights change with the normal (`shading.Transport.tilts`), [N, 4] float32, and where `softened` holds
+            something how irradiance does (`leanings`), [N, 7]; None: as smooth as the mesh.
         relief: How relief lies there (`skin_relief.lying`), [N, 4] float32.
         detail: Factor of the relief's tilts.
+        softened: How much of them stands in irradiance, by color (`skin_relief.softened`), [3]; [0]: nothing.
     """
 
     grid: TexelGrid
@@ -82,6 +85,7 @@ class LitSurface(NamedTuple):
     tilts: np.ndarray | None = None
     relief: np.ndarray | None = None
     detail: float = 1.0
+    softened: np.ndarray = NOT_SOFTENED
 
     def read_into(
         self, channels: np.ndarray, which: slice, depth: np.ndarray, alpha: np.ndarray, skin: int | None, camera: Camera
@@ -107,7 +111,8 @@ class LitSurface(NamedTuple):
         given = seen.astype(np.float32), faces, closed, places, rows, light, camera.orthographic
         if compiled_kernels() is None:
             share = np.ones_like(depth) if skin is None else channels[..., skin] / np.maximum(alpha, MIN_ALPHA)
-            read(*given, channels[..., which], np.asarray(depth), share, self.vertices, self.tilts, self.relief, self.detail)
+            fine = self.tilts, self.relief, self.detail, self.softened
+            read(*given, channels[..., which], np.asarray(depth), share, self.vertices, *fine)
             return
         from ..compute.threads import for_rows
         from .mesh_light_kernels import read as compiled_read
@@ -116,16 +121,17 @@ class LitSurface(NamedTuple):
         depth, alpha = (np.ascontiguousarray(array, np.float32) for array in (depth, alpha))
         picture = channels, which.start, which.stop - which.start, depth, alpha, -1 if skin is None else skin
         nothing = np.zeros((0, VALUES), np.float32)
-        fine = (nothing, nothing) if self.tilts is None or self.relief is None or not self.detail else (self.tilts, self.relief)
+        smooth = self.tilts is None or self.relief is None or not self.detail
+        fine = (nothing, nothing) if smooth else (self.tilts, self.relief)
         scale = np.float32(REPEATS * SIDE / len(rows))
-        below = np.ascontiguousarray(self.vertices, np.float32), *fine, *tile(), scale, np.float32(self.detail)
+        below = np.ascontiguousarray(self.vertices, np.float32), *fine, *tile(), scale, np.float32(self.detail), self.softened
         for_rows(compiled_read, len(depth), *given, *picture, limits, *below, smallest=_ROWS)
 
 
 def read(
     seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
     channels: np.ndarray, depth: np.ndarray, share: np.ndarray, vertices: np.ndarray, tilts: np.ndarray | None = None,
-    relief: np.ndarray | None = None, detail: float = 1.0,
+    relief: np.ndarray | None = None, detail: float = 1.0, softened: np.ndarray = NOT_SOFTENED,
 ) -> None:  # fmt: skip
     """Read light at each pixel: the readable twin of `mesh_light_kernels.read`.
 
@@ -141,9 +147,10 @@ def read(
         depth: [H, W] metres.
         share: [H, W].
         vertices: [V, 3] metres.
-        tilts: As of `LitSurface`, [N, VALUES].
-        relief: Likewise.
+        tilts: As of `LitSurface`, [N, VALUES or VALUES + 3].
+        relief: Likewise, [N, VALUES].
         detail: Likewise.
+        softened: Likewise.
     """
     height, width = depth.shape
     corners = seen[faces].astype(np.float64)
@@ -172,20 +179,22 @@ def read(
 
     place = np.einsum("nk,nkc->nc", weights, places[face])
     middle = np.floor(place + 0.5).astype(np.int64).clip(1, len(rows) - 2)
-    total, fine = np.zeros((len(face), channels.shape[-1])), np.zeros((2, len(face), VALUES))
-    rough = None if tilts is None or relief is None or not detail else np.stack([tilts, relief])
+    rough = None if tilts is None or relief is None or not detail else np.concatenate([relief, tilts], 1)
+    total, fine = np.zeros((len(face), channels.shape[-1])), np.zeros((len(face), 0 if rough is None else rough.shape[1]))
     splines = [_spline(place[:, axis] - middle[:, axis]) for axis in (0, 1)]
     for across, down in itertools.product(range(3), repeat=2):
         texel = rows[middle[:, 1] + down - 1, middle[:, 0] + across - 1]
         weight = splines[0][across] * splines[1][down] * (texel >= 0)
         total += weight[:, None] * light[texel, : channels.shape[-1]]
-        fine += 0.0 if rough is None else weight[:, None] * rough[:, texel]
+        fine += 0.0 if rough is None else weight[:, None] * rough[texel]
     front = total[:, FRONT]
     if rough is not None:
         steps = np.linalg.norm(_per_pixel(corners[face, :, :2], places[face]), axis=-1).max(1)
-        shine = gleam(fine[0], fine[1], texel_ways(vertices[faces[face]], places[face]), place, steps, len(rows), detail)
+        lies, leans = fine[:, :VALUES], fine[:, VALUES:]
+        shine, lean = gleam(leans, lies, texel_ways(vertices[faces[face]], places[face]), place, steps, len(rows), detail)
         bright = total[:, SHINE].max(1) > DULL * front
         total[:, SHINE] *= np.where(bright[:, None] & (total[:, SHINE] > 0.0), shine[:, None], 1.0)
+        total[:, : len(softened)] *= (1.0 + lean[:, None] * softened).clip(DIMMEST, LIGHTEST)
     amount = np.clip((FAR - np.abs(depth[row, column] - deep)) / (FAR - NEAR), 0.0, 1.0) * share[row, column]
     amount = np.where(amount < _LEAST, 0.0, amount)
     number = np.full((height + 2, width + 2), -1)

@@ -11,11 +11,11 @@ import numpy as np
 
 from ..compute.kernels import compiled
 from .shadow_kernels import OPTIONS, single
-from .skin_relief import DULL, VALUES
+from .skin_relief import DIMMEST, DULL, LIGHTEST, VALUES
 from .skin_relief_kernel import gleam
 
 _0, _1, _HALF = single(0.0), single(1.0), single(0.5)
-_EMPTY, _DULL = single(1e10), single(DULL)
+_EMPTY, _DULL, _DIMMEST, _LIGHTEST = single(1e10), single(DULL), single(DIMMEST), single(LIGHTEST)
 CHANNELS = 8  # of light
 _SHINE, _FRONT = 3, 6
 
@@ -51,7 +51,7 @@ def read(
     seen: np.ndarray, faces: np.ndarray, closed: int, places: np.ndarray, rows: np.ndarray, light: np.ndarray, flat: bool,
     channels: np.ndarray, start: int, count: int, depth: np.ndarray, alpha: np.ndarray, skin: int, limits: np.ndarray,
     vertices: np.ndarray, tilts: np.ndarray, relief: np.ndarray, tile: np.ndarray, spread: np.ndarray, scale: float,
-    detail: float, first: int, last: int,
+    detail: float, softened: np.ndarray, first: int, last: int,
 ) -> None:  # fmt: skip
     """Read light at each pixel of some rows of a picture; see `mesh_light.read`.
 
@@ -71,12 +71,13 @@ def read(
         skin: As there, or below 0.
         limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, the least cover, and `_LEAST`, [7].
         vertices: [V, 3] metres.
-        tilts: As there, [N, VALUES], or [0, VALUES].
-        relief: As there, likewise.
+        tilts: As there, [N, VALUES] or, with `softened`, [N, VALUES + 3]; or [0, VALUES].
+        relief: As there, [N, VALUES], likewise.
         tile: Of `skin_relief.Tile`, [T, 3].
         spread: Likewise.
         scale: Texels of the tile in one of the grid.
         detail: As there.
+        softened: As there, [3] or [0].
         first: Row of the picture.
         last: The row after the last.
     """
@@ -119,7 +120,7 @@ def read(
                 v += v_x
     slope, most, apart = _1 / (limits[1] - limits[0]), len(rows) - 2, limits[3]
     total, spans = np.empty(CHANNELS, np.float32), _spans(places)
-    fine, corners = np.empty(2 * VALUES, np.float32), np.empty((3, 3), np.float32)
+    fine, corners = np.zeros(2 * VALUES + 3, np.float32), np.empty((3, 3), np.float32)
     for row in range(first, last):
         line = row - above
         for column in range(width):
@@ -162,7 +163,8 @@ def read(
             under = max(_apart(spans, number[line, column + 1], x, y), _apart(spans, number[line + 2, column + 1], x, y))
             if max(beside, under) > apart:
                 amount *= limits[4]
-            if len(tilts) and max(total[_SHINE], total[_SHINE + 1], total[_SHINE + 2]) > _DULL * front:
+            bright = max(total[_SHINE], total[_SHINE + 1], total[_SHINE + 2]) > _DULL * front
+            if len(tilts) and (bright or len(softened)):
                 fine[:] = _0
                 for step in range(3):
                     line_of = top + step - 1
@@ -172,14 +174,18 @@ def read(
                         for k in range(VALUES):
                             fine[k] += weight * tilts[i, k]
                             fine[VALUES + k] += weight * relief[i, k]
+                        for k in range(len(softened)):
+                            fine[2 * VALUES + k] += weight * tilts[i, VALUES + k]
                 for axis in range(3):
                     corners[0, axis], corners[1, axis] = vertices[a, axis], vertices[b, axis]
                     corners[2, axis] = vertices[c, axis]
                 inverse = _1 / ((bx - ax) * (cy - ay) - (cx - ax) * (by - ay))
                 steps = (cy - ay) * inverse, (ax - cx) * inverse, (ay - by) * inverse, (bx - ax) * inverse
-                shine = gleam(fine, corners, places[t], x, y, steps, tile, spread, scale, detail)
+                shine, lean = gleam(fine, corners, places[t], x, y, steps, tile, spread, scale, detail)
                 for channel in range(_SHINE, _SHINE + 3):
-                    total[channel] *= shine if total[channel] > _0 else _1
+                    total[channel] *= shine if bright and total[channel] > _0 else _1
+                for channel in range(len(softened)):
+                    total[channel] *= min(max(_1 + softened[channel] * lean, _DIMMEST), _LIGHTEST)
             factor = channels[row, column, start + _FRONT] / front
             for channel in range(count):
                 here = channels[row, column, start + channel]

@@ -18,7 +18,7 @@ from .lamps import Area, Lamp, Point, Spot, Sun, arriving, half_angle
 from .lobes import lobes, mirrored_share
 from .materials import RELIEF, SOFTER, WANDER, Materials
 from .shadows import Receivers, compiled_kernels
-from .skin_relief import FAINT
+from .skin_relief import FAINT, VALUES
 from .surroundings import basis
 from .transfer import openness
 
@@ -66,6 +66,7 @@ class Transport(Generic[Array]):
         ambient: Irradiance of a unit of each harmonic, [N, 9].
         mirrored: Radiance towards the viewer of a unit of each harmonic, [N, 9].
         tilting: How `highlights` change with the normal's tilt (`lobes.lobes`), [L, N, 4]; None where nobody asks.
+        leaning: How `diffuse` does, in the mean of colors and as if no light wandered, [L, N, 3]; likewise.
     """
 
     diffuse: Array
@@ -73,6 +74,7 @@ class Transport(Generic[Array]):
     ambient: Array
     mirrored: Array
     tilting: Array | None = None
+    leaning: Array | None = None
 
     def light(self, colors: Array, coefficients: Array) -> tuple[Array, Array]:
         """Irradiance and highlights of lights.
@@ -93,6 +95,11 @@ class Transport(Generic[Array]):
         bright = shine.mean(1)[:, None]
         result: Array = (present(self.tilting) * colors.mean(1)[:, None, None]).sum(0) / bright.clip(FAINT, None)
         return result * (bright > FAINT)
+
+    def leanings(self, colors: Array, irradiance: Array) -> Array:
+        """By which share of it the irradiance [N, 3] of lamps of these colors changes with tilts, [N, 3]."""
+        result: Array = (present(self.leaning) * colors.mean(1)[:, None, None]).sum(0)
+        return result / irradiance.mean(1)[:, None].clip(FAINT / 3.0, None)
 
 
 def transport(
@@ -119,7 +126,7 @@ def transport(
     flesh = materials.wander[:, None] * response.scattering
     relief = RELIEF * materials.rough**2
     wander = np.clip(flesh * materials.curvature[:, None] * WANDER, 0.0, 0.9)  # [N, 3]
-    diffuse, highlights, tilting = [], [], []
+    diffuse, highlights, tilting, leaning = [], [], [], []
     for lamp, part in zip(lamps, seen, strict=True):
         towards, strength = arriving(lamp, receivers.points)
         cosine = (normals * towards).sum(1)
@@ -132,6 +139,8 @@ def transport(
         arrives = part * strength * (response.gloss * response.intensity)
         highlights.append(mirrored * arrives)
         tilting.append(change * arrives[:, None])
+        slope = 0.5 + 0.5 * cosine / np.maximum(np.sqrt(cosine**2 + 4.0 * relief**2), 1e-9)  # of `uneven`
+        leaning.append((towards - cosine[:, None] * normals) * (slope * part * strength * response.intensity)[:, None])
     count = len(normals)
     mirror = 2.0 * (normals * view).sum(1, keepdims=True) * normals - view
     mirror = mirror if turn is None else mirror @ turn
@@ -142,6 +151,7 @@ def transport(
         (rows * response.intensity).astype(np.float32),
         (glossy[:, None] * basis(mirror) * _MIRROR_BANDS).astype(np.float32),
         np.stack(tilting).astype(np.float32) if tilting else np.zeros((0, count, 4), np.float32),
+        np.stack(leaning).astype(np.float32) if leaning else np.zeros((0, count, 3), np.float32),
     )
 
 
@@ -201,7 +211,8 @@ def shade(
         harmonics: Coefficients of the surroundings, [9, 3].
         response: As there.
         turn: As there.
-        tilts: Written: how highlights change with the normal (`Transport.tilts`), [N, 4]; or [0, 4].
+        tilts: Written: how highlights change with the normal (`Transport.tilts`), [N, 4], and if it has seven columns how
+            irradiance does (`leanings`); or [0, 4].
     """
     kernels = compiled_kernels()
     if kernels is None:
@@ -209,7 +220,9 @@ def shade(
         whole = transport(lamps, receivers, list((seen >= 0.0).astype(np.float32)), materials, rows, eye, response, turn)
         light, view = parts.light(colors_of(lamps), harmonics.astype(np.float32)), eye - receivers.points
         if len(tilts):
-            tilts[:] = parts.tilts(colors_of(lamps), light[1])
+            tilts[:, :VALUES] = parts.tilts(colors_of(lamps), light[1])
+        if tilts.shape[1] > VALUES:
+            tilts[:, VALUES:] = parts.leanings(colors_of(lamps), light[0])
         facing = (receivers.normals * view).sum(1) / np.maximum(np.linalg.norm(view, axis=1), 1e-9)
         front = 1.0 + FADING * facing[:, None]
         shine, share = light[1] * (front > 0.0), arriving_share(lamps, parts, whole)

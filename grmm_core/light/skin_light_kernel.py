@@ -14,7 +14,7 @@ import numpy as np
 from ..compute.kernels import compiled
 from .light_kernels import BLOCK, COLOR, OPTIONS, SIZE, arriving_at_block, harmonics_of
 from .shadow_kernels import single
-from .skin_relief import FAINT
+from .skin_relief import FAINT, VALUES
 
 _0, _1, _2, _3, _4, _HALF = single(0.0), single(1.0), single(2.0), single(3.0), single(4.0), single(0.5)
 _TINY, _PI, _FAINT = single(1e-9), single(math.pi), single(FAINT)
@@ -22,7 +22,7 @@ _B = BLOCK
 # where its quantities begin in the scratch array: three columns of a vector or a color, or one
 _POINT, _NORMAL, _VIEW, _LAMP, _THROUGH, _WANDER = 0, 3 * _B, 6 * _B, 9 * _B, 12 * _B, 15 * _B
 _POWER, _TO_EYE, _KNOWN, _PART, _LOOK, _SUMS, _TILT, _ROWS, _BASIS, _ALL = (
-    18 * _B, 19 * _B, 20 * _B, 21 * _B, 22 * _B, 27 * _B, 35 * _B, 39 * _B, 48 * _B, 57 * _B
+    18 * _B, 19 * _B, 20 * _B, 21 * _B, 22 * _B, 27 * _B, 35 * _B, 42 * _B, 51 * _B, 60 * _B
 )  # fmt: skip
 
 
@@ -113,7 +113,7 @@ def shade(
         factors: Of all light and of highlights, of wandering by color, in metres, `shading.FADING` and `LEAST_FRONT`, and by
             how much shadows are softer, by color, and twice `materials.RELIEF`, [11].
         out: Written: `shading.Arrived.values`, [N, 8].
-        tilts: Written: `shading.Transport.tilts`, [N, 4], unless it is [0, 4].
+        tilts: Written: `shading.Transport.tilts` [N, 4], and behind them, if it has room, `leanings` [N, 3]; or [0, 4].
         first: Row of `out`.
         last: The row after the last.
     """
@@ -174,6 +174,16 @@ def shade(
                 w[_TILT + _B + j] += (hy * inverse - ny) * slope
                 w[_TILT + 2 * _B + j] += (hz * inverse - nz) * slope
                 w[_TILT + 3 * _B + j] += _2 * fall
+            if tilts.shape[1] > VALUES:
+                for j in range(_B):
+                    lx, ly, lz, through = w[_LAMP + j], w[_LAMP + _B + j], w[_LAMP + 2 * _B + j], w[_POWER + j] * w[_PART + j]
+                    nx, ny, nz = w[_NORMAL + j], w[_NORMAL + _B + j], w[_NORMAL + 2 * _B + j]
+                    cosine, relief = nx * lx + ny * ly + nz * lz, w[_LOOK + _B + j] * w[_LOOK + _B + j] * factors[10]
+                    slope = _HALF + _HALF * cosine / max(math.sqrt(cosine * cosine + relief * relief), _TINY)
+                    slope *= through * intensity * mean * _3
+                    w[_TILT + 4 * _B + j] += (lx - cosine * nx) * slope
+                    w[_TILT + 5 * _B + j] += (ly - cosine * ny) * slope
+                    w[_TILT + 6 * _B + j] += (lz - cosine * nz) * slope
         for j in range(_B):
             towards_eye, share = w[_TO_EYE + j], w[_LOOK + 2 * _B + j]
             rough, facing = share * w[_LOOK + j] + (_1 - share) * w[_LOOK + _B + j], min(max(towards_eye, np.float32(0.05)), _1)
@@ -211,4 +221,7 @@ def shade(
                 bright = (w[_SUMS + 3 * _B + j] + w[_SUMS + 4 * _B + j] + w[_SUMS + 5 * _B + j]) / _3
                 inverse = _1 / bright if bright > _FAINT else _0
                 for c in range(4):
+                    tilts[i, c] = w[_TILT + c * _B + j] * inverse
+                inverse = _3 / max(out[i, 0] + out[i, 1] + out[i, 2], _FAINT)
+                for c in range(VALUES, tilts.shape[1]):
                     tilts[i, c] = w[_TILT + c * _B + j] * inverse

@@ -1,16 +1,18 @@
-"""Relief finer than a head's mesh, for highlights: pores and furrows of skin, deeper where an expression presses it together.
+"""Relief finer than a head's mesh: pores and furrows of skin, deeper where an expression presses it together.
 
 Light at a point says how its highlights change where the normal tilts (`shading.Transport.tilts`); at each pixel they are
 multiplied by what the relief there makes of it. The relief lies on the UV map, so that it moves with the skin. Where skin is
 shorter than at rest its tilts across grow, where it is stretched they shrink (after Nagano et al. 2015), which draws the
 furrows of a lifted brow. What is finer than a pixel is no tilt but roughness, as it is without relief, for over all tilts the
 factor's mean is 1: so highlights neither sparkle nor change their strength with the distance (as by Toksvig 2005, who widens
-lobes instead). Needs numpy only; `skin_relief_kernel` is the compiled twin of `gleam`.
+lobes instead). In close-ups it stands in irradiance, too, where light rakes: there light that wanders inside the skin leaves
+some of it, of blue most (`SOFTENED`). Needs numpy only; `skin_relief_kernel` is the compiled twin of `gleam`.
 """
 
 from __future__ import annotations
 
 import functools
+import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -29,6 +31,10 @@ GATHER, SMOOTHEST, ROUGHEST = 5.0, 0.5, 4.0
 FAINT = 1e-5  # highlights of which it does not matter how they change
 DULL = 0.002  # radiance of highlights that are left as they are
 VALUES = 4  # of `lying`: lengths along the grid (2), strength, and nothing; of `Transport.tilts`: change with a tilt (3), fall
+SOFTENED = (0.10, 0.18, 0.25)
+"""How much of the relief stands in light from inside the skin, by color: what wanders a millimetre has no pores."""
+DIMMEST, LIGHTEST = 0.4, 1.8  # limits of its factor
+_SMALL, _SMALLEST = 0.25, 0.5  # mm of a pixel up to which it is there, and from which on it is not: pores are 1.5 mm apart
 _MM = 0.125  # of a texel of the tile
 _UNDULATING = ((6.0, 0.030), (3.0, 0.020), (1.6, 0.008))  # wavelength and height of smooth relief, mm
 _FURROWS = (0.9, 0.030, 0.12)  # spacing of cells, depth and half width of the furrows between them, mm
@@ -110,6 +116,13 @@ def lying(head: HeadModel, vertices: np.ndarray, uv: np.ndarray, grid: int, face
     return found
 
 
+def softened(pixels_per_metre: float) -> np.ndarray:
+    """`SOFTENED` in a picture with so many pixels for a metre, [3] float32; [0] where they are too large for any of it."""
+    size = math.log2(1000.0 / max(pixels_per_metre, 1.0) / _SMALL) / math.log2(_SMALLEST / _SMALL)
+    share = min(max(1.0 - size, 0.0), 1.0)
+    return np.array(SOFTENED, np.float32) * np.float32(share) if share > 0.0 else np.zeros(0, np.float32)
+
+
 def texel_ways(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
     """How far a texel reaches along columns and rows of the grid, [N, 2, 3].
 
@@ -126,11 +139,11 @@ def texel_ways(corners: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 def gleam(
     tilts: np.ndarray, relief: np.ndarray, ways: np.ndarray, places: np.ndarray, step: np.ndarray, grid: int, detail: float
-) -> np.ndarray:
-    """What relief makes of highlights, a factor, [N].
+) -> tuple[np.ndarray, np.ndarray]:
+    """What relief makes of highlights, a factor, [N], and by which share irradiance changes if light does not wander, [N].
 
     Args:
-        tilts: How highlights change at pixels, as of `shading.Transport.tilts`, [N, VALUES].
+        tilts: How light changes at pixels, as of `shading.Transport.tilts` and perhaps `leanings`, [N, VALUES or VALUES + 3].
         relief: As of `lying`, at pixels, [N, VALUES].
         ways: Of `texel_ways` of what is seen there, [N, 2, 3].
         places: On the grid, texels, column and row, [N, 2].
@@ -151,8 +164,10 @@ def gleam(
     tilt = found[:, :2] * strength
     mean = 0.5 * (np.log(wide) - change**2 * squares / wide)
     logarithm = (change * tilt - fall * tilt**2 + mean).sum(1) + CAVITY * relief[:, 2] * detail * found[:, 2]
-    result: np.ndarray = np.exp(logarithm.clip(DARKEST, BRIGHTEST))
-    return result
+    if tilts.shape[1] == VALUES:
+        return np.exp(logarithm.clip(DARKEST, BRIGHTEST)), np.zeros(len(tilts))
+    lean = np.einsum("nkx,nx->nk", ways, tilts[:, VALUES:]) / np.maximum(lengths, 1e-9)
+    return np.exp(logarithm.clip(DARKEST, BRIGHTEST)), (lean * tilt).sum(1)
 
 
 def _read(places: np.ndarray, step: np.ndarray, grid: int) -> tuple[np.ndarray, np.ndarray]:

@@ -20,11 +20,11 @@ _CAVITY, _GATHER, _SMOOTHEST, _ROUGHEST = single(CAVITY), single(GATHER), single
 def gleam(
     here: np.ndarray, corners: np.ndarray, places: np.ndarray, x: float, y: float, steps: tuple[float, ...],
     values: np.ndarray, spread: np.ndarray, scale: float, detail: float,
-) -> float:  # fmt: skip
-    """What relief makes of highlights at a pixel; see `skin_relief.gleam`.
+) -> tuple[float, float]:  # fmt: skip
+    """What relief makes of light at a pixel; see `skin_relief.gleam`.
 
     Args:
-        here: As of `shading.Transport.tilts`, and then of `skin_relief.lying`, [2 * VALUES].
+        here: As of `shading.Transport.tilts`, of `skin_relief.lying`, and of `leanings`, [2 * VALUES + 3].
         corners: Of the face that is seen, [3, 3] metres.
         places: Of them on the grid, [3, 2].
         x: Place of the pixel on the grid, along columns.
@@ -39,14 +39,16 @@ def gleam(
     cx, cy = places[2, 0] - places[0, 0], places[2, 1] - places[0, 1]
     area = bx * cy - cx * by
     inverse = _1 / (area if abs(area) >= _TINIER else _TINIER)
-    along = across = change_u = change_v = _0
+    along = across = change_u = change_v = lean_u = lean_v = _0
     for axis in range(3):
         to_b, to_c = corners[1, axis] - corners[0, axis], corners[2, axis] - corners[0, axis]
         way_u, way_v = (to_b * cy - to_c * by) * inverse, (to_c * bx - to_b * cx) * inverse
         along, across = along + way_u * way_u, across + way_v * way_v
         change_u, change_v = change_u + here[axis] * way_u, change_v + here[axis] * way_v
+        lean_u, lean_v = lean_u + here[8 + axis] * way_u, lean_v + here[8 + axis] * way_v
     along, across = max(math.sqrt(along), _TINY), max(math.sqrt(across), _TINY)
     change_u, change_v = change_u / along, change_v / across
+    lean_u, lean_v = lean_u / along, lean_v / across
 
     right, below = bx * steps[0] + cx * steps[2], by * steps[0] + cy * steps[2]
     under, beside = bx * steps[1] + cx * steps[3], by * steps[1] + cy * steps[3]
@@ -86,4 +88,4 @@ def gleam(
     mean = math.log(wide_u * wide_v) - change_u * change_u * square_u / wide_u - change_v * change_v * square_v / wide_v
     value = change_u * tilt_u + change_v * tilt_v - fall * (tilt_u * tilt_u + tilt_v * tilt_v)
     value += _HALF * mean + _CAVITY * strength * height
-    return math.exp(min(max(value, _DARKEST), _BRIGHTEST))
+    return math.exp(min(max(value, _DARKEST), _BRIGHTEST)), lean_u * tilt_u + lean_v * tilt_v

@@ -33,6 +33,7 @@ from ..hair.ribbons import Eye
 from ..light.lamps import Lighting
 from ..light.mesh_light import LitSurface
 from ..light.relight import relit, relit_pixels
+from ..light.skin_relief import softened
 from ..model.config import GRMMConfig
 from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
 from ..model.store import Model
@@ -322,7 +323,8 @@ def _light(
         inputs = item.inputs if given else at_rest(evaluator, item.target, item.inputs)
         pieces = functools.partial(wardrobe.covering, evaluator, item.target, inputs, item.worn)
         hair = Hair((*item.worn.key, settings, *given), pieces, bool(given))
-    lit = LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod, hair)
+    relief = softened(Eye.of(camera).pixels_per_metre())
+    lit = LitAvatar(evaluator, item.target, item.inputs, own, response, options.lod, hair, relief)
     channels = lit.channels(camera.position, strands)
     return channels, lit.surface(channels[0])
 

@@ -20,7 +20,7 @@ from ..light.bounce import nearest_points
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
-from ..light.mesh_light import LitSurface, TexelGrid
+from ..light.mesh_light import NOT_SOFTENED, LitSurface, TexelGrid
 from ..light.posture import Posture
 from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
 from ..light.shading import FADING, Learned, Response, facing, reached, relative, shade
@@ -53,15 +53,16 @@ class LitAvatar:
         response: How the avatar takes it.
         lod: Level of detail of the skin's Gaussians.
         hair: What throws shadows on the skin besides the mesh.
+        softened: How much of skin's relief stands in irradiance (`skin_relief.softened`), [3] or [0].
     """
 
     def __init__(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, lighting: Lighting, response: Response, lod: int = 0,
-        hair: Hair | None = None,
+        hair: Hair | None = None, softened: np.ndarray = NOT_SOFTENED,
     ) -> None:  # fmt: skip
         self._evaluator, self._target, self._inputs = evaluator, target, inputs
         self._lighting, self._response, self._lod = lighting, response, lod
-        self._hair = hair
+        self._hair, self._softened = hair, softened if response.detail and not response.even_mouth else NOT_SOFTENED
         self._head = target.model.head_model
         self._vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
         self._box = box_around(self._vertices)
@@ -81,7 +82,7 @@ class LitAvatar:
         around = self._lighting.surroundings
         light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key
         worn = () if self._hair is None else self._hair.key
-        key = (eye.tobytes(), self._response, *light, worn, *self._inputs.mesh_key)
+        key = (eye.tobytes(), self._response, len(self._softened), *light, worn, *self._inputs.mesh_key)
         cache, owner = self._evaluator.cache, self._target.id
         skin, self._tilts = cache.get((owner, "lit", self._lod, *key), lambda: self._skin(eye))
         if strands is None:
@@ -103,7 +104,7 @@ class LitAvatar:
 
         faces, places, rows, closed = self._evaluator.cache.get((self._target.id, "texel grid"), make)
         grid, detail = TexelGrid(faces, places, rows, int(closed)), self._response.detail
-        return LitSurface(grid, self._vertices, light, self._tilts, self._lying() if detail else None, detail)
+        return LitSurface(grid, self._vertices, light, self._tilts, self._lying() if detail else None, detail, self._softened)
 
     def _skin(self, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         rest = self._rest()
@@ -114,7 +115,7 @@ class LitAvatar:
             -1, len(self._drawn.corners)
         )
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
-        tilts = np.empty((0 if self._lod else len(self._drawn.corners), VALUES), np.float32)
+        tilts = np.empty((0 if self._lod else len(self._drawn.corners), VALUES + len(self._softened)), np.float32)
         scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn, tilts)
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)

@@ -18,7 +18,7 @@ from grmm_core.light.mesh_light import SHINE, LitSurface, TexelGrid
 from grmm_core.light.resting import casting_numbers
 from grmm_core.light.shading import Response, shade, transport
 from grmm_core.light.shadows import Receivers
-from grmm_core.light.skin_relief import LEVELS, SIDE, VALUES, gleam, lying, texel_ways, tile
+from grmm_core.light.skin_relief import LEVELS, SIDE, SOFTENED, VALUES, gleam, lying, softened, texel_ways, tile
 from grmm_core.model.layout import texel_layout
 
 GRID, TEXEL = 256, 0.0015  # metres
@@ -34,7 +34,7 @@ def everywhere(count=20000):
 def shine(relief, step=0.02, detail=1.0, places=None, ways=UP):
     places = everywhere() if places is None else places
     tilts, lies = (np.tile(np.asarray(part, float), (len(places), 1)) for part in relief)
-    return gleam(tilts, lies, np.repeat(ways, len(places), 0), places, np.full(len(places), step), GRID, detail)
+    return gleam(tilts, lies, np.repeat(ways, len(places), 0), places, np.full(len(places), step), GRID, detail)[0]
 
 
 def rows(change=(0.0, 0.0, 0.0), fall=0.0, strength=1.0):
@@ -153,7 +153,7 @@ def test_the_compiled_tilts_are_the_readable_ones(monkeypatch):
     for compiled in (True, False):
         if not compiled:
             monkeypatch.setattr(shading, "compiled_kernels", lambda: None)
-        tilts = np.empty((len(looks.smooth), VALUES), np.float32)
+        tilts = np.empty((len(looks.smooth), VALUES + 3), np.float32)
         light = shade(LAMPS, receivers, seen_part, looks, transfers, EYE, around, tilts=tilts)
         found.append(tilts)
     there = light.front[:, 0] > 0.5
@@ -170,6 +170,40 @@ def test_the_compiled_relief_is_the_readable_one(skin, fov, monkeypatch):
     assert (np.abs(slow - smooth).max(-1) > 0.004)[there].mean() > (0.3 if fov < 10.0 else 0.02)
     assert (np.abs(fast - slow).max(-1) > 2e-3).mean() < 3e-3  # pixels whose middle lies on an edge may see the other face
     np.testing.assert_array_equal(np.delete(slow, np.r_[SHINE], 2), np.delete(smooth, np.r_[SHINE], 2))
+
+
+def test_irradiance_changes_with_tilts_as_leanings_say():
+    receivers, looks, seen_part = ball_of_skin()
+    aside = np.cross(receivers.normals, np.random.default_rng(5).normal(size=receivers.normals.shape))
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    tilted = replace(receivers, normals=receivers.normals + 1e-4 * aside)
+    still = Response(scattering=0.0)
+    colors, none = np.ones((2, 3)), np.zeros((9, 3))
+    rows_ = np.zeros((len(aside), 9))
+    here, there = (transport(LAMPS, r, list(seen_part), looks, rows_, EYE, still) for r in (receivers, tilted))
+    before, after = (parts.light(colors, none)[0] for parts in (here, there))
+    told = (here.leanings(colors, before) * aside).sum(1)
+    lit = before.mean(1) > 0.05
+    np.testing.assert_allclose(((after - before) / before)[lit, 0] / 1e-4, told[lit], rtol=0.05, atol=0.02)
+
+
+@pytest.mark.parametrize("fov", [4.0, 25.0])
+def test_compiled_relief_in_irradiance_is_the_readable_one(skin, fov, monkeypatch):
+    leaning = np.random.default_rng(6).normal(size=(len(skin.light), 3)).astype(np.float32)
+    both = skin._replace(tilts=np.concatenate([skin.tilts, leaning], 1), softened=np.array(SOFTENED, np.float32))
+    camera = Camera.orbit(128, 120, 20.0, 5.0, fov=fov, target=(0.02, 0.05, 0.08))
+    fast, _ = seen(both, camera)
+    slow, there = seen(both, camera, monkeypatch)
+    assert (np.abs(fast - slow).max(-1) > 2e-3).mean() < 3e-3
+    spread = [slow[..., channel][there].std() for channel in range(3)]
+    assert spread[0] < spread[1] < spread[2]  # red light has wandered farthest
+    np.testing.assert_allclose(slow[..., SHINE], seen(skin, camera, monkeypatch)[0][..., SHINE], atol=1e-5)
+
+
+def test_irradiance_has_relief_in_close_ups_only():
+    assert len(softened(512 / 0.35)) == 0  # a head in a picture of 512 pixels
+    np.testing.assert_allclose(softened(768 / 0.15), SOFTENED)
+    assert 0.0 < softened(2500.0)[2] < softened(3500.0)[2] < SOFTENED[2]
 
 
 def test_relief_lies_on_the_skin_and_moves_with_it(skin, head):

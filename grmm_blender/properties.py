@@ -145,7 +145,7 @@ class GRMM_PG_avatar(bpy.types.PropertyGroup):
     )
     light_intensity: number("Intensity", "Factor of all light on the avatar", **_FACTOR)
     skin_gloss: number("Gloss", "Factor of highlights on skin, eyes, teeth and hair", **_FACTOR)
-    skin_detail: number("Skin Detail", "Factor of pores and furrows in highlights; 0: smooth as the mesh", **_FACTOR)
+    skin_detail: number("Skin Detail", "Factor of the pores and furrows of skin; 0: smooth as the mesh", **_FACTOR)
     skin_scattering: number("Scattering", "How far light wanders inside the skin: softer, redder edges of shadows", **_FACTOR)
     shadow_softness: number("Shadow Softness", "Factor of the size that lamps have for shadows on the avatar", **_FACTOR)
     wrinkles: number(

@@ -17,6 +17,7 @@ from ..controls.frame import Controls
 from ..geometry.boxes import box_around
 from ..geometry.libraries import to_numpy
 from ..light.bounce import nearest_points
+from ..light.cornea import bulged
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
@@ -336,7 +337,7 @@ class LitAvatar:
     def _receivers(self) -> Receivers:
         def make() -> tuple[np.ndarray, np.ndarray]:
             found = self._drawn.receivers(self._vertices, vertex_normals(self._vertices, self._head.faces))
-            return found.points, found.normals
+            return found.points, bulged(self._head, self._vertices, self._drawn.corners, found.normals)
 
         key = (self._target.id, "receivers", self._lod, *self._inputs.mesh_key)
         return Receivers.around(*self._evaluator.cache.get(key, make), self._vertices)

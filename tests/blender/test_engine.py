@@ -110,6 +110,19 @@ def test_avatars_take_the_scenes_light(render_script, blender_version):
     assert np.ptp(result["cycles"]) > 0.2
 
 
+def test_sliders_of_light_take_keys_and_a_world_an_exr_file(render_script, blender_version):
+    result = render_script("engine_light_keys.py", python=blender_version)
+    for name in ("light_intensity", "skin_gloss", "skin_detail", "skin_scattering", "shadow_softness"):
+        begins, keyed, changed = result[name]
+        assert begins <= CHANNEL_STEP, name
+        assert keyed <= CHANNEL_STEP, name
+        assert name == "skin_detail" or changed > 3 * CHANNEL_STEP, name  # the texels of these weights are too long for pores
+    np.testing.assert_allclose(result["exr"], result["pixels"], rtol=2e-3)  # the file has half floats
+    assert np.ptp(np.array(result["exr"]).mean(1)) > 0.2
+    assert result["lit_by_exr"] > 10
+    assert "sky.exr" in result["gone"]
+
+
 def test_a_world_of_other_nodes_is_baked(render_script, blender_version):
     result = render_script("engine_world.py", python=blender_version)
     assert "until its nodes are baked" in result["unread"]

@@ -26,6 +26,7 @@ from grmm_core.data.dataset import CaptureDataset
 from grmm_core.data.layers import LIGHT_PREFIX
 from grmm_core.data.types import Shot, View
 from grmm_core.evaluation.regions import region_pixels, triangle_groups
+from grmm_core.hair.drawing import Eye
 from grmm_core.head import load_open_head
 from grmm_core.light.bounce import Exchange, albedo_of, nearest_points
 from grmm_core.light.lamps import STUDIO, Lighting, soft_box
@@ -35,7 +36,7 @@ from grmm_core.light.relight import relit_pixels
 from grmm_core.light.resting import Texels, casters_of, casting_numbers
 from grmm_core.light.shading import NO_TILTS, Arrived, Response, ratio, shade
 from grmm_core.light.shadows import Casters, Receivers, visible
-from grmm_core.light.skin_relief import SOFTENED, VALUES, lying
+from grmm_core.light.skin_relief import VALUES, lying, softened
 from grmm_core.light.surroundings import Surroundings, sphere
 from grmm_core.light.transfer import transfer, turn_between, vertex_normals
 from grmm_core.model.layout import texel_layout
@@ -106,7 +107,7 @@ class Relighter:
             if layer.startswith(LIGHT_PREFIX):
                 name = layer.removeprefix(LIGHT_PREFIX)
                 relief = lying(self._head, rest, self._layout.uv, GRID, self._layout.face)
-                tilts = np.empty((len(relief), VALUES + 3), np.float32)
+                tilts = np.empty((len(relief), VALUES + len(_softened(view))), np.float32)
                 scene = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn, tilts)
                 relative = ratio(bounced(scene.irradiance), bounced(rig))
                 light = np.concatenate([relative, scene.highlights - learned * relative, np.ones_like(scene.front)], 1)
@@ -146,11 +147,15 @@ class Relighter:
         assert drawn.features is not None
         light_here = drawn.features.numpy()
         surface_light = LitSurface(
-            self._grid, surface.vertices, light.astype(np.float32), *fine, self._response.detail, np.array(SOFTENED, np.float32)
+            self._grid, surface.vertices, light.astype(np.float32), *fine, self._response.detail, _softened(view)
         )
         picture = drawn.depth.numpy(), drawn.alpha.numpy(), None, view.camera
         surface_light.read_into(light_here, slice(0, light.shape[1]), *picture)
         return relit_pixels(flat, mask, light_here, 0)
+
+
+def _softened(view: View) -> np.ndarray:
+    return softened(Eye.of(view.camera).pixels_per_metre())
 
 
 def lighting_of(light: Light) -> Lighting:

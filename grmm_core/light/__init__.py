@@ -8,12 +8,13 @@
 ``texel_shadows`` the same for the texels of a head: fewer looks at wide lamps, more where texels are long
 ``materials``     what skin, lips, eyes and teeth do with light: lobes, wetness, scattering, by texel
 ``lobes``         what surfaces mirror
-``skin_relief``   pores and furrows in highlights; ``skin_relief_kernel`` again, compiled
+``skin_relief``   pores and furrows in highlights and close-ups; ``skin_relief_kernel`` again, compiled
+``cornea``        the bulge of eyes that glints stand on
 ``shading``       irradiance relative to the rig, and highlights, at each Gaussian
 ``hair_shading``  the same for strands
 ``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting;
                   ``skin_light_kernel`` skin in blocks; ``strand_light_kernel`` strands
-``resting``       what light does on a head at rest, made once for a person
+``resting``       what light does on a head at rest, made once for a person; ``posture`` how a posed one lies beside it
 ``rough``         all of it at a glance, for viewports
 ``mesh_light``    light read from the mesh at each pixel; ``mesh_light_kernels`` again, compiled
 ``relight``       both applied to a picture in linear light

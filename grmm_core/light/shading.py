@@ -41,7 +41,7 @@ class Response:
         softness: Of the size of lamps, where it makes shadows soft.
         unlit_by: Numbers of lamps in `Lighting.lamps` that are not for this avatar.
         even_mouth: The whole mouth takes the light of the lips (`resting.even_mouth`).
-        detail: Of pores and furrows in highlights (`skin_relief`); 0: they are as smooth as the mesh.
+        detail: Of pores and furrows (`skin_relief`); 0: skin is as smooth as the mesh.
     """
 
     intensity: float = 1.0

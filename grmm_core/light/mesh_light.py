@@ -111,8 +111,8 @@ class LitSurface(NamedTuple):
         given = seen.astype(np.float32), faces, closed, places, rows, light, camera.orthographic
         if compiled_kernels() is None:
             share = np.ones_like(depth) if skin is None else channels[..., skin] / np.maximum(alpha, MIN_ALPHA)
-            fine = self.tilts, self.relief, self.detail, self.softened
-            read(*given, channels[..., which], np.asarray(depth), share, self.vertices, *fine)
+            skin_here = self.tilts, self.relief, self.detail, self.softened
+            read(*given, channels[..., which], np.asarray(depth), share, self.vertices, *skin_here)
             return
         from ..compute.threads import for_rows
         from .mesh_light_kernels import read as compiled_read

@@ -12,10 +12,8 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from grmm_core.files.access import atomic_write
-from grmm_core.hair.body import Body
 from grmm_core.hair.compact import compact
 from grmm_core.hair.groom import Groom, bind, join
 from grmm_core.hair.lashes import Lashes
@@ -23,25 +21,23 @@ from grmm_core.hair.packaged import GROOM_SUFFIX, groom_folder
 from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from grmm_core.hair.strands import points_needed
 from grmm_core.head import HeadModel, load_open_head
-from grmm_core.wrinkles.noise import smoothstep
 from grmm_studio.grooming import make_groom
-from grmm_studio.grooms import KNOTS
 from grmm_studio.mesh import RenderMesh
 from grmm_studio.styles import BALD, STYLES
 from grmm_studio.subjects import SHAPE_COUNT, Subject, draw_subject
 
-STRANDS = 7000
-MAX_BYTES = 430_000  # of one before it is compressed: all of them together stay below 9 MB
+from .groom_finish import STRANDS, finished
+
+MAX_BYTES = 427_000  # of one before it is compressed: all of them together stay below 9 MB
 BEARD_STRANDS, BEARD_DRAWS = 9000, 4
-AROUND = 12  # roots, as far as which says how dense hair is somewhere
 CURL = 0.35  # a person's own, where a style has one
 LASH_COUNTS, LASH_POINTS = (90, 42), 6  # of an upper and a lower lid; of a lash
 LASH_LENGTHS = (0.003, 0.0045, 0.0062, 0.0055)  # metres of upper lashes at four places: without mascara they hardly show
-FLAT, RISEN = 0.3, 0.05  # share of its height that parted hair keeps at the parting; metres from there to where it has all
 # where the package's grooms differ from the studio's: braids so many that no crown is bare between them, curls that hold
 # together, since hair of many directions in one place is seen as a weave
 CHANGES: dict[str, dict[str, Any]] = {
-    "braids": {"clumps": 300, "rope": 0.0027, "clearance": 0.004},
+    "braids": {"clumps": 300, "rope": 0.0027, "clearance": 0.004, "lift": 0.25, "hug": 0.7, "puff": 0.004},
+    "locs": {"clumps": 240, "rope": 0.0036, "lift": 0.3, "hug": 0.7, "puff": 0.004},
     "ringlets": {"clumps": 260, "clumping": 0.95, "curl_spread": 0.12, "gather": 0.2},
 }
 # styles are cut differently on women; these are a woman's
@@ -101,26 +97,7 @@ def _dense(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, s
     groom = join(found)
     if group == LASHES:
         return _fanned(groom, neutral, head)
-    if group != SCALP or subject.hair_style in KNOTS:
-        return groom
-    if STYLES[subject.hair_style].comb == "parted":
-        groom = _settled(groom, neutral, head)
-    return _even(groom, neutral, head)
-
-
-def _settled(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
-    """A groom that lies flat where it begins: wisps that stand up at a parting are seen as arcs from the other side."""
-    points = np.asarray(groom.posed(groom.frames(vertices, head.faces), vertices), float)
-    steps = np.linalg.norm(np.diff(points, axis=0, prepend=points[:1]), axis=1)
-    steps[groom.offsets[:-1]] = 0.0
-    along = np.cumsum(steps)
-    along -= np.repeat(along[groom.offsets[:-1]], groom.counts)
-    heights, up = Body.of(head, vertices, near=points).heights(points)
-    kept = FLAT + (1.0 - FLAT) * smoothstep(0.0, RISEN, along)
-    points -= ((1.0 - kept) * np.maximum(heights, 0.0))[:, None] * up
-    return bind(
-        head.v_template, head.faces, vertices, groom.triangles, groom.weights, points, groom.offsets, groom.widths, groom.groups
-    )
+    return finished(groom, neutral, head, subject.hair_style) if group == SCALP else groom
 
 
 def _fanned(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
@@ -158,24 +135,6 @@ def _fanned(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
         head.v_template, head.faces, vertices, some.triangles, some.weights, points[rows].reshape(-1, 3),
         np.arange(len(rows) + 1) * LASH_POINTS, some.widths, some.groups,
     )  # fmt: skip
-
-
-def _even(groom: Groom, vertices: np.ndarray, head: HeadModel) -> Groom:
-    """Some `STRANDS` of a groom, wider by what is missing, whose roots keep apart the more the thinner hair grows there."""
-    roots = groom.frames(vertices, head.faces).at(vertices)[0]
-    tree = cKDTree(roots)
-    apart = tree.query(roots, AROUND + 1)[0][:, -1]
-    low, high = 0.0, 4.0
-    while True:  # in all of these rounds the same strands are asked first
-        factor, taken, free = 0.5 * (low + high), [], np.ones(len(roots), bool)
-        for i, near in enumerate(tree.query_ball_point(roots, factor * apart)):
-            if free[i]:
-                taken.append(i)
-                free[near] = False
-        if abs(len(taken) - STRANDS) < 0.01 * STRANDS or high - low < 1e-3:
-            some = groom.select(np.array(taken))
-            return replace(some, widths=(some.widths * (len(groom) / len(some))).astype(np.float32))
-        low, high = (factor, high) if len(taken) > STRANDS else (low, factor)
 
 
 def _write(group: int, name: str, groom: Groom) -> None:

@@ -21,7 +21,8 @@ from tools.build_extension import BuildError
 from tools.light_pictures import _light, _shot
 
 OUTPUT = Path(__file__).resolve().parents[1] / "docs/images/hair_curves.jpg"
-SIZE, SAMPLES, QUALITY = 400, 48, 88
+SIZE, SAMPLES, QUALITY = 400, 48, 87
+SCALP_PART = 1  # of the attribute that says what a curve is part of
 SWEPT, CUT = (
     (0.14, 0.46, 0.23),
     0.35,
@@ -64,19 +65,26 @@ def pictures(person: str, groom: str, folder: Path) -> list[np.ndarray]:
 
 
 def comb(data: Any) -> None:
-    """Comb the curves of one side backwards, and cut those of the other."""
-    count = data.curves[0].points_length  # of all: a packaged groom has even strands
-    flat = np.empty(3 * len(data.points), np.float32)
+    """Comb the scalp's curves of one side backwards, and cut those of the other."""
+    flat, parts = np.empty(3 * len(data.points), np.float32), np.empty(len(data.curves), np.int32)
     data.attributes["position"].data.foreach_get("vector", flat)
-    points, t = flat.reshape(-1, count, 3), np.linspace(0, 1, count, dtype=np.float32)
-    left = points[:, 0, 0] > 0.012
-    lengths = np.linalg.norm(np.diff(points[left], axis=1), axis=2).sum(1)
-    points[left] += (lengths[:, None] * t**1.5)[..., None] * np.array(SWEPT, np.float32)
+    data.attributes["grmm_part"].data.foreach_get("value", parts)
+    points = flat.reshape(-1, 3)
+    counts = np.array([curve.points_length for curve in data.curves])
+    starts = np.cumsum(counts) - counts
+    scalp = np.flatnonzero(parts == SCALP_PART)
+    count = int(counts[scalp[0]])  # of all: a packaged groom has even strands
+    rows = starts[scalp, None] + np.arange(count)
+    strands, t = points[rows], np.linspace(0, 1, count, dtype=np.float32)
+    left = strands[:, 0, 0] > 0.012
+    lengths = np.linalg.norm(np.diff(strands[left], axis=1), axis=2).sum(1)
+    strands[left] += (lengths[:, None] * t**1.5)[..., None] * np.array(SWEPT, np.float32)
     at = CUT * t * (count - 1)
     base = np.minimum(at.astype(int), count - 2)
     part = (at - base)[None, :, None]
-    points[~left] = points[~left][:, base] * (1 - part) + points[~left][:, base + 1] * part
-    data.attributes["position"].data.foreach_set("vector", points.ravel())
+    strands[~left] = strands[~left][:, base] * (1 - part) + strands[~left][:, base + 1] * part
+    points[rows] = strands
+    data.attributes["position"].data.foreach_set("vector", flat)
     data.update_tag()
 
 

@@ -25,6 +25,7 @@ MARGIN = 0.05  # metres around the skin
 EAR = 0.018  # metres: how far around a vertex of an ear its hull is the highest that there is
 # what the hull falls by upwards, and to the other sides, metres a metre: hair leans out before an ear and does not break there
 LEAN, STEEP = 0.38, 1.0
+HULL, OVER = 0.05, 0.012  # metres around an ear where strands may lie on its hull; below its top, where they go over it
 STRAIGHT, BEND = 0.025, 300.0  # metres that it has fallen where skin is reached, and how it falls away below that, 1/m
 REACH = 0.015  # metres: see `body_kernels.heights_into`
 BURIED = 0.05  # metres: what is deeper is left, it is no strand on a head
@@ -56,7 +57,9 @@ class Body:
     field: np.ndarray
 
     @staticmethod
-    def of(head: HeadModel, vertices: np.ndarray, near: np.ndarray | None = None, below: float = np.inf) -> Body:
+    def of(
+        head: HeadModel, vertices: np.ndarray, near: np.ndarray | None = None, below: float = np.inf, ears: bool = True
+    ) -> Body:  # fmt: skip
         """Measure a head.
 
         Args:
@@ -64,6 +67,7 @@ class Body:
             vertices: The head, upright, metres, [V, 3].
             near: Points [P, 3] around which heights are asked, up to `BLOCK` cells away; anywhere when None.
             below: Height up to which heights are asked, below the ears; what is above is high. It saves time.
+            ears: With their hull.
         """
         from ..compute.threads import for_rows
         from .body_kernels import BLOCK, heights_into
@@ -87,7 +91,7 @@ class Body:
                 some[:-1] |= before[1:]
         planes = (np.ascontiguousarray(part, np.float32) for part in (points, normals, low))
         for_rows(heights_into, int(blocks[0]), *planes, CELL, REACH, wanted, heights, smallest=1)
-        if not np.isfinite(below):
+        if ears and not np.isfinite(below):
             _over_ears(head, vertices, low, heights)
         slope = np.stack(np.gradient(heights, CELL), -1)
         slope /= np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-6)
@@ -191,11 +195,31 @@ def on_person(head: HeadModel, still: np.ndarray, frames: RootFrames, local: np.
 def outside(head: HeadModel, still: np.ndarray, strands: np.ndarray, lock: np.ndarray | float = 0.0) -> np.ndarray:
     """Scalp hair [M, K, 3] pushed out of the skin of a person at rest [V, 3] and of the ears; `lock` as of `Rim.ended`."""
     lengths = lengths_of(strands)
-    lying = (LYING * lengths * (1.0 + 0.5 * lock))[:, None] * np.linspace(0, 1, strands.shape[1]) ** 2
+    wanted = CLEARANCE + (LYING * lengths * (1.0 + 0.5 * lock))[:, None] * np.linspace(0, 1, strands.shape[1]) ** 2
     body = Body.of(head, still, near=strands.reshape(-1, 3))
-    fitted = body.untorn(strands, body.pushed(strands, CLEARANCE + lying))
+    fitted = body.untorn(strands, body.pushed(strands, wanted))
+    above = np.flatnonzero(_above_ears(head, still, strands) & (lengths > SHORT))
+    if len(above):
+        skin = Body.of(head, still, near=strands[above].reshape(-1, 3), ears=False)
+        fitted[above] = skin.untorn(strands[above], skin.pushed(strands[above], wanted[above]))
     over_ears = np.clip((lengths - SHORT) / (LONG - SHORT), 0.0, 1.0)[:, None, None]
     result: np.ndarray = strands + over_ears * (fitted - strands)
+    return result
+
+
+def _above_ears(head: HeadModel, still: np.ndarray, strands: np.ndarray) -> np.ndarray:
+    """Whether strands [M, K, 3] pass above an ear and not over it, [M]; those of a ponytail do not lean out before it."""
+    ears = still[head.regions.get("ears", np.zeros(0, int))]
+    above, over = np.zeros((2, len(strands)), bool)
+    for side in (1.0, -1.0):
+        ear = ears[side * ears[:, 0] > 0.0]
+        if not len(ear):
+            continue
+        (_, _, back), (_, top, front) = ear.min(0), ear.max(0)
+        own, y, z = side * strands[..., 0] > 0.0, strands[..., 1], strands[..., 2]
+        over |= (own & (z > back) & (z < front) & (y < top - OVER)).any(1)
+        above |= (own & (z > back - HULL) & (z < front + HULL) & (y < top + HULL)).any(1)
+    result: np.ndarray = above & ~over
     return result
 
 

@@ -44,10 +44,10 @@ def openness(points: np.ndarray, widths: np.ndarray, vertices: np.ndarray, faces
     cells = ((middle.reshape(-1, 3) - low) / CELL).astype(int)
     number = np.ravel_multi_index(tuple(cells.T), tuple(size))
     filled = np.bincount(number, step.ravel(), int(size.prod())).reshape(size) * (FINE * np.pi / 4 / CELL**3)
-    thick = _smooth(filled)
+    thick = smooth_grid(filled)
     head = _inside(low, size, vertices, faces)
     dim = thick + SOLID * head
-    wanted = np.flatnonzero((_smooth(thick) > 0).ravel())
+    wanted = np.flatnonzero((smooth_grid(thick) > 0).ravel())
     places = np.stack(np.unravel_index(wanted, tuple(size)), 1).astype(np.float32) + 0.5
     directions = _sphere(DIRECTIONS).astype(np.float32)
     seen = np.empty((len(wanted), 4), np.float32)
@@ -58,7 +58,8 @@ def openness(points: np.ndarray, widths: np.ndarray, vertices: np.ndarray, faces
     return sample(result, (flat - low) / CELL - 0.5).reshape(*points.shape[:2], 4)
 
 
-def _smooth(grid: np.ndarray) -> np.ndarray:
+def smooth_grid(grid: np.ndarray) -> np.ndarray:
+    """Values [X, Y, Z] blurred by a binomial of three cells along each axis."""
     for axis in range(3):
         grid = 0.5 * grid + 0.25 * (np.roll(grid, 1, axis) + np.roll(grid, -1, axis))
     return grid

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..geometry.libraries import to_numpy
+from ..hair.cover import beneath
 from ..hair.pigment import albedos
 from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
@@ -107,6 +108,7 @@ def cap_color(
     places = _places(evaluator, target)
     cover, light = _under_hair(target.model.head_model, blocks)
     cover, light = ((part[places.corners] * places.weights).sum(1)[:, None] for part in (cover, light))
+    cover = cover * beneath(target.model.head_model, places.points, places.corners, places.weights, blocks)[:, None]
     hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0]
     color = skin.color * (1.0 - UNDER * cover) + UNDER * cover * hair
     return linear_to_srgb(color * (1.0 - cover * (1.0 - light)))

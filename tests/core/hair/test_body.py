@@ -175,3 +175,35 @@ def test_a_strand_that_turns_into_the_head_does_not_come_out_elsewhere(body):
     assert pushed[0, :, 2].max() > 0.056
     assert ended[0, :, 2].max() < 0.054
     np.testing.assert_array_equal(ended[0, 0], pushed[0, 0])
+
+
+def test_tied_hair_passes_above_ears_on_the_skin_and_loose_hair_leans_out_before_them(head):
+    template = np.asarray(head.v_template, float)
+    ears = template[head.regions["ears"]]
+    skin = Body.of(head, template, ears=False)
+
+    def above_ears(name: str) -> np.ndarray:
+        """Heights above the skin of what lies within 2 cm above the ears, behind the first fifth of the strands."""
+        groom = library_groom(name).level(0.2)
+        made = worn(head, template, groom.select(groom.groups == SCALP))
+        points = made.posed(made.frames(template, head.faces), template).reshape(len(made), -1, 3)[:, 4:].reshape(-1, 3)
+        low, high = ears.min(0), ears.max(0)
+        near = (points[:, 1] > high[1]) & (points[:, 1] < high[1] + 0.02) & (points[:, 2] > low[2]) & (points[:, 2] < high[2])
+        return skin.heights(points[near & (np.abs(points[:, 0]) > 0.05)])[0]
+
+    assert np.percentile(above_ears("ponytail"), 90) < 0.006
+    assert np.percentile(above_ears("bob"), 50) > 0.008
+
+
+@pytest.mark.parametrize("name", ["bob", "curtains", "layered", "long", "fringe"])
+def test_the_packages_straight_hair_does_not_stand_over_its_parting(head, name):
+    """Single wisps that rise higher than the others are a row of arcs, seen from the side."""
+    template = np.asarray(head.v_template, float)
+    groom = library_groom(name).level(0.3)
+    groom = groom.select(groom.groups == SCALP).resampled(40)
+    points = groom.posed(groom.frames(template, head.faces), template).reshape(len(groom), 40, 3)
+    points = points[points[:, 0, 1] > 0.12]  # of the crown
+    along = np.cumsum(np.linalg.norm(np.diff(points, axis=1, prepend=points[:, :1]), axis=2), 1)
+    heights = Body.of(head, template, near=points.reshape(-1, 3)).heights(points.reshape(-1, 3))[0].reshape(along.shape)
+    highest = np.where(along < 0.06, heights, 0.0).max(1)
+    assert np.percentile(highest, 95) < 0.0095

@@ -1,0 +1,66 @@
+"""Which of the skin strands lie over where they begin, finer than the head's triangles are. Numpy only; for `session.scalp`.
+
+What roots cover is known by vertex: its color alone would make partings, and skin before a hairline, a centimetre wide.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..geometry.triangles import vertex_normals
+from ..head import HeadModel
+from .occlusion import sample, smooth_grid
+from .roots import SCALP
+from .strands import StrandBlock, lengths_of
+
+CELL, LAYERS = 0.003, 6  # metres of a cell in which strands are counted, and of how many over the skin
+FIRST, STEP = 0.02, 0.002  # metres of each strand from its root that count, in steps
+DENSE = 1.0  # cover by strands, laid beside each other, from where on skin counts as lying under hair
+
+
+def beneath(
+    head: HeadModel, points: np.ndarray, corners: np.ndarray, weights: np.ndarray, blocks: Sequence[StrandBlock]
+) -> np.ndarray:  # fmt: skip
+    """Whether strands of the scalp lie over places of the skin on the first part of their way.
+
+    Args:
+        head: The head model.
+        points: Places on its mean, metres, [N, 3].
+        corners: Vertices of the triangle under each, [N, 3].
+        weights: Barycentric coordinates, [N, 3].
+        blocks: The strands.
+
+    Returns:
+        0..1, [N].
+    """
+    template = np.asarray(head.v_template, float)
+    up = (vertex_normals(template, np.asarray(head.faces))[corners] * weights[..., None]).sum(1)
+    low = points.min(0) - 3 * CELL
+    size = np.ceil((points.max(0) + 3 * CELL - low) / CELL).astype(int) + 1
+    filled = np.zeros(int(size.prod()))
+    for block in blocks:
+        if block.group == SCALP:
+            origin, axes = block.frames.at(template)
+            begun, real = _begun(np.matmul(block.points, axes) + origin[:, None])
+            areas = np.broadcast_to((block.widths[:, :1] * (STEP * len(block) / len(begun))), real.shape)[real]
+            cells = np.clip(((begun[real] - low) / CELL).astype(int), 0, size - 1)
+            np.add.at(filled, np.ravel_multi_index(tuple(cells.T), tuple(size)), areas)
+    dense = smooth_grid(smooth_grid(filled.reshape(size) / CELL**2))[..., None]
+    passed = np.zeros(len(points))
+    for k in range(-1, LAYERS):
+        passed += sample(dense, (points + (k + 0.5) * CELL * up - low) / CELL - 0.5)[:, 0]
+    return np.minimum(passed / DENSE, 1.0)
+
+
+def _begun(strands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places [M, S, 3] on strands [M, K, 3] every `STEP` from the root, and which of these strands reach, [M, S]."""
+    along = np.cumsum(np.linalg.norm(np.diff(strands, axis=1, prepend=strands[:, :1]), axis=2), 1)
+    wanted = np.arange(STEP / 2, FIRST, STEP)
+    number = np.clip((along[:, :, None] < wanted).sum(1) - 1, 0, strands.shape[1] - 2)  # of the point before each
+    row = np.arange(len(strands))[:, None]
+    before, after = along[row, number], along[row, number + 1]
+    part = np.clip((wanted - before) / np.maximum(after - before, 1e-9), 0.0, 1.0)[..., None]
+    places = strands[row, number] * (1.0 - part) + strands[row, number + 1] * part
+    return places, wanted <= lengths_of(strands)[:, None]

@@ -1,0 +1,37 @@
+"""Skin under strands: `grmm_core/hair/cover.py`."""
+
+import numpy as np
+import pytest
+
+from grmm_core.geometry.triangles import vertex_normals
+from grmm_core.hair import library_groom
+from grmm_core.hair.cover import beneath
+from grmm_core.hair.strands import blocks_of
+from grmm_core.head import load_open_head
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+def test_a_parting_is_bare_and_a_few_millimetres_wide(head):
+    template, faces = np.asarray(head.v_template, float), np.asarray(head.faces)
+    blocks = blocks_of(library_groom("bob"), template, faces)
+    g = np.random.default_rng(3)
+    corners = faces[np.isin(faces, head.regions["scalp"]).all(1)]
+    corners = np.repeat(corners, 40, 0)
+    weights = g.dirichlet((1.0, 1.0, 1.0), len(corners))
+    points = (template[corners] * weights[..., None]).sum(1)
+    assert (vertex_normals(template, faces)[corners[:, 0], 1] > 0.5).sum() > 1000  # the crown is among them
+    found = beneath(head, points, corners, weights, blocks)
+    front = (points[:, 2] > 0.0) & (points[:, 2] < 0.06) & (points[:, 1] > 0.12)
+    apart = np.abs(points[:, 0] - 0.0175)  # of the parting of the style on the mean head
+    on, beside = (found[front & some].mean() for some in (apart < 0.001, (apart > 0.008) & (apart < 0.012)))
+    assert beside > 0.9
+    assert on < 0.75 * beside
+    chin = (template[faces].mean(1)[:, 1] < -0.05) & (template[faces].mean(1)[:, 2] > 0.09)
+    below = faces[chin]
+    thirds = np.full(below.shape, 1.0 / 3.0)
+    assert beneath(head, np.concatenate([points, template[below].mean(1)]), np.concatenate([corners, below]),
+                   np.concatenate([weights, thirds]), blocks)[len(points):].max() < 0.01  # fmt: skip

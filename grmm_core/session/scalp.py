@@ -28,6 +28,7 @@ ASIDE = (0.012, 0.02)  # metres: likewise along the skin
 DARK = (0.75, 0.5)  # of the brightness of skin: from where on a texel beside the face counts as hair, and counts fully
 BESIDE = (0.068, 0.05)  # metres: in front of the first depth is face, behind the second beside it
 CHIN, BEARDED = 0.025, 0.6  # metres to either side of the chin's middle; brightness of a bearded chin, of the skin's
+TEMPLES = (-0.01, 0.01)  # metres: above these heights hair of a photo is painted beside the scalp
 FOREHEAD = (0.074, 0.084)  # metres: above the brows, hair is that of the scalp
 BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front of this depth, hair is beard
 NEAR = 0.02  # metres: over what distance the skin's color is smoothed
@@ -49,6 +50,7 @@ class _Places(NamedTuple):
         skin: Whether it is plain skin of face and neck, [N].
         outer: Whether it is on the outer skin, [N].
         beside: How far it is beside, behind and above the face, 0..1 [N].
+        painted: How far a photo's hair may be painted there, as at temples, 0..1 [N].
     """
 
     points: np.ndarray
@@ -58,6 +60,7 @@ class _Places(NamedTuple):
     skin: np.ndarray
     outer: np.ndarray
     beside: np.ndarray
+    painted: np.ndarray
 
 
 class Skin(NamedTuple):
@@ -67,37 +70,45 @@ class Skin(NamedTuple):
     color: np.ndarray
 
 
-def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Skin:
-    """Find the trained hair of an avatar, and the skin under it, from its inputs at rest."""
+def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: bool = False) -> Skin:
+    """Find the trained hair of an avatar, and the skin under it, from its inputs at rest.
+
+    With its `own` strands, what a photo painted under these stays.
+    """
     places = _places(evaluator, target)
-    own = evaluator.appearance(target, inputs, np.array([0.0, 0.0, 1.0], np.float32))[0]
-    own = srgb_to_linear(to_numpy(own).clip(0.0, 1.0)).astype(np.float32)
-    if target.model.config.hairless:
-        return Skin(places.scalp.astype(np.float32), own)
-    offsets = to_numpy(evaluator.offsets(target, inputs))[:, :3] * target.model.config.position_unit_mm * METRES_PER_MM
-    far = np.maximum(_ramp(offsets[:, 2], *LIFTED), _ramp(np.linalg.norm(offsets[:, :2], axis=1), *ASIDE))
+    seen = evaluator.appearance(target, inputs, np.array([0.0, 0.0, 1.0], np.float32))[0]
+    seen = srgb_to_linear(to_numpy(seen).clip(0.0, 1.0)).astype(np.float32)
+    hairless = target.model.config.hairless
+    if hairless and own:
+        return Skin(places.scalp.astype(np.float32), seen)
+    far = np.zeros(len(seen), np.float32)
+    if not hairless:
+        offsets = to_numpy(evaluator.offsets(target, inputs))[:, :3] * target.model.config.position_unit_mm * METRES_PER_MM
+        far = np.maximum(_ramp(offsets[:, 2], *LIFTED), _ramp(np.linalg.norm(offsets[:, :2], axis=1), *ASIDE))
     (y_low, y_high), (z_low, z_high) = BEARD
     beard = _ramp(places.points[:, 1], y_high, y_low) * _ramp(places.points[:, 2], z_high, z_low)
-    bright = own.mean(1)
+    bright = seen.mean(1)
     plain = places.skin & (places.scalp < 0.02) & (far < 0.02) & (beard < 0.5)
     middle = float(np.median(bright[plain])) if plain.any() else 0.0
     chin = places.skin & (beard > 0.9) & (np.abs(places.points[:, 0]) < CHIN)
     if not chin.any() or np.median(bright[chin]) > BEARDED * middle:
         beard = np.zeros_like(beard)  # shaven: what is dark beside the jaw is scalp hair that hangs there
-    around = (1.0 - beard) * places.outer * places.beside
+    around = (1.0 - beard) * places.outer * (places.painted if hairless else places.beside)
     share = np.maximum(places.scalp, far * around)
     clean = np.flatnonzero(plain & (bright > DARK[0] * middle))
     if not len(clean):
-        return Skin(share.astype(np.float32), own)
+        return Skin(share.astype(np.float32), seen)
     some = clean[:: max(1, len(clean) // SAMPLES)]
     wanted = np.flatnonzero((around > 0) | (share > 0))
-    color = own.copy()
+    color = seen.copy()
     for part in np.array_split(wanted, max(1, len(wanted) // 2048)):
         apart = ((places.points[part, None] - places.points[some]) ** 2).sum(2)
         near = 1.0 / (apart + NEAR**2) ** 2
-        color[part] = (near @ own[some]) / near.sum(1, keepdims=True)
+        color[part] = (near @ seen[some]) / near.sum(1, keepdims=True)
     # what is as dark as hair beside and behind the face is hair that lies on the skin
     dark = _ramp(bright / np.maximum(color.mean(1), 1e-4), DARK[0], DARK[1])
+    if hairless:  # only a photo paints its hair there; else the scalp has its own color
+        color = seen + dark[:, None] * (color - seen)
     return Skin(np.maximum(share, dark * around).astype(np.float32), color)
 
 
@@ -170,6 +181,7 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
             skin,
             outer,
             beside,
+            beside * (1.0 - share("ears", *_NOT_SKIN)) * _ramp(points[:, 1], *TEMPLES),
         )
 
     return evaluator.cache.get((target.id, "places"), make)

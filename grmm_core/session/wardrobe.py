@@ -81,11 +81,13 @@ class Worn:
         settings: To draw them with, for each of `roots.GROUPS`.
         flat: The scalp is laid flat (`scalp`): the hair that the Gaussians were trained with does not show, or strands
             shade the skin.
+        own: The hair is that of the avatar's file.
     """
 
     layers: tuple[Layer, ...]
     settings: tuple[HairSettings, ...]
     flat: bool
+    own: bool
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -138,7 +140,7 @@ class Wardrobe:
         settings = use.settings or (own.settings if own is not None and use.groom == OWN_HAIR else HairSettings())
         kept = {} if own is None else own.parts
         parts = [use.parts.get(part) or kept.get(part) or settings.for_part(group) for group, part in enumerate(GROUPS)]
-        return Worn(layers, (settings, *parts[1:]), combed or (instead and not hairless))
+        return Worn(layers, (settings, *parts[1:]), combed or (instead and not hairless), use.groom == OWN_HAIR)
 
     def _main(self, target: OpenAvatar, use: HairUse) -> Layer | None:
         """The groom that is worn on the scalp, with what else is in it."""
@@ -182,15 +184,17 @@ class Wardrobe:
         head = target.model.head_model
 
         def bare() -> Skin:
-            return bare_skin(evaluator, target, at_rest(evaluator, target, inputs))
+            return bare_skin(evaluator, target, at_rest(evaluator, target, inputs), worn.own)
 
         def make() -> Cap:
-            skin = evaluator.cache.get((target.id, "skin", *inputs.identity_key), bare)
+            skin = evaluator.cache.get((target.id, "skin", worn.own, *inputs.identity_key), bare)
             blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
             color = cap_color(evaluator, target, skin, blocks, worn.settings[SCALP])
             return Cap(self._engine.array(skin.share), self._engine.array(color))
 
-        return evaluator.cache.get((target.id, "cap", *worn.key, *inputs.identity_key, *worn.settings[SCALP].color_key), make)
+        return evaluator.cache.get(
+            (target.id, "cap", worn.own, *worn.key, *inputs.identity_key, *worn.settings[SCALP].color_key), make
+        )
 
     def gaussians(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, camera: Camera | None, lod: int = 0,

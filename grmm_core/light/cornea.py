@@ -18,6 +18,12 @@ _EDGE, _END = 0.42, 0.66  # radians from the pole up to which the bulge is whole
 _POLE = 0.2  # share of an eyeball's depth, from the front, whose vertices at rest tell where it looks
 
 
+def on_eyes(head: HeadModel, corners: np.ndarray) -> np.ndarray:
+    """Numbers of points on eyeballs, whose faces have corners [N, 3]."""
+    found: np.ndarray = np.flatnonzero(head.marked(*EYEBALLS)[corners].all(1))
+    return found
+
+
 def bulged(head: HeadModel, vertices: np.ndarray, corners: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Unit normals at points of a head, [N, 3], those on eyeballs turned as on a cornea.
 

@@ -17,7 +17,7 @@ from ..controls.frame import Controls
 from ..geometry.boxes import box_around
 from ..geometry.libraries import to_numpy
 from ..light.bounce import nearest_points
-from ..light.cornea import bulged
+from ..light.cornea import bulged, on_eyes
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
@@ -117,7 +117,10 @@ class LitAvatar:
         )
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
         tilts = np.empty((0 if self._lod else len(self._drawn.corners), VALUES + len(self._softened)), np.float32)
-        scene = shade(*light, coefficients_of(self._lighting.surroundings, turn.T), self._response, turn, tilts)
+        around = coefficients_of(self._lighting.surroundings, turn.T)
+        scene = shade(*light, around, self._response, turn, tilts)
+        if self._response.gloss:
+            self._glints(scene.highlights, seen, eye, around, turn)
         learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         corners = self._drawn.corners
@@ -126,6 +129,15 @@ class LitAvatar:
         if self._response.even_mouth:
             even_mouth(self._head, corners, found, FRONT)
         return found, tilts
+
+    def _glints(self, highlights: np.ndarray, seen: np.ndarray, eye: np.ndarray, around: np.ndarray, turn: np.ndarray) -> None:
+        """Put highlights of corneas where those of eyeballs are, [N, 3]."""
+        held, corners = self._receivers, self._drawn.corners
+        rows = self._evaluator.cache.get((self._target.id, "eyes", self._lod), lambda: (on_eyes(self._head, corners),))[0]
+        normals = bulged(self._head, self._vertices, corners[rows], held.normals[rows]).astype(np.float32)
+        there = dataclasses.replace(held, points=held.points[rows], normals=normals)
+        light = self.lamps, there, seen[:, rows], self._materials().taken(rows), self._rest().transfer[self._rows][rows], eye
+        highlights[rows] = shade(*light, around, self._response, turn).highlights
 
     def _asked(self, eye: np.ndarray) -> np.ndarray:
         """Numbers of Gaussians whose shadows are needed: what faces the eye (`Arrived.front`), and what lies at vertices."""
@@ -337,7 +349,7 @@ class LitAvatar:
     def _receivers(self) -> Receivers:
         def make() -> tuple[np.ndarray, np.ndarray]:
             found = self._drawn.receivers(self._vertices, vertex_normals(self._vertices, self._head.faces))
-            return found.points, bulged(self._head, self._vertices, self._drawn.corners, found.normals)
+            return found.points, found.normals
 
         key = (self._target.id, "receivers", self._lod, *self._inputs.mesh_key)
         return Receivers.around(*self._evaluator.cache.get(key, make), self._vertices)

@@ -19,6 +19,7 @@ from ..wrinkles.furrows import Furrows, sizes_of
 from ..wrinkles.relief import FINER, Relief, age_of, seed_of
 from .evaluator import Evaluator, Inputs, OpenAvatar
 
+_DIRECTED = 0.6  # of how a scene's light differs by direction: where it is shadowed is not asked, and skin scatters
 _MIDDLE = 0.5  # of a pixel or texel
 
 
@@ -74,7 +75,8 @@ def furrows_of(
 
     faces, places = evaluator.cache.get((target.id, "furrow places"), lie)
     normals = evaluator.cache.get((target.id, "vertex normals", *inputs.mesh_key), lean)[0]
-    light = rig_harmonics() if lighting is None else harmonics_of(lighting)
+    light = rig_harmonics().copy() if lighting is None else harmonics_of(lighting)
+    light[1:] *= 1.0 if lighting is None else _DIRECTED
     size = int(relief.size[0]), int(relief.size[1])
     return Furrows(levels[0], size, faces, places, vertices, normals, light.astype(np.float32))
 

@@ -15,8 +15,8 @@ from .shade import BRIGHTEST, DARKEST, DEPTHS, GROOVE, LEVELS, TILT
 _0, _1, _HALF = single(0.0), single(1.0), single(0.5)
 _NEAR, _FAR, _TILT, _DEPTH = single(NEAR), single(FAR), single(TILT), single(LINE_DEPTH)
 _LOST = np.array(GROOVE, np.float32)
-# the power 1 / 2.2 as a root and a cubic: right to 0.0014 between DARKEST and BRIGHTEST
-_A, _B, _C, _D = single(1.10538638), single(-0.20124893), single(0.12814316), single(-0.03263077)
+# the power 1 / 2.2 as a root and a cubic: right to 0.0003 between DARKEST and BRIGHTEST
+_A, _B, _C, _D = single(1.10057756), single(-0.1896713), single(0.12203938), single(-0.0329282)
 _TINY = single(1e-12)
 
 

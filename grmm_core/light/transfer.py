@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry import triangles
 from .lamps import Sun
 from .shadows import Casters, Receivers, compiled_kernels, visible
 from .surroundings import basis, sphere
@@ -49,10 +50,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         normals = np.zeros((len(vertices), 3))
         kernels.vertex_normals(np.ascontiguousarray(vertices, np.float64), np.ascontiguousarray(faces, np.int32), normals)
         return normals
-    corners = vertices[faces]
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    summed = np.stack([np.bincount(faces.ravel(), np.repeat(flat[:, k], 3), len(vertices)) for k in range(3)], -1)
-    return summed / np.maximum(np.linalg.norm(summed, axis=1, keepdims=True), 1e-20)
+    return triangles.vertex_normals(vertices, faces)
 
 
 def turn_between(rest: np.ndarray, posed: np.ndarray) -> np.ndarray:

@@ -47,7 +47,6 @@ def furrows_of(
         return Relief.of(head, layout.uv, layout.grid, seed_of(own), age_of(own, load_people_model()))
 
     relief = Relief(*evaluator.cache.get((target.id, "furrow relief"), paint))
-
     held = np.stack([still, *_of_photos(target, len(still))])
 
     def hold() -> tuple[np.ndarray]:

@@ -81,9 +81,11 @@ class Soak:
         (self._folder / "performance.csv").write_text("".join(",".join(row) + "\n" for row in rows))
 
     def _fill_cache(self) -> None:
-        """Draw new expressions until the worker keeps no more of them: what grows from here on is not its cache."""
+        """Draw people, then new expressions until the worker keeps no more: what grows from here on is no cache."""
         core, session = _module("grmm_core.session"), self._host.get_session()
         avatar, camera = session.open("default").id, _module("grmm_core.geometry.camera").Camera.orbit(96, 96)
+        for seed in range(_module("grmm_core.session.wardrobe").READY):
+            session.render([core.Instance(session.sample(seed).id)], camera, core.RenderOptions())
         controls, before = _module("grmm_core.controls.frame").Controls(), 0
         for frame in range(MOST_FRAMES):
             shown = controls.set_named({"jawOpen": self._chance.random(), "browInnerUp": self._chance.random()})

@@ -8,19 +8,16 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-import logging
 import os
 import platform
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
-from types import MappingProxyType, TracebackType
-from typing import Any, Concatenate, ParamSpec, Self, TypeVar
+from types import TracebackType
+from typing import Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 
-from ..avatar import Avatar, load_avatar, save_avatar
-from ..avatar.library import DEFAULT_NAME, library_path
+from ..avatar import save_avatar
 from ..compute.memory import resident_memory
 from ..controls.frame import Controls
 from ..errors import SessionError, ShapeError
@@ -28,34 +25,27 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import present, to_numpy
 from ..geometry.rotations import euler_to_matrix
 from ..hair.groom import Groom
-from ..hair.packaged import HEAD
 from ..head.skinning import joint_transforms
-from ..model.people import default_avatar, sampled_avatar
 from ..model.portrait import THUMBNAIL_PIXELS, portrait_camera
-from ..model.store import LoadedModel
 from ..pictures.color import straight_rgba
 from ..pictures.images import encode_png, quantize
 from ..splat.types import GaussianArrays
 from .api import CancelCheck
-from .carrying import can_carry, in_its_colors, without_changes
 from .clouds import OpenCloud
 from .compose import Gathered, PlacedAvatar, PlacedCloud, draw, gather
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .holding import held
+from .opened import FRONT, OpenAvatars
 from .painter import painted
 from .sources import SourceKey, source_key
 from .values import MAX_LOD, AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
-from .wardrobe import Wardrobe, random_hair
+from .wardrobe import Wardrobe
 from .wearing import HairUse
 
 CACHE_BYTES = 512 << 20
-FRONT = np.array([0.0, 0.0, 1.0])  # towards a camera in front of the face, head space
 _UNIT_TOLERANCE = 1e-3
 _PATIENCE = 1.0  # seconds that `begin` waits for the picture before
-_NOBODY = 0  # no avatar has this number
-
-_log = logging.getLogger(__name__)
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -97,10 +87,8 @@ class LocalSession:
         self.engine = engine
         self.evaluator = Evaluator(engine, cache_bytes)
         self._wardrobe = Wardrobe(engine)
-        self._avatars: dict[int, OpenAvatar] = {}
-        self._infos: dict[int, AvatarInfo] = {}
+        self._opened = OpenAvatars(engine, self.evaluator)
         self._clouds: dict[int, OpenCloud] = {}
-        self._next_id = 0
 
     @contextlib.contextmanager
     def _calling(self) -> Iterator[None]:
@@ -118,12 +106,12 @@ class LocalSession:
     @_guarded
     def open(self, source: str | os.PathLike[str]) -> AvatarInfo:
         """See `Session.open`."""
-        return self._open(source_key(source))
+        return self._opened.open(source_key(source))
 
     @_guarded
     def sample(self, seed: int) -> AvatarInfo:
         """See `Session.sample`."""
-        return self._open(SourceKey("sample", str(int(seed))))
+        return self._opened.open(SourceKey("sample", str(int(seed))))
 
     @_guarded
     def save(self, avatar_id: int, path: str | os.PathLike[str], hair: HairUse | None = None) -> None:
@@ -142,18 +130,14 @@ class LocalSession:
     @_guarded
     def release(self, avatar_id: int) -> None:
         """See `Session.release`."""
-        self._avatars.pop(avatar_id, None)
-        self._infos.pop(avatar_id, None)
+        self._opened.release(avatar_id)
         self._clouds.pop(avatar_id, None)
-        self.evaluator.cache.drop(avatar_id)
 
     @_guarded
     def put_cloud(self, name: str, version: str, cloud: CloudArrays) -> int:
         """See `Session.put_cloud`."""
         known = next((cloud for cloud in self._clouds.values() if cloud.name == name), None)
-        if known is None:
-            self._next_id += 1
-        number = self._next_id if known is None else known.id
+        number = self._opened.next_number() if known is None else known.id
         if known is None or known.version != version:
             self._clouds[number] = OpenCloud.make(number, name, version, cloud, self.engine)
         return number
@@ -278,7 +262,7 @@ class LocalSession:
     def at_once(self, seconds: float) -> Iterator[bool]:
         """See `Session.at_once`."""
         with held(self._lock, seconds) as free:
-            yield free and bool(self._avatars)
+            yield free and len(self._opened) > 0
 
     @_guarded
     def warm_up(self) -> None:
@@ -297,8 +281,7 @@ class LocalSession:
         """See `Session.close`."""
         with self._lock:
             self._closed = True
-            self._avatars.clear()
-            self._infos.clear()
+            self._opened.clear()
             self._clouds.clear()
             self.evaluator.cache.clear()
 
@@ -308,83 +291,9 @@ class LocalSession:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None) -> None:
         self.close()
 
-    def _open(self, key: SourceKey) -> AvatarInfo:
-        known = next((target.id for target in self._avatars.values() if target.source == key), None)
-        if known is not None:
-            return self._infos[known]
-        path = self._file_of(key)
-        if path is not None:
-            avatar = self._carried_over(load_avatar(path), path)
-            return self._add(avatar, self.engine.store.for_avatar(avatar, path), key)
-        loaded = self.engine.store.default()
-        size = loaded.model.z_exp_size
-        made = sampled_avatar(loaded.info, size, int(key.name)) if key.kind == "sample" else default_avatar(loaded.info, size)
-        if key.kind == "sample" and loaded.model.config.hairless and loaded.info.head_name == HEAD:
-            made = dataclasses.replace(made, hair=random_hair(int(key.name)))
-        return self._add(made, loaded, key)
-
-    def _carried_over(self, avatar: Avatar, path: Path) -> Avatar:
-        """The avatar itself, or where its weights are not installed what can be carried over to the default ones."""
-        store = self.engine.store
-        if store.knows(avatar) or not can_carry(avatar, loaded := store.default()):
-            return avatar
-        plain = without_changes(avatar, loaded)
-        target = OpenAvatar(_NOBODY, plain, loaded, source_key(path))
-        try:
-            colors, _ = self.evaluator.appearance(target, self.evaluator.inputs(target, Controls()), FRONT)
-        finally:
-            self.evaluator.cache.drop(_NOBODY)
-        _log.warning(
-            "%s was made on the weights %r, which are not installed: its shape and colors were carried over to %r; "
-            "save it, or make it anew from its photos.", path, avatar.weights.name, loaded.info.name,
-        )  # fmt: skip
-        return in_its_colors(plain, loaded, to_numpy(colors))
-
-    def _file_of(self, key: SourceKey) -> Path | None:
-        """The `.grmm` file behind a source, or None where it is made from the weights alone."""
-        if key.kind == "file":
-            return Path(key.name)
-        if key.kind == "library":
-            return library_path(key.name)
-        # weights of the user's own have a default person of their own
-        return library_path(DEFAULT_NAME) if key.kind == "default" and self.engine.store.embedded else None
-
-    def _add(self, avatar: Avatar, loaded: LoadedModel[Any], key: SourceKey) -> AvatarInfo:
-        self._next_id += 1
-        target = OpenAvatar(self._next_id, avatar, loaded, key)
-        # Reject an avatar that does not fit before it gets an id.
-        self.evaluator.inputs(target, Controls())
-        model = loaded.model
-        info = AvatarInfo(
-            id=target.id,
-            name=avatar.name,
-            source=key.label,
-            head_name=loaded.info.head_name,
-            head_sha256=loaded.info.head_sha256,
-            weights_name=loaded.info.name,
-            weights_sha256=loaded.info.sha256,
-            vertex_count=len(model.head_model.v_template),
-            gaussian_count=model.gaussian_count,
-            feature_count=model.config.features,
-            z_id_size=model.z_id_size,
-            z_exp_size=model.z_exp_size,
-            shape=avatar.shape,
-            z_id=avatar.z_id,
-            aligned_code_norms=loaded.space.code_norms,
-            provenance=MappingProxyType(dataclasses.asdict(avatar.provenance)),
-            thumbnail=avatar.thumbnail,
-            hair=None if avatar.hair is None else avatar.hair.settings,
-            antialiased=model.config.antialias,
-        )
-        self._avatars[target.id] = target
-        self._infos[target.id] = info
-        return info
-
     def target(self, avatar_id: int) -> OpenAvatar:
         """Return an avatar with its model, for measurements in this process. Raises `SessionError`."""
-        if avatar_id not in self._avatars:
-            raise SessionError(f"There is no avatar {avatar_id} in this session; open it first.")
-        return self._avatars[avatar_id]
+        return self._opened.target(avatar_id)
 
 
 def _joints(target: OpenAvatar, inputs: Inputs) -> np.ndarray:

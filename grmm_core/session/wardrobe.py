@@ -40,7 +40,7 @@ from .scalp import Skin, bare_skin, cap_color
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
-_READY = 12  # grooms that are kept ready
+READY = 12  # grooms that are kept ready
 Kept = TypeVar("Kept")
 _HIDING_ISLAND = 0  # of the UV map: the skin hides hair, eyes and teeth are behind it
 
@@ -360,7 +360,7 @@ def random_hair(seed: int) -> Hair:
 def _kept(known: dict[tuple[Hashable, ...], Kept], key: tuple[Hashable, ...], make: Callable[[], Kept]) -> Kept:
     """What is known by a key, made where it is not; the oldest of many is forgotten."""
     if key not in known:
-        while len(known) >= _READY:
+        while len(known) >= READY:
             known.pop(next(iter(known)))
         known[key] = make()
     return known[key]

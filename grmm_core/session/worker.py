@@ -18,6 +18,7 @@ import threading
 import traceback
 from typing import Any, BinaryIO
 
+from ..compute.memory import give_back
 from ..errors import GrmmError, RuntimeMissingError, SessionError
 from . import make_local_session
 from .arena import SharedArena
@@ -31,6 +32,7 @@ _AHEAD: dict[str, Any] = {"id": -1, "call": "draw_ahead", "arguments": {}}  # of
 _CANCELLABLE = frozenset({"render"})
 _SWITCH_SECONDS = 5e-4  # that a thread waits for another one's Python: a frame's threads meet hundreds of times
 
+_IDLE_SECONDS = 5.0
 _SETTLED = 3  # pictures after which whatever is loaded for them is there
 
 _log = logging.getLogger(__name__)
@@ -47,8 +49,12 @@ class _Requests:
         threading.Thread(target=self._read, name="grmm-requests", daemon=True).start()
 
     def next(self) -> dict[str, Any]:
-        """Wait for the next call."""
-        return self._queue.get()
+        """Wait for the next call; after a while without one, what was freed meanwhile goes back to the system."""
+        try:
+            return self._queue.get(timeout=_IDLE_SECONDS)
+        except queue.Empty:
+            give_back()
+            return self._queue.get()
 
     @property
     def idle(self) -> bool:

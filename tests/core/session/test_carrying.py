@@ -35,7 +35,7 @@ def lost(tmp_path):
 
 
 def test_shape_and_colors_are_carried_over(session, lost, caplog):
-    with caplog.at_level("WARNING", logger="grmm_core.session.local"):
+    with caplog.at_level("WARNING", logger="grmm_core.session"):
         info = session.open(lost)
     assert "carried over" in caplog.text
     own = session.open("library:beard")

@@ -228,3 +228,22 @@ def test_a_picture_that_was_drawn_ahead_is_handed_out_once(local, monkeypatch):
     other = local.render(frames[0], CAMERA, begun="1")["rgb"]  # a second time it is what is asked for that counts
     np.testing.assert_array_equal(other, expected[0])
     assert len(drawn) == 3
+
+
+def test_of_many_people_drawn_at_random_the_latest_are_held(local):
+    from grmm_core.session.wardrobe import READY
+
+    people = [local.sample(seed).id for seed in range(100, 102 + READY)]
+    first = local.gaussians(people[0], Controls())
+    assert len(set(people)) == READY + 2
+    assert len([number for number in local._opened._held if number in people]) == READY
+    local.evaluator.cache.clear()
+    for number in people[1:]:
+        local.target(number)
+    again = local.gaussians(people[0], Controls())  # drawn anew from the seed
+    np.testing.assert_array_equal(again.means, first.means)
+    np.testing.assert_array_equal(again.colors, first.colors)
+    assert local.sample(100).id == people[0]
+    for number in people:
+        local.release(number)
+    assert not [number for number in local._opened._held if number in people]

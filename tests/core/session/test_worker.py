@@ -425,3 +425,20 @@ def test_an_arena_grows_and_is_seen_by_the_other_side():
     for side in (arena, other):
         side.close()
         side.close()
+
+
+def test_an_idle_worker_gives_memory_back(monkeypatch):
+    from grmm_core.session import worker
+
+    class Silence(io.RawIOBase):
+        def read(self, size: int = -1) -> bytes:
+            threading.Event().wait()
+            return b""
+
+    given = []
+    monkeypatch.setattr(worker, "_IDLE_SECONDS", 0.05)
+    monkeypatch.setattr(worker, "give_back", lambda: given.append(True))
+    requests = worker._Requests(Silence())
+    threading.Timer(0.5, lambda: requests._queue.put({"id": 1})).start()
+    assert requests.next() == {"id": 1}
+    assert given == [True]  # once, however long it waits

@@ -154,7 +154,15 @@ class TexelShadows(NamedTuple):
         return found[: at_edges(self.long, self.beside, np.float32(_STEP), known, found)]
 
     def _places(self, number: np.ndarray, points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-        """Places on some of the long texels, `_PLACES` on each, [K * P, 3]; points of all texels [N, 3]."""
+        """Places on some of the long texels, `_PLACES` on each, [K * P, 3]; points of all texels [N, 3].
+
+        They lie on the curve through the texels beside: a plane would leave a hollow neck, and be dark below it.
+        """
+        own, ends = self.long[number], self.beside[number]
         axis = np.einsum("mk,mkx->mx", self.along[number], vertices[self.corners[number]])
-        there: np.ndarray = (points[self.long[number], None] + _PLACES[:, None] * axis[:, None]).reshape(-1, 3)
-        return there
+        whole = (ends != own[:, None]).all(1)[:, None]
+        before, here, behind = points[ends[:, 0]], points[own], points[ends[:, 1]]
+        axis = np.where(whole, 0.5 * (behind - before), axis)
+        bend = np.where(whole, 0.5 * (before + behind) - here, 0.0)
+        steps = _PLACES[:, None]
+        return (here[:, None] + steps * axis[:, None] + steps**2 * bend[:, None]).reshape(-1, 3).astype(np.float32)

@@ -101,6 +101,21 @@ def test_the_edge_of_a_shadow_is_even_on_the_long_texels_of_a_neck(head, lying, 
     assert few[lying.long].mean() == pytest.approx(point_by_point[lying.long].mean(), abs=0.01)
 
 
+def test_long_texels_are_looked_at_where_the_skin_is_hollow_and_not_below_it():
+    angles, radius = np.array([-0.15, 0.0, 0.15]), 0.06  # texels of 9 mm on a hollow neck
+    points = radius * np.stack([np.zeros(3), np.sin(angles), 1.0 - np.cos(angles)], -1)
+    plane = np.array([[0.0, 0.0, 0.0], [0.0, 0.009, 0.0], [0.009, 0.0, 0.0]])
+    one, ends = np.array([1], np.int32), np.array([[0, 2]], np.int32)
+    along = np.array([[-1.0, 1.0, 0.0]], np.float32)
+    lying = TexelShadows(np.full((3, 4), -1, np.int32), one, along, ends, np.array([[0, 1, 2]], np.int32))
+    places = lying._places(np.array([0]), points, plane)
+    away = radius - np.linalg.norm(places - [0.0, 0.0, radius], axis=1)
+    assert np.abs(away).max() < 5e-5
+    assert np.ptp(places[:, 1]) == pytest.approx(1.8 * 0.009, rel=0.02)
+    alone = lying._replace(beside=np.array([[1, 2]], np.int32))._places(np.array([0]), points, plane)
+    assert np.abs(alone[:, 2]).max() == 0.0  # beside the edge of the grid: in the plane of its face
+
+
 def test_points_of_flat_faces_lie_nearer_to_the_round_form_and_never_below_the_faces(head, texels, receivers):
     polar, around = np.meshgrid(np.linspace(0.2, 2.9, 10), np.linspace(0, 6.0, 12), indexing="ij")
     points = 0.1 * np.stack([np.sin(polar) * np.cos(around), np.cos(polar), np.sin(polar) * np.sin(around)], -1).reshape(-1, 3)

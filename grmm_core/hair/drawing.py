@@ -14,7 +14,7 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from .ribbons import Eye
-from .roots import SCALP
+from .roots import BROWS, LASHES, SCALP
 from .settings import HairSettings
 from .strands import StrandBlock
 
@@ -113,20 +113,29 @@ def _placed(points: np.ndarray, eye: np.ndarray) -> np.ndarray:
     return shown
 
 
-def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float, finer: float = 1.0) -> list[float]:
+def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float, finer: float = 1.0, lod: int = 0) -> list[float]:
     """Share of the strands of each block to draw of a head that is seen at a size: continuous in the size.
 
-    Of the scalp `finer` times as many as in good time, as long as there are so many.
+    Of the scalp `finer` times as many as in good time, as long as there are so many. Brows and lashes are the same at every
+    level of detail: they are few, and a quarter of them, twice as wide, would be blots.
     """
     all_of_them = sum(len(block) * block.segments for block in blocks)
-    most = finer * BUDGET * pixels_per_metre / max(all_of_them, 1)
+    fewer = pixels_per_metre / 4**lod
+    most = finer * BUDGET * fewer / max(all_of_them, 1)
     shares = []
     for block in blocks:
-        wide = float(block.widths.mean()) * pixels_per_metre
+        wide = float(block.widths.mean()) * (pixels_per_metre if block.group in (BROWS, LASHES) else fewer)
         long = float(np.clip((block.length - SHORT) / (LONG - SHORT), 0.0, 1.0)) if block.group == SCALP else 0.0
         share = wide / (SPARSE + long * (DRAWN - SPARSE))
         shares.append(min(finer * share, most) if block.group == SCALP else share)
     return [float(np.clip(share, SMALLEST_SHARE, 1.0)) for share in shares]
+
+
+def nearer(made: StrandGaussians, eye: Eye, metres: float) -> StrandGaussians:
+    """The same Gaussians, moved towards an eye, which sees them where they were."""
+    ahead = eye.rotation[2]
+    way = np.broadcast_to(-ahead, made.means.shape) if eye.orthographic else -eye.translation @ eye.rotation - made.means
+    return made._replace(means=made.means + np.float32(metres) * way / np.linalg.norm(way, axis=1, keepdims=True))
 
 
 def strand_gaussians(

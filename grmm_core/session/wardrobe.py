@@ -21,13 +21,13 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
 from ..hair.body import on_person, outside
 from ..hair.contact import moved as displaced
-from ..hair.drawing import Hiding, level_shares, strand_gaussians
+from ..hair.drawing import Hiding, level_shares, nearer, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
 from ..hair.packaged import library_groom
 from ..hair.prior import random_groom
 from ..hair.ribbons import Eye
-from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
+from ..hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
 from ..hair.shoulders import Shoulders
 from ..hair.strands import StrandBlock, blocks_of
@@ -40,6 +40,7 @@ from .scalp import Skin, bare_skin, cap_color
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
+_RAISED = 0.001  # metres, at each level of detail twice as many: larger Gaussians of skin would cover brows
 READY = 12  # grooms that are kept ready
 Kept = TypeVar("Kept")
 _HIDING_ISLAND = 0  # of the UV map: the skin hides hair, eyes and teeth are behind it
@@ -219,7 +220,7 @@ class Wardrobe:
             return None
         eye = None if camera is None else Eye.of(camera)
         density = EXPORT_DENSITY if eye is None else eye.pixels_per_metre()
-        shares = level_shares([block for *_, block in ready], density / 4**lod, max(detail, 1.0))
+        shares = level_shares([block for *_, block in ready], density, max(detail, 1.0), lod)
         vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
         parts = []
         for (layer, number, block), share in zip(ready, shares, strict=True):
@@ -234,7 +235,10 @@ class Wardrobe:
                 points = points[:, some]
             if block.group == LASHES:  # also of curves: small triangles would twist them
                 points = self._on_lids(head, layer, settings, vertices, block, points)
-            parts.append(strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer))
+            made = strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer)
+            if block.group == BROWS and lod and eye is not None:
+                made = nearer(made, eye, _RAISED * 2**lod)
+            parts.append(made)
         return Gaussians(*(self._engine.array(np.concatenate(arrays)) for arrays in zip(*parts, strict=True)))
 
     def hiding(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, camera: Camera) -> Hiding:

@@ -16,6 +16,8 @@ from grmm_core.controls.frame import Controls
 from grmm_core.errors import ConfigError, FileAccessError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
+from grmm_core.hair.drawing import StrandGaussians, nearer
+from grmm_core.hair.ribbons import Eye
 from grmm_core.session import FINAL_STRANDS, HairUse, Instance, RenderOptions, create_session
 from grmm_core.session.swinging import swinging
 
@@ -267,3 +269,25 @@ def test_strands_lie_on_weights_whose_texels_are_their_own(engine, tmp_path):
         assert len(dressed.means) > len(bare.means) > info.gaussian_count // 2
         cover = session.render([Instance(info.id, hair=BOB)], CAMERA, RenderOptions(passes=("hair",)))["hair"]
     assert float((cover > 0.5).mean()) > 0.05
+
+
+def test_brows_are_seen_at_coarser_levels_of_detail(session):
+    camera = Camera.orbit(240, 240, 20)
+    covers = []
+    for level in (0, 1, 2):
+        brows = HairUse("none", beard="none", lashes="none")
+        with_brows, without = (drawn(session, use, camera, ("rgb",), lod=level, refine=False)["rgb"] for use in (brows, NONE))
+        covers.append(np.clip(without - with_brows, 0.0, None).sum())
+    assert covers[1] > 0.7 * covers[0]
+    assert covers[2] > 0.6 * covers[0]
+
+
+def test_what_is_moved_nearer_to_an_eye_is_seen_where_it_was():
+    generator = np.random.default_rng(0)
+    points = generator.normal(scale=0.1, size=(50, 3)).astype(np.float32)
+    made = StrandGaussians(points, *(np.zeros((50, k), np.float32) for k in (4, 3)), np.ones(50, np.float32), points)
+    for flat in (False, True):
+        camera = replace(Camera.orbit(100, 100, 30, 10), orthographic=flat)
+        before, after = (camera.project(each) for each in (points, nearer(made, Eye.of(camera), 0.01).means))
+        np.testing.assert_allclose(after[1], before[1], atol=1e-3)
+        assert (before[0][:, 2] - after[0][:, 2] > 0.009).all()

@@ -13,6 +13,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ...grmm_core.errors import ConfigError
 from ...grmm_core.light.lamps import Area, Lamp, Lighting, Point, Spot, Sun
@@ -95,6 +96,8 @@ def lamp_of(light: bpy.types.Light, matrix: np.ndarray, name: str) -> Lamp:
     if light.use_temperature:
         color = color * np.array(light.temperature_color)
     strength = float(light.energy) * 2.0 ** float(light.exposure)
+    if not light.normalize:  # brighter the larger it is
+        strength *= float(light.area(matrix_world=Matrix(matrix)))
     common: dict[str, Any] = {"color": tuple(map(float, color)), "strength": strength, "shadow": bool(light.use_shadow)}
     position, forward = tuple(matrix[:3, 3]), tuple(-axes[:, 2])
     try:
@@ -105,8 +108,6 @@ def lamp_of(light: bpy.types.Light, matrix: np.ndarray, name: str) -> Lamp:
             height = float(light.size_y) if light.shape in ("RECTANGLE", "ELLIPSE") else width
             sides = np.linalg.norm(matrix[:3, :3], axis=0)  # the object's scale makes the lamp larger, not brighter
             across, up = axes[:, 0] * 0.5 * width * sides[0], axes[:, 1] * 0.5 * height * sides[1]
-            if not light.normalize:
-                common["strength"] = strength * width * height * sides[0] * sides[1]
             ellipse = light.shape in ("DISK", "ELLIPSE")
             return Area(**common, position=position, across=tuple(across), up=tuple(up), ellipse=ellipse)
         radius = float(light.shadow_soft_size)

@@ -102,6 +102,7 @@ def test_avatars_take_the_scenes_light(render_script, blender_version):
     assert result["linked"] <= CHANNEL_STEP
     assert result["dark"] == result["intensity_off"] == result["linked_to_others"] == result["excluded"] == 0
     assert result["blue"][2] > 2 * result["blue"][0]
+    assert result["not_normalized"] == pytest.approx({"POINT": 1.0, "SUN": 1.0, "AREA": 1.0})  # watts by its area, as in Cycles
     assert "POINT" in result["nan"]
     assert "correct it in the scene" in result["nan"]
     assert result["unread"] == ""

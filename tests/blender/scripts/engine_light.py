@@ -99,6 +99,18 @@ report(blue=[float(c) for c in picture[covered][:, :3].mean(0)])
 head.grmm.light_intensity = 0.0
 report(intensity_off=float(shot()[..., :3].max()))
 head.grmm.light_intensity = 1.0
+kinds = {"POINT": {"shadow_soft_size": 0.1}, "SUN": {"angle": 0.4}, "AREA": {"shape": "ELLIPSE", "size": 0.4, "size_y": 0.8}}
+read, sizes = module("grmm_blender.scene.lights").lamp_of, {}
+for kind, settings in kinds.items():
+    another = lamp(kind, (-1.5, -0.5, 0.0), 10.0, **settings)
+    another.data.normalize = False
+    area, brighter = (
+        another.data.area(matrix_world=another.matrix_world),
+        read(another.data, np.array(another.matrix_world), kind),
+    )
+    sizes[kind] = brighter.strength / (10.0 * area)
+    bpy.data.objects.remove(another)
+report(not_normalized=sizes)
 blue.data.energy = float("nan")
 try:
     shot()

@@ -180,6 +180,10 @@ class Lighting:
         around = None if self.surroundings is None else self.surroundings.scaled(factor)
         return dataclasses.replace(self, lamps=tuple(lamps), surroundings=around)
 
+    def and_occluders(self, corners: np.ndarray) -> Lighting:
+        """The same light before further triangles, [T, 3, 3] metres."""
+        return dataclasses.replace(self, occluders=np.concatenate([self.occluders, corners]))
+
     def without(self, numbers: Sequence[int]) -> Lighting:
         """The same light but for some of the lamps."""
         if not numbers:

@@ -45,6 +45,7 @@ from .clouds import OpenCloud
 from .evaluator import Evaluator, Inputs, OpenAvatar
 from .furrowed import furrows_of, with_furrows
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
+from .mutual_shadows import mutual_shadows
 from .passes import ROUNDING, Channels, buffers, empty, light_of, strands_of
 from .shading_hair import Hair
 from .stacking import with_light
@@ -109,12 +110,19 @@ def gather(
     check()
     channels = _plan(placed, options)
     gathered = Gathered(placed, [], [], [], channels)
+    shadows: list[np.ndarray | None] = [None] * len(placed)
+    if channels.light is not None:
+        bodies = (
+            (item.target, item.inputs, item.instance.model_to_world) if isinstance(item, PlacedAvatar) else None
+            for item in placed
+        )
+        shadows = mutual_shadows(list(bodies), evaluator)
     for index, item in enumerate(placed):
-        own, surface = _gaussians(item, index, evaluator, wardrobe, camera, options, channels, single=len(placed) == 1)
+        own, surface = _gaussians(item, index, evaluator, wardrobe, camera, options, channels, shadows[index], len(placed) == 1)
         gathered.parts.append(own)
         gathered.surfaces.append(surface)
         if isinstance(item, PlacedAvatar) and not _is_played(options):
-            local, light = camera.transformed(item.instance.model_to_world), _lighting(item, options)
+            local, light = camera.transformed(item.instance.model_to_world), functools.partial(_lighting, item, options)
             found = furrows_of(evaluator, item.target, item.inputs, item.instance.wrinkles, light)
             if found is not None:
                 gathered.furrows.append((found, local))
@@ -226,7 +234,7 @@ def _is_lit(item: Placed, options: RenderOptions) -> bool:
 
 def _gaussians(
     item: Placed, index: int, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
-    channels: Channels, single: bool,
+    channels: Channels, shadows: np.ndarray | None, single: bool,
 ) -> tuple[Gaussians, LitSurface | None]:  # fmt: skip
     """Return one instance's Gaussians with all channels: in head space when it is alone, else in camera space.
 
@@ -262,7 +270,7 @@ def _gaussians(
     own_slice = None if item.model is None else channels.features.get(id(item.model))
     light: list[np.ndarray] = []
     if channels.light is not None:
-        light, surface = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own))
+        light, surface = _light(item, evaluator, wardrobe, local_camera, options, strands, len(own), shadows)
     if channels.count == 0:
         stacked = None
     elif strands is None and own_slice is not None and own_slice == slice(0, channels.count):
@@ -299,21 +307,22 @@ def _gaussians(
     return Gaussians(means, quats, scales, own.opacities, own.colors, stacked), surface
 
 
-def _lighting(item: PlacedAvatar, options: RenderOptions) -> Lighting | None:
-    """The light of one instance in its head space; None: the studio's."""
+def _lighting(item: PlacedAvatar, options: RenderOptions, shadows: np.ndarray | None = None) -> Lighting | None:
+    """The light of one instance in its head space, also where `shadows` [T, 3, 3] of others fall on it; None: the studio's."""
     response, own = item.instance.response, item.instance.lighting
     if own is None and response is not None and options.lighting is not None:
-        own = options.lighting.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
+        scene = options.lighting if shadows is None else options.lighting.and_occluders(shadows)
+        own = scene.without(response.unlit_by).in_space(np.linalg.inv(item.instance.model_to_world))
     return own if response is not None else None
 
 
 def _light(
     item: Placed, evaluator: Evaluator, wardrobe: Wardrobe, camera: Camera, options: RenderOptions,
-    strands: Gaussians | None, count: int,
+    strands: Gaussians | None, count: int, shadows: np.ndarray | None,
 ) -> tuple[list[np.ndarray], LitSurface | None]:  # fmt: skip
     """What light does to one instance: its Gaussians in parts of [N, LIGHT_CHANNELS], and its mesh; nothing where unlit."""
     response = item.instance.response
-    own = None if isinstance(item, PlacedCloud) else _lighting(item, options)
+    own = None if isinstance(item, PlacedCloud) else _lighting(item, options, shadows)
     if isinstance(item, PlacedCloud) or response is None or own is None:
         return [np.tile(UNLIT, (count, 1))], None
     hair = None

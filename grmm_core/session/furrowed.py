@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -24,7 +24,7 @@ _MIDDLE = 0.5  # of a pixel or texel
 
 
 def furrows_of(
-    evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, strength: float, lighting: Lighting | None
+    evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, strength: float, lighting: Callable[[], Lighting | None]
 ) -> Furrows | None:
     """The furrows of an avatar; None where its face is smooth, and on heads other than the open one.
 
@@ -35,7 +35,7 @@ def furrows_of(
         target: Who.
         inputs: Of the frame.
         strength: Factor of their height.
-        lighting: Light in head space; None: the studio's.
+        lighting: What gives light in head space, or None for the studio's; it is asked for a face that has furrows only.
     """
     head, layout = target.model.head_model, target.model.layout
     still = evaluator.inputs(target, Controls()).expression
@@ -74,8 +74,9 @@ def furrows_of(
 
     faces, places = evaluator.cache.get((target.id, "furrow places"), lie)
     normals = evaluator.cache.get((target.id, "vertex normals", *inputs.mesh_key), lean)[0]
-    light = rig_harmonics().copy() if lighting is None else harmonics_of(lighting)
-    light[1:] *= 1.0 if lighting is None else _DIRECTED
+    scene = lighting()
+    light = rig_harmonics().copy() if scene is None else harmonics_of(scene)
+    light[1:] *= 1.0 if scene is None else _DIRECTED
     size = int(relief.size[0]), int(relief.size[1])
     return Furrows(levels[0], size, faces, places, vertices, normals, light.astype(np.float32))
 

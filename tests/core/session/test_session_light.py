@@ -86,6 +86,21 @@ def test_a_sun_lights_the_side_that_it_stands_on_and_things_throw_shadows(sessio
     assert halves(shadow)[0] > halves(shadow)[1]
 
 
+def test_heads_throw_shadows_on_one_another(session):
+    number, aside, afar = session.open("default").id, np.eye(4), np.eye(4)
+    aside[0, 3], afar[0, 3] = 0.35, -0.35  # where the sun stands, and on the other side
+    options, own = RenderOptions(passes=("linear", "mask"), lighting=LEFT), Instance(number, hair=BALD, response=Response())
+
+    def light(*others):
+        instances = [own, *(replace(own, model_to_world=matrix) for matrix in others)]
+        return session.render(instances, CAMERA, options)["linear"][..., :3][:, 40:88].mean()  # of the one in the middle
+
+    assert light(aside) < 0.3 * light()
+    assert light(afar) == pytest.approx(light(), rel=0.02)
+    unlit = session.render([own, replace(own, model_to_world=aside, response=None)], CAMERA, options)["linear"]
+    assert unlit[:, 40:88, :3].mean() < 0.3 * light()  # heads in the studio's light are bodies, too
+
+
 def test_light_of_its_own_is_the_avatars_and_turns_with_it(session):
     number, options = session.open("default").id, RenderOptions(passes=("linear",), lighting=STUDIO)
     turned = np.diag([-1.0, 1.0, -1.0, 1.0])

@@ -244,6 +244,18 @@ def relative(
 
 
 @compiled(**OPTIONS)
+def learned(light: np.ndarray, darkest: float, rig: np.ndarray, highlights: np.ndarray) -> None:
+    """Write what `shading.Learned.of` makes of light, [N, 8]: irradiance of `darkest` of the most at least; both [N, 3]."""
+    most = _0
+    for i in range(len(light)):
+        most = max(most, light[i, 0], light[i, 1], light[i, 2])
+    least = np.float32(darkest) * most
+    for i in range(len(light)):
+        for k in range(3):
+            rig[i, k], highlights[i, k] = max(light[i, k], least), light[i, 3 + k]
+
+
+@compiled(**OPTIONS)
 def bounced(
     patch: np.ndarray, area: np.ndarray, givers: np.ndarray, shares: np.ndarray, irradiance: np.ndarray, albedo: np.ndarray,
     sums: np.ndarray, out: np.ndarray,

@@ -271,6 +271,16 @@ class Learned(NamedTuple):
     rig: np.ndarray
     highlights: np.ndarray
 
+    @staticmethod
+    def of(arrived: Arrived) -> Learned:
+        """Of colors that were learned under light that arrives so."""
+        kernels = compiled_kernels()
+        if kernels is None:
+            return Learned(reached(arrived.irradiance), arrived.highlights)
+        found = Learned(*np.empty((2, len(arrived.values), 3), np.float32))
+        kernels.learned(arrived.values, _DARKEST, *found)
+        return found
+
 
 def relative(
     arrived: Arrived, bounced: np.ndarray, corners: np.ndarray, weights: np.ndarray, learned: Learned, gloss: float,

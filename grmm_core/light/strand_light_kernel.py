@@ -41,6 +41,9 @@ def _find(
     most_x, most_y, most_z = (
         np.float32(parts.shape[0] - 1.001), np.float32(parts.shape[1] - 1.001), np.float32(parts.shape[2] - 1.001)
     )  # fmt: skip
+    # unsigned, so that the compiler need not look for negative indices
+    high, deep, lamps = np.uint64(parts.shape[1]), np.uint64(parts.shape[2]), np.uint64(parts.shape[3])
+    across, up, ahead, flat = high * deep * lamps, deep * lamps, lamps, parts.reshape(-1)
     corners = np.empty(8, np.float32)
     for j in range(_B):
         i = min(first + j, last - 1)
@@ -55,13 +58,14 @@ def _find(
         corners[2], corners[3] = (_1 - u) * v * (_1 - t), (_1 - u) * v * t
         corners[4], corners[5] = u * (_1 - v) * (_1 - t), u * (_1 - v) * t
         corners[6], corners[7] = u * v * (_1 - t), u * v * t
+        at = ((np.uint64(a) * high + np.uint64(b)) * deep + np.uint64(c)) * lamps
         for k in range(parts.shape[3]):
             w[_PARTS + k * _B + j] = (
-                corners[0] * parts[a, b, c, k] + corners[1] * parts[a, b, c + 1, k] + corners[2] * parts[a, b + 1, c, k]
-                + corners[3] * parts[a, b + 1, c + 1, k] + corners[4] * parts[a + 1, b, c, k]
-                + corners[5] * parts[a + 1, b, c + 1, k] + corners[6] * parts[a + 1, b + 1, c, k]
-                + corners[7] * parts[a + 1, b + 1, c + 1, k]
+                corners[0] * flat[at] + corners[1] * flat[at + ahead] + corners[2] * flat[at + up]
+                + corners[3] * flat[at + up + ahead] + corners[4] * flat[at + across] + corners[5] * flat[at + across + ahead]
+                + corners[6] * flat[at + across + up] + corners[7] * flat[at + across + up + ahead]
             )  # fmt: skip
+            at += np.uint64(1)
         qw, qx, qy, qz = quats[i, 0], quats[i, 1], quats[i, 2], quats[i, 3]
         w[_POINT + j], w[_POINT + _B + j], w[_POINT + 2 * _B + j] = px, py, pz
         w[_TANGENT + j], w[_TANGENT + _B + j] = _1 - _2 * (qy * qy + qz * qz), _2 * (qx * qy + qw * qz)

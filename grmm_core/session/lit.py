@@ -24,7 +24,7 @@ from ..light.materials import Materials, materials_of
 from ..light.mesh_light import NOT_SOFTENED, LitSurface, TexelGrid
 from ..light.posture import Posture
 from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
-from ..light.shading import FADING, Learned, Response, facing, reached, relative, shade
+from ..light.shading import FADING, Learned, Response, facing, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, maps_of
 from ..light.skin_relief import VALUES, lying
 from ..light.surroundings import coefficients_of, mean_irradiance
@@ -159,8 +159,7 @@ class LitAvatar:
 
         def make() -> Learned:
             within, around = self._rig_in_hair(), coefficients_of(STUDIO.surroundings)
-            rig = strand_light(STUDIO.lamps, points, quats, within, centre, eye, around)
-            return Learned(reached(rig.irradiance), rig.highlights)
+            return Learned.of(strand_light(STUDIO.lamps, points, quats, within, centre, eye, around))
 
         key = (self._target.id, "rig on hair", these, eye.tobytes(), self._posture.to_rest.tobytes())
         learned = Learned(*self._evaluator.cache.get((*key, *self._inputs.identity_key, *self._inputs.shape_key), make))

@@ -132,6 +132,15 @@ def test_compiled_light_is_the_readable_one():
         assert (fast.front.min(), fast.front.max()) == (np.float32(shading.LEAST_FRONT), 1.0)
 
 
+def test_compiled_learned_light_is_the_readable_one(monkeypatch):
+    arrived = Arrived(np.random.default_rng(0).random((50, 8)).astype(np.float32) ** 4)
+    fast = Learned.of(arrived)
+    monkeypatch.setattr(shading, "compiled_kernels", lambda: None)
+    for found, wanted in zip(fast, Learned.of(arrived), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    assert (fast.rig > arrived.irradiance).any()  # colors say little about what the rig hardly reaches
+
+
 def test_compiled_relative_light_is_the_readable_one(monkeypatch):
     random = np.random.default_rng(0)
     corners, weights = random.integers(0, 20, (50, 3)).astype(np.int32), random.dirichlet(np.ones(3), 50)

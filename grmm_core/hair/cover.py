@@ -15,8 +15,8 @@ from .occlusion import sample, smooth_grid
 from .roots import SCALP
 from .strands import StrandBlock, lengths_of
 
-CELL, LAYERS = 0.003, 6  # metres of a cell in which strands are counted, and of how many over the skin
-FIRST, STEP = 0.02, 0.002  # metres of each strand from its root that count, in steps
+CELL, LAYERS = 0.003, 20  # metres of a cell in which strands are counted, and of how many over the skin
+FIRST, STEP = 0.06, 0.002  # metres of each strand from its root that count, in steps; curls cover by what is farther out
 DENSE = 1.0  # cover by strands, laid beside each other, from where on skin counts as lying under hair
 
 

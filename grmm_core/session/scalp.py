@@ -29,11 +29,13 @@ DARK = (0.75, 0.5)  # of the brightness of skin: from where on a texel beside th
 BESIDE = (0.068, 0.05)  # metres: in front of the first depth is face, behind the second beside it
 CHIN, BEARDED = 0.025, 0.6  # metres to either side of the chin's middle; brightness of a bearded chin, of the skin's
 TEMPLES = (-0.01, 0.01)  # metres: above these heights hair of a photo is painted beside the scalp
+BEHIND = (0.0, -0.015)  # metres: likewise behind these depths, at whatever height
+OTHER = (0.08, 0.2)  # of the brightness of skin: from how far off in color on a photo's texel counts as hair, and counts fully
 FOREHEAD = (0.074, 0.084)  # metres: above the brows, hair is that of the scalp
 BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front of this depth, hair is beard
 NEAR = 0.02  # metres: over what distance the skin's color is smoothed
 SAMPLES = 1200  # texels of skin from which it is taken
-UNDER = 0.7  # how much of the hair's color the skin under dense hair takes on
+UNDER = 0.9  # how much of the hair's color the skin under dense hair takes on
 SKIN = ("face", "neck")  # regions where skin shows; the others in it below
 _NOT_SKIN = ("lips", "brows", "lids", "lashes", "mouth_interior", "left_eyeball", "right_eyeball")
 _ISLAND = 0
@@ -107,7 +109,9 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
         color[part] = (near @ seen[some]) / near.sum(1, keepdims=True)
     # what is as dark as hair beside and behind the face is hair that lies on the skin
     dark = _ramp(bright / np.maximum(color.mean(1), 1e-4), DARK[0], DARK[1])
-    if hairless:  # only a photo paints its hair there; else the scalp has its own color
+    if hairless:  # only a photo paints its hair there, of any color, with soft borders; else the scalp has its own color
+        if target.avatar.provenance.from_photos:
+            dark = _ramp(np.abs(seen - color).max(1) / np.maximum(color.mean(1), 1e-4), *OTHER)
         color = seen + dark[:, None] * (color - seen)
     return Skin(np.maximum(share, dark * around).astype(np.float32), color)
 
@@ -119,10 +123,11 @@ def cap_color(
     places = _places(evaluator, target)
     cover, light = _under_hair(target.model.head_model, blocks)
     cover, light = ((part[places.corners] * places.weights).sum(1)[:, None] for part in (cover, light))
-    cover = cover * beneath(target.model.head_model, places.points, places.corners, places.weights, blocks)[:, None]
+    under = beneath(target.model.head_model, places.points, places.corners, places.weights, blocks)[:, None]
+    cover = cover * under
     hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0]
     color = skin.color * (1.0 - UNDER * cover) + UNDER * cover * hair
-    return linear_to_srgb(color * (1.0 - cover * (1.0 - light)))
+    return linear_to_srgb(color * (1.0 - under * (1.0 - light)))
 
 
 def _under_hair(head: HeadModel, blocks: Sequence[StrandBlock]) -> tuple[np.ndarray, np.ndarray]:
@@ -181,7 +186,9 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
             skin,
             outer,
             beside,
-            beside * (1.0 - share("ears", *_NOT_SKIN)) * _ramp(points[:, 1], *TEMPLES),
+            beside
+            * (1.0 - share("ears", *_NOT_SKIN))
+            * np.maximum(_ramp(points[:, 1], *TEMPLES), _ramp(points[:, 2], *BEHIND)),
         )
 
     return evaluator.cache.get((target.id, "places"), make)

@@ -141,7 +141,8 @@ class Wardrobe:
         settings = use.settings or (own.settings if own is not None and use.groom == OWN_HAIR else HairSettings())
         kept = {} if own is None else own.parts
         parts = [use.parts.get(part) or kept.get(part) or settings.for_part(group) for group, part in enumerate(GROUPS)]
-        return Worn(layers, (settings, *parts[1:]), combed or (instead and not hairless), use.groom == OWN_HAIR)
+        painted = instead and (not hairless or (use.groom != OWN_HAIR and target.avatar.provenance.from_photos))
+        return Worn(layers, (settings, *parts[1:]), combed or painted, use.groom == OWN_HAIR)
 
     def _main(self, target: OpenAvatar, use: HairUse) -> Layer | None:
         """The groom that is worn on the scalp, with what else is in it."""

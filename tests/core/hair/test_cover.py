@@ -35,3 +35,12 @@ def test_a_parting_is_bare_and_a_few_millimetres_wide(head):
     thirds = np.full(below.shape, 1.0 / 3.0)
     assert beneath(head, np.concatenate([points, template[below].mean(1)]), np.concatenate([corners, below]),
                    np.concatenate([weights, thirds]), blocks)[len(points):].max() < 0.01  # fmt: skip
+
+
+def test_skin_under_curls_that_stand_off_is_covered_by_what_is_farther_out(head):
+    template, faces = np.asarray(head.v_template, float), np.asarray(head.faces)
+    corners = faces[np.isin(faces, head.regions["scalp"]).all(1)]
+    points = template[corners].mean(1)
+    back = (points[:, 2] < -0.05) & (points[:, 1] > 0.0)
+    found = beneath(head, points, corners, np.full(corners.shape, 1.0 / 3.0), blocks_of(library_groom("afro"), template, faces))
+    assert found[back].min() > 0.9

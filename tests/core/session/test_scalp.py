@@ -5,10 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from grmm_core.session import create_session
+from grmm_core.avatar import Hair
+from grmm_core.avatar.types import Provenance
+from grmm_core.hair import HairSettings
+from grmm_core.hair.packaged import library_groom
+from grmm_core.pictures.color import srgb_to_linear
+from grmm_core.session import HairUse, create_session
 from grmm_core.session.scalp import bare_skin
+from grmm_core.session.wardrobe import Wardrobe
 
-SKIN, HAIR = (0.8, 0.6, 0.5), (0.15, 0.12, 0.1)
+SKIN = (0.8, 0.6, 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -17,20 +23,35 @@ def model():
         return session.engine.store.default().model
 
 
-def test_a_photos_painted_hair_does_not_show_under_another_groom_and_stays_under_its_own(model):
+def _person(model, from_photos):
+    config = SimpleNamespace(hairless=True, position_unit_mm=1.0)
+    return SimpleNamespace(
+        id=1,
+        model=SimpleNamespace(head_model=model.head_model, layout=model.layout, config=config),
+        avatar=SimpleNamespace(provenance=Provenance(from_photos=from_photos), hair=Hair(library_groom("bob"), HairSettings())),
+    )
+
+
+@pytest.mark.parametrize("hair", [(0.15, 0.12, 0.1), (0.75, 0.6, 0.3), (0.7, 0.7, 0.7)])
+def test_a_photos_painted_hair_does_not_show_under_another_groom_and_stays_under_its_own(model, hair):
     head, layout = model.head_model, model.layout
     corners = np.asarray(head.faces)[layout.face]
     scalp = (head.marked("scalp").astype(float)[corners] * layout.barycentric).sum(1) > 0.99
-    painted = np.where(scalp[:, None], HAIR, SKIN).astype(np.float32)
+    painted = np.where(scalp[:, None], hair, SKIN).astype(np.float32)
     evaluator = SimpleNamespace(
         cache=SimpleNamespace(get=lambda key, make: make()), appearance=lambda target, inputs, eye: (painted,)
     )
-    target = SimpleNamespace(
-        id=1, model=SimpleNamespace(head_model=head, layout=layout, config=SimpleNamespace(hairless=True, position_unit_mm=1.0))
-    )
+    target = _person(model, from_photos=True)
     other, own = (bare_skin(evaluator, target, SimpleNamespace(), own=mine) for mine in (False, True))
     outer = np.asarray(head.uv_islands)[layout.face] == 0
     skin = other.color[~scalp & outer].mean(0)
     np.testing.assert_allclose(other.color[scalp & outer].mean(0), skin, rtol=0.1)
-    assert own.color[scalp & outer].mean() < 0.2 * skin.mean()
+    np.testing.assert_allclose(own.color[scalp & outer].mean(0), srgb_to_linear(np.array(hair)), rtol=1e-3)
     np.testing.assert_array_equal(other.color[~scalp], own.color[~scalp])
+
+
+@pytest.mark.parametrize("from_photos", [True, False])
+def test_hair_that_a_photo_painted_is_taken_away_with_the_strands_and_a_shaven_scalp_is_left(model, from_photos):
+    wardrobe, person = Wardrobe(None), _person(model, from_photos)
+    assert wardrobe.worn(person, HairUse("none")).flat is from_photos
+    assert wardrobe.worn(person, HairUse("own")).flat  # strands shade the skin

@@ -30,7 +30,7 @@ def groom_from_curves(
         points: Of all curves one after the other, root first, head space, metres, [P, 3].
         offsets: First row of each curve in `points`, and the number of points, [N + 1].
         surface_uv: Place of each root on the UV map, [N, 2].
-        radii: Half the diameter at each point, metres, [P], or None.
+        radii: Half the diameter at each point, metres, [P], or None; curves that have none are as wide as the others.
         groups: Of `roots.GROUPS` by number, [N]; other numbers, or None: by where the roots are.
         tints: Own colors at each point, see `Groom.tints`, [P, 3], or None.
 
@@ -63,7 +63,10 @@ def groom_from_curves(
         radii = np.asarray(radii, float).reshape(-1)
         if len(radii) != len(points) or not np.isfinite(radii).all():
             raise ShapeError("The curves' radii must be one finite number for each point.")
-        widths = 2.0 * np.stack([radii[offsets[:-1]], radii[offsets[1:] - 1]], 1)
+        told = np.maximum.reduceat(radii, offsets[:-1]) > 0.0  # hairs that a host adds have none
+        widths[told] = 2.0 * np.stack([radii[offsets[:-1]], radii[offsets[1:] - 1]], 1)[told]
+        if told.any():
+            widths[~told] = np.median(widths[told], 0)
     parts = groups_at(head, triangles, weights)
     if groups is not None and len(groups) == count:
         parts = np.where((groups >= 0) & (groups < len(GROUPS)), groups, parts)

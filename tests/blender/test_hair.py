@@ -102,6 +102,28 @@ def test_curves_that_cannot_be_hair_get_a_sentence_and_the_groom_is_there_instea
     assert "have no surface" in result["panel"]
 
 
+def test_curves_that_brushes_add_cut_and_delete_are_drawn_in_every_frame_and_kept(hair_script):
+    result = hair_script("hair_edited.py")
+    found, count, apart = result["found"], result["count"], result["apart"]
+    assert all(note == "" for note, *_ in found.values())
+    assert found["added"][1] == count + 40
+    assert found["added"][3] == pytest.approx(found["whole"][3])  # hairs without a radius are as wide as the others
+    assert found["as before"] == found["whole"]
+    assert found["other counts"][1:3] == [count, sum(2 + k % 7 for k in range(count))]
+    assert found["no radius"][3] > 5e-5
+    assert apart["whole, as before"] == 0
+    for pair in ("whole, cut", "frame 1, frame 2", "frame 2, frame 3", "whole, bald"):
+        assert apart[pair] > 0.5, pair
+    assert apart["whole, added"] < 0.5 * apart["whole, bald"]
+    assert apart["no radius, bald"] > 0.2
+    assert np.diff(result["heights"]) == pytest.approx([0.01, 0.01], abs=1e-4)
+    assert result["saved"] == [count, 8 * count]  # a file has as many points for each hair as the longest has
+    assert found["reopened"] == found["frame 3"]
+    assert apart["frame 3, reopened"] == 0
+    assert found["none left"][1] == 0
+    assert apart["none left, bald"] == 0
+
+
 def test_the_hair_pass_of_curves_holds_behind_holdouts_in_borders_and_in_blur(hair_script, tmp_path):
     layer = hair_script("hair_passes.py")["layer"]
     whole, border, holdout, turned, blurred = (

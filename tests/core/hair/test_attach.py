@@ -42,6 +42,19 @@ def test_curves_are_bound_where_they_stand(head, curves):
     np.testing.assert_allclose(made.widths, 2e-4)
 
 
+def test_curves_without_a_radius_are_as_wide_as_the_others(head, curves):
+    _, points, offsets, uv = curves
+    tapered = np.full(len(points), 1e-4)
+    tapered[offsets[1:] - 1] = 0.0
+    tapered[: offsets[3]] = 0.0  # of three hairs
+    made = groom_from_curves(head, head.v_template, points, offsets, uv, tapered)
+    np.testing.assert_allclose(made.widths, np.tile([2e-4, 1e-6], (len(made), 1)))  # points of hairs keep a least width
+    plain = groom_from_curves(head, head.v_template, points, offsets, uv)
+    np.testing.assert_array_equal(
+        groom_from_curves(head, head.v_template, points, offsets, uv, 0 * tapered).widths, plain.widths
+    )
+
+
 def test_own_colors_of_strands_go_through_the_points_of_curves(head, curves):
     groom, points, offsets, uv = curves
     ends = np.random.default_rng(0).uniform(-0.3, 0.3, (2, len(groom), 1, 3))

@@ -17,6 +17,7 @@ from bpy.app.handlers import persistent
 
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from . import events, session_host
+from .engine.settings import ENGINE
 from .hair import display
 from .rig import live, repaint
 from .rig.avatar import Avatar, avatar_of
@@ -138,7 +139,7 @@ def _update(
     try:
         with contextlib.ExitStack() as stack:
             detail = allow_detail
-            if allow_detail and avatar.object.grmm.live_detail and not _may_wait():
+            if allow_detail and avatar.object.grmm.live_detail and not _may_wait(depsgraph):
                 try:
                     detail = stack.enter_context(session_host.answering(avatar.source, patient))
                 except RuntimeMissingError:
@@ -178,11 +179,17 @@ def _is_playing() -> bool:
     return manager is not None and any(window.screen.is_animation_playing for window in manager.windows)
 
 
-def _may_wait() -> bool:
-    """Whether the next picture is rendered from what is written now. A render in a window has a thread of its own."""
+def _may_wait(depsgraph: bpy.types.Depsgraph | None) -> bool:
+    """Whether the next picture is rendered from what is written now. A render in a window has a thread of its own.
+
+    Nothing can end such a wait, and a model that has to be loaded and compiled takes long. So the first picture of our own
+    engine, which draws Gaussians and not this mesh, does not wait here but in `engine.pipeline`, where Escape ends it.
+    """
     if bpy.app.background:
         return True
-    return bpy.app.is_job_running("RENDER") and threading.current_thread() is not threading.main_thread()
+    if not bpy.app.is_job_running("RENDER") or threading.current_thread() is threading.main_thread():
+        return False
+    return session_host.has_drawn() or depsgraph is None or depsgraph.scene.render.engine != ENGINE
 
 
 def _catch_up() -> float | None:

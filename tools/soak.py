@@ -11,9 +11,9 @@ does all of these once, in a shuffled order, with people whom no round before ha
 ``people``   a random person is added, drawn and deleted
 ===========  ==========================================================================================
 
-After each round: resident memory of Blender and of the worker, their threads and open files, child processes, and files in the
-temporary folder. What grows by more than `GROWTH` between the second and the last quarter of the run is a failure, and so are a
-worker that had to be started again, and a file that is left behind.
+After each round, once the worker has had nothing to do for a moment: resident memory of Blender and of the worker, their
+threads and open files, child processes, and files in the temporary folder. What grows by more than `GROWTH` between the second
+and the last quarter of the run is a failure, and so are a worker that had to be started again, and a file that is left behind.
 """
 
 from __future__ import annotations
@@ -180,6 +180,7 @@ class Soak:
 
     def left(self) -> dict[str, int]:
         """What there is now, of `ROW`."""
+        time.sleep(_module("grmm_core.session.worker").IDLE_SECONDS + 1.0)  # it gives back what it has freed
         status, own = self._host.get_session().status(), PROCESSES / "self"
         memory = _module("grmm_core.compute.memory").resident_memory
         places = [own, PROCESSES / str(status.pid)]

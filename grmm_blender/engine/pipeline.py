@@ -6,7 +6,9 @@ Shared by final renders and the viewport. Touches none of Blender's data, so tha
 from __future__ import annotations
 
 import dataclasses
+import threading
 from collections.abc import Callable, Iterable
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +24,7 @@ from . import passes, picture
 from .occlusion import OccluderDepths, Visibility
 
 PLAYED_STRANDS = 0.2  # share of the strands in a frame of playback
+CANCEL_POLL = 0.05  # seconds between two questions whether to stop while avatars are opened
 OPENED, DRAWN = 0.1, 0.8  # of the progress: when the session begins and has ended
 
 
@@ -78,7 +81,7 @@ def frame_values(
     if should_cancel():
         raise CancelledError("The render was cancelled.")
     progress(0.0, session_host.loading("opening avatars"))
-    instances = open_instances(frame.scene.avatars)
+    instances = _while_asked(lambda: open_instances(frame.scene.avatars), should_cancel)
     progress(OPENED, session_host.loading(f"drawing {len(instances)} avatar{'s' if len(instances) != 1 else ''}"))
     world, hiding = frame.scene.world, None
 
@@ -182,6 +185,28 @@ def open_instances(shots: Iterable[AvatarShot]) -> list[Instance]:
         except GrmmError as error:
             raise type(error)(f"{shot.name}: {error}") from error
     return instances
+
+
+def _while_asked(work: Callable[[], list[Instance]], should_cancel: CancelCheck) -> list[Instance]:
+    """Do this on a thread of its own: a model may take many seconds to load, and goes on loading where nobody waits for it.
+
+    Raises:
+        CancelledError: `should_cancel` said so first.
+        Exception: What the work raises.
+    """
+    future: Future[list[Instance]] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:  # noqa: BLE001 - raised again on the thread that waits
+            future.set_exception(error)
+
+    threading.Thread(target=run, name="GRMM opening for a picture", daemon=True).start()
+    while not wait([future], CANCEL_POLL).done:
+        if should_cancel():
+            raise CancelledError("The render was cancelled.")
+    return future.result()
 
 
 def hair_of(shot: AvatarShot, moves: bool = True) -> HairUse:

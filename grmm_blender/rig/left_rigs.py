@@ -25,8 +25,9 @@ class LeftRigs:
         self._dropped: set[int] = set()  # heads that have lost their rigs
 
     def note_place(self, avatar: Avatar) -> None:
-        """Remember where a head stands; asked whenever one may have moved."""
-        self._places[avatar.object.session_uid] = avatar.object.matrix_world.copy()
+        """Remember where a head stands; asked whenever one may have moved. One that has lost its rig lies at the origin."""
+        if avatar.armature is not None:
+            self._places[avatar.object.session_uid] = avatar.object.matrix_world.copy()
 
     def notice_deleted(self) -> bool:
         """Compare the objects with those of the last call; returns whether there is something to `remove` or to put back."""

@@ -25,14 +25,14 @@ import numpy as np
 from .. import errors
 from ..compute.memory import resident_memory
 from ..controls.frame import Controls
-from ..errors import GrmmError, SessionError
+from ..errors import CancelledError, GrmmError, SessionError
 from ..geometry.camera import Camera
 from ..hair.groom import Groom
 from ..splat.types import GaussianArrays
 from .api import CancelCheck
 from .codec import digest
 from .holding import held
-from .process import WorkerDiedError, WorkerProcess
+from .process import CANCEL_POLL, WorkerDiedError, WorkerProcess
 from .sources import SourceKey, source_key
 from .values import AvatarInfo, CloudArrays, Deformation, Instance, RenderOptions, SessionStatus, check_render_size
 from .wearing import PUT_PREFIX, HairUse
@@ -181,7 +181,7 @@ class WorkerSession:
             name = digest(asked)[0] if self._announced else ""
             return self._call("render", asked | ({"begun": name} if name in self._announced else {}), should_cancel)
 
-        return self._tried(draw)
+        return self._tried(draw, should_cancel)
 
     def prepare(self, instances: Sequence[Instance], camera: Camera, options: RenderOptions) -> None:
         """See `Session.prepare`. Without a lock, which another thread's call may hold; what the worker lacks is left to it."""
@@ -303,13 +303,25 @@ class WorkerSession:
 
         return self._tried(work)
 
-    def _tried(self, work: Callable[[], Result]) -> Result:
+    @contextlib.contextmanager
+    def _turn(self, should_cancel: CancelCheck | None) -> Iterator[None]:
+        """Hold the session once other threads' calls are done; raises `CancelledError` where nobody waits that long."""
+        while not self._lock.acquire(timeout=-1.0 if should_cancel is None else CANCEL_POLL):
+            if should_cancel is not None and should_cancel():
+                raise CancelledError("The picture was cancelled.")
+        try:
+            yield
+        finally:
+            self._lock.release()
+
+    def _tried(self, work: Callable[[], Result], should_cancel: CancelCheck | None = None) -> Result:
         """Do one piece of work, again with a fresh worker where one ends over it. It must look up remote ids itself.
 
         Raises:
+            CancelledError: `should_cancel` said so before it was this call's turn.
             SessionError: `TRIES` workers ended.
         """
-        with self._lock:
+        with self._turn(should_cancel):
             tries = 1
             while True:
                 try:

@@ -28,7 +28,7 @@ from .arena import SharedArena
 from .codec import receive, send, unpack
 
 START_TIMEOUT = 60.0  # seconds until the interpreter answers; torch is loaded later
-CANCEL_GRACE = 1.0  # seconds that a cancelled call may take to confirm before the caller gets control back
+CANCEL_GRACE = 0.5  # seconds that a cancelled call may take to confirm before the caller gets control back
 EXIT_GRACE = 1.0  # seconds to end by itself before it is killed
 CANCEL_POLL = 0.03  # seconds between two questions to `should_cancel`
 LOG_LINES = 200
@@ -141,7 +141,7 @@ class WorkerProcess:
             CancelledError: `should_cancel` returned True.
         """
         deadline = time.monotonic() + timeout
-        self._finish_abandoned(deadline)
+        self._finish_abandoned(deadline, should_cancel)
         self._next_id += 1
         request = self._next_id
         self._send({"id": request, "call": operation, "arguments": arguments})
@@ -164,11 +164,15 @@ class WorkerProcess:
             self._abandoned = request
         raise CancelledError("The picture was cancelled.")
 
-    def _finish_abandoned(self, deadline: float) -> None:
+    def _finish_abandoned(self, deadline: float, should_cancel: CancelCheck | None) -> None:
         """Wait for the late end of a cancelled call, because the arena is in its hands until then."""
         while self._abandoned is not None:
-            reply = self._wait(deadline)
+            if should_cancel is not None and should_cancel():
+                raise CancelledError("The picture was cancelled.")
+            reply = self._wait(deadline if should_cancel is None else min(deadline, time.monotonic() + CANCEL_POLL))
             if reply is None:
+                if time.monotonic() < deadline:
+                    continue
                 self.kill()
                 raise WorkerDiedError("did not stop its cancelled work and was ended")
             if reply.get("id") == self._abandoned:

@@ -32,7 +32,7 @@ _AHEAD: dict[str, Any] = {"id": -1, "call": "draw_ahead", "arguments": {}}  # of
 _CANCELLABLE = frozenset({"render"})
 _SWITCH_SECONDS = 5e-4  # that a thread waits for another one's Python: a frame's threads meet hundreds of times
 
-_IDLE_SECONDS = 5.0
+IDLE_SECONDS = 5.0  # without a call, until freed memory goes back to the system
 _SETTLED = 3  # pictures after which whatever is loaded for them is there
 
 _log = logging.getLogger(__name__)
@@ -51,7 +51,7 @@ class _Requests:
     def next(self) -> dict[str, Any]:
         """Wait for the next call; after a while without one, what was freed meanwhile goes back to the system."""
         try:
-            return self._queue.get(timeout=_IDLE_SECONDS)
+            return self._queue.get(timeout=IDLE_SECONDS)
         except queue.Empty:
             give_back()
             return self._queue.get()

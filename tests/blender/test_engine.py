@@ -243,6 +243,8 @@ def test_renders_that_end_before_they_are_done(render_script, blender_version):
         "thin_border": "small",
         "same": "",
     }
+    assert found["waited"] < 30.0  # of a minute
+    assert found["loaded"]
     assert set(found["messages"]) == set(wanted)
     for name, text in wanted.items():
         message = found["messages"][name]

@@ -51,7 +51,7 @@ def test_blender_does_not_wait_for_another_threads_picture(run_blender: RunBlend
     """The first picture compiles for half a minute: meanwhile the mesh is there, and what the model adds comes later."""
     environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
     found = run_blender("busy_model.py", python=blender_version, environment=environment, fresh=True).result
-    assert (found["window_waits"], found["render_waits"]) == (False, True)
+    assert (found["window_waits"], found["render_waits"]) == (False, [True, False, True])
     assert found["seconds"] < 20.0
     assert found["vertices"] > 1000
     assert found["while_busy"] == 0.0

@@ -9,9 +9,10 @@ from .steps import HEAD, MIDDLE, SELECT_RIG, place
 
 WORDS = ("grmm", "blink")  # typed into the search
 PLAYED_PICTURES = 3
+SEARCH_SECONDS = 4.0  # until the menu is there: what is typed before is lost
 UNDO_SECONDS = 60.0  # software OpenGL draws before it hears of a key
 TOOLTIPS = {"random": 146, "mirror": 100, "copy": 55}  # pixels from the sidebar's right edge to icons of a region's heading
-HEADING = 408  # pixels from the sidebar's upper edge to the heading of the first region
+HEADING = 440  # pixels from the sidebar's upper edge to the heading of the first region
 _KEEP_VIEW = """
 region = area.spaces.active.region_3d
 bpy.app.driver_namespace["walk view"] = [region.view_location.copy(), region.view_rotation.copy(), region.view_distance,
@@ -48,7 +49,7 @@ def search(blender: WalkedBlender) -> None:
     for word in WORDS:
         blender.move(*MIDDLE)
         blender.key("F3")
-        time.sleep(1.0)
+        time.sleep(SEARCH_SECONDS)
         blender.type(word)
         blender.picture(f"search_{word}", 2, settled=False)
         blender.key("Escape")
@@ -105,7 +106,8 @@ def copies(blender: WalkedBlender) -> None:
     """Duplicate a head beside itself, delete the copy's rig: its head stays where it stood; undo all."""
     blender.run(
         SELECT_RIG + "[child.select_set(True) for child in rig.children]\nbpy.ops.object.duplicate()\n"
-        "bpy.context.view_layer.objects.active.location.x += 0.4\nbpy.ops.ed.undo_push(message='walk')"
+        "bpy.context.view_layer.objects.active.location.x -= 0.3\n"
+        "bpy.ops.ed.undo_push(message='walk')"
     )
     blender.picture("copy", 3)
     stood = blender.run(_PLACES)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import struct
 import sys
+import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -86,6 +88,16 @@ attempt("stopped_while_drawing")
 scene.render.resolution_x, scene.render.resolution_y = size
 del session.render
 report(asked=len(asked))
+
+# A model that takes long to load keeps nobody: the render ends, and what was begun goes on.
+loaded, ended = threading.Event(), threading.Event()
+began = time.monotonic()
+try:
+    pipeline._while_asked(lambda: [loaded.wait(60.0), ended.set()], lambda: time.monotonic() > began + 0.2)
+except errors.CancelledError:
+    report(waited=time.monotonic() - began)
+loaded.set()
+report(loaded=ended.wait(60.0))
 
 # What Blender is told meanwhile: how far this is, in words, and the memory that the model takes.
 told: dict[str, list] = {"progress": [], "texts": [], "memory": []}

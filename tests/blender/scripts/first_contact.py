@@ -136,6 +136,7 @@ bpy.data.objects.remove(rig)
 bpy.context.view_layer.update()
 jumped = (left_head.matrix_world.translation - stood.translation).length
 noticed_head = left_rigs.notice_deleted()
+left_rigs.note_place(kept)  # as the handler of edits does once more, for what the deletion has moved
 left_rigs.remove()
 bpy.context.view_layer.update()
 off = max(abs(a - b) for one, other in zip(left_head.matrix_world, stood, strict=True) for a, b in zip(one, other, strict=True))

@@ -152,6 +152,28 @@ def test_a_cancelled_render_returns_soon_and_the_next_call_waits_for_its_end(ses
     assert session.status().pid == pid
 
 
+def test_a_render_is_cancelled_while_another_thread_has_the_session(session):
+    info = session.open("default")
+    has_it, done = threading.Event(), threading.Event()
+
+    def keep() -> None:
+        with session._lock:
+            has_it.set()
+            done.wait(60.0)
+
+    other = threading.Thread(target=keep)
+    other.start()
+    assert has_it.wait(10.0)
+    begin = time.monotonic()
+    with pytest.raises(CancelledError):
+        session.render([Instance(info.id)], CAMERA, should_cancel=lambda: time.monotonic() > begin + 0.1)
+    assert other.is_alive()
+    assert time.monotonic() - begin < SOON
+    done.set()
+    other.join()
+    assert session.render([Instance(info.id)], CAMERA, should_cancel=lambda: False)["rgb"].any()
+
+
 @posix
 def test_a_hung_worker_is_ended_when_the_time_is_over(weights):
     with WorkerSession(sys.executable, weights, "cpu", 1) as session:
@@ -436,7 +458,7 @@ def test_an_idle_worker_gives_memory_back(monkeypatch):
             return b""
 
     given = []
-    monkeypatch.setattr(worker, "_IDLE_SECONDS", 0.05)
+    monkeypatch.setattr(worker, "IDLE_SECONDS", 0.05)
     monkeypatch.setattr(worker, "give_back", lambda: given.append(True))
     requests = worker._Requests(Silence())
     threading.Timer(0.5, lambda: requests._queue.put({"id": 1})).start()

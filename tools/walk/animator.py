@@ -11,7 +11,7 @@ from tools.demo.performance import write_performance
 from .blender import WalkedBlender, WalkError
 from .steps import HEAD, MIDDLE, PHOTO, SELECT_RIG, close_windows, place, scroll_sidebar
 
-FIT_HEADING = 40  # pixels from the sidebar's lower edge to the heading of the panel of photos
+FIT_HEADING = 12  # pixels from the sidebar's lower edge to the heading of the panel of photos
 FIT_SECONDS, WRITE_SECONDS, BROWSER_SECONDS = 1200.0, 300.0, 60.0
 _RIG_PLACE = SELECT_RIG + "result = list(rig.location)"
 _STARTED_ON = """

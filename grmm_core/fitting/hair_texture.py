@@ -142,7 +142,7 @@ def _photo(
     camera = view.camera.resized(width, height)
     with torch.no_grad():
         inputs, resting = photo_model_inputs(model, avatar, track, index)
-        drawn = model.render(camera, inputs)
+        drawn = model.render(camera, inputs, lit_later=True)
         vertices, still = (model.mesh(part).vertices.cpu().numpy() for part in (inputs, resting))
     image = np.stack([reduced(view.image[..., k], (height, width)) for k in range(3)], 2)
     cover, counts = (torch.from_numpy(reduced(part, (height, width))) for part in (view.hair, view.counts))

@@ -263,7 +263,7 @@ def photo_pictures(
     for view, track in zip(photo_views(model, tracks, side), tracks, strict=True):
         with torch.no_grad():
             inputs = photo_model_inputs(model, avatar, track, view.index)[0]
-            drawn: Picture = model.render(view.camera, inputs)
+            drawn: Picture = model.render(view.camera, inputs, lit_later=True)
             vertices, decoded = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
             drawn = relit(drawn, lights.picture(model, view, vertices, decoded))
         pictures.append((view, drawn))

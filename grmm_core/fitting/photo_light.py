@@ -27,6 +27,7 @@ from ..light.shading import Learned, Response, reached, relative, shade, transpo
 from ..light.shadows import visible
 from ..light.surroundings import TERMS, Surroundings, sphere
 from ..light.transfer import turn_between, vertex_normals
+from ..light.turning import turned_light
 from ..model.layout import TexelLayout
 from ..pictures.sampling import bilinear
 from .types import PhotoTrack
@@ -107,15 +108,17 @@ class PhotoHead:
         posed: As in the photo, likewise.
         eye: Place of the camera, [3].
         tone: Of the skin, display sRGB, [3].
+        turned: What the turn of the neck makes of the studio's light (`light.turning.turned_light`), [N, 1].
     """
 
     def __init__(
-        self, head: HeadModel, texels: Texels, rest: np.ndarray, posed: np.ndarray, eye: np.ndarray, tone: np.ndarray
+        self, head: HeadModel, texels: Texels, rest: np.ndarray, posed: np.ndarray, eye: np.ndarray, tone: np.ndarray,
+        turned: np.ndarray,
     ) -> None:  # fmt: skip
         rest, posed = np.asarray(rest, np.float64), np.asarray(posed, np.float64)
         self._materials = materials_of(head, *texels[:2])
         self._rest = RestLight.of(head, texels, self._materials, rest, np.tile(tone, (len(texels.face), 1)))
-        self._head, self._texels, self._eye = head, texels, eye
+        self._head, self._texels, self._eye, self._turned = head, texels, eye, turned
         self._receivers = texels.receivers(posed, vertex_normals(posed, head.faces))
         rigid = head.regions.get("scalp", np.arange(len(rest)))
         self._turn = turn_between(rest[rigid], posed[rigid])
@@ -171,7 +174,7 @@ class PhotoHead:
         # skin of one tone that the rig lit is no even color: the trained colors carry its shade below brows, nose and chin
         rig = self._rest.rig[counted]
         wanted = linear[counted] / level * (np.median(rig, 0) / rig)
-        if np.median(np.abs(np.log(np.maximum(wanted, 1e-3))).mean(1)) < _AS_RIG:
+        if np.median(np.abs(np.log(np.maximum(wanted / self._turned[counted], 1e-3))).mean(1)) < _AS_RIG:
             return Light.studio(tone, level / tone)
         light = self._found(seen.weights, counted, wanted, level / tone, tone)
         if own:
@@ -270,7 +273,7 @@ def found_lights(
             tone = light.tone
         lights.append(light)
         every.append((seen, here))
-        ratios.append(here.spread(light) if light.known and here is not None else _even(light, layout))
+        ratios.append(here.spread(light) if light.known and here is not None else _even(light, head, texels, track))
     for _ in range(_AGAIN if sum(light.known for light in lights) > 1 else 0):
         flat = mean_flat(every, ratios)
         for index, (seen, here) in enumerate(every):
@@ -303,15 +306,22 @@ def kept_lights(head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrac
     ratios = [
         _photo_head(head, texels, track, np.asarray(to_display(light.tone))).spread(light)
         if light.known
-        else _even(light, layout)
+        else _even(light, head, texels, track)
         for track, light in zip(tracks, lights, strict=True)
     ]
     return np.stack(ratios)
 
 
-def _even(light: Light, layout: TexelLayout) -> np.ndarray:
+def _even(light: Light, head: HeadModel, texels: Texels, track: PhotoTrack) -> np.ndarray:
     """`PhotoHead.spread` of the studio's light, stronger or weaker."""
-    return np.tile(np.append(light.level, np.float32(1.0)), (len(layout), 1))
+    turned = _turned(head, texels, track)
+    return np.concatenate([turned * light.level, np.ones_like(turned)], 1)
+
+
+def _turned(head: HeadModel, texels: Texels, track: PhotoTrack) -> np.ndarray:
+    """What the turn of a photo's neck makes of the studio's light, [N, 1] float32."""
+    light = turned_light(head, texels, _posed(head, track), head.pose_of(track.expression, track.pose))
+    return np.ones((len(texels.face), 1), np.float32) if light is None else light
 
 
 def _posed(head: HeadModel, track: PhotoTrack) -> np.ndarray:
@@ -320,7 +330,8 @@ def _posed(head: HeadModel, track: PhotoTrack) -> np.ndarray:
 
 def _photo_head(head: HeadModel, texels: Texels, track: PhotoTrack, tone: np.ndarray) -> PhotoHead:
     rest = head.vertices(track.shape, np.zeros(1), np.zeros((5, 3)))
-    return PhotoHead(head, texels, rest, _posed(head, track), track.camera.position, tone)
+    turned = _turned(head, texels, track)
+    return PhotoHead(head, texels, rest, _posed(head, track), track.camera.position, tone, turned)
 
 
 def _robust(

@@ -15,6 +15,7 @@
 ``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting;
                   ``skin_light_kernel`` skin in blocks; ``strand_light_kernel`` strands
 ``resting``       what light does on a head at rest, made once for a person; ``posture`` how a posed one lies beside it
+``turning``       what a turn of the neck makes of the studio's light
 ``rough``         all of it at a glance, for viewports
 ``mesh_light``    light read from the mesh at each pixel; ``mesh_light_kernels`` again, compiled
 ``relight``       both applied to a picture in linear light

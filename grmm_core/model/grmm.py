@@ -21,8 +21,11 @@ from torch import Tensor, nn
 from ..controls.names import ALIGNED_NAMES, JOINT_NAMES
 from ..errors import ConfigError, ShapeError
 from ..geometry.camera import Camera
+from ..geometry.libraries import to_numpy
 from ..geometry.tensor_rotations import euler_to_rotvec
 from ..head.torch_head import TorchHead
+from ..light.resting import Texels
+from ..light.turning import turned_shade
 from ..splat import Gaussians, RasterOutput, rasterize
 from .config import METRES_PER_MM, GRMMConfig
 from .decoders import AttributeDecoders
@@ -288,6 +291,14 @@ class GRMM(nn.Module):
         flat: np.ndarray = self.anchor.texel.cpu().numpy()
         return flat
 
+    def turned_shade(self, vertices: Tensor, pose: Tensor) -> Tensor | None:
+        """What the neck's turn makes of colors in the studio's light, [N, 1], of posed vertices [V, 3]; see `light.turning`."""
+        if not bool(pose[..., NECK, :].any()):
+            return None
+        texels = Texels.of(self.head_model, self.layout.face, self.layout.barycentric)
+        shade = turned_shade(self.head_model, texels, to_numpy(vertices), to_numpy(pose))
+        return None if shade is None else torch.as_tensor(shade, dtype=self.dtype, device=self.device)
+
     def gaussians(self, vertices: Tensor, attributes: Attributes) -> Gaussians:
         """Place decoded attributes on the posed vertices [V, 3] of one head."""
         placed = self.geometry(vertices, attributes.offsets)
@@ -344,8 +355,9 @@ class GRMM(nn.Module):
         refine: bool = True,
         backend: str = "auto",
         limits: Tensor | None = None,
+        lit_later: bool = False,
     ) -> Rendering:
-        """Draw one head, differentiably.
+        """Draw one head, differentiably, but for the shade of its turn.
 
         Args:
             camera: In head space.
@@ -354,6 +366,7 @@ class GRMM(nn.Module):
             refine: Run the refinement network.
             backend: Of the rasteriser.
             limits: See `refine`.
+            lit_later: Leave the studio's light as it falls on a head at rest (`turned_shade`).
 
         Raises:
             ShapeError: A code has the wrong length.
@@ -364,6 +377,8 @@ class GRMM(nn.Module):
                 raise ShapeError(f"{name} has shape {tuple(code.shape)}; this model takes ({size},).")
         mesh = self.mesh(inputs)
         attributes = self.attributes(inputs, self.view_direction(camera))
+        shade = None if lit_later else self.turned_shade(mesh.vertices, inputs.pose)
+        attributes = attributes if shade is None else attributes.recolored(attributes.colors * shade)
         gaussians = self.gaussians(mesh.vertices, attributes)
         picture = self.draw(gaussians, camera, refine, backend, limits)
         if background is not None:

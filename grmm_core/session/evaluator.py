@@ -7,6 +7,7 @@ opacity        identity code
 appearance     identity code, view direction (to the last bit)
 offsets        identity code, expression code
 tint           identity code, expression code
+turned shade   what mesh depends on
 rest           shape
 mesh           identity code, expression code, shape, expression, pose, strength
 geometry       what mesh and offsets depend on
@@ -20,6 +21,7 @@ numpy's or torch's. Called by `local` and `compose`.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -28,7 +30,9 @@ import numpy as np
 
 from ..avatar import Avatar
 from ..controls.frame import Controls
-from ..geometry.libraries import zeros
+from ..geometry.libraries import to_numpy, zeros
+from ..light.resting import Texels
+from ..light.turning import turned_shade
 from ..model.detail import Blocks, texel_blocks, thin_out
 from ..model.inputs import ModelInputs
 from ..model.steps import Geometry, Mesh, Rest
@@ -126,17 +130,40 @@ class Evaluator:
         return colors, features
 
     def gaussians(
-        self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray, lod: int = 0, cap: Cap | None = None
-    ) -> Gaussians:
-        """Return all Gaussians in head space, hair laid flat where there is a cap; features are [N, F], also where F is 0."""
+        self, target: OpenAvatar, inputs: Inputs, direction: np.ndarray, lod: int = 0, cap: Cap | None = None,
+        lit_later: bool = False,
+    ) -> Gaussians:  # fmt: skip
+        """Return all Gaussians in head space, hair laid flat where there is a cap; features are [N, F], also where F is 0.
+
+        They are in the studio's light, or as it falls on a head at rest where a scene's light is to take its place later.
+        """
         colors, features = self.appearance(target, inputs, direction)
         opacities, tint = self.opacity(target, inputs), self.tint(target, inputs)
         if cap is not None:
             laid = self._laid(target, cap, colors, opacities, features)
             colors, opacities, features, tint = laid.colors, laid.opacities, laid.features, tint * laid.left
         placed = self.geometry(target, inputs, None if cap is None else cap.share)
-        full = Gaussians(*placed, opacities, colors + tint, features)
+        colors = colors + tint
+        shade = None if lit_later else self.turned_shade(target, inputs)
+        full = Gaussians(*placed, opacities, colors if shade is None else colors * shade, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
+
+    def turned_shade(self, target: OpenAvatar, inputs: Inputs) -> Any:
+        """Return what the turn of the neck makes of colors in the studio's light, [N, 1]; None where it does not turn."""
+
+        def make() -> tuple[Any, ...]:
+            head, vertices = target.model.head_model, to_numpy(self.mesh(target, inputs).vertices)
+            shade = turned_shade(head, self.texels(target), vertices, inputs.pose)
+            return () if shade is None else (self.engine.array(shade),)
+
+        found = self.cache.get((target.id, "turned shade", *inputs.mesh_key), make)
+        return found[0] if found else None
+
+    def texels(self, target: OpenAvatar) -> Texels:
+        """Return where the Gaussians are on the mesh."""
+        layout = target.model.layout
+        make = functools.partial(Texels.of, target.model.head_model, layout.face, layout.barycentric)
+        return Texels(*self.cache.get((target.id, "texels"), make))
 
     def with_channels(self, target: OpenAvatar, features: Any, at: slice, ones: Sequence[int], count: int, rows: int) -> Any:
         """Return features [N, F] as the channels `at` of [rows, count], the channels `ones` 1, and zeros; not to be written to.

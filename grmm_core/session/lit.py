@@ -315,11 +315,9 @@ class LitAvatar:
         """Texels that have a Gaussian at the level of detail."""
         return slice(None) if self._lod == 0 else np.asarray(self._evaluator.blocks(self._target, self._lod).middle)
 
-    @functools.cached_property
+    @property
     def _texels(self) -> Texels:
-        layout = self._target.model.layout
-        make = functools.partial(Texels.of, self._head, layout.face, layout.barycentric)
-        return Texels(*self._evaluator.cache.get((self._target.id, "texels"), make))
+        return self._evaluator.texels(self._target)
 
     @functools.cached_property
     def _texel_shadows(self) -> TexelShadows:

@@ -1,6 +1,6 @@
 """Starting a run from trained networks.
 
-A weights file or a checkpoint of a model of the same sizes (or with fewer basis maps, or without expression maps) gives
+A weights file or a checkpoint of a model of the same sizes (or with fewer basis or expression maps, or none) gives
 networks, maps and the table of expression codes. People of the same names keep their identity codes; those of others are new,
 spread around the mean of the old ones. Used by `trainer`.
 """
@@ -27,7 +27,8 @@ if TYPE_CHECKING:
 
 _CODES = "codes"
 _DEFAULT = ""  # name of nobody
-_BASIS, _EXPRESSION = ("decoders.basis.", "decoders.basis_weights."), "decoders.expression."
+_EXPRESSION = "decoders.expression."
+_MAPS = ("decoders.basis.", "decoders.basis_weights.", _EXPRESSION)
 
 
 @torch.no_grad()
@@ -68,10 +69,10 @@ def warm_start(path: str | os.PathLike[str], model: GRMM, people: Sequence[str],
 
 
 def _fits(name: str, value: Tensor | None, parameter: Tensor) -> bool:
-    """Whether a parameter can be started: a model may have more basis maps than the old one, or expression maps it lacks."""
+    """Whether a parameter can be started: a model may have more maps than the old one."""
     if value is None:
         return name.startswith(_EXPRESSION)
-    if name.startswith(_BASIS):
+    if name.startswith(_MAPS):
         return value.shape[1:] == parameter.shape[1:] and len(value) <= len(parameter)
     return value.shape == parameter.shape
 

@@ -2,7 +2,7 @@
 
 Learned colors are skin times the rig (`lamps.STUDIO`) on a head that looks ahead; what a turned one gets is found from its
 normals alone, without shadows, and what expressions change is learned. On pictures of the studio that no training has seen it
-is worth 1.6 dB in the face. Needs numpy; numba makes it faster.
+is worth 1.6 dB in the face, and nothing in hair, which stays as it is. Needs numpy; numba makes it faster.
 """
 
 from __future__ import annotations
@@ -18,13 +18,11 @@ from .lamps import STUDIO, arriving
 from .materials import RELIEF
 from .resting import MOUTH, Texels
 from .shading import uneven
-from .surroundings import mean_irradiance, sphere
+from .surroundings import mean_irradiance
 from .transfer import vertex_normals
 
 _ROOT, _NECK = JOINT_NAMES.index("root"), JOINT_NAMES.index("neck")
 _GAMMA = 2.2  # of display values, nearly
-_DIRECTIONS = 64  # by which the shade of a ball is known
-_FIRST, _SECOND = [0, 1, 2, 0, 1, 2], [0, 1, 2, 1, 2, 0]  # axes of its terms of second order
 
 
 def turned_light(head: HeadModel, texels: Texels, vertices: np.ndarray, pose: np.ndarray) -> np.ndarray | None:
@@ -49,27 +47,6 @@ def turned_shade(head: HeadModel, texels: Texels, vertices: np.ndarray, pose: np
     """What `turned_light` is of display colors: what these are multiplied by, [N, 1] float32."""
     light = turned_light(head, texels, vertices, pose)
     return None if light is None else light ** np.float32(1.0 / _GAMMA)
-
-
-def turned_strands(points: np.ndarray, middle: np.ndarray, pose: np.ndarray) -> np.ndarray | None:
-    """`turned_shade` of strands as if they lay on a ball around the middle of the head, to second order in their direction.
-
-    Args:
-        points: Of them, [N, 3] metres.
-        middle: Of the posed head, [3].
-        pose: [5, 3] radians.
-    """
-    if not np.any(pose[_NECK]):
-        return None
-    around = sphere(_DIRECTIONS)[0]
-    shade = _over_before(around, pose, np.ones(_DIRECTIONS)) ** (1.0 / _GAMMA)
-    terms = np.concatenate([around, around[:, _FIRST] * around[:, _SECOND]], 1)
-    *slope, xx, yy, zz, xy, yz, zx = np.linalg.lstsq(terms, shade, rcond=None)[0]
-    curve = np.array([[xx, 0.5 * xy, 0.5 * zx], [0.5 * xy, yy, 0.5 * yz], [0.5 * zx, 0.5 * yz, zz]], np.float32)
-    outwards = points - middle.astype(np.float32)
-    outwards /= np.maximum(np.sqrt(np.einsum("nk,nk->n", outwards, outwards)), np.float32(1e-9))[:, None]
-    found: np.ndarray = np.einsum("nk,nk->n", outwards, outwards @ curve + np.float32(slope))
-    return found[:, None]
 
 
 def _over_before(normals: np.ndarray, pose: np.ndarray, share: np.ndarray) -> np.ndarray:

@@ -254,9 +254,8 @@ def _gaussians(
         if item.worn is not None:
             cap = wardrobe.cap(evaluator, item.target, item.inputs, item.worn)
             strands = wardrobe.gaussians(
-                evaluator, item.target, item.inputs, item.worn, local_camera, options.lod, options.strands, hiding=hiding,
-                lit_later=_is_lit(item, options),
-            )  # fmt: skip
+                evaluator, item.target, item.inputs, item.worn, local_camera, options.lod, options.strands, hiding=hiding
+            )
         own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap, _is_lit(item, options))
     count = len(own)
     features = own.features

@@ -23,7 +23,6 @@ from ..model.grmm import GRMM
 from .photo_targets import FitView
 from .surface import SKIN, Surface
 
-MAPS = "decoders.expression.maps"
 FEATURES = ("lips", "lids", "brows")
 STRAIN = (0.08, 0.25)  # share by which skin is stretched or folded: below the first nothing is a crease, above the second all
 OWN_STRAIN = (0.03, 0.12)  # likewise where other photos show the skin otherwise

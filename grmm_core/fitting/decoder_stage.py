@@ -25,9 +25,10 @@ from torch import Tensor
 from ..geometry.libraries import present
 from ..light.relight import unlit
 from ..model.grmm import GRMM, Attributes, Picture
+from ..model.parameters import EXPRESSION_MAPS
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
-from .creases import MAPS, Folding, bringing, crease_colors, own_colors
+from .creases import Folding, bringing, crease_colors, own_colors
 from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, unclipped, uncut
 from .lids import lid_exposure, lid_share, plain_lids
 from .locality import LOCALITY_WEIGHT, Locality, tunable_copy
@@ -328,7 +329,7 @@ class Tuner:
             "decoders.opacity_mean": maps["opacity"],
             "decoders.appearance_mean": torch.cat([self.tint + maps["color"], features], 1),
         }
-        deltas |= {} if creases is None else {MAPS: creases}
+        deltas |= {} if creases is None else {EXPRESSION_MAPS: creases}
         if self.settings.networks:
             pairs = zip(self.tuned.named_parameters(), self.model.parameters(), strict=True)
             deltas |= {name: (value - frozen).detach() for (name, value), frozen in pairs if value is not frozen}

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..model.parameters import mean_map_shapes, parameter_shapes
-from ..model.store import Decoder, LoadedModel, check_deltas
+from ..model.store import Decoder, LoadedModel, checked_deltas
 from ..model.weights_file import WeightsInfo, read_weights
 from .plain_model import PlainModel
 
@@ -38,7 +38,7 @@ class PlainLoader:
         """See `Loader.with_deltas`."""
         model = loaded.model
         known = parameter_shapes(model.config, model.head_model, model.gaussian_count)
-        check_deltas(deltas, mean_map_shapes(model.config, model.gaussian_count) | known, path)
+        deltas = checked_deltas(deltas, mean_map_shapes(model.config, model.gaussian_count) | known, path)
         return _loaded(model.changed(deltas), loaded.info, loaded)
 
 

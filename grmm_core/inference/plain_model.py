@@ -21,7 +21,7 @@ from ..head.skinning import posed_vertices
 from ..model.config import BASIS_COLOR, BASIS_GROUPS, COLOR_CHANNELS, METRES_PER_MM, TRANSFORM_CHANNELS
 from ..model.inputs import InputSpace, ModelInputs
 from ..model.layout import CompressedRows, anchor_tables, compressed_rows, map_reader
-from ..model.parameters import code_sizes
+from ..model.parameters import EXPRESSION_MAPS, code_sizes
 from ..model.steps import Geometry, Mesh, Rest, depth_range, face_mask, normalise_depth, refinement_grid
 from ..model.weights_file import WeightsFile
 from ..splat.types import RasterOutput
@@ -113,10 +113,10 @@ class PlainModel:
     def expression_colors(self, z_id: np.ndarray, z_exp: np.ndarray) -> np.ndarray:
         """What z_exp [Y] adds to the colors of z_id [Z], display sRGB, [N, 3] or a row of zeros."""
         arrays = self._file.arrays
-        if "decoders.expression.maps" not in arrays:
+        if not self.config.expression_maps:
             return np.zeros((1, COLOR_CHANNELS), np.float32)
         gains = 1.0 + arrays["decoders.expression.gains.weight"] @ z_id
-        return self._weighted("decoders.expression.maps", (arrays["decoders.expression.weights.weight"] @ z_exp) * gains)
+        return self._weighted(EXPRESSION_MAPS, (arrays["decoders.expression.weights.weight"] @ z_exp) * gains)
 
     def _decode(self, name: str, base: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
         """What a network adds to a base [N, channels], as a new array."""

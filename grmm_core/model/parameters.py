@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from ..head import HeadModel
 
 Shapes = dict[str, tuple[int, ...]]
+EXPRESSION_MAPS = "decoders.expression.maps"
 
 
 def code_sizes(config: GRMMConfig, head: HeadModel) -> tuple[int, int]:
@@ -48,7 +49,7 @@ def parameter_shapes(config: GRMMConfig, head: HeadModel, count: int) -> Shapes:
         shapes["decoders.basis_weights.weight"] = (config.basis_maps, z_id)
         shapes |= {f"decoders.basis.{name}": (config.basis_maps, count * BASIS_GROUPS[name]) for name in config.basis_channels}
     if config.expression_maps:
-        shapes["decoders.expression.maps"] = (config.expression_maps, count * COLOR_CHANNELS)
+        shapes[EXPRESSION_MAPS] = (config.expression_maps, count * COLOR_CHANNELS)
         shapes["decoders.expression.weights.weight"] = (config.expression_maps, z_exp)
         shapes["decoders.expression.gains.weight"] = (config.expression_maps, z_id)
     if config.refine:

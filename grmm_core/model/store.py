@@ -24,6 +24,7 @@ from ..splat.types import RasterOutput
 from .config import GRMMConfig
 from .inputs import InputSpace, ModelInputs
 from .layout import TexelLayout
+from .parameters import EXPRESSION_MAPS
 from .steps import Geometry, Mesh, Rest
 from .weights_file import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, read_info, resolve_weights, weights_path
 
@@ -190,11 +191,17 @@ class ModelStore(Generic[AnyModel]):
         candidates += sorted(WEIGHTS_FOLDER.glob(f"*{WEIGHTS_SUFFIX}")) if wanted.sha256 else []
         for candidate in dict.fromkeys(path for path in candidates if path.is_file()):
             if wanted.sha256:
-                if self._hash(candidate) == wanted.sha256:
+                if self._hash(candidate) == wanted.sha256 or self._continues(candidate, wanted.sha256):
                     return self._load(candidate)
             elif self._load(candidate).info.name == wanted.name:
                 return self._load(candidate)
         return None
+
+    def _continues(self, path: Path, sha256: str) -> bool:
+        try:
+            return read_info(path).draws(sha256)
+        except (FileAccessError, FileFormatError):  # who needs these weights will hear of it
+            return False
 
     def _hash(self, path: Path) -> str:
         """Return the SHA-256 of a weights file; of one that is loaded, that of what was loaded."""
@@ -217,8 +224,18 @@ class ModelStore(Generic[AnyModel]):
         return self._models[path]
 
 
-def check_deltas(deltas: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]], path: str | os.PathLike[str]) -> None:
-    """Refuse changes of parameters that do not exist or have another shape. Raises `FileFormatError`."""
+def checked_deltas(
+    deltas: Mapping[str, np.ndarray], shapes: Mapping[str, tuple[int, ...]], path: str | os.PathLike[str]
+) -> dict[str, np.ndarray]:
+    """Refuse changes of parameters that do not exist or have another shape. Raises `FileFormatError`.
+
+    Weights that continue others may have more expression maps: those stay as they are.
+    """
+    found = dict(deltas)
     for name, delta in deltas.items():
-        if shapes.get(name) != delta.shape:
+        wanted = shapes.get(name)
+        if name == EXPRESSION_MAPS and wanted is not None and delta.shape[1:] == wanted[1:] and len(delta) < wanted[0]:
+            found[name] = np.pad(delta, ((0, wanted[0] - len(delta)), (0, 0)))
+        elif wanted != delta.shape:
             raise FileFormatError(f"{path} changes the parameter {name[:80]!r}, which the weights do not have; make it anew.")
+    return found

@@ -15,7 +15,7 @@ from ..compute.graphs import Replayed
 from ..errors import BackendError
 from .grmm import GRMM
 from .parameters import mean_map_shapes
-from .store import LoadedModel, check_deltas
+from .store import LoadedModel, checked_deltas
 from .weights import load_weights
 from .weights_file import WeightsInfo
 
@@ -73,7 +73,7 @@ def with_deltas(model: GRMM, deltas: Mapping[str, np.ndarray], path: str | os.Pa
         return model
     parameters = dict(model.named_parameters())
     maps = {} if model.config.mean_maps else mean_map_shapes(model.config, model.gaussian_count)
-    check_deltas(deltas, maps | {name: tuple(value.shape) for name, value in parameters.items()}, path)
+    deltas = checked_deltas(deltas, maps | {name: tuple(value.shape) for name, value in parameters.items()}, path)
     memo: dict[int, object] = {id(value): value for name, value in parameters.items() if name not in deltas}
     memo |= {id(value): value for value in model.buffers()}
     memo[id(model.head_model)] = model.head_model

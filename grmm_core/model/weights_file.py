@@ -39,7 +39,7 @@ WEIGHTS_SUFFIX = ".safetensors"
 _METADATA_KEY = "grmm"
 _MODEL = "model/"
 _EXACT = ("anchor.",)  # parameters and buffers that are not rounded to half precision
-_PACKED = "decoders.basis."
+_PACKED = ("decoders.basis.", "decoders.expression.maps")
 _SCALES = ".scales"  # after the name of a packed parameter
 _LAYOUT, _LAYOUT_UV = ("anchor.texel", "anchor.face", "anchor.barycentric"), "anchor.uv"
 _TABLES = ("z_id", "shapes", "default_z_id", "default_shape")  # of the training people
@@ -59,7 +59,8 @@ class WeightsInfo:
         z_id: Their identity codes, [P, Z].
         shapes: Their shape coefficients, [P, S].
         default_z_id, default_shape: The default avatar, [Z] and [S].
-        provenance: Data, command, seed, hours, measured quality: JSON values.
+        provenance: Data, command, seed, hours, measured quality: JSON values. "continues" lists the hashes of weights whose
+            people and faces at rest these have: avatars made on them open with these.
     """
 
     name: str
@@ -73,6 +74,11 @@ class WeightsInfo:
     default_z_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     default_shape: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def draws(self, sha256: str) -> bool:
+        """Whether avatars that were made on weights of a hash can be drawn with these."""
+        earlier = self.provenance.get("continues")
+        return bool(sha256) and (sha256 == self.sha256 or (isinstance(earlier, list) and sha256 in earlier))
 
 
 def weights_path(name: str = DEFAULT_WEIGHTS) -> Path:

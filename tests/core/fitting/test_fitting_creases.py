@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.fitting.creases import MAPS, PORES, bringing, crease_colors, own_colors, strained
+from grmm_core.fitting.creases import PORES, bringing, crease_colors, own_colors, strained
 from grmm_core.fitting.surface import SKIN, texel_surface
 from grmm_core.geometry.rotations import euler_to_matrix
 from grmm_core.model.config import PRESETS
 from grmm_core.model.decoders import ExpressionMaps
 from grmm_core.model.grmm import GRMM
+from grmm_core.model.parameters import EXPRESSION_MAPS
 
 FOLD, FOREHEAD = 207, 10  # landmarks beside the mouth and at the hairline
 TONE = torch.tensor([0.8, 0.6, 0.5])
@@ -124,4 +125,4 @@ def test_creases_are_whole_in_the_photos_expression_and_gone_at_rest(model):
     torch.testing.assert_close(maps(z_id, photo) - before[0] - made_up.view(40, 3), creases, rtol=1e-4, atol=1e-4)
     torch.testing.assert_close(maps(z_id, rest) - before[1] - made_up.view(40, 3), torch.zeros(40, 3), rtol=0, atol=1e-4)
     assert bringing(maps, z_id, rest, [rest], others) is None  # a photo of the face at rest shows no folds
-    assert dict(model.named_parameters())[MAPS].ndim == 2
+    assert dict(model.named_parameters())[EXPRESSION_MAPS].ndim == 2

@@ -94,6 +94,16 @@ def test_expression_maps_may_be_added(head, trained, tmp_path):
         torch.testing.assert_close(warm.model.decoders.appearance_mean, plain.model.decoders.appearance_mean, rtol=0, atol=0)
 
 
+def test_there_may_be_more_expression_maps_than_before(head, trained, tmp_path):
+    warm = Trainer(config({"expression_maps": 5}, init_from=str(trained.folder / CHECKPOINT)), head, ColoredSpheres(), tmp_path)
+    warm.start()
+    own, before = warm.model.decoders.expression, trained.model.decoders.expression
+    assert len(before.maps) < len(own.maps) == 5
+    with trained.averaged():
+        torch.testing.assert_close(own.maps[: len(before.maps)], before.maps, rtol=0, atol=0)
+    assert not own.maps[len(before.maps) :].any()
+
+
 def test_a_resumed_run_keeps_its_own_state(head, trained, tmp_path):
     settings = {"init_from": str(trained.folder / CHECKPOINT), "steps": 3}
     first = Trainer(config(**settings), head, ThreeSpheres(), tmp_path)

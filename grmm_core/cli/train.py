@@ -27,7 +27,9 @@ def add_parser(subparsers: Any) -> None:
         description="Train a model. Ctrl-C saves a checkpoint, --resume continues. Processes: torchrun -m grmm_core train.",
     )
     parser.add_argument(
-        "config", metavar="CONFIG", help="TOML file, or one of the project's: surface, small, small_no_residuals, person, paper"
+        "config",
+        metavar="CONFIG",
+        help="TOML file, or of the project: surface, expressions, small, small_no_residuals, person, paper",
     )
     parser.add_argument(
         "--data", nargs="+", metavar="DIR", required=True,

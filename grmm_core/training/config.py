@@ -68,6 +68,7 @@ class TrainConfig:
         precision: float32, or bfloat16 for the convolutions, see `precision`.
         bare: Train on the pictures without hair, where the capture has them; the model is `hairless` then unless it says else.
         person: Name of the one person to train for: only that person's own maps change, see `personal`; needs `init_from`.
+        expressions: Train only what expressions change, see `expressive`; needs `init_from`.
         init_from: Weights file or checkpoint whose networks, maps and expression codes a new run starts from, see `warm_start`.
         perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
         tensorboard: Also write curves for TensorBoard into the run's folder.
@@ -107,6 +108,7 @@ class TrainConfig:
     precision: str = "float32"
     bare: bool = False
     person: str = ""
+    expressions: bool = False
     init_from: str = ""
     perceptual_network: str = ""
     tensorboard: bool = False
@@ -123,6 +125,8 @@ class TrainConfig:
                 raise ConfigError(f"The training setting {f.name} is {value}; it must be a number of 0 or more.")
         if self.person and not self.init_from:
             raise ConfigError(f"Training for {self.person!r} alone needs the weights to start from; add init_from=default.")
+        if self.expressions and (self.person or not self.init_from):
+            raise ConfigError("Training of expressions alone starts from weights and is for all people; add init_from=default.")
         if self.precision not in PRECISIONS:
             raise ConfigError(f"The training setting precision is {self.precision!r}; use {' or '.join(PRECISIONS)}.")
         for name in ("steps", "views_per_step", "ema_every"):

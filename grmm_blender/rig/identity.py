@@ -41,7 +41,7 @@ class Identity:
         expression: Its own offset to the expression coefficients, [<=E].
         z_id_size, z_exp_size: Length of the residual codes.
         z_id: Its own identity code, [z_id_size], or None.
-        weights_sha256: Of the weights that its codes belong to.
+        weights: Hashes of the weights that its codes belong to.
         painting: The person on the head's UV map, `Avatar.painting`, or None for a plain face.
         reference: What the rig stores as its head model, for `load_head`; empty for the head's name.
         hair: Length, color and so on of the strands that the avatar has of its own, or None.
@@ -55,7 +55,7 @@ class Identity:
     z_id_size: int = _PAPER_SIZES[0]
     z_exp_size: int = _PAPER_SIZES[1]
     z_id: np.ndarray | None = None
-    weights_sha256: str = ""
+    weights: tuple[str, ...] = ()
     offset: np.ndarray | None = None
     painting: np.ndarray | None = None
     reference: str = ""
@@ -110,7 +110,7 @@ def read_identity(source: str) -> Identity:
     sizes = avatar.z_id.size, avatar.z_exp.size
     hair = None if avatar.hair is None else avatar.hair.settings
     shape = avatar.shape[: head.shape_count]
-    own = avatar.z_id, avatar.weights.sha256
+    own = avatar.z_id, (avatar.weights.sha256,)
     return Identity(avatar.name, head, shape, avatar.expression, *sizes, *own, painting=painting, hair=hair)
 
 
@@ -122,7 +122,7 @@ def _random_person(source: str) -> Identity:
     person = sampled_avatar(weights, sizes[1], int(source.removeprefix(session_host.SAMPLE_PREFIX)))
     return Identity(
         person.name, head, person.shape[: head.shape_count], z_id_size=sizes[0], z_exp_size=sizes[1], z_id=person.z_id,
-        weights_sha256=weights.sha256,
+        weights=(weights.sha256, *weights.continued),
     )  # fmt: skip
 
 

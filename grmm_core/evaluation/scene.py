@@ -123,7 +123,7 @@ class Scene:
 
     def _trained_name(self, avatar: Avatar) -> str:
         """Name of the training person whose code an avatar has."""
-        if avatar.weights.sha256 != self.info.sha256:
+        if not self.info.draws(avatar.weights.sha256):
             raise ConfigError(f"The avatar {avatar.name!r} was made with other weights than {self.path}; use its own.")
         same = [name for name, code in zip(self.info.people, self.info.z_id, strict=True) if np.array_equal(code, avatar.z_id)]
         if not same:

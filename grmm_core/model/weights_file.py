@@ -75,10 +75,15 @@ class WeightsInfo:
     default_shape: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def continued(self) -> tuple[str, ...]:
+        """Hashes of the weights that these continue."""
+        found = self.provenance.get("continues")
+        return tuple(one for one in found if isinstance(one, str)) if isinstance(found, list) else ()
+
     def draws(self, sha256: str) -> bool:
         """Whether avatars that were made on weights of a hash can be drawn with these."""
-        earlier = self.provenance.get("continues")
-        return bool(sha256) and (sha256 == self.sha256 or (isinstance(earlier, list) and sha256 in earlier))
+        return bool(sha256) and sha256 in (self.sha256, *self.continued)
 
 
 def weights_path(name: str = DEFAULT_WEIGHTS) -> Path:

@@ -73,8 +73,7 @@ def begin(config: TrainConfig, model: GRMM, source: ViewSource, codes: Tensor) -
 def continued(config: TrainConfig, head: HeadModel, provenance: dict[str, Any]) -> WeightsInfo:
     """What a file of the new weights says: people and tables of those that the run began with, which it continues."""
     info = read_weights(resolve_weights(config.init_from), head).info
-    earlier = info.provenance.get("continues", [])
-    provenance = {**info.provenance, **provenance, "continues": [info.sha256, *earlier]}
+    provenance = {**info.provenance, **provenance, "continues": [info.sha256, *info.continued]}
     return dataclasses.replace(info, name=config.name, provenance=provenance)
 
 

@@ -113,12 +113,13 @@ class PhotoHead:
 
     def __init__(
         self, head: HeadModel, texels: Texels, rest: np.ndarray, posed: np.ndarray, eye: np.ndarray, tone: np.ndarray,
-        turned: np.ndarray,
+        turned: np.ndarray | float = 1.0,
     ) -> None:  # fmt: skip
         rest, posed = np.asarray(rest, np.float64), np.asarray(posed, np.float64)
         self._materials = materials_of(head, *texels[:2])
         self._rest = RestLight.of(head, texels, self._materials, rest, np.tile(tone, (len(texels.face), 1)))
-        self._head, self._texels, self._eye, self._turned = head, texels, eye, turned
+        self._head, self._texels, self._eye = head, texels, eye
+        self._turned = np.broadcast_to(turned, (len(texels.face), 1))
         self._receivers = texels.receivers(posed, vertex_normals(posed, head.faces))
         rigid = head.regions.get("scalp", np.arange(len(rest)))
         self._turn = turn_between(rest[rigid], posed[rigid])

@@ -108,7 +108,8 @@ class Evaluator:
             offsets = offsets if flat is None else offsets * (1.0 - flat)[:, None]
             return target.model.geometry(self.mesh(target, inputs).vertices, offsets)
 
-        return self.cache.get((target.id, "geometry", flat is None, *inputs.mesh_key), make)
+        laid = None if flat is None else hash(to_numpy(flat).tobytes())  # by what is worn, not only whether
+        return self.cache.get((target.id, "geometry", laid, *inputs.mesh_key), make)
 
     def offsets(self, target: OpenAvatar, inputs: Inputs) -> Any:
         """Return Phi_T's offsets, [N, 10]."""

@@ -19,6 +19,7 @@ from grmm_core.light.relight import relit, to_display, to_linear, unlit
 from grmm_core.light.resting import MOUTH, RestLight, Texels, casters_of
 from grmm_core.light.shading import Transport, transport
 from grmm_core.light.shadows import visible
+from grmm_core.light.turning import turned_light
 
 SKIN = np.array([0.5, 0.3, 0.22])
 
@@ -55,6 +56,17 @@ def shade(photo_head):
     """Skin of one tone in the studio's rig, as trained colors have it, [N, 3]."""
     rig = photo_head._rest.rig.clip(1e-3)
     return rig / np.median(rig, 0)
+
+
+def test_a_turned_head_in_the_studio_is_taken_for_one(head, texels, shade):
+    """The rig stays while the neck turns the head, which is no other light."""
+    pose = np.zeros((5, 3), np.float32)
+    pose[1] = np.radians([10.0, 25.0, 0.0])
+    rest, posed = head.v_template.astype(float), head.vertices(np.zeros(1), np.zeros(1), pose).astype(float)
+    turned = turned_light(head, texels, posed, pose)
+    place = np.array([0.0, 0.0, 1.0]), np.asarray(to_display(SKIN))
+    seen = Seen(np.asarray(to_display(SKIN * shade * turned)), np.ones(len(shade)))
+    assert not PhotoHead(head, texels, rest, posed, *place, turned).solve(seen).known
 
 
 def test_skin_lit_from_a_side_becomes_even_and_its_own_light_makes_it_as_before(photo_head, side, shade):

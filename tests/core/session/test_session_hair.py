@@ -67,6 +67,21 @@ def test_hair_follows_the_neck(session):
     assert float(np.abs(faces[0]["hair"] - faces[1]["hair"]).mean()) > 0.01
 
 
+def test_skin_is_laid_flat_for_what_is_worn_and_not_for_what_was_worn_before(session):
+    """Two caps of one person, as of a photo's own hair and of another groom, one drawn after the other."""
+    target = session.target(session.open("default").id)
+    inputs, none = session.evaluator.inputs(target, Controls()), np.zeros(target.model.gaussian_count, np.float32)
+    half = none.copy()
+    half[: len(half) // 2] = 1.0
+    with session.engine.calling():
+        placed = [
+            np.asarray(session.evaluator.geometry(target, inputs, session.engine.array(flat)).means) for flat in (half, none)
+        ]
+    moved = np.abs(placed[0] - placed[1]).max(1)
+    assert moved[: len(half) // 2].max() > 1e-4
+    assert moved[len(half) // 2 :].max() < 1e-7
+
+
 def test_playback_of_swinging_hair_holds_no_more_from_frame_to_frame(session):
     """All that stays of a frame is in the cache, which is bounded: objects and arrays beside it stay as many."""
     info, frames, held = session.open("default"), [], []

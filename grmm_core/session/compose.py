@@ -4,13 +4,6 @@ All Gaussians are brought into camera space and rasterised in one pass, so that 
 splat. Further channels ride along with the features: mesh normals for the "normal" pass and, for several avatars, one channel
 each that holds 1 on its own Gaussians, whose splatted value is that avatar's coverage after occlusion.
 
-Refinement (eq. 14) of several avatars. The depth channel is min-max normalised over each avatar, as in training, by giving
-every pixel the range of the avatar that covers most of it. Avatars of the same weights are refined in one pass over the joint
-picture. Where weights differ, each network runs on the joint picture with the features of its own avatars, and its change is
-blended in by their coverage: I = I_rgb + sum_g (I_g - I_rgb) c_g / alpha. With one set of weights this is eq. 14 itself.
-
-Networks run on the covered part of the picture only, with a margin as wide as they see, which changes nothing in it.
-
 One text for every engine: its arrays are numpy's or torch's. Called by `local`.
 """
 
@@ -27,15 +20,14 @@ import numpy as np
 
 from ..errors import CancelledError
 from ..geometry.camera import Camera
-from ..geometry.libraries import Array, as_like, library_of, present, to_numpy, zeros
+from ..geometry.libraries import Array, as_like, present, to_numpy, zeros
 from ..geometry.rotations import matrix_to_quaternion, multiply_quaternions
 from ..hair.ribbons import Eye
 from ..light.lamps import Lighting
 from ..light.mesh_light import LitSurface
 from ..light.relight import relit, relit_pixels
 from ..light.skin_relief import softened
-from ..model.config import GRMMConfig
-from ..model.steps import HEAD_CENTRE, depth_range, refinement_grid, refinement_margin
+from ..model.steps import HEAD_CENTRE
 from ..model.store import Model
 from ..splat.compensation import filtered
 from ..splat.types import Gaussians, RasterOutput
@@ -46,17 +38,15 @@ from .evaluator import Evaluator, Inputs, OpenAvatar
 from .furrowed import furrows_of, with_furrows
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
 from .mutual_shadows import mutual_shadows
-from .passes import ROUNDING, Channels, buffers, empty, light_of, strands_of
+from .passes import Channels, buffers, empty, light_of
+from .refining import refine
 from .shading_hair import Hair
 from .stacking import with_light
-from .values import LIGHT_PASSES, LINEAR_PASS, RAW_LINEAR_PASS, Instance, RenderOptions
+from .values import LIGHT_PASSES, LINEAR_PASS, Instance, RenderOptions
 from .wardrobe import Wardrobe, Worn, at_rest
 
 NORMAL_CHANNELS = 3
 _FAR_SIDE = 0.05  # metres behind the skin, which lets a little of what is nearer through; a frame of playback has no more
-_OF_RAW = {"raw", RAW_LINEAR_PASS}  # passes of the picture before it is refined
-_ROWS_MIN = 32  # of a picture, in a task of a thread
-_MIN_SKIN = 2e-3  # cover of skin between strands that is not worth refining
 
 
 @dataclass(frozen=True)
@@ -147,7 +137,7 @@ def draw(
     check()
     refined = raster.rgb
     if _refines(options):
-        refined = _refine(placed, raster, channels, options, check)
+        refined = refine([item.model for item in placed], raster, channels, options, check)
     refined = with_furrows(gathered.furrows, refined, raster, channels.skin)
     if channels.light is not None:
         raster = _read_from_meshes(gathered, raster, camera)
@@ -348,88 +338,3 @@ def _at_origin(camera: Camera) -> Camera:
     return Camera(
         np.eye(4), camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, orthographic=camera.orthographic
     )
-
-
-def _refine(
-    placed: Sequence[Placed], raster: RasterOutput[Any], channels: Channels, options: RenderOptions, check: Callable[[], None]
-) -> Any:
-    """Return the refined colors, premultiplied over black, [H, W, 3]; where nobody asks for the raster's, in their place."""
-    coarse = options.coarse
-    coverage = None if channels.coverage is None else present(raster.features)[..., channels.coverage]  # [H, W, K]
-    limits = depth_range(raster.depth, raster.alpha) if coverage is None else _ranges(raster, coverage)
-    result = raster.rgb
-    models: dict[int, Model] = {id(item.model): item.model for item in placed if item.model is not None}
-    mixed = len({id(item.model) for item in placed}) > 1  # several weights, or clouds that no network may touch
-    for key, model in models.items():
-        check()
-        if not model.config.refine:
-            continue
-        share = None  # of the cover that is this network's
-        if mixed:
-            mine = [k for k, item in enumerate(placed) if item.model is model]
-            share = present(coverage)[..., mine].sum(-1)  # [H, W]
-        if channels.skin is not None:  # no network has seen strands: they stay as they are
-            share = _without_strands(raster, channels.skin, share)
-        region = _covered_region(raster.alpha if share is None else share, model.config, coarse)
-        if region is None:
-            continue
-        rows, columns = region
-        part = RasterOutput(
-            rgb=raster.rgb[rows, columns],
-            alpha=raster.alpha[rows, columns],
-            depth=raster.depth[rows, columns],
-        )
-        own = channels.features[key]
-        if raster.halves is None:
-            part.features = present(raster.features)[rows, columns, own]
-        else:
-            first = channels.count - channels.last
-            small_rows, small_columns = (slice(side.start // 2, -(-side.stop // 2)) for side in region)
-            part.halves = raster.halves[small_rows, small_columns, own.start - first : own.stop - first]
-        cover = None if share is None else library_of(share).minimum(share[rows, columns], part.alpha)
-        refined = model.refine(part, limits if limits.ndim == 1 else limits[:, rows, columns], coarse, cover)
-        if result is raster.rgb and (mixed or set(options.passes) & _OF_RAW):
-            result = raster.rgb + 0.0
-        result[rows, columns] = result[rows, columns] + (refined - part.rgb) if mixed else refined
-    return result
-
-
-def _without_strands(raster: RasterOutput[Any], skin: int, share: Any) -> Any:
-    """What strands leave of a share of the cover, or of all of it, where that is worth refining, [H, W]."""
-    if share is not None or not isinstance(raster.alpha, np.ndarray):
-        left = (raster.alpha if share is None else share) - strands_of(raster, skin) - _MIN_SKIN
-        return library_of(left).clip(left, 0.0, None)
-    from ..compute.threads import for_rows
-    from .cover_kernels import skin_cover
-
-    cover = np.empty_like(raster.alpha)
-    planes = raster.alpha, present(raster.features)[..., skin]
-    for_rows(skin_cover, len(cover), *planes, ROUNDING, _MIN_SKIN, cover, smallest=_ROWS_MIN)
-    return cover
-
-
-def _ranges(raster: RasterOutput[Any], coverage: Any) -> Any:
-    """Return, at each pixel, the depth range of the avatar that covers most of it, [2, H, W]."""
-    owner = coverage.argmax(-1)  # [H, W]
-    limits = zeros((2, *owner.shape), raster.depth)
-    for k in range(coverage.shape[-1]):
-        mine = owner == k
-        limits[:, mine] = depth_range(raster.depth, raster.alpha * mine)[:, None]
-    return limits
-
-
-def _covered_region(cover: Array, config: GRMMConfig, coarse: bool = False) -> tuple[slice, slice] | None:
-    """Return rows and columns around everything covered, on the network's grid, with a margin; None when nothing is."""
-    scale = 2 if coarse else 1
-    multiple, margin = scale * refinement_grid(config), scale * refinement_margin(config)
-    bounds = []
-    for axis in (1, 0):
-        library = library_of(cover)
-        hit = library.argwhere(library.amax(cover, axis) > 0)
-        if not len(hit):
-            return None
-        low, high = int(hit[0][0]), int(hit[-1][0]) + 1
-        low = max(low - margin, 0) // multiple * multiple
-        high = min(-(-(high + margin) // multiple) * multiple, cover.shape[1 - axis])
-        bounds.append(slice(low, high))
-    return bounds[0], bounds[1]

@@ -28,19 +28,19 @@ def all_passes(session, instances):
 
 
 def test_refining_the_covered_part_changes_nothing(local, monkeypatch):
-    from grmm_core.session import compose
+    from grmm_core.session import refining
 
     instance = Instance(local.open("default").id, model_to_world=moved(0.05))
     camera = Camera.orbit(240, 176)
     cropped = local.render([instance], camera)["rgb"]
     regions = []
-    original = compose._covered_region
+    original = refining.covered_region
 
     def whole(cover, config, coarse):
         regions.append(original(cover, config, coarse))
         return slice(0, cover.shape[0]), slice(0, cover.shape[1])
 
-    monkeypatch.setattr(compose, "_covered_region", whole)
+    monkeypatch.setattr(refining, "covered_region", whole)
     np.testing.assert_allclose(local.render([instance], camera)["rgb"], cropped, atol=1e-6)
     assert regions[0][1].start > 0
 
@@ -52,7 +52,7 @@ def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
 
     from grmm_core.model.config import PRESETS
     from grmm_core.model.refine import RefinementNetwork
-    from grmm_core.session.compose import _covered_region
+    from grmm_core.session.refining import covered_region
 
     torch.manual_seed(0)
     config = PRESETS["tiny"].replace(refine_channels=channels, refine_unshuffle=fold)
@@ -63,7 +63,7 @@ def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
     rgb, features = torch.rand(230, 310, 3) * alpha[..., None], torch.rand(230, 310, config.features) * alpha[..., None]
     with torch.no_grad():
         whole = network(rgb, features, alpha, alpha)
-        rows, columns = _covered_region(alpha, config)
+        rows, columns = covered_region(alpha, config)
         part = network(rgb[rows, columns], features[rows, columns], alpha[rows, columns], alpha[rows, columns])
     assert part.numel() < whole.numel()
     np.testing.assert_allclose(part, whole[rows, columns], atol=1e-5)

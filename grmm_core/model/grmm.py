@@ -293,7 +293,7 @@ class GRMM(nn.Module):
 
     def turned_shade(self, vertices: Tensor, pose: Tensor) -> Tensor | None:
         """What the neck's turn makes of colors in the studio's light, [N, 1], of posed vertices [V, 3]; see `light.turning`."""
-        if not bool(pose[..., NECK, :].any()):
+        if not self.config.turned_light or not bool(pose[..., NECK, :].any()):
             return None
         texels = Texels.of(self.head_model, self.layout.face, self.layout.barycentric)
         shade = turned_shade(self.head_model, texels, to_numpy(vertices), to_numpy(pose))

@@ -145,7 +145,7 @@ class Evaluator:
             colors, opacities, features, tint = laid.colors, laid.opacities, laid.features, tint * laid.left
         placed = self.geometry(target, inputs, None if cap is None else cap.share)
         colors = colors + tint
-        shade = None if lit_later else self.turned_shade(target, inputs)
+        shade = None if lit_later or not target.model.config.turned_light else self.turned_shade(target, inputs)
         full = Gaussians(*placed, opacities, colors if shade is None else colors * shade, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
 

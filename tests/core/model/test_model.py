@@ -255,3 +255,17 @@ def test_gradients_of_the_whole_chain(head):
         expected = float((above - below) / (2 * step))
         got = float((leaf.grad * direction).sum())
         assert got == pytest.approx(expected, rel=2e-3, abs=2e-7), name
+
+
+def test_the_light_of_the_studio_is_for_data_of_the_studio():
+    """Without it a turned neck changes no color; the paper's form has none."""
+    head = small_head()
+    assert not PRESETS["paper"].turned_light
+    for turned in (True, False):
+        model = GRMM(head, PRESETS["tiny"].replace(turned_light=turned))
+        vertices, pose = torch.tensor(head.v_template, dtype=torch.float32), torch.zeros(5, 3)
+        assert model.turned_shade(vertices, pose) is None
+        pose[1, 1] = 0.5
+        shade = model.turned_shade(vertices, pose)
+        assert (shade is not None) == turned
+        assert shade is None or shade.shape == (model.gaussian_count, 1)

@@ -127,6 +127,8 @@ class TrainConfig:
             raise ConfigError(f"Training for {self.person!r} alone needs the weights to start from; add init_from=default.")
         if self.expressions and (self.person or not self.init_from):
             raise ConfigError("Training of expressions alone starts from weights and is for all people; add init_from=default.")
+        if self.expressions and self.refresh_every:
+            raise ConfigError("Training of expressions alone cannot follow a capture; wait until it is complete.")
         if self.precision not in PRECISIONS:
             raise ConfigError(f"The training setting precision is {self.precision!r}; use {' or '.join(PRECISIONS)}.")
         for name in ("steps", "views_per_step", "ema_every"):

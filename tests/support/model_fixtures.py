@@ -12,7 +12,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.head import HeadModel
 from grmm_core.model.grmm import GRMM
 from grmm_core.model.inputs import ModelInputs
-from grmm_core.training.config import TrainConfig
+from grmm_core.training.config import TrainConfig, train_config
 from grmm_core.training.trainer import Trainer
 from grmm_core.training.views import View
 
@@ -104,6 +104,12 @@ def inputs(model: GRMM, seed: int = 2) -> ModelInputs[torch.Tensor]:
 
     shape, expression, pose = normal(SHAPES), 0.3 * normal(52), 0.1 * normal(5, 3)
     return ModelInputs(normal(model.z_id_size), normal(model.z_exp_size), shape, expression, pose)
+
+
+def quiet_config(model: dict | None = None, **settings: object) -> TrainConfig:
+    """A tiny run that writes nothing on its way."""
+    quiet = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
+    return train_config({"preset": "tiny", **(model or {})}, {"warmup_steps": 5, **quiet, **settings}, {"perceptual": 0.0})
 
 
 def train_spheres(config: TrainConfig, head: HeadModel, folder: Path) -> Trainer:

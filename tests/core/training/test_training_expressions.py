@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 import torch
 from model_fixtures import SHAPES, ColoredSpheres, small_head, train_spheres
+from model_fixtures import quiet_config as config
 
 from grmm_core.errors import ConfigError
 from grmm_core.model.weights import load_weights
-from grmm_core.training.config import load_config, train_config
+from grmm_core.training.config import load_config
 from grmm_core.training.trainer import Trainer
-
-QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
 
 
 class OneStranger(ColoredSpheres):
@@ -24,10 +23,6 @@ class OneStranger(ColoredSpheres):
         self.shapes = np.zeros((3, SHAPES), np.float32)
         self.subjects = self.subjects + 1
         self.subjects[:2] = 0
-
-
-def config(model=None, **settings):
-    return train_config({"preset": "tiny", **(model or {})}, {"warmup_steps": 1, **QUIET, **settings}, {"perceptual": 0.0})
 
 
 @pytest.fixture(scope="module")
@@ -109,4 +104,6 @@ def test_what_cannot_be_continued_is_explained(head, trained, tmp_path):
         Trainer(config(expressions=True, init_from=str(trained)), head, Strangers(), tmp_path)
     with pytest.raises(ConfigError, match="starts from weights and is for all"):
         config(expressions=True)
+    with pytest.raises(ConfigError, match="cannot follow a capture"):
+        config(expressions=True, init_from=str(trained), refresh_every=5)
     assert load_config("expressions").expressions

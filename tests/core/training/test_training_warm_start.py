@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 import torch
 from model_fixtures import SHAPES, ColoredSpheres, small_head, train_spheres
+from model_fixtures import quiet_config as config
 
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError
 from grmm_core.files.tensorfile import write_tensors
 from grmm_core.model.config import BASIS_COLOR
-from grmm_core.training.config import train_config
 from grmm_core.training.trainer import CHECKPOINT, Trainer
-
-QUIET = {"checkpoint_every": 0, "preview_every": 0, "evaluate_every": 0}
 
 
 class ThreeSpheres(ColoredSpheres):
@@ -21,10 +19,6 @@ class ThreeSpheres(ColoredSpheres):
         super().__init__()
         self.people = ("x", "y", "z")
         self.shapes = np.zeros((3, SHAPES), np.float32)
-
-
-def config(model=None, **settings):
-    return train_config({"preset": "tiny", **(model or {})}, {"warmup_steps": 5, **QUIET, **settings}, {"perceptual": 0.0})
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,19 @@
 """Sessions: open, deform and render avatars, in this process or in a worker process (see `api`).
 
+The map:
+
+``api`` ``values`` ``wearing``  what callers see: the interface, what goes through it, what an avatar wears
+``local``  the session in this process; ``opened``: its avatars, ``sources`` ``carrying``: where from
+``client`` ``worker``  the session in a process of its own; ``process`` ``codec`` ``arena`` ``holding``: what lies between
+``engines``  the library behind the arrays: ``torch_engine`` ``plain_engine``
+``evaluator``  from an avatar and controls to mesh and Gaussians, behind ``cache``
+``wardrobe``  strands: ``scalp`` ``cap`` lay trained hair flat, ``swinging`` moves them
+``compose``  one picture: ``stacking`` of channels, ``refining``, ``cover_kernels``, ``passes``
+``lit``  a scene's light on skin, ``shading_hair`` on strands, ``mutual_shadows`` of heads; ``furrowed``: wrinkles
+``clouds``  splats from elsewhere in the same picture
+``exporting`` ``harmonics``  what files of splats and morph targets take
+``painter`` ``presenting``  the person on the mesh's UV map, and thumbnails
+
 `create_session` chooses the implementation. Importing this package loads numpy and nothing heavier; torch is loaded by
 `TorchEngine` in the process that runs the model, and not at all by `PlainEngine`.
 """

@@ -35,6 +35,7 @@ _LAYERS = (
 )  # fmt: skip
 UNLIKE = 0.12  # display color between hair and skin from which on they are told apart
 _BROW, _DARKER = 16, 1.5  # brows in the side of a painting; how much darker than around them they become
+_SHADED, _HAIRY = 0.12, 0.35  # share of hair in a color up to which it is shade on skin, and from which on nothing of it stays
 _HUNG = 2.0  # how quickly a neck begins to count as one that hair hangs over
 _APART = "mouth_interior", "lashes", "left_eyeball", "right_eyeball"
 _CHIN_WIDE, _BEARDED = 0.02, 0.5  # metres from the middle; share of hair in the color of a chin that has a beard
@@ -102,15 +103,20 @@ def accented(head: HeadModel, painting: np.ndarray) -> np.ndarray:
         share = np.clip((colors - tone) @ hair / max(float(hair @ hair), 1e-6), 0.0, 1.0)
         if np.linalg.norm(hair) > UNLIKE:
             points = (head.v_template[corners] * layout.barycentric[..., None]).sum(1)
-            covered = np.maximum(inside("ears") > 0.0, smooth("neck", 2))
+            aside = np.clip((np.where(points[:, 2] < 0.0, np.inf, np.abs(points[:, 0])) - _CHEEK) / _CHEEK, 0.0, 1.0)
+            covered = np.maximum(inside("ears") > 0.0, aside * smooth("neck", 2))  # a throat is in the shade, or has a beard
             heights = {name: head.v_template[head.marked(name)][:, 1] for name in ("lids", "lips")}
             chin = plain & (np.abs(points[:, 0]) < _CHIN_WIDE) & (points[:, 1] < heights["lips"].min())
             if not chin.any() or np.median(share[chin]) < _BEARDED:
-                low, aside = (heights["lids"].min() - points[:, 1]) / _CHEEK, (np.abs(points[:, 0]) - _CHEEK) / _CHEEK
-                cheek = np.clip(low, 0.0, 1.0) * np.clip(aside, 0.0, 1.0) * (inside("lips", *_APART) == 0.0)
-                covered = np.maximum(np.maximum(covered, smooth("neck", 8)), cheek)
+                low = np.clip((heights["lids"].min() - points[:, 1]) / _CHEEK, 0.0, 1.0)
+                cheek = low * (inside("lips", *_APART) == 0.0)
+                covered = np.maximum(covered, aside * np.maximum(smooth("neck", 8), cheek))
             covered *= inside("scalp") == 0.0
-            colors += (covered * share)[:, None] * (tone - colors)
+            hung = covered * np.clip((share - _SHADED) / (_HAIRY - _SHADED), 0.0, 1.0)
+            known = np.zeros(len(flat), bool)
+            known[layout.texel] = (hung == 0.0) & (share < _HAIRY) & (plain | (inside("neck") > 0.5))
+            skin = fill_unknown(flat.reshape(painting.shape), known.reshape(painting.shape[:2])).reshape(-1, 3)
+            colors += hung[:, None] * (skin[layout.texel] - colors)
         around = _averaged(flat.reshape(painting.shape), len(painting) // _BROW).reshape(-1, 3)[layout.texel]
         colors += _DARKER * inside("brows")[:, None] * np.minimum(colors - around, 0.0)
     points = (head.v_template[corners] * layout.barycentric[..., None]).sum(1)

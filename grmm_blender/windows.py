@@ -25,3 +25,11 @@ def redraw_viewports(*shadings: str) -> None:
     for area in areas("VIEW_3D"):
         if area.spaces.active.shading.type in shadings:
             area.tag_redraw()
+
+
+def redraw_sidebars() -> None:
+    """Have the sidebars of all 3D viewports drawn again, and not what is beside them: drawing a scene takes from who waits."""
+    for area in areas("VIEW_3D"):
+        for region in area.regions:
+            if region.type == "UI":
+                region.tag_redraw()

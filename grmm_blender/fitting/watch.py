@@ -226,7 +226,7 @@ def _keep_thumbnail(head: bpy.types.Object, path: Path, png: bytes) -> None:
 
 def _poll() -> float | None:
     """Timer while a job runs."""
-    windows.redraw("VIEW_3D")
+    windows.redraw_sidebars()
     if _watched is None or _watched.job.running:
         return _POLL_SECONDS if _watched is not None else None
     area = next(windows.areas("VIEW_3D"), None)
@@ -236,6 +236,7 @@ def _poll() -> float | None:
             finish(bpy.context)
         except GrmmError as error:
             _log.warning("fit: %s", error)
+    windows.redraw_sidebars()
     return None
 
 

@@ -33,6 +33,7 @@ BEHIND = (0.0, -0.015)  # metres: likewise behind these depths, at whatever heig
 OTHER = (0.08, 0.2)  # of the brightness of skin: from how far off in color on a photo's texel counts as hair, and counts fully
 FOREHEAD = (0.074, 0.084)  # metres: above the brows, hair is that of the scalp
 BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front of this depth, hair is beard
+RIM = (0.006, 0.015)  # metres from an open edge: nearer than the first one what is dark is the edge, not a photo's hair
 NEAR = 0.02  # metres: over what distance the skin's color is smoothed
 SAMPLES = 1200  # texels of skin from which it is taken
 UNDER = 0.9  # how much of the hair's color the skin under dense hair takes on
@@ -78,8 +79,7 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
     With its `own` strands, what a photo painted under these stays.
     """
     places = _places(evaluator, target)
-    seen = evaluator.appearance(target, inputs, np.array([0.0, 0.0, 1.0], np.float32))[0]
-    seen = srgb_to_linear(to_numpy(seen).clip(0.0, 1.0)).astype(np.float32)
+    seen = _seen(evaluator, target, inputs, 1.0)
     hairless = target.model.config.hairless
     if hairless and own:
         return Skin(places.scalp.astype(np.float32), seen)
@@ -108,12 +108,22 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
         near = 1.0 / (apart + NEAR**2) ** 2
         color[part] = (near @ seen[some]) / near.sum(1, keepdims=True)
     # what is as dark as hair beside and behind the face is hair that lies on the skin
-    dark = _ramp(bright / np.maximum(color.mean(1), 1e-4), DARK[0], DARK[1])
+    usual = np.maximum(color.mean(1), 1e-4)
+    dark = _ramp(bright / usual, DARK[0], DARK[1])
     if hairless:  # only a photo paints its hair there, of any color, with soft borders; else the scalp has its own color
+        sides = seen, _seen(evaluator, target, inputs, -1.0)  # the inner side of an open bust is in the dark, and no hair
         if target.avatar.provenance.from_photos:
-            dark = _ramp(np.abs(seen - color).max(1) / np.maximum(color.mean(1), 1e-4), *OTHER)
+            dark = np.minimum(*(_ramp(np.abs(side - color).max(1) / usual, *OTHER) for side in sides))
+        else:
+            dark = np.minimum(*(_ramp(side.mean(1) / usual, *DARK) for side in sides))
         color = seen + dark[:, None] * (color - seen)
     return Skin(np.maximum(share, dark * around).astype(np.float32), color)
+
+
+def _seen(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, ahead: float) -> np.ndarray:
+    """Colors [N, 3] of the texels, linear RGB, seen from before the face, or from behind where `ahead` is -1."""
+    colors = evaluator.appearance(target, inputs, np.array([0.0, 0.0, ahead], np.float32))[0]
+    return srgb_to_linear(to_numpy(colors).clip(0.0, 1.0)).astype(np.float32)
 
 
 def cap_color(
@@ -188,10 +198,25 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
             beside,
             beside
             * (1.0 - share("ears", *_NOT_SKIN))
+            * _ramp(_from_edges(head, points), *RIM)
             * np.maximum(_ramp(points[:, 1], *TEMPLES), _ramp(points[:, 2], *BEHIND)),
         )
 
     return evaluator.cache.get((target.id, "places"), make)
+
+
+def _from_edges(head: HeadModel, points: np.ndarray) -> np.ndarray:
+    """Distance of points [N, 3] on the mean head from the mesh's open edges, such as a bust's, metres [N]."""
+    faces = np.asarray(head.faces)
+    sides, uses = np.unique(np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_counts=True)
+    open_edges = np.asarray(head.v_template, float)[np.unique(sides[uses == 1])]
+    nearest = np.full(len(points), np.inf)
+    for part in np.array_split(np.arange(len(points)), max(1, len(points) // 2048)):
+        for edge in np.array_split(open_edges, max(1, len(open_edges) // 512)):
+            if len(edge):
+                apart = ((points[part, None] - edge) ** 2).sum(2).min(1)
+                nearest[part] = np.minimum(nearest[part], apart)
+    return np.sqrt(nearest)
 
 
 def _ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:

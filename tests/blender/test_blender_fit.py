@@ -122,6 +122,8 @@ def test_a_finished_fit_is_one_step_to_undo_and_asks_before_it_replaces(
     assert found["not_added"] == {"heads": [], "cameras": []}
     assert found["offered"]
     assert found["added_here"] == ["Ada rig"]
+    assert found["while_it_runs"] == ["UI"]  # drawing the whole viewport would take time from the fit
+    assert found["looks_again"]
     assert found["there"] == ["RUNNING_MODAL"]
     assert found["asked"] == ["ada.grmm exists already. Choose another avatar file to keep it."]
     assert found["resumed"] == ["FINISHED"]

@@ -97,6 +97,19 @@ def in_another_file(path: Path) -> None:
     report(added_here=shown()["cameras"])
 
 
+def sidebar_alone_is_drawn_again(path: Path) -> None:
+    watch, windows = module("grmm_blender.fitting.watch"), module("grmm_blender.windows")
+    areas = windows.areas
+    drawn: list[str] = []
+    regions = [SimpleNamespace(type=kind, tag_redraw=lambda kind=kind: drawn.append(kind)) for kind in ("WINDOW", "UI")]
+    follow(path, running=True)
+    windows.areas = lambda *kinds: iter([SimpleNamespace(regions=regions)])
+    again = watch._poll()
+    windows.areas = areas
+    watch.job().running = False
+    report(while_it_runs=drawn, looks_again=again is not None)
+
+
 def asked_before_replacing(path: Path) -> None:
     """The operator's `invoke`, as a window calls it, with a window manager that notes the question."""
     operators, asked = module("operators.fit"), []
@@ -124,4 +137,5 @@ file = avatar_file(folder)
 undone_and_beside(file)
 in_edit_mode(file)
 in_another_file(file)
+sidebar_alone_is_drawn_again(file)
 asked_before_replacing(file)

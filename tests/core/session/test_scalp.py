@@ -55,3 +55,25 @@ def test_hair_that_a_photo_painted_is_taken_away_with_the_strands_and_a_shaven_s
     wardrobe, person = Wardrobe(None), _person(model, from_photos)
     assert wardrobe.worn(person, HairUse("none")).flat is from_photos
     assert wardrobe.worn(person, HairUse("own")).flat  # strands shade the skin
+
+
+@pytest.mark.parametrize("from_photos", [True, False])
+def test_the_dark_rim_and_inner_side_of_a_bust_are_no_hair(model, from_photos):
+    head, layout = model.head_model, model.layout
+    corners = np.asarray(head.faces)[layout.face]
+    points = (np.asarray(head.v_template, float)[corners] * layout.barycentric[..., None]).sum(1)
+    outer = np.asarray(head.uv_islands)[layout.face] == 0
+    bust = outer & (points[:, 1] < -0.11)
+    rim = bust & (points[:, 1] < np.quantile(points[bust, 1], 0.02))
+    back = bust & (points[:, 2] < -0.06)
+    front_view = np.where((rim | back)[:, None], 0.02, SKIN).astype(np.float32)  # the back is seen from within
+    behind = np.where(rim[:, None], 0.02, SKIN).astype(np.float32)
+    evaluator = SimpleNamespace(
+        cache=SimpleNamespace(get=lambda key, make: make()),
+        appearance=lambda target, inputs, eye: (front_view if eye[2] > 0 else behind,),
+    )
+    found = bare_skin(evaluator, _person(model, from_photos), SimpleNamespace())
+    assert min(rim.sum(), back.sum()) > 20
+    assert found.share[rim | back].max() < 0.01
+    scalp = (head.marked("scalp").astype(float)[corners] * layout.barycentric).sum(1) > 0.99
+    assert found.share[scalp & outer].min() > 0.99

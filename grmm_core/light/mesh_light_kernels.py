@@ -83,7 +83,8 @@ def read(
     """
     height, width = depth.shape
     above, below = max(first - 1, 0), min(last + 1, height)  # edges are seen from both sides
-    nearest = np.full((below - above, width), _EMPTY, np.float32)
+    # by what is greater the nearer it is, and linear on a face: one over the depth, or less the depth
+    nearest, sign = np.full((below - above, width), -_EMPTY, np.float32), -_1 if flat else _1
     # faces, between columns that border on everything: branches on neighbors would cost more than looking at them
     nothing, anything = len(faces), len(faces) + 1
     number = np.full((below - above + 2, width + 2), nothing, np.int32)
@@ -105,16 +106,14 @@ def read(
         inverse = _1 / area
         # barycentric coordinates of the second and third corner, and how they change by column and row
         u_x, u_y, v_x, v_y = (cy - ay) * inverse, (ax - cx) * inverse, (ay - by) * inverse, (bx - ax) * inverse
-        base, to_b, to_c = seen[a, 2], seen[b, 2] - seen[a, 2], seen[c, 2] - seen[a, 2]
+        base, to_b, to_c = sign * seen[a, 2], sign * (seen[b, 2] - seen[a, 2]), sign * (seen[c, 2] - seen[a, 2])
         for row in range(top, bottom + 1):
             dx, dy = np.float32(left) + _HALF - ax, np.float32(row) + _HALF - ay
             u, v = u_x * dx + u_y * dy, v_x * dx + v_y * dy
             for column in range(left, right + 1):
-                value = base + u * to_b + v * to_c
-                deep = value if flat else _1 / value
-                before = nearest[row - above, column]
-                nearer = min(u, v, _1 - u - v) >= _0 and deep < before  # without branches, which small faces take at random
-                nearest[row - above, column] = deep if nearer else before
+                value, before = base + u * to_b + v * to_c, nearest[row - above, column]
+                nearer = min(u, v, _1 - u - v) >= _0 and value > before  # without branches, which small faces take at random
+                nearest[row - above, column] = value if nearer else before
                 number[row - above + 1, column + 1] = t if nearer else number[row - above + 1, column + 1]
                 u += u_x
                 v += v_x
@@ -127,7 +126,7 @@ def read(
             t = number[line + 1, column + 1]
             if t == nothing:
                 continue
-            deep = nearest[line, column]
+            deep = -nearest[line, column] if flat else _1 / nearest[line, column]
             amount = min((limits[1] - abs(depth[row, column] - deep)) * slope, _1)
             if amount <= _0:
                 continue

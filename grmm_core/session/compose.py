@@ -181,7 +181,7 @@ def _refines(options: RenderOptions) -> bool:
 
 
 def _plan(placed: Sequence[Placed], options: RenderOptions) -> Channels:
-    """Where channels are: features last and none that strands have, which the rasteriser then need not read nor sum."""
+    """Where channels are: features last and none that strands have, which the rasteriser then need not sum."""
     wants_features = "features" in options.passes or _refines(options)
     count = 0
     skin = None

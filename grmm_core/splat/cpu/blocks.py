@@ -217,10 +217,11 @@ def gather(
         gaussian: Gaussian of each instance.
         geometry: Of `projection.project`.
         features: [N, C].
-        values: Output, see `make_scratch`.
+        values: Output but for the zeros behind its channels, see `make_scratch`.
         shapes: Output, see `make_scratch`.
     """
     count, width = features.shape[1], values.shape[1]
+    whole = count // 4 * 4
     records, extras = geometry.reshape(-1), features.reshape(-1)
     flat, starts = values.reshape(-1), shapes.reshape(-1)
     for n in range(low, high):
@@ -228,14 +229,11 @@ def gather(
         for c in range(0, SHAPE, 4):
             copy_four(records, i * RECORD_LENGTH + c, starts, k * SHAPE + c)
         copy_four(records, i * RECORD_LENGTH + RECORD.red, flat, k * width)
-        used = min(int(geometry[i, RECORD.groups]) * GROUP - VALUES, count)
-        whole = used // 4 * 4
+        # zeros of those that need few channels, too: loops of unlike length would be mispredicted at every Gaussian
         for c in range(0, whole, 4):
             copy_four(extras, i * count + c, flat, k * width + VALUES + c)
-        for c in range(whole, used):
+        for c in range(whole, count):
             values[k, VALUES + c] = features[i, c]
-        for c in range(VALUES + used, width):
-            values[k, c] = ZERO
         place_on(shapes, k, left, top)
 
 

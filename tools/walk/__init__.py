@@ -3,5 +3,6 @@
 ``blender``   starts Blender on a virtual screen, presses keys, moves the mouse, runs snippets inside, takes pictures
 ``inside``    what runs inside that Blender: snippets out of a folder, by a timer
 ``steps``     the walk: each step does something and is a picture
+``corners``   steps that are easily forgotten: menus, other editors, questions, a recording that plays on, no window
 ``pictures``  the documents' pictures of a window
 """

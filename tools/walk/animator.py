@@ -35,7 +35,8 @@ _CAMERAS = "result = sorted(o.name for o in bpy.context.scene.objects if o.type 
 _FIT = """
 import sys
 watch = next(module for name, module in sys.modules.items() if name.endswith("fitting.watch"))
-result = [watch.is_running(), watch.job().status.progress.picture if watch.is_running() else ""]
+done = watch.job().status.progress if watch.is_running() else None
+result = [done is not None, *((done.picture, done.fraction, done.seconds_left) if done else ("", 1.0, 0.0))]
 """
 
 
@@ -48,7 +49,7 @@ _BROWSER = """
 result = any(area.type == "FILE_BROWSER" and area.spaces.active.params is not None
              for other in bpy.context.window_manager.windows for area in other.screen.areas)
 """
-_CHOOSE = """
+CHOOSE = """
 for other in bpy.context.window_manager.windows:
     for space in (area for area in other.screen.areas if area.type == "FILE_BROWSER"):
         space.spaces.active.params.directory = {folder!r}.encode()
@@ -95,10 +96,10 @@ def choose_runtime(blender: WalkedBlender) -> None:
 def import_options(blender: WalkedBlender) -> None:
     """Open the file browser of *Import Performance* and look at its options."""
     blender.run(SELECT_RIG + "bpy.ops.grmm.import_performance('INVOKE_DEFAULT')")
-    _wait_for_browser(blender)
+    wait_for_browser(blender)
     blender.picture("import_options", 10, settled=False)  # software draws the viewport first
     blender.key("Escape")
-    _wait_for_browser(blender, there=False)
+    wait_for_browser(blender, there=False)
 
 
 def recordings(blender: WalkedBlender) -> None:
@@ -111,11 +112,11 @@ def recordings(blender: WalkedBlender) -> None:
         (blender.shared / name).write_bytes(content)
     for name in ("video.mp4", "speech.wav", table.name):
         blender.run(SELECT_RIG + "bpy.ops.grmm.import_performance('INVOKE_DEFAULT', True)")
-        _wait_for_browser(blender)
-        blender.run(_CHOOSE.format(folder=blender.inner(blender.shared), name=name))
+        wait_for_browser(blender)
+        blender.run(CHOOSE.format(folder=blender.inner(blender.shared), name=name))
         blender.move(*MIDDLE)
         blender.key("Return")
-        _wait_for_browser(blender, there=False)
+        wait_for_browser(blender, there=False)
         blender.picture(f"import_{name.partition('.')[2]}", 8, settled=False)
         blender.key("Escape")
     action = blender.run(HEAD + "result = head.animation_data.action.name")
@@ -162,16 +163,16 @@ def written(blender: WalkedBlender) -> None:
 def _write(blender: WalkedBlender, operator: str, options: str, folder: str, name: str) -> None:
     """Start an operator that writes, and answer its browser."""
     blender.run(SELECT_RIG + f"bpy.ops.grmm.{operator}('INVOKE_DEFAULT', True, {options})")
-    _wait_for_browser(blender)
-    blender.run(_CHOOSE.format(folder=folder, name=name))
+    wait_for_browser(blender)
+    blender.run(CHOOSE.format(folder=folder, name=name))
     time.sleep(1.0)
     blender.move(*MIDDLE)
     blender.key("Return")
-    _wait_for_browser(blender, there=False)
+    wait_for_browser(blender, there=False)
     time.sleep(1.0)
 
 
-def _wait_for_browser(blender: WalkedBlender, there: bool = True) -> None:
+def wait_for_browser(blender: WalkedBlender, there: bool = True) -> None:
     """Wait until a file browser is open, or no longer."""
     deadline = time.monotonic() + BROWSER_SECONDS
     while blender.run(_BROWSER) != there:
@@ -238,16 +239,28 @@ def fit(blender: WalkedBlender) -> None:
     path = blender.inner(blender.bring(PHOTO, PHOTO.name))
     blender.run(f"bpy.ops.grmm.fit_add_photos(filepath={path!r})")
     blender.run("bpy.context.window_manager.grmm_fit.preset = 'fast'\nbpy.ops.grmm.fit_photos('EXEC_DEFAULT')")
-    deadline, shown = time.monotonic() + FIT_SECONDS, False
+    begin, shown, told = time.monotonic(), False, []
     while (state := blender.run(_FIT))[0]:
+        spent, left = time.monotonic() - begin, state[3]
+        if left == left:  # a number
+            told.append((spent, state[2], left))
         if state[1] and not shown:
             shown = True
             scroll_sidebar(blender)
             blender.picture("fit_preview", 2, settled=False)
-        if time.monotonic() > deadline:
+        if spent > FIT_SECONDS:
             raise WalkError("the photo does not become an avatar")
         time.sleep(2.0)
+    blender.note(f"the photo became an avatar in {time.monotonic() - begin:.0f} s")
+    for spent, share, left in told[:: max(1, len(told) // 8)]:
+        blender.note(f"after {spent:.0f} s ({share:.0%} done) it said {left:.0f} s more: {spent + left:.0f} s in all")
     blender.picture("fitted", 5)
+    blender.run("bpy.ops.grmm.fit_photos('INVOKE_DEFAULT', True)")
+    blender.move(MIDDLE[0] + 20, MIDDLE[1])
+    blender.picture("fit_again", 3, settled=False)  # asked, for the avatar of a moment ago is there
+    blender.key("Escape")
+    if blender.run(_FIT)[0]:
+        raise WalkError("a second Make Avatar does not ask before it replaces the first one's file")
     cameras = blender.run(_CAMERAS)
     blender.run(HEAD + "bpy.ops.ed.undo_push(message='walk')\nhead['jawOpen'] = 0.5\nbpy.ops.ed.undo_push(message='walk')")
     blender.move(*MIDDLE)

@@ -193,6 +193,16 @@ class WalkedBlender:
         shutil.copy(inside, path)
         return path
 
+    def background(self, *arguments: str, timeout: float) -> None:
+        """Run another Blender of the same user, such as `-b FILE -f 1`; its text goes to the console. Raises `WalkError`."""
+        with (self.shared / "console.txt").open("ab") as console:
+            command = self._inside(["blender", *arguments])
+            done = subprocess.run(
+                command, env=self._environment(), stdout=console, stderr=console, timeout=timeout, check=False
+            )
+        if done.returncode:
+            raise WalkError(f"blender {' '.join(arguments)} ends with {done.returncode}")
+
     def bring(self, path: Path, name: str) -> Path:
         """Copy a file to where Blender can read it."""
         return Path(shutil.copy(path, self.shared / name))

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from . import animator, closer, steps
+from . import animator, closer, corners, steps
 from .blender import WalkedBlender, WalkError
 
 STEPS: tuple[steps.Step, ...] = (
-    steps.start, steps.install, steps.add_head, steps.first_render, steps.panels, closer.tooltips, animator.drag_rig,
-    animator.choose_runtime, steps.look, closer.close_up, closer.look_undone, closer.search, steps.sliders,
-    steps.random_and_reset, steps.poses, steps.views, animator.bare_mesh, animator.import_options, steps.performance,
-    closer.played_frames, steps.escape, steps.photos, steps.undo, closer.copies, animator.recordings, animator.turntable,
-    animator.motion, animator.written, steps.save_and_reopen, steps.eevee, steps.drop, steps.delete, animator.fit,
-    steps.disable_and_enable,
+    steps.start, steps.install, corners.menus, steps.add_head, steps.first_render, steps.panels, closer.tooltips,
+    animator.drag_rig, animator.choose_runtime, steps.look, closer.close_up, closer.look_undone, closer.search, steps.sliders,
+    steps.random_and_reset, steps.poses, corners.questions, steps.views, corners.graded, animator.bare_mesh,
+    animator.import_options, steps.performance, closer.played_frames, steps.escape, steps.photos, steps.undo, closer.copies,
+    animator.recordings, corners.channels, corners.import_avatar, animator.turntable, animator.motion, animator.written,
+    steps.save_and_reopen, corners.without_window, steps.eevee, steps.drop, steps.delete, corners.disabled_while_playing,
+    animator.fit, steps.disable_and_enable,
 )  # fmt: skip
 
 

@@ -66,7 +66,7 @@ _ADD = """
 with bpy.context.temp_override(window=window, area=area, region=header):
     bpy.ops.grmm.add_head("INVOKE_DEFAULT", True)
 """
-_RIGS = "result = sum(o.type == 'ARMATURE' for o in bpy.context.scene.objects)"
+RIGS = "result = sum(o.type == 'ARMATURE' for o in bpy.context.scene.objects)"
 _DRAWN = """
 image = bpy.data.images.get("Render Result")
 result = bool(image and image.has_data) and not bpy.app.is_job_running("RENDER")
@@ -321,10 +321,10 @@ def drop(blender: WalkedBlender) -> None:
         "bpy.data.objects['Cube'].hide_set(True)\n"
         "bpy.context.scene.cursor.location = (0.4, 0.0, 1.0)\nbpy.ops.object.select_all(action='DESELECT')"
     )
-    rigs = blender.run(_RIGS)
+    rigs = blender.run(RIGS)
     blender.drop(path, *MIDDLE)
     deadline = time.monotonic() + DROP_SECONDS
-    while blender.run(_RIGS) == rigs:
+    while blender.run(RIGS) == rigs:
         if time.monotonic() > deadline:
             raise WalkError("an avatar's file that is dropped does nothing")
         time.sleep(0.5)

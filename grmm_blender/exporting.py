@@ -52,11 +52,13 @@ class SplatOptions:
         degree: Of the spherical harmonics, 0..3.
         lod: Level of detail: each keeps a quarter of an avatar's Gaussians.
         canonical: The resting pose and expression instead of the frame's.
+        whole: Those of an avatar that are never drawn too, so that each frame of a sequence has as many.
     """
 
     degree: int = 1
     lod: int = 0
     canonical: bool = False
+    whole: bool = False
 
 
 def splat_target(obj: bpy.types.Object | None, scene: bpy.types.Scene) -> Avatar | Cloud | None:
@@ -84,7 +86,8 @@ def splats_of(target: Avatar | Cloud, depsgraph: bpy.types.Depsgraph, options: S
 
     def make() -> SplatCloud:
         session, number = session_host.get_session(), session_host.open_avatar(source).id
-        return splat_cloud(session, number, controls, options.degree, options.lod, hair())
+        cloud = splat_cloud(session, number, controls, options.degree, options.lod, hair())
+        return cloud if options.whole else cloud.visible()
 
     return make
 

@@ -122,7 +122,7 @@ class GRMM_OT_export_splats(SteppedOperator, FrameRange, Operator, ExportHelper)
         """Write one file after the other."""
         path = output_path(self.filepath, written_suffixes(SPLATS), self.format)
         target = _target(context)
-        options = SplatOptions(self.degree, self.lod, self.pose == "CANONICAL")
+        options = SplatOptions(self.degree, self.lod, self.pose == "CANONICAL", self.pose == "SEQUENCE")
         scene = context.scene
         if self._format(path).holds == "avatar":
             made = exporting.lam_of(target, context.evaluated_depsgraph_get(), options)

@@ -105,6 +105,9 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             if played is not None:
                 return _write_frames(target, session, avatar, controls, playable(played, avatar, args), args, report)
             content, counts = _content(target, session, avatar, controls, args, report)
+            if target.holds == "splats":
+                content = content.visible()  # files of a recording hold all, so that each has as many
+                counts = {"gaussians": content.count}
     facts = {"avatar": avatar.name, **counts}
     return _finish(args, [path], facts, target.write(path, content, **options_of(args, target, "writing")))
 

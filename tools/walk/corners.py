@@ -6,6 +6,7 @@ import time
 
 from .animator import CHOOSE, wait_for_browser
 from .blender import WalkedBlender, WalkError
+from .closer import SEARCH_SECONDS
 from .steps import DROP_SECONDS, FILE_SECONDS, HEAD, MIDDLE, RIGS, SELECT_RIG
 
 KEYED_REGIONS = {"Brows", "Jaw", "Mouth"}  # some of those that a performance moves
@@ -109,12 +110,16 @@ def channels(blender: WalkedBlender) -> None:
 
 
 def questions(blender: WalkedBlender) -> None:
-    """Open what asks before it works: the search for a pose, the name of a new one."""
-    for name in ("apply_pose", "save_pose"):
+    """Open what asks before it works: the search for a pose, into which is typed, and the name of a new one."""
+    for name, typed in (("apply_pose", "la"), ("save_pose", "")):
         blender.move(*MIDDLE)
         blender.run(SELECT_RIG + f"bpy.ops.grmm.{name}('INVOKE_DEFAULT', True)")
         blender.move(MIDDLE[0] + 5, MIDDLE[1] + 5)
+        time.sleep(SEARCH_SECONDS)
+        if typed:
+            blender.type(typed)
         blender.picture(f"asks_{name}", 3, settled=False)
+        blender.key("Escape")
         blender.key("Escape")
 
 

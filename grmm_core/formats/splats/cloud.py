@@ -24,6 +24,7 @@ _ANY_SIZE = 3 << 27  # bytes of a cloud that a file of any size may make
 _MOST_PACKED = 40  # times that a packed file may grow beyond that; real ones grow by less than half of it
 _MIN_SCALE, _MAX_SCALE = 1e-12, 1e12
 _MIN_OPACITY = 1e-6  # so that its logit is finite
+_SEEN = 1.0 / 255.0
 _MIN_QUATERNION = 1e-12
 _HALF_STEP = 0.5 / 255.0  # of 8-bit colors
 _SH_COUNTS = {(degree + 1) ** 2 for degree in range(MAX_DEGREE + 1)}
@@ -134,6 +135,10 @@ class SplatCloud:
             if binding.shape != (count,) or (binding < 0).any():
                 raise ShapeError(f"SplatCloud.binding must be {count} triangle numbers; got shape {binding.shape}.")
         return replace(self, **arrays, binding=binding)
+
+    def visible(self) -> SplatCloud:
+        """The splats that a renderer draws: 3DGS passes over those whose opacity is below 1/255 everywhere."""
+        return self.select(self.opacities >= _SEEN)
 
     def select(self, index: np.ndarray | slice) -> SplatCloud:
         """The splats chosen by a mask [N], by indices or by a range."""

@@ -57,6 +57,7 @@ def files() -> dict:
     info = host.open_avatar(avatar.source)
     controls = avatar.controls(bpy.context.evaluated_depsgraph_get())
     found = host.get_session().gaussians(info.id, controls)
+    found = type(found)(*(part[found.opacities >= 1.0 / 255.0] for part in found))  # the others are never drawn
     np.savez(folder / "gaussians.npz", means=found.means, scales=found.scales, opacities=found.opacities, colors=found.colors)
     return {
         "frame": frame,

@@ -126,10 +126,10 @@ report(
     bald=len(splats(module("grmm_core.session").HairUse("none"))),
 )
 bpy.ops.grmm.export_splats(filepath=str(folder / "hair.ply"), format=".ply", pose="FRAME", degree=0)
-exported = exporting.splats_of(avatars.avatars_in(scene)[0], bpy.context.evaluated_depsgraph_get(), exporting.SplatOptions(0))()
-resting = exporting.splats_of(
-    avatars.avatars_in(scene)[0], bpy.context.evaluated_depsgraph_get(), exporting.SplatOptions(0, canonical=True)
-)()
+exported, resting = (
+    exporting.splats_of(avatars.avatars_in(scene)[0], bpy.context.evaluated_depsgraph_get(), options)()
+    for options in (exporting.SplatOptions(0, whole=True), exporting.SplatOptions(0, canonical=True, whole=True))
+)
 report(exported=exported.count, resting=resting.count, ply=(folder / "hair.ply").stat().st_size > 60 * exported.count)
 bpy.context.view_layer.objects.active = rig
 bpy.ops.grmm.export_cache(filepath=str(folder / "hair.usda"), first=1, last=2)

@@ -30,6 +30,7 @@ def test_exported_splats_are_read_back(grmm, export, tmp_path, suffix):
     assert cloud.count == json.loads(out)["gaussians"]
     assert cloud.means[:, 1].max() > 0.1  # the top of the head is up again
     assert 0.1 < cloud.colors().mean() < 0.9
+    assert cloud.opacities.min() > 0.003  # what is never drawn is not written
     facts = json.loads(grmm("info", path, "--json")[1])
     assert facts["splats"] == cloud.count
     assert facts["size in metres"][1] > 0.2

@@ -149,16 +149,20 @@ def _make(
         tracks, loaded.model, head, request.preset, info=loaded.info, name=request.name or request.output.stem, work=folder,
         report=report,
     )  # fmt: skip
-    report.part("finish")(0.0)
+    finish = report.part("finish")
+    finish(0.0)
     person = with_deltas(loaded.model, avatar.deltas, folder)
     if loaded.model.config.hairless:
         parts = [parse(track, head) for track in tracks]
-        hair = person_hair(tracks, parts, head, report.part("finish"))
+        hair = person_hair(tracks, parts, head, within(finish, 0.0, 0.2))
         trimmed_hair = trimmed(person, dataclasses.replace(avatar, hair=hair), tracks, parts)
         avatar = shaded_scalp(person, trimmed_hair, photo_views(person, tracks))
         person = with_deltas(loaded.model, avatar.deltas, folder)
+        finish(0.25)
         avatar, unlit = unlit_hair(session, avatar, tracks, parts, head)
+        finish(0.6)
         avatar = textured(person, avatar, unlit, parts)
+    finish(0.7)
     pictures = photo_pictures(person, avatar, tracks)
     avatar = settled(session, person, avatar, tracks, pictures)
     figures = {"rmse": photo_errors(pictures), "landmark_error": [track.landmark_error for track in tracks]}
@@ -168,7 +172,7 @@ def _make(
         provenance=dataclasses.replace(avatar.provenance, photos=job.photos, date=today),
         tracking={**avatar.tracking, **{key: np.array(values, np.float32) for key, values in figures.items()}},
     )
-    report.check()
+    finish(0.85)
     save_presented(avatar, request.output, session)
     return avatar, tracks, left_out(tracks, head)
 

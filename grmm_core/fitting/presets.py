@@ -63,7 +63,7 @@ class Preset:
 
 PRESETS: dict[str, Preset] = {
     "fast": Preset(
-        "fast", CodeSettings(192, 96, 24, 2, 6, 16, goes_on=True), DecoderSettings(((192, 40), (384, 50)), False), (11.0, 10.0)
+        "fast", CodeSettings(192, 96, 24, 2, 6, 16, goes_on=True), DecoderSettings(((192, 40), (384, 50)), False), (4.0, 10.0)
     ),
     "standard": Preset(
         "standard",

@@ -77,10 +77,10 @@ FIT = JobStages(
     (
         Stage("load", "Starting", 3.0),
         Stage("analyse", "Looking for faces", 0.5),
-        Stage("track", "Tracking", 12.0),
+        Stage("track", "Tracking", 18.0),
         Stage("codes", "Finding the person", 30.0),  # this and the next depend on the preset, see `fitting.presets`
         Stage("decoders", "Fine detail", 85.0),
-        Stage("finish", "Finishing", 1.0),
+        Stage("finish", "Finishing", 22.0),  # hair, its color and texture, the thumbnail and the painting
     ),
     timed=True,
 )

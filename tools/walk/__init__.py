@@ -4,5 +4,6 @@
 ``inside``    what runs inside that Blender: snippets out of a folder, by a timer
 ``steps``     the walk: each step does something and is a picture
 ``corners``   steps that are easily forgotten: menus, other editors, questions, a recording that plays on, no window
+``rate``      frames a second that a window plays, with splats and without
 ``pictures``  the documents' pictures of a window
 """

@@ -20,10 +20,16 @@ def main() -> int:
     parser.add_argument("--display", default=":77", help="name for the virtual screen (default: %(default)s)")
     parser.add_argument("--python", default="", help="a Python with torch, as Blender sees it: a photo becomes an avatar then")
     parser.add_argument("--pictures", type=Path, metavar="FOLDER", help="make the documents' pictures there instead of walking")
+    parser.add_argument("--rate", action="store_true", help="measure how many frames a second are played instead of walking")
     arguments = parser.parse_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # so that Blender and the screen end as well
     with WalkedBlender(arguments.output, arguments.root, display=arguments.display) as blender:
         blender.torch_python = arguments.python
+        if arguments.rate:
+            from .rate import measure
+
+            measure(blender, arguments.extension)
+            return 0
         if arguments.pictures is not None:
             from .pictures import take
 

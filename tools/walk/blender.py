@@ -212,7 +212,7 @@ class WalkedBlender:
         ticks = 0
         for entry in Path("/proc").glob("[0-9]*"):
             try:
-                if str(self.shared.name).encode() in (entry / "environ").read_bytes():
+                if f"GRMM_WALK={self.shared.name}\0".encode() in (entry / "environ").read_bytes():
                     ticks += sum(map(int, (entry / "stat").read_text("utf-8").rpartition(")")[2].split()[11:13]))
             except OSError:  # gone meanwhile
                 continue
@@ -232,7 +232,7 @@ class WalkedBlender:
         (self.shared / "home").mkdir(exist_ok=True)
         return {
             "PATH": "/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin", "HOME": home, "DISPLAY": self._display,
-            "LIBGL_ALWAYS_SOFTWARE": "1", "LANG": "C.UTF-8", "OMP_WAIT_POLICY": "PASSIVE",
+            "GRMM_WALK": self.shared.name, "LIBGL_ALWAYS_SOFTWARE": "1", "LANG": "C.UTF-8", "OMP_WAIT_POLICY": "PASSIVE",
         }  # fmt: skip
 
     def _inside(self, command: list[str]) -> list[str]:

@@ -152,13 +152,13 @@ def disabled_while_playing(blender: WalkedBlender) -> None:
 def without_window(blender: WalkedBlender) -> None:
     """Save, and render a frame as a farm does: `blender -b FILE -f 1`."""
     path, picture = (blender.inner(blender.shared / name) for name in ("farm.blend", "farm_####"))
-    blender.run(f"bpy.ops.wm.save_as_mainfile(filepath={path!r}, copy=True)", FILE_SECONDS)
-    begin = time.monotonic()
+    blender.run(f"bpy.ops.wm.save_userpref()\nbpy.ops.wm.save_as_mainfile(filepath={path!r}, copy=True)", FILE_SECONDS)
+    begin, before = time.monotonic(), len(blender.console)
     blender.background("-b", path, "-o", picture, "-F", "PNG", "-x", "1", "-f", "1", timeout=RENDER_SECONDS)
     blender.note(f"blender -b FILE -f 1 took {time.monotonic() - begin:.1f} s")
     made = blender.shared / "farm_0001.png"
-    if not made.exists():
-        raise WalkError("blender -b FILE -f 1 leaves no picture")
+    if not made.exists() or "Engine: GRMM" not in blender.console[before:]:
+        raise WalkError("blender -b FILE -f 1 leaves no picture of the engine")
     blender.keep(made, "without_window")
     colors = blender.run(_FACE.format(path=blender.inner(made)))
     if not colors[0] > colors[2] > 0.05:

@@ -22,7 +22,6 @@ from .tiling import (
     BLOCK_X,
     BLOCK_Y,
     BLOCKS,
-    GROUP,
     HALF,
     ONE,
     PIXEL_X,

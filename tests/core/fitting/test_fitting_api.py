@@ -130,6 +130,7 @@ def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, ma
     result = make([photo], output, resume=True, progress=seen.append)
     assert {event.stage for event in seen} == {"load", "codes", "decoders", "finish"}
     check_progress(seen, FIT)
+    assert len({event.fraction for event in seen if event.stage == "finish"}) > 3  # hair, colors, pictures: a third of the time
     assert result.path.exists()
     assert not folder.exists()
     # cancelled before anything is known: nothing is left behind

@@ -28,6 +28,7 @@ for obj in bpy.context.scene.objects:
 area.spaces.active.show_region_ui = True
 bpy.context.scene.grmm_viewport.use_handles = True
 bpy.ops.view3d.view_axis(type="FRONT")
+area.spaces.active.region_3d.view_perspective = "PERSP"
 """
 _CUBES = """
 from mathutils import Vector

@@ -28,7 +28,9 @@ for obj in bpy.context.scene.objects:
 area.spaces.active.show_region_ui = True
 bpy.context.scene.grmm_viewport.use_handles = True
 bpy.ops.view3d.view_axis(type="FRONT")
-area.spaces.active.region_3d.view_perspective = "PERSP"
+space = area.spaces.active
+space.region_3d.view_perspective = "PERSP"
+space.overlay.show_floor = space.overlay.show_axis_x = space.overlay.show_axis_y = False
 """
 _CUBES = """
 from mathutils import Vector

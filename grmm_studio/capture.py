@@ -26,8 +26,9 @@ from grmm_core.jobs.progress import ProgressCallback, Reporter, Share
 from grmm_core.jobs.stages import CAPTURE
 
 from .lights import RIG, draw_light, lights_named
+from .mesh import region_vertices
 from .settings import CaptureSettings, check_settings, open_job, planned_shot, subject_name
-from .shots import view_split
+from .shots import MOUTH, around, view_split
 from .subjects import Subject, draw_subject
 
 if TYPE_CHECKING:
@@ -250,7 +251,10 @@ class _Worker:
         plan = planned_shot(s, index, number)
         controls = resolve(Controls(aligned=plan.aligned, pose=plan.pose), self.head)
         light = draw_light(s.seed * 1000003 + index * 1009 + number) if s.varied_light else RIG
-        studio.set_shot(controls.expression, controls.pose, light)
+        posed = studio.set_shot(controls.expression, controls.pose, light)
+        if s.framing == MOUTH:
+            mouth = posed[region_vertices(self.head, "lips")].mean(0)
+            plan = replace(plan, cameras=tuple(around(camera, mouth) for camera in plan.cameras))
         pictures, views = [], []
         for i, (name, camera) in enumerate(zip(plan.camera_names, plan.cameras, strict=True)):
             pictures.append(self._picture(studio, camera, number))

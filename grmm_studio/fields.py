@@ -13,6 +13,7 @@ import numpy as np
 from grmm_core.wrinkles.noise import bump, smoothstep, wave_noise
 
 HEAD_CENTRE = np.array([0.0, 0.045, 0.0])
+ARCH_CENTRE = 0.055  # metres forward: where the dental arches' halves begin to run straight back
 # Hairline of the mean head: azimuth in degrees from the front (0) to the nape (180), height in metres.
 HAIRLINE_AZIMUTH = (0.0, 20.0, 35.0, 48.0, 60.0, 70.0, 80.0, 92.0, 104.0, 118.0, 140.0, 180.0)
 HAIRLINE_HEIGHT = (0.101, 0.102, 0.099, 0.080, 0.058, 0.022, 0.016, 0.034, 0.030, -0.012, -0.032, -0.040)
@@ -114,12 +115,12 @@ def wrinkle_lines(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def tooth_arc(points: np.ndarray) -> np.ndarray:
     """Signed metres along the dental arch from the middle, for template points of the teeth, [...]."""
-    centre_z, width, depth = 0.055, 0.030, 0.045
-    angle = np.arctan2(points[..., 0] / width, np.maximum(points[..., 2] - centre_z, 0) / depth)
+    width, depth = 0.030, 0.045
+    angle = np.arctan2(points[..., 0] / width, np.maximum(points[..., 2] - ARCH_CENTRE, 0) / depth)
     table = np.linspace(-math.pi / 2, math.pi / 2, 721)
     curve = np.stack([width * np.sin(table), depth * np.cos(table)], -1)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=-1))])
     length -= length[360]
     arc = np.interp(angle, table, length)
-    behind = np.maximum(centre_z - points[..., 2], 0.0)
+    behind = np.maximum(ARCH_CENTRE - points[..., 2], 0.0)
     return arc + np.sign(points[..., 0]) * behind

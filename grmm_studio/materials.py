@@ -17,13 +17,12 @@ from grmm_core.wrinkles.families import LINE_DEPTH
 
 from .passes import PART_OUTPUTS
 from .subjects import Subject
+from .teeth import TeethTextures
 from .textures import SkinTextures
 
 Socket = Any  # a bpy node socket, or a constant for it
-TOOTH_WIDTHS = (0.0086, 0.0066, 0.0076, 0.0070, 0.0068, 0.0100, 0.0095)  # from the middle outwards, metres
 MOUTH_GLOW = 0.10  # of the color: light that bounces in the mouth more often than the render follows it
 LINE_SHADE = 0.9  # how much of the groove's color the deepest line of an expression takes
-ARC_RANGE = 0.07  # metres mapped to 0..1 of the tooth ramp
 
 
 class Nodes:
@@ -81,8 +80,10 @@ class Nodes:
         node = self.node("ShaderNodeTexNoise", {"Vector": vector, "Scale": scale, "Detail": detail, "Roughness": roughness})
         return node.outputs["Fac"]
 
-    def image(self, name: str, pixels: Any) -> Any:
+    def image(self, name: str, pixels: Any, place: Socket | None = None) -> Any:
         """Color of a float texture [H, W, 3] whose first row is v = 0, used as it is.
+
+        It lies by the mesh's UV map, or by the vector `place`.
 
         Images are never removed: with persistent data Cycles knows them by address, and a new image at the address of a
         removed one would show the old pixels. So `name` must name the content, person and all.
@@ -95,7 +96,8 @@ class Nodes:
             rgba[..., :3] = pixels
             image.pixels.foreach_set(rgba.ravel())
             image.update()
-        return self.node("ShaderNodeTexImage", image=image, interpolation="Linear", extension="EXTEND").outputs[0]
+        inputs = {} if place is None else {"Vector": place}
+        return self.node("ShaderNodeTexImage", inputs, image=image, interpolation="Linear", extension="EXTEND").outputs[0]
 
     def ramp(self, value: Socket, low: float, high: float) -> Any:
         """Smooth step from 0 at low to 1 at high (either order)."""
@@ -222,44 +224,21 @@ def eye_material(s: Subject) -> bpy.types.Material:
     )
 
 
-def teeth_material(s: Subject) -> bpy.types.Material:
-    """Teeth separated along the arch, gums by height; attributes `arc` and `crown` (0 gum line .. 1 tip) in metres."""
+def teeth_material(s: Subject, textures: TeethTextures, share: float) -> bpy.types.Material:
+    """Teeth and gums from painted maps, which cover the rows v < `share` of the UV square."""
     n = Nodes("teeth")
-    arc = n.math("ABSOLUTE", n.attribute("arc"))
-    ramp = n.node("ShaderNodeValToRGB", {0: n.math("DIVIDE", arc, ARC_RANGE)})
-    elements = ramp.color_ramp.elements
-    g = np.random.default_rng([s.asymmetry, 91])
-    gaps, at, wide = [0.0], 0.0, float(g.uniform(0.92, 1.08))
-    for width in TOOTH_WIDTHS:
-        at += width * wide * float(g.uniform(0.95, 1.05))
-        gaps.append(at)
-    elements[0].position, elements[0].color = 0.0, (0, 0, 0, 1)
-    elements[1].position, elements[1].color = 1.0, (1, 1, 1, 1)
-    half = 0.0009 + 0.0007 * float(g.beta(1.2, 3.0))  # of the dark between two teeth
-    for i, gap in enumerate(gaps):
-        for offset, value in ((-half, 1.0), (0.0, 0.0), (half, 1.0)):
-            where = (gap + offset) / ARC_RANGE
-            if where > 0.001:
-                elements.new(where).color = (value, value, value, 1)
-        if i + 1 < len(gaps):
-            elements.new((gap + 0.0022) / ARC_RANGE).color = (1, 1, 1, 1)
-    body = ramp.outputs[0]  # 0 in gaps, 1 on teeth
-    crown = n.attribute("crown")
-    scallop = n.math("MULTIPLY", n.math("SUBTRACT", 1.0, body), 0.0013)
-    gum = n.ramp(n.math("SUBTRACT", crown, scallop), 0.0004, -0.0003)
-    gum = n.math("MAXIMUM", gum, n.ramp(arc, gaps[-1], gaps[-1] + 0.001))  # behind the last tooth
-    enamel = n.mix(n.ramp(crown, 0.0, 0.006), tuple(c * f for c, f in zip(s.teeth, (0.92, 0.84, 0.70), strict=True)), s.teeth)
-    enamel = n.mix(body, n.mix(1.0, enamel, (0.30, 0.21, 0.15), "MULTIPLY"), enamel)
-    rest = n.vector("rest")
-    pink = n.mix(n.noise(rest, 250.0), (0.52, 0.17, 0.16), (0.40, 0.10, 0.10))
-    color = n.mix(gum, enamel, pink)
-    normal = n.node("ShaderNodeBump", {"Height": n.math("MULTIPLY", body, 0.0009), "Strength": 0.8, "Distance": 1.0}).outputs[0]
+    lower = {0: n.node("ShaderNodeUVMap").outputs[0], 1: (1.0, 1.0 / share, 1.0)}
+    place = n.node("ShaderNodeVectorMath", lower, operation="MULTIPLY").outputs[0]
+    color = n.image(f"{s.name}_teeth", textures.albedo, place)
+    detail = n.image(f"{s.name}_teeth_detail", textures.detail, place)
+    height, gum, rough = n.node("ShaderNodeSeparateColor", {0: detail}).outputs
+    normal = n.node("ShaderNodeBump", {"Height": height, "Strength": 0.8, "Distance": 1.0}).outputs[0]
     return n.finish(
         n.node(
             "ShaderNodeBsdfPrincipled",
             {
                 "Base Color": color,
-                "Roughness": 0.18,
+                "Roughness": rough,
                 "Normal": normal,
                 "Specular IOR Level": 0.5,
                 "Emission Color": color,

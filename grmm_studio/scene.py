@@ -30,11 +30,9 @@ from .mesh import RenderMesh, region_vertices
 from .passes import Passes, silence_exit
 from .strands import HairObjects, to_blender
 from .subjects import Subject, hair_albedo
+from .teeth import TeethAtlas, TeethTextures, paint_teeth
 from .textures import Atlas, SkinTextures, paint_skin
 from .wrinkles import LineField
-
-UPPER_GUM, LOWER_GUM = 0.0105, 0.0095  # crown heights in metres from the tips
-TIP_KNOTS = 12  # places along half an arch where the height of the tips is found
 
 
 @dataclass
@@ -43,6 +41,7 @@ class _Prepared:
 
     neutral: np.ndarray
     textures: SkinTextures
+    teeth: TeethTextures
     groom: Groom
 
 
@@ -64,7 +63,7 @@ class Studio:
         self.head = head
         self.mesh = RenderMesh.build(head)
         self.size = size
-        self._atlas = Atlas.build(head, texture_size)
+        self._atlas, self._teeth = Atlas.build(head, texture_size), TeethAtlas.build(head)
         self.subsurface = subsurface
         self.scene = bpy.context.scene
         self._folder = tempfile.TemporaryDirectory(prefix="grmm-capture-")
@@ -101,7 +100,7 @@ class Studio:
             prepared = self._prepared[subject.name] = self._prepare(subject)
         self._neutral, self.groom = prepared.neutral, prepared.groom
         self._flesh = Flesh(subject, self.head, self._neutral)
-        self._add_mesh(subject, prepared.textures)
+        self._add_mesh(subject, prepared)
         brow = tuple(0.62 * c + 0.38 * d for c, d in zip(subject.hair_color, hair_albedo(0.8, 0, 0), strict=True))
         looks = {
             SCALP: hair_material("hair", subject.hair_color, 0.32), BROWS: hair_material("brows", brow, 0.3),
@@ -114,6 +113,7 @@ class Studio:
         return _Prepared(
             neutral,
             paint_skin(subject, self._atlas),
+            paint_teeth(subject, self._teeth),
             make_groom(self.head, self.mesh, neutral, subject),
         )
 
@@ -189,7 +189,7 @@ class Studio:
         scene.render.image_settings.file_format = "PNG"
         scene.render.filepath = str(Path(self._folder.name) / "unused.png")
 
-    def _add_mesh(self, subject: Subject, textures: SkinTextures) -> None:
+    def _add_mesh(self, subject: Subject, prepared: _Prepared) -> None:
         render = self.mesh
         template = np.asarray(self.head.v_template, float)
         fine = render.refine(self._neutral)
@@ -198,9 +198,9 @@ class Studio:
         mesh.polygons.foreach_set("material_index", render.materials.astype(np.int32))
         mesh.polygons.foreach_set("use_smooth", np.ones(len(render.faces), bool))
         for material in (
-            skin_material(subject, textures, self.subsurface),
+            skin_material(subject, prepared.textures, self.subsurface),
             eye_material(subject),
-            teeth_material(subject),
+            teeth_material(subject, prepared.teeth, self._teeth.share),
             tongue_material(subject),
         ):
             mesh.materials.append(material)
@@ -212,8 +212,6 @@ class Studio:
         self._rest_area = np.linalg.norm(np.cross(base[:, 1] - base[:, 0], base[:, 2] - base[:, 0]), axis=1)
         values = {
             "wrinkle": self._age_lines,
-            "arc": fields.tooth_arc(rest),
-            "crown": self._crowns(rest),
             "mouth": self._mask("mouth_interior"),
         }
         for name, value in values.items():
@@ -241,21 +239,6 @@ class Studio:
         else:
             flags[region_vertices(self.head, region)] = 1
         return self.mesh.spread(flags)
-
-    def _crowns(self, rest: np.ndarray) -> np.ndarray:
-        """Metres from the gum line towards the tips, on the teeth.
-
-        The arches are curved: the lower molars end 12 mm above the incisors, so that tips are sought tooth by tooth.
-        """
-        crown, arcs = np.zeros(len(rest)), np.abs(fields.tooth_arc(rest))
-        for name, height, sign in (("upper_teeth", UPPER_GUM, 1.0), ("lower_teeth", LOWER_GUM, -1.0)):
-            own = self._mask(name) > 0.99
-            if own.any():
-                arc, y = arcs[own], sign * rest[own, 1]
-                knots = np.linspace(0.0, arc.max(), TIP_KNOTS)
-                tips = np.array([y[np.abs(arc - knot) <= knots[1]].min() for knot in knots])
-                crown[own] = np.interp(arc, knots, tips) + height - y
-        return crown
 
     def _shader_rest(self, rest: np.ndarray) -> np.ndarray:
         result = rest.copy()

@@ -14,11 +14,12 @@ from grmm_core.data.types import SPLITS, Manifest
 from grmm_core.errors import ConfigError
 
 from .lights import lights_named
-from .shots import MAX_CAMERAS, Shot, expression_pool, held_out, make_shot, view_split
+from .shots import MAX_CAMERAS, MOUTH, Shot, expression_pool, held_out, make_mouth_shot, make_shot, view_split
 
-STUDIO = 6  # raise whenever the pictures of a seed change: a capture is not continued with others
+STUDIO = 7  # raise whenever the pictures of a seed change: a capture is not continued with others
 UNNUMBERED_STUDIO = 2  # of captures from before the number was recorded
 MAX_SHOTS = 10_000  # their numbers have four digits in file names
+FRAMINGS = ("", MOUTH)  # values of `CaptureSettings.framing`
 TWINS_OF = ("", "all", "rest", "only")  # values of `CaptureSettings.bare`
 
 
@@ -41,6 +42,7 @@ class CaptureSettings:
         lights: More lights in which every view is shown: "all" or names of `lights.SETUPS`; empty: none.
         splits: Render views of these splits only, names of `data.types.SPLITS` with commas; empty: all. So the held-out views
             of a noisy capture are rendered again with more samples.
+        framing: "" heads and faces; "mouth" open mouths from near, with expressions of their own (`make_mouth_shot`).
     """
 
     subjects: int = 24
@@ -57,6 +59,7 @@ class CaptureSettings:
     layers: bool = False
     lights: str = ""
     splits: str = ""
+    framing: str = ""
 
     def wants(self, index: int, number: int, camera_name: str) -> bool:
         """Whether a view is of the splits to render."""
@@ -74,6 +77,8 @@ def check_settings(settings: CaptureSettings, only: Sequence[int] = ()) -> tuple
         raise ConfigError(f"--cameras {s.views} is not possible; use 1 to {MAX_CAMERAS}.")
     if s.bare not in TWINS_OF:
         raise ConfigError(f"--bare {s.bare} is not possible; use all, rest or only.")
+    if s.framing not in FRAMINGS:
+        raise ConfigError(f"--framing {s.framing} is not possible; use {MOUTH}, or leave it out.")
     if s.seed < 0:
         raise ConfigError(f"--seed {s.seed} is not possible; use 0 or more.")
     unknown = [name for name in s.splits.split(",") if s.splits and name not in SPLITS]
@@ -131,6 +136,9 @@ def subject_name(seed: int, index: int) -> str:
 def planned_shot(settings: CaptureSettings, index: int, number: int) -> Shot:
     """A shot with the cameras that are to be rendered."""
     s = settings
-    plan = make_shot(s.seed, index, number, s.views, s.size, expression_pool(s.expressions))
+    if s.framing == MOUTH:
+        plan = make_mouth_shot(s.seed, index, number, s.views, s.size)
+    else:
+        plan = make_shot(s.seed, index, number, s.views, s.size, expression_pool(s.expressions))
     kept = [i for i, name in enumerate(plan.camera_names) if s.wants(index, number, name)]
     return replace(plan, cameras=tuple(plan.cameras[i] for i in kept), camera_names=tuple(plan.camera_names[i] for i in kept))

@@ -19,11 +19,20 @@ ORBIT_PITCHES = (-12.0, 8.0, 28.0)
 MAX_CAMERAS = 24
 CLOSE_SHARE = 0.45  # of the views
 DISTANCE = 1.1  # metres
-FULL_FOV, CLOSE_FOV = 23.0, 12.0  # degrees
+FULL_FOV, CLOSE_FOV, MOUTH_FOV = 23.0, 12.0, 4.4  # degrees
 HELD_OUT_CAMERAS = (5, 14)  # of 24
 HELD_OUT_EVERY = 12  # one person of so many is held out
 HELD_OUT_SHOTS = (6, 13)  # numbers modulo 15: expressions that are not trained on
 NEUTRAL, SINGLE, MIX = "neutral", "single", "mix"
+MOUTH = "mouth"  # a framing of the views
+# what bares teeth, one of which is in every shot of mouths
+BARING = (
+    ("jawOpen", 0.35, 1.0),
+    ("mouthUpperUp", 0.5, 1.0),
+    ("mouthLowerDown", 0.5, 1.0),
+    ("mouthSmile", 0.5, 0.9),
+    ("mouthFunnel", 0.5, 1.0),
+)
 # eyelids and mouth must be seen open and shut often: drawn more often than the rest
 FREQUENT = (
     "jawOpen",
@@ -40,6 +49,7 @@ FREQUENT = (
     "browInnerUp",
     *MIXTURE_NAMES,
 )
+SHUTTING = ("mouthStretch", "mouthClose", "mouthPucker", "mouthRoll", "mouthFrown", "mouthPress", "mouthShrug")
 # combinations nobody can make
 CONFLICTS = (
     ("eyeBlink", "eyeWide"),
@@ -139,6 +149,41 @@ def make_shot(seed: int, subject: int, number: int, views: int, size: int, pool:
     return Shot(subject, number, kind, aligned, pose, cameras, names)
 
 
+def make_mouth_shot(seed: int, subject: int, number: int, views: int, size: int) -> Shot:
+    """Draw one shot of an open mouth from near, for what stands in it; depends on its arguments only.
+
+    Arguments as for `make_shot`. The jaw is open in most, lips are drawn from the teeth, and other expressions are mixed in.
+    Where the mouth is depends on the person: cameras look at the origin, and `around` moves them.
+    """
+    base = make_shot(seed, subject, max(number, 1), views, size)
+    g = np.random.default_rng([seed, subject, number, 43])
+    aligned = base.aligned * 0.5
+    aligned[[_kept_from_mouths(name) for name in ALIGNED_NAMES]] = 0.0
+    chosen = set(g.choice(len(BARING), int(g.integers(1, 4)), replace=False).tolist())
+    if g.random() < 0.85:
+        chosen.add(0)
+    for name, low, high in (BARING[i] for i in sorted(chosen)):
+        amount = float(g.uniform(low, high))
+        for each in (name, name + "Left", name + "Right"):
+            if each in ALIGNED_NAMES:
+                aligned[ALIGNED_NAMES.index(each)] = np.clip(amount * (1 + 0.1 * g.normal()), 0.05, 1.0)
+    cameras, names = [], []
+    for _ in range(views):
+        yaw, pitch = float(np.clip(g.normal(0, 30), -60, 60)), float(np.clip(g.normal(2, 12), -20, 22))
+        target = g.uniform(-0.006, 0.006, 3)
+        distance = DISTANCE * float(g.uniform(0.95, 1.1))
+        cameras.append(Camera.orbit(size, size, yaw, pitch, distance, MOUTH_FOV, tuple(target)))
+        names.append(MOUTH)
+    return Shot(subject, number, MIX, aligned, base.pose, tuple(cameras), tuple(names))
+
+
+def around(camera: Camera, place: np.ndarray) -> Camera:
+    """A camera that looks at the origin, moved to look at a place [3] in head space, metres."""
+    back = np.eye(4)
+    back[:3, 3] = -place
+    return camera.transformed(back)
+
+
 def ring_camera(index: int, size: int, g: np.random.Generator | None = None) -> Camera:
     """Camera of the fixed ring: 8 directions at three heights; jittered where a generator is given."""
     pitch = ORBIT_PITCHES[index % 3]
@@ -206,6 +251,11 @@ def _mirror(name: str) -> str:
     if name.endswith("Right"):
         return name.removesuffix("Right") + "Left"
     return ""
+
+
+def _kept_from_mouths(name: str) -> bool:
+    """Whether an expression would keep the mouth shut or fight with one that bares teeth."""
+    return name.startswith((*(baring for baring, _, _ in BARING), *SHUTTING)) or name in MIXTURE_NAMES
 
 
 def _clash(a: str, b: str) -> bool:

@@ -55,6 +55,9 @@ def add_parser(subparsers: Any) -> None:
         help="render only views of these splits, such as camera,expression,person: held-out views again with more samples",
     )  # fmt: skip
     parser.add_argument(
+        "--framing", default="", metavar="mouth", help="mouth: open mouths from near instead of heads and faces"
+    )
+    parser.add_argument(
         "--threads", type=int, default=2, metavar="N", help="render threads of each process (default: %(default)s)"
     )
     add_cluster(parser)
@@ -82,7 +85,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     settings = CaptureSettings(
         args.subjects, args.shots, args.cameras, args.size, args.samples, args.seed, args.expressions, args.varied_light,
         args.subsurface, not args.no_depth, args.bare, args.layers, args.lights,
-        args.splits,
+        args.splits, args.framing,
     )  # fmt: skip
 
     with cluster_of(args) as cluster, args.console.progress(CAPTURE) as show:

@@ -29,7 +29,7 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "config",
         metavar="CONFIG",
-        help="TOML file, or of the project: surface, expressions, small, small_no_residuals, person, paper",
+        help="TOML file, or of the project: surface, expressions, regions, small, small_no_residuals, person, paper",
     )
     parser.add_argument(
         "--data", nargs="+", metavar="DIR", required=True,

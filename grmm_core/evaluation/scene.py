@@ -17,6 +17,7 @@ from ..errors import ConfigError
 from ..geometry.camera import Camera
 from ..model.grmm import GRMM, Rendering
 from ..model.inputs import ModelInputs, Person, expression_code
+from ..model.renewed import carried_over
 from ..model.torch_loader import with_deltas
 from ..model.weights import load_weights
 from ..model.weights_file import WeightsInfo
@@ -111,7 +112,8 @@ class Scene:
 
     def from_avatar(self, avatar: Avatar) -> DrawnPerson:
         """The person in an avatar, with its changes of the decoders; of the first photo also the code of its expression."""
-        model = with_deltas(self.model, avatar.deltas, avatar.name)
+        deltas = carried_over(avatar.deltas, avatar.weights.sha256, self.info, self.model.layout, self.head)
+        model = with_deltas(self.model, deltas, avatar.name)
         photo = None
         if self.residuals and "z_exp" in avatar.tracking and "aligned" in avatar.tracking:
             own, aligned = (avatar.tracking[name][0] for name in ("z_exp", "aligned"))

@@ -16,6 +16,7 @@ The map:
 ``weights_file``  weights files as arrays, their basis maps in eight bits
 ``weights``       a model out of such a file, and back
 ``store``         weights in memory, with the changes of single avatars; ``torch_loader`` loads them for torch
+``renewed``       an avatar's changes where later weights draw a region anew
 ``people``        avatars that weights know, or that are drawn from them
 ``portrait``      the portrait camera, portraits and thumbnails
 

@@ -51,8 +51,12 @@ class TexelLayout:
 
     def on_lash_cards(self, head: HeadModel) -> np.ndarray:
         """Numbers of the texels on the strips of a head that lashes stand on, [K]; none where it has no such strips."""
-        corners = head.faces[self.face]
-        return np.flatnonzero(head.marked("lashes")[corners].any(1))
+        return np.flatnonzero(self.within(head, "lashes"))
+
+    def within(self, head: HeadModel, *regions: str) -> np.ndarray:
+        """Which texels lie in regions of the head or touch them, [N] bool; regions that it has not are empty."""
+        touching: np.ndarray = head.marked(*regions)[head.faces[self.face]].any(1)
+        return touching
 
 
 def texel_layout(uv: np.ndarray, uv_faces: np.ndarray, grid: int) -> TexelLayout:

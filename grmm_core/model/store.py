@@ -25,6 +25,7 @@ from .config import GRMMConfig
 from .inputs import InputSpace, ModelInputs
 from .layout import TexelLayout
 from .parameters import EXPRESSION_MAPS
+from .renewed import carried_over
 from .steps import Geometry, Mesh, Rest
 from .weights_file import WEIGHTS_FOLDER, WEIGHTS_SUFFIX, WeightsInfo, read_info, resolve_weights, weights_path
 
@@ -182,7 +183,8 @@ class ModelStore(Generic[AnyModel]):
             raise FileFormatError(f"The codes in {path} do not fit the weights {wanted.name!r}; make the avatar anew.")
         if not avatar.deltas:
             return loaded
-        return self._loader.with_deltas(loaded, avatar.deltas, path)
+        deltas = carried_over(avatar.deltas, wanted.sha256, loaded.info, model.layout, model.head_model)
+        return self._loader.with_deltas(loaded, deltas, path)
 
     def _find(self, wanted: AssetReference) -> LoadedModel[AnyModel] | None:
         """Look for weights by hash: the default ones first, then installed ones of the same name, then all others."""

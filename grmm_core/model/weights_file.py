@@ -60,7 +60,8 @@ class WeightsInfo:
         shapes: Their shape coefficients, [P, S].
         default_z_id, default_shape: The default avatar, [Z] and [S].
         provenance: Data, command, seed, hours, measured quality: JSON values. "continues" lists the hashes of weights whose
-            people and faces at rest these have: avatars made on them open with these.
+            people and faces at rest these have: avatars made on them open with these. "renewed" lists by such a hash the
+            regions of the head that were trained anew since.
     """
 
     name: str
@@ -79,6 +80,12 @@ class WeightsInfo:
     def continued(self) -> tuple[str, ...]:
         """Hashes of the weights that these continue."""
         found = self.provenance.get("continues")
+        return tuple(one for one in found if isinstance(one, str)) if isinstance(found, list) else ()
+
+    def renewed_since(self, sha256: str) -> tuple[str, ...]:
+        """Regions of the head whose Gaussians were trained anew since the weights of a hash."""
+        known = self.provenance.get("renewed")
+        found = known.get(sha256) if isinstance(known, dict) else None
         return tuple(one for one in found if isinstance(one, str)) if isinstance(found, list) else ()
 
     def draws(self, sha256: str) -> bool:

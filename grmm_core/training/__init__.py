@@ -10,7 +10,7 @@ The map:
 ``cast``          the people of a run and the model that draws them
 ``initialise``    mean colors from the pictures
 ``warm_start``    networks of an earlier run, for other people
-``expressive``    what expressions change alone, on top of weights
+``partial``       what expressions change alone, or what lies in some regions, on top of weights
 ``personal``      one person's own maps alone (``captured_hair``: the strands of that person)
 ``processes``     several processes that train one model
 ``optimise``      parameter groups, schedule, moving average

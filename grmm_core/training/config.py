@@ -68,7 +68,8 @@ class TrainConfig:
         precision: float32, or bfloat16 for the convolutions, see `precision`.
         bare: Train on the pictures without hair, where the capture has them; the model is `hairless` then unless it says else.
         person: Name of the one person to train for: only that person's own maps change, see `personal`; needs `init_from`.
-        expressions: Train only what expressions change, see `expressive`; needs `init_from`.
+        expressions: Train only what expressions change, see `partial`; needs `init_from`.
+        regions: Train only the Gaussians of these regions of the head, names with commas, see `partial`; needs `init_from`.
         init_from: Weights file or checkpoint whose networks, maps and expression codes a new run starts from, see `warm_start`.
         perceptual_network: See `perceptual.load_perceptual`; needed where the perceptual loss counts.
         tensorboard: Also write curves for TensorBoard into the run's folder.
@@ -109,6 +110,7 @@ class TrainConfig:
     bare: bool = False
     person: str = ""
     expressions: bool = False
+    regions: str = ""
     init_from: str = ""
     perceptual_network: str = ""
     tensorboard: bool = False
@@ -125,15 +127,27 @@ class TrainConfig:
                 raise ConfigError(f"The training setting {f.name} is {value}; it must be a number of 0 or more.")
         if self.person and not self.init_from:
             raise ConfigError(f"Training for {self.person!r} alone needs the weights to start from; add init_from=default.")
-        if self.expressions and (self.person or not self.init_from):
-            raise ConfigError("Training of expressions alone starts from weights and is for all people; add init_from=default.")
-        if self.expressions and self.refresh_every:
-            raise ConfigError("Training of expressions alone cannot follow a capture; wait until it is complete.")
+        if self.expressions and self.region_names:
+            raise ConfigError("Expressions and regions are trained one after the other; set one of them.")
+        if self.partial and (self.person or not self.init_from):
+            raise ConfigError("Training of a part alone starts from weights and is for all people; add init_from=default.")
+        if self.partial and self.refresh_every:
+            raise ConfigError("Training of a part alone cannot follow a capture; wait until it is complete.")
         if self.precision not in PRECISIONS:
             raise ConfigError(f"The training setting precision is {self.precision!r}; use {' or '.join(PRECISIONS)}.")
         for name in ("steps", "views_per_step", "ema_every"):
             if getattr(self, name) < 1:
                 raise ConfigError(f"The training setting {name} is {getattr(self, name)}; it must be at least 1.")
+
+    @property
+    def partial(self) -> bool:
+        """Whether only a part of weights is trained."""
+        return self.expressions or bool(self.region_names)
+
+    @property
+    def region_names(self) -> tuple[str, ...]:
+        """Names in `regions`."""
+        return tuple(name.strip() for name in self.regions.split(",") if name.strip())
 
     def to_json(self) -> str:
         """Return the configuration as JSON with sorted keys."""

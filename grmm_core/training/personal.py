@@ -135,8 +135,7 @@ def person_avatar(
 
 def in_the_mouth(model: GRMM) -> Tensor:
     """Which texels are teeth, gums, tongue and the mouth's inside, [N] bool."""
-    head, face = model.head_model, model.anchor.face.cpu().numpy()
-    return torch.from_numpy(head.marked(*MOUTH_REGIONS)[head.faces[face]].any(1)).to(model.device)
+    return torch.from_numpy(model.layout.within(model.head_model, *MOUTH_REGIONS)).to(model.device)
 
 
 def flesh_tones(model: GRMM, z_id: Tensor, moved: Tensor | None = None) -> Tensor:

@@ -35,7 +35,7 @@ from ..jobs.stages import TRAINING
 from ..model.grmm import GRMM
 from ..model.weights import save_weights
 from ..model.weights_file import WeightsInfo, head_fingerprint
-from . import expressive
+from . import partial
 from .cast import Cast
 from .checkpoint import load_checkpoint, save_checkpoint, tidy
 from .config import TrainConfig, changed_settings
@@ -84,8 +84,8 @@ class Trainer:
     ) -> None:  # fmt: skip
         if not len(source.training):
             raise TrainingError("The data set has no training views; capture more or change its splits.")
-        if config.person or config.expressions:
-            config = (of_the_weights if config.person else expressive.of_the_weights)(config)
+        if config.person or config.partial:
+            config = (of_the_weights if config.person else partial.of_the_weights)(config)
         self.config, self.source, self.folder = config, source, Path(folder)
         make_folder(self.folder)
         if config.threads:
@@ -117,9 +117,9 @@ class Trainer:
         if config.person:
             self.parameters = begin(config, self.model, source.people, self.codes)
             self.base = {name: parameter.detach().clone() for name, parameter in self.parameters.items()}
-        elif config.expressions:
+        elif config.partial:
             self.codes.requires_grad_(False)
-            self.parameters = expressive.begin(config, self.model, source, self.codes.data)
+            self.parameters = partial.begin(config, self.model, source, self.codes.data)
         self.optimiser = torch.optim.Adam(
             parameter_groups(self.model, self.codes, config), betas=(config.beta1, config.beta2), fused=True
         )
@@ -129,8 +129,8 @@ class Trainer:
         self.sheet = ""  # file of the newest previews
         self.step_count = 0
         self.seconds = 0.0
-        # of one person or of expressions a run begins above: a resumed one needs the frozen parts too
-        self.started = bool(self.base) or config.expressions
+        # of one person or a part a run begins above: a resumed one needs the frozen parts too
+        self.started = bool(self.base) or config.partial
 
     @property
     def progress(self) -> float:
@@ -336,9 +336,9 @@ class Trainer:
             provenance: JSON values for the model card.
             default_person: Person who becomes the default avatar; the mean of all when None.
         """
-        if self.config.expressions:
+        if self.config.partial:
             with self.averaged():
-                return save_weights(path, self.model, expressive.continued(self.config, self.model.head_model, provenance))
+                return save_weights(path, self.model, partial.continued(self.config, self.model.head_model, provenance))
         seen = np.unique(self.source.subjects[self.source.training])  # those of a running capture may still be missing
         with self.averaged():
             codes = self.codes.detach().cpu().numpy()[seen].copy()

@@ -1,11 +1,12 @@
-"""Training of a part of trained weights, on captures of people whom they know; everything else stays to the last bit.
+"""Training of a part of trained weights, on captures of people whom they know; everything else stays.
 
 *What expressions change*: free are the expression codes, what the mesh decoder and the decoder of offsets make of them, and the
 maps by which colors change with them. At rest, codes are zero: colors and offsets are those of before to the last bit, and
 vertices within some hundredths of a millimetre.
 
 *What lies in some regions of the head*, such as teeth: free are the mean, basis and expression maps of the Gaussians there;
-networks, codes and every other Gaussian stay.
+networks, codes and every other Gaussian stay, but for those that share a block of eight bits with them in the file
+(`files.packing`): these move by its rounding.
 
 Avatars that were made on the weights before can be drawn with the new ones (`model.weights_file.WeightsInfo.draws`,
 `model.renewed`). Used by `trainer`.

@@ -49,6 +49,7 @@ FREQUENT = (
     "browInnerUp",
     *MIXTURE_NAMES,
 )
+WIDE_SHOTS, MOUTH_ROUND = 4, 6  # of so many shots of mouths so many are wide open
 SHUTTING = ("mouthStretch", "mouthClose", "mouthPucker", "mouthRoll", "mouthFrown", "mouthPress", "mouthShrug")
 # combinations nobody can make
 CONFLICTS = (
@@ -152,21 +153,26 @@ def make_shot(seed: int, subject: int, number: int, views: int, size: int, pool:
 def make_mouth_shot(seed: int, subject: int, number: int, views: int, size: int) -> Shot:
     """Draw one shot of an open mouth from near, for what stands in it; depends on its arguments only.
 
-    Arguments as for `make_shot`. The jaw is open in most, lips are drawn from the teeth, and other expressions are mixed in.
-    Where the mouth is depends on the person: cameras look at the origin, and `around` moves them.
+    Arguments as for `make_shot`. In four shots of six the jaw is open in most, lips are drawn from the teeth, and other
+    expressions are mixed in; in the others the mouth is hardly open, as in speech, and dark inside. Where it is
+    depends on the person: cameras look at the origin, and `around` moves them.
     """
     base = make_shot(seed, subject, max(number, 1), views, size)
     g = np.random.default_rng([seed, subject, number, 43])
-    aligned = base.aligned * 0.5
-    aligned[[_kept_from_mouths(name) for name in ALIGNED_NAMES]] = 0.0
-    chosen = set(g.choice(len(BARING), int(g.integers(1, 4)), replace=False).tolist())
-    if g.random() < 0.85:
-        chosen.add(0)
-    for name, low, high in (BARING[i] for i in sorted(chosen)):
-        amount = float(g.uniform(low, high))
-        for each in (name, name + "Left", name + "Right"):
-            if each in ALIGNED_NAMES:
-                aligned[ALIGNED_NAMES.index(each)] = np.clip(amount * (1 + 0.1 * g.normal()), 0.05, 1.0)
+    if number % MOUTH_ROUND >= WIDE_SHOTS:
+        aligned = base.aligned * 0.8
+        aligned[ALIGNED_NAMES.index("jawOpen")] = g.uniform(0.0, 0.3)
+    else:
+        aligned = base.aligned * 0.5
+        aligned[[_kept_from_mouths(name) for name in ALIGNED_NAMES]] = 0.0
+        chosen = set(g.choice(len(BARING), int(g.integers(1, 4)), replace=False).tolist())
+        if g.random() < 0.85:
+            chosen.add(0)
+        for name, low, high in (BARING[i] for i in sorted(chosen)):
+            amount = float(g.uniform(low, high))
+            for each in (name, name + "Left", name + "Right"):
+                if each in ALIGNED_NAMES:
+                    aligned[ALIGNED_NAMES.index(each)] = np.clip(amount * (1 + 0.1 * g.normal()), 0.05, 1.0)
     cameras, names = [], []
     for _ in range(views):
         yaw, pitch = float(np.clip(g.normal(0, 30), -60, 60)), float(np.clip(g.normal(2, 12), -20, 22))

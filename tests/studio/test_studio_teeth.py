@@ -72,14 +72,17 @@ def test_teeth_are_apart(atlas, painted):
 
 def test_mouth_shots_are_open_repeatable_and_from_near():
     opened = []
-    for number in range(8):
+    for number in range(12):
         shot, again = make_mouth_shot(2, 3, number, 3, 64), make_mouth_shot(2, 3, number, 3, 64)
         np.testing.assert_array_equal(shot.aligned, again.aligned)
         np.testing.assert_array_equal(shot.cameras[2].world_to_camera, again.cameras[2].world_to_camera)
         weights = dict(zip(ALIGNED_NAMES, shot.aligned.tolist(), strict=True))
         assert 0 <= shot.aligned.min() <= shot.aligned.max() <= 1
-        assert not any(weights[name] for name in ("mouthClose", "mouthPucker", "mouthStretchLeft", "laugh"))
-        opened.append(weights["jawOpen"])
+        if number % 6 < 4:
+            assert not any(weights[name] for name in ("mouthClose", "mouthPucker", "mouthStretchLeft", "laugh"))
+            opened.append(weights["jawOpen"])
+        else:
+            assert weights["jawOpen"] <= 0.3
         camera = shot.cameras[0]
         assert camera.width / camera.fx * 1.1 < 0.1  # metres seen across at the mouth
     assert np.mean(np.array(opened) > 0.3) > 0.6

@@ -407,7 +407,7 @@ def test_the_projects_configurations_load(path):
 
 
 def test_a_name_that_is_no_configuration_gets_the_known_ones():
-    with pytest.raises(FileAccessError, match=r"'smal'.*paper, person, small, small_no_residuals"):
+    with pytest.raises(FileAccessError, match=r"'smal'.*paper, person, regions, small, small_no_residuals"):
         load_config("smal")
 
 

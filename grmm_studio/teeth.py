@@ -201,8 +201,8 @@ def _paint_half(s: Subject, row: _Row, at: Mapping[str, np.ndarray]) -> tuple[np
     neck = 0.0002 * np.clip(off / np.maximum(crown, 1e-6), 0, 1) ** 2
     corner = np.where(chewing, 0.0006, 0.0010)
     rounding = corner * np.clip(1 - np.maximum(edge_off, 0) / (1.6 * corner), 0, 1) ** 2
-    outside_table = inner & chewing & (off < table)
-    gap = smoothstep(0.00026, 0.00002, from_side - np.where(outside_table, 0.0, neck + rounding))
+    on_table = inner & chewing & (off < table)
+    gap = smoothstep(0.00026, 0.00002, from_side - np.where(on_table, 0.0, neck + rounding))
     void = np.where(inner, 0.0, smoothstep(0.0002, -0.0001, edge_off))
 
     # Enamel: yellower and darker to the neck, bluish and glassy at cutting edges, a little unlike from tooth to tooth.
@@ -215,7 +215,7 @@ def _paint_half(s: Subject, row: _Row, at: Mapping[str, np.ndarray]) -> tuple[np
     color = color * (1 + 0.10 * streaks[:, None])
 
     cusps, fissure = _chewing_surface(across, off, np.maximum(table, 1e-6), tooth, ragged)
-    cusps, fissure = np.where(outside_table, cusps, 0.0), np.where(outside_table, fissure, 0.0)
+    cusps, fissure = np.where(on_table, cusps, 0.0), np.where(on_table, fissure, 0.0)
     color = color * (1 - fissure[:, None] * (1 - np.array(FISSURE)))
     color = color * (1 - gap[:, None] * (1 - np.array((0.36, 0.25, 0.19))))
     color = color * (1 - void[:, None]) + void[:, None] * np.array(GAP_COLOR)
@@ -223,7 +223,7 @@ def _paint_half(s: Subject, row: _Row, at: Mapping[str, np.ndarray]) -> tuple[np
     flesh = np.array(GUM_DARK) + (np.array(GUM_LIGHT) - np.array(GUM_DARK)) * np.clip(pink * 1.4 - 0.2, 0, 1)
     color = color * (1 - gum[:, None]) + gum[:, None] * flesh
 
-    bulge = 0.0009 * np.sqrt(np.clip(1 - across**2, 0, 1)) * np.where(outside_table, 0.35, 1.0)
+    bulge = 0.0009 * np.sqrt(np.clip(1 - across**2, 0, 1)) * np.where(on_table, 0.35, 1.0)
     height = bulge + 0.5 * row.turn[tooth] * across + cusps + 0.00005 * streaks
     height = height * (1 - void) * (1 - gum) + gum * (0.0007 + 0.00025 * (pink[:, 0] - 0.5))
     roughness = 0.16 + 0.18 * gum + 0.3 * np.maximum(void, 0.5 * gap)

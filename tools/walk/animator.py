@@ -163,13 +163,18 @@ def written(blender: WalkedBlender) -> None:
 def _write(blender: WalkedBlender, operator: str, options: str, folder: str, name: str) -> None:
     """Start an operator that writes, and answer its browser."""
     blender.run(SELECT_RIG + f"bpy.ops.grmm.{operator}('INVOKE_DEFAULT', True, {options})")
+    answer_browser(blender, folder, name)
+    time.sleep(1.0)
+
+
+def answer_browser(blender: WalkedBlender, folder: str, name: str) -> None:
+    """Choose a file in the browser that is opening."""
     wait_for_browser(blender)
     blender.run(CHOOSE.format(folder=folder, name=name))
     time.sleep(1.0)
     blender.move(*MIDDLE)
     blender.key("Return")
     wait_for_browser(blender, there=False)
-    time.sleep(1.0)
 
 
 def wait_for_browser(blender: WalkedBlender, there: bool = True) -> None:

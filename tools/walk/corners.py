@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from .animator import CHOOSE, wait_for_browser
+from .animator import answer_browser
 from .blender import WalkedBlender, WalkError
 from .closer import SEARCH_SECONDS
 from .steps import DROP_SECONDS, FILE_SECONDS, HEAD, MIDDLE, RIGS, SELECT_RIG
@@ -69,12 +69,7 @@ def import_avatar(blender: WalkedBlender) -> None:
     folder, name = blender.run(_LIBRARY)
     blender.run("bpy.context.scene.cursor.location = (0.4, 0.0, 1.0)\nbpy.ops.ed.undo_push(message='walk')")
     blender.run("bpy.ops.grmm.open_avatar('INVOKE_DEFAULT', True)")
-    wait_for_browser(blender)
-    blender.run(CHOOSE.format(folder=folder, name=name))
-    time.sleep(1.0)
-    blender.move(*MIDDLE)
-    blender.key("Return")
-    wait_for_browser(blender, there=False)
+    answer_browser(blender, folder, name)
     _wait_for_rigs(blender, rigs + 1, "an avatar's file that is chosen is not added")
     blender.picture("avatar_imported", 4)
     for keys, wanted in ((("ctrl", "z"), rigs), (("ctrl", "shift", "z"), rigs + 1), (("ctrl", "z"), rigs)):

@@ -7,6 +7,7 @@ repeats, alternatives are timed in turns, and the table leads with ratios.
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -112,6 +113,10 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     return result
 
 
+_CHANGES = (0.618034 * number % 1.0 for number in itertools.count())
+"""Numbers of 0..1 that do not come again in a run, so that no frame finds what another one has left."""
+
+
 def best_times(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
     """Time alternatives in turns and return the best seconds of each."""
     best = dict.fromkeys(calls, float("inf"))
@@ -169,18 +174,16 @@ def light(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any]
 
 
 def frames(session: LocalSession, avatar_id: int, lighting: Lighting | None = None) -> dict[str, Callable[[], object]]:
-    """Calls that draw a frame in which nothing, the camera, the expression, or everything has changed."""
-    step = iter(range(0 if lighting is None else 250, 1 << 30))  # lit frames find nothing that unlit ones have left
+    """Calls that draw a frame in which nothing, the camera, the expression, or everything, identity included, has changed."""
     response, options = None if lighting is None else Response(), RenderOptions(lighting=lighting)
 
     def frame(name: str) -> Callable[[], object]:
         def draw() -> None:
-            number = next(step)
-            if name == "everything":
-                session.evaluator.cache.clear()
-            jaw = 0.001 * (number % 500) if name == "expression" else 0.0
-            yaw = 0.1 * (number % 500) if name == "camera" else 0.0
-            controls = Controls().set_named({"jawOpen": jaw})
+            change = next(_CHANGES)
+            everything = name == "everything"
+            values = {"jawOpen": 0.5 * change} if everything or name == "expression" else {}
+            controls = Controls().set_named(values | ({"shape.0": change} if everything else {}))
+            yaw = 50.0 * change if everything or name == "camera" else 0.0
             session.render(
                 [Instance(avatar_id, controls, response=response)], Camera.orbit(FRAME_SIZE, FRAME_SIZE, yaw), options
             )
@@ -192,7 +195,6 @@ def frames(session: LocalSession, avatar_id: int, lighting: Lighting | None = No
 
 def scaling(session: LocalSession, avatar_id: int, repeats: int, values: tuple[Any, ...], what: str) -> dict[str, Any]:
     """Time whole frames, with new expressions, over picture sizes, levels of detail or hair; ratios to the first."""
-    step = iter(range(1 << 30))
 
     def frame(value: Any) -> Callable[[], object]:
         size = value if what == "size" else FRAME_SIZE
@@ -201,7 +203,7 @@ def scaling(session: LocalSession, avatar_id: int, repeats: int, values: tuple[A
         yaw = 180.0 if what == "hair" and value.endswith(BEHIND) else 0.0
 
         def draw() -> None:
-            controls = Controls().set_named({"jawOpen": 0.001 * (next(step) % 500)})
+            controls = Controls().set_named({"jawOpen": 0.5 * next(_CHANGES)})
             session.render([Instance(avatar_id, controls, hair=hair)], Camera.orbit(size, size, yaw), options)
 
         return draw

@@ -137,6 +137,7 @@ class Evaluator:
         """Return all Gaussians in head space, hair laid flat where there is a cap; features are [N, F], also where F is 0.
 
         They are in the studio's light, or as it falls on a head at rest where a scene's light is to take its place later.
+        Colors are 0..1: beyond it, as learned on very fair skin, they would cancel out here and clip in every other renderer.
         """
         colors, features = self.appearance(target, inputs, direction)
         opacities, tint = self.opacity(target, inputs), self.tint(target, inputs)
@@ -146,7 +147,8 @@ class Evaluator:
         placed = self.geometry(target, inputs, None if cap is None else cap.share)
         colors = colors + tint
         shade = None if lit_later or not target.model.config.turned_light else self.turned_shade(target, inputs)
-        full = Gaussians(*placed, opacities, colors if shade is None else colors * shade, features)
+        colors = (colors if shade is None else colors * shade).clip(0.0, 1.0)
+        full = Gaussians(*placed, opacities, colors, features)
         return full if lod == 0 else thin_out(full, self.blocks(target, lod), lod)
 
     def turned_shade(self, target: OpenAvatar, inputs: Inputs) -> Any:

@@ -163,10 +163,11 @@ def _begin_frame(
 
 def _show_before(engine: bpy.types.RenderEngine, region: Region, layer: str, views: list[str]) -> None:
     """Show the picture of the frame before until there is a new one; Blender empties its window with every frame."""
-    known = {view: _before[layer, view] for view in views if (layer, view) in _before}
-    if known and all(last.shape[:2] == (region.height, region.width) for last in known.values()):
-        with _Result(engine, region, layer) as result:
-            for view, last in known.items():
+    known = [(view, _before[layer, view]) for view in views if (layer, view) in _before]
+    fitting = [(view, picture.stretched(last, region.width, region.height)) for view, last in known]
+    with _Result(engine, region, layer) as result:
+        for view, last in fitting:
+            if last is not None:
                 result.write({COMBINED: last}, view)
 
 

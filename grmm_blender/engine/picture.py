@@ -105,6 +105,16 @@ def _own(values: np.ndarray) -> np.ndarray:
     return np.array(below, np.float32)[::-1]
 
 
+def stretched(values: np.ndarray, width: int, height: int) -> np.ndarray | None:
+    """Return a picture [H, W, C] at another size by its nearest pixels, or None where that has another shape."""
+    rows, columns = values.shape[:2]
+    if (rows, columns) == (height, width):
+        return values
+    if abs(columns * height - rows * width) > max(rows, columns):  # by more than rounding to whole pixels
+        return None
+    return values[np.arange(height)[:, None] * rows // height, np.arange(width) * columns // width]
+
+
 def blender_rows(values: np.ndarray) -> np.ndarray:
     """Return [H, W, C] as the flat float32 row that `RenderPass.rect.foreach_set` takes, bottom row first."""
     return np.ascontiguousarray(values[::-1], np.float32).reshape(-1)

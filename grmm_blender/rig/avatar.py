@@ -7,7 +7,7 @@ count as they do for the mesh. Imports no torch.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import bpy
@@ -197,6 +197,13 @@ def avatar_of(obj: bpy.types.Object | None) -> Avatar | None:
         if is_avatar(head) and head.grmm.hair.curves == obj:
             return Avatar(head)
     return None
+
+
+def locked_to_rig(selected: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
+    """Return the rig to move instead where nothing but locked heads is selected, whose own channels do not move; else None."""
+    objects = list(selected)
+    rigs = [Avatar(obj).armature if is_avatar(obj) and all(obj.lock_location) else None for obj in objects]
+    return rigs[0] if rigs and all(rig is not None and rig not in objects for rig in rigs) else None
 
 
 def stored_path(path: str, relative: bool = True) -> str:

@@ -10,6 +10,7 @@ from bpy.app.handlers import persistent
 
 from .. import events, session_host
 from ..engine.settings import MESH_ALONE, shows_mesh_alone
+from ..rig.avatar import locked_to_rig
 from ..windows import redraw_viewports
 from . import shaders, splat_view
 from .bones import draw_bones
@@ -21,7 +22,8 @@ _POLL_SECONDS = 0.01  # Blender hears of nothing from threads; looking so often 
 _KEPT = 16  # viewports; those of closed windows are dropped beyond
 _TEXT_SIZE, _TEXT_PLACE, _LINE_HEIGHT = 12, 20, 18  # pixels at interface scale 1
 _LOWER_REGIONS = ("HUD", "ASSET_SHELF", "ASSET_SHELF_HEADER")
-_TEXT_COLOR = (1.0, 1.0, 1.0, 0.85)
+_TEXT_OPACITY = 0.85
+_TRANSFORMS = "TRANSFORM_OT_"
 
 _log = logging.getLogger(__name__)
 
@@ -84,7 +86,7 @@ def _draw_status() -> None:
     scale = context.preferences.system.ui_scale
     floor = _covered_height(context.area, context.region)
     blf.size(0, _TEXT_SIZE * scale)
-    blf.color(0, *_TEXT_COLOR)
+    blf.color(0, *context.preferences.themes[0].view_3d.space.text_hi, _TEXT_OPACITY)  # as Blender's own words above
     for index, line in enumerate(_status(context)):
         blf.position(0, _TEXT_PLACE * scale, floor + (_TEXT_PLACE + _LINE_HEIGHT * index) * scale, 0)
         blf.draw(0, f"GRMM: {line}")
@@ -92,10 +94,19 @@ def _draw_status() -> None:
 
 def _status(context: bpy.types.Context) -> list[str]:
     """What the corner of the present viewport says."""
+    lines = _why_it_stays(context)
     if context.space_data.shading.type == "RENDERED":
-        return [MESH_ALONE] if shows_mesh_alone(context.scene) else []
+        return [*lines, MESH_ALONE] if shows_mesh_alone(context.scene) else lines
     viewport = _shown_viewport()
-    return [] if viewport is None else viewport.status()
+    return lines if viewport is None else [*lines, *viewport.status()]
+
+
+def _why_it_stays(context: bpy.types.Context) -> list[str]:
+    """A sentence while heads are dragged whose channels are locked, for Blender says nothing then."""
+    if not any(running.bl_idname.startswith(_TRANSFORMS) for running in context.window.modal_operators):
+        return []
+    rig = locked_to_rig(context.selected_objects)
+    return [] if rig is None else [f'A head moves with its rig: select "{rig.name}"']
 
 
 def _covered_height(area: bpy.types.Area, shown: bpy.types.Region) -> int:

@@ -258,6 +258,7 @@ def test_renders_that_end_before_they_are_done(render_script, blender_version):
     # In a window each frame but the first begins with the picture of the one before, and ends with its own.
     assert found["written"] == 2 + 1 + 1
     assert found["shown_before"] <= CHANNEL_STEP
+    assert (found["stretched"], found["smaller"], found["other"]) == (True, [2, 3, 2], True)
     assert found["asked"] == 2
     for shown in found["progress"]:
         assert shown == sorted(shown)

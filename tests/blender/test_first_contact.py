@@ -23,6 +23,7 @@ def test_a_head_is_seen_moved_opened_and_deleted_as_expected(run_blender: RunBle
     assert found["seen"]
     # What is selected can be moved and deleted as a whole; it stands on the cube and fills the picture.
     assert found["active"]
+    assert found["moves_instead"]  # what a window says where only the locked head is selected
     assert found["selected"]
     assert found["stands"] == pytest.approx(1.0, abs=1e-3)
     assert found["engine"] == "GRMM"

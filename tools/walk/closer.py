@@ -1,4 +1,4 @@
-"""Steps of the walk that look closer: an eye from near, frames that play, the search, tooltips, undo of the look, copies."""
+"""Steps of the walk that look closer: an eye from near, played frames, the search, tooltips, undo of the look, copies, views."""
 
 from __future__ import annotations
 
@@ -34,6 +34,68 @@ _PLACES = """
 heads = sorted((o for o in bpy.context.scene.objects if "jawOpen" in o.keys()), key=lambda found: found.name)
 result = [[round(value, 4) for value in head.matrix_world.translation] for head in heads]
 """
+
+
+_WHY = """
+import sys
+overlay = next(module for name, module in sys.modules.items() if name.endswith("viewport.overlay"))
+result = overlay._why_it_stays(bpy.context)
+"""
+_SPLIT = """
+bpy.ops.screen.area_split(direction="VERTICAL", factor=0.5)
+"""
+_TWO_WAYS = """
+one, other = [area for area in window.screen.areas if area.type == "VIEW_3D"]
+one.spaces.active.region_3d.view_perspective = "CAMERA"
+other.spaces.active.shading.type = "RENDERED"
+"""
+_JOIN = """
+one, other = [area for area in window.screen.areas if area.type == "VIEW_3D"]
+one.spaces.active.region_3d.view_perspective = "PERSP"
+with bpy.context.temp_override(window=window, area=other, region=other.regions[-1]):
+    bpy.ops.screen.area_close()
+"""
+LARGE_INTERFACE = 2.0
+
+
+def head_alone(blender: WalkedBlender) -> None:
+    """Select the head without its rig and press G: it stays, and the viewport says why."""
+    blender.run(HEAD + "bpy.ops.object.select_all(action='DESELECT')\nhead.select_set(True)\n"
+                "bpy.context.view_layer.objects.active = head")  # fmt: skip
+    blender.move(*MIDDLE)
+    blender.key("g")
+    blender.move(MIDDLE[0] + 40, MIDDLE[1])
+    blender.picture("head_stays", 2, settled=False)
+    why = blender.run(_WHY)
+    blender.key("Escape")
+    blender.run(SELECT_RIG)
+    if not why:
+        raise WalkError("nothing says why G does not move a head")
+
+
+def many_views(blender: WalkedBlender) -> None:
+    """Four views in one, two viewports, the head alone in one (local view), an interface of twice the size."""
+    for title in ("four_views", ""):
+        blender.run("bpy.ops.screen.region_quadview()")
+        if title:
+            blender.picture(title, 3)
+    blender.run(_SPLIT)
+    time.sleep(1.0)
+    blender.run(_TWO_WAYS)
+    blender.picture("two_viewports", 3)
+    blender.run(_JOIN)
+    time.sleep(1.0)
+    blender.run("area.spaces.active.shading.type = 'SOLID'\narea.spaces.active.region_3d.view_perspective = 'PERSP'")
+    for title in ("local_view", ""):
+        blender.run(SELECT_RIG + "[child.select_set(True) for child in rig.children]\nbpy.ops.view3d.localview()")
+        if title:
+            blender.picture(title, 3)
+    blender.run(f"bpy.context.preferences.view.ui_scale = {LARGE_INTERFACE}")
+    time.sleep(3.0)
+    blender.run("for found in window.screen.areas:\n    found.tag_redraw()")
+    blender.picture("large_interface", 3, settled=False)
+    blender.run("bpy.context.preferences.view.ui_scale = 1.0")
+    blender.run(SELECT_RIG)
 
 
 def close_up(blender: WalkedBlender) -> None:

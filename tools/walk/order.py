@@ -9,12 +9,12 @@ from .blender import WalkedBlender, WalkError
 
 STEPS: tuple[steps.Step, ...] = (
     steps.start, steps.install, corners.menus, steps.add_head, steps.first_render, steps.panels, closer.tooltips,
-    animator.drag_rig, animator.choose_runtime, steps.look, closer.close_up, closer.look_undone, closer.search, steps.sliders,
-    steps.random_and_reset, steps.poses, corners.questions, steps.views, corners.graded, animator.bare_mesh,
-    animator.import_options, steps.performance, closer.played_frames, steps.escape, steps.photos, steps.undo, closer.copies,
-    animator.recordings, corners.channels, corners.import_avatar, animator.turntable, animator.motion, animator.written,
-    steps.save_and_reopen, corners.without_window, steps.eevee, steps.drop, steps.delete, corners.disabled_while_playing,
-    animator.fit, steps.disable_and_enable,
+    animator.drag_rig, closer.head_alone, animator.choose_runtime, closer.many_views, steps.look, closer.close_up,
+    closer.look_undone, closer.search, steps.sliders, steps.random_and_reset, steps.poses, corners.questions, steps.views,
+    corners.graded, animator.bare_mesh, animator.import_options, steps.performance, closer.played_frames, steps.escape,
+    steps.photos, steps.undo, closer.copies, animator.recordings, corners.channels, corners.import_avatar, animator.turntable,
+    animator.motion, animator.written, steps.save_and_reopen, corners.without_window, steps.eevee, steps.drop, steps.delete,
+    corners.disabled_while_playing, animator.fit, steps.disable_and_enable,
 )  # fmt: skip
 
 

@@ -67,10 +67,14 @@ with bpy.context.temp_override(window=window, area=area, region=header):
     bpy.ops.grmm.add_head("INVOKE_DEFAULT", True)
 """
 RIGS = "result = sum(o.type == 'ARMATURE' for o in bpy.context.scene.objects)"
-_DRAWN = """
-image = bpy.data.images.get("Render Result")
-result = bool(image and image.has_data) and not bpy.app.is_job_running("RENDER")
+_BEFORE_F12 = """
+def note_drawn(*_):
+    bpy.app.driver_namespace["walk drawn"] = True
+if note_drawn.__name__ not in (handler.__name__ for handler in bpy.app.handlers.render_complete):
+    bpy.app.handlers.render_complete.append(note_drawn)
+bpy.app.driver_namespace["walk drawn"] = False
 """
+_DRAWN = "result = bpy.app.driver_namespace['walk drawn'] and not bpy.app.is_job_running('RENDER')"
 
 
 def start(blender: WalkedBlender) -> None:
@@ -131,10 +135,10 @@ def close_windows(blender: WalkedBlender) -> None:
 
 def _f12(blender: WalkedBlender) -> float:
     """Press F12 over the viewport, wait for the picture, and return the seconds."""
+    blender.run(_BEFORE_F12)
     blender.move(*MIDDLE)
     begin = time.monotonic()
     blender.key("F12")
-    time.sleep(0.5)
     while not blender.run(_DRAWN, RENDER_SECONDS):
         if time.monotonic() - begin > RENDER_SECONDS:
             raise WalkError("F12 gives no picture")

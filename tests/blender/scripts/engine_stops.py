@@ -14,6 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
+import numpy as np
 from render_support import difference, expected, expected_png, full_camera, heads, load_png, new_scene, render
 from support import module, report
 
@@ -68,6 +69,10 @@ pipeline.frame_values = original
 final._Result.write, final._has_window = write, False
 pictures = [load_png(folder / "interrupted" / f"frame_000{number}.png") for number in (1, 2)]
 report(written=len(written), shown_before=max(difference(found, alone) for found in pictures))
+# In another size of the same shape it fills the picture; a border of another shape begins empty.
+last = np.arange(8.0 * 4 * 2).reshape(4, 8, 2)
+larger, smaller, other = (module("grmm_blender.engine.picture").stretched(last, *size) for size in ((16, 8), (3, 2), (8, 8)))
+report(stretched=bool((larger[::2, 1::2] == last).all()), smaller=list(smaller.shape), other=other is None)
 original = at_third_call(errors.CancelledError("The picture was cancelled."))
 attempt("cancelled", animation=True)
 pipeline.frame_values = original

@@ -13,6 +13,7 @@ weights, folder = sys.argv[1], Path(sys.argv[2])
 use_weights(weights)
 avatars = module("grmm_blender.scene.avatars")
 staging = module("grmm_blender.staging")
+locked_to_rig = module("grmm_blender.rig.avatar").locked_to_rig
 
 
 def startup() -> bpy.types.Scene:
@@ -56,6 +57,11 @@ add_as_in_a_window()
 avatar = avatars.avatars_in(scene)[0]
 report(
     active=bpy.context.object == avatar.armature,
+    moves_instead=[
+        rig and rig.name
+        for rig in map(locked_to_rig, ([], [avatar.object], [avatar.object, avatar.armature], [scene.objects["Cube"]]))
+    ]
+    == [None, avatar.armature.name, None, None],
     selected=sorted(obj.name for obj in bpy.context.selected_objects) == sorted([avatar.name, avatar.armature.name]),
     stands=lowest(),
     engine=scene.render.engine,

@@ -1,4 +1,4 @@
-"""Steps of the walk that look closer: an eye from near, played frames, the search, tooltips, undo of the look, copies, views."""
+"""Steps of the walk that look closer: an eye from near, played frames, the search, tooltips, undo of the look, copies."""
 
 from __future__ import annotations
 

@@ -55,17 +55,20 @@ one.spaces.active.region_3d.view_perspective = "PERSP"
 with bpy.context.temp_override(window=window, area=other, region=other.regions[-1]):
     bpy.ops.screen.area_close()
 """
-LARGE_INTERFACE = 2.0
+LARGE_INTERFACE, INTERFACE_SECONDS = 2.0, 6.0  # panels move to their new places for a while
+DRAG_SECONDS = 3.0  # until software OpenGL has drawn what a key has begun
 
 
 def head_alone(blender: WalkedBlender) -> None:
     """Select the head without its rig and press G: it stays, and the viewport says why."""
     blender.run(HEAD + "bpy.ops.object.select_all(action='DESELECT')\nhead.select_set(True)\n"
                 "bpy.context.view_layer.objects.active = head")  # fmt: skip
+    blender.settle()
     blender.move(*MIDDLE)
     blender.key("g")
+    time.sleep(DRAG_SECONDS)
     blender.move(MIDDLE[0] + 40, MIDDLE[1])
-    blender.picture("head_stays", 2, settled=False)
+    blender.picture("head_stays", DRAG_SECONDS, settled=False)
     why = blender.run(_WHY)
     blender.key("Escape")
     blender.run(SELECT_RIG)
@@ -91,7 +94,7 @@ def many_views(blender: WalkedBlender) -> None:
         if title:
             blender.picture(title, 3)
     blender.run(f"bpy.context.preferences.view.ui_scale = {LARGE_INTERFACE}")
-    time.sleep(3.0)
+    time.sleep(INTERFACE_SECONDS)
     blender.run("for found in window.screen.areas:\n    found.tag_redraw()")
     blender.picture("large_interface", 3, settled=False)
     blender.run("bpy.context.preferences.view.ui_scale = 1.0")

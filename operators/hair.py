@@ -16,6 +16,7 @@ from ..grmm_blender.hair.swing import bake_path, hair_key, place_of_head
 from ..grmm_blender.properties import wear
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.scene.avatars import DrawnAvatar
+from ..grmm_blender.windows import areas
 from ..grmm_core.errors import ConfigError
 from ..grmm_core.hair import SETTINGS
 from ..grmm_core.hair.swing import write_bake
@@ -71,6 +72,8 @@ class GRMM_OT_hair_as_curves(SteppedOperator, Operator):
             hair.curves.select_set(True)
             context.view_layer.objects.active = hair.curves
             bpy.ops.object.mode_set(mode=SCULPT)
+            for area in areas("VIEW_3D"):
+                area.spaces.active.overlay.show_sculpt_curves_cage = False  # thousands of white lines over the hair's color
         return "The hair is curves"
 
 

@@ -69,7 +69,7 @@ class GRMM_OT_import_performance(ImportsFiles, Operator):
         ("WRITE_INTO", "Write Into", "No new action: the recording replaces its keys from first to last frame"),
     )
     max_error: number("Max Error", "How far reduced keys may deviate from the recording", default=0.01, min=0.0005, max=0.2)
-    fps: number("Frame Rate", "Frames per second of the recording; 0 takes what the file says", min=0.0, max=1000.0)
+    fps: number("Rate (0: File's)", "Frames per second of the recording; 0 takes what the file says", min=0.0, max=1000.0)
     angle_error: number(
         "Angle Error",
         "How far reduced keys of rotations may deviate from the recording",

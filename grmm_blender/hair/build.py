@@ -115,7 +115,7 @@ def make_curves(
         drawn = None
     elif drawn is None:
         drawn = drawing(avatar, groom)()
-    data = bpy.data.hair_curves.new(f"{head.name} hair")
+    data = bpy.data.hair_curves.new(f"{head.name} strands")
     data.surface, data.surface_uv_map = head, _uv_map(head)
     if drawn is not None:
         _fill(data, head, drawn)

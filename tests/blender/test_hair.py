@@ -76,6 +76,8 @@ def test_hair_is_what_blender_evaluates_of_curves(hair_script):
     assert found["finer"] == pytest.approx(1 / found["most"], rel=1e-3)
     assert found["strands"] == found["own"]
     assert found["mode"] == "SCULPT_CURVES"
+    assert found["caged"]
+    assert not any(found["caged"])  # Blender draws white lines over the hair, which would have no color
     assert found["active"]
     assert found["combed_avatar"]  # panels show the avatar whose hair is combed
     assert [found["shown"], found["edited"], found["after"]] == ["WIRE", "TEXTURED", "WIRE"]

@@ -222,8 +222,12 @@ curves.update_tag()
 for other in list(bpy.context.selected_objects):
     other.select_set(False)
 bpy.context.view_layer.objects.active = rig
+overlays = [area.spaces.active.overlay for area in module("grmm_blender.windows").areas("VIEW_3D")]
+for overlay in overlays:
+    overlay.show_sculpt_curves_cage = True
 bpy.ops.grmm.hair_as_curves()
 bpy.context.view_layer.update()
+report(caged=[overlay.show_sculpt_curves_cage for overlay in overlays])
 report(combed_avatar=module("grmm_blender.rig.avatar").avatar_of(curves).object == head)
 report(mode=curves.mode, active=bpy.context.object == curves, edited=curves.display_type)
 bpy.ops.object.mode_set(mode="OBJECT")

@@ -68,7 +68,7 @@ _CHANNELS = {
 _MIDDLE = ("forehead_middle", "neck", "chin", "lips")
 FAMILIES = tuple(
     Family(name, side, channel)
-    for channel in range(CHANNELS)  # in order, which `driven` counts on
+    for channel in range(CHANNELS)
     for name, own in _CHANNELS.items()
     for side in ((("",) if name in _MIDDLE else ("Left", "Right")) if own == channel else ())
 )
@@ -137,9 +137,8 @@ def driven(places: np.ndarray, weights: Mapping[str, float]) -> np.ndarray:
         weights: ARKit names to their coefficients.
     """
     amounts = np.array([drive(weights, family.name, family.side) for family in FAMILIES], places.dtype) ** 0.8
-    result, first = np.empty((CHANNELS, places.shape[1]), places.dtype), 0
-    for channel in range(CHANNELS):
-        last = first + sum(family.channel == channel for family in FAMILIES)
-        np.matmul(amounts[first:last], places[first:last], out=result[channel])
-        first = last
+    result = np.zeros((CHANNELS, places.shape[1]), places.dtype)
+    for family, amount, place in zip(FAMILIES, amounts, places, strict=True):
+        if amount > 0.0:  # an expression drives a few of them, and reading the others is most of the time
+            result[family.channel] += amount * place
     return np.minimum(result, 1.0, out=result).T

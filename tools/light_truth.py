@@ -132,7 +132,7 @@ class Relighter:
         self, light: Lighting, surface: _Surface, rows: np.ndarray, eye: np.ndarray, turn: np.ndarray,
         tilts: np.ndarray = NO_TILTS,
     ) -> Arrived:  # fmt: skip
-        lamps = light.strongest((0.0, 0.0, 0.0))
+        lamps = light.shaded((0.0, 0.0, 0.0))
         seen = np.array([visible(lamp, surface.receivers, surface.casters) for lamp in lamps], np.float32)
         around = Surroundings.even((0.0, 0.0, 0.0)) if light.surroundings is None else light.surroundings.turned(turn.T)
         given = lamps, surface.receivers, seen, self._materials, rows, eye, around.coefficients

@@ -16,12 +16,15 @@ from typing import ClassVar
 import numpy as np
 
 from ..errors import ConfigError
-from .surroundings import Surroundings
+from .surroundings import Surroundings, sphere
 
 Vector = tuple[float, float, float]
 WHITE: Vector = (1.0, 1.0, 1.0)
-MAX_LAMPS = 32  # that are shaded one by one; of more the strongest at the head are kept
+MAX_LAMPS, MAX_SINGLE = 32, 16  # that are shaded; of more the strongest one by one, and the others together
 MAX_STRENGTH = 1e9
+_PARTS, _NARROW = MAX_LAMPS - MAX_SINGLE, 12.0  # of the sphere whose weak lamps are put together, and how softly they end
+_FAINT = 1e-3  # share of their light below which a part is left out
+_WIDEST = math.radians(35.0)  # half angle of what they become
 NEAREST = 0.02  # metres: a lamp inside the head stays finite
 
 
@@ -190,13 +193,49 @@ class Lighting:
             return self
         return dataclasses.replace(self, lamps=tuple(lamp for i, lamp in enumerate(self.lamps) if i not in numbers))
 
-    def strongest(self, at: Sequence[float], count: int = MAX_LAMPS) -> tuple[Lamp, ...]:
-        """Lamps that count at a point, the suns of the surroundings included, strongest first, at most `count`."""
+    def shaded(self, at: Sequence[float], count: int = MAX_LAMPS, single: int = MAX_SINGLE) -> tuple[Lamp, ...]:
+        """Lamps as a head at a point takes them, the suns of the surroundings included, strongest first.
+
+        Args:
+            at: The point, [3] metres.
+            count: As many are taken as they are.
+            single: Of more the strongest are; the others are put together into wide suns (`together`).
+        """
         every = (*self.lamps, *(() if self.surroundings is None else suns_of(self.surroundings)))
-        point = np.asarray(at, np.float64)[None]
-        strength = [float((arriving(lamp, point)[1] * np.array(lamp.color)).sum()) for lamp in every]
-        order = sorted(range(len(every)), key=lambda i: -strength[i])
-        return tuple(every[i] for i in order[:count] if strength[i] > 0.0)
+        point, color = np.asarray(at, np.float64)[None], np.array([lamp.color for lamp in every]).reshape(-1, 3)
+        found = [arriving(lamp, point) for lamp in every]
+        light = color * np.array([strength[0] for _, strength in found]).reshape(-1, 1)
+        bright = light.sum(1)
+        order = [i for i in np.argsort(-bright, kind="stable") if bright[i] > 0.0]
+        if len(order) <= count:
+            return tuple(every[i] for i in order)
+        rest = order[single:]
+        suns = together(np.concatenate([found[i][0] for i in rest]), light[rest])
+        return (*(every[i] for i in order[:single]), *suns)
+
+
+def together(directions: np.ndarray, light: np.ndarray) -> tuple[Sun, ...]:
+    """Wide suns that stand for many weak lamps, one for each of some parts of the sphere.
+
+    The parts overlap softly, so that nothing jumps when a lamp wanders from one into the next.
+
+    Args:
+        directions: Unit vectors towards the lamps, [M, 3].
+        light: Linear RGB on surfaces that face them, W/m2, [M, 3].
+    """
+    middles, _ = sphere(_PARTS)
+    shares = np.exp(_NARROW * (directions @ middles.T - 1.0))
+    shares *= 1.0 / shares.sum(1, keepdims=True)
+    whole, bright = shares.T @ light, shares.T @ light.sum(1)
+    towards = (shares * light.sum(1)[:, None]).T @ directions / np.maximum(bright, 1e-30)[:, None]
+    suns = []
+    for vector, color, amount in zip(towards, whole, bright, strict=True):
+        length = float(np.linalg.norm(vector))  # the mean of unit vectors within a cone is (1 + cosine of its half) / 2 long
+        if amount < _FAINT * bright.sum() or length < 1e-6:
+            continue
+        half = min(math.acos(min(max(2.0 * length - 1.0, -1.0), 1.0)), _WIDEST)
+        suns.append(Sun(tuple(color * length), 1.0, True, tuple(vector / length), 2.0 * half))
+    return tuple(suns)
 
 
 def suns_of(surroundings: Surroundings) -> tuple[Sun, ...]:

@@ -110,7 +110,7 @@ def harmonics_of(lighting: Lighting) -> np.ndarray:
     total = np.zeros((len(normals), 3))
     if lighting.surroundings is not None:
         total += np.maximum(lighting.surroundings.irradiance(normals), 0.0)
-    for lamp in lighting.strongest((0.0, 0.0, 0.0)):
+    for lamp in lighting.shaded((0.0, 0.0, 0.0)):
         towards, strength = arriving(lamp, _RADIUS * normals)
         cosine = np.maximum((normals * towards).sum(1) + _WRAP, 0.0) / (1.0 + _WRAP) ** 2
         total += (cosine * strength)[:, None] * np.asarray(lamp.color)

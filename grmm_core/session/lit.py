@@ -68,7 +68,7 @@ class LitAvatar:
         self._vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
         self._box = box_around(self._vertices)
         self._centre = 0.5 * (self._box[0] + self._box[1])
-        self.lamps = lighting.strongest(tuple(self._centre))
+        self.lamps = lighting.shaded(tuple(self._centre))
 
     def channels(self, eye: np.ndarray, strands: Gaussians | None) -> list[np.ndarray]:
         """What rides along with the Gaussians of the skin and then of the strands.

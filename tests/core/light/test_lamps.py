@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from grmm_core.errors import ConfigError
-from grmm_core.light.lamps import STUDIO, Area, Lamp, Lighting, Point, Spot, Sun, arriving, half_angle, soft_box
-from grmm_core.light.surroundings import Surroundings
+from grmm_core.light.lamps import MAX_LAMPS, MAX_SINGLE, STUDIO, Area, Lamp, Lighting, Point, Spot, Sun, arriving, half_angle, soft_box
+from grmm_core.light.surroundings import Surroundings, sphere
 from grmm_studio.lights import RIG
 
 DOWN = (0.0, 0.0, -1.0)
@@ -76,9 +76,50 @@ def test_other_axes_and_another_scale_change_nothing_that_is_seen(scale):
 
 def test_of_many_lamps_the_strongest_are_kept():
     lamps = tuple(Point(strength=float(i), position=(0.0, 0.0, 2.0)) for i in range(100))
-    kept = Lighting(lamps).strongest((0.0, 0.0, 0.0), 4)
-    assert [lamp.strength for lamp in kept] == [99.0, 98.0, 97.0, 96.0]
-    assert Lighting((Point(strength=0.0),), Surroundings.even((0.0, 0.0, 0.0))).strongest((0.0, 0.0, 0.0)) == ()
+    kept = Lighting(lamps).shaded((0.0, 0.0, 0.0), 99, 4)
+    assert [lamp.strength for lamp in kept[:4]] == [99.0, 98.0, 97.0, 96.0]
+    assert len(Lighting(lamps).shaded((0.0, 0.0, 0.0), 100)) == 99  # the weakest gives nothing
+    assert Lighting((Point(strength=0.0),), Surroundings.even((0.0, 0.0, 0.0))).shaded((0.0, 0.0, 0.0)) == ()
+
+
+def lit(lamps, normals):
+    total = np.zeros((len(normals), 3))
+    for lamp in lamps:
+        towards, strength = arriving(lamp, 0.1 * normals)
+        total += (np.maximum((normals * towards).sum(1), 0.0) * strength)[:, None] * lamp.color
+    return total
+
+
+def ceiling():
+    rng = np.random.default_rng(4)
+    return np.stack([rng.uniform(-4.0, 4.0, 1000), np.full(1000, 2.0), rng.uniform(-4.0, 4.0, 1000)], -1)
+
+
+def strip():
+    return np.stack([np.full(300, 1.5), np.linspace(-1.5, 1.5, 300), np.full(300, 0.4)], -1)
+
+
+@pytest.mark.parametrize("places", [ceiling(), strip()], ids=["ceiling", "strip"])
+def test_very_many_weak_lamps_light_as_their_sum(places):
+    lamps = tuple(Point(color=(1.0, 0.8, 0.5), strength=2.0, position=tuple(place)) for place in places)
+    normals, _ = sphere(200)
+    every, kept = lit(lamps, normals), Lighting(lamps).shaded((0.0, 0.0, 0.0))
+    assert len(kept) <= MAX_LAMPS
+    assert np.abs(lit(kept, normals) - every).mean() < 0.08 * every.mean()
+    assert lit(kept[:MAX_SINGLE], normals).mean() < 0.3 * every.mean()
+
+
+def test_weak_lamps_that_wander_are_put_together_without_jumps():
+    normals, _ = sphere(200)
+
+    def light(step):
+        turn, rows = math.radians(3.0 * step), ceiling()[:80]
+        rotation = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
+        return lit(Lighting(tuple(Point(strength=2.0, position=tuple(rotation @ row)) for row in rows)).shaded(ORIGIN[0]), normals)
+
+    frames = np.array([light(step) for step in range(20)])
+    first, second = np.abs(np.diff(frames, axis=0)), np.abs(np.diff(frames, 2, axis=0))
+    assert second.mean() < 0.5 * first.mean()
 
 
 def test_a_lamp_inside_the_head_is_finite():

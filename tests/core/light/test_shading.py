@@ -386,7 +386,7 @@ def test_softness_widens_a_lamp():
     narrow, wide = (visible(box, receivers, walls(wall), softness) for softness in (0.3, 3.0))
     assert np.ptp(x[(wide > 0.1) & (wide < 0.9)]) > 2 * np.ptp(x[(narrow > 0.1) & (narrow < 0.9)])
     assert visible(box, receivers, walls(wall[:0])).min() == 1.0
-    assert Lighting().strongest((0.0, 0.0, 0.0)) == ()
+    assert Lighting().shaded((0.0, 0.0, 0.0)) == ()
 
 
 def test_a_suns_glint_in_an_eye_is_wide_enough_to_wander_from_one_gaussian_to_the_next():

@@ -17,6 +17,7 @@ from .shadows import compiled_kernels
 from .transfer import openness
 
 PATCH = 0.02  # metres
+_SIDE = 1e-3  # of a normal, that counts as turned to a side
 _GIVERS = 12  # patches that a vertex takes light from
 _MOST = 0.9  # albedo of the brightest skin
 
@@ -49,7 +50,8 @@ class Exchange(NamedTuple):
         sides = vertices[faces[:, 1:]] - vertices[faces[:, :1]]
         doubled = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1)
         area = np.bincount(faces.ravel(), np.repeat(doubled / 6.0, 3), len(vertices)) + 1e-12
-        cells = np.concatenate([np.floor(vertices / PATCH), normals > 0.0], 1)  # skin that faces the same way
+        # skin that faces the same way; a head's middle lies within cells and sides, which noise would share out
+        cells = np.concatenate([np.rint(vertices / PATCH), normals > _SIDE], 1)
         patch = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
         whole = np.bincount(patch, area)
 
@@ -66,6 +68,23 @@ class Exchange(NamedTuple):
         total = shares.sum(1)
         shares *= np.where(total > 0.0, (1.0 - openness(rows)) / np.maximum(total, 1e-20), 0.0)[:, None]
         return Exchange(patch, (area / whole[patch]).astype(np.float32), givers, shares.astype(np.float32))
+
+    def light(self, inside: np.ndarray, around: np.ndarray, share: float) -> None:
+        """Let the inside of a hollow take a share of what skin around its opening throws back, wherever it lies in there.
+
+        Args:
+            inside: Which vertices lie in the hollow, [V] bool.
+            around: Which lie around its opening, likewise.
+            share: Of light that leaves these.
+        """
+        self.shares[inside] = 0.0
+        if not around.any():
+            return
+        patches, area = np.unique(self.patch[around], return_inverse=True)
+        weight = np.bincount(area, self.area[around])
+        most = np.argsort(-weight)[:_GIVERS]
+        self.givers[inside, : len(most)] = patches[most]
+        self.shares[inside, : len(most)] = share * weight[most] / weight[most].sum()
 
     def bounced(self, irradiance: np.ndarray, albedo: np.ndarray) -> np.ndarray:
         """Irradiance at vertices of light that left skin once, [V, 3], of what arrives there straight, [V, 3]."""

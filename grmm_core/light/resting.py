@@ -9,14 +9,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from ..controls.frame import resolve
+from ..controls.table import Controls
 from .bounce import Exchange, albedo_of, nearest_points
 from .lamps import STUDIO
 from .materials import Materials
 from .shading import reached, shade
 from .shadows import Casters, Receivers, compiled_kernels, maps_of, visible
-from .surroundings import BANDS, basis, coefficients_of
+from .surroundings import coefficients_of
 from .texel_shadows import TexelShadows
-from .transfer import transfer, vertex_normals
+from .transfer import openness, transfer, vertex_normals
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -24,9 +26,14 @@ if TYPE_CHECKING:
 _LOOSE = ("neck",)  # regions that light can reach from inside
 _SHEER = ("lashes",)  # cards that stand for a few hairs: they keep no light off
 MOUTH = ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
-_OPEN = 0.35  # of the light that these get where they are seen at all: colors are learned with the mouth open
 _SKIN = "face"  # region whose color is the skin's
+_OPENED = 1.25  # times as much is seen of what is hidden at rest: less is what maps of depth, and skin that moves, differ by
+_GLOW = 0.4  # of light that leaves the lips, what arrives everywhere in the mouth: about the glow of the studio's mouths
 _TEETH = 1.25  # light on seen teeth over that on the lips, as it is in photos of smiles
+_OPENING = {
+    "jawOpen": 0.5, "mouthUpperUpLeft": 0.5, "mouthUpperUpRight": 0.5, "mouthLowerDownLeft": 0.5, "mouthLowerDownRight": 0.5
+}  # fmt: skip
+"""An expression that shows most of what lips hide at rest."""
 
 
 class Texels(NamedTuple):
@@ -131,25 +138,22 @@ class RestLight(NamedTuple):
             lying: How the texels lie, where a scene's shadows are looked for by it.
         """
         normals = vertex_normals(vertices, head.faces)
-        by_vertex = transfer(vertices, normals, casting_faces(head)[0])
-        exchange = Exchange.of(vertices, normals, head.faces, by_vertex)
+        opened = _Opened.of(head, vertices, transfer(vertices, normals, casting_faces(head)[0]))
+        exchange = Exchange.of(vertices, normals, head.faces, opened.rows)
         mouth = head.marked(*MOUTH) & ~head.marked(_SKIN)  # lips are seen when it is closed
-        by_vertex[mouth] = _OPEN * basis(normals[mouth]) * BANDS
-        exchange.shares[mouth] = 0.0  # what red skin throws on teeth is in their learned colors, and not in the rig below
-        rows, receivers, casters = texels.at(by_vertex), texels.receivers(vertices, normals), casters_of(head, vertices)
+        exchange.light(mouth, head.marked("lips") & ~mouth, _GLOW)
+        rows, receivers, casters = texels.at(opened.rows), texels.receivers(vertices, normals), casters_of(head, vertices)
         if lying is None:
             seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
         else:
             seen = np.stack([lying.all_seen(maps_of(lamp, receivers, casters), receivers, vertices) for lamp in STUDIO.lamps])
         eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
+        at_vertices = nearest_points(texels.corners, texels.barycentric, len(vertices))
         straight = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, around).irradiance
         skin = np.isin(texels.corners[:, 0], head.regions.get(_SKIN, np.arange(len(vertices))))
         albedo = albedo_of(colors[skin], straight[skin])
-        at_vertices = nearest_points(texels.corners, texels.barycentric, len(vertices))
         rig = straight + texels.at(exchange.bounced(straight[at_vertices], albedo))
-        inside = mouth[texels.corners].all(1)
-        seen[:, inside] = _OPEN
-        rig[inside] = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, around).irradiance[inside]
+        opened.put_into(rig, seen, texels, materials.taken(at_vertices), exchange, albedo)
         return RestLight(rows, reached(rig), albedo, *exchange, seen, vertices, normals)
 
     @property
@@ -168,6 +172,58 @@ class RestLight(NamedTuple):
         around = coefficients_of(STUDIO.surroundings)
         light = STUDIO.lamps, receivers, self.seen[:, rows], materials, self.transfer[rows], eye, around
         return np.ascontiguousarray(shade(*light).highlights)
+
+
+class _Opened(NamedTuple):
+    """A head with an open mouth, beside the head at rest.
+
+    Colors of what lips hide at rest are learned where other expressions show it, in the light that it gets there: divided by
+    the little that reaches it at rest it would burn out in a scene's.
+
+    Attributes:
+        share: How far the head at rest hides each vertex, 0..1, [V, 1].
+        rows: Of `transfer.transfer` at the vertices, as their colors are learned, [V, 9].
+        receivers: The vertices.
+        casters: The mesh.
+    """
+
+    share: np.ndarray
+    rows: np.ndarray
+    receivers: Receivers
+    casters: Casters
+
+    @staticmethod
+    def of(head: HeadModel, vertices: np.ndarray, rows: np.ndarray) -> _Opened:
+        """Open a head at rest, [V, 3] metres, with its rows of `transfer.transfer`, [V, 9]."""
+        posed = vertices + _opening(head)
+        normals, casters = vertex_normals(posed, head.faces), casters_of(head, posed)
+        there = transfer(posed, normals, casters.faces)
+        shown = openness(there)
+        share = (1.0 - _OPENED * openness(rows) / np.maximum(shown, 1e-6)).clip(0.0, 1.0).astype(np.float32)[:, None]
+        return _Opened(share, rows + share * (there - rows), Receivers.around(posed, normals), casters)
+
+    def put_into(
+        self, rig: np.ndarray, seen: np.ndarray, texels: Texels, materials: Materials, exchange: Exchange, albedo: np.ndarray
+    ) -> None:  # fmt: skip
+        """Put the rig as it lights what is shown here into its irradiance at texels, [N, 3], and what they see of its lamps.
+
+        The latter is `seen`, [L, N]; the materials are those of the vertices, the albedo [3] is the skin's.
+        """
+        here, rows = np.array([visible(lamp, self.receivers, self.casters) for lamp in STUDIO.lamps]), self.rows
+        eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
+        light = shade(STUDIO.lamps, self.receivers, here, materials, rows, eye, around).irradiance
+        share = texels.at(self.share)
+        rig += share * (texels.at(light + exchange.bounced(light, albedo)) - rig)
+        seen += share.T * (texels.at(here.T).T - seen)
+
+
+def _opening(head: HeadModel) -> np.ndarray:
+    """How far the vertices of a head move where it opens its mouth, [V, 3] metres."""
+    still, opened = (
+        head.vertices(np.zeros(1), controls.expression, controls.pose)
+        for controls in (resolve(Controls().set_named(values), head) for values in ({}, _OPENING))
+    )
+    return opened - still
 
 
 def even_mouth(head: HeadModel, corners: np.ndarray, light: np.ndarray, front: int) -> None:

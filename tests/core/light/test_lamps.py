@@ -8,7 +8,20 @@ import numpy as np
 import pytest
 
 from grmm_core.errors import ConfigError
-from grmm_core.light.lamps import MAX_LAMPS, MAX_SINGLE, STUDIO, Area, Lamp, Lighting, Point, Spot, Sun, arriving, half_angle, soft_box
+from grmm_core.light.lamps import (
+    MAX_LAMPS,
+    MAX_SINGLE,
+    STUDIO,
+    Area,
+    Lamp,
+    Lighting,
+    Point,
+    Spot,
+    Sun,
+    arriving,
+    half_angle,
+    soft_box,
+)
 from grmm_core.light.surroundings import Surroundings, sphere
 from grmm_studio.lights import RIG
 
@@ -115,7 +128,8 @@ def test_weak_lamps_that_wander_are_put_together_without_jumps():
     def light(step):
         turn, rows = math.radians(3.0 * step), ceiling()[:80]
         rotation = np.array([[math.cos(turn), -math.sin(turn), 0], [math.sin(turn), math.cos(turn), 0], [0, 0, 1]])
-        return lit(Lighting(tuple(Point(strength=2.0, position=tuple(rotation @ row)) for row in rows)).shaded(ORIGIN[0]), normals)
+        lamps = tuple(Point(strength=2.0, position=tuple(rotation @ row)) for row in rows)
+        return lit(Lighting(lamps).shaded(ORIGIN[0]), normals)
 
     frames = np.array([light(step) for step in range(20)])
     first, second = np.abs(np.diff(frames, axis=0)), np.abs(np.diff(frames, 2, axis=0))

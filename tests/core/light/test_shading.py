@@ -378,6 +378,19 @@ def test_the_turn_of_a_head_is_found():
     np.testing.assert_allclose(turn_between(rest, rest @ turn.T + 0.3), turn, atol=1e-9)
 
 
+def test_what_a_hollow_takes_is_a_share_of_what_lights_its_opening():
+    points, normals, faces = ball()
+    exchange = Exchange.of(points, normals, faces, np.zeros((len(points), 9)))
+    inside, around = points[:, 2] < -0.08, points[:, 2] > 0.08
+    exchange.light(inside, around, 0.4)
+    lit = np.where(around, 3.0, 0.0)[:, None] * np.ones(3)
+    found = exchange.bounced(lit, np.full(3, 0.5))
+    assert 0.3 < found[inside].mean() <= 0.4 * 3.0 * 0.5 + 1e-5
+    assert np.ptp(found[inside]) < 1e-5
+    exchange.light(inside, np.zeros(len(points), bool), 0.4)
+    assert exchange.bounced(lit, np.full(3, 0.5))[inside].max() == 0.0
+
+
 def test_softness_widens_a_lamp():
     x = np.linspace(-0.1, 0.1, 201)
     receivers = Receivers.around(np.stack([x, 0 * x, 0 * x], -1), np.tile([0.0, 0.0, 1.0], (201, 1)))

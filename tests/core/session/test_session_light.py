@@ -12,6 +12,7 @@ import pytest
 from grmm_core.controls.frame import Controls
 from grmm_core.geometry.camera import Camera
 from grmm_core.light.lamps import STUDIO, Lighting, Point, Spot, Sun, soft_box
+from grmm_core.light.resting import MOUTH
 from grmm_core.light.shading import LEAST_FRONT, Response
 from grmm_core.light.surroundings import Surroundings
 from grmm_core.pictures.color import linear_to_srgb
@@ -77,12 +78,28 @@ def test_in_the_studios_rig_nothing_is_changed_at_rest(session):
     with session.engine.calling():
         lit = LitAvatar(session.evaluator, target, inputs, STUDIO, Response())
         (light,) = lit.channels(np.array([0.0, 0.0, 1.1]), None)
-    head = target.model.head_model  # in the mouth, which the rig hardly reaches, colors are taken as brighter lit
-    skin = np.isin(head.faces[target.model.layout.face], head.regions["face"]).all(1)
+    head = target.model.head_model  # what lips hide at rest has colors of other expressions
+    skin = (head.marked("face") & ~head.marked("lips"))[head.faces[target.model.layout.face]].all(1)
     skin &= light[:, SHADOW.start - 1] > LEAST_FRONT  # shadows are not looked for on what is turned away
     assert skin.sum() > 5000
     ratio = light[skin, RATIO] / light[skin, SHADOW.start - 1 : SHADOW.start]
     assert np.quantile(np.abs(ratio - 1.0), 0.99) < 1e-3
+
+
+@pytest.mark.parametrize("jaw", [0.3, 0.6])
+def test_in_the_studios_rig_an_open_mouth_stays_as_it_was_learned(session, jaw):
+    """The inner side of lips burnt out to seven times its light, and teeth had less than a half of theirs."""
+    target = session.target(session.open("default").id)
+    inputs = session.evaluator.inputs(target, Controls().set_named({"jawOpen": jaw}))
+    with session.engine.calling():
+        (light,) = LitAvatar(session.evaluator, target, inputs, STUDIO, Response()).channels(np.array([0.0, 0.0, 1.1]), None)
+    head, front = target.model.head_model, light[:, SHADOW.start - 1]
+    for name in ("lips", *MOUTH):
+        shown = head.marked(name)[head.faces[target.model.layout.face]].all(1) & (front > LEAST_FRONT)
+        ratio = light[shown, RATIO].mean(1) / front[shown]
+        assert shown.sum() > 1000
+        assert 0.85 < np.median(ratio) < 1.15
+        assert ratio.max() < 1.6
 
 
 def test_a_sun_lights_the_side_that_it_stands_on_and_things_throw_shadows(session):

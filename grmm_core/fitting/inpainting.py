@@ -36,9 +36,10 @@ LID_SHADE = (0.05, 0.14)  # how much darker than the skin around folded skin may
 BARE_SKIN = 0.12  # how much darker than the middle tone skin may be that tells what lids look like, or changed otherwise
 FEATHER_TEXELS, FADES = 5.0, (0.05, 0.45)  # how far what was seen goes on before plain skin stands: length, smoothed knowledge
 EDGE_TEXELS, EDGE = 12.0, (0.5, 0.75)  # likewise beside the face where what was seen last is darker than plain skin
-# beside the face and below it: smooth shading over so many texels, how much of it is kept, and what more where it is well seen
+# beside the face: smooth shading over so many texels, how much of it is kept, and what more where it is well seen
 SHADING_TEXELS, SHADING, WELL_SEEN = 5.0, 0.06, 0.5
-NECK_SHADING = 0.16  # likewise below the chin: a neck is darker than the face in nearly every light, and turns less
+# of a neck: texels over which it is smoothed, how light it may be beside plain skin of the face, and of how different a color
+NECK_TEXELS, NECK_LIGHT, NECK_TINT = 8.0, (0.85, 1.0), 0.01
 BURNT = 0.15  # how much lighter than plain skin any may be beside and below the face: highlights are, and rims of light beyond
 HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
@@ -177,14 +178,26 @@ def _fill_surface(
     seen = torch.lerp(seen, beyond, edge * dark)
     burnt = ((seen - beyond).mean(1, keepdim=True) - BURNT).clamp(min=0.0) * (surface.beside * skin)[:, None]
     seen = seen - burnt  # a rim of light is none of the person's colors
+    neck = _plain_neck(surface, prior, seen, beyond)
     off = surface.smooth(seen, SHADING_TEXELS) - beyond  # shadows of hair, chin and collar would turn with the head
     doubted = surface.beside[:, None] * (1.0 - WELL_SEEN * far.clamp(0, 1))
-    most = SHADING + (NECK_SHADING - SHADING) * surface.below[:, None]
-    seen = seen - doubted * (off - most * torch.tanh(off / most))
+    seen = torch.lerp(seen - doubted * (off - SHADING * torch.tanh(off / SHADING)), neck, surface.below[:, None])
     outer = torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1))
     parts = surface.lips | (surface.group == INNER)
     alone = surface.fill(change, known * parts, rest=PART_REST)
     return prior - start + torch.where((skin & ~surface.lips)[:, None], outer, alone)
+
+
+def _plain_neck(surface: Surface, prior: Tensor, seen: Tensor, beyond: Tensor) -> Tensor:
+    """Changes of color [N, 3] to plain skin, smoothly as dark as it was seen, and a little tinted, for what is below the chin.
+
+    What else a photo shows there is the tint of shadows, which light never explains to the end, and the rims of collars and
+    necklaces.
+    """
+    shown, around = surface.smooth(torch.cat([prior + seen, prior + beyond], 1), NECK_TEXELS).split(3, 1)
+    dark = (shown.mean(1, keepdim=True) / around.mean(1, keepdim=True).clamp(min=1e-3)).clamp(*NECK_LIGHT)
+    plain = prior + surface.smooth(beyond, NECK_TEXELS)
+    return plain * dark + NECK_TINT * torch.tanh((shown - around * dark) / NECK_TINT) - prior
 
 
 def _bare_skin(surface: Surface, colors: Tensor, known: Tensor) -> Tensor:

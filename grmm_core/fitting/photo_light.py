@@ -30,6 +30,7 @@ from ..light.transfer import turn_between, vertex_normals
 from ..light.turning import turned_light
 from ..model.layout import TexelLayout
 from ..pictures.sampling import bilinear
+from .chin import below_chin
 from .types import PhotoTrack
 
 SUNS = tuple(Sun(direction=tuple(d), angle=1.0) for d in sphere(24)[0] if d[2] > -0.3 and d[1] > -0.5)
@@ -44,6 +45,8 @@ _RIDGE = 0.1  # likewise: keeps lights small that the face hardly shows
 _AS_RIG = 0.08
 _ROUNDS, _CUT = 6, 5.0  # of robust weights
 _NOT_SKIN = ("lips", "lids", "brows", "lashes", "mouth_interior")
+# how much more skin below the chin counts: photos show little of it, slantwise, and it alone tells how deep its shadow is
+_UNDER = 12.0
 _FACING = 0.25  # cosine between normal and view from which skin tells its color
 _BEHIND = 0.004  # metres behind the mesh's depth that still are its surface
 _AGAIN = 2  # times that the lights of several photos are found again, by the colors that all of them show
@@ -217,7 +220,8 @@ def seen_skin(
         inside: Pixels that are the person's, 0..1, [H, W].
     """
     pixels, weights = seen_texels(head, texels, posed, camera, inside)
-    return Seen(bilinear(picture, pixels), weights * _skin(head)[texels.corners].all(1))
+    counted = 1.0 + _UNDER * texels.at(below_chin(head)[:, None])[:, 0]
+    return Seen(bilinear(picture, pixels), weights * counted * _skin(head)[texels.corners].all(1))
 
 
 def seen_texels(

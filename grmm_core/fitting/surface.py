@@ -19,6 +19,7 @@ from torch import Tensor
 from ..head import HeadModel
 from ..model.grmm import GRMM
 from ..model.sparse import FixedSparse
+from .chin import below_chin
 
 SKIN, SCALP, INNER = range(3)
 GROUPS = 3
@@ -27,7 +28,6 @@ INNER_REGIONS = (
 )  # fmt: skip
 SEAM_REACH = 0.004  # metres on the mean head between texels at the borders of the UV map's islands
 BESIDE = (0.045, 0.06)  # metres from the plane of symmetry: eyes and mouth are before the first, brows before the second
-BELOW = (0.035, 0.05)  # metres below the lips: the chin is before the first, its underside beyond the second
 MIRROR_REACH = 0.005  # metres; the mean head is nearly symmetric
 MIRROR_WEIGHT = 0.25  # of a link across the plane of symmetry; a neighbour has 1
 SEEN_WEIGHT = 40.0  # of a fully seen texel's own value
@@ -46,7 +46,7 @@ class Surface:
         degrees: Row sums of both, [2, N].
         average: Mean of each texel and its neighbours, [N, N] sparse.
         beside: How far it is beside the face's features or below the chin, 0..1, [N].
-        below: How far below the chin, 0..1, [N].
+        below: How far below the chin, 0..1, [N] (`chin.below_chin`).
         lips: Whether it is of the lips, [N].
     """
 
@@ -113,23 +113,14 @@ def texel_surface(model: GRMM) -> Surface:
         rows, columns, values = np.concatenate([edges[0], edges[1]]), np.concatenate([edges[1], edges[0]]), np.tile(weight, 2)
         matrices.append(FixedSparse((rows, columns, values), (count, count)).to(model.device))
         degrees.append(np.bincount(rows, values, count))
-    beside, below = torch.tensor(np.stack(_beside(head, positions)), dtype=model.dtype, device=model.device)
+    below = (barycentric * below_chin(head)[faces]).sum(1)
+    beside = np.maximum(np.interp(np.abs(positions[:, 0]), BESIDE, (0.0, 1.0)), below)
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
-        beside, below,
+        *(torch.tensor(part, dtype=model.dtype, device=model.device) for part in (beside, below)),
         torch.tensor(head.marked("lips")[faces].all(1), device=model.device),
     )  # fmt: skip
-
-
-def _beside(head: HeadModel, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """See `Surface.beside` and `below`; positions on the mean head, metres, [N, 3]."""
-    beside = np.interp(np.abs(positions[:, 0]), BESIDE, (0.0, 1.0))
-    if "lips" not in head.regions:
-        return beside, np.zeros_like(beside)
-    lips = float(head.v_template[head.regions["lips"], 1].min())
-    below = np.interp(lips - positions[:, 1], BELOW, (0.0, 1.0))
-    return np.maximum(beside, below), below
 
 
 def _average(edges: np.ndarray, count: int) -> FixedSparse:

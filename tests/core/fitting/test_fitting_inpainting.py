@@ -11,6 +11,7 @@ from photo_parts import parts_of
 
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from grmm_core.fitting import photo_targets
+from grmm_core.fitting.chin import below_chin
 from grmm_core.fitting.inpainting import facing, fill_colors, uncut
 from grmm_core.fitting.lids import LIGHTNESS, lid_exposure, lid_share, plain_lids
 from grmm_core.fitting.objective import FIT_WEIGHTS, fit_loss
@@ -18,6 +19,7 @@ from grmm_core.fitting.photo_targets import fit_view, project
 from grmm_core.fitting.surface import INNER, SCALP, SKIN, texel_surface
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
+from grmm_core.geometry.triangles import vertex_normals
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 from grmm_core.head.open_head import load_open_head
 from grmm_core.model.config import PRESETS
@@ -329,6 +331,34 @@ def test_a_rim_of_light_is_none_of_the_persons_colors(bare, bare_surface):
     filled = fill_colors(bare_surface, start, start, change, seen, none, none)
     assert float(filled[beside].mean()) < 0.25
     torch.testing.assert_close(filled[middle], change[middle], atol=0.03, rtol=0.0)  # a glint on the nose
+
+
+def test_necklaces_and_blotches_stay_off_the_neck(bare, bare_surface):
+    """They would stand on it in every other view and light; how dark the neck is stays."""
+    skin, neck = bare_surface.group == SKIN, bare_surface.below == 1.0
+    start, change = torch.full((bare.gaussian_count, 3), 0.5), torch.zeros(bare.gaussian_count, 3)
+    change[neck] = -0.2 * torch.rand(int(neck.sum()), 3, generator=torch.Generator().manual_seed(5))
+    necklace = torch.nonzero(neck & skin).ravel()[::40]
+    change[necklace] = 0.4
+    everything, nothing = torch.ones(bare.gaussian_count), torch.zeros(bare.gaussian_count)
+    filled = fill_colors(bare_surface, start, start, change, everything, nothing, nothing)
+    own = filled[neck & skin]
+    assert float((own - own.mean(1, keepdim=True)).std()) < 0.01
+    assert float(filled[necklace].max()) < 0.0
+    assert float(own.mean()) < -0.05
+    face = skin & (bare_surface.beside == 0.0)
+    assert float(filled[face].abs().mean()) < 0.005
+
+
+def test_neck_and_underside_of_the_jaw_are_below_the_chin(bare):
+    head = bare.head_model
+    below = below_chin(head)
+    assert (below[head.regions["neck"]] == 1.0).all()
+    assert (below[head.marked("lips", "brows", "ears", "scalp") & ~head.marked("neck")] == 0.0).all()
+    x, y, _ = np.asarray(head.v_template).T
+    jaw = (vertex_normals(np.asarray(head.v_template, float), head.faces)[:, 1] < -0.8) & head.marked("face") & (below > 0.0)
+    assert (np.abs(x[jaw]) > 0.02).any()
+    assert y[jaw].max() > y[head.regions["neck"]].min()
 
 
 def test_skin_that_no_photo_shows_is_plain_and_what_is_seen_stays(bare, bare_surface):

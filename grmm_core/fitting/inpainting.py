@@ -39,7 +39,7 @@ EDGE_TEXELS, EDGE = 12.0, (0.5, 0.75)  # likewise beside the face where what was
 # beside the face: smooth shading over so many texels, how much of it is kept, and what more where it is well seen
 SHADING_TEXELS, SHADING, WELL_SEEN = 5.0, 0.06, 0.5
 # of a neck: texels over which it is smoothed, how light it may be beside plain skin of the face, and of how different a color
-NECK_TEXELS, NECK_LIGHT, NECK_TINT = 8.0, (0.85, 1.0), 0.01
+NECK_TEXELS, NECK_LIGHT, NECK_TINT = 5.0, (0.85, 1.0), 0.01
 BURNT = 0.15  # how much lighter than plain skin any may be beside and below the face: highlights are, and rims of light beyond
 HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair

@@ -115,11 +115,11 @@ def texel_surface(model: GRMM) -> Surface:
         degrees.append(np.bincount(rows, values, count))
     below = (barycentric * below_chin(head)[faces]).sum(1)
     beside = np.maximum(np.interp(np.abs(positions[:, 0]), BESIDE, (0.0, 1.0)), below)
+    beside_below = torch.tensor(np.stack([beside, below]), dtype=model.dtype, device=model.device)
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
-        *(torch.tensor(part, dtype=model.dtype, device=model.device) for part in (beside, below)),
-        torch.tensor(head.marked("lips")[faces].all(1), device=model.device),
+        beside_below[0], beside_below[1], torch.tensor(head.marked("lips")[faces].all(1), device=model.device),
     )  # fmt: skip
 
 

@@ -49,7 +49,8 @@ def set_up(context: bpy.types.Context, avatar: Avatar, fresh: bool) -> None:
     Args:
         context: Its viewport looks at the head, or the window's largest.
         avatar: The head.
-        fresh: The scene was as Blender starts it: its camera is moved, and a head inside its cube stands upon it.
+        fresh: The scene was as Blender starts it: its camera is moved, a head inside its cube stands upon it, and the viewports
+            of all workspaces look at it.
     """
     scene, location = context.scene, avatar.root.location
     if (
@@ -63,22 +64,30 @@ def set_up(context: bpy.types.Context, avatar: Avatar, fresh: bool) -> None:
         scene.view_settings.view_transform = "Standard"  # pictures as solid view shows them; AgX grades them paler
     aim(scene, avatar, (scene.camera if fresh else None) or _portrait_camera(scene))
     scene.render.engine = ENGINE
-    space = _viewport(context)
-    if space is not None:
-        place, view = place_of(avatar, context.evaluated_depsgraph_get()), space.region_3d
+    place = place_of(avatar, context.evaluated_depsgraph_get())
+    for space in _viewports(context, fresh):
+        view = space.region_3d
         view.view_location, view.view_distance = place.centre, _VIEW_RADII * place.radius
         view.view_rotation = Euler((math.pi / 2 - _PITCH, 0.0, place.facing + _YAW)).to_quaternion()
         view.view_perspective = "PERSP"
         space.shading.color_type = "TEXTURE"  # the mesh is painted: a face also before there are splats
 
 
-def _viewport(context: bpy.types.Context) -> bpy.types.SpaceView3D | None:
-    """The viewport that a menu belongs to, whose region is then its header; the largest of the window for *File > Import*."""
-    if context.space_data is not None and context.space_data.type == "VIEW_3D":
-        return context.space_data
-    areas = [] if context.screen is None else [area for area in context.screen.areas if area.type == "VIEW_3D"]
-    largest = max(areas, key=lambda area: area.width * area.height, default=None)
-    return None if largest is None else largest.spaces.active
+def _viewports(context: bpy.types.Context, everywhere: bool) -> list[bpy.types.SpaceView3D]:
+    """The viewport that a menu belongs to, whose region is then its header; the largest of the window for *File > Import*.
+
+    Args:
+        context: Of the operator.
+        everywhere: Those of the other workspaces as well, but for those that look through a camera.
+    """
+    found = [context.space_data] if context.space_data is not None and context.space_data.type == "VIEW_3D" else []
+    if not found and context.screen is not None:
+        areas = [area for area in context.screen.areas if area.type == "VIEW_3D"]
+        found = [area.spaces.active for area in sorted(areas, key=lambda area: area.width * area.height)[-1:]]
+    if everywhere:
+        spaces = [area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
+        found += [space for space in spaces if space not in found and space.region_3d.view_perspective != "CAMERA"]
+    return found
 
 
 def aim(scene: bpy.types.Scene, avatar: Avatar, camera: bpy.types.Object) -> None:

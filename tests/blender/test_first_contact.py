@@ -21,6 +21,7 @@ def test_a_head_is_seen_moved_opened_and_deleted_as_expected(run_blender: RunBle
     assert found["objects"] == ["Camera", "Cube", "Light"]
     assert (found["as_started"], found["started_again"]) == (True, False)
     assert found["seen"]
+    assert (found["unseen"], found["screens"] > 5) == ([], True)  # nor in any other workspace
     # What is selected can be moved and deleted as a whole; it stands on the cube and fills the picture.
     assert found["active"]
     assert found["moves_instead"]  # what a window says where only the locked head is selected

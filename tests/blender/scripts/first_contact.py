@@ -43,11 +43,12 @@ def add() -> None:
     bpy.ops.grmm.add_head(person="RANDOM", seed=3, stand=True, set_up=staging.is_as_started(bpy.context.scene))
 
 
-def seen(avatar: object) -> bool:
-    """Whether the viewport looks at the head: its *Add* menu belongs to its header, which has no view of its own."""
-    area = next(area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D")
-    view = area.spaces.active.region_3d
-    return bool(view.view_distance < 1.5 and (view.view_location - avatar.root.location).length < 0.3)
+def seen(avatar: object, screen: bpy.types.Screen | None = None) -> bool:
+    """Whether a viewport looks at the head: its *Add* menu belongs to its header, which has no view of its own."""
+    screen = screen or bpy.context.window_manager.windows[0].screen
+    views = [area.spaces.active.region_3d for area in screen.areas if area.type == "VIEW_3D"]
+    free = [view for view in views if view.view_perspective != "CAMERA"]
+    return all(view.view_distance < 1.5 and (view.view_location - avatar.root.location).length < 0.3 for view in free)
 
 
 # Somebody presses Add and F12 and nothing else.
@@ -68,6 +69,8 @@ report(
     graded=scene.view_settings.view_transform,
     started_again=staging.is_as_started(scene),
     seen=seen(avatar),
+    unseen=[screen.name for screen in bpy.data.screens if not seen(avatar, screen)],
+    screens=len(bpy.data.screens),
 )
 exact_colors(scene)
 scene.render.resolution_x, scene.render.resolution_y, scene.render.film_transparent = 160, 90, True

@@ -7,10 +7,15 @@ from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
 
 Value = TypeVar("Value", bound=tuple[Any, ...])
+FEW, MANY = 4, 64  # values of one kind that are kept however large they are, and however small
+SHARE = 1 / 16  # of a cache that one kind of more than a few may fill: what poses need would else fill it while a head plays
 
 
 class ArrayCache:
     """Least-recently-used cache of tuples of arrays or tensors.
+
+    The first part of a key is its owner, the second one says of what kind the value is. Of each kind of an owner no more
+    than the latest are kept, so that memory does not grow with the frames that a head has played.
 
     Attributes:
         limit: Bytes of data to keep; the newest entry stays even if it alone is larger.
@@ -23,7 +28,7 @@ class ArrayCache:
         self._entries: OrderedDict[tuple[Hashable, ...], Any] = OrderedDict()
 
     def get(self, key: tuple[Hashable, ...], make: Callable[[], Value]) -> Value:
-        """Return the value of `key`, made by `make` if it is not there. The first part of a key is its owner."""
+        """Return the value of `key`, made by `make` if it is not there."""
         if key in self._entries:
             self._entries.move_to_end(key)
             known: Value = self._entries[key]
@@ -31,23 +36,35 @@ class ArrayCache:
         value = make()
         self._entries[key] = value
         self.size += _bytes(value)
+        self._shorten([known for known in self._entries if known[:2] == key[:2]])
         while self.size > self.limit and len(self._entries) > 1:
-            _, dropped = self._entries.popitem(last=False)
-            self.size -= _bytes(dropped)
+            self._forget(next(iter(self._entries)))
         return value
+
+    def _shorten(self, kind: list[tuple[Hashable, ...]]) -> None:
+        """Forget the oldest of some keys, in the order of their use, until there are few enough."""
+        held = sum(_bytes(self._entries[key]) for key in kind)
+        for number, key in enumerate(kind[:-FEW]):
+            if held <= SHARE * self.limit and len(kind) - number <= MANY:
+                break
+            held -= _bytes(self._entries[key])
+            self._forget(key)
+
+    def _forget(self, key: tuple[Hashable, ...]) -> None:
+        self.size -= _bytes(self._entries.pop(key))
 
     def latest(self, key: tuple[Hashable, ...], parts: tuple[Any, ...], make: Callable[[], Value]) -> Value:
         """Return what `make` makes of these very arrays; of each key only the last is kept, until there are others."""
         known = self._entries.get(key)
         if known is not None and any(a is not b for a, b in zip(known[0], parts, strict=True)):
-            self.size -= _bytes(self._entries.pop(key))
+            self._forget(key)
         made: Value = self.get(key, lambda: (parts, make()))[1]
         return made
 
     def drop(self, owner: Hashable) -> None:
         """Forget every entry of an owner."""
         for key in [key for key in self._entries if key[0] == owner]:
-            self.size -= _bytes(self._entries.pop(key))
+            self._forget(key)
 
     def clear(self) -> None:
         """Forget everything."""

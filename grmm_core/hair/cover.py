@@ -21,9 +21,10 @@ DENSE = 1.0  # cover by strands, laid beside each other, from where on skin coun
 
 
 def beneath(
-    head: HeadModel, points: np.ndarray, corners: np.ndarray, weights: np.ndarray, blocks: Sequence[StrandBlock]
+    head: HeadModel, points: np.ndarray, corners: np.ndarray, weights: np.ndarray, blocks: Sequence[StrandBlock],
+    group: int = SCALP, layers: int = LAYERS,
 ) -> np.ndarray:  # fmt: skip
-    """Whether strands of the scalp lie over places of the skin on the first part of their way.
+    """Whether strands of the scalp, or of another part, lie over places of the skin on the first part of their way.
 
     Args:
         head: The head model.
@@ -31,6 +32,8 @@ def beneath(
         corners: Vertices of the triangle under each, [N, 3].
         weights: Barycentric coordinates, [N, 3].
         blocks: The strands.
+        group: Number of the part in `roots.GROUPS`.
+        layers: How many over the skin count.
 
     Returns:
         0..1, [N].
@@ -41,7 +44,7 @@ def beneath(
     size = np.ceil((points.max(0) + 3 * CELL - low) / CELL).astype(int) + 1
     filled = np.zeros(int(size.prod()))
     for block in blocks:
-        if block.group == SCALP:
+        if block.group == group:
             origin, axes = block.frames.at(template)
             begun, real = _begun(np.matmul(block.points, axes) + origin[:, None])
             areas = np.broadcast_to((block.widths[:, :1] * (STEP * len(block) / len(begun))), real.shape)[real]
@@ -49,7 +52,7 @@ def beneath(
             np.add.at(filled, np.ravel_multi_index(tuple(cells.T), tuple(size)), areas)
     dense = smooth_grid(smooth_grid(filled.reshape(size) / CELL**2))[..., None]
     passed = np.zeros(len(points))
-    for k in range(-1, LAYERS):
+    for k in range(-1, layers):
         passed += sample(dense, (points + (k + 0.5) * CELL * up - low) / CELL - 0.5)[:, 0]
     return np.minimum(passed / DENSE, 1.0)
 

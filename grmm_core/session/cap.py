@@ -6,17 +6,24 @@ from typing import Any, NamedTuple
 
 
 class Cap(NamedTuple):
-    """How flat each texel is laid, 0..1 [N], and the color it takes there, display sRGB [N, 3]; the engine's arrays."""
+    """What becomes of each texel; the engine's arrays.
+
+    Attributes:
+        share: How flat it is laid, 0..1 [N].
+        color: What it takes on there, display sRGB [N, 3].
+        shade: What strands that lie over it leave of its own color elsewhere, 0..1 [N, 1].
+    """
 
     share: Any
     color: Any
+    shade: Any
 
     def laid(self, colors: Any, opacities: Any, features: Any) -> Laid:
         """What becomes of colors [N, 3], opacities [N] and features [N, F] of Gaussians whose offsets were laid flat."""
         part = self.share[:, None]
         left = 1.0 - part
         opacities = opacities + self.share * (1.0 - opacities)
-        return Laid(colors + part * (self.color - colors), opacities, features * left, left)
+        return Laid(colors * self.shade * left + part * self.color, opacities, features * left, left)
 
 
 class Laid(NamedTuple):

@@ -15,6 +15,7 @@ import numpy as np
 from ..geometry.libraries import to_numpy
 from ..hair.cover import beneath
 from ..hair.pigment import albedos
+from ..hair.roots import BEARD as BEARDS
 from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
 from ..hair.strands import StrandBlock
@@ -36,6 +37,8 @@ BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front o
 RIM = (0.006, 0.015)  # metres from an open edge: nearer than the first one what is dark is the edge, not a photo's hair
 NEAR = 0.02  # metres: over what distance the skin's color is smoothed
 SAMPLES = 1200  # texels of skin from which it is taken
+SHADED = {SCALP: 0.3, BEARDS: 0.5}  # of the brightness of skin that is not laid flat: what dense strands over it take
+SHADING = 5  # layers of `hair.cover` over skin in which strands shade it: curls that stand before a forehead do not
 UNDER = 0.9  # how much of the hair's color the skin under dense hair takes on
 SKIN = ("face", "neck")  # regions where skin shows; the others in it below
 _NOT_SKIN = ("lips", "brows", "lids", "lashes", "mouth_interior", "left_eyeball", "right_eyeball")
@@ -138,6 +141,16 @@ def cap_color(
     hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0]
     color = skin.color * (1.0 - UNDER * cover) + UNDER * cover * hair
     return linear_to_srgb(color * (1.0 - under * (1.0 - light)))
+
+
+def shade(evaluator: Evaluator, target: OpenAvatar, blocks: Sequence[StrandBlock]) -> np.ndarray:
+    """What strands that lie over skin leave of its color, as a fringe on a forehead and a beard on a chin, float32 [N, 1]."""
+    places = _places(evaluator, target)
+    left = np.ones(len(places.points))
+    for group in set(SHADED).intersection(block.group for block in blocks):
+        under = beneath(target.model.head_model, places.points, places.corners, places.weights, blocks, group, SHADING)
+        left *= 1.0 - SHADED[group] * under * places.outer
+    return left[:, None].astype(np.float32)
 
 
 def _under_hair(head: HeadModel, blocks: Sequence[StrandBlock]) -> tuple[np.ndarray, np.ndarray]:

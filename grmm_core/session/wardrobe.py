@@ -36,7 +36,7 @@ from ..splat.types import Gaussians
 from .cap import Cap
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar
-from .scalp import Skin, bare_skin, cap_color
+from .scalp import Skin, bare_skin, cap_color, shade
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
@@ -180,8 +180,8 @@ class Wardrobe:
         return _kept(self._ready, (*layer.key, head.name), lambda: blocks_of(layer.groom, mean, head.faces, lies))
 
     def cap(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn) -> Cap | None:
-        """What lays the trained hair flat; see `scalp`. None where nothing is."""
-        if not worn.flat:
+        """What lays the trained hair flat and darkens skin under strands; see `scalp`. None where neither is."""
+        if not worn.flat and not any((layer.groom.groups == BEARD).any() for layer in worn.layers):
             return None
         head = target.model.head_model
 
@@ -189,14 +189,17 @@ class Wardrobe:
             return bare_skin(evaluator, target, at_rest(evaluator, target, inputs), worn.own)
 
         def make() -> Cap:
-            skin = evaluator.cache.get((target.id, "skin", worn.own, *inputs.identity_key), bare)
             blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
-            color = cap_color(evaluator, target, skin, blocks, worn.settings[SCALP])
-            return Cap(self._engine.array(skin.share), self._engine.array(color))
+            photo = worn.own and target.avatar.provenance.from_photos  # it shows how dark skin under its own hair is
+            left = np.ones((len(target.model.layout), 1), np.float32) if photo else shade(evaluator, target, blocks)
+            share, color = np.zeros(len(left), np.float32), np.zeros((len(left), 3), np.float32)
+            if worn.flat:
+                skin = evaluator.cache.get((target.id, "skin", worn.own, *inputs.identity_key), bare)
+                share, color = skin.share, cap_color(evaluator, target, skin, blocks, worn.settings[SCALP])
+            return Cap(*map(self._engine.array, (share, color, left)))
 
-        return evaluator.cache.get(
-            (target.id, "cap", worn.own, *worn.key, *inputs.identity_key, *worn.settings[SCALP].color_key), make
-        )
+        settings = worn.settings[SCALP].color_key
+        return evaluator.cache.get((target.id, "cap", worn.own, worn.flat, *worn.key, *inputs.identity_key, *settings), make)
 
     def gaussians(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, camera: Camera | None, lod: int = 0,

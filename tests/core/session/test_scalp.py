@@ -9,9 +9,10 @@ from grmm_core.avatar import Hair
 from grmm_core.avatar.types import Provenance
 from grmm_core.hair import HairSettings
 from grmm_core.hair.packaged import library_groom
+from grmm_core.hair.strands import blocks_of
 from grmm_core.pictures.color import srgb_to_linear
 from grmm_core.session import HairUse, create_session
-from grmm_core.session.scalp import bare_skin
+from grmm_core.session.scalp import bare_skin, shade
 from grmm_core.session.wardrobe import Wardrobe
 
 SKIN = (0.8, 0.6, 0.5)
@@ -77,3 +78,28 @@ def test_the_dark_rim_and_inner_side_of_a_bust_are_no_hair(model, from_photos):
     assert found.share[rim | back].max() < 0.01
     scalp = (head.marked("scalp").astype(float)[corners] * layout.barycentric).sum(1) > 0.99
     assert found.share[scalp & outer].min() > 0.99
+
+
+def test_skin_under_a_beard_and_a_fringe_is_dark_and_other_skin_is_not(model):
+    head, layout = model.head_model, model.layout
+    target = _person(model, from_photos=False)
+    mean, evaluator = np.asarray(head.v_template, float), SimpleNamespace(cache=SimpleNamespace(get=lambda key, make: make()))
+    places = (mean[np.asarray(head.faces)[layout.face]] * layout.barycentric[..., None]).sum(1)
+    x, y, z = places.T
+    outer = np.asarray(head.uv_islands)[layout.face] == 0
+    jaw = outer & (y > -0.07) & (y < -0.055) & (z > 0.08) & (np.abs(x) < 0.03)
+    brow = outer & (y > 0.08) & (y < 0.09) & (z > 0.08) & (np.abs(x) < 0.03)
+    nose = outer & (z > 0.105) & (y > 0.005) & (y < 0.04)
+    assert min(part.sum() for part in (jaw, brow, nose)) > 20
+
+    def left(name, part):
+        return shade(evaluator, target, blocks_of(library_groom(name, part=part), mean, head.faces))[:, 0]
+
+    beard, fringe = left("full", "beard"), left("fringe", "scalp")
+    assert beard[jaw].mean() < 0.7
+    assert fringe[brow].mean() < 0.9
+    assert min(beard.min(), fringe.min()) > 0.4
+    for dark, others in ((beard, (brow, nose, ~outer)), (fringe, (jaw, nose, ~outer))):
+        assert [dark[other].min() for other in others] == [1.0] * 3
+    assert left("coily", "scalp")[brow | nose].min() > 0.99  # curls stand out before it
+    assert (shade(evaluator, target, ()) == 1.0).all()

@@ -15,14 +15,14 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from ..avatar import EXTENSION, Avatar, save_avatar
+from ..avatar import EXTENSION, Avatar, Hair, save_avatar
 from ..controls.frame import Controls, resolve
 from ..data.dataset import CaptureDataset
 from ..data.types import Shot
 from ..fitting.hair_stage import directions
 from ..geometry.camera import Camera
 from ..model.people import made_avatar
-from ..session import FINAL_STRANDS, create_session
+from ..session import FINAL_STRANDS, HairUse, create_session
 from ..session.values import Instance, RenderOptions
 from ..training.captured_hair import SeenIn, captured_hair
 from .scene import DrawnPerson, Scene
@@ -44,7 +44,7 @@ class Haired:
     def __init__(self, scene: Scene, datasets: Sequence[CaptureDataset]) -> None:
         self._scene, self._datasets = scene, datasets
         self._session = create_session("local", weights=scene.path, device="cpu")
-        self._open: dict[int, tuple[DrawnPerson, int]] = {}
+        self._open: dict[int, tuple[DrawnPerson, int, HairUse]] = {}
 
     def close(self) -> None:
         """End the session."""
@@ -60,24 +60,28 @@ class Haired:
             seen: The views from which the hair's colors may be taken.
         """
         if id(person) not in self._open:
-            self._open[id(person)] = (person, self._opened(person, shot.subject, seen))
+            self._open[id(person)] = (person, *self._opened(person, shot.subject, seen))
         controls = Controls(aligned=shot.aligned)
         plain = resolve(controls, self._scene.head)
         expression = np.zeros_like(controls.expression)
         more = (shot.expression - plain.expression)[: expression.size]
         expression[: more.size] = more
         controls = replace(controls, expression=expression, pose=(shot.pose - plain.pose).astype(np.float32))
-        instance = Instance(self._open[id(person)][1], controls)
+        _, avatar, hair = self._open[id(person)]
+        instance = Instance(avatar, controls, hair=hair)
         return self._session.render([instance], camera, RenderOptions(background=(0.0, 0.0, 0.0), strands=FINAL_STRANDS))["rgb"]
 
-    def _opened(self, person: DrawnPerson, subject: str, seen: SeenIn) -> int:
-        avatar = person.avatar or self._made(person)
+    def _opened(self, person: DrawnPerson, subject: str, seen: SeenIn) -> tuple[int, HairUse]:
+        avatar, use = person.avatar or self._made(person), HairUse()
         if avatar.hair is None:
-            avatar = replace(avatar, hair=captured_hair(self._datasets, subject, self._scene.head, seen))
+            hair = captured_hair(self._datasets, subject, self._scene.head, seen)
+            avatar = replace(avatar, hair=None if hair is None else Hair(None, hair.settings, hair.parts, hair.scalp))
+            if hair is not None and hair.groom is not None:  # all strands that are recorded: a file has fewer
+                use = HairUse(self._session.put_groom(subject, "recorded", hair.groom), hair.settings, parts=hair.parts)
         with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as folder:
             path = Path(folder) / f"person{EXTENSION}"
             save_avatar(avatar, path)
-            return self._session.open(path).id
+            return self._session.open(path).id, use
 
     def _made(self, person: DrawnPerson) -> Avatar:
         return made_avatar(person.name, self._scene.info, self._scene.model.z_exp_size, person.z_id, person.shape)

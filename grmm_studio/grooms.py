@@ -19,6 +19,7 @@ from .subjects import Subject
 
 DOWN = np.array([0.0, -1.0, 0.0])
 KNOTS = {"ponytail": np.array([0.0, 0.085, -0.098]), "bun": np.array([0.0, 0.105, -0.088])}  # where hair is tied
+SWEPT = 0.06  # metres from the middle: where swept hair goes to a side as much as it does anywhere
 CROWN = np.array([0.0, 0.055, -0.01])  # what round hair stands away from
 
 
@@ -170,6 +171,12 @@ def _comb_back(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
     return _unit(_rows(rest, 0.15 * np.sign(rest[:, 0]), np.where(rest[:, 2] > 0.03, 0.35, -0.25), -1.0))
 
 
+def _comb_swept(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Back, without a valley between the two sides."""
+    aside = 0.15 * np.clip(rest[:, 0] / SWEPT, -1.0, 1.0)
+    return _unit(_rows(rest, aside, np.where(rest[:, 2] > 0.03, 0.35, -0.25), -1.0))
+
+
 def _comb_quiff(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
     front = smoothstep(0.02, 0.08, rest[:, 2])
     return _unit(_rows(rest, 0.25 * np.sign(s.part) * front, 0.9 * front - 0.15, -0.8))
@@ -192,8 +199,8 @@ def _comb_knot(name: str, s: Subject, rest: np.ndarray, at: np.ndarray) -> np.nd
 
 
 COMBS: dict[str, Callable[[Subject, np.ndarray, np.ndarray], np.ndarray]] = {
-    "none": _no_comb, "forward": _comb_forward, "aside": _comb_aside, "back": _comb_back, "quiff": _comb_quiff,
-    "fringe": _comb_fringe, "parted": _comb_parted, **{name: partial(_comb_knot, name) for name in KNOTS},
+    "none": _no_comb, "forward": _comb_forward, "aside": _comb_aside, "back": _comb_back, "swept": _comb_swept,
+    "quiff": _comb_quiff, "fringe": _comb_fringe, "parted": _comb_parted, **{name: partial(_comb_knot, name) for name in KNOTS},
 }  # fmt: skip
 Comb = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

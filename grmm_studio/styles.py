@@ -19,7 +19,7 @@ class Style:
         length: Of the longest hair of a woman of hair length 1.
         sides: Of the sides, where the cut has any.
         mens, mens_sides: Instead of `length` and `sides`, on a man.
-        comb: "none", "forward", "aside", "back", "quiff", "fringe", "parted", or a knot of `grooms.KNOTS`.
+        comb: "none", "forward", "aside", "back", "swept", "quiff", "fringe", "parted", or a knot of `grooms.KNOTS`.
         root_comb, root_down: Share of the comb and of downwards in the direction at the root.
         comb_on_top: The comb leads on top only.
         down_on_sides: Downwards leads on the sides only.

@@ -26,12 +26,12 @@ RELEASED, FREE = 0.06, 0.35  # metres of its way from which on hair may rise mor
 LYING = (0.045, 0.085)  # metres: height from which on hair lies on a head, and fully
 PRESSED = 0.9  # share of what is higher that is taken away
 KNOT = (0.02, 0.045)  # metres around a knot: hair rises to it
-SHOWN, TOLD = 1.8, 0.015  # how much denser roots are where neighbours part, as seen so many metres from their roots
+SHOWN, TOLD = 3.0, 0.015  # how much denser roots are where neighbours part, as seen so many metres from their roots
 RARE = 2.2  # how much denser at most where few grow
 EAR = (0.06, 0.048, 0.005, 0.024)  # metres: what is farther out, lower, and so near to a place along the head is before an ear
 BABY = 0.02  # metres: length of such hair at most
 SIDEBURN = (0.022, 0.052)  # metres: height of roots before the ears below which curls are short, and above which they are not
-SHORT_CURL = 0.3  # of their length
+SHORT_CURL = 0.15  # of their length
 
 
 def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> Groom:
@@ -45,13 +45,13 @@ def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> 
         strands = _laid(_behind_ears(strands), vertices, head, *TIED, KNOTS[name])
         some = _even(_bound(groom, strands, vertices, head), vertices, head, _rarity(strands), STRANDS * len(groom) // whole)
         return join([some, tail])
-    weight = np.ones(len(groom))
-    if style.comb in ("parted", "fringe", "aside") and not style.rope:
-        if style.comb != "aside":
+    weight = _rarity(strands) if not style.rope else np.ones(len(groom))
+    if style.comb in ("parted", "fringe", "aside", "forward") and not style.rope:
+        if style.comb in ("parted", "fringe"):
             strands = _laid(strands, vertices, head, *FALLEN)
-        weight = _parting(strands)
+        weight = np.maximum(weight, _parting(strands))
     elif style.way in ("out", "drooping"):
-        strands, weight = _short_sideburns(strands), _rarity(strands)
+        strands = _short_sideburns(strands)
     return _even(_bound(groom, strands, vertices, head), vertices, head, weight, STRANDS)
 
 

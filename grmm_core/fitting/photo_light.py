@@ -45,7 +45,8 @@ _RIDGE = 0.1  # likewise: keeps lights small that the face hardly shows
 _AS_RIG = 0.08
 _ROUNDS, _CUT = 6, 5.0  # of robust weights
 _NOT_SKIN = ("lips", "lids", "brows", "lashes", "mouth_interior")
-# how much more skin below the chin counts: photos show little of it, slantwise, and it alone tells how deep its shadow is
+# how much more skin below the chin counts while a photo stands alone: it shows little of it, slantwise, and that little tells
+# how deep the chin's shadow is; where other photos tell the colors, each texel counts as it is seen
 _UNDER = 12.0
 _FACING = 0.25  # cosine between normal and view from which skin tells its color
 _BEHIND = 0.004  # metres behind the mesh's depth that still are its surface
@@ -130,6 +131,7 @@ class PhotoHead:
         self._seen = np.stack([visible(sun, self._receivers, casters) for sun in SUNS])
         skin = _skin(head)[texels.corners].all(1)
         self._told = skin & (self._rest.rig > reached(self._rest.rig).min(0)).all(1)
+        self._telling = 1.0 + _UNDER * texels.at(below_chin(head)[:, None])[:, 0]
 
     def ratio(self, light: Light) -> np.ndarray:
         """Irradiance relative to the rig's at the texels, [N, 3] float32."""
@@ -180,7 +182,7 @@ class PhotoHead:
         wanted = linear[counted] / level * (np.median(rig, 0) / rig)
         if np.median(np.abs(np.log(np.maximum(wanted / self._turned[counted], 1e-3))).mean(1)) < _AS_RIG:
             return Light.studio(tone, level / tone)
-        light = self._found(seen.weights, counted, wanted, level / tone, tone)
+        light = self._found(seen.weights * self._telling, counted, wanted, level / tone, tone)
         if own:
             middle = np.median(self.ratio(light)[counted], 0)
             light = light._replace(suns=light.suns / middle, around=light.around / middle)
@@ -220,8 +222,7 @@ def seen_skin(
         inside: Pixels that are the person's, 0..1, [H, W].
     """
     pixels, weights = seen_texels(head, texels, posed, camera, inside)
-    counted = 1.0 + _UNDER * texels.at(below_chin(head)[:, None])[:, 0]
-    return Seen(bilinear(picture, pixels), weights * counted * _skin(head)[texels.corners].all(1))
+    return Seen(bilinear(picture, pixels), weights * _skin(head)[texels.corners].all(1))
 
 
 def seen_texels(

@@ -185,7 +185,9 @@ def test_what_is_an_avatars_own_fades_towards_other_people(local, tmp_path):
     for distance, share in ((0.0, 1.0), (0.25, 0.75), (1.0, 0.0), (3.0, 0.0)):
         controls = Controls(z_id=np.eye(1, model.z_id_size, 2, dtype=np.float32)[0] * reach * distance)
         before, after = (local.gaussians(one.id, controls) for one in (plain, changed))
-        np.testing.assert_allclose(after.colors - before.colors, 0.25 * share, atol=1e-5)
+        free = (after.colors < 1.0) & (before.colors > 0.0)  # neither is at the end of the range
+        assert free.mean() > 0.8
+        np.testing.assert_allclose((after.colors - before.colors)[free], 0.25 * share, atol=1e-5)
         assert np.all(after.opacities < before.opacities) == (share > 0)
 
 

@@ -105,7 +105,10 @@ def sample(grid: np.ndarray, at: np.ndarray) -> np.ndarray:
     base = at.astype(int)
     part = (at - base).astype(np.float32)
     total = np.zeros((len(at), grid.shape[3]), np.float32)
-    for corner in np.ndindex(2, 2, 2):
-        x, y, z = (base + corner).T
-        total += grid[x, y, z] * np.where(corner, part, 1 - part).prod(1)[:, None]
+    cells = grid.reshape(-1, grid.shape[3])
+    first = np.ravel_multi_index(tuple(base.T), grid.shape[:3])
+    sides = np.stack([1 - part, part])  # [2, P, 3]
+    for x, y, z in np.ndindex(2, 2, 2):
+        weight = sides[x, :, 0] * sides[y, :, 1] * sides[z, :, 2]
+        total += cells[first + (x * grid.shape[1] + y) * grid.shape[2] + z] * weight[:, None]
     return total

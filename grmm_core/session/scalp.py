@@ -227,9 +227,9 @@ def _from_edges(head: HeadModel, points: np.ndarray) -> np.ndarray:
     for part in np.array_split(np.arange(len(points)), max(1, len(points) // 2048)):
         for edge in np.array_split(open_edges, max(1, len(open_edges) // 512)):
             if len(edge):
-                apart = ((points[part, None] - edge) ** 2).sum(2).min(1)
+                apart = ((edge**2).sum(1) - 2.0 * points[part] @ edge.T).min(1) + (points[part] ** 2).sum(1)
                 nearest[part] = np.minimum(nearest[part], apart)
-    return np.sqrt(nearest)
+    return np.sqrt(np.maximum(nearest, 0.0))
 
 
 def _ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -59,14 +59,14 @@ def wait_until_gone(pid: int) -> bool:
     return wait_until(gone)
 
 
-def killed_at_the_third_question(session, pictures: int):
-    """A `should_cancel` that kills the workers of so many tries while they draw."""
+def killed_at_a_question(session, pictures: int, number: int = 3):
+    """A `should_cancel` that kills the workers of so many tries while they draw, when it is asked for that time."""
     asked: dict[int, int] = {}
 
     def should_cancel() -> bool:
         pid = session.status().pid
         asked[pid] = asked.get(pid, 0) + 1
-        if asked[pid] == 3 and len(asked) <= pictures:
+        if asked[pid] == number and len(asked) <= pictures:
             os.kill(pid, signal.SIGKILL)
         return False
 
@@ -79,7 +79,7 @@ def test_a_worker_killed_in_the_middle_of_a_render(session):
     info = session.open("default")
     camera = Camera.orbit(1000, 1000)
     before, restarts = session.render([Instance(info.id)], camera)["rgb"], session.status().restarts
-    again = session.render([Instance(info.id)], camera, should_cancel=killed_at_the_third_question(session, 2))["rgb"]
+    again = session.render([Instance(info.id)], camera, should_cancel=killed_at_a_question(session, 2))["rgb"]
     np.testing.assert_array_equal(again, before)
     assert session.status().restarts == restarts + 2
 
@@ -89,7 +89,7 @@ def test_a_picture_that_ends_three_workers_is_given_up(session):
     info = session.open("default")
     before = session.render([Instance(info.id)], CAMERA)["rgb"]
     with pytest.raises(SessionError, match=r"ended by signal 9.*3 times in a row") as caught:
-        session.render([Instance(info.id)], LARGE, should_cancel=killed_at_the_third_question(session, 3))
+        session.render([Instance(info.id)], LARGE, should_cancel=killed_at_a_question(session, 3, 1))
     assert "\n" not in str(caught.value)
     assert not session.status().alive
     again = session.render([Instance(info.id)], CAMERA)["rgb"]  # the same id still works

@@ -101,7 +101,7 @@ class TeethAtlas:
 def _across(rest: np.ndarray, arc: np.ndarray, up: float) -> tuple[np.ndarray, np.ndarray]:
     """Whether points of one row lie on its inner side, and their distance in metres from its edge; [n] each.
 
-    The edge is found place by place: the arches are curved, and the lower molars end 12 mm above the incisors.
+    The edge is found place by place: the arches are curved, and climb towards the molars.
     """
     knots = np.linspace(0.0, arc.max(), EDGE_KNOTS)
     y = up * rest[:, 1]

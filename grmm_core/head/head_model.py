@@ -52,6 +52,8 @@ class HeadModel:
         arkit_pose: XYZ Euler angles in radians that a unit of each ARKit shape adds to each joint, beside what its expression
             coefficients add by `expression_pose`, [52, 5, 3]. Zero for the open head; FLAME's components turn no joint, so
             its jaw and eyes are turned by this.
+        continues: Fingerprints (`model.weights_file.head_fingerprint`) of earlier heads with the same triangles and shape
+            space: weights and avatars made on them are drawn on this one.
     """
 
     name: str
@@ -75,6 +77,7 @@ class HeadModel:
     landmarks478: tuple[np.ndarray, np.ndarray] | None = None
     joint_names: tuple[str, ...] = field(default=JOINT_NAMES)
     arkit_pose: np.ndarray = field(default_factory=lambda: np.zeros((len(ARKIT_NAMES), JOINT_COUNT, 3), np.float32))
+    continues: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self._check_shapes()

@@ -92,6 +92,7 @@ def read_head_file(path: str | os.PathLike[str]) -> HeadModel:
             arkit_to_expression=tensors["arkit_to_expression"],
             landmarks68=_landmarks(tensors, "landmarks68"),
             landmarks478=_landmarks(tensors, "landmarks478"),
+            continues=tuple(json.loads(metadata.get("continues", "[]"))),
         )
     except (KeyError, ValueError, TypeError, IndexError, ShapeError) as error:
         raise _corrupt(path, error) from error

@@ -176,7 +176,7 @@ class ModelStore(Generic[AnyModel]):
                 f"{path} needs the trained weights {wanted.name!r} ({wanted.sha256[:12] or 'any version'}), which are not "
                 "installed; install them or make the avatar anew with the installed ones."
             )
-        if avatar.head.sha256 and avatar.head.sha256 != loaded.info.head_sha256:
+        if not loaded.info.stands_on(avatar.head.sha256):
             raise FileFormatError(f"{path} belongs to another version of the head model {avatar.head.name!r}; make it anew.")
         model = loaded.model
         if model.config.residuals and (avatar.z_id.size, avatar.z_exp.size) != (model.z_id_size, model.z_exp_size):

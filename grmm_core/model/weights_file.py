@@ -14,7 +14,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,7 +52,9 @@ class WeightsInfo:
 
     Attributes:
         name: Display name, such as "default".
-        head_name, head_sha256: Head model that the weights belong to, with its `head_fingerprint`.
+        head_name, head_sha256: Head model that the weights are drawn on, with its `head_fingerprint`: of a file that was
+            trained on an earlier form of the head, the form that continues it (`HeadModel.continues`).
+        earlier_heads: Fingerprints of the forms that this head continues.
         config: Sizes.
         sha256: Hash of the file's content; empty before it is saved.
         people: Names of the training people.
@@ -75,6 +77,7 @@ class WeightsInfo:
     default_z_id: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     default_shape: np.ndarray = field(default_factory=lambda: np.zeros(0, np.float32))
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    earlier_heads: tuple[str, ...] = ()
 
     @property
     def continued(self) -> tuple[str, ...]:
@@ -87,6 +90,10 @@ class WeightsInfo:
         known = self.provenance.get("renewed")
         found = known.get(sha256) if isinstance(known, dict) else None
         return tuple(one for one in found if isinstance(one, str)) if isinstance(found, list) else ()
+
+    def stands_on(self, head_sha256: str) -> bool:
+        """Whether what was made on a head of a fingerprint fits the head of these weights; "" says nothing and fits."""
+        return head_sha256 in ("", self.head_sha256, *self.earlier_heads)
 
     def draws(self, sha256: str) -> bool:
         """Whether avatars that were made on weights of a hash can be drawn with these."""
@@ -195,7 +202,8 @@ def read_weights(path: str | os.PathLike[str], head: HeadModel | None = None) ->
     info = _info(path, header, _hash(path))
     if head is None:
         head = _own_head(path, info.head_name)
-    if head_fingerprint(head) != info.head_sha256:
+    fingerprint = head_fingerprint(head)
+    if info.head_sha256 not in (fingerprint, *head.continues):
         raise FileFormatError(
             f"{path} was trained on another version of the head model {info.head_name!r}; get weights for the installed one."
         )
@@ -218,7 +226,8 @@ def read_weights(path: str | os.PathLike[str], head: HeadModel | None = None) ->
             arrays[name] = array
         elif name not in _LAYOUT:
             raise _damaged(path, f"the parameter {name} has data type {array.dtype}")
-    return WeightsFile(_with_people(path, info, tensors, head), head, layout, arrays, packed)
+    info = replace(info, head_sha256=fingerprint, earlier_heads=head.continues, **_people(path, info, tensors, head))
+    return WeightsFile(info, head, layout, arrays, packed)
 
 
 def _checked_scales(path: str | os.PathLike[str], name: str, whole: np.ndarray, scales: np.ndarray | None) -> np.ndarray:
@@ -280,9 +289,9 @@ def _layout(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], conf
     return TexelLayout(config.grid, texel, face, barycentric, uv)
 
 
-def _with_people(
+def _people(
     path: str | os.PathLike[str], info: WeightsInfo, tensors: Mapping[str, np.ndarray], head: HeadModel
-) -> WeightsInfo:
+) -> dict[str, np.ndarray]:
     count, shape_size, z_id_size = len(info.people), head.shape_dirs.shape[-1], code_sizes(info.config, head)[0]
     expected = {
         "z_id": (count, z_id_size), "shapes": (count, shape_size),
@@ -294,9 +303,7 @@ def _with_people(
         if array is None or array.shape != shape or array.dtype.kind != "f" or not np.isfinite(array).all():
             raise _damaged(path, f"the table people/{name} is missing, not finite or of another shape than {shape}")
         arrays[name] = array.astype(np.float32)
-    return WeightsInfo(
-        info.name, info.head_name, info.head_sha256, info.config, info.sha256, info.people, provenance=info.provenance, **arrays
-    )
+    return arrays
 
 
 def _own_head(path: str | os.PathLike[str], name: str) -> HeadModel:

@@ -30,7 +30,7 @@ _BALD = 0.08  # difference of colors, display sRGB, up to which a painted scalp 
 def can_carry(avatar: Avatar, loaded: LoadedModel[Any]) -> bool:
     """Whether an avatar says enough to be carried over to weights: their head model, and a painting."""
     info = loaded.info
-    same = avatar.head.name == info.head_name and avatar.head.sha256 in ("", info.head_sha256)
+    same = avatar.head.name == info.head_name and info.stands_on(avatar.head.sha256)
     return same and avatar.painting.size > 0 and loaded.model.config.residuals and len(info.people) > 0
 
 

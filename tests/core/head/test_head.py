@@ -308,6 +308,21 @@ def test_expression_at_one_is_the_sculpted_shape(head, raw):
         np.testing.assert_allclose(moved, tensors["check_sculpted"][index], atol=SCULPT_TOLERANCE, err_msg=name)
 
 
+def test_front_teeth_overlap_and_the_bite_is_nearly_level(head):
+    """Molars much higher than incisors are seen alone behind the lower lip of a hardly open mouth, as one lone tooth."""
+    upper, lower = (head.v_template[head.regions[name]] for name in ("upper_teeth", "lower_teeth"))
+
+    def edge(row, ahead, up):
+        """Height of a row's biting edge in front of a depth, or behind it."""
+        chosen = row[(row[:, 2] > 0.095) if ahead else (row[:, 2] < 0.062)]
+        return up * (up * chosen[:, 1]).max()
+
+    assert 0.001 < edge(lower, True, 1) - edge(upper, True, -1) < 0.004
+    assert edge(lower, False, 1) - edge(lower, True, 1) < 0.005
+    front = upper[upper[:, 2] > 0.095]
+    assert lower[:, 2].max() < front[:, 2].max()  # behind the upper front teeth, where they overlap
+
+
 def test_jaw_carries_teeth_and_tongue(head):
     pose = head.pose_of(np.eye(100, dtype=np.float32)[head.expression_index("jawOpen")])
     assert np.degrees(pose[2, 0]) == pytest.approx(20, abs=8)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -102,6 +103,18 @@ def test_basis_maps_are_stored_in_eight_bits_and_version_1_is_read(saved, model,
 def test_another_head_is_refused(saved):
     with pytest.raises(FileFormatError, match="another version"):
         load_weights(saved, small_head(seed=1))
+
+
+def test_weights_of_an_earlier_form_of_a_head_are_drawn_on_the_one_that_continues_it(saved, head):
+    raised = head.v_template + np.float32([0, 0.002, 0])
+    later = dataclasses.replace(head, v_template=raised, continues=(head_fingerprint(head),))
+    loaded, info = load_weights(saved, later)
+    assert loaded.head_model is later
+    assert info.head_sha256 == head_fingerprint(later)  # what avatars made with them say
+    said = (head_fingerprint(later), head_fingerprint(head), "", "f" * 64)  # in an avatar's file
+    assert [info.stands_on(one) for one in said] == [True, True, True, False]
+    assert info.people == ("Ada", "Zoë")
+    assert len(info.z_id) == 2
 
 
 @pytest.mark.parametrize(

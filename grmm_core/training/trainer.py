@@ -48,7 +48,7 @@ from .personal import begin, of_the_weights, person_avatar
 from .precision import use_precision
 from .processes import add_gradients, anybody, join, mean_terms
 from .views import View, ViewSource, choose, shrink
-from .warm_start import warm_start
+from .warm_start import layout_to_start, warm_start
 
 if TYPE_CHECKING:
     from ..avatar import Avatar, Hair
@@ -99,7 +99,8 @@ class Trainer:
             raise ConfigError("Several processes cannot follow a capture; wait until it is complete and leave out --follow.")
         self.log = MetricsLog(self.folder, config.tensorboard)
         torch.manual_seed(config.seed)
-        self.model = GRMM(head, config.model).to(device)
+        layout = layout_to_start(config.init_from, head, config.model) if config.init_from else None
+        self.model = GRMM(head, config.model, layout).to(device)
         use_precision(self.model, config.precision)
         generator = torch.Generator().manual_seed(config.seed + _RANDOM_CODE_INIT)
         codes = torch.randn(len(source.people), config.model.z_id, generator=generator) * config.code_init

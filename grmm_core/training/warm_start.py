@@ -17,18 +17,41 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..files.tensorfile import read_tensors
+from ..files.tensorfile import read_metadata, read_tensors
 from ..model.weights import load_weights
-from ..model.weights_file import weights_path
+from ..model.weights_file import read_weights, weights_path
 from .checkpoint import read_state
 
 if TYPE_CHECKING:
+    from ..head import HeadModel
+    from ..model.config import GRMMConfig
     from ..model.grmm import GRMM
+    from ..model.layout import TexelLayout
 
 _CODES = "codes"
 _DEFAULT = ""  # name of nobody
 _EXPRESSION = "decoders.expression."
 _MAPS = ("decoders.basis.", "decoders.basis_weights.", _EXPRESSION)
+
+
+def layout_to_start(path: str | os.PathLike[str], head: HeadModel, config: GRMMConfig) -> TexelLayout | None:
+    """The texels of the weights that a new run starts from.
+
+    Where texels are dense depends on the head's form: weights of an earlier form (`HeadModel.continues`) have others than a
+    model that is laid out on this one, and their maps mean these.
+
+    Returns:
+        None where a model is to be laid out anew: of a checkpoint, another grid or another choice of dense regions.
+
+    Raises:
+        FileAccessError, FileFormatError: The file is missing, damaged, or neither kind.
+    """
+    path = _found(path)
+    if read_state(read_metadata(path)) is not None:
+        return None
+    known = read_weights(path, head)
+    same = (known.info.config.grid, known.info.config.focus) == (config.grid, config.focus)
+    return known.layout if same else None
 
 
 @torch.no_grad()
@@ -79,8 +102,7 @@ def _fits(name: str, value: Tensor | None, parameter: Tensor) -> bool:
 
 def _read(path: str | os.PathLike[str], model: GRMM) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     """Parameters by name, and people's codes [Z] by name."""
-    named = weights_path(str(path))
-    path = named if not Path(path).exists() and named.exists() else path
+    path = _found(path)
     tensors, metadata = read_tensors(path)
     state = read_state(metadata)
     if state is None:
@@ -93,6 +115,12 @@ def _read(path: str | os.PathLike[str], model: GRMM) -> tuple[dict[str, Tensor],
             if name.startswith(kind):
                 found[name[len(kind) :]] = torch.from_numpy(np.array(array))
     return found, _by_name(state.get("people", ()), found.pop(_CODES, torch.zeros(0, 0)))
+
+
+def _found(path: str | os.PathLike[str]) -> str | os.PathLike[str]:
+    """The file, or the weights of the package of that name."""
+    named = weights_path(str(path))
+    return named if not Path(path).exists() and named.exists() else path
 
 
 def _by_name(names: Sequence[str], codes: Tensor) -> dict[str, Tensor]:

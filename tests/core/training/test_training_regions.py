@@ -9,8 +9,10 @@ from model_fixtures import ColoredSpheres, small_head, train_spheres
 from model_fixtures import quiet_config as config
 
 from grmm_core.errors import ConfigError
+from grmm_core.model.grmm import GRMM
+from grmm_core.model.layout import TexelLayout
 from grmm_core.model.renewed import carried_over
-from grmm_core.model.weights import load_weights
+from grmm_core.model.weights import load_weights, save_weights
 from grmm_core.training.config import load_config
 from grmm_core.training.trainer import Trainer
 
@@ -108,3 +110,17 @@ def test_what_cannot_be_trained_is_explained(head, trained, tmp_path):
     with pytest.raises(ConfigError, match="starts from weights"):
         config(regions=REGION)
     assert load_config("regions").region_names == ("upper_teeth", "lower_teeth", "tongue", "mouth_interior")
+
+
+def test_a_run_keeps_the_texels_of_the_weights_it_starts_from(head, trained, tmp_path):
+    """They were laid out on an earlier form of the head, where a model of today's would have others."""
+    model, info = load_weights(trained, head)
+    kept = np.sort(np.random.default_rng(0).permutation(len(model.layout))[:-7])
+    layout = TexelLayout(
+        model.layout.grid, *(getattr(model.layout, name)[kept] for name in ("texel", "face", "barycentric")), model.layout.uv
+    )
+    fewer = GRMM(head, model.config, layout)
+    save_weights(tmp_path / "fewer.safetensors", fewer, info)
+    path = renewed(head, tmp_path / "fewer.safetensors", tmp_path / "run")
+    np.testing.assert_array_equal(load_weights(path, head)[0].layout.texel, layout.texel)
+    assert len(GRMM(head, model.config).layout) == len(layout) + 7

@@ -16,7 +16,7 @@
 ``objective``          attributes drawn into a photo's camera, and their loss
 ``code_stage``         stage 1, the codes (eq. 19); ``recoloring``: the photo's colors and light
 ``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest,
-                       ``creases`` binds folds to the expression, ``lids`` are of plain skin
+                       ``creases`` binds folds to the expression, ``grain`` carries seen detail on, ``lids`` are of plain skin
 ``hair_light``         hair as the studio's light would show it; ``blurring``: planes of pictures
 ``hair_stage``         the groom that photos show, for weights without hair; ``hair_grain``: straight or coily;
                        ``face_hair``: brows, beard and lashes

@@ -48,6 +48,8 @@ INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe 
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
 HATTED = 0.5  # of the scalp's pixels: if more are hidden, the person wears a hat
 UNDER_HATS = ("bob", "crop", "pixie")
+# how much less red than skin hair must be, as a share of all channels, and of how much of it that cannot be asked
+SKIN_TINT, MOSTLY = 0.02, 0.9
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
@@ -55,6 +57,7 @@ COILY = 0.1  # of the score that strands lose which are straight where the photo
 CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
 HARDLY = 0.05  # cover by hair of what is plain skin
 BEHIND = 0.004  # metres below the skin that are still seen
+_LIKELY = 0.5  # of a pixel, from where on it is hair, or skin
 _SURE = 8  # power that labels are raised to
 
 
@@ -63,7 +66,20 @@ def hair_view(track: PhotoTrack, parts: PhotoParts, head: HeadModel) -> HairView
     vertices = head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
     labels = np.stack([getattr(parts, item.name) for item in dataclasses.fields(parts)])
     hair = parts.hair**_SURE / np.maximum((labels**_SURE).sum(0), 1e-6)  # a small network's doubts are no thin hair
-    return HairView(track.camera, vertices, track.image, hair, track.valid * (1.0 - parts.hat) * (1.0 - parts.other))
+    counts = track.valid * (1.0 - parts.hat) * (1.0 - parts.other)
+    if parts.hat.sum() > parts.hair.sum():
+        counts = counts * (1.0 - _like_skin(track.image, hair * counts > _LIKELY, parts.skin > _LIKELY))
+    return HairView(track.camera, vertices, track.image, hair, counts)
+
+
+def _like_skin(image: np.ndarray, hair: np.ndarray, skin: np.ndarray) -> np.ndarray:
+    """Pixels of the little hair beside a hat that are as red as skin or redder, [H, W] bool; none where most of it is.
+
+    There thin hair lets the temples through, ears are taken for hair, and both are in the hat's shade.
+    """
+    tint = image[..., 0] / np.maximum(image.sum(2), 1e-3)
+    found = hair & (tint > np.median(tint[skin]) - SKIN_TINT if skin.any() else False)
+    return found if found.sum() < MOSTLY * hair.sum() else np.zeros_like(found)
 
 
 def person_hair(

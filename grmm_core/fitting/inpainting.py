@@ -21,6 +21,7 @@ from ..geometry.libraries import present
 from ..model.grmm import GRMM, Attributes
 from ..splat import rasterize
 from .blurring import widened
+from .grain import grain
 from .objective import contributions
 from .photo_targets import FitView
 from .surface import INNER, SCALP, SKIN, Surface
@@ -41,6 +42,7 @@ SHADING_TEXELS, SHADING, WELL_SEEN = 5.0, 0.06, 0.5
 # of a neck: texels over which it is smoothed, how light it may be beside plain skin of the face, and of how different a color
 NECK_TEXELS, NECK_LIGHT, NECK_TINT = 5.0, (0.85, 1.0), 0.01
 BURNT = 0.15  # how much lighter than plain skin any may be beside and below the face: highlights are, and rims of light beyond
+GRAIN = (0.6, 0.2)  # of seen skin's detail that skin has which was not seen: of the face, and below the chin
 HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
 HAIR_RANGE = (0.1, 0.9)  # quantiles of the seen hair's lightness and tint that hair elsewhere keeps to
@@ -159,7 +161,8 @@ def _fill_surface(
 ) -> Tensor:  # fmt: skip
     """Changes of color [N, 3] of a head without hair, which fades from what was seen into the prior, changed as the skin is.
 
-    Only what plain skin has in common is spread far: shadows of hair and chin stay where they were seen, and fade out beyond.
+    Only what plain skin has in common is spread far, and the strength of its detail (`grain`): shadows of hair and chin stay
+    where they were seen, and fade out beyond.
     Lips, teeth and eyes have colors of their own, and a little beside where they were seen they keep the prior's.
     """
     skin = surface.group == SKIN
@@ -183,6 +186,12 @@ def _fill_surface(
     doubted = surface.beside[:, None] * (1.0 - WELL_SEEN * far.clamp(0, 1))
     seen = torch.lerp(seen - doubted * (off - SHADING * torch.tanh(off / SHADING)), neck, surface.below[:, None])
     outer = torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1))
+    plain_skin = skin & ~surface.lips & (plain > 0.5)
+    if int(plain_skin.sum()) >= _FEW_TEXELS:
+        below = surface.below
+        own = (known * (1.0 - below)).square()  # variances of own detail and of what is carried add up
+        strength = (1.0 - own).sqrt() * (GRAIN[0] + (GRAIN[1] - GRAIN[0]) * below)
+        outer = outer + strength[:, None] * grain(surface, change, plain_skin)
     parts = surface.lips | (surface.group == INNER)
     alone = surface.fill(change, known * parts, rest=PART_REST)
     return prior - start + torch.where((skin & ~surface.lips)[:, None], outer, alone)

@@ -17,11 +17,12 @@ WIDTHS = (0.05, 0.09)  # likewise: how far beside the middle of a frame the skin
 BAR_CONTRAST, CONTRAST = 0.06, 0.16  # that a line is darker than what is on both sides of it, relative to that
 CROSSED, CROOKED = 0.9, 0.03  # share of the columns; how far the bar may leave a parabola
 WIDENED = 0.025  # distances of the outer corners: blur and shadow of frames
+GAP = 0.02  # likewise: what is farther from the rest of the frames is a wrinkle, a shadow or a reflection
 EYE = 1.35  # how much larger than its outline what of an eye stays
 
 
 def thin_frames(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-    """Pixels of the frames of glasses, and other dark lines near the eyes, [H, W] bool; none without a bar.
+    """Pixels of the frames of glasses, dark lines near the eyes that hang together with a bar, [H, W] bool; none without it.
 
     Args:
         image: Display sRGB, [H, W, 3].
@@ -62,10 +63,32 @@ def thin_frames(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
         half = EYE * 0.5 * np.array([np.ptp(marks @ across), np.ptp(marks @ down) + 0.04 * unit])
         offset = np.stack([columns - centre[0], rows - centre[1]], -1)
         zone &= ((offset @ across / half[0]) ** 2 + (offset @ down / half[1]) ** 2) > 1.0
-    found = torch.from_numpy(((off > CONTRAST) & zone).astype(np.float32))[None, None]
-    reach = max(1, round(WIDENED * unit))
-    result: np.ndarray = (functional.max_pool2d(found, 2 * reach + 1, 1, reach)[0, 0].numpy() > 0.5) & zone
-    return result
+    bar = np.zeros_like(zone)
+    bar[row[np.arange(len(places)), across_bridge.argmax(1)], column[np.arange(len(places)), across_bridge.argmax(1)]] = True
+    reach, gap = (max(1, round(part * unit)) for part in (WIDENED, GAP))
+    lines = (off > CONTRAST) & zone
+    half = _connected(lines, _grown(bar, reach), gap)
+    # frames are the same on both sides of the nose
+    other = np.stack([columns, rows], -1) - 2.0 * side[..., None] * across
+    column, row = (np.clip(other[..., k].astype(int), 0, size - 1) for k, size in ((0, width), (1, height)))
+    return _grown(_connected(lines, half | _grown(half, gap)[row, column], gap), reach) & zone
+
+
+def _grown(mask: np.ndarray, reach: int) -> np.ndarray:
+    """A mask [H, W] widened by so many pixels to each side."""
+    plane = torch.from_numpy(mask.astype(np.float32))[None, None]
+    grown: np.ndarray = functional.max_pool2d(plane, 2 * reach + 1, 1, reach)[0, 0].numpy() > 0.5
+    return grown
+
+
+def _connected(mask: np.ndarray, begin: np.ndarray, gap: int) -> np.ndarray:
+    """What of a mask [H, W] hangs together with where it begins, over gaps of so many pixels."""
+    found = mask & begin
+    while True:
+        further = mask & _grown(found, gap)
+        if further.sum() == found.sum():
+            return found
+        found = further
 
 
 def _lines(light: np.ndarray, direction: np.ndarray, unit: float) -> np.ndarray:

@@ -12,7 +12,7 @@ from photo_parts import parts_of
 from grmm_core.controls.names import ALIGNED_NAMES, ARKIT_NAMES
 from grmm_core.fitting import photo_targets
 from grmm_core.fitting.chin import below_chin
-from grmm_core.fitting.inpainting import facing, fill_colors, uncut
+from grmm_core.fitting.inpainting import GRAIN, facing, fill_colors, uncut
 from grmm_core.fitting.lids import LIGHTNESS, lid_exposure, lid_share, plain_lids
 from grmm_core.fitting.objective import FIT_WEIGHTS, fit_loss
 from grmm_core.fitting.photo_targets import fit_view, project
@@ -387,6 +387,23 @@ def test_what_no_photo_shows_is_the_priors_with_the_skins_change(bare, bare_surf
     torch.testing.assert_close(filled[bare_surface.lips], prior[bare_surface.lips])  # lips are no skin
     behind = (bare_surface.group == INNER) & (places[:, 2] < -0.01)  # no further than a little beside what was seen
     torch.testing.assert_close(filled[behind], prior[behind], atol=0.02, rtol=0.0)
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.01, 0.02])
+def test_skin_that_no_photo_shows_is_as_rough_as_what_is_seen(bare, bare_surface, strength):
+    places = bare.anchor(bare.head.v_template).positions
+    skin, front = (bare_surface.group == SKIN) & ~bare_surface.lips, places[:, 2] > 0.0
+    start = torch.full((bare.gaussian_count, 3), 0.6)
+    spots = strength * torch.randn(len(start), 1, generator=torch.Generator().manual_seed(1)).expand(-1, 3)
+    filled = fill_colors(bare_surface, start, start, spots, front.to(start), *torch.zeros(2, len(start)))
+    hidden = skin & (places[:, 2] < -0.02) & (bare_surface.below == 0.0)
+    rough = float((filled - bare_surface.smooth(filled, 4.0))[hidden].std())
+    shown = float((spots - bare_surface.smooth(spots, 4.0))[skin & front].std())
+    assert abs(rough - GRAIN[0] * shown) < 0.15 * shown + 1e-4
+    low = skin & (places[:, 2] < -0.02) & (bare_surface.below == 1.0)
+    assert float((filled - bare_surface.smooth(filled, 4.0))[low].std()) < 0.4 * shown + 1e-4, "the neck is smoother"
+    kept = skin & front & (bare_surface.beside == 0.0)
+    torch.testing.assert_close(filled[kept], spots[kept], atol=0.01 + strength, rtol=0.0)
 
 
 def test_folded_lids_are_the_priors_however_dark_the_photo_shows_them(bare, bare_surface):

@@ -148,6 +148,24 @@ def face(drawn=(), yaw=10.0):
     return track, parts_of(1.0 - covered, beard=beard * covered), head
 
 
+def test_shaded_skin_beside_a_hat_does_not_tell_the_hairs_color():
+    track, _, head = face([])
+    shape = track.mask.shape
+    hat, hair, ear = (np.zeros(shape, np.float32) for _ in range(3))
+    hat[:100], hair[100:120, :150], ear[100:120, 150:200] = 1.0, 1.0, 1.0
+    image = np.broadcast_to(SKIN, (*shape, 3)).copy()
+    image[hair > 0] = 0.4  # grey
+    image[ear > 0] = SKIN * [0.7, 0.5, 0.45]  # taken for hair
+    shown, parts = replace(track, image=image), parts_of(np.zeros(shape), hat=hat, hair=hair + ear)
+    view = hair_view(shown, parts, head)
+    assert (view.counts[hair > 0] == 1.0).all()
+    assert not view.counts[ear > 0].any()
+    bare = hair_view(shown, parts_of(np.zeros(shape), hair=hair + ear), head)
+    assert (bare.counts == 1.0).all(), "without a hat hair may have any color"
+    red = hair_view(shown, parts_of(np.zeros(shape), hat=hat, hair=ear), head)
+    assert (red.counts[ear > 0] == 1.0).all(), "hair may be as red as skin"
+
+
 def test_the_shade_beside_hair_is_no_brow():
     track, parts, head = face([(BROWS, library_groom("bushy", part="brows"))])
     view = hair_view(track, parts, head)

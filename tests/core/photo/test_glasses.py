@@ -41,6 +41,32 @@ def test_frames_are_found_and_eyes_are_not():
     assert found.sum() < unit**2
 
 
+def test_wrinkles_behind_lenses_and_beside_them_are_no_frames():
+    image, marks, unit = face(True)
+    rows, columns = np.mgrid[:SIZE, :SIZE] + 0.5
+    folds = np.zeros((SIZE, SIZE), bool)
+    for outline in EYES:
+        x, y = marks[list(outline)].mean(0)
+        folds |= (np.abs(columns - x) < 0.08 * unit) & (np.abs(rows - y - 0.12 * unit) < 0.01 * unit)
+    image[folds] = 0.4
+    found = thin_frames(image, marks)
+    assert folds.any()
+    assert not found[folds].any()
+    assert found[image[..., 0] < 0.2].mean() > 0.8
+
+
+def test_frames_are_found_on_both_sides_where_one_hangs_off_the_bar():
+    image, marks, unit = face(True)
+    left, right = (marks[list(outline)].mean(0)[0] for outline in EYES)
+    gap = 0.5 * (left + right) - 0.16 * unit
+    columns = np.mgrid[:SIZE, :SIZE][1] + 0.5
+    image[np.abs(columns - gap) < 0.06 * unit] = 0.7  # a glint on the frame beside the nose
+    found = thin_frames(image, marks)
+    frames = image[..., 0] < 0.2
+    for side in (columns < gap, columns > gap):
+        assert found[frames & side].mean() > 0.7
+
+
 def test_a_bare_face_has_no_frames():
     assert not thin_frames(*face(False)[:2]).any()
     assert not thin_frames(*face(False, wrinkle=True)[:2]).any()

@@ -156,6 +156,8 @@ class Lighting:
             to_space: World to those axes: rotation, translation, one uniform scale, [4, 4]. Lengths and watts are scaled so
                 that everything looks the same: watts by the square of the scale.
         """
+        if np.array_equal(to_space, np.eye(4)):
+            return self
         linear = to_space[:3, :3]
         scale = float(np.cbrt(np.linalg.det(linear)))
         turn = linear / scale

@@ -166,15 +166,17 @@ def read(
             if len(tilts) and (bright or len(softened)):
                 fine[:] = _0
                 for step in range(3):
-                    line_of = top + step - 1
-                    for other in range(3):
-                        i = rows[line_of, left + other - 1]
-                        weight = across[other] * down[step] if i >= 0 else _0
-                        for k in range(VALUES):
-                            fine[k] += weight * tilts[i, k]
-                            fine[VALUES + k] += weight * relief[i, k]
-                        for k in range(len(softened)):
-                            fine[2 * VALUES + k] += weight * tilts[i, VALUES + k]
+                    weight, line_of = down[step], top + step - 1
+                    i, j, k = rows[line_of, left - 1], rows[line_of, left], rows[line_of, left + 1]
+                    p, q, r = across[0] if i >= 0 else _0, across[1] if j >= 0 else _0, across[2] if k >= 0 else _0
+                    p, q, r = p * weight, q * weight, r * weight
+                    for value in range(VALUES):
+                        fine[value] += p * tilts[i, value] + q * tilts[j, value] + r * tilts[k, value]
+                    for value in range(VALUES):
+                        fine[VALUES + value] += p * relief[i, value] + q * relief[j, value] + r * relief[k, value]
+                    for value in range(len(softened)):
+                        other = VALUES + value
+                        fine[VALUES + other] += p * tilts[i, other] + q * tilts[j, other] + r * tilts[k, other]
                 for axis in range(3):
                     corners[0, axis], corners[1, axis] = vertices[a, axis], vertices[b, axis]
                     corners[2, axis] = vertices[c, axis]

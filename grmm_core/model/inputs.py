@@ -8,6 +8,7 @@ Numpy only: a session without torch makes the same inputs and the same cache key
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
@@ -59,22 +60,22 @@ class ModelInputs(Generic[Array]):
 
     # What each step of the chain depends on, for caches.
 
-    @property
+    @functools.cached_property
     def identity_key(self) -> tuple[bytes, ...]:
         """What opacity depends on, and with the view direction the appearance."""
         return _keys(self.z_id)
 
-    @property
+    @functools.cached_property
     def code_key(self) -> tuple[bytes, ...]:
         """What offsets and expression colors depend on."""
         return _keys(self.z_id, self.z_exp)
 
-    @property
+    @functools.cached_property
     def shape_key(self) -> tuple[bytes, ...]:
         """What the head at rest depends on."""
         return _keys(self.shape)
 
-    @property
+    @functools.cached_property
     def mesh_key(self) -> tuple[bytes | float, ...]:
         """What the mesh depends on, and with it the Gaussians' places."""
         return (*_keys(self.z_id, self.z_exp, self.shape, self.expression, self.pose), self.strength)

@@ -291,7 +291,7 @@ def _layout(path: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], conf
 
 def _people(
     path: str | os.PathLike[str], info: WeightsInfo, tensors: Mapping[str, np.ndarray], head: HeadModel
-) -> dict[str, np.ndarray]:
+) -> dict[str, Any]:
     count, shape_size, z_id_size = len(info.people), head.shape_dirs.shape[-1], code_sizes(info.config, head)[0]
     expected = {
         "z_id": (count, z_id_size), "shapes": (count, shape_size),

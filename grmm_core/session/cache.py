@@ -25,33 +25,39 @@ class ArrayCache:
     def __init__(self, limit: int) -> None:
         self.limit = limit
         self.size = 0
-        self._entries: OrderedDict[tuple[Hashable, ...], Any] = OrderedDict()
+        self._entries: OrderedDict[tuple[Hashable, ...], Any] = OrderedDict()  # in the order of their use
+        self._kinds: dict[tuple[Hashable, ...], _Kind] = {}
 
     def get(self, key: tuple[Hashable, ...], make: Callable[[], Value]) -> Value:
         """Return the value of `key`, made by `make` if it is not there."""
         if key in self._entries:
             self._entries.move_to_end(key)
+            self._kinds[key[:2]].sizes.move_to_end(key)
             known: Value = self._entries[key]
             return known
         value = make()
+        self._forget(key)  # made within, by what asked for itself
+        size = _bytes(value)
         self._entries[key] = value
-        self.size += _bytes(value)
-        self._shorten([known for known in self._entries if known[:2] == key[:2]])
+        self.size += size
+        kind = self._kinds.setdefault(key[:2], _Kind())
+        kind.sizes[key] = size
+        kind.held += size
+        while len(kind.sizes) > FEW and (len(kind.sizes) > MANY or kind.held > SHARE * self.limit):
+            self._forget(next(iter(kind.sizes)))
         while self.size > self.limit and len(self._entries) > 1:
             self._forget(next(iter(self._entries)))
         return value
 
-    def _shorten(self, kind: list[tuple[Hashable, ...]]) -> None:
-        """Forget the oldest of some keys, in the order of their use, until there are few enough."""
-        held = sum(_bytes(self._entries[key]) for key in kind)
-        for number, key in enumerate(kind[:-FEW]):
-            if held <= SHARE * self.limit and len(kind) - number <= MANY:
-                break
-            held -= _bytes(self._entries[key])
-            self._forget(key)
-
     def _forget(self, key: tuple[Hashable, ...]) -> None:
-        self.size -= _bytes(self._entries.pop(key))
+        if self._entries.pop(key, None) is None:
+            return
+        kind = self._kinds[key[:2]]
+        size = kind.sizes.pop(key)
+        kind.held -= size
+        self.size -= size
+        if not kind.sizes:
+            del self._kinds[key[:2]]
 
     def latest(self, key: tuple[Hashable, ...], parts: tuple[Any, ...], make: Callable[[], Value]) -> Value:
         """Return what `make` makes of these very arrays; of each key only the last is kept, until there are others."""
@@ -69,7 +75,16 @@ class ArrayCache:
     def clear(self) -> None:
         """Forget everything."""
         self._entries.clear()
+        self._kinds.clear()
         self.size = 0
+
+
+class _Kind:
+    """The bytes of each value of a kind, in the order of their use, and of all."""
+
+    def __init__(self) -> None:
+        self.sizes: OrderedDict[tuple[Hashable, ...], int] = OrderedDict()
+        self.held = 0
 
 
 def _bytes(value: tuple[Any, ...]) -> int:

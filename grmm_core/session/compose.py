@@ -34,7 +34,7 @@ from ..splat.types import Gaussians, RasterOutput
 from ..wrinkles.furrows import Furrows
 from .api import CancelCheck
 from .clouds import OpenCloud
-from .evaluator import Evaluator, Inputs, OpenAvatar
+from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
 from .furrowed import furrows_of, with_furrows
 from .lit import HIGHLIGHTS, LIGHT_CHANNELS, RATIO, SHADOW, UNLIT, LitAvatar
 from .mutual_shadows import mutual_shadows
@@ -43,7 +43,7 @@ from .refining import refine
 from .shading_hair import Hair
 from .stacking import with_light
 from .values import LIGHT_PASSES, LINEAR_PASS, Instance, RenderOptions
-from .wardrobe import Wardrobe, Worn, at_rest
+from .wardrobe import Wardrobe, Worn
 
 NORMAL_CHANNELS = 3
 _FAR_SIDE = 0.05  # metres behind the skin, which lets a little of what is nearer through; a frame of playback has no more
@@ -319,7 +319,7 @@ def _light(
     if item.worn is not None and item.worn.layers:
         settings = item.worn.settings[0]
         given = tuple(hashlib.sha256(layer.points.tobytes()).digest() for layer in item.worn.layers if layer.points is not None)
-        inputs = item.inputs if given else at_rest(evaluator, item.target, item.inputs)
+        inputs = item.inputs if given else at_rest(item.target, item.inputs)
         pieces = functools.partial(wardrobe.covering, evaluator, item.target, inputs, item.worn)
         hair = Hair((*item.worn.key, settings, *given), pieces, bool(given))
     relief = softened(Eye.of(camera).pixels_per_metre())

@@ -69,6 +69,11 @@ class OpenAvatar:
         model: Model = self.loaded.model
         return model
 
+    @functools.cached_property
+    def still(self) -> Inputs:
+        """What it is drawn from without controls."""
+        return self.loaded.space.inputs(self.avatar, Controls())
+
 
 class Evaluator:
     """Computes meshes and Gaussians of open avatars through one bounded cache. Call within `Engine.calling`."""
@@ -225,3 +230,9 @@ class Evaluator:
             return tuple(a + share * (b - a) for a, b in zip(plain, own, strict=True))
 
         return self.cache.get((target.id, name, *key), make)
+
+
+def at_rest(target: OpenAvatar, inputs: Inputs) -> Inputs:
+    """The inputs of the person at rest."""
+    still = target.still
+    return dataclasses.replace(inputs, z_exp=still.z_exp, expression=still.expression, pose=still.pose, strength=still.strength)

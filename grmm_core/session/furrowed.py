@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from ..controls.frame import Controls
 from ..geometry.camera import Camera
 from ..geometry.libraries import as_like, present, to_numpy
 from ..head import load_open_head, load_people_model
@@ -38,7 +37,7 @@ def furrows_of(
         lighting: What gives light in head space, or None for the studio's; it is asked for a face that has furrows only.
     """
     head, layout = target.model.head_model, target.model.layout
-    still = evaluator.inputs(target, Controls()).expression
+    still = target.still.expression
     if not strength or np.array_equal(inputs.expression, still) or head.name != load_open_head().name:
         return None
 

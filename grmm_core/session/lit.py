@@ -13,7 +13,6 @@ from collections.abc import Hashable
 
 import numpy as np
 
-from ..controls.frame import Controls
 from ..geometry.boxes import box_around
 from ..geometry.libraries import to_numpy
 from ..light.bounce import nearest_points
@@ -31,7 +30,7 @@ from ..light.surroundings import coefficients_of, mean_irradiance
 from ..light.texel_shadows import TexelShadows
 from ..light.transfer import vertex_normals
 from ..splat.types import Gaussians
-from .evaluator import Evaluator, Inputs, OpenAvatar
+from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
 from .shading_hair import Hair
 
 RATIO, HIGHLIGHTS, FRONT, SHADOW = slice(0, 3), slice(3, 6), 6, slice(7, 8)  # of `shading.relative`
@@ -39,7 +38,6 @@ LIGHT_CHANNELS = 8
 UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0], np.float32)  # what changes nothing
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
-_RIGID = "scalp"  # region whose turn is the head's
 _BOWL = 0.5  # of light from all around that reaches the inner side of an open bust
 
 
@@ -183,10 +181,7 @@ class LitAvatar:
 
     def _rest(self) -> RestLight:
         def make() -> RestLight:
-            still = self._evaluator.inputs(self._target, Controls())
-            inputs = dataclasses.replace(
-                self._inputs, z_exp=still.z_exp, expression=still.expression, pose=still.pose, strength=still.strength
-            )
+            inputs = at_rest(self._target, self._inputs)
             vertices = to_numpy(self._evaluator.mesh(self._target, inputs).vertices).astype(np.float64)
             colors = to_numpy(self._evaluator.appearance(self._target, inputs, np.array([0.0, 0.0, 1.0]))[0])
             materials = materials_of(self._head, *self._texels[:2])
@@ -366,8 +361,8 @@ class LitAvatar:
 
     @functools.cached_property
     def _posture(self) -> Posture:
-        rigid = np.asarray(self._head.regions.get(_RIGID, np.arange(len(self._vertices))))
-        return Posture(self._rest().vertices, self._vertices, rigid)
+        inputs = self._inputs
+        return Posture(self._head, inputs.shape, self._target.still.pose, inputs.pose, self._rest().vertices)
 
     @property
     def _to_cloud(self) -> np.ndarray:

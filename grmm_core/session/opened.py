@@ -114,7 +114,7 @@ class OpenAvatars:
         plain = without_changes(avatar, loaded)
         target = OpenAvatar(_NOBODY, plain, loaded, source_key(path))
         try:
-            colors, _ = self._evaluator.appearance(target, self._evaluator.inputs(target, Controls()), FRONT)
+            colors, _ = self._evaluator.appearance(target, target.still, FRONT)
         finally:
             self._evaluator.cache.drop(_NOBODY)
         _log.warning(

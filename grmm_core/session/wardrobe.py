@@ -15,7 +15,6 @@ from typing import TypeVar
 import numpy as np
 
 from ..avatar import Hair
-from ..controls.frame import Controls
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
@@ -35,7 +34,7 @@ from ..head import HeadModel
 from ..splat.types import Gaussians
 from .cap import Cap
 from .engines import Engine
-from .evaluator import Evaluator, Inputs, OpenAvatar
+from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
 from .scalp import Skin, bare_skin, cap_color, shade
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
@@ -186,7 +185,7 @@ class Wardrobe:
         head = target.model.head_model
 
         def bare() -> Skin:
-            return bare_skin(evaluator, target, at_rest(evaluator, target, inputs), worn.own)
+            return bare_skin(evaluator, target, at_rest(target, inputs), worn.own)
 
         def make() -> Cap:
             blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
@@ -303,7 +302,7 @@ class Wardrobe:
         """Parents' points in head space and their roots' axes; of the first `count` where these are made anew."""
         from ..hair.strand_kernels import stand
 
-        rest, head = at_rest(evaluator, target, inputs), target.model.head_model
+        rest, head = at_rest(target, inputs), target.model.head_model
 
         def styled() -> tuple[np.ndarray, tuple[Shoulders, ...]]:
             local = block.styled(settings)
@@ -377,9 +376,3 @@ def _kept(known: dict[tuple[Hashable, ...], Kept], key: tuple[Hashable, ...], ma
 def with_channels(strands: Gaussians, count: int) -> Gaussians:
     """Strands with `count` feature channels of zeros."""
     return dataclasses.replace(strands, features=zeros((len(strands), count), strands.means))
-
-
-def at_rest(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs) -> Inputs:
-    """The inputs of the person at rest."""
-    rest = evaluator.inputs(target, Controls())
-    return dataclasses.replace(inputs, z_exp=rest.z_exp, expression=rest.expression, pose=rest.pose, strength=rest.strength)

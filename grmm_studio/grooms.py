@@ -167,6 +167,13 @@ def _comb_aside(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
     return _unit(_rows(rest, away, 0.10, np.where(rest[:, 2] > 0.05, 0.25, -0.25)))
 
 
+def _comb_side(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Aside from a part line that dissolves behind the crown."""
+    away = np.sign(rest[:, 0] - np.sign(s.part) * 0.036) * (1.0 - 0.8 * smoothstep(-0.01, -0.05, rest[:, 2]))
+    behind = smoothstep(0.0, -0.05, rest[:, 2])
+    return _unit(_rows(rest, away, 0.10 - 0.3 * behind, np.where(rest[:, 2] > 0.05, 0.25, -0.25) - 0.6 * behind))
+
+
 def _comb_back(s: Subject, rest: np.ndarray, at: np.ndarray) -> np.ndarray:
     return _unit(_rows(rest, 0.15 * np.sign(rest[:, 0]), np.where(rest[:, 2] > 0.03, 0.35, -0.25), -1.0))
 
@@ -199,8 +206,9 @@ def _comb_knot(name: str, s: Subject, rest: np.ndarray, at: np.ndarray) -> np.nd
 
 
 COMBS: dict[str, Callable[[Subject, np.ndarray, np.ndarray], np.ndarray]] = {
-    "none": _no_comb, "forward": _comb_forward, "aside": _comb_aside, "back": _comb_back, "swept": _comb_swept,
-    "quiff": _comb_quiff, "fringe": _comb_fringe, "parted": _comb_parted, **{name: partial(_comb_knot, name) for name in KNOTS},
+    "none": _no_comb, "forward": _comb_forward, "aside": _comb_aside, "side": _comb_side, "back": _comb_back,
+    "swept": _comb_swept, "quiff": _comb_quiff, "fringe": _comb_fringe, "parted": _comb_parted,
+    **{name: partial(_comb_knot, name) for name in KNOTS},
 }  # fmt: skip
 Comb = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

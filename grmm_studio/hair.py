@@ -217,7 +217,7 @@ def _rope(points: np.ndarray, leader: np.ndarray, which: np.ndarray, style: Styl
     count, steps = points.shape[:2]
     side, other = _across(leader)
     t = np.linspace(0, 1, steps)[None]
-    gather = smoothstep(0.0, 0.07, t)[..., None] * np.clip(g.normal(0.97, 0.05, (count, 1, 1)), 0.5, 1.0)
+    gather = smoothstep(0.0, style.wound, t)[..., None] * np.clip(g.normal(0.97, 0.05, (count, 1, 1)), 0.5, 1.0)
     radius = style.rope * (1 - 0.45 * t**3) * np.sqrt(g.random((count, 1)))
     turns = np.linalg.norm(np.diff(leader, axis=1), axis=2).sum(1)[:, None] / style.wavelength
     phase = (which * 0.618034 % 1.0)[:, None]

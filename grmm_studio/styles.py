@@ -19,7 +19,7 @@ class Style:
         length: Of the longest hair of a woman of hair length 1.
         sides: Of the sides, where the cut has any.
         mens, mens_sides: Instead of `length` and `sides`, on a man.
-        comb: "none", "forward", "aside", "back", "swept", "quiff", "fringe", "parted", or a knot of `grooms.KNOTS`.
+        comb: "none", "forward", "aside", "side", "back", "swept", "quiff", "fringe", "parted", or a knot of `grooms.KNOTS`.
         root_comb, root_down: Share of the comb and of downwards in the direction at the root.
         comb_on_top: The comb leads on top only.
         down_on_sides: Downwards leads on the sides only.
@@ -32,6 +32,7 @@ class Style:
         clumps, clumping: Number of locks and how strongly strands join them, 0..1.
         gather: Share of the length at which the locks are formed.
         rope: Radius of the ropes that locks are wound to; 0: loose hair. `braided`: in three parts.
+        wound: Share of the length on which hair joins its rope.
         curl: Radius of curls of hair without a person's own curl; `own_curl`: more by the person's.
         wavelength, curl_spread: Of a turn; how far a strand is out of step with its lock, radians.
         flat: How far curls reach out of the hair's surface, of how far they do along it: 1 are coils, less are waves.
@@ -68,6 +69,7 @@ class Style:
     gather: float = 1.0
     rope: float = 0.0
     braided: bool = False
+    wound: float = 0.07
     curl: float = 0.0
     own_curl: float = 0.0
     wavelength: float = 0.03

@@ -21,15 +21,25 @@ from grmm_studio.styles import STYLES
 STRANDS = 7000
 AROUND = 12  # roots, as far as which says how dense hair is somewhere
 # how high hair lies at most that falls from a parting or a whorl, and hair that is tied: metres at its root, a metre of its way
-FALLEN, TIED = (0.001, 0.09), (0.0012, 0.02)
+FALLS, TIED = {"parted": (0.001, 0.09), "fringe": (0.001, 0.09), "side": (0.001, 0.16)}, (0.0012, 0.02)
 RELEASED, FREE = 0.06, 0.35  # metres of its way from which on hair may rise more, and by how much a metre
 LYING = (0.045, 0.085)  # metres: height from which on hair lies on a head, and fully
 PRESSED = 0.9  # share of what is higher that is taken away
 KNOT = (0.02, 0.045)  # metres around a knot: hair rises to it
 SHOWN, TOLD = 3.0, 0.015  # how much denser roots are where neighbours part, as seen so many metres from their roots
+VEILED, OVERHANG, AHEAD = 1.8, (0.004, 0.014), (0.03, 0.06)  # likewise of ends so far from roots, before that depth, metres
 RARE = 2.2  # how much denser at most where few grow
 EAR = (0.06, 0.048, 0.005, 0.024)  # metres: what is farther out, lower, and so near to a place along the head is before an ear
 BABY = 0.02  # metres: length of such hair at most
+SHORN = (0.012, 0.024)  # metres: hair so short goes the way of those around it, longer hair its own
+ALIKE, ONE_OF, ALIGNED = 48, 6, 0.75  # so many of every so manieth around one, and the share of their way that it takes on
+STRAIGHT = 0.95  # way from its root to its end, of its length
+CANOPY, BESIDE, TOLD_BY = (
+    0.7,
+    40,
+    60_000,
+)  # the hair's surface: of the heights of so many places around one, of so many in all, the share that is lower
+SUNK = 0.85  # share of what is above that surface that is taken away
 SIDEBURN = (0.022, 0.052)  # metres: height of roots before the ears below which curls are short, and above which they are not
 SHORT_CURL = 0.15  # of their length
 
@@ -42,16 +52,21 @@ def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> 
         hangs = groom.triangles == np.bincount(groom.triangles).argmax()  # the tail, all of it from one triangle
         whole, tail = len(groom), groom.select(hangs).level(STRANDS / len(groom))
         groom, strands = groom.select(~hangs), strands[~hangs]
-        strands = _laid(_behind_ears(strands), vertices, head, *TIED, KNOTS[name])
+        strands = _level(_laid(_behind_ears(strands), vertices, head, *TIED, KNOTS[name]), vertices, head)
         some = _even(_bound(groom, strands, vertices, head), vertices, head, _rarity(strands), STRANDS * len(groom) // whole)
         return join([some, tail])
-    weight = _rarity(strands) if not style.rope else np.ones(len(groom))
-    if style.comb in ("parted", "fringe", "aside", "forward") and not style.rope:
-        if style.comb in ("parted", "fringe"):
-            strands = _laid(strands, vertices, head, *FALLEN)
-        weight = np.maximum(weight, _parting(strands))
-    elif style.way in ("out", "drooping"):
+    if style.comb in FALLS and not style.rope:
+        strands = _laid(strands, vertices, head, *FALLS[style.comb])
+    if style.way in ("out", "drooping"):
         strands = _short_sideburns(strands)
+    elif style.comb != "none" and not style.rope and not style.curl:
+        strands = _level(strands, vertices, head)
+    strands = _combed(strands)
+    weight = np.ones(len(groom)) if style.rope else _rarity(strands)
+    if style.comb in ("parted", "fringe", "aside", "side", "forward"):
+        weight = np.maximum(weight, _parting(strands))
+    if style.comb in ("fringe", "forward"):
+        weight = weight * _over_skin(strands)
     return _even(_bound(groom, strands, vertices, head), vertices, head, weight, STRANDS)
 
 
@@ -86,6 +101,41 @@ def _laid(
     return result
 
 
+def _level(strands: np.ndarray, vertices: np.ndarray, head: HeadModel) -> np.ndarray:
+    """Strands [N, K, 3] that end in a surface on top of the head: few hairs above it are hooks and beads, seen along them."""
+    result = strands.copy()
+    high = (strands[..., 1] > LYING[0]) & (np.arange(strands.shape[1]) > 0)
+    points = strands[high]
+    heights, up = Body.of(head, vertices, near=points).heights(points)
+    feet = points - heights[:, None] * up
+    some = np.random.default_rng(5).permutation(len(points))[:TOLD_BY]
+    beside = cKDTree(feet[some]).query(feet, BESIDE)[1]
+    surface = np.quantile(heights[some][beside], CANOPY, axis=1)
+    lies = smoothstep(*LYING, points[:, 1])
+    result[high] -= (SUNK * lies * np.maximum(heights - surface, 0.0))[:, None] * up
+    return result
+
+
+def _combed(strands: np.ndarray) -> np.ndarray:
+    """Strands [N, K, 3] of which the shorn ones are straight and go the way of those around them: between locks, skin shows."""
+    long = lengths_of(strands)
+    short = np.flatnonzero(long < SHORN[1])
+    if len(short) < ALIKE:
+        return strands
+    t = np.linspace(0.0, 1.0, strands.shape[1])[None, :, None]
+    root, way = strands[short, 0], strands[short, -1] - strands[short, 0]
+    some = np.arange(0, len(short), ONE_OF)
+    beside = cKDTree(root[some]).query(root, min(ALIKE, len(some)))[1]
+    turned = (way / long[short, None])[some][beside].mean(1)
+    turned *= STRAIGHT * long[short, None] / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)
+    share = smoothstep(SHORN[1], SHORN[0], long[short])[:, None]
+    bend = strands[short] - root[:, None] - t * way[:, None]
+    way += ALIGNED * share * (turned - way)
+    result = strands.copy()
+    result[short] = root[:, None] + t * way[:, None] + (1.0 - share[..., None]) * bend
+    return result
+
+
 def _behind_ears(strands: np.ndarray) -> np.ndarray:
     """Tied hair [N, K, 3] of which ends before an ear what would go over it."""
     x, y, z = np.abs(strands[..., 0]), strands[..., 1], strands[..., 2]
@@ -111,7 +161,15 @@ def _parting(strands: np.ndarray) -> np.ndarray:
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
     near = cKDTree(strands[:, 0]).query(strands[:, 0], 4 * AROUND)[1]
     alike = np.linalg.norm(way[near].mean(1), axis=1)
-    return 1.0 + SHOWN * smoothstep(0.92, 0.7, alike)
+    return 1.0 + SHOWN * smoothstep(0.92, 0.7, alike) * smoothstep(*SHORN, along[:, -1])
+
+
+def _over_skin(strands: np.ndarray) -> np.ndarray:
+    """How much denser roots of strands [N, K, 3] are whose ends lie before a face where no hair grows: else it is a veil."""
+    apart = cKDTree(strands[:, 0]).query(strands[:, -1])[0]
+    before = smoothstep(*AHEAD, strands[:, -1, 2])
+    result: np.ndarray = 1.0 + VEILED * before * smoothstep(*OVERHANG, apart)
+    return result
 
 
 def _rarity(strands: np.ndarray) -> np.ndarray:

@@ -48,13 +48,15 @@ CHANGES: dict[str, dict[str, Any]] = {
     "fade": {**_CROPPED, "messiness": 0.2},
     "mohawk": {"messiness": 0.12, "width": 0.00017},
     "slick_back": _COMBED,
-    "undercut": {**_COMBED, "length": 0.11, "width": 0.00017},
+    "undercut": {**_COMBED, "length": 0.095, "width": 0.00017},
+    "side_part": {"comb": "side"},
+    "pixie": {"comb": "side"},
     "bob": _FALLING,
     "long": _FALLING,
     "curtains": _FALLING,
     "layered": {"clumping": 0.5},
-    "braids": {"clumps": 300, "rope": 0.0027, "clearance": 0.004, "lift": 0.25, "hug": 0.7, "puff": 0.004},
-    "locs": {"clumps": 240, "rope": 0.0036, "lift": 0.3, "hug": 0.7, "puff": 0.004},
+    "braids": {"clumps": 300, "rope": 0.0027, "clearance": 0.004, "lift": 0.25, "hug": 0.7, "puff": 0.004, "wound": 0.3},
+    "locs": {"clumps": 300, "rope": 0.0034, "lift": 0.3, "hug": 0.7, "puff": 0.004, "wound": 0.3},
     "ringlets": {"clumps": 260, "clumping": 0.95, "curl_spread": 0.12, "gather": 0.2},
 }
 # styles are cut differently on women; these are a woman's

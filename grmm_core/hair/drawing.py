@@ -16,13 +16,14 @@ from ..geometry.zbuffer import EMPTY, triangle_depth
 from .ribbons import Eye
 from .roots import BROWS, LASHES, SCALP
 from .settings import HairSettings
-from .strands import StrandBlock
+from .strands import CROPPED, STUBBLE, StrandBlock
 
 DRAWN = 0.6  # px: how wide a strand should be on the picture; thinner ones are drawn as fewer, wider ones
 SPARSE = 0.2  # px: likewise for brows, beards, lashes and shorn hair, between which skin shows
 SHORT, LONG = 0.008, 0.06  # metres: mean length of hair that is drawn so, and of hair that is not
 SMALLEST_SHARE = 0.06  # of the strands
 BUDGET = 110.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
+RAISED, RAISED_SHORN = 0.001, 0.0015  # metres: see `raised_by`
 OPACITY = 0.97
 CELL = 6.0  # px: of the coarse depth that says what the head hides
 SLACK = 0.006  # metres below the skin that still count as seen
@@ -129,6 +130,17 @@ def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float, finer: 
         share = wide / (SPARSE + long * (DRAWN - SPARSE))
         shares.append(min(finer * share, most) if block.group == SCALP else share)
     return [float(np.clip(share, SMALLEST_SHARE, 1.0)) for share in shares]
+
+
+def raised_by(block: StrandBlock, lod: int) -> float:
+    """How much nearer to the eye strands are drawn than they are, metres: what Gaussians of skin would cover, in patches.
+
+    Those are shorn hair, by up to `RAISED_SHORN`, and brows where Gaussians are fewer and larger, by `RAISED`; at each level of
+    detail twice as much.
+    """
+    if block.group == SCALP:
+        return RAISED_SHORN * 2**lod * float(np.clip((CROPPED - block.length) / (CROPPED - STUBBLE), 0.0, 1.0))
+    return RAISED * 2**lod if block.group == BROWS and lod else 0.0
 
 
 def nearer(made: StrandGaussians, eye: Eye, metres: float) -> StrandGaussians:

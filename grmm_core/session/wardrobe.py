@@ -20,13 +20,13 @@ from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
 from ..hair.body import on_person, outside
 from ..hair.contact import moved as displaced
-from ..hair.drawing import Hiding, level_shares, nearer, strand_gaussians
+from ..hair.drawing import Hiding, level_shares, nearer, raised_by, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
 from ..hair.packaged import library_groom
 from ..hair.prior import random_groom
 from ..hair.ribbons import Eye
-from ..hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
+from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
 from ..hair.shoulders import Shoulders
 from ..hair.strands import StrandBlock, blocks_of
@@ -39,7 +39,6 @@ from .scalp import Skin, bare_skin, cap_color, shade
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
-_RAISED = 0.001  # metres, at each level of detail twice as many: larger Gaussians of skin would cover brows
 READY = 12  # grooms that are kept ready
 Kept = TypeVar("Kept")
 _HIDING_ISLAND = 0  # of the UV map: the skin hides hair, eyes and teeth are behind it
@@ -239,8 +238,9 @@ class Wardrobe:
             if block.group == LASHES:  # also of curves: small triangles would twist them
                 points = self._on_lids(head, layer, settings, vertices, block, points)
             made = strand_gaussians(block, points, axes, settings, share, eye, hiding, direction, fewer)
-            if block.group == BROWS and lod and eye is not None:
-                made = nearer(made, eye, _RAISED * 2**lod)
+            raised = raised_by(block, lod)
+            if raised and eye is not None:
+                made = nearer(made, eye, raised)
             parts.append(made)
         return Gaussians(*(self._engine.array(np.concatenate(arrays)) for arrays in zip(*parts, strict=True)))
 

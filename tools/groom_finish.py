@@ -61,7 +61,8 @@ def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> 
         strands = _short_sideburns(strands)
     elif style.comb != "none" and not style.rope and not style.curl:
         strands = _level(strands, vertices, head)
-    strands = _combed(strands)
+    if not style.curl:
+        strands = _combed(strands)
     weight = np.ones(len(groom)) if style.rope else _rarity(strands)
     if style.comb in ("parted", "fringe", "aside", "side", "forward"):
         weight = np.maximum(weight, _parting(strands))

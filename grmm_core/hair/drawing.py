@@ -16,7 +16,7 @@ from ..geometry.zbuffer import EMPTY, triangle_depth
 from .ribbons import Eye
 from .roots import BROWS, LASHES, SCALP
 from .settings import HairSettings
-from .strands import CROPPED, STUBBLE, StrandBlock
+from .strands import StrandBlock, shortness
 
 DRAWN = 0.6  # px: how wide a strand should be on the picture; thinner ones are drawn as fewer, wider ones
 SPARSE = 0.2  # px: likewise for brows, beards, lashes and shorn hair, between which skin shows
@@ -139,7 +139,7 @@ def raised_by(block: StrandBlock, lod: int) -> float:
     detail twice as much.
     """
     if block.group == SCALP:
-        return RAISED_SHORN * 2**lod * float(np.clip((CROPPED - block.length) / (CROPPED - STUBBLE), 0.0, 1.0))
+        return RAISED_SHORN * 2**lod * float(shortness(np.asarray(block.length)))
     return RAISED * 2**lod if block.group == BROWS and lod else 0.0
 
 

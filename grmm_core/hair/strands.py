@@ -106,7 +106,7 @@ class StrandBlock:
     @functools.cached_property
     def softness(self) -> np.ndarray:
         """Power of the strands that a drawn one stands for by which it is fainter and wider, of the parents, float32 [M]."""
-        return (SOFT + (SOFTEST - SOFT) * _short(self.lengths)).astype(np.float32)
+        return (SOFT + (SOFTEST - SOFT) * shortness(self.lengths)).astype(np.float32)
 
     @functools.cached_property
     def segment_tints(self) -> np.ndarray | None:
@@ -267,14 +267,14 @@ def _block(
     elif group == BEARD:  # a record has too few: they are more by these, and finer where they are long
         children = int(np.clip(round(BEARD_HAIRS / len(groom)), 1, BEARD_CHILDREN))
         finer = np.minimum(widths, widths * (BEARD_WIDE / widths[:, :1].clip(1e-6)))
-        widths = widths + (1.0 - _short(lengths))[:, None] * (children * finer - widths)
+        widths = widths + (1.0 - shortness(lengths))[:, None] * (children * finer - widths)
     g = np.random.default_rng(len(groom))
     total = len(groom) * children
     owner = np.tile(np.arange(len(groom), dtype=np.int32), children)
     spread = _spread(groom, owner, vertices, faces, g)
     if group in (SCALP, BEARD):
         fresh = slice(len(groom), total)  # the children
-        shorter = _short(lengths)[:, None] * SHORTER if group == SCALP else np.full((len(groom), 1), BEARD_SHORTER)
+        shorter = shortness(lengths)[:, None] * SHORTER if group == SCALP else np.full((len(groom), 1), BEARD_SHORTER)
         left = 1.0 - g.random((total, 1))[fresh] * shorter[owner[fresh]]
         ends = local[:, -1].astype(float)
         if group == BEARD:  # one that was grown hair by hair stands off, each its own way
@@ -298,7 +298,7 @@ def lengths_of(points: np.ndarray) -> np.ndarray:
     return lengths
 
 
-def _short(lengths: np.ndarray) -> np.ndarray:
+def shortness(lengths: np.ndarray) -> np.ndarray:
     """How far strands of lengths in metres count as short, 1..0."""
     return np.clip((CROPPED - lengths) / (CROPPED - STUBBLE), 0.0, 1.0)
 
@@ -330,7 +330,7 @@ def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.nda
     turn, far = np.arange(total) // len(groom) / (total // len(groom)), np.sqrt(g.random(total))
     angle = 2 * np.pi * (g.random(len(groom))[owner] + turn)
     root = np.stack([far * np.cos(angle), far * np.sin(angle), np.zeros(total)], 1) * ROOT_SPREAD
-    short = _short(lengths_of(groom.points.reshape(len(groom), -1, 3)))[owner, None]  # does not hang together in wisps
+    short = shortness(lengths_of(groom.points.reshape(len(groom), -1, 3)))[owner, None]  # does not hang together in wisps
     tip = (TOGETHER + (1.0 - TOGETHER) * short) * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
     spread = root_distance(groom, vertices, faces) * np.stack([root, tip], 1)
     spread[: len(groom)] = 0.0

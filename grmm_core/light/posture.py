@@ -15,7 +15,6 @@ from .lamps import Lamp, Lighting
 
 _NECK = JOINT_NAMES.index("neck")
 _PLACES = 5  # of numbers that a turn is known by
-_HERE = np.eye(4)
 
 
 class Posture:
@@ -59,8 +58,6 @@ class Posture:
 
     def moved(self, lamp: Lamp, to_space: np.ndarray) -> Lamp:
         """A lamp in other axes, which `to_space` [4, 4] leads to; kept."""
-        if np.array_equal(to_space, _HERE):
-            return lamp
         key = lamp, to_space.tobytes()
         if key not in self._lamps:
             self._lamps[key] = Lighting((lamp,)).in_space(to_space).lamps[0]

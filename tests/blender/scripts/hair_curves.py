@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+from mathutils import kdtree
 from render_support import heads, load_png, new_scene, render
 from support import module, report
 
@@ -202,7 +203,11 @@ curves.update_tag()
 family, fine = evaluated()
 read = worn().strands
 scalp = np.array([item.value for item in data.attributes["grmm_part"].data]) == 1
-near = np.linalg.norm(family[len(whole) :, None, 0] - whole[None, ::7, 0], axis=2).min(1)
+parents = kdtree.KDTree(len(whole))
+for number, strand in enumerate(whole):
+    parents.insert(strand[0], number)
+parents.balance()
+near = np.array([parents.find(strand[0])[2] for strand in family[len(whole) :]])
 report(
     most=most,
     family=(len(family) - len(whole)) / scalp.sum(),

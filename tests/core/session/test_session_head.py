@@ -12,7 +12,9 @@ from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileFormatError
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_flame
-from grmm_core.session import Instance, RenderOptions, create_session
+from grmm_core.light.lamps import Lighting, Sun
+from grmm_core.light.shading import Response
+from grmm_core.session import Instance, RenderOptions, create_session, make_local_session
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +37,20 @@ def test_weights_of_a_flame_head(files, mode):
         assert np.abs(mesh.vertices - rest.vertices).max() > 0.005
         alpha = session.render([Instance(info.id)], Camera.orbit(48, 48), RenderOptions(passes=("alpha",)))["alpha"]
         assert alpha.max() > 0.5
+
+
+@pytest.mark.parametrize("engine", ["plain", "torch"])
+def test_a_flame_head_is_lit_with_an_open_jaw_and_a_turned_neck(files, engine):
+    with make_local_session(files[1], "cpu", 1, files[0], engine) as session:
+        head = Instance(session.open("default").id, Controls().set_named({"jawOpen": 0.7, "neck.y": 0.5}), response=Response())
+        sides = []
+        for x in (1.0, -1.0):
+            options = RenderOptions(lighting=Lighting((Sun(direction=(x, 0.0, 0.0), strength=3.0),)))
+            picture = session.render([head], Camera.orbit(48, 48), options)["rgb"]
+            assert np.isfinite(picture).all()
+            sides.append(picture)
+        left, right = ((sides[0] - sides[1])[:, part].mean() for part in (slice(24, None), slice(24)))
+        assert left > 0.02 > -0.02 > right  # the subject's left is on the right
 
 
 def test_weights_of_a_flame_head_without_the_file(files):

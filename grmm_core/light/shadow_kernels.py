@@ -267,3 +267,41 @@ def at_edges(long: np.ndarray, beside: np.ndarray, step: float, known: np.ndarra
             found[count] = j
             count += 1
     return count
+
+
+@compiled(**OPTIONS)
+def places_along(
+    number: np.ndarray, long: np.ndarray, along: np.ndarray, beside: np.ndarray, corners: np.ndarray, points: np.ndarray,
+    normals: np.ndarray, vertices: np.ndarray, steps: np.ndarray, there: np.ndarray, turned: np.ndarray,
+) -> None:  # fmt: skip
+    """Write places on long texels and their normals, [K * P, 3] each; see `texel_shadows.TexelShadows._places`.
+
+    Args:
+        number: Of the texels among the long ones, [K].
+        long: Of `TexelShadows`, [M].
+        along: Likewise, [M, 3].
+        beside: Likewise, [M, 2].
+        corners: Likewise, [M, 3].
+        points: Of all texels, [N, 3].
+        normals: Likewise, [N, 3].
+        vertices: [V, 3].
+        steps: Where the places are, in half lengths of a texel, [P].
+        there: Written, the places.
+        turned: Written, the normals.
+    """
+    for j in range(len(number)):
+        m = number[j]
+        own, before, behind = long[m], beside[m, 0], beside[m, 1]
+        whole = before != own and behind != own
+        for axis in range(3):
+            here = points[own, axis]
+            if whole:
+                way = _HALF * (points[behind, axis] - points[before, axis])
+                bend = _HALF * (points[before, axis] + points[behind, axis]) - here
+            else:
+                way, bend = _0, _0
+                for k in range(3):
+                    way += along[m, k] * vertices[corners[m, k], axis]
+            for p in range(len(steps)):
+                there[j * len(steps) + p, axis] = here + steps[p] * (way + steps[p] * bend)
+                turned[j * len(steps) + p, axis] = normals[own, axis]

@@ -138,9 +138,8 @@ class TexelShadows(NamedTuple):
         number = self._at_edges(known)
         if not len(number):
             return
-        some, points = self.long[number], self._places(number, receivers.points, vertices)
-        there = dataclasses.replace(receivers, points=points, normals=np.repeat(receivers.normals[some], len(_PLACES), 0))
-        known[some] = maps.seen(there).reshape(-1, len(_PLACES)) @ _WEIGHTS
+        some, places = self.long[number], self._places(number, receivers, vertices)
+        known[some] = maps.seen(places).reshape(-1, len(_PLACES)) @ _WEIGHTS
 
     def _at_edges(self, known: np.ndarray) -> np.ndarray:
         """Which of the long texels lie at the edge of a shadow, [K]."""
@@ -153,16 +152,25 @@ class TexelShadows(NamedTuple):
         found = np.empty(len(self.long), np.int32)
         return found[: at_edges(self.long, self.beside, np.float32(_STEP), known, found)]
 
-    def _places(self, number: np.ndarray, points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-        """Places on some of the long texels, `_PLACES` on each, [K * P, 3]; points of all texels [N, 3].
+    def _places(self, number: np.ndarray, receivers: Receivers, vertices: np.ndarray) -> Receivers:
+        """Places on some of the long texels, `_PLACES` on each, [K * P], with the normals of the texels.
 
         They lie on the curve through the texels beside: a plane would leave a hollow neck, and be dark below it.
         """
-        own, ends = self.long[number], self.beside[number]
-        axis = np.einsum("mk,mkx->mx", self.along[number], vertices[self.corners[number]])
-        whole = (ends != own[:, None]).all(1)[:, None]
-        before, here, behind = points[ends[:, 0]], points[own], points[ends[:, 1]]
-        axis = np.where(whole, 0.5 * (behind - before), axis)
-        bend = np.where(whole, 0.5 * (before + behind) - here, 0.0)
-        steps = _PLACES[:, None]
-        return (here[:, None] + steps * axis[:, None] + steps**2 * bend[:, None]).reshape(-1, 3).astype(np.float32)
+        points = receivers.points
+        if compiled_kernels() is None:
+            own, ends = self.long[number], self.beside[number]
+            axis = np.einsum("mk,mkx->mx", self.along[number], vertices[self.corners[number]])
+            whole = (ends != own[:, None]).all(1)[:, None]
+            before, here, behind = points[ends[:, 0]], points[own], points[ends[:, 1]]
+            axis = np.where(whole, 0.5 * (behind - before), axis)
+            bend = np.where(whole, 0.5 * (before + behind) - here, 0.0)
+            steps = _PLACES[:, None]
+            there = (here[:, None] + steps * axis[:, None] + steps**2 * bend[:, None]).reshape(-1, 3).astype(np.float32)
+            return dataclasses.replace(receivers, points=there, normals=np.repeat(receivers.normals[own], len(_PLACES), 0))
+        from .shadow_kernels import places_along
+
+        given = (np.ascontiguousarray(array, np.float32) for array in (points, receivers.normals, vertices))
+        there, normals = np.empty((2, len(number) * len(_PLACES), 3), np.float32)
+        places_along(number, *self[1:], *given, _PLACES, there, normals)
+        return dataclasses.replace(receivers, points=there, normals=normals)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar
@@ -15,7 +16,8 @@ class ArrayCache:
     """Least-recently-used cache of tuples of arrays or tensors.
 
     The first part of a key is its owner, the second one says of what kind the value is. Of each kind of an owner no more
-    than the latest are kept, so that memory does not grow with the frames that a head has played.
+    than the latest are kept, so that memory does not grow with the frames that a head has played. Several threads may ask at a
+    time; what two of them lack at once, both make.
 
     Attributes:
         limit: Bytes of data to keep; the newest entry stays even if it alone is larger.
@@ -27,16 +29,23 @@ class ArrayCache:
         self.size = 0
         self._entries: OrderedDict[tuple[Hashable, ...], Any] = OrderedDict()  # in the order of their use
         self._kinds: dict[tuple[Hashable, ...], _Kind] = {}
+        self._lock = threading.RLock()
 
     def get(self, key: tuple[Hashable, ...], make: Callable[[], Value]) -> Value:
         """Return the value of `key`, made by `make` if it is not there."""
-        if key in self._entries:
-            self._entries.move_to_end(key)
-            self._kinds[key[:2]].sizes.move_to_end(key)
-            known: Value = self._entries[key]
-            return known
+        with self._lock:
+            if key in self._entries:
+                self._entries.move_to_end(key)
+                self._kinds[key[:2]].sizes.move_to_end(key)
+                known: Value = self._entries[key]
+                return known
         value = make()
-        self._forget(key)  # made within, by what asked for itself
+        with self._lock:
+            self._keep(key, value)
+        return value
+
+    def _keep(self, key: tuple[Hashable, ...], value: tuple[Any, ...]) -> None:
+        self._forget(key)  # made within, by what asked for itself, or on another thread
         size = _bytes(value)
         self._entries[key] = value
         self.size += size
@@ -47,7 +56,6 @@ class ArrayCache:
             self._forget(next(iter(kind.sizes)))
         while self.size > self.limit and len(self._entries) > 1:
             self._forget(next(iter(self._entries)))
-        return value
 
     def _forget(self, key: tuple[Hashable, ...]) -> None:
         if self._entries.pop(key, None) is None:

@@ -24,7 +24,7 @@ from ..light.mesh_light import NOT_SOFTENED, LitSurface, TexelGrid
 from ..light.posture import Posture
 from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
 from ..light.shading import FADING, Learned, Response, facing, relative, shade
-from ..light.shadows import Casters, Maps, Receivers, maps_of
+from ..light.shadows import Casters, Maps, Receivers, compiled_kernels, maps_of
 from ..light.skin_relief import VALUES, lying
 from ..light.surroundings import coefficients_of, mean_irradiance
 from ..light.texel_shadows import TexelShadows
@@ -106,13 +106,9 @@ class LitAvatar:
         return LitSurface(grid, self._vertices, light, self._tilts, self._lying() if detail else None, detail, self._softened)
 
     def _skin(self, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        rest = self._rest()
+        rest = self._rest
         turn = self._posture.turn
-        asked = self._asked(eye)
-        split = (asked, asked[:0]) if self._lod else self._texel_shadows.split(asked)
-        seen = np.array([self._seen(lamp, asked, split) for lamp in self.lamps], np.float32).reshape(
-            -1, len(self._drawn.corners)
-        )
+        seen = self._all_seen(self._asked(eye))
         light = self.lamps, self._receivers, seen, self._materials(), rest.transfer[self._rows], eye
         tilts = np.empty((0 if self._lod else len(self._drawn.corners), VALUES + len(self._softened)), np.float32)
         around = coefficients_of(self._lighting.surroundings, turn.T)
@@ -134,7 +130,7 @@ class LitAvatar:
         rows = self._evaluator.cache.get((self._target.id, "eyes", self._lod), lambda: (on_eyes(self._head, corners),))[0]
         normals = bulged(self._head, self._vertices, corners[rows], held.normals[rows]).astype(np.float32)
         there = dataclasses.replace(held, points=held.points[rows], normals=normals)
-        light = self.lamps, there, seen[:, rows], self._materials().taken(rows), self._rest().transfer[self._rows][rows], eye
+        light = self.lamps, there, seen[:, rows], self._materials().taken(rows), self._rest.transfer[self._rows][rows], eye
         highlights[rows] = shade(*light, around, self._response, turn).highlights
 
     def _asked(self, eye: np.ndarray) -> np.ndarray:
@@ -174,21 +170,10 @@ class LitAvatar:
     def _lying(self) -> np.ndarray:
         def make() -> tuple[np.ndarray]:
             layout = self._target.model.layout
-            return (lying(self._head, self._rest().vertices, layout.uv, layout.grid, layout.face),)
+            return (lying(self._head, self._rest.vertices, layout.uv, layout.grid, layout.face),)
 
         key = (self._target.id, "relief", *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, make)[0]
-
-    def _rest(self) -> RestLight:
-        def make() -> RestLight:
-            inputs = at_rest(self._target, self._inputs)
-            vertices = to_numpy(self._evaluator.mesh(self._target, inputs).vertices).astype(np.float64)
-            colors = to_numpy(self._evaluator.appearance(self._target, inputs, np.array([0.0, 0.0, 1.0]))[0])
-            materials = materials_of(self._head, *self._texels[:2])
-            return RestLight.of(self._head, self._texels, materials, vertices, colors, self._texel_shadows)
-
-        key = (self._target.id, "lit rest", *self._inputs.identity_key, *self._inputs.shape_key)
-        return self._evaluator.cache.get(key, make)
 
     def _learned(self, towards: np.ndarray) -> np.ndarray:
         """Highlights of the rig that colors hold already, seen from a direction [3] in the axes of the head at rest, [N, 3].
@@ -198,10 +183,33 @@ class LitAvatar:
         direction = np.round(towards / max(float(np.linalg.norm(towards)), 1e-9) * _VIEWS) / _VIEWS
 
         def make() -> tuple[np.ndarray]:
-            return (self._rest().learned(direction * _VIEW_DISTANCE, self._texels, self._materials(), self._rows),)
+            return (self._rest.learned(direction * _VIEW_DISTANCE, self._texels, self._materials(), self._rows),)
 
         person = (*self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get((self._target.id, "learned", direction.tobytes(), self._lod, *person), make)[0]
+
+    def _all_seen(self, asked: np.ndarray) -> np.ndarray:
+        """Which part of each lamp the skin sees at `asked` numbers of Gaussians, [L, N]: lamps side by side on all threads."""
+        split = (asked, asked[:0]) if self._lod else self._texel_shadows.split(asked)
+        distinct = list(dict.fromkeys(self.lamps))  # two threads must not write what is known of one
+        found: dict[Lamp, np.ndarray] = {}
+        # what lamps share is made once, and not by each of their threads
+        _ = self._rest, self._receivers, self._casters, self._grid, self._cloud, self._occluders_key
+
+        def look(number: int) -> None:
+            found[distinct[number]] = self._seen(distinct[number], asked, split)
+
+        if compiled_kernels() is None:
+            for number in range(len(distinct)):
+                look(number)
+        else:
+            from ..compute.threads import for_each
+
+            for_each(len(distinct), look)
+        parts = np.empty((len(self.lamps), len(self._drawn.corners)), np.float32)
+        for row, lamp in zip(parts, self.lamps, strict=True):
+            row[:] = found[lamp]
+        return parts
 
     def _seen(self, lamp: Lamp, asked: np.ndarray, split: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """Which part of a lamp the skin sees at `asked` numbers of Gaussians, [N]; not to be written to.
@@ -252,7 +260,7 @@ class LitAvatar:
             return cloud.through(lamp, self._vertices)
         there = self._posture.moved(lamp, self._posture.to_rest)
         key = (self._target.id, "through", self._hair.key, repr(there), *self._inputs.identity_key, *self._inputs.shape_key)
-        return self._evaluator.cache.get(key, lambda: (cloud.through(there, self._rest().vertices),))[0]
+        return self._evaluator.cache.get(key, lambda: (cloud.through(there, self._rest.vertices),))[0]
 
     def _between(self, lamp: Lamp, grid: LightGrid, to_cloud: np.ndarray) -> np.ndarray:
         """What hair leaves of a lamp's light at places of a grid in axes from which `to_cloud` [4, 4] leads, [X, Y, Z].
@@ -280,7 +288,7 @@ class LitAvatar:
 
     def _rig_in_hair(self) -> Reaching:
         """Which part of the rig's lamps reaches hair on the head at rest, carried along by the head's turn."""
-        rest, back = self._rest(), self._posture.to_rest
+        rest, back = self._rest, self._posture.to_rest
         low, high = self._posture.rest_box
         grid = LightGrid.around(low - _AROUND, high + _AROUND)
         person = (*self._inputs.identity_key, *self._inputs.shape_key)
@@ -304,6 +312,18 @@ class LitAvatar:
         return hashlib.blake2b(self._lighting.occluders.tobytes(), digest_size=16).digest()
 
     # --- geometry --------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _rest(self) -> RestLight:
+        def make() -> RestLight:
+            inputs = at_rest(self._target, self._inputs)
+            vertices = to_numpy(self._evaluator.mesh(self._target, inputs).vertices).astype(np.float64)
+            colors = to_numpy(self._evaluator.appearance(self._target, inputs, np.array([0.0, 0.0, 1.0]))[0])
+            materials = materials_of(self._head, *self._texels[:2])
+            return RestLight.of(self._head, self._texels, materials, vertices, colors, self._texel_shadows)
+
+        key = (self._target.id, "lit rest", *self._inputs.identity_key, *self._inputs.shape_key)
+        return self._evaluator.cache.get(key, make)
 
     @functools.cached_property
     def _rows(self) -> np.ndarray | slice:
@@ -362,7 +382,7 @@ class LitAvatar:
     @functools.cached_property
     def _posture(self) -> Posture:
         inputs = self._inputs
-        return Posture(self._head, inputs.shape, self._target.still.pose, inputs.pose, self._rest().vertices)
+        return Posture(self._head, inputs.shape, self._target.still.pose, inputs.pose, self._rest.vertices)
 
     @property
     def _to_cloud(self) -> np.ndarray:

@@ -11,7 +11,7 @@ from grmm_core.light.lamps import Sun, soft_box
 from grmm_core.light.materials import curvature
 from grmm_core.light.resting import Texels, casters_of
 from grmm_core.light.shading import facing
-from grmm_core.light.shadows import maps_of
+from grmm_core.light.shadows import Receivers, maps_of
 from grmm_core.light.texel_shadows import TexelShadows
 from grmm_core.light.transfer import vertex_normals
 from grmm_core.model.layout import texel_layout
@@ -101,19 +101,26 @@ def test_the_edge_of_a_shadow_is_even_on_the_long_texels_of_a_neck(head, lying, 
     assert few[lying.long].mean() == pytest.approx(point_by_point[lying.long].mean(), abs=0.01)
 
 
-def test_long_texels_are_looked_at_where_the_skin_is_hollow_and_not_below_it():
+@pytest.mark.parametrize("compiled", [True, False])
+def test_long_texels_are_looked_at_where_the_skin_is_hollow_and_not_below_it(compiled, monkeypatch):
+    if not compiled:
+        monkeypatch.setattr(texel_shadows, "compiled_kernels", lambda: None)
     angles, radius = np.array([-0.15, 0.0, 0.15]), 0.06  # texels of 9 mm on a hollow neck
     points = radius * np.stack([np.zeros(3), np.sin(angles), 1.0 - np.cos(angles)], -1)
     plane = np.array([[0.0, 0.0, 0.0], [0.0, 0.009, 0.0], [0.009, 0.0, 0.0]])
     one, ends = np.array([1], np.int32), np.array([[0, 2]], np.int32)
     along = np.array([[-1.0, 1.0, 0.0]], np.float32)
     lying = TexelShadows(np.full((3, 4), -1, np.int32), one, along, ends, np.array([[0, 1, 2]], np.int32))
-    places = lying._places(np.array([0]), points, plane)
+    normals = np.array([[0.0, 0.1, 1.0], [0.0, 0.0, 1.0], [0.0, -0.1, 1.0]])
+    on_neck = Receivers.around(points.astype(np.float32), normals.astype(np.float32))
+    there = lying._places(np.array([0], np.int32), on_neck, plane)
+    places = there.points
+    assert there.normals == pytest.approx(np.tile([0.0, 0.0, 1.0], (len(places), 1)))
     away = radius - np.linalg.norm(places - [0.0, 0.0, radius], axis=1)
     assert np.abs(away).max() < 5e-5
     assert np.ptp(places[:, 1]) == pytest.approx(1.8 * 0.009, rel=0.02)
-    alone = lying._replace(beside=np.array([[1, 2]], np.int32))._places(np.array([0]), points, plane)
-    assert np.abs(alone[:, 2]).max() == 0.0  # beside the edge of the grid: in the plane of its face
+    alone = lying._replace(beside=np.array([[1, 2]], np.int32))._places(np.array([0], np.int32), on_neck, plane)
+    assert np.abs(alone.points[:, 2]).max() == 0.0  # beside the edge of the grid: in the plane of its face
 
 
 def test_points_of_flat_faces_lie_nearer_to_the_round_form_and_never_below_the_faces(head, texels, receivers):

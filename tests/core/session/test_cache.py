@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import functools
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -51,3 +54,17 @@ def test_all_kinds_together_stay_within_the_limit():
     for kind in range(100):
         cache.get((1, f"kind {kind}"), lambda: _value(3000))
         assert cache.size <= LIMIT
+
+
+def test_threads_that_ask_at_a_time_leave_the_count_right():
+    cache = ArrayCache(LIMIT)
+
+    def play(avatar):
+        for frame in range(400):
+            size = 100 + frame % 90
+            assert cache.get((avatar % 2, "mesh", size), functools.partial(_value, size))[0].nbytes == size
+
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(play, range(4)))
+    held = sum(value[0].nbytes for value in cache._entries.values())
+    assert cache.size == held == sum(kind.held for kind in cache._kinds.values()) > 0

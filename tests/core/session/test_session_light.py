@@ -114,6 +114,14 @@ def test_a_sun_lights_the_side_that_it_stands_on_and_things_throw_shadows(sessio
     assert halves(shadow)[0] > halves(shadow)[1]
 
 
+def test_two_lamps_in_one_place_are_one_of_twice_the_power(session):
+    """Lamps are looked at side by side: what is known of one is written once, strands' shadow on the skin included."""
+    box = soft_box(60, 30, 1.5, 0.5, 30.0)
+    twice = drawn(session, Lighting((box, box)), hair=HairUse())["linear"]
+    strong = drawn(session, Lighting((replace(box, strength=60.0),)), hair=HairUse())["linear"]
+    np.testing.assert_allclose(twice, strong, atol=2e-3)
+
+
 def test_heads_throw_shadows_on_one_another(session):
     number, aside, afar = session.open("default").id, np.eye(4), np.eye(4)
     aside[0, 3], afar[0, 3] = 0.35, -0.35  # where the sun stands, and on the other side

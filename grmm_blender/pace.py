@@ -3,7 +3,7 @@
 There are several ways to show a scene: Gaussians in levels of detail, a small picture of the CPU rasteriser (`PICTURE`), which
 a slow graphics card only has to stretch, and the mesh alone, which Blender moves by itself. What each costs is measured, in
 making and in drawing. While something moves, the finest way within the time of a frame is used. Where Blender alone takes
-longer than that, a way may take `SHARE` of Blender's own time, so that splats never cost more of the rate than that.
+longer than that, a way may take `SHARE` of Blender's own time, so that splats never cost more of the rate than a fifth.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from ..grmm_core.session import MAX_LOD
 
 PICTURE = MAX_LOD + 1
 """The way after the coarsest Gaussians."""
-SHARE = 0.2
+SHARE = 0.25  # of Blender's own time: a fifth less of its rate
 _SMOOTHING = 0.5  # weight of the newest measurement
 _FEWER = 2.0  # time of a level over that of the next: a quarter of the Gaussians, but they cover as many pixels
 _DOUBTED = 0.995  # of a measured time, with each picture that is made in a coarser way
@@ -27,14 +27,18 @@ class Pace:
         self._made: dict[int, float] = {}
         self._shown: dict[int, float] = {}
         self._others: float | None = None
-        self._warm = False
+        self._begun: set[int] = set()
 
     def record(self, way: int, seconds: float) -> None:
-        """Note how long making took. The very first time is left out: it includes loading the model."""
-        if not self._warm:
-            self._warm = True
+        """Note how long making took. A way's first time is left out: it includes loading the model and compiling."""
+        if way not in self._begun:
+            self._begun.add(way)
             return
         self._made[way] = _smoothed(self._made.get(way), seconds)
+
+    def is_begun(self, way: int) -> bool:
+        """Whether something was made in a way, so that the next will not take long to come."""
+        return way in self._begun
 
     def doubt(self, way: int) -> None:
         """Count what making took in finer ways than this as a little less: a slow moment passes, and they are tried again."""
@@ -76,9 +80,10 @@ class Pace:
         allowed = max(budget * _SLACK - others, SHARE * others)
         for way in range(finest, PICTURE + 1):
             least = 0.0 if way == PICTURE else least / _FEWER
-            if max(least, self._shown.get(way, self._made.get(way, 0.0))) <= allowed:
+            shown = self._shown.get(way, 0.0)  # of what was made while nobody waited, Blender's drawing had its part
+            if max(least, shown) <= allowed:
                 return way
-            least = max(least, self._shown.get(way, 0.0))
+            least = max(least, shown)
         return None
 
     def forget(self) -> None:

@@ -81,7 +81,8 @@ class Viewport:
             found_scene = _drawn_scene(depsgraph).in_viewport(context.space_data, use_meshes=level != PICTURE)
             self._scene = _kept_shots(found_scene, self._scene)
         self._ask(camera, level, level if playing else self._finest, playing)
-        self._drawable = self._newest(playing) or self._drawable
+        waits = playing and self._drawable is not None and self.jobs.pace.is_begun(level)
+        self._drawable = self._newest(waits) or self._drawable
         found = self._drawable
         if found is None or not self._scene.shots:
             return
@@ -90,7 +91,7 @@ class Viewport:
         if found.request is self._asked or not playing or settings.playback == FULL:
             self._show(found, camera, projection)
         if playing:
-            self._note_frame(level, started, measured)
+            self._note_frame(level, started, measured and waits)
 
     def _is_measured(self) -> bool:
         """Whether the time of the next frame of playback is taken: of the first ones shown in some way, then now and then."""
@@ -155,9 +156,9 @@ class Viewport:
             return self.jobs.pace.way(finest, scene.render.fps_base / scene.render.fps)
         return self._finest
 
-    def _newest(self, playing: bool) -> Drawable | None:
-        """What has come; while playing, what was asked for last is waited for, but not while the model is being loaded."""
-        if not playing or self._asked is None or self._drawable is None or self._drawable.request is self._asked:
+    def _newest(self, waits: bool) -> Drawable | None:
+        """What has come; frames of playback wait for what was asked for last, but not while the model is loaded and compiled."""
+        if not waits or self._asked is None or self._drawable is None or self._drawable.request is self._asked:
             return self.jobs.take()
         return self.jobs.of(self._asked, WAIT_SECONDS)
 

@@ -20,21 +20,34 @@ _PACK_BASE = 4096
 _BITS = 16  # sorted at once: numpy sorts 16-bit integers by radix
 
 
+Part = tuple[float, float, float, float]
+"""A rectangle of a picture: left, lower, right and upper edge as shares of its width and height."""
+WHOLE: Part = (0.0, 0.0, 1.0, 1.0)
+
+
 @dataclass(frozen=True)
 class Picture:
-    """What the CPU rasteriser made for a viewport, smaller than it.
+    """What the CPU rasteriser made for a part of a viewport, smaller than it.
 
     Attributes:
         color: Display RGBA, premultiplied, [H, W, 4] float32, top row first.
         depth: Camera z in metres, 0 where nothing is, [H, W] float32.
+        frame: The part of the viewport.
     """
 
     color: np.ndarray
     depth: np.ndarray
+    frame: Part = WHOLE
 
     @property
-    def part(self) -> tuple[float, float, float, float]:
-        """Where something is: left, lower, right and upper edge as shares of width and height, a pixel wider."""
+    def is_cut(self) -> bool:
+        """Whether it ends where something is, inside the viewport."""
+        edges = self.depth[:, 0], self.depth[-1], self.depth[:, -1], self.depth[0]
+        return any(edge.any() and place != whole for edge, place, whole in zip(edges, self.frame, WHOLE, strict=True))
+
+    @property
+    def part(self) -> Part:
+        """Where something is, a pixel wider."""
         rows, columns = (np.flatnonzero(self.depth.any(axis)) for axis in (1, 0))
         if not rows.size:
             return 0.0, 0.0, 0.0, 0.0

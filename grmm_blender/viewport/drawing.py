@@ -18,7 +18,7 @@ from mathutils import Matrix
 from ...grmm_core.geometry.camera import Camera
 from ...grmm_core.splat.rules import NEAR, View
 from . import shaders
-from .arrays import TEXTURE_WIDTH, Packed, Picture
+from .arrays import TEXTURE_WIDTH, WHOLE, Packed, Picture
 
 DEPTH_COVER = 0.5  # from this cover on, splats hide what Blender draws later
 PICTURE_SLACK = 0.05  # metres
@@ -104,7 +104,7 @@ class SplatPicture:
             moment = np.concatenate([depth, 0.0 * picture.color[..., :2], cover], -1)
             self._small_textures = tuple(_pixels(values[::-1]) for values in (picture.color, moment))
         with _kept_state():
-            self._draw_screen(self._small_textures, camera, projection, 0.0, picture.part)
+            self._draw_screen(self._small_textures, camera, projection, 0.0, picture)
 
     def finish(self) -> None:
         """Wait until the graphics card has drawn everything so far, so that times can be measured."""
@@ -160,21 +160,22 @@ class SplatPicture:
         camera: Camera,
         projection: np.ndarray,
         reference: float,
-        part: tuple[float, float, float, float] | None = None,
+        picture: Picture | None = None,
     ) -> None:
-        """Put color and moment into the viewport, before meshes if their depth is given; `part` of it, stretched, if any."""
+        """Put color and moment into the viewport, before meshes if their depth is given; those of a picture stretched."""
         shader = shaders.screen_shader()
         shader.bind()
         terms = projection[2, 2], projection[2, 3], projection[3, 2], projection[3, 3]
         shader.uniform_float("depth_terms", tuple(float(term) for term in terms))
-        shader.uniform_float("part", part or (0.0, 0.0, 1.0, 1.0))
-        shader.uniform_bool("stretched", [part is not None])
+        shader.uniform_float("part", WHOLE if picture is None else picture.part)
+        shader.uniform_float("frame", WHOLE if picture is None else picture.frame)
+        shader.uniform_bool("stretched", [picture is not None])
         for name, texture in zip(("colors", "moments", "meshes"), (*textures, textures[0]), strict=False):
             shader.uniform_sampler(name, texture)
         gpu.state.blend_set("ALPHA_PREMULT")
         gpu.state.depth_test_set("LESS_EQUAL")
         slack = 0.0
-        if self._mesh_batch is not None and part is None:
+        if self._mesh_batch is not None and picture is None:
             slack = ORTHO_SLACK * camera.width / camera.fx if camera.orthographic else MESH_SLACK
         # Thin cover must not hide what other tools draw behind it, so it writes no depth.
         for low, high, writes in ((SHOWN_COVER, DEPTH_COVER, False), (DEPTH_COVER, 2.0, True)):

@@ -130,7 +130,7 @@ _SCREEN_VERTEX = """
 void main()
 {
   uv = mix(part.xy, part.zw, 0.5 * corner + 0.5);
-  gl_Position = vec4(2.0 * uv - 1.0, 0.0, 1.0);
+  gl_Position = vec4(2.0 * mix(frame.xy, frame.zw, uv) - 1.0, 0.0, 1.0);
 }
 """
 
@@ -227,7 +227,8 @@ def screen_shader() -> gpu.types.GPUShader:
     info = _info(
         ("VEC4", "depth_terms"),  # of the projection matrix: [2][2], [2][3], [3][2], [3][3]
         ("VEC4", "range"),  # lowest and highest cover that is drawn, reference depth, slack (0: none)
-        ("VEC4", "part"),  # of the viewport that is drawn: lower left and upper right corner, 0 to 1
+        ("VEC4", "part"),  # of the picture that is drawn: lower left and upper right corner, 0 to 1
+        ("VEC4", "frame"),  # the picture's part of the viewport, likewise
         ("BOOL", "stretched"),  # the picture is smaller than the viewport
         ("BOOL", "srgbTarget"),  # set by Blender: whether the viewport's buffer turns linear values into sRGB
     )

@@ -20,7 +20,7 @@ from ...grmm_core.light.shading import Response
 from ...grmm_core.session import CloudArrays, RenderOptions
 from ...grmm_core.session.harmonics import harmonic_basis
 from ...grmm_core.splat.compensation import FINEST, unresolved, widened
-from ...grmm_core.splat.rules import DILATION
+from ...grmm_core.splat.rules import DILATION, NEAR
 from ...grmm_core.splat.types import GaussianArrays
 from .. import session_host
 from ..engine.pipeline import PLAYED_STRANDS, hair_of, open_instances
@@ -33,6 +33,7 @@ from .arrays import Picture, WorldGaussians
 
 HEAD_CENTRE = np.zeros(3)  # what a view direction points from, head space
 PICTURE_PIXELS = 320 * 240  # of small pictures
+REACH = 0.26  # metres around a head's origin within which its bust and hair are
 ORTHO_SETBACK = 100.0  # metres: an orthographic view sees what is behind its plane too
 _EDIT_MODES = {"EDIT", "SCULPT", "VERTEX_PAINT", "WEIGHT_PAINT", "TEXTURE_PAINT"}
 _SAME_STEP = 1e-5  # metres, and of the axes of a rotation
@@ -193,11 +194,37 @@ def _lit_colors(found: GaussianArrays, shot: AvatarShot, lighting: Lighting) -> 
 def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:
     """Return what the rasteriser makes of all of them together for a camera, in `PICTURE_PIXELS`.
 
+    Those are spent where the heads are. Where hair reaches farther than heads do, the whole view is drawn.
+
     Raises:
         GrmmError: An avatar or the session cannot be used.
     """
-    scale = min(1.0, (PICTURE_PIXELS / (camera.width * camera.height)) ** 0.5)
-    small = camera.resized(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+    picture = _picture_of(shots, camera, _reached(shots, camera))
+    return _picture_of(shots, camera, (0, 0, camera.width, camera.height)) if picture.is_cut else picture
+
+
+def _reached(shots: tuple[AvatarShot, ...], camera: Camera) -> tuple[int, int, int, int]:
+    """Left, upper, right and lower edge of the pixels where heads may be; all of them where there are clouds."""
+    everything = 0, 0, camera.width, camera.height
+    if not shots or any(shot.cloud is not None for shot in shots):
+        return everything
+    corners = np.stack(np.meshgrid(*[(-REACH, REACH)] * 3), -1).reshape(-1, 3)
+    places = np.concatenate([corners @ shot.model_to_world[:3, :3].T + shot.model_to_world[:3, 3] for shot in shots])
+    local, pixels = camera.project(places)
+    if not camera.orthographic and local[:, 2].min() <= NEAR:
+        return everything
+    limits = [camera.width, camera.height]
+    low = np.clip(np.floor(pixels.min(0)), 0, np.subtract(limits, 1)).astype(int)
+    high = np.clip(np.ceil(pixels.max(0)), low + 1, limits).astype(int)
+    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+
+
+def _picture_of(shots: tuple[AvatarShot, ...], camera: Camera, box: tuple[int, int, int, int]) -> Picture:
+    left, upper, right, lower = box
+    frame = left / camera.width, 1.0 - lower / camera.height, right / camera.width, 1.0 - upper / camera.height
+    part = camera.crop(left, upper, right - left, lower - upper)
+    scale = min(1.0, (PICTURE_PIXELS / (part.width * part.height)) ** 0.5)
+    small = part.resized(max(1, round(part.width * scale)), max(1, round(part.height * scale)))
     setback = ORTHO_SETBACK if camera.orthographic else 0.0
     matrix = small.world_to_camera.copy()
     matrix[2, 3] += setback
@@ -205,7 +232,7 @@ def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:
     options = RenderOptions(refine=False, passes=("raw", "alpha", "depth"), strands=PLAYED_STRANDS, coarse=True)
     found = session_host.get_session().render(open_instances(shots), small, options)
     color = np.concatenate([found["raw"], found["alpha"]], -1)
-    return Picture(color, np.where(found["alpha"] > 0.0, found["depth"] - setback, 0.0)[..., 0].astype(np.float32))
+    return Picture(color, np.where(found["alpha"] > 0.0, found["depth"] - setback, 0.0)[..., 0].astype(np.float32), frame)
 
 
 def _thinned(arrays: CloudArrays, lod: int) -> CloudArrays:

@@ -157,7 +157,7 @@ class Viewport:
         return self._finest
 
     def _newest(self, waits: bool) -> Drawable | None:
-        """What has come; frames of playback wait for what was asked for last, but not while the model is loaded and compiled."""
+        """What has come; frames of playback wait for what was asked for last, once the model is loaded and compiled."""
         if not waits or self._asked is None or self._drawable is None or self._drawable.request is self._asked:
             return self.jobs.take()
         return self.jobs.of(self._asked, WAIT_SECONDS)

@@ -175,6 +175,18 @@ def test_playback_shows_a_small_picture_where_drawing_is_slow(drawn):
     assert np.abs(stored["small"] - stored["level"]).mean() < 0.01
 
 
+def test_small_pictures_are_of_where_heads_are(drawn):
+    found, stored = drawn
+    (left, lower, right, upper), cut = found["frames"]
+    assert 0.0 < left < right < 1.0
+    assert 0.0 < lower < upper < 1.0
+    fine, coarse = stored["small_far"], stored["small_whole"]
+    share = (right - left) * (upper - lower)
+    assert fine.mean() * share == pytest.approx(coarse.mean(), rel=0.02)
+    assert fine.size == pytest.approx(coarse.size, rel=0.02)
+    assert cut == [0.0, 0.0, 1.0, 1.0]  # what reaches farther is not cut off
+
+
 def test_playback_does_not_wait_for_compiling_nor_judge_by_it(drawn):
     found, _ = drawn
     assert found["first_small"] == [0.0, False, True]

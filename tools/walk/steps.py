@@ -58,7 +58,7 @@ head.grmm.lighting = "STUDIO"
 for name, value in bpy.app.driver_namespace.get("walk", {}).items():
     setattr(head.grmm.hair, name, value)
 """
-_STATUSES = """
+STATUSES = """
 import sys
 result = next(module for name, module in sys.modules.items() if name.endswith("viewport.overlay")).statuses()
 """
@@ -247,7 +247,7 @@ def performance(blender: WalkedBlender) -> None:
     blender.run("bpy.context.scene.frame_set(26)")
     blender.picture("performance", 4)
     blender.run("bpy.ops.screen.animation_play()")
-    blender.picture("playing", 6, settled=False)
+    blender.picture("playing", 12, settled=False)
     blender.run("bpy.ops.screen.animation_cancel(restore_frame=False)")
     blender.picture("stopped", 4)
 
@@ -353,6 +353,6 @@ def disable_and_enable(blender: WalkedBlender) -> None:
     blender.picture("disabled", 2)
     blender.run(f"bpy.ops.preferences.addon_enable(module={name!r})")
     blender.picture("enabled", 8)
-    said = blender.run(_STATUSES)
+    said = blender.run(STATUSES)
     if said:
         raise WalkError(f"after disabling and enabling the viewport says: {said}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import threading
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -253,8 +254,12 @@ standing = in_buffer(draw)
 rig.location.x, rig.rotation_euler = 0.05, (0.0, 0.1, 0.05)
 bpy.context.view_layer.update()
 overlay._on_change()
+rests, at_rest = threading.Event(), viewport.jobs._wait_for_rest
+viewport.jobs._wait_for_rest = lambda is_outdated: rests.wait(60)
 along = in_buffer(draw)
 went_along = viewport._drawable.packed is before
+rests.set()
+viewport.jobs._wait_for_rest = at_rest
 settle()
 newest = in_buffer(draw)
 rig.location.x, rig.rotation_euler = 0.0, (0.0, 0.0, 0.0)
@@ -349,6 +354,15 @@ settle()
 small = in_buffer(lambda: draw(playing=True))
 report(first_small=[float(first.max()), counted, viewport.jobs.pace.is_begun(4)])
 stored["small"] = small
+shown = viewport._drawable.request
+far = shown.camera.resized(800, 600)
+far = far.crop(-600, -500, 2000, 1500)
+near = sources.small_picture(shown.scene.shots, far)
+whole = sources._picture_of(shown.scene.shots, far, (0, 0, far.width, far.height))
+stored["small_far"], stored["small_whole"] = near.color[..., 3], whole.color[..., 3]
+reach, sources.REACH = sources.REACH, 0.05
+report(frames=[near.frame, sources.small_picture(shown.scene.shots, far).frame])
+sources.REACH = reach
 report(small=[float(small[..., 3].max()), viewport.status(), viewport._drawable.picture is not None])
 # Without a graphics card, as here, a small picture is tried before any Gaussians.
 viewport.jobs.pace = type(viewport.jobs.pace)()
@@ -377,7 +391,6 @@ settings.playback = "FULL"
 report(full=float(in_buffer(lambda: draw(playing=True))[..., 3].max()), after=viewport.status())
 
 # An avatar that cannot be drawn says why; a splat cloud beside it is drawn all the same.
-sources = module("grmm_core.session").CloudArrays
 cloud_class = module("grmm_core.formats").SplatCloud
 build = module("grmm_blender.splats.build")
 sphere = rng.normal(size=(500, 3))

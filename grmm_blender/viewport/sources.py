@@ -205,18 +205,24 @@ def small_picture(shots: tuple[AvatarShot, ...], camera: Camera) -> Picture:
 
 def _reached(shots: tuple[AvatarShot, ...], camera: Camera) -> tuple[int, int, int, int]:
     """Left, upper, right and lower edge of the pixels where heads may be; all of them where there are clouds."""
+    size = np.array([camera.width, camera.height])
     everything = 0, 0, camera.width, camera.height
     if not shots or any(shot.cloud is not None for shot in shots):
         return everything
-    corners = np.stack(np.meshgrid(*[(-REACH, REACH)] * 3), -1).reshape(-1, 3)
-    places = np.concatenate([corners @ shot.model_to_world[:3, :3].T + shot.model_to_world[:3, 3] for shot in shots])
-    local, pixels = camera.project(places)
-    if not camera.orthographic and local[:, 2].min() <= NEAR:
+    placed = camera.world_to_camera @ np.stack([shot.model_to_world for shot in shots])
+    radius = REACH * np.linalg.norm(placed[:, :3, :3], axis=1).max(1)[:, None]  # of spheres, [A, 1]
+    across, depth = placed[:, :2, 3], placed[:, 2:3, 3]
+    if camera.orthographic:
+        low, high = across - radius, across + radius
+    elif (depth > radius + NEAR).all():
+        middle, half = np.arctan2(across, depth), np.arcsin(radius / np.hypot(across, depth))
+        low, high = np.tan(middle - half), np.tan(middle + half)
+    else:
         return everything
-    limits = [camera.width, camera.height]
-    low = np.clip(np.floor(pixels.min(0)), 0, np.subtract(limits, 1)).astype(int)
-    high = np.clip(np.ceil(pixels.max(0)), low + 1, limits).astype(int)
-    return int(low[0]), int(low[1]), int(high[0]), int(high[1])
+    focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
+    first = np.clip(np.floor((low * focal + centre).min(0)), 0, size - 1).astype(int)
+    last = np.clip(np.ceil((high * focal + centre).max(0)), first + 1, size).astype(int)
+    return int(first[0]), int(first[1]), int(last[0]), int(last[1])
 
 
 def _picture_of(shots: tuple[AvatarShot, ...], camera: Camera, box: tuple[int, int, int, int]) -> Picture:

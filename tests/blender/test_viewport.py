@@ -182,7 +182,7 @@ def test_small_pictures_are_of_where_heads_are(drawn):
     assert 0.0 < lower < upper < 1.0
     fine, coarse = stored["small_far"], stored["small_whole"]
     share = (right - left) * (upper - lower)
-    assert fine.mean() * share == pytest.approx(coarse.mean(), rel=0.02)
+    assert fine.mean() * share == pytest.approx(coarse.mean(), rel=0.05)
     assert fine.size == pytest.approx(coarse.size, rel=0.02)
     assert cut == [0.0, 0.0, 1.0, 1.0]  # what reaches farther is not cut off
 

@@ -27,19 +27,20 @@ LYING = (0.045, 0.085)  # metres: height from which on hair lies on a head, and 
 PRESSED = 0.9  # share of what is higher that is taken away
 KNOT = (0.02, 0.045)  # metres around a knot: hair rises to it
 SHOWN, TOLD = 3.0, 0.015  # how much denser roots are where neighbours part, as seen so many metres from their roots
-VEILED, OVERHANG, AHEAD = 1.8, (0.004, 0.014), (0.03, 0.06)  # likewise of ends so far from roots, before that depth, metres
+VEILED, OVERHANG, AHEAD = 1.2, (0.004, 0.014), (0.03, 0.06)  # likewise of ends so far from roots, before that depth, metres
 RARE = 2.2  # how much denser at most where few grow
 EAR = (0.06, 0.048, 0.005, 0.024)  # metres: what is farther out, lower, and so near to a place along the head is before an ear
 BABY = 0.02  # metres: length of such hair at most
 SHORN = (0.012, 0.024)  # metres: hair so short goes the way of those around it, longer hair its own
 ALIKE, ONE_OF, ALIGNED = 48, 6, 0.75  # so many of every so manieth around one, and the share of their way that it takes on
 STRAIGHT = 0.95  # way from its root to its end, of its length
-CANOPY, BESIDE, TOLD_BY = (
-    0.7,
-    40,
-    60_000,
-)  # the hair's surface: of the heights of so many places around one, of so many in all, the share that is lower
+# the hair's surface: of the heights of so many places around one, of so many in all, the share that is lower
+CANOPY, BESIDE, TOLD_BY = 0.7, 40, 60_000
+COILS = 0.2  # radius of a person's own curls, of their length, from which on these are coils, which photos of such hair ask for
 SUNK = 0.85  # share of what is above that surface that is taken away
+# hair that is combed back ends no lower beside the ears than this share of it does so far from the middle, unevenly: metres
+LOWEST, MIDDLE, UNEVEN = 0.05, 0.03, 0.006
+COMPANY, ALONE = 5, 1.7  # so many places of other strands are as far off at most, as a share of what is usual in the style
 SIDEBURN = (0.022, 0.052)  # metres: height of roots before the ears below which curls are short, and above which they are not
 SHORT_CURL = 0.15  # of their length
 
@@ -47,6 +48,7 @@ SHORT_CURL = 0.15  # of their length
 def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> Groom:
     """Some `STRANDS` of a style's strands on the mean head [V, 3], as the package has them."""
     style = STYLES[name]
+    coils = bool(style.curl) or style.own_curl >= COILS * style.wavelength
     strands = _posed(groom, vertices, head)
     if name in KNOTS:
         hangs = groom.triangles == np.bincount(groom.triangles).argmax()  # the tail, all of it from one triangle
@@ -59,16 +61,21 @@ def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> 
         strands = _laid(strands, vertices, head, *FALLS[style.comb])
     if style.way in ("out", "drooping"):
         strands = _short_sideburns(strands)
-    elif style.comb != "none" and not style.rope and not style.curl:
+    elif style.comb != "none" and style.cut != "layers" and not style.rope and not coils:  # layers end at many heights
         strands = _level(strands, vertices, head)
+    if style.comb == "swept":
+        strands = _trimmed(strands)
     if not style.curl:
-        strands = _combed(strands)
+        strands = _combed(strands, straight=not coils)
     weight = np.ones(len(groom)) if style.rope else _rarity(strands)
     if style.comb in ("parted", "fringe", "aside", "side", "forward"):
         weight = np.maximum(weight, _parting(strands))
     if style.comb in ("fringe", "forward"):
-        weight = weight * _over_skin(strands)
-    return _even(_bound(groom, strands, vertices, head), vertices, head, weight, STRANDS)
+        weight = np.maximum(weight, _over_skin(strands))
+    some = _even(_bound(groom, strands, vertices, head), vertices, head, weight, STRANDS)
+    if style.comb == "parted" and not style.rope and not style.curl:
+        some = some.select(_accompanied(_posed(some, vertices, head)))
+    return some
 
 
 def _posed(groom: Groom, vertices: np.ndarray, head: HeadModel) -> np.ndarray:
@@ -117,8 +124,8 @@ def _level(strands: np.ndarray, vertices: np.ndarray, head: HeadModel) -> np.nda
     return result
 
 
-def _combed(strands: np.ndarray) -> np.ndarray:
-    """Strands [N, K, 3] of which the shorn ones are straight and go the way of those around them: between locks, skin shows."""
+def _combed(strands: np.ndarray, straight: bool) -> np.ndarray:
+    """Strands [N, K, 3] of which the shorn ones go the way of those around them, and are `straight`: else skin shows."""
     long = lengths_of(strands)
     short = np.flatnonzero(long < SHORN[1])
     if len(short) < ALIKE:
@@ -128,13 +135,36 @@ def _combed(strands: np.ndarray) -> np.ndarray:
     some = np.arange(0, len(short), ONE_OF)
     beside = cKDTree(root[some]).query(root, min(ALIKE, len(some)))[1]
     turned = (way / long[short, None])[some][beside].mean(1)
-    turned *= STRAIGHT * long[short, None] / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)
+    far = STRAIGHT * long[short, None] if straight else np.linalg.norm(way, axis=1, keepdims=True)
+    turned *= far / np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-9)
     share = smoothstep(SHORN[1], SHORN[0], long[short])[:, None]
     bend = strands[short] - root[:, None] - t * way[:, None]
     way += ALIGNED * share * (turned - way)
     result = strands.copy()
-    result[short] = root[:, None] + t * way[:, None] + (1.0 - share[..., None]) * bend
+    result[short] = root[:, None] + t * way[:, None] + (1.0 - straight * share[..., None]) * bend
     return result
+
+
+def _trimmed(strands: np.ndarray) -> np.ndarray:
+    """Strands [N, K, 3] combed back of which none hangs lower at the sides than in the middle: these would be two points."""
+    end, long = strands[:, -1], lengths_of(strands) > SHORN[1]
+    line = np.quantile(end[long & (np.abs(end[:, 0]) < MIDDLE) & (end[:, 2] < 0.0), 1], LOWEST)
+    lines = line + np.random.default_rng(6).uniform(0.0, UNEVEN, len(strands))[:, None]
+    above = strands[..., 1] - lines
+    last = np.maximum((above < 0.0).argmax(1) - 1, 0)  # point before the line
+    row = np.arange(len(strands))
+    part = above[row, last] / np.maximum(above[row, last] - above[row, last + 1], 1e-9)
+    hangs = long & (above[:, 0] > 0.0) & (above < 0.0).any(1)
+    return cut(strands, np.where(hangs, (last + part) / (strands.shape[1] - 1), 1.0))
+
+
+def _accompanied(strands: np.ndarray) -> np.ndarray:
+    """Rows of those of smooth hair [N, K, 3] that have others beside them to their ends: single ones are wires."""
+    own = np.repeat(np.arange(len(strands)), strands.shape[1])
+    apart, near = cKDTree(strands.reshape(-1, 3)).query(strands.reshape(-1, 3), AROUND * 2)
+    others = np.sort(np.where(own[near] == own[:, None], np.inf, apart), axis=1)[:, COMPANY]
+    lonely = others.reshape(strands.shape[:2])[:, 2:].max(1)
+    return np.flatnonzero(lonely < ALONE * np.median(lonely))
 
 
 def _behind_ears(strands: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ SPARSE = 0.2  # px: likewise for brows, beards, lashes and shorn hair, between w
 SHORT, LONG = 0.008, 0.06  # metres: mean length of hair that is drawn so, and of hair that is not
 SMALLEST_SHARE = 0.06  # of the strands
 BUDGET = 110.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
-RAISED, RAISED_SHORN = 0.001, 0.0015  # metres: see `raised_by`
+RAISED, RAISED_SHORN, MOST_RAISED = 0.001, 0.0045, 0.012  # metres: see `raised_by`
 OPACITY = 0.97
 CELL = 6.0  # px: of the coarse depth that says what the head hides
 SLACK = 0.006  # metres below the skin that still count as seen
@@ -135,11 +135,12 @@ def level_shares(blocks: Sequence[StrandBlock], pixels_per_metre: float, finer: 
 def raised_by(block: StrandBlock, lod: int) -> float:
     """How much nearer to the eye strands are drawn than they are, metres: what Gaussians of skin would cover, in patches.
 
-    Those are shorn hair, by up to `RAISED_SHORN`, and brows where Gaussians are fewer and larger, by `RAISED`; at each level of
-    detail twice as much.
+    Those are shorn hair, by up to `RAISED_SHORN`, as far as a Gaussian of skin that is seen aslant reaches before its middle,
+    and brows where Gaussians are fewer and larger, by `RAISED`; at each level of detail twice as much. Shorn hair by
+    `MOST_RAISED` at most: ears stand farther out.
     """
     if block.group == SCALP:
-        return RAISED_SHORN * 2**lod * float(shortness(np.asarray(block.length)))
+        return min(RAISED_SHORN * 2**lod, MOST_RAISED) * float(shortness(np.asarray(block.length)))
     return RAISED * 2**lod if block.group == BROWS and lod else 0.0
 
 

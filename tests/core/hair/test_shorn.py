@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.hair.drawing import RAISED_SHORN, raised_by
+from grmm_core.hair.drawing import MOST_RAISED, RAISED_SHORN, raised_by
 from grmm_core.hair.packaged import library_groom
 from grmm_core.hair.roots import BEARD, BROWS, GROUPS
 from grmm_core.hair.strands import CROPPED, STUBBLE, blocks_of, lengths_of
@@ -39,6 +39,7 @@ def test_shorn_hair_is_raised_and_longer_hair_less(blocks):
                 assert 0.0 < raised < RAISED_SHORN
             assert raised_by(block, 1) >= 2 * raised
             assert (raised_by(block, 1) > 0.0) == (raised > 0.0 or block.group == BROWS)
+            assert raised_by(block, 3) <= MOST_RAISED, "ears stand farther out than that"
             assert block.group != BEARD or raised_by(block, 3) == 0.0
 
 

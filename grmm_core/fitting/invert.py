@@ -18,6 +18,7 @@ from ..avatar import Avatar
 from ..controls.names import ALIGNED_NAMES
 from ..errors import ConfigError, SessionError
 from ..files.access import atomic_write_bytes
+from ..geometry.libraries import to_numpy
 from ..head import HeadModel
 from ..jobs.progress import Reporter
 from ..jobs.stages import FIT
@@ -31,8 +32,8 @@ from .code_stage import Codes, code_prior, fit_codes
 from .decoder_stage import Tuner
 from .folder import PREVIEW_FILE
 from .locality import LOCALITY_WEIGHT
-from .objective import decode, relit
-from .photo_light import Light, found_lights, kept_lights
+from .objective import decode, draw, relit
+from .photo_light import Light, Shown, found_lights, kept_lights
 from .photo_targets import FitView, aligned_weights, bare_pixels, fit_view
 from .presets import Preset, preset_named
 from .recoloring import PhotoLight, recolor
@@ -130,8 +131,8 @@ class _Inversion:
             views = self.views(self.preset.decoders.levels[0][0])
             pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
             lights, ratios = found_lights(self.model.head_model, self.model.layout, self.tracks, pictures)
-            light = PhotoLight(torch.as_tensor(ratios).to(views[0].image))
-            codes = self._codes(surface, light)
+            codes = self._codes(surface, PhotoLight.of(self.model, ratios))
+            light = self._light(codes, surface, lights)
             if self.second_stage:
                 deltas = self._decoders(codes, surface, light)
             else:
@@ -167,6 +168,14 @@ class _Inversion:
         if self.work is not None:
             save_codes(self.work, self.codes_key, codes)
         return codes
+
+    def _light(self, codes: Codes, surface: Surface, lights: Sequence[Light]) -> PhotoLight:
+        """The photos' lights on the person of the codes, as a session has them there."""
+        model = self.model
+        with torch.no_grad():
+            posed = [codes.inputs(model, view) for view in self.views(self.preset.codes.small_side)]
+            colors = recolor(_frontal(model, codes.z_id), codes.maps, surface)
+            return _lights_on(model, self.tracks, lights, posed, codes.z_exp, colors)
 
     def _decoders(self, codes: Codes, surface: Surface, light: PhotoLight) -> dict[str, Tensor]:
         settings = self.preset.decoders
@@ -240,9 +249,43 @@ def photo_model_inputs(
     turned = model.head_model.pose_of(track.expression, track.pose)
     expression, pose, shape = (tensor(part) for part in (track.expression, turned, track.shape))
     aligned = tensor(aligned_weights(track.expression, model.head_model, len(ALIGNED_NAMES)))
-    still, upright, nothing = (torch.zeros_like(part) for part in (expression, pose, aligned))
-    resting = model.performed(z_id, shape, still, upright, nothing, shared)
-    return model.performed(z_id, shape, expression, pose, aligned, shared + own), resting
+    posed = model.performed(z_id, shape, expression, pose, aligned, shared + own)
+    return posed, _resting(model, posed, shared)
+
+
+def _resting(model: GRMM, posed: ModelInputs[Tensor], shared: Tensor) -> ModelInputs[Tensor]:
+    """Inputs of the person of a photo at rest, with what all photos add to the expression code, [Y]."""
+    expression, pose = torch.zeros_like(posed.expression), torch.zeros_like(posed.pose)
+    nothing = torch.zeros(len(ALIGNED_NAMES)).to(expression)
+    return model.performed(posed.z_id, posed.shape, expression, pose, nothing, shared)
+
+
+def _frontal(model: GRMM, z_id: Tensor) -> Tensor:
+    """Colors as they look from the front, which say what skin throws back, [N, 3]."""
+    return model.appearance(z_id, torch.tensor([0.0, 0.0, 1.0]).to(z_id))[0]
+
+
+def _lights_on(
+    model: GRMM, tracks: Sequence[PhotoTrack], lights: Sequence[Light], posed: Sequence[ModelInputs[Tensor]], shared: Tensor,
+    colors: Tensor,
+) -> PhotoLight:  # fmt: skip
+    """Lights of photos on the person whom a model draws.
+
+    Args:
+        model: Model.
+        tracks: Photos.
+        lights: Of each.
+        posed: Inputs of each.
+        shared: What all photos add to the expression code, [Y].
+        colors: Of the person, [N, 3].
+    """
+
+    def mesh(inputs: ModelInputs[Tensor]) -> np.ndarray:
+        return to_numpy(model.mesh(inputs).vertices).astype(np.float64)
+
+    shown = [Shown(mesh(_resting(model, inputs, shared)), mesh(inputs)) for inputs in posed]
+    spread = kept_lights(model.head_model, model.layout, tracks, lights, shown, to_numpy(colors))
+    return PhotoLight.of(model, spread)
 
 
 def photo_pictures(
@@ -258,15 +301,14 @@ def photo_pictures(
     """
     pictures: list[tuple[FitView, Picture]] = []
     known = [photo_light(avatar, index) for index in range(len(tracks))]
-    ratios = kept_lights(model.head_model, model.layout, tracks, known)
-    lights = PhotoLight(torch.as_tensor(ratios, dtype=model.dtype, device=model.device))
-    for view, track in zip(photo_views(model, tracks, side), tracks, strict=True):
-        with torch.no_grad():
-            inputs = photo_model_inputs(model, avatar, track, view.index)[0]
-            drawn: Picture = model.render(view.camera, inputs, lit_later=True)
+    shared = torch.as_tensor(np.array(avatar.z_exp)).to(model.anchor.barycentric)
+    with torch.no_grad():
+        posed = [photo_model_inputs(model, avatar, track, index)[0] for index, track in enumerate(tracks)]
+        lights = _lights_on(model, tracks, known, posed, shared, _frontal(model, posed[0].z_id))
+        for view, inputs in zip(photo_views(model, tracks, side), posed, strict=True):
             vertices, decoded = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
-            drawn = relit(drawn, lights.picture(model, view, vertices, decoded))
-        pictures.append((view, drawn))
+            drawn = draw(model, view.camera, vertices, decoded)
+            pictures.append((view, relit(drawn, lights.picture(model, view, vertices, decoded))))
     return pictures
 
 

@@ -19,14 +19,17 @@ import numpy as np
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import triangle_depth
 from ..head import HeadModel
+from ..light.bounce import nearest_points
 from ..light.lamps import STUDIO, Lighting, Sun
 from ..light.materials import materials_of
-from ..light.relight import to_display, to_linear
+from ..light.posture import Posture
+from ..light.relight import to_linear
 from ..light.resting import RestLight, Texels, casters_of, even_mouth
 from ..light.shading import Learned, Response, reached, relative, shade, transport
-from ..light.shadows import visible
+from ..light.shadows import maps_of
 from ..light.surroundings import TERMS, Surroundings, sphere
-from ..light.transfer import turn_between, vertex_normals
+from ..light.texel_shadows import TexelShadows
+from ..light.transfer import vertex_normals
 from ..light.turning import turned_light
 from ..model.layout import TexelLayout
 from ..pictures.sampling import bilinear
@@ -53,6 +56,7 @@ _BEHIND = 0.004  # metres behind the mesh's depth that still are its surface
 _AGAIN = 2  # times that the lights of several photos are found again, by the colors that all of them show
 _DARK = 0.004  # linear color of a texel below which it tells no light
 _FEW = 60  # texels: less skin tells no light
+_STILL = np.zeros((5, 3))  # pose at rest
 
 
 class Light(NamedTuple):
@@ -102,33 +106,51 @@ class Seen(NamedTuple):
     weights: np.ndarray
 
 
+class Shown(NamedTuple):
+    """A person's mesh as a photo shows it.
+
+    Attributes:
+        rest: Vertices at rest, [V, 3] metres.
+        posed: As in the photo, likewise.
+    """
+
+    rest: np.ndarray
+    posed: np.ndarray
+
+
 class PhotoHead:
     """What light does on a head as a photo shows it.
 
     Args:
         head: Head model.
         texels: Of the avatar.
-        rest: Vertices of the person at rest, [V, 3] metres.
-        posed: As in the photo, likewise.
+        shown: The person.
         eye: Place of the camera, [3].
-        tone: Of the skin, display sRGB, [3].
+        colors: Of the texels in the studio's light, or of all skin, display sRGB, [N, 3] or [3].
         turned: What the turn of the neck makes of the studio's light (`light.turning.turned_light`), [N, 1].
+        turn: From the axes of the head at rest to those of the posed one (`light.posture.Posture`), [3, 3]; None: they are the
+            same.
+        lying: How the texels lie where these are all of an avatar, as sessions look for shadows by it.
     """
 
     def __init__(
-        self, head: HeadModel, texels: Texels, rest: np.ndarray, posed: np.ndarray, eye: np.ndarray, tone: np.ndarray,
-        turned: np.ndarray | float = 1.0,
+        self, head: HeadModel, texels: Texels, shown: Shown, eye: np.ndarray, colors: np.ndarray,
+        turned: np.ndarray | float = 1.0, turn: np.ndarray | None = None, lying: TexelShadows | None = None,
     ) -> None:  # fmt: skip
-        rest, posed = np.asarray(rest, np.float64), np.asarray(posed, np.float64)
-        self._materials = materials_of(head, *texels[:2])
-        self._rest = RestLight.of(head, texels, self._materials, rest, np.tile(tone, (len(texels.face), 1)))
+        rest, posed = (np.asarray(vertices, np.float64) for vertices in shown)
+        self._materials, every = materials_of(head, *texels[:2]), (len(texels.face), 3)
+        self._rest = RestLight.of(head, texels, self._materials, rest, np.broadcast_to(colors, every), lying)
         self._head, self._texels, self._eye = head, texels, eye
         self._turned = np.broadcast_to(turned, (len(texels.face), 1))
         self._receivers = texels.receivers(posed, vertex_normals(posed, head.faces))
-        rigid = head.regions.get("scalp", np.arange(len(rest)))
-        self._turn = turn_between(rest[rigid], posed[rigid])
+        self._turn = np.eye(3) if turn is None else turn
+        self._at_vertices = nearest_points(texels.corners, texels.barycentric, len(rest))
         casters = casters_of(head, posed)
-        self._seen = np.stack([visible(sun, self._receivers, casters) for sun in SUNS])
+        maps = (maps_of(sun, self._receivers, casters) for sun in SUNS)
+        if lying is None:
+            self._seen = np.stack([one.seen(self._receivers) for one in maps])
+        else:
+            self._seen = np.stack([lying.all_seen(one, self._receivers, posed) for one in maps])
         skin = _skin(head)[texels.corners].all(1)
         self._told = skin & (self._rest.rig > reached(self._rest.rig).min(0)).all(1)
         self._telling = 1.0 + _UNDER * texels.at(below_chin(head)[:, None])[:, 0]
@@ -144,12 +166,10 @@ class PhotoHead:
         around = Surroundings(np.asarray(light.around, np.float64)).turned(self._turn.T).coefficients
         rest, corners = self._rest, self._texels.corners
         scene = shade(suns, self._receivers, self._seen, self._materials, rest.transfer, self._eye, around, MATT, self._turn)
-        near = np.zeros(len(rest.vertices), int)
-        near[corners.ravel()] = np.repeat(np.arange(len(corners)), 3)
-        bounced = rest.exchange.bounced(scene.irradiance[near], rest.albedo)
+        bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         learned = Learned(rest.rig, np.zeros_like(rest.rig))
         found = relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, [0, 1, 2, 6]]
-        even_mouth(self._head, self._texels.corners, found, 3)
+        even_mouth(self._head, corners, found, 3)
         return found
 
     def again(self, seen: Seen, light: Light, flat: np.ndarray) -> Light:
@@ -251,6 +271,8 @@ def found_lights(
 ) -> tuple[list[Light], np.ndarray]:  # fmt: skip
     """Find the light of each photo of a person; the first gives the skin's tone.
 
+    The person is the mesh that was tracked, without what a model has learned.
+
     Args:
         head: Head model.
         layout: Texels of the avatar.
@@ -260,17 +282,18 @@ def found_lights(
     Returns:
         The lights, and their `PhotoHead.spread`, [P, N, 4] float32.
     """
-    texels = Texels.of(head, layout.face, layout.barycentric)
+    heads = _Heads(head, layout)
     lights: list[Light] = []
     ratios: list[np.ndarray] = []
     every: list[tuple[Seen, PhotoHead | None]] = []
     tone = None
     for track, (camera, picture, inside) in zip(tracks, pictures, strict=True):
-        seen = seen_skin(head, texels, _posed(head, track), camera, picture, inside)
+        shown = _tracked(head, track)
+        seen = seen_skin(head, heads.texels, shown.posed, camera, picture, inside)
         colors, light, here = seen.colors[seen.weights > 0], Light.studio(), None
         if len(colors) >= _FEW:
             middle = np.median(colors, 0)
-            here = _photo_head(head, texels, track, middle)
+            here = heads.photo(track, shown, middle)
             if "face" in head.regions:
                 light = here.solve(seen, tone)
             else:  # what is light and what is color cannot be told
@@ -279,7 +302,7 @@ def found_lights(
             tone = light.tone
         lights.append(light)
         every.append((seen, here))
-        ratios.append(here.spread(light) if light.known and here is not None else _even(light, head, texels, track))
+        ratios.append(here.spread(light) if light.known and here is not None else heads.even(light, track, shown))
     for _ in range(_AGAIN if sum(light.known for light in lights) > 1 else 0):
         flat = mean_flat(every, ratios)
         for index, (seen, here) in enumerate(every):
@@ -306,38 +329,57 @@ def mean_flat(every: Sequence[tuple[Seen, PhotoHead | None]], ratios: Sequence[n
     return total / weight
 
 
-def kept_lights(head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrack], lights: Sequence[Light]) -> np.ndarray:
-    """`PhotoHead.spread` of lights that were found before, [P, N, 4] float32; arguments as of `found_lights`."""
-    texels = Texels.of(head, layout.face, layout.barycentric)
+def kept_lights(
+    head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrack], lights: Sequence[Light], shown: Sequence[Shown],
+    colors: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """`PhotoHead.spread` of lights that were found before as a session has them, [P, N, 4] float32.
+
+    Args:
+        head: Head model.
+        layout: Texels of the avatar.
+        tracks: Photos.
+        lights: Of each.
+        shown: The person in each, with what the model has learned.
+        colors: Of the texels at rest, display sRGB, [N, 3].
+    """
+    heads = _Heads(head, layout)
     ratios = [
-        _photo_head(head, texels, track, np.asarray(to_display(light.tone))).spread(light)
-        if light.known
-        else _even(light, head, texels, track)
-        for track, light in zip(tracks, lights, strict=True)
+        heads.photo(track, here, colors).spread(light) if light.known else heads.even(light, track, here)
+        for track, here, light in zip(tracks, shown, lights, strict=True)
     ]
     return np.stack(ratios)
 
 
-def _even(light: Light, head: HeadModel, texels: Texels, track: PhotoTrack) -> np.ndarray:
-    """`PhotoHead.spread` of the studio's light, stronger or weaker."""
-    turned = _turned(head, texels, track)
-    return np.concatenate([turned * light.level, np.ones_like(turned)], 1)
+def _tracked(head: HeadModel, track: PhotoTrack) -> Shown:
+    """A person as tracked."""
+    rest = head.vertices(track.shape, np.zeros(1), _STILL)
+    return Shown(rest, head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose)))
 
 
-def _turned(head: HeadModel, texels: Texels, track: PhotoTrack) -> np.ndarray:
-    """What the turn of a photo's neck makes of the studio's light, [N, 1] float32."""
-    light = turned_light(head, texels, _posed(head, track), head.pose_of(track.expression, track.pose))
-    return np.ones((len(texels.face), 1), np.float32) if light is None else light
+class _Heads:
+    """What the photos of an avatar's person have in common."""
 
+    def __init__(self, head: HeadModel, layout: TexelLayout) -> None:
+        self._head, self.texels = head, Texels.of(head, layout.face, layout.barycentric)
+        self._lying = self.texels.shadows(head, layout.uv, layout.grid, layout.texel)
 
-def _posed(head: HeadModel, track: PhotoTrack) -> np.ndarray:
-    return head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
+    def photo(self, track: PhotoTrack, shown: Shown, colors: np.ndarray) -> PhotoHead:
+        """What light does in a photo; colors as of `PhotoHead`."""
+        pose = self._head.pose_of(track.expression, track.pose)
+        turn = Posture(self._head, track.shape, _STILL, pose, shown.rest).turn
+        turned = self._turned(track, shown)
+        return PhotoHead(self._head, self.texels, shown, track.camera.position, colors, turned, turn, self._lying)
 
+    def even(self, light: Light, track: PhotoTrack, shown: Shown) -> np.ndarray:
+        """`PhotoHead.spread` of the studio's light, stronger or weaker."""
+        turned = self._turned(track, shown)
+        return np.concatenate([turned * light.level, np.ones_like(turned)], 1)
 
-def _photo_head(head: HeadModel, texels: Texels, track: PhotoTrack, tone: np.ndarray) -> PhotoHead:
-    rest = head.vertices(track.shape, np.zeros(1), np.zeros((5, 3)))
-    turned = _turned(head, texels, track)
-    return PhotoHead(head, texels, rest, _posed(head, track), track.camera.position, tone, turned)
+    def _turned(self, track: PhotoTrack, shown: Shown) -> np.ndarray:
+        """What the turn of a photo's neck makes of the studio's light, [N, 1] float32."""
+        light = turned_light(self._head, self.texels, shown.posed, self._head.pose_of(track.expression, track.pose))
+        return np.ones((len(self.texels.face), 1), np.float32) if light is None else light
 
 
 def _robust(

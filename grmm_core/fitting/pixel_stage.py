@@ -188,7 +188,7 @@ class _Appearance:
         views = self.views(tracks, SIDE)
         pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
         _, ratios = found_lights(head, model.layout, tracks, pictures)
-        self.light = PhotoLight(torch.as_tensor(ratios).to(views[0].image))
+        self.light = PhotoLight.of(model, ratios)
         small, large = self.views(tracks, QUICK.small_side), self.views(tracks, QUICK.side)
         was = [parameter.requires_grad for parameter in model.parameters()]
         model.requires_grad_(False)

@@ -15,11 +15,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from ..geometry.libraries import present
+from ..geometry.libraries import as_like, present, to_numpy
+from ..light.mesh_light import FRONT, LitSurface, TexelGrid
 from ..light.relight import unlit
+from ..light.resting import texel_grid
 from ..model.grmm import GRMM, Attributes
 from ..pictures.color import MIN_ALPHA
 from ..splat import rasterize
@@ -33,6 +36,7 @@ _ROUNDS, _SOFTENING = 3, 0.06  # of iterated weights: photos have glasses, hats,
 _TOLD = 0.2  # of a photo's pixels that tell their color; where fewer do, all are believed
 _MIN_PIXELS = 50.0
 _COLUMNS = 4  # red, green, blue, one
+_CHANNELS = (0, 1, 2, FRONT)  # of a session's light: of the others, highlights, a photo's light has none
 
 
 @dataclass(frozen=True)
@@ -41,9 +45,18 @@ class PhotoLight:
 
     Attributes:
         spread: Irradiance relative to the rig's times how much a texel counts at a pixel, and that, [P, N, 4].
+        grid: Where the texels lie on the mesh.
     """
 
     spread: Tensor
+    grid: TexelGrid
+
+    @staticmethod
+    def of(model: GRMM, spread: np.ndarray) -> PhotoLight:
+        """On a model's texels, of `spread` [P, N, 4]."""
+        layout = model.layout
+        grid = texel_grid(model.head_model, layout.uv, layout.grid, layout.texel)
+        return PhotoLight(torch.as_tensor(spread, dtype=model.dtype, device=model.device), grid)
 
     def tells(self, index: int) -> Tensor:
         """How far a photo tells the texels' colors, 0..1, [N]: in deep shadow, which light is never known well, it does not."""
@@ -52,12 +65,18 @@ class PhotoLight:
 
     @torch.no_grad()
     def picture(self, model: GRMM, view: FitView, vertices: Tensor, attributes: Attributes) -> Tensor:
-        """A photo's light at its pixels, [H, W, 3]; 1 where nothing is drawn."""
+        """A photo's light at its pixels as a session has it there, from the mesh (`light.mesh_light`), [H, W, 3]; 1 beside."""
         scene = model.gaussians(vertices, attributes)
         scene.features = self.spread[view.index]
         drawn = rasterize(scene, view.camera, antialiased=model.config.antialias)
-        light, cover = present(drawn.features).split([3, 1], -1)
-        return torch.where(drawn.alpha[..., None] > MIN_ALPHA, light / cover.clamp(min=MIN_ALPHA), torch.ones_like(light))
+        channels = np.zeros((*drawn.alpha.shape, FRONT + 1), np.float32)
+        texels = np.zeros((len(scene), FRONT + 1), np.float32)
+        channels[..., _CHANNELS], texels[:, _CHANNELS] = to_numpy(present(drawn.features)), to_numpy(scene.features)
+        depth, alpha = to_numpy(drawn.depth), to_numpy(drawn.alpha)
+        surface = LitSurface(self.grid, to_numpy(vertices), texels)
+        surface.read_into(channels, slice(0, FRONT + 1), depth, alpha, None, view.camera)
+        light = channels[..., :3] / channels[..., FRONT:].clip(MIN_ALPHA, None)
+        return as_like(np.where(alpha[..., None] > MIN_ALPHA, light, 1.0), drawn.alpha)
 
 
 def unchanged(like: Tensor) -> Tensor:

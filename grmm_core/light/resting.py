@@ -14,6 +14,7 @@ from ..controls.table import Controls
 from .bounce import Exchange, albedo_of, nearest_points
 from .lamps import STUDIO
 from .materials import Materials
+from .mesh_light import TexelGrid
 from .shading import reached, shade
 from .shadows import Casters, Receivers, compiled_kernels, maps_of, visible
 from .surroundings import coefficients_of
@@ -96,6 +97,17 @@ class Texels(NamedTuple):
         given = (np.ascontiguousarray(array, np.float32) for array in (vertices, normals))
         for_rows(kernels.on_surface, len(self.corners), *given, self.corners, self.barycentric, *out)
         return Receivers.around(out[0], out[1], vertices)
+
+    def shadows(self, head: HeadModel, uv: np.ndarray, grid: int, texel: np.ndarray) -> TexelShadows:
+        """How the points lie, which are texels [N] of a grid that the UV map `uv` [U, 2] of a head lies on."""
+        places = uv[head.uv_faces[self.face]] * grid
+        return TexelShadows.of(grid, texel, self.corners, places, head.v_template, self.at(head.v_template))
+
+
+def texel_grid(head: HeadModel, uv: np.ndarray, grid: int, texel: np.ndarray) -> TexelGrid:
+    """Where the faces of a head that keep light off lie on a grid; arguments as of `Texels.shadows`."""
+    number, closed = casting_numbers(head)
+    return TexelGrid.of(head.faces[number], uv, head.uv_faces[number], grid, texel, int(closed))
 
 
 class RestLight(NamedTuple):

@@ -22,7 +22,7 @@ from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
 from ..light.mesh_light import NOT_SOFTENED, LitSurface, TexelGrid
 from ..light.posture import Posture
-from ..light.resting import RestLight, Texels, casting_faces, casting_numbers, even_mouth
+from ..light.resting import RestLight, Texels, casting_faces, even_mouth, texel_grid
 from ..light.shading import FADING, Learned, Response, facing, relative, shade
 from ..light.shadows import Casters, Maps, Receivers, compiled_kernels, maps_of
 from ..light.skin_relief import VALUES, lying
@@ -97,9 +97,9 @@ class LitAvatar:
             return None
 
         def make() -> tuple[np.ndarray, ...]:
-            (number, closed), layout = casting_numbers(self._head), self._target.model.layout
-            faces, uv_faces = self._head.faces[number], self._head.uv_faces[number]
-            return *TexelGrid.of(faces, layout.uv, uv_faces, layout.grid, layout.texel)[:3], closed
+            layout = self._target.model.layout
+            found = texel_grid(self._head, layout.uv, layout.grid, layout.texel)
+            return *found[:3], np.array(found.closed)
 
         faces, places, rows, closed = self._evaluator.cache.get((self._target.id, "texel grid"), make)
         grid, detail = TexelGrid(faces, places, rows, int(closed)), self._response.detail
@@ -337,9 +337,8 @@ class LitAvatar:
     @functools.cached_property
     def _texel_shadows(self) -> TexelShadows:
         def make() -> tuple[np.ndarray, ...]:
-            layout, template = self._target.model.layout, self._head.v_template
-            uv, places = layout.uv[self._head.uv_faces[layout.face]] * layout.grid, self._texels.at(template)
-            return TexelShadows.of(layout.grid, layout.texel, self._texels.corners, uv, template, places)
+            layout = self._target.model.layout
+            return self._texels.shadows(self._head, layout.uv, layout.grid, layout.texel)
 
         return TexelShadows(*self._evaluator.cache.get((self._target.id, "texel shadows"), make))
 

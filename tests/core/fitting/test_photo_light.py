@@ -10,7 +10,7 @@ import torch
 
 from grmm_core.controls.names import EXPRESSION_NAMES
 from grmm_core.errors import ShapeError
-from grmm_core.fitting.photo_light import MATT, SUNS, Light, PhotoHead, Seen, mean_flat, seen_skin
+from grmm_core.fitting.photo_light import MATT, SUNS, Light, PhotoHead, Seen, Shown, mean_flat, seen_skin
 from grmm_core.fitting.result import photo_light
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
@@ -39,7 +39,7 @@ def texels(head):
 @pytest.fixture(scope="module")
 def photo_head(head, texels):
     rest = head.v_template.astype(float)
-    return PhotoHead(head, texels, rest, rest, np.array([0.0, 0.0, 1.0]), np.asarray(to_display(SKIN)))
+    return PhotoHead(head, texels, Shown(rest, rest), np.array([0.0, 0.0, 1.0]), np.asarray(to_display(SKIN)))
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_a_turned_head_in_the_studio_is_taken_for_one(head, texels, shade):
     turned = turned_light(head, texels, posed, pose)
     place = np.array([0.0, 0.0, 1.0]), np.asarray(to_display(SKIN))
     seen = Seen(np.asarray(to_display(SKIN * shade * turned)), np.ones(len(shade)))
-    assert not PhotoHead(head, texels, rest, posed, *place, turned).solve(seen).known
+    assert not PhotoHead(head, texels, Shown(rest, posed), *place, turned).solve(seen).known
 
 
 def test_skin_lit_from_a_side_becomes_even_and_its_own_light_makes_it_as_before(photo_head, side, shade):
@@ -175,7 +175,8 @@ def test_a_mouth_has_one_light_without_color_or_edges(head, side):
     rest, posed = head.v_template.astype(float), head.vertices(np.zeros(1), wide, np.zeros((5, 3)))
     faces = np.arange(0, len(head.faces), 3, dtype=np.int32)
     texels = Texels.of(head, faces, np.full((len(faces), 3), 1.0 / 3.0, np.float32))
-    found = PhotoHead(head, texels, rest, posed, np.array([0.0, 0.0, 1.0]), np.asarray(to_display(SKIN))).ratio(side)
+    eye, skin = np.array([0.0, 0.0, 1.0]), np.asarray(to_display(SKIN))
+    found = PhotoHead(head, texels, Shown(rest, posed), eye, skin).ratio(side)
     inside, lips = (head.marked(*names)[texels.corners].all(1) for names in (MOUTH, ("lips",)))
     assert inside.sum() > 100
     assert np.ptp(found[inside]) < 1e-4 * found[inside].max()

@@ -11,11 +11,12 @@ from photo_parts import parts_of
 
 from grmm_core.avatar import save_avatar
 from grmm_core.controls.frame import Controls
+from grmm_core.controls.names import ALIGNED_NAMES, EXPRESSION_NAMES
 from grmm_core.fitting import photo_targets
 from grmm_core.fitting.hair_texture import trimmed
 from grmm_core.fitting.invert import photo_pictures, photo_views
 from grmm_core.fitting.photo_light import MATT
-from grmm_core.fitting.photo_targets import bare_pixels
+from grmm_core.fitting.photo_targets import aligned_weights, bare_pixels
 from grmm_core.fitting.result import photo_controls
 from grmm_core.fitting.root_shade import APPEARANCE, shaded_scalp
 from grmm_core.fitting.settling import settled
@@ -23,6 +24,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import triangle_depth
 from grmm_core.hair import library_groom
 from grmm_core.light.resting import MOUTH
+from grmm_core.model.torch_loader import with_deltas
 from grmm_core.session import Instance, RenderOptions, make_local_session
 
 LARGE = 512
@@ -74,6 +76,27 @@ def test_skin_under_brows_looks_as_it_was_fitted(session, model, tmp_path):
     assert off[0] < -0.03, "brows darken what is under them"
     assert abs(off[1]) < 0.8 * abs(off[0])
     assert np.abs(changed.deltas[APPEARANCE][:, 3:]).max() == 0.0
+
+
+def test_a_session_draws_a_photos_person_as_the_fit_does(session, model, tmp_path):
+    """In the photo's light, with a turned neck, an expression, and colors beyond what a screen shows."""
+    light, head = light_from_a_side(), model.head_model
+    avatar, track = colored(session, light, library_groom("bushy", head.name, "brows"), LARGE)
+    beyond = avatar.deltas[APPEARANCE].copy()
+    beyond[::7, :3], beyond[::11, :3] = 0.6, -0.5
+    pose = np.zeros((5, 3))
+    pose[1] = np.radians([5.0, 20.0, 3.0])
+    smile = head.arkit_to_expression[EXPRESSION_NAMES.index("mouthSmileLeft")].astype(float)
+    track = dataclasses.replace(track, pose=pose, expression=smile)
+    aligned = aligned_weights(smile, head, len(ALIGNED_NAMES))
+    tracking = {**avatar.tracking, "pose": pose[None], "expression": smile[None], "aligned": aligned[None]}
+    avatar = dataclasses.replace(avatar, deltas={APPEARANCE: beyond}, tracking=tracking)
+    person = with_deltas(model, avatar.deltas, tmp_path)
+    ((view, aim),) = photo_pictures(person, avatar, [track])
+    drawn = worn(session, avatar, head, view.camera, light, tmp_path / "person.grmm")
+    bare = drawn["hair"][..., 0] == 0.0
+    assert bare.mean() > 0.9
+    assert np.sqrt(((drawn["rgb"] - aim.image.numpy())[bare] ** 2).mean()) < 0.002
 
 
 def test_without_strands_nothing_is_settled(session, model):

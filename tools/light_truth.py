@@ -34,7 +34,7 @@ from grmm_core.light.materials import materials_of
 from grmm_core.light.mesh_light import LitSurface, TexelGrid
 from grmm_core.light.relight import relit_pixels
 from grmm_core.light.resting import Texels, casters_of, casting_numbers
-from grmm_core.light.shading import NO_TILTS, Arrived, Response, ratio, shade
+from grmm_core.light.shading import NO_TILTS, Arrived, Response, ratio, shade, weight
 from grmm_core.light.shadows import Casters, Receivers, visible
 from grmm_core.light.skin_relief import VALUES, lying, softened
 from grmm_core.light.surroundings import Surroundings, sphere
@@ -111,7 +111,7 @@ class Relighter:
                 scene = self._light(lighting_of(SETUPS[name]), here, rows, eye, turn, tilts)
                 relative = ratio(bounced(scene.irradiance), bounced(rig))
                 light = np.concatenate([relative, scene.highlights - learned * relative, np.ones_like(scene.front)], 1)
-                relit = self._draw(here, view, light * scene.front, (tilts, relief), flat, picture.mask)
+                relit = self._draw(here, view, light * weight(scene.front, bounced(rig)), (tilts, relief), flat, picture.mask)
                 truth = self._data.layer(shot, view, layer) * picture.mask[..., None]
                 found[name] = (relit.clip(0.0, 1.0), truth, flat, pixels)
         return found

@@ -38,7 +38,7 @@ from .types import PhotoTrack
 
 SUNS = tuple(Sun(direction=tuple(d), angle=1.0) for d in sphere(24)[0] if d[2] > -0.3 and d[1] > -0.5)
 """Directions that light may come from, in head axes; as wide as soft boxes and windows."""
-MATT = Response(gloss=0.0, even_mouth=True)
+MATT = Response(gloss=0.0, even_mouth=True, rig_at_rest=True)
 """How an avatar takes the light of its photo, whose highlights are in its colors."""
 _EVEN = 0.05  # of the weight of what is seen: that light is even all over the skin, for what the photo does not show
 _TINT = 0.1  # of the mean square: keeps the light's color one

@@ -99,6 +99,20 @@ def facing(
         out[i] = normals[i, 0] * x + normals[i, 1] * y + normals[i, 2] * z > least
 
 
+@compiled(**OPTIONS)
+def brightness_around(
+    colors: np.ndarray, tint: np.ndarray, corners: np.ndarray, weights: np.ndarray, least: float, sums: np.ndarray
+) -> None:  # fmt: skip
+    """Add squares of colors [N, 3] with what is added to them, `least` to 1, to the vertices around, [V]; the others [N, 3]."""
+    for i in range(len(colors)):
+        total = _0
+        for k in range(3):
+            value = min(max(colors[i, k] + tint[i, k], least), _1)
+            total += value * value
+        for k in range(3):
+            sums[corners[i, k]] += weights[i, k] * total
+
+
 @compiled(inline="always", **OPTIONS)
 def arriving(lamps: np.ndarray, k: int, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Direction to a lamp and irradiance, as `lamps.arriving`."""
@@ -227,8 +241,9 @@ def relative(
         first: Row of `light`.
         last: The row after the last.
     """
-    shine, limit = np.float32(gloss), np.float32(most)
+    shine, limit, third = np.float32(gloss), np.float32(most), np.float32(1.0 / (3.0 * math.pi))
     for i in range(first, last):
+        weight = light[i, 6] * (rig[i, 0] + rig[i, 1] + rig[i, 2]) * third
         for k in range(3):
             more = _0
             if len(corners):
@@ -238,9 +253,10 @@ def relative(
             if len(inside) and light[i, 6] <= least:
                 there = inside[k]
             ratio = min(max(there / rig[i, k], _0), limit)
-            light[i, k] = ratio * light[i, 6]
-            light[i, 3 + k] = (light[i, 3 + k] - shine * learned[i, k] * ratio) * light[i, 6]
-        light[i, 7] *= light[i, 6]
+            light[i, k] = ratio * weight
+            light[i, 3 + k] = (light[i, 3 + k] - shine * learned[i, k] * ratio) * weight
+        light[i, 6] = weight
+        light[i, 7] *= weight
 
 
 @compiled(**OPTIONS)

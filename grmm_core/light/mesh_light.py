@@ -21,7 +21,7 @@ from .skin_relief import DIMMEST, DULL, LIGHTEST, REPEATS, SIDE, VALUES, gleam, 
 NEAR, FAR = 0.004, 0.010  # metres between mesh and picture up to which light is the mesh's, and from which on it is not
 SHINE = slice(3, 6)  # channels of highlights
 FRONT = 6  # number of the channel that others are premultiplied by (`shading.relative`)
-_LEAST_FRONT = 0.2  # of the texels around a point: what is turned further from the viewer was not lit for it
+_LEAST_WEIGHT = 0.05  # of the texels around a point: what is turned away from the viewer was not lit for it
 _APART = 6.0  # texels from a point to the face beside it in a picture: one of them hides what the other borders on
 _AT_EDGES = 0.5  # of the mesh's light there: one sample a pixel would make steps
 _LEAST = 0.002  # share of the mesh's light in a pixel below which it is left out, as where strands hide skin
@@ -117,7 +117,7 @@ class LitSurface(NamedTuple):
         from ..compute.threads import for_rows
         from .mesh_light_kernels import read as compiled_read
 
-        limits = np.array([NEAR, FAR, _LEAST_FRONT, _APART, _AT_EDGES, MIN_ALPHA, _LEAST], np.float32)
+        limits = np.array([NEAR, FAR, _LEAST_WEIGHT, _APART, _AT_EDGES, MIN_ALPHA, _LEAST], np.float32)
         depth, alpha = (np.ascontiguousarray(array, np.float32) for array in (depth, alpha))
         picture = channels, which.start, which.stop - which.start, depth, alpha, -1 if skin is None else skin
         nothing = np.zeros((0, VALUES), np.float32)
@@ -204,7 +204,7 @@ def read(
         other = number[row + step[1], column + step[0]]
         away = np.maximum(places[other].min(1) - place, place - places[other].max(1)).max(1)
         edge |= inside & ((other < 0) | (away > _APART))
-    amount = np.where(front >= _LEAST_FRONT, amount * np.where(edge, _AT_EDGES, 1.0), 0.0)[:, None]
+    amount = np.where(front >= _LEAST_WEIGHT, amount * np.where(edge, _AT_EDGES, 1.0), 0.0)[:, None]
     here = channels[row, column]
     there = total * (here[:, FRONT] / np.maximum(front, 1e-6))[:, None]
     channels[row, column] = here + amount * (there - here)

@@ -69,7 +69,7 @@ def read(
         depth: As there, [H, W].
         alpha: As there, [H, W].
         skin: As there, or below 0.
-        limits: `mesh_light.NEAR`, `FAR`, `_LEAST_FRONT`, `_APART` and `_AT_EDGES`, the least cover, and `_LEAST`, [7].
+        limits: `mesh_light.NEAR`, `FAR`, `_LEAST_WEIGHT`, `_APART` and `_AT_EDGES`, the least cover, and `_LEAST`, [7].
         vertices: [V, 3] metres.
         tilts: As there, [N, VALUES] or, with `softened`, [N, VALUES + 3]; or [0, VALUES].
         relief: As there, [N, VALUES], likewise.

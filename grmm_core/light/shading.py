@@ -42,6 +42,8 @@ class Response:
         unlit_by: Numbers of lamps in `Lighting.lamps` that are not for this avatar.
         even_mouth: The whole mouth takes the light of the lips (`resting.even_mouth`).
         detail: Of pores and furrows (`skin_relief`); 0: skin is as smooth as the mesh.
+        rig_at_rest: Colors are taken to hold the rig as on the head at rest in every expression, as photos are fitted; else it
+            follows what the expression adds to them (`expressed`).
     """
 
     intensity: float = 1.0
@@ -51,6 +53,7 @@ class Response:
     unlit_by: tuple[int, ...] = ()
     even_mouth: bool = False
     detail: float = 1.0
+    rig_at_rest: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "unlit_by", tuple(self.unlit_by))
@@ -288,8 +291,7 @@ def relative(
 ) -> np.ndarray:  # fmt: skip
     """Light as it changes learned colors: `ratio`, highlights less those that are in the colors, share of the lamps' light.
 
-    All three are premultiplied by `Arrived.front`, which is there besides: Gaussians are a little transparent, and what a lamp
-    makes of the far side of a head, or of the skin just behind an outline, must not shine through where it is dark before.
+    All three are premultiplied by `weight`, which is there besides.
 
     Args:
         arrived: Of the scene; may be overwritten.
@@ -301,7 +303,7 @@ def relative(
         inside: Irradiance of what is seen from behind, [3], such as the inner side of an open bust, whatever arrives outside.
 
     Returns:
-        Ratio (3), highlights (3), `front` (1), share (1), [N, 8] float32.
+        Ratio (3), highlights (3), their weight (1), share (1), [N, 8] float32.
     """
     kernels = compiled_kernels()
     if kernels is None:
@@ -310,8 +312,8 @@ def relative(
         front = arrived.front
         if inside is not None:
             light = np.where(front <= LEAST_FRONT, ratio(np.broadcast_to(inside, light.shape), learned.rig), light)
-        shine = arrived.highlights - gloss * learned.highlights * light
-        return np.concatenate([light * front, shine * front, front, arrived.share * front], 1).astype(np.float32)
+        shine, counts = arrived.highlights - gloss * learned.highlights * light, weight(front, learned.rig)
+        return np.concatenate([light * counts, shine * counts, counts, arrived.share * counts], 1).astype(np.float32)
     from ..compute.threads import for_rows
 
     arrays = (np.ascontiguousarray(array, np.float32) for array in (bounced, weights, *learned))
@@ -319,6 +321,18 @@ def relative(
     limits = MAX_RATIO, np.float32(LEAST_FRONT)
     for_rows(kernels.relative, len(arrived.values), arrived.values, corners, *arrays, within, float(gloss), *limits)
     return arrived.values
+
+
+def weight(front: np.ndarray, rig: np.ndarray) -> np.ndarray:
+    """How much light counts where it is blended, by the rig's irradiance [N, 3] and `Arrived.front` [N, 1]: [N, 1].
+
+    Gaussians are a little transparent, and what a lamp makes of the far side of a head, or of the skin just behind an outline,
+    must not shine through where it is dark before. And the mean of a ratio is that of what is above the line over that of what
+    is below: a pixel that the underside of a jaw, dark in the rig, shares with a neck shows the neck's color, and must not be
+    as bright as the jaw becomes on snow. Of a white surface under an irradiance of pi it is 1.
+    """
+    result: np.ndarray = front * (rig.mean(1, keepdims=True) / np.float32(math.pi))
+    return result
 
 
 def colors_of(lamps: tuple[Lamp, ...]) -> np.ndarray:

@@ -17,6 +17,7 @@ from ..geometry.boxes import box_around
 from ..geometry.libraries import to_numpy
 from ..light.bounce import nearest_points
 from ..light.cornea import bulged, on_eyes
+from ..light.expressed import brightness, rig_in_colors
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
@@ -36,6 +37,7 @@ from .shading_hair import Hair
 RATIO, HIGHLIGHTS, FRONT, SHADOW = slice(0, 3), slice(3, 6), 6, slice(7, 8)  # of `shading.relative`
 LIGHT_CHANNELS = 8
 UNLIT = np.array([1.0, 1.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0], np.float32)  # what changes nothing
+FROM_FRONT = np.array([0.0, 0.0, 1.0])  # direction, head space
 _VIEWS, _VIEW_DISTANCE = 16.0, 1.1  # steps of a direction's coordinates; metres
 _AROUND = 0.08  # metres around a head at rest within which the rig's light in hair is known
 _BOWL = 0.5  # of light from all around that reaches the inner side of an open bust
@@ -115,7 +117,7 @@ class LitAvatar:
         scene = shade(*light, around, self._response, turn, tilts)
         if self._response.gloss:
             self._glints(scene.highlights, seen, eye, around, turn)
-        learned = Learned(rest.rig[self._rows], self._learned((eye - self._centre) @ turn))
+        learned = Learned(self._rig(), self._learned((eye - self._centre) @ turn))
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         corners = self._drawn.corners
         inside = mean_irradiance(self._lighting.surroundings) * (_BOWL * self._response.intensity)
@@ -174,6 +176,27 @@ class LitAvatar:
 
         key = (self._target.id, "relief", *self._inputs.identity_key, *self._inputs.shape_key)
         return self._evaluator.cache.get(key, make)[0]
+
+    def _rig(self) -> np.ndarray:
+        """The rig's irradiance that colors hold in this expression, [N, 3]."""
+        evaluator, target, inputs, texels = self._evaluator, self._target, self._inputs, self._texels
+        tint, rig = to_numpy(evaluator.tint(target, inputs)), self._rest.rig
+        if self._response.rig_at_rest or len(tint) != len(rig):
+            return rig[self._rows]
+
+        def bright(tint: np.ndarray) -> np.ndarray:
+            colors = to_numpy(evaluator.appearance(target, inputs, FROM_FRONT)[0])
+            return brightness(texels, colors, tint, len(self._vertices))
+
+        def still() -> tuple[np.ndarray]:
+            return (bright(to_numpy(evaluator.tint(target, at_rest(target, inputs)))),)
+
+        def make() -> tuple[np.ndarray]:
+            rest = evaluator.cache.get((target.id, "bright at rest", *inputs.identity_key), still)[0]
+            return (rig_in_colors(rig, self._head, texels, rest, bright(tint))[self._rows],)
+
+        key = (target.id, "rig in colors", self._lod, *inputs.code_key, *inputs.shape_key)
+        return evaluator.cache.get(key, make)[0]
 
     def _learned(self, towards: np.ndarray) -> np.ndarray:
         """Highlights of the rig that colors hold already, seen from a direction [3] in the axes of the head at rest, [N, 3].
@@ -318,7 +341,7 @@ class LitAvatar:
         def make() -> RestLight:
             inputs = at_rest(self._target, self._inputs)
             vertices = to_numpy(self._evaluator.mesh(self._target, inputs).vertices).astype(np.float64)
-            colors = to_numpy(self._evaluator.appearance(self._target, inputs, np.array([0.0, 0.0, 1.0]))[0])
+            colors = to_numpy(self._evaluator.appearance(self._target, inputs, FROM_FRONT)[0])
             materials = materials_of(self._head, *self._texels[:2])
             return RestLight.of(self._head, self._texels, materials, vertices, colors, self._texel_shadows)
 

@@ -29,6 +29,7 @@ from grmm_core.light.shading import (
     relative,
     shade,
     transport,
+    weight,
 )
 from grmm_core.light.shadows import RESOLUTION, Casters, Receivers, _map_at, compared, drawn, visible
 from grmm_core.light.surroundings import Surroundings
@@ -154,7 +155,20 @@ def test_compiled_relative_light_is_the_readable_one(monkeypatch):
     np.testing.assert_allclose(fast, relative(Arrived(values), *arguments), rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(within, relative(Arrived(values), *arguments, inside), rtol=1e-4, atol=1e-5)
     np.testing.assert_array_equal(within[10:], fast[10:])
-    np.testing.assert_allclose(within[:10, :3], LEAST_FRONT * inside / learned.rig[:10], rtol=1e-5)
+    counts = weight(np.full((10, 1), LEAST_FRONT), learned.rig[:10])
+    np.testing.assert_allclose(within[:10, :3], counts * inside / learned.rig[:10], rtol=1e-5)
+
+
+def test_a_pixel_that_bright_and_dark_skin_share_is_lit_by_what_both_get_over_what_both_had():
+    """As at the outline of a jaw before a neck: the mean of their ratios would be 3, and a bright line there."""
+    rig = np.float32(math.pi) * np.array([[1.0, 1.0, 1.0], [0.1, 0.1, 0.1]], np.float32)
+    arrived = np.zeros((2, 8), np.float32)
+    arrived[:, :3], arrived[:, 6] = 0.5 * math.pi, 1.0
+    nothing = np.zeros((0, 3), np.int32)
+    light = relative(Arrived(arrived), nothing, nothing, nothing, Learned(rig, np.zeros_like(rig)), 1.0)
+    each, together = light[:, :3] / light[:, 6:7], light[:, :3].mean(0) / light[:, 6].mean()
+    np.testing.assert_allclose(each, [[0.5] * 3, [5.0] * 3], rtol=1e-5)
+    np.testing.assert_allclose(together, 0.5 / 0.55, rtol=1e-5)
 
 
 def test_a_lit_wall_lights_the_one_that_stands_on_it():

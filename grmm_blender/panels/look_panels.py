@@ -90,8 +90,17 @@ class GRMM_PT_hair(_LookPanel):
             draw_text(layout, message, context, icon="ERROR")
         column = layout.column()
         column.active = settings.curves is not None or settings.groom != NO_HAIR
-        for row in SETTINGS:
-            column.prop(settings, row.name, slider=True)
+        for setting in SETTINGS:
+            row = column.row()
+            row.active = _counts(settings, setting.name)
+            row.prop(settings, setting.name, slider=True)
+
+
+def _counts(settings: bpy.types.PropertyGroup, name: str) -> bool:
+    """Whether a slider changes anything: whole dye, as photos give hair, covers pigments; without any, its color is unseen."""
+    if name in ("melanin", "redness"):
+        return settings.dye < 1.0
+    return not name.startswith("dye_") or settings.dye > 0.0
 
 
 CLASSES = (GRMM_PT_hair, GRMM_PT_light)

@@ -156,6 +156,8 @@ def test_hair_is_swapped_by_one_click(hair_script):
     assert found["curves_gone"]
     assert found["still_there"]
     assert "GRMM_MT_add_hair" in found["menus"]
+    # Photos give hair whole dye, which covers the pigments; without any, its color is unseen.
+    assert found["dimmed"] == [["dye_red", "dye_green", "dye_blue"], [], ["melanin", "redness"]]
     assert found["same"]
     assert found["random"] == ["random:7", "bushy", "own", "own"]
     assert found["beard"][0] == found["beard"][1] < found["beard"][2] - 1000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 import bpy
+from panel_recorder import draw_all
 from render_support import heads, new_scene
 from support import module, report
 
@@ -84,6 +85,12 @@ def cover(beard: str) -> float:
     )
 
 
+dimmed = []
+for dye in (0.0, 0.5, 1.0):
+    hair.dye = dye
+    dimmed.append([name for name in draw_all()["dimmed"] if name in names_of_settings])
+hair.property_unset("dye")
+report(dimmed=dimmed)
 same = worn() is worn()
 hair.groom, hair.seed, hair.brows = "RANDOM", 7, "bushy"
 bpy.context.view_layer.update()

@@ -12,7 +12,7 @@ class Recorder:
     """Stands in for UILayout: resolves what a panel draws and notes it."""
 
     def __init__(self, notes: dict[str, list[str]]) -> None:
-        self.notes = notes
+        self.notes, self.active = notes, True
 
     def prop(self, data: object, path: str, **options: object) -> None:
         value = data.path_resolve(path)
@@ -20,6 +20,8 @@ class Recorder:
             value[options["index"]]
         if path.startswith('["') and "index" not in options:
             self.notes["names"].append(options["text"] or self.notes["labels"][-1])
+        if not self.active:
+            self.notes["dimmed"].append(path)
         self.notes["properties"].append(path if "index" not in options else f"{path}[{options['index']}]")
 
     def operator(self, name: str, **_: object) -> object:
@@ -79,7 +81,7 @@ def drawn(cls: type, layout: Recorder) -> object:
 
 
 def draw_all(context: object = bpy.context) -> dict[str, list[str]]:
-    notes: dict[str, list[str]] = {"properties": [], "operators": [], "labels": [], "panels": [], "names": []}
+    notes: dict[str, list[str]] = {"properties": [], "operators": [], "labels": [], "panels": [], "names": [], "dimmed": []}
     for panel in panels():
         if panel.poll(context):
             notes["panels"].append(panel.__name__)

@@ -38,6 +38,9 @@ _CLOSED, _MOST_BETWEEN = 0.1, 0.6  # share of skin between strands below which n
 _PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
 _ROUNDS = 4  # of finding a dye
 UNLIKELY = 0.02  # of a display color; if no pigment comes nearer, hair is dyed
+_TELLING = (
+    0.1  # of what strands cover that a photo must show as hair to tell of red or dye: fewer pixels take color from beside
+)
 MARGIN = 0.3  # of the head's height, around it
 
 
@@ -89,7 +92,10 @@ def reduced(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView], head: HeadModel) -> HairSettings:
-    """Settings whose drawn colors are in the mean those of the first photo's hair, as bright and as tinted as it shows them."""
+    """Settings whose drawn colors are in the mean those of the first photo's hair, as bright and as tinted as it shows them.
+
+    Of hair that hardly shows, as beside a hat, only how dark and how grey it is is believed.
+    """
     view = around_head(views[0])
     side = min(1.0, COLOR_SIDE / max(view.hair.shape))
     size = max(1, round(view.camera.height * side)), max(1, round(view.camera.width * side))
@@ -102,22 +108,23 @@ def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView],
     image = np.stack([reduced(view.image[..., k], size) for k in range(3)], 2)
     strands = WornHair(groom, settings, view.vertices, view.camera.resized(size[1], size[0]), head)
     weights = strands.weights(full)
-    wanted = image[full].mean(0)
+    wanted, cover = image[full].mean(0), strands.drawn(settings)[1]
+    plain = full.sum() < _TELLING * cover.sum()
     if len(groom) and (groom.groups != SCALP).all():  # brows and beards let the skin through, and so do drawn ones
-        wanted = _without_skin(image, hair, full, strands.drawn(settings)[1])
+        wanted = _without_skin(image, hair, full, cover)
 
     def distance(tried: HairSettings) -> float:
         off = weights @ strands.gaussians(tried).colors - wanted
         return float((off**2).sum() + _PULL * (tried.grey + 0.3 * tried.redness))
 
-    grid = itertools.product(np.linspace(0, 1, 6), (0.0, 0.4, 0.8), (0.0, 0.4))
+    grid = itertools.product(np.linspace(0, 1, 6), (0.0, 0.4, 0.8), (0.0,) if plain else (0.0, 0.4))
     best = min((settings.changed(melanin=m, grey=g, redness=r, dye=0.0) for m, g, r in grid), key=distance)
     for step in (0.2, 0.1, 0.05, 0.1, 0.05, 0.025):
-        for name in ("melanin", "grey", "redness"):
+        for name in ("melanin", "grey") if plain else ("melanin", "grey", "redness"):
             around = [best.changed(**{name: getattr(best, name) + sign * step}) for sign in (-1, 1)]
             best = min([best, *around], key=distance)
     off = weights @ strands.gaussians(best).colors - wanted
-    if float(np.abs(off).max()) <= UNLIKELY:
+    if plain or float(np.abs(off).max()) <= UNLIKELY:
         return best
     best = best.changed(dye=1.0)  # no pigment makes it
     color = np.clip(wanted, 0.0, 1.0)

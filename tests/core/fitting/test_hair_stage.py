@@ -18,7 +18,7 @@ from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import EMPTY, triangle_depth
 from grmm_core.hair import HairSettings, library_groom
-from grmm_core.hair.coloring import HairView, WornHair
+from grmm_core.hair.coloring import HairView, WornHair, with_colors
 from grmm_core.hair.mirror import mirrored
 from grmm_core.hair.roots import BEARD, BROWS, LASHES
 from grmm_core.head import load_open_head
@@ -50,6 +50,23 @@ def test_a_packaged_groom_is_found_again_with_its_color(name, flipped, settings)
     full = (shown.hair > 0.95) & (again.hair > 0.95)
     np.testing.assert_allclose(again.image[full].mean(0), shown.image[full].mean(0), atol=0.05)
     assert np.minimum(shown.hair, again.hair).sum() > 0.85 * np.maximum(shown.hair, again.hair).sum()
+
+
+def test_hair_that_hardly_shows_is_not_dyed():
+    """Blue of a sky in the few pixels beside a hat made a lilac head of hair; where all of it shows, it may be lilac."""
+    head, groom = load_open_head(), library_groom("bob")
+    lilac = HairSettings(dye=1.0, dye_red=0.5, dye_green=0.35, dye_blue=0.5)
+    whole = photo(groom, lilac, 0.0)
+    rows, columns = np.nonzero(whole.hair > 0.9)
+    beside = np.zeros_like(whole.hair)
+    beside[rows[:1200], columns[:1200]] = 1.0
+    plain, dyed = (
+        with_colors(HairSettings(redness=0.6), groom, [replace(whole, hair=hair)], head) for hair in (beside, whole.hair)
+    )
+    assert dyed.dye == 1.0
+    assert plain.dye == plain.redness == 0.0
+    shown, again = (photo(groom, settings, 0.0).image[whole.hair > 0.95].mean() for settings in (lilac, plain))
+    assert abs(shown - again) < 0.1, "how bright it is is believed"
 
 
 def test_a_head_without_hair_is_bald():

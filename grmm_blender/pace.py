@@ -30,14 +30,13 @@ class Pace:
         self._begun: set[int] = set()
 
     def record(self, way: int, seconds: float) -> None:
-        """Note how long making took. A way's first time is left out: it includes loading the model and compiling."""
-        if way not in self._begun:
-            self._begun.add(way)
-            return
-        self._made[way] = _smoothed(self._made.get(way), seconds)
+        """Note how long making took. The very first time is left out: it includes loading the model."""
+        if self._begun:
+            self._made[way] = _smoothed(self._made.get(way), seconds)
+        self._begun.add(way)
 
     def is_begun(self, way: int) -> bool:
-        """Whether something was made in a way, so that the next will not take long to come."""
+        """Whether something was made in a way, so that the next need not compile for it."""
         return way in self._begun
 
     def doubt(self, way: int) -> None:

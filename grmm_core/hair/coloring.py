@@ -38,9 +38,8 @@ _CLOSED, _MOST_BETWEEN = 0.1, 0.6  # share of skin between strands below which n
 _PULL = 2e-3  # towards pigment alone, where grey and red explain a color as well
 _ROUNDS = 4  # of finding a dye
 UNLIKELY = 0.02  # of a display color; if no pigment comes nearer, hair is dyed
-_TELLING = (
-    0.1  # of what strands cover that a photo must show as hair to tell of red or dye: fewer pixels take color from beside
-)
+# share of what strands cover that a photo must show as hair to tell of red or dye: fewer pixels take color from beside
+_TELLING = 0.1
 MARGIN = 0.3  # of the head's height, around it
 
 
@@ -117,12 +116,17 @@ def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView],
         off = weights @ strands.gaussians(tried).colors - wanted
         return float((off**2).sum() + _PULL * (tried.grey + 0.3 * tried.redness))
 
+    def nearest(found: HairSettings) -> HairSettings:
+        for step in (0.2, 0.1, 0.05, 0.1, 0.05, 0.025):
+            for name in ("melanin", "grey") if plain else ("melanin", "grey", "redness"):
+                around = [found.changed(**{name: getattr(found, name) + sign * step}) for sign in (-1, 1)]
+                found = min([found, *around], key=distance)
+        return found
+
     grid = itertools.product(np.linspace(0, 1, 6), (0.0, 0.4, 0.8), (0.0,) if plain else (0.0, 0.4))
-    best = min((settings.changed(melanin=m, grey=g, redness=r, dye=0.0) for m, g, r in grid), key=distance)
-    for step in (0.2, 0.1, 0.05, 0.1, 0.05, 0.025):
-        for name in ("melanin", "grey") if plain else ("melanin", "grey", "redness"):
-            around = [best.changed(**{name: getattr(best, name) + sign * step}) for sign in (-1, 1)]
-            best = min([best, *around], key=distance)
+    tried = [settings.changed(melanin=m, grey=g, redness=r, dye=0.0) for m, g, r in grid]
+    simple = [one for one in tried if not one.grey and not one.redness]  # grey and red together look nearly like neither
+    best = min((nearest(min(starts, key=distance)) for starts in (simple, tried)), key=distance)
     off = weights @ strands.gaussians(best).colors - wanted
     if plain or float(np.abs(off).max()) <= UNLIKELY:
         return best

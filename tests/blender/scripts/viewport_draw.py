@@ -272,7 +272,7 @@ levels, make, pace = [], viewport.jobs._make, viewport.jobs.pace
 viewport.jobs._make = lambda request, level: levels.append(level) or make(request, level)
 for change in (lambda: setattr(rig.location, "x", 0.03), lambda: (head.__setitem__("jawOpen", 0.3), head.update_tag())):
     viewport.jobs.pace = type(pace)()
-    for level in (0, 0, 1, 1):
+    for level in (0, 0, 1):
         viewport.jobs.pace.record(level, 5.0)
     change()
     bpy.context.view_layer.update()

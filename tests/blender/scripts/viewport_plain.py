@@ -33,11 +33,10 @@ bpy.ops.object.mode_set(mode="POSE")
 report(bones=[looked_at, len(list(bones.posed_bones(bpy.context, bpy.context.evaluated_depsgraph_get())))])
 report(callbacks=len(module("grmm_blender.events")._drawing), rendered=True)
 
-# The level of detail follows measured times; the first one of each is that of loading and compiling.
+# The level of detail follows measured times; the first one is that of loading.
 pace = pace_class()
 begun = [pace.is_begun(0)]
-for level in range(4):
-    pace.record(level, 100.0)
+pace.record(0, 100.0)
 begun.append(pace.is_begun(0))
 levels = [pace.level(0, 0.04)]
 report(first_measure=levels[0], begun=begun)

@@ -12,16 +12,13 @@ import bpy
 import numpy as np
 
 from ...grmm_core.controls.names import JOINT_NAMES
-from ...grmm_core.geometry.triangles import vertex_normals
 from ...grmm_core.head import HeadModel
-from ...grmm_core.light.rough import over_rig
-from ...grmm_core.model.plain_face import IRIS_DEGREES, PUPIL_DEGREES, UNLIKE, accented, plain_face
+from ...grmm_core.model.plain_face import IRIS_DEGREES, PUPIL_DEGREES, UNLIKE, accented, plain_face, unlit
 from ...grmm_core.pictures.color import srgb_to_linear
 from ...grmm_core.pictures.sampling import bilinear
 from .identity import Identity
 
 PART = "grmm_part"  # custom property of a material: which part of a head it was made for
-LIGHT = "grmm_over_rig"  # attribute of a mesh: what skin throws back over its color in the painting
 _PLAIN_FACE = "grmm_plain"  # custom property of an image: a plain face where there could be a painting
 # part, words of its regions; of parts that heads share: color (linear) and alpha, roughness
 _PLAIN = (
@@ -44,11 +41,10 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
     painting = plain_face(identity.head) if identity.painting is None else accented(identity.head, identity.painting)
     colors = _face_colors(identity.head, painting)
     parts = _parts(identity.head, colors)
-    normals = vertex_normals(identity.vertices, identity.head.faces)
-    _set_light(mesh, np.ones(len(normals), np.float32) if identity.painting is None else over_rig(normals))
     used = [name for name in (*_PAINTED, *(name for name, *_ in _PLAIN)) if (parts == name).any()]
     _remove_painted(mesh)
-    image = _image(f"{identity.name} painting", painting)
+    flat = painting if identity.painting is None else unlit(identity.head, identity.vertices, painting)
+    image = _image(f"{identity.name} painting", flat)
     if identity.painting is None and identity.z_exp_size:
         image[_PLAIN_FACE] = True
     shared = {name: (color, roughness) for name, _, color, roughness in _PLAIN}
@@ -60,12 +56,6 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
             material = _painted(f"{identity.name} {name}", name, image, color, _PAINTED[name])
         mesh.materials.append(material)
     mesh.polygons.foreach_set("material_index", np.array([used.index(name) for name in parts], np.int32))
-
-
-def _set_light(mesh: bpy.types.Mesh, over: np.ndarray) -> None:
-    """Store what colors are multiplied by, of the vertices, [V] float32."""
-    attribute = mesh.attributes.get(LIGHT) or mesh.attributes.new(LIGHT, "FLOAT", "POINT")
-    attribute.data.foreach_set("value", over)
 
 
 def _remove_painted(mesh: bpy.types.Mesh) -> None:
@@ -150,13 +140,7 @@ def _painted(name: str, part: str, image: bpy.types.Image, color: np.ndarray, ro
     texture = nodes.new("ShaderNodeTexImage")
     texture.image, texture.location = image, (-320.0, 300.0)
     nodes.active = texture  # what solid view shows where it is set to textures
-    light, scaled = nodes.new("ShaderNodeAttribute"), nodes.new("ShaderNodeVectorMath")
-    light.attribute_name, light.location = LIGHT, (-320.0, 0.0)
-    scaled.operation, scaled.location = "SCALE", (-160.0, 200.0)
-    links = material.node_tree.links
-    links.new(texture.outputs["Color"], scaled.inputs[0])
-    links.new(light.outputs["Fac"], scaled.inputs["Scale"])
-    links.new(scaled.outputs["Vector"], shader.inputs["Base Color"])
+    material.node_tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
     return material
 
 

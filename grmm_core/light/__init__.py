@@ -15,8 +15,9 @@
 ``shadow_kernels`` shadow maps again, compiled; ``light_kernels`` shading and relighting;
                   ``skin_light_kernel`` skin in blocks; ``strand_light_kernel`` strands
 ``resting``       what light does on a head at rest, made once for a person; ``posture`` how a posed one lies beside it
+``expressed``     what of the rig's light the colors of an expression hold
 ``turning``       what a turn of the neck makes of the studio's light
-``rough``         all of it at a glance, for viewports
+``rough``         all of it at a glance, for viewports and painted meshes
 ``mesh_light``    light read from the mesh at each pixel; ``mesh_light_kernels`` again, compiled
 ``relight``       both applied to a picture in linear light
 ``parse``         lights in words, for the command line

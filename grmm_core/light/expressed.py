@@ -17,7 +17,7 @@ from .shadows import compiled_kernels
 if TYPE_CHECKING:
     from ..head import HeadModel
 
-_LEAST, _MOST = 0.5, 2.0  # of the rig at rest: shut lids get 1.5 times as much
+_LEAST, _MOST = 0.5, 2.0  # of the rig at rest: shut lids get 1.4 times as much
 _HARDLY = np.float32(1e-4)  # of a texel
 _DARK = 0.02  # display value that colors have at least
 

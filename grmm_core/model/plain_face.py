@@ -10,7 +10,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..controls.names import JOINT_NAMES
+from ..geometry.triangles import vertex_normals
 from ..head import HeadModel
+from ..light.rough import over_rig
+from ..pictures.color import linear_to_srgb, srgb_to_linear
 from ..pictures.images import quantize
 from .layout import texel_layout
 from .painting import fill_unknown
@@ -125,6 +128,27 @@ def accented(head: HeadModel, painting: np.ndarray) -> np.ndarray:
         colors[ball] += weight * (np.array(_PUPIL, np.float32) - colors[ball])
     flat[layout.texel] = colors
     return quantize(flat.reshape(painting.shape))
+
+
+def unlit(head: HeadModel, vertices: np.ndarray, painting: np.ndarray) -> np.ndarray:
+    """Return a painting of a person without the studio's light, as a material in a scene's light wants it.
+
+    What is taken off is the light on a ball, by the normals: what a nose or jaw shades stays in the colors.
+
+    Args:
+        head: The mesh and its UV map.
+        vertices: Of the person at rest, [V, 3] metres.
+        painting: As `plain_face` returns one.
+    """
+    side = len(painting)
+    layout = texel_layout(head.uv, head.uv_faces, side)
+    normals = vertex_normals(vertices, head.faces)[head.faces[layout.face]]  # [N, 3, 3]
+    normals = (normals * layout.barycentric[..., None]).sum(1)
+    over, known = np.ones((side * side, 1), np.float32), np.zeros(side * side, bool)
+    over[layout.texel, 0] = over_rig(normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-9))
+    known[layout.texel] = True
+    over = fill_unknown(over.reshape(side, side, 1), known.reshape(side, side))
+    return quantize(linear_to_srgb(over * srgb_to_linear(painting.astype(np.float32) / 255.0)))
 
 
 def _averaged(picture: np.ndarray, size: int) -> np.ndarray:

@@ -12,9 +12,8 @@ from pathlib import Path
 from tools.demo.performance import write_performance
 
 from .blender import WalkedBlender, WalkError
-from .steps import SELECT_RIG, STATUSES, add_head, install, start
+from .steps import SELECT_RIG, add_head, install, start
 
-_MESH = "Mesh only during playback"
 TURNS, WARM_SECONDS, TURN_SECONDS = 3, 12.0, 15.0  # kernels of small pictures are compiled once
 _COUNT = """
 names = bpy.app.driver_namespace
@@ -24,6 +23,13 @@ if "walk frames" not in names:
         bpy.app.driver_namespace["walk frames"] += 1
     bpy.app.handlers.frame_change_post.append(count)
 result = names["walk frames"]
+"""
+
+
+_MESH_ONLY = """
+import sys
+overlay = next(module for name, module in sys.modules.items() if name.endswith("viewport.overlay"))
+result = [viewport._mesh_only for viewport in overlay._viewports.values()]
 """
 
 
@@ -53,7 +59,7 @@ def _play(blender: WalkedBlender, name: str, splats: bool = False) -> None:
     time.sleep(TURN_SECONDS)
     frames, seconds = blender.run(_COUNT) - frames, time.monotonic() - begin
     spent = (blender.processor_seconds() - spent) / max(frames, 1)
-    if splats and _MESH in blender.run(STATUSES):
+    if splats and any(blender.run(_MESH_ONLY)):
         raise WalkError("with splats on, the bare mesh is played")
     blender.picture(name.partition(",")[0].replace(" ", "_"), 0.0, settled=False)
     blender.run("bpy.ops.screen.animation_cancel(restore_frame=False)")

@@ -58,7 +58,7 @@ head.grmm.lighting = "STUDIO"
 for name, value in bpy.app.driver_namespace.get("walk", {}).items():
     setattr(head.grmm.hair, name, value)
 """
-STATUSES = """
+_STATUSES = """
 import sys
 result = next(module for name, module in sys.modules.items() if name.endswith("viewport.overlay")).statuses()
 """
@@ -353,6 +353,6 @@ def disable_and_enable(blender: WalkedBlender) -> None:
     blender.picture("disabled", 2)
     blender.run(f"bpy.ops.preferences.addon_enable(module={name!r})")
     blender.picture("enabled", 8)
-    said = blender.run(STATUSES)
+    said = blender.run(_STATUSES)
     if said:
         raise WalkError(f"after disabling and enabling the viewport says: {said}")

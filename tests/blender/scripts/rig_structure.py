@@ -149,24 +149,16 @@ def painted() -> dict:
             "size": list(image.size),
             "pixels": np.array(image.pixels[:], np.float32).reshape(-1, 4)[:, :3].mean(0).tolist(),
             "faces": {part: int((index == k).sum()) for k, part in enumerate(materials)},
-            "over_rig": over_rig(materials["Skin"]),
-            "plain": module("grmm_blender.rig.materials").is_plain(mesh),
         }
-
-    def over_rig(material: bpy.types.Material) -> list[float]:
-        """What skin that looks up, ahead, and down at the back of the jaw is multiplied by before Blender lights it."""
-        shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-        scaled = shader.inputs["Base Color"].links[0].from_node
-        name = scaled.inputs["Scale"].links[0].from_node.attribute_name
-        values, normals = np.empty(len(mesh.vertices), np.float32), np.empty((len(mesh.vertices), 3), np.float32)
-        mesh.attributes[name].data.foreach_get("value", values)
-        mesh.vertex_normals.foreach_get("vector", normals.ravel())
-        ways = (0.0, -0.5, 0.87), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)
-        return [float(np.median(values[normals @ way > 0.97])) for way in ways]
 
     index = np.empty(len(mesh.polygons), np.int32)
     mesh.polygons.foreach_get("material_index", index)
     first = look()
+    identity = module("grmm_blender.rig.identity").read_identity("default")
+    lit = module("grmm_core.model.plain_face").accented(identity.head, identity.painting) / 255.0
+    image = mesh.materials[0].node_tree.nodes.active.image
+    over = np.array(image.pixels[:], np.float32).reshape(*lit.shape[:2], 4)[..., :3][lit > 0.4] / lit[lit > 0.4]
+    first["over_painting"] = np.quantile(over, (0.05, 0.95)).tolist()
     bpy.ops.grmm.relink_avatar(filepath=str(module("grmm_core.avatar.library").library_path("beard")))
     mesh.polygons.foreach_get("material_index", index)
     second = look()

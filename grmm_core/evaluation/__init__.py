@@ -10,6 +10,7 @@ The map:
 ``protocols``        the protocols: views in, rows of numbers out
 ``photo_fits``       real photos fitted as users do, and what the stages of the fitting give (``identity``: by face recognition)
 ``cleanliness``      wisps, holes, specks and seams of a person seen from all sides
+``evenness``         how much light is left in a face that a photo's light was taken out of
 ``disentanglement``  whether identity and expression are separate, and smooth
 ``strips``           pictures of codes: random people, interpolations, transfer
 ``report``           rows to JSON, tables and picture sheets

@@ -38,6 +38,7 @@ from ..model.torch_loader import with_deltas
 from ..pictures.images import write_png
 from ..session import Instance, RenderOptions, Session, create_session
 from .cleanliness import FROM_FRONT, SHEET, Shot, cleanliness, seam, seen_vertices
+from .evenness import evenness
 from .identity import Identity
 from .metrics import Distance, errors_of
 from .person_fit import exact_track
@@ -177,16 +178,18 @@ def photo_sheet(
 ) -> tuple[np.ndarray, dict[str, float]]:
     """Photo, fit, and the twelve views and expressions of `cleanliness.SHEET`, uint8; and how clean those are.
 
-    The figures are the worst view's `outside`, `holes` and `specks`, and the `seam`.
+    The figures are the worst view's `outside`, `holes` and `specks`, the `seam`, and how much light there is in the photo and
+    left in the studio's rig (`evenness.Evenness.spread`).
     """
     view, _ = photo_pictures(model, avatar, [track], pixels)[0]
-    seen = worn.photo(view.camera)
+    seen, even = worn.photo(view.camera), worn.shot(photo_controls(avatar, worn.head), view.camera)
     shots = [worn.shot(Controls().set_named(controls), portrait_camera(pixels, yaw, pitch)) for controls, yaw, pitch in SHEET]
     rows = [view.image.cpu().numpy(), seen.rgb, *(shot.rgb for shot in shots)]
     found = [cleanliness(shot, worn.head) for shot in shots]
     clean = {name: max(one[name] for one in found) for name in found[0]}
     known = seen_vertices(seen.vertices, view.camera, view.inside.cpu().numpy(), worn.head)
-    return sheet([rows[:7], rows[7:]]), {**clean, "seam": seam(shots[:FROM_FRONT], known, worn.head)}
+    lit = {"light": evenness(rows[0], even, worn.head).spread, "light_left": evenness(even.rgb, even, worn.head).spread}
+    return sheet([rows[:7], rows[7:]]), {**clean, **lit, "seam": seam(shots[:FROM_FRONT], known, worn.head)}
 
 
 def compare_stages(

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
-from .ribbons import Eye
+from .ribbons import OPACITY, Eye
 from .roots import BROWS, LASHES, SCALP
 from .settings import HairSettings
 from .strands import StrandBlock, shortness
@@ -24,7 +24,6 @@ SHORT, LONG = 0.008, 0.06  # metres: mean length of hair that is drawn so, and o
 SMALLEST_SHARE = 0.06  # of the strands
 BUDGET = 110.0  # Gaussians a pixel per metre: as many as a picture of this size can be drawn of in good time
 RAISED, RAISED_SHORN, MOST_RAISED = 0.001, 0.0045, 0.012  # metres: see `raised_by`
-OPACITY = 0.97
 CELL = 6.0  # px: of the coarse depth that says what the head hides
 SLACK = 0.006  # metres below the skin that still count as seen
 COVERED = 4.0  # opacity of strands, summed up, that hides those behind: less than e^-4 of these is left

@@ -81,7 +81,7 @@ def thicken(
     """
     count = shown.shape[1] - 1
     height, width, layers = thick.shape
-    each = F(2.0 * math.pi) * _LONG * _WIDE * F(many) / (F(cell) * F(cell))
+    each = F(2.0 * math.pi) * _LONG * _WIDE * F(many) / (F(cell) * F(cell))  # of a Gaussian as long and as wide as 1
     for i in range(len(shown)):
         for k in range(count):
             if seen[i, k] <= _ZERO:

@@ -14,6 +14,7 @@ GINGER, GINGER_ABSORPTION = np.array([0.34, 0.10, 0.025]), 1.6
 WHITE = np.array([0.46, 0.455, 0.45])
 ROOT_SHADE = 0.78  # of the color at the tip
 LOCKS = 400  # of differing color
+LOCK_TONE, OWN_TONE = 0.55, 1.6  # how much tones of locks and of single hairs differ where `variation` is 1
 
 
 def albedos(settings: HairSettings, lock: np.ndarray, chance: np.ndarray, hairs: float = 1.0, share: float = 1.0) -> np.ndarray:
@@ -32,7 +33,7 @@ def albedos(settings: HairSettings, lock: np.ndarray, chance: np.ndarray, hairs:
         [N, 2, 3] float32.
     """
     s = settings
-    tone = 1.0 + s.variation * (0.55 * lock + 0.55 * (chance[:, 1] - 0.5) * share**0.5)
+    tone = 1.0 + s.variation * (LOCK_TONE * lock + OWN_TONE * (chance[:, 1] - 0.5) * share**0.5)
     melanin = s.melanin * (1.0 + 0.12 * s.variation * lock)[:, None]
     pigmented = np.exp(-ABSORPTION * melanin) * BLOND
     red = GINGER * np.exp(-GINGER_ABSORPTION * melanin)

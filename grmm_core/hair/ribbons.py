@@ -2,7 +2,9 @@
 
 A strand of K points becomes K - 1 Gaussians: centre in the middle of its segment, long axis along it. A strand is often far
 thinner than a pixel, and the rasteriser widens every Gaussian by `DILATION`; its opacity is lowered by as much as it grows
-(Yu et al. 2024, Mip-Splatting), so that thousands of fine strands cover what they should.
+(Yu et al. 2024, Mip-Splatting), and raised by `ALPHA_MIN`: the rasteriser leaves out where a Gaussian covers less, which is
+that share of 2 pi sqrt(det) of its area on the picture whatever its opacity, much of a faint one. So thousands of fine strands
+cover what they should, and as much as few wide ones.
 
 Shading: a strand is a matte cylinder with a white glint (Kajiya and Kay 1989) as broad as that of many hairs that do not lie
 quite alike, lit by the even rig of the capture studio, which the colors of the skin stand for. How much of a lamp reaches a
@@ -19,10 +21,11 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.libraries import Array, as_like, library_of
-from ..splat.rules import DILATION
+from ..splat.rules import ALPHA_MIN, DILATION
 
+OPACITY = 0.97  # of a strand
 LONG = 0.42  # of a segment's length: standard deviation along it
-WIDE = 0.72  # of half the diameter: standard deviation across
+WIDE = 1.0 / (np.pi * LONG * OPACITY)  # of half the diameter, across: a chain of Gaussians covers what a ribbon does
 TINY = 1e-9  # metres; keeps directions of empty segments defined
 SMALLEST = 1e-6  # px^2; keeps the antialiasing factor of invisible strands defined
 
@@ -92,7 +95,7 @@ def segments(points: Array, radii: Array, opacities: Array, eye: Eye | None = No
         radii: Half the diameter at root and tip, metres, [N, 2]; between them it goes with the square of the place, as the
             studio renders it.
         opacities: Of the strands, 0..1, [N].
-        eye: For whom opacities are lowered by the antialiasing factor; None leaves them.
+        eye: For whom opacities are those that the rasteriser draws as such strands; None leaves them.
     """
     library = library_of(points)
     a, b = points[:, :-1], points[:, 1:]
@@ -109,7 +112,8 @@ def segments(points: Array, radii: Array, opacities: Array, eye: Eye | None = No
     scales = library.stack([LONG * length, radius, radius], -1)
     opacities = opacities[:, None] + zero
     if eye is not None:
-        opacities = opacities * _compensation(means, axis, LONG * length, radius, eye)
+        left_out = as_like(np.array(ALPHA_MIN), opacities) * (opacities > 0)
+        opacities = opacities * _compensation(means, axis, LONG * length, radius, eye) + left_out
     return Segments(means, quats, scales, opacities)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..compute.kernels import compiled
 from ..pictures.color import linear_to_srgb
-from ..splat.rules import DILATION
+from ..splat.rules import ALPHA_MIN, DILATION
 from .ribbons import (
     AMBIENT,
     BACK,
@@ -34,7 +34,7 @@ from .ribbons import (
 _OPTIONS = {"fastmath": True, "boundscheck": False, "error_model": "numpy", "nogil": True}
 F = np.float32
 _LONG, _WIDE, _TINY2, _SMALLEST, _DILATION = F(LONG), F(WIDE), F(TINY * TINY), F(SMALLEST), F(DILATION)
-_ONE, _TWO, _HALF, _ZERO = F(1.0), F(2.0), F(0.5), F(0.0)
+_ONE, _TWO, _HALF, _ZERO, _LEAST = F(1.0), F(2.0), F(0.5), F(0.0), F(ALPHA_MIN)
 
 
 @compiled(**_OPTIONS)
@@ -112,11 +112,11 @@ def segments_forward(
             my = _HALF * (points[i, k, 1] + points[i, k + 1, 1])
             mz = _HALF * (points[i, k, 2] + points[i, k + 1, 2])
             means[row, 0], means[row, 1], means[row, 2] = mx, my, mz
-            factor = _ONE
-            if antialias:
+            opacities[row] = opacity[i]
+            if antialias and opacity[i] > _ZERO:
                 across, down = _areas(mx, my, mz, ux, uy, uz, long, radius, eye)
                 factor = math.sqrt(across * down / ((across + _DILATION) * (down + _DILATION)))
-            opacities[row] = opacity[i] * factor
+                opacities[row] = opacity[i] * factor + _LEAST
 
 
 @compiled(**_OPTIONS)

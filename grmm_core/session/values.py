@@ -30,9 +30,9 @@ RAW_LINEAR_PASS = "raw_linear"
 EMPTY_DEPTH = 1.0e10
 """Depth in metres of pixels that no Gaussian covers: Blender's value for an empty Z pass."""
 MAX_LOD = 3
-FINAL_STRANDS, MAX_STRANDS = 2.0, 8.0
-MAX_WRINKLES = 4.0
+FINAL_STRANDS = MAX_STRANDS = 8.0
 """Of `RenderOptions.strands`: for final pictures, and at most."""
+MAX_WRINKLES = 4.0
 CLOUD_TERMS = (1, 4, 9, 16)
 """Numbers of spherical harmonics that a cloud may have: those of the degrees 0 to 3."""
 MAX_PIXELS = 1 << 26  # 8192 x 8192; refuses sizes that only a typing error asks for

@@ -9,6 +9,8 @@ import numpy as np
 from render_support import difference, heads, load_png, new_scene, render
 from support import report
 
+NECK = slice(48, 56)  # rows of a picture of 80 between chin and shoulders
+
 weights, folder = sys.argv[1], Path(sys.argv[2])
 scene = new_scene(weights)
 hair = heads(scene)[0].grmm.hair
@@ -40,7 +42,8 @@ for row in ("melanin", "grey"):
 scene.frame_set(1)
 report(
     own=difference(shot(), own),
-    cover=[float((picture[..., 3] > 128).mean()) for picture in (own, afro, dark, short)],
+    cover=[float((picture[..., 3] > 128).mean()) for picture in (own, afro)],
+    beside_neck=[float((picture[NECK, :, 3] > 128).mean()) for picture in (dark, short)],
     brightness=[float(picture[picture[..., 3] > 250][:, :3].mean()) for picture in (dark, grey)],
     listed=[item.identifier for item in type(hair).bl_rna.properties["groom"].enum_items],
 )

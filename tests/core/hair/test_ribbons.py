@@ -8,7 +8,7 @@ import torch
 
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair.gradients import strand_segments
-from grmm_core.hair.ribbons import Eye, segments, shade
+from grmm_core.hair.ribbons import OPACITY, Eye, segments, shade
 from grmm_core.pictures.color import linear_to_srgb
 from grmm_core.splat import Gaussians, rasterize
 
@@ -71,18 +71,21 @@ def test_colors_of_points_get_gradients_through_a_picture():
         assert float(leaf.grad.abs().sum()) > 0
 
 
-def test_a_strand_thinner_than_a_pixel_covers_no_more_than_its_width():
-    """The cover of a strand goes with its width, however much the rasteriser widens it."""
+def cover_of(width: float, camera: Camera, opacity: float = OPACITY) -> float:
+    """Pixels that a strand of 10 cm covers beside the middle of a picture."""
     path = np.linspace([-0.05, 0.003, 0.0], [0.05, -0.003, 0.0], 9)[None]
-    camera = Camera.orbit(256, 256, distance=1.0, fov=20.0)
-    covers = []
-    for width in (1e-4, 2e-4, 4e-4):
-        made = segments(path, np.full((1, 2), 0.5 * width), np.ones(1), Eye.of(camera))
-        flat = [torch.tensor(part.reshape(-1, *part.shape[2:]), dtype=torch.float32) for part in made]
-        covers.append(float(rasterize(Gaussians(*flat, torch.ones(8, 3)), camera).alpha.sum()))
-    pixels = 0.1 * scale_of(camera) * np.array([1e-4, 2e-4, 4e-4]) * scale_of(camera)
-    np.testing.assert_allclose(covers, pixels, rtol=0.3)
-    assert covers[0] < 0.6 * covers[1] < 0.4 * covers[2]
+    made = segments(path, np.full((1, 2), 0.5 * width), np.full(1, opacity), Eye.of(camera))
+    flat = [torch.tensor(part.reshape(-1, *part.shape[2:]), dtype=torch.float32) for part in made]
+    return float(rasterize(Gaussians(*flat, torch.ones(8, 3)), camera).alpha.sum())
+
+
+def test_a_strand_thinner_than_a_pixel_covers_what_a_ribbon_of_its_width_does():
+    """However much the rasteriser widens it, and however much of a faint one it leaves out."""
+    camera = Camera.orbit(256, 256, distance=1.0, fov=20.0)  # whose pixels are 1.4 mm
+    widths = np.array([2e-5, 5e-5, 1e-4, 2e-4, 4e-4])
+    covers = [cover_of(width, camera) for width in widths]
+    np.testing.assert_allclose(covers, 0.1002 * scale_of(camera) * widths * scale_of(camera), rtol=0.06)
+    assert cover_of(1e-4, camera, 0.0) == 0.0
 
 
 def scale_of(camera: Camera) -> float:

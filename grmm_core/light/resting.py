@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -31,10 +32,13 @@ _SKIN = "face"  # region whose color is the skin's
 _OPENED = 1.25  # times as much is seen of what is hidden at rest: less is what maps of depth, and skin that moves, differ by
 _GLOW = 0.4  # of light that leaves the lips, what arrives everywhere in the mouth: about the glow of the studio's mouths
 _TEETH = 1.25  # light on seen teeth over that on the lips, as it is in photos of smiles
+_STILL = 1e-8  # square metres: what moves by less than 0.1 mm stays where it is
+_SHUT = {"eyeBlinkLeft": 1.0, "eyeBlinkRight": 1.0}
 _OPENING = {
-    "jawOpen": 0.5, "mouthUpperUpLeft": 0.5, "mouthUpperUpRight": 0.5, "mouthLowerDownLeft": 0.5, "mouthLowerDownRight": 0.5
+    "jawOpen": 0.5, "mouthUpperUpLeft": 0.5, "mouthUpperUpRight": 0.5, "mouthLowerDownLeft": 0.5, "mouthLowerDownRight": 0.5,
+    **_SHUT,
 }  # fmt: skip
-"""An expression that shows most of what lips hide at rest."""
+"""An expression that shows most of what lips and lids hide at rest."""
 
 
 class Texels(NamedTuple):
@@ -121,6 +125,8 @@ class RestLight(NamedTuple):
         seen: Which part of the rig's lamps texels see, [L, N].
         vertices: [V, 3].
         normals: [V, 3].
+        shutting: How vertices move where the left eye shuts, and the right one, [2, V, 3] metres.
+        turned_out: How many times as much of the rig as at rest they then get, [V].
     """
 
     transfer: np.ndarray
@@ -133,6 +139,8 @@ class RestLight(NamedTuple):
     seen: np.ndarray
     vertices: np.ndarray
     normals: np.ndarray
+    shutting: np.ndarray
+    turned_out: np.ndarray
 
     @staticmethod
     def of(
@@ -165,8 +173,11 @@ class RestLight(NamedTuple):
         skin = np.isin(texels.corners[:, 0], head.regions.get(_SKIN, np.arange(len(vertices))))
         albedo = albedo_of(colors[skin], straight[skin])
         rig = straight + texels.at(exchange.bounced(straight[at_vertices], albedo))
-        opened.put_into(rig, seen, texels, materials.taken(at_vertices), exchange, albedo)
-        return RestLight(rows, reached(rig), albedo, *exchange, seen, vertices, normals)
+        light = opened.put_into(rig, seen, texels, materials.taken(at_vertices), exchange, albedo)
+        rig = reached(rig)
+        turned_out = (light.mean(1) / rig[at_vertices].mean(1)).astype(np.float32)
+        shutting = np.stack([_moves(head, {name: value}) for name, value in _SHUT.items()])
+        return RestLight(rows, rig, albedo, *exchange, seen, vertices, normals, shutting, turned_out)
 
     @property
     def exchange(self) -> Exchange:
@@ -207,35 +218,38 @@ class _Opened(NamedTuple):
     @staticmethod
     def of(head: HeadModel, vertices: np.ndarray, rows: np.ndarray) -> _Opened:
         """Open a head at rest, [V, 3] metres, with its rows of `transfer.transfer`, [V, 9]."""
-        posed = vertices + _opening(head)
+        posed = vertices + _moves(head, _OPENING)
         normals, casters = vertex_normals(posed, head.faces), casters_of(head, posed)
         there = transfer(posed, normals, casters.faces)
         shown = openness(there)
         share = (1.0 - _OPENED * openness(rows) / np.maximum(shown, 1e-6)).clip(0.0, 1.0).astype(np.float32)[:, None]
+        share[(_moves(head, _SHUT) ** 2).sum(1) > _STILL] = 0.0  # lids' colors do say what they are at rest (`expressed`)
         return _Opened(share, rows + share * (there - rows), Receivers.around(posed, normals), casters)
 
     def put_into(
         self, rig: np.ndarray, seen: np.ndarray, texels: Texels, materials: Materials, exchange: Exchange, albedo: np.ndarray
-    ) -> None:  # fmt: skip
+    ) -> np.ndarray:  # fmt: skip
         """Put the rig as it lights what is shown here into its irradiance at texels, [N, 3], and what they see of its lamps.
 
-        The latter is `seen`, [L, N]; the materials are those of the vertices, the albedo [3] is the skin's.
+        The latter is `seen`, [L, N]; the materials are those of the vertices, the albedo [3] is the skin's. Returns the rig's
+        irradiance at the vertices, [V, 3].
         """
         here, rows = np.array([visible(lamp, self.receivers, self.casters) for lamp in STUDIO.lamps]), self.rows
         eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
         light = shade(STUDIO.lamps, self.receivers, here, materials, rows, eye, around).irradiance
-        share = texels.at(self.share)
-        rig += share * (texels.at(light + exchange.bounced(light, albedo)) - rig)
+        light, share = light + exchange.bounced(light, albedo), texels.at(self.share)
+        rig += share * (texels.at(light) - rig)
         seen += share.T * (texels.at(here.T).T - seen)
+        return light
 
 
-def _opening(head: HeadModel) -> np.ndarray:
-    """How far the vertices of a head move where it opens its mouth, [V, 3] metres."""
-    still, opened = (
+def _moves(head: HeadModel, values: Mapping[str, float]) -> np.ndarray:
+    """How far the vertices of a head move in an expression, [V, 3] metres."""
+    still, moved = (
         head.vertices(np.zeros(1), controls.expression, controls.pose)
-        for controls in (resolve(Controls().set_named(values), head) for values in ({}, _OPENING))
+        for controls in (resolve(Controls().set_named(values), head) for values in ({}, values))
     )
-    return opened - still
+    return moved - still
 
 
 def even_mouth(head: HeadModel, corners: np.ndarray, light: np.ndarray, front: int) -> None:

@@ -17,7 +17,7 @@ from ..geometry.boxes import box_around
 from ..geometry.libraries import to_numpy
 from ..light.bounce import nearest_points
 from ..light.cornea import bulged, on_eyes
-from ..light.expressed import brightness, rig_in_colors
+from ..light.expressed import brightness, rig_in_colors, shut_eyes
 from ..light.hair_shading import CELL, HairCloud, LightGrid, Reaching, strand_light
 from ..light.lamps import STUDIO, Lamp, Lighting
 from ..light.materials import Materials, materials_of
@@ -193,9 +193,11 @@ class LitAvatar:
 
         def make() -> tuple[np.ndarray]:
             rest = evaluator.cache.get((target.id, "bright at rest", *inputs.identity_key), still)[0]
-            return (rig_in_colors(rig, self._head, texels, rest, bright(tint))[self._rows],)
+            return (rig_in_colors(rig, self._head, texels, rest, bright(tint), shut, self._rest.turned_out)[self._rows],)
 
-        key = (target.id, "rig in colors", self._lod, *inputs.code_key, *inputs.shape_key)
+        back = self._posture.to_rest
+        shut = shut_eyes(self._rest, self._vertices @ back[:3, :3].T + back[:3, 3])
+        key = (target.id, "rig in colors", self._lod, shut.tobytes(), *inputs.code_key, *inputs.shape_key)
         return evaluator.cache.get(key, make)[0]
 
     def _learned(self, towards: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """The GLSL of the splat viewport, made once for a graphics context.
 
-The projection follows `grmm_core.splat.rules` (EWA as in 3DGS, 0.3 px^2 dilation, cut at a cover of 1/255, cap 0.999, and the
-opacity compensation of antialiasing where a Gaussian asks for it). Cameras are the core's: x right, y down, z forward, pixels
-from the upper left corner.
+The projection follows `grmm_core.splat.rules` (EWA as in 3DGS, 0.3 px^2 dilation, cut at a cover of 1/255, and the opacity
+compensation of antialiasing where a Gaussian asks for it). Cameras are the core's: x right, y down, z forward, pixels from the
+upper left corner.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import functools
 
 import gpu
 
-from ...grmm_core.splat.rules import ALPHA_MAX, ALPHA_MIN, COMPENSATION_MIN, DILATION
+from ...grmm_core.splat.rules import ALPHA_MIN, COMPENSATION_MIN, DILATION
 from .arrays import PACK_STEPS, TEXELS, TEXTURE_WIDTH
 
 _CONSTANTS = f"""
@@ -21,7 +21,6 @@ const float STEPS = {PACK_STEPS}.0;
 const float DILATION = {DILATION};
 const float COMPENSATION_MIN = {COMPENSATION_MIN!r};
 const float ALPHA_MIN = {ALPHA_MIN!r};
-const float ALPHA_MAX = {ALPHA_MAX};
 """
 
 _SPLAT_VERTEX = (
@@ -100,7 +99,7 @@ _SPLAT_FRAGMENT = (
 void main()
 {
   float power = conic.x * offset.x * offset.x + 2.0 * conic.y * offset.x * offset.y + conic.z * offset.y * offset.y;
-  float alpha = min(ALPHA_MAX, tint.a * exp(-0.5 * power));
+  float alpha = min(1.0, tint.a * exp(-0.5 * power));
   if (alpha < ALPHA_MIN) {
     discard;
   }

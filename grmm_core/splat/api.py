@@ -48,10 +48,10 @@ def rasterize(
 ) -> RasterOutput[Tensor]:
     """Draw Gaussians: color, cover, expected depth and features in one pass, differentiable in all of their parameters.
 
-    Exact 3DGS rules (`rules.py`): perspective expanded within 1.3 times the field of view, 0.3 px^2 dilation, Gaussians
-    skipped where they cover less than 1 / 255, cover capped at 0.999, a pixel ends before the Gaussian that would take its
-    transmittance below 1e-4, nothing nearer than 0.01 m; equal depths (as float32) keep the order of their index. Gaussians
-    with non-finite numbers are dropped. The backends "cpu" and "cuda" compute in float32.
+    The rules of 3DGS but for a pixel's end (`rules.py`): perspective expanded within 1.3 times the field of view, 0.3 px^2
+    dilation, Gaussians skipped where they cover less than 1 / 255, the one that would take a pixel's transmittance below
+    1 / 255 covers what is left of it, nothing nearer than 0.01 m; equal depths (as float32) keep the order of their index.
+    Gaussians with non-finite numbers are dropped. The backends "cpu" and "cuda" compute in float32.
 
     Args:
         gaussians: The scene.

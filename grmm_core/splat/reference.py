@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from ..geometry.rotations import quaternion_to_matrix
-from .rules import ALPHA_MAX, ALPHA_MIN, COMPENSATION_MIN, DILATION, NEAR, TRANSMITTANCE_MIN, View
+from .rules import ALPHA_MIN, COMPENSATION_MIN, DILATION, NEAR, TRANSMITTANCE_MIN, View
 from .types import Gaussians, RasterOutput
 
 MATRIX_ELEMENTS = 1 << 22  # entries of the largest [pixels, Gaussians] matrix held at a time
@@ -129,12 +129,13 @@ def blend(pixels: Tensor, centres: Tensor, conics: Tensor, opacities: Tensor, ch
     """
     dx, dy = (pixels[:, None, :] - centres[None]).unbind(-1)  # [P, M]
     power = 0.5 * (conics[:, 0] * dx * dx + conics[:, 2] * dy * dy) + conics[:, 1] * dx * dy
-    alpha = (opacities * torch.exp(-power)).clamp(max=ALPHA_MAX)
+    alpha = opacities * torch.exp(-power)
     alpha = torch.where(alpha >= ALPHA_MIN, alpha, torch.zeros_like(alpha))
-    # Transmittance only falls, so the Gaussians blended before the end are those whose own step stays above the limit.
-    through = torch.cumprod(1 - alpha, dim=1)  # [P, M], after each Gaussian
-    alpha = torch.where(through.detach() >= TRANSMITTANCE_MIN, alpha, torch.zeros_like(alpha))
-    through = torch.cumprod(1 - alpha, dim=1)
+    # Transmittance only falls, so the Gaussian that ends a pixel is the first whose own step goes below the limit: it covers
+    # all that is left, and nothing passes to those behind it.
+    ends = torch.cumprod(1 - alpha.detach(), dim=1) < TRANSMITTANCE_MIN  # [P, M], from that Gaussian on
+    alpha = torch.where(ends, torch.ones_like(alpha), alpha)
+    through = torch.cumprod(1 - alpha, dim=1)  # after each Gaussian
     before = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
     return (alpha * before) @ channels, through[:, -1]
 

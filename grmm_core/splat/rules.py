@@ -14,8 +14,7 @@ from ..geometry.camera import Camera
 
 DILATION = 0.3  # px^2 added to both variances of a projected Gaussian, so that none is thinner than a pixel
 ALPHA_MIN = 1.0 / 255.0  # a Gaussian is skipped at a pixel where it covers less
-ALPHA_MAX = 0.999  # cap of a Gaussian's cover, so that light always passes and gradients stay finite
-TRANSMITTANCE_MIN = 1e-4  # the Gaussian that would take a pixel's transmittance below this ends it, and is not blended itself
+TRANSMITTANCE_MIN = 1.0 / 255.0  # the Gaussian that would take a pixel's transmittance below this ends it and covers the rest
 NEAR = 0.01  # metres; Gaussians whose centre is nearer to the camera plane are dropped
 CLAMP_MARGIN = 0.15  # of the field of view on either side: 1.3 times the half field of view of a centred camera
 COMPENSATION_MIN = 2.5e-5  # floor of det / det_dilated under the square root of the antialiasing compensation

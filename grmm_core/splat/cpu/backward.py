@@ -64,7 +64,7 @@ def _replay_tile(
         pull: [BLOCKS * channels * WIDTH] gradient of the blended channels.
         behind: [BLOCKS * WIDTH] light from behind, R.
         through: [BLOCKS * WIDTH] transmittance, as `start_tile` leaves it.
-        ratios: Scratch like `weights`: alpha / (1 - alpha), negative where alpha is capped; then g.
+        ratios: Scratch like `weights`: alpha / (1 - alpha), negative where the pixel ends; then g.
         entries: Scratch [BLOCKS * BATCH + 1] int64: places in `weights`, by Gaussian; `first` becomes the first of each one.
         rows: Output [slots, ROW.red + channels], the channels padded as everywhere here.
     """
@@ -92,7 +92,7 @@ def _replay_tile(
                 ratio = choose(weight, lanes.tiny, alpha / (lanes.one - alpha), zero)
                 entry = ends[block]
                 store(weights, entry * WIDTH, weight)
-                store(ratios, entry * WIDTH, choose(alpha, lanes.alpha_max, lanes.capped, ratio))
+                store(ratios, entry * WIDTH, choose(load(through, block * WIDTH), zero, ratio, lanes.ended))
                 sources[entry] = k * channels
                 entries[listed] = entry
                 used = 1 if any_at_least(weight, lanes.tiny) else 0

@@ -11,10 +11,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from ..rules import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from ..rules import ALPHA_MIN, TRANSMITTANCE_MIN
 from .jit import kernel, part
 from .records import RECORD, RECORD_LENGTH, SHAPE, SQUEEZE, VALUES
-from .simd import WIDTH, any_at_least, append_at_least, choose, copy_four, larger, load, negative, smaller, spread, store
+from .simd import WIDTH, any_at_least, append_at_least, choose, copy_four, larger, load, smaller, spread, store
 from .tiling import (
     BATCH,
     BLOCK_LEFT,
@@ -43,17 +43,16 @@ class Constants(NamedTuple):
     Attributes:
         zero, one: 0 and 1.
         tiny: 1e-30, what counts as more than nothing.
-        capped: -1, which marks an alpha without gradient.
-        alpha_min, alpha_max, transmittance_min: Of `rules`.
+        ended: Transmittance of a pixel that has ended: less than nothing, and nothing beside what can be seen.
+        alpha_min, transmittance_min: Of `rules`.
         e1, e2, e3, e4, e5, farthest: e^-8t = (1 + e1 t + e2 t^2 + ...)^8 for 0 <= t <= farthest; relative error 2e-6.
     """
 
     zero: Any
     one: Any
     tiny: Any
-    capped: Any
+    ended: Any
     alpha_min: Any
-    alpha_max: Any
     transmittance_min: Any
     e1: Any
     e2: Any
@@ -69,9 +68,8 @@ CONSTANTS = tuple(
         zero=ZERO,
         one=ONE,
         tiny=F(1e-30),
-        capped=-ONE,
+        ended=F(-1e-30),
         alpha_min=F(ALPHA_MIN),
-        alpha_max=F(ALPHA_MAX),
         transmittance_min=F(TRANSMITTANCE_MIN),
         e1=F(-0.999994755),
         e2=F(0.499899775),
@@ -86,10 +84,10 @@ CONSTANTS = tuple(
 @part
 def in_lanes(constants: tuple[float, ...]) -> Constants:
     """Return CONSTANTS with each one in all lanes."""
-    zero, one, tiny, capped, alpha_min, alpha_max, transmittance_min, e1, e2, e3, e4, e5, farthest = constants
+    zero, one, tiny, ended, alpha_min, transmittance_min, e1, e2, e3, e4, e5, farthest = constants
     return Constants(
-        spread(zero), spread(one), spread(tiny), spread(capped),
-        spread(alpha_min), spread(alpha_max), spread(transmittance_min),
+        spread(zero), spread(one), spread(tiny), spread(ended),
+        spread(alpha_min), spread(transmittance_min),
         spread(e1), spread(e2), spread(e3), spread(e4), spread(e5), spread(farthest),
     )  # fmt: skip
 
@@ -144,17 +142,17 @@ def alpha_at(opacity: Any, s: Any, q: Any, lanes: Constants) -> Any:
     p = (lanes.one + t * lanes.e1) + tt * ((lanes.e2 + t * lanes.e3) + tt * (lanes.e4 + t * lanes.e5))
     p = p * p
     p = p * p
-    alpha = smaller(opacity * (p * p), lanes.alpha_max)
+    alpha = opacity * (p * p)
     return choose(alpha, lanes.alpha_min, alpha, lanes.zero)
 
 
 @part
 def pass_light(through: np.ndarray, block: int, alpha: Any, lanes: Constants) -> Any:
-    """Take a Gaussian's alpha from a block's transmittance; return its weight, zero in pixels that have ended or end here."""
+    """Take a Gaussian's alpha from a block's transmittance; return its weight, zero in pixels that have ended before."""
     before = load(through, block * WIDTH)
     after = before * (lanes.one - alpha)
-    store(through, block * WIDTH, choose(after, lanes.transmittance_min, after, negative(before)))
-    return choose(after, lanes.transmittance_min, alpha * before, lanes.zero)
+    store(through, block * WIDTH, choose(after, lanes.transmittance_min, after, lanes.ended))
+    return choose(after, lanes.transmittance_min, alpha * before, larger(before, lanes.zero))
 
 
 @part

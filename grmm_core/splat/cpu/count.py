@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..rules import ALPHA_MAX, ALPHA_MIN, TILE, TRANSMITTANCE_MIN
+from ..rules import ALPHA_MIN, TILE, TRANSMITTANCE_MIN
 from .blocks import OPEN, find_blocks, place_on
 from .jit import kernel
 from .records import RECORD, SHAPE, SQUEEZE
@@ -85,14 +85,11 @@ def _count(
                     for x in range(left, left + BLOCK_X):
                         s = place[0, RECORD.l11] * (F(x) - mx) + place[0, RECORD.l12] * (F(y) - my)
                         q = place[0, RECORD.l22] * (F(y) - my)
-                        alpha = min(place[0, RECORD.opacity] * np.exp(F(-0.5 / SQUEEZE**2) * (s * s + q * q)), F(ALPHA_MAX))
+                        alpha = place[0, RECORD.opacity] * np.exp(F(-0.5 / SQUEEZE**2) * (s * s + q * q))
                         if alpha < ALPHA_MIN or through[y, x] < 0:
                             continue
                         after = through[y, x] * (F(1.0) - alpha)
-                        if after < TRANSMITTANCE_MIN:
-                            through[y, x] = -through[y, x]
-                            continue
-                        through[y, x] = after
+                        through[y, x] = after if after >= TRANSMITTANCE_MIN else F(-1.0)
                         here += 1
                 blocks += 1
                 busy += 1 if here else 0

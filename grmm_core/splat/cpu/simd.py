@@ -279,17 +279,6 @@ def any_at_least(typing: Any, left: Any, right: Any) -> Any:
     return types.boolean(left, right), generate
 
 
-@intrinsic
-def negative(typing: Any, value: Any) -> Any:
-    """Minus the absolute value of each lane."""
-
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        function = cgutils.get_or_insert_function(builder.module, ir.FunctionType(_VECTOR, [_VECTOR]), f"llvm.fabs.v{WIDTH}f32")
-        return builder.fneg(builder.call(function, args))
-
-    return LANES(value), generate
-
-
 def _fold(builder: Any, left: Any, right: Any, group: int) -> Any:
     """Add the halves of every `group` lanes: of `left` into the first halves of the result, of `right` into the second ones."""
     half = group // 2

@@ -185,7 +185,7 @@ __device__ inline float cover_at(const Record &record, float x, float y, float &
     const float dx = x - record.x, dy = y - record.y;
     s = record.l11 * dx + record.l12 * dy;
     q = record.l22 * dy;
-    return fminf((float)ALPHA_MAX, record.opacity * expf(-0.5f * (s * s + q * q)));
+    return record.opacity * expf(-0.5f * (s * s + q * q));
 }
 
 // A thread's pixel: one block a tile, one thread a pixel.
@@ -237,11 +237,8 @@ extern "C" __global__ void __launch_bounds__(THREADS) blend(
             const float cover = cover_at(record, own.x, own.y, s, q);
             if (cover < (float)ALPHA_MIN) continue;
             const float after = through * (1.0f - cover);
-            if (after < (float)TRANSMITTANCE_MIN) {
-                open = false;
-                break;
-            }
-            const float weight = cover * through;
+            open = after >= (float)TRANSMITTANCE_MIN;
+            const float weight = open ? cover * through : through;  // the last one covers all that is left
             sums[0] += weight * record.red;
             sums[1] += weight * record.green;
             sums[2] += weight * record.blue;
@@ -249,7 +246,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) blend(
             const float *values = features + (int64)FEATURES * shared_owners[k];
 #pragma unroll
             for (int c = 0; c < FEATURES; ++c) sums[BASE + c] += weight * values[c];
-            through = after;
+            through = open ? after : 0.0f;
         }
     }
     if (!own.inside) return;
@@ -329,9 +326,10 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
                 const Record &record = shared_records[group + member];
                 float s, q;
                 const float cover = cover_at(record, own.x, own.y, s, q);
-                bool blends = open && cover >= (float)ALPHA_MIN;
+                const bool blends = open && cover >= (float)ALPHA_MIN;
                 const float after = through * (1.0f - cover);
-                if (blends && after < (float)TRANSMITTANCE_MIN) blends = open = false;
+                const bool last = blends && after < (float)TRANSMITTANCE_MIN;  // covers all that is left, whatever its cover is
+                if (last) open = false;
                 float *to = partial[member][warp];
                 if (!__any_sync(ALL_LANES, blends)) {
                     for (int k = lane; k < PARTS; k += 32) to[k] = 0.0f;
@@ -341,7 +339,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
 #pragma unroll
                 for (int k = 0; k < PARTS; ++k) parts[k] = 0.0f;
                 if (blends) {
-                    const float weight = cover * through;
+                    const float weight = last ? through : cover * through;
                     const float *values = features + (int64)FEATURES * shared_owners[group + member];
                     float dot = pull[0] * record.red + pull[1] * record.green + pull[2] * record.blue + pull[3] * record.depth;
 #pragma unroll
@@ -349,7 +347,7 @@ extern "C" __global__ void __launch_bounds__(THREADS) replay(
 #pragma unroll
                     for (int c = 0; c < CHANNELS; ++c) parts[MOMENTS + c] = weight * pull[c];
                     behind -= weight * dot;
-                    if (cover < (float)ALPHA_MAX) {
+                    if (!last) {
                         const float g = cover * (through * dot - behind / (1.0f - cover));
                         parts[0] = g;
                         parts[1] = g * s;

@@ -34,7 +34,7 @@ def kernel_source(features: int) -> str:
     parts = -(-row // WARP) * WARP
     numbers: dict[str, float | int] = {
         name: getattr(rules, name)
-        for name in ("DILATION", "ALPHA_MIN", "ALPHA_MAX", "TRANSMITTANCE_MIN", "NEAR", "COMPENSATION_MIN", "TILE")
+        for name in ("DILATION", "ALPHA_MIN", "TRANSMITTANCE_MIN", "NEAR", "COMPENSATION_MIN", "TILE")
     }
     numbers |= {
         "FAR_AWAY": FAR_AWAY, "THREADS": THREADS, "FEATURES": features, "BASE": BASE, "CHANNELS": BASE + features,

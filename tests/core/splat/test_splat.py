@@ -82,12 +82,26 @@ def test_many_equal_depths_keep_the_order_of_their_index(backend):
 
 
 @each_backend
-def test_a_pixel_ends_before_the_gaussian_that_would_close_it(backend):
-    parts = [ball(z=1.0 + 0.1 * k, opacity=1.0, color=color) for k, color in enumerate([(1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)])]
+def test_the_gaussian_that_ends_a_pixel_covers_what_is_left(backend):
+    red, green, blue = np.eye(3).tolist()
+    parts = [ball(z=1.0 + 0.1 * k, opacity=o, color=c) for k, (o, c) in enumerate([(0.9, red), (0.97, green), (1.0, blue)])]
     out = rasterize(Gaussians.concatenate(parts), CAMERA, background=(1.0, 1.0, 1.0), backend=backend)
-    # The first covers 0.999, its cap; the second would leave 1e-6 < 1e-4 and is not blended, nor is anything behind it.
-    torch.testing.assert_close(out.rgb[6, 8], torch.tensor([1.0, 0.001, 0.001]), atol=1e-6, rtol=0)
-    assert out.depth[6, 8].item() == pytest.approx(1.0, abs=1e-6)
+    # The first leaves 0.1; the second would leave 0.003 < 1/255, so that neither the third nor the background is seen.
+    torch.testing.assert_close(out.rgb[6, 8], torch.tensor([0.9, 0.1, 0.0]), atol=1e-6, rtol=0)
+    assert out.alpha[6, 8].item() == 1
+    assert out.depth[6, 8].item() == pytest.approx(1.01, abs=1e-5)
+
+
+@each_backend
+def test_the_gaussian_that_ends_a_pixel_has_no_gradient_of_opacity_there_and_those_before_it_do(backend):
+    opacities = torch.tensor([0.9, 0.97], requires_grad=True)
+    both = Gaussians.concatenate([ball(z=1.0, color=(1.0, 0.0, 0.0)), ball(z=1.1, color=(0.0, 1.0, 0.0))])
+    out = rasterize(dataclasses.replace(both, opacities=opacities), CAMERA, backend=backend)
+    out.rgb[6, 8].sum().backward(retain_graph=True)
+    torch.testing.assert_close(opacities.grad, torch.zeros(2), atol=1e-5, rtol=0)  # whatever they are, they cover the pixel
+    opacities.grad = None
+    out.rgb[6, 8, 0].backward()
+    torch.testing.assert_close(opacities.grad, torch.tensor([1.0, 0.0]), atol=1e-5, rtol=0)
 
 
 @each_backend

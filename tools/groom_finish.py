@@ -15,6 +15,7 @@ from grmm_core.hair.groom import Groom, bind, join
 from grmm_core.hair.strands import lengths_of
 from grmm_core.head import HeadModel
 from grmm_core.wrinkles.noise import smoothstep
+from grmm_studio.fields import azimuth
 from grmm_studio.grooms import KNOTS
 from grmm_studio.styles import STYLES
 
@@ -43,6 +44,9 @@ LOWEST, MIDDLE, UNEVEN = 0.05, 0.03, 0.006
 COMPANY, ALONE = 5, 1.7  # so many places of other strands are as far off at most, as a share of what is usual in the style
 SIDEBURN = (0.022, 0.052)  # metres: height of roots before the ears below which curls are short, and above which they are not
 SHORT_CURL = 0.15  # of their length
+PEAK = (0.128, 0.148)  # metres: heights of roots before the receded temples where hair is thinnest, and as elsewhere
+RECEDED_AZIMUTH = 48.0  # degrees from the front: as far out as the temples recede
+PEAK_LENGTH, PEAK_SHARE = 0.45, 0.3  # of its length and of its roots there: a tuft in the middle of a forehead is a triangle
 
 
 def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> Groom:
@@ -67,6 +71,8 @@ def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> 
         strands = _trimmed(strands)
     if not style.curl:
         strands = _combed(strands, straight=not coils)
+    if style.receding > 1.0:
+        strands, groom = _without_tuft(strands, groom)
     weight = np.ones(len(groom)) if style.rope else _rarity(strands)
     if style.comb in ("parted", "fringe", "aside", "side", "forward"):
         weight = np.maximum(weight, _parting(strands))
@@ -182,6 +188,15 @@ def _short_sideburns(strands: np.ndarray) -> np.ndarray:
     root = strands[:, 0]
     before = smoothstep(-0.02, 0.0, root[:, 2]) * (1.0 - smoothstep(*SIDEBURN, root[:, 1]))
     return cut(strands, 1.0 - (1.0 - SHORT_CURL) * before)
+
+
+def _without_tuft(strands: np.ndarray, groom: Groom) -> tuple[np.ndarray, Groom]:
+    """Strands [N, K, 3] of a receded hairline, and their groom, of which those of the peak between the temples are fewer."""
+    root = strands[:, 0]
+    ahead = smoothstep(PEAK[1], PEAK[0], root[:, 1]) * smoothstep(RECEDED_AZIMUTH, 0.8 * RECEDED_AZIMUTH, azimuth(root))
+    kept = np.random.default_rng(8).random(len(groom)) > (1.0 - PEAK_SHARE) * ahead
+    shorter = cut(strands, 1.0 - (1.0 - PEAK_LENGTH) * ahead)
+    return shorter[kept], groom.select(kept)
 
 
 def _parting(strands: np.ndarray) -> np.ndarray:

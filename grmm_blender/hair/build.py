@@ -18,6 +18,7 @@ from ...grmm_core.controls.frame import Controls
 from ...grmm_core.hair import SETTINGS, Groom, HairSettings, library_groom
 from ...grmm_core.hair.body import worn
 from ...grmm_core.hair.groom import join
+from ...grmm_core.hair.knots import tied
 from ...grmm_core.hair.pigment import ABSORPTION, BLOND, GINGER, GINGER_ABSORPTION, ROOT_SHADE, WHITE, albedos
 from ...grmm_core.hair.prior import random_groom
 from ...grmm_core.hair.roots import LASHES, SCALP
@@ -27,7 +28,7 @@ from ..rig.identity import load_head, own_hair
 from ..rig.mesh import UV_NAME, to_blender
 from .curve_children import OUT, Family, childless
 from .curve_sliders import MODIFIER_NAME as SLIDERS
-from .curve_sliders import PART, add_sliders
+from .curve_sliders import PART, TIED, add_sliders
 from .display import AS_SPLATS
 from .grooms import NO_HAIR, OWN_HAIR, RANDOM_HAIR
 from .read import DEFORM_NODE, HELD, HELD_PREFIX, TINT, UV_COORDINATE, resting_vertices
@@ -174,6 +175,7 @@ def _fill(data: bpy.types.Curves, head: bpy.types.Object, groom: Groom) -> None:
     ]
     rows.append((OUT, "FLOAT_VECTOR", "CURVE", "vector", to_blender(frames.at(resting)[1][:, 2]).astype(np.float32)))
     rows.append((PART, "INT", "CURVE", "value", groom.groups.astype(np.int32) + 1))
+    rows.append((TIED, "BOOLEAN", "CURVE", "value", tied(groom, np.asarray(model.v_template, float), model.faces)))
     tints = groom.point_tints
     if tints is not None:
         rows.append((TINT, "FLOAT_VECTOR", "POINT", "vector", tints))

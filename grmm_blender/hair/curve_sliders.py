@@ -17,6 +17,7 @@ from .curve_children import Family, with_children
 from .node_fields import Nodes, Value
 
 PART = "grmm_part"  # of a curve, an attribute: one more than its number in `roots.GROUPS`, or else its root says what it is
+TIED = "grmm_tied"  # of a curve, an attribute: a knot holds it, see `knots`; none is false
 MODIFIER_NAME = "GRMM Hair Sliders"
 NEUTRAL = {"length": 1.0, "curl": 0.0, "frizz": 0.0}  # of the sliders that move points
 _OTHERS = ("thickness", "density")
@@ -62,7 +63,8 @@ def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int, fami
     beyond = nodes.math("MULTIPLY", nodes.math("MAXIMUM", nodes.math("SUBTRACT", reached, 1.0), 0.0), 3.0)
     place = nodes.vector("ADD", sampled(nodes.math("MINIMUM", reached, 1.0)), nodes.vector("SCALE", ahead, beyond))
     other = nodes.math("GREATER_THAN", nodes.math("ABSOLUTE", nodes.math("SUBTRACT", length, 1.0)), _EPSILON)
-    geometry = placed(other, position=place)
+    held = nodes.new("GeometryNodeInputNamedAttribute", {"Name": TIED}, data_type="FLOAT").outputs[0]
+    geometry = placed(nodes.math("MULTIPLY", other, nodes.math("SUBTRACT", 1.0, held)), position=place)
     # waves and frizz
     long = nodes.new("GeometryNodeSplineLength").outputs["Length"]
     swing = nodes.math("MULTIPLY", nodes.math("MINIMUM", nodes.math("DIVIDE", long, 0.12), 1.0), along)

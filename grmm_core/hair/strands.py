@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .groom import Groom
+from .knots import tied
 from .occlusion import openness
 from .pigment import albedos, locks_of
 from .roots import BEARD, GROUPS, SCALP, RootFrames
@@ -55,6 +56,7 @@ class StrandBlock:
         widths: Diameters of a strand at root and tip where all are drawn, metres, float32 [M, 2].
         light: Openness in the axes of the root, float32 [M, K, 4].
         lock: Tone of the parent's lock, about -1..1, [M].
+        tied: Parents that a knot holds, whose length is none of the settings', bool [M].
         owner: Parent of each strand, int32 [N].
         spread: How far each is from it at root and tip, axes of the root, metres, float32 [N, 2, 3].
         chance: Even random numbers 0..1 for density, grey and tone, float32 [N, 3].
@@ -69,6 +71,7 @@ class StrandBlock:
     widths: np.ndarray
     light: np.ndarray
     lock: np.ndarray
+    tied: np.ndarray
     owner: np.ndarray
     spread: np.ndarray
     chance: np.ndarray
@@ -121,7 +124,8 @@ class StrandBlock:
         if self.tints is None:
             return None
         middles = (np.arange(self.segments) + 0.5) / self.segments
-        return between(self.tints, np.minimum(length * middles, 1.0)).astype(np.float32)
+        reached, whole = (between(self.tints, np.minimum(factor * middles, 1.0)) for factor in (length, 1.0))
+        return np.where(self.tied[:, None, None], whole, reached).astype(np.float32)
 
     def styled(self, settings: HairSettings, points: np.ndarray | None = None) -> np.ndarray:
         """The parents' points, or others in their place, [M, K, 3] with length, waves and frizz as set; continuous in these."""
@@ -131,7 +135,7 @@ class StrandBlock:
         if settings.curl < 0:
             points = points + np.float32(-settings.curl) * (smoothed(points) - points)
         if settings.length != 1.0:
-            points = lengthened(points, settings.length)
+            points = np.where(self.tied[:, None, None], points, lengthened(points, settings.length))
         long = lengths_of(points)
         swing = (np.minimum(long / 0.12, 1.0)[:, None] * t).astype(np.float32)
         phase = 6.2831853 * self.chance[: len(points), :, None]
@@ -242,14 +246,16 @@ def blocks_of(
             seen = openness(lying, even.widths.mean(1), vertices, faces)
             long = lengths_of(posed) > CROPPED
             apart = group == SCALP and FEW < long.mean() < 1.0 - FEW  # each with levels of detail of its own
+            held = tied(some, vertices, faces)
             for part in (long, ~long) if apart else (np.ones(len(rows), bool),):
-                made.append(_block(some.select(part), rows[part], group, part.mean(), vertices, faces, seen[part], lock[part]))
+                own = (array[part] for array in (seen, lock, held))
+                made.append(_block(some.select(part), rows[part], group, part.mean(), vertices, faces, *own))
     return tuple(made)
 
 
 def _block(
     groom: Groom, rows: np.ndarray, group: int, part: float, vertices: np.ndarray, faces: np.ndarray, seen: np.ndarray,
-    lock: np.ndarray,
+    lock: np.ndarray, held: np.ndarray,
 ) -> StrandBlock:  # fmt: skip
     count = points_needed(groom)
     groom = groom.resampled(count)
@@ -287,7 +293,7 @@ def _block(
     numbers = np.arange(total)
     chance = np.stack([(numbers * step + 0.37) % 1.0 for step in (_PLASTIC, _THIRD, _GOLDEN)], 1)
     return StrandBlock(
-        group, rows, part, frames, local, widths / children, light, lock, owner, spread.astype(np.float32),
+        group, rows, part, frames, local, widths / children, light, lock, held, owner, spread.astype(np.float32),
         chance.astype(np.float32), groom.tints if groom.tints is not None and groom.tints.any() else None,
     )  # fmt: skip
 

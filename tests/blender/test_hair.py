@@ -193,6 +193,7 @@ def test_brows_and_beard_become_curves_and_stay_what_they_are(hair_script):
     assert found["use"] == ["own"] * 3
     assert found["blinked"] < 0.3 < found["lid"]
     assert found["lengths"] == pytest.approx([0.5, 1.0, 1.0, 1.0], abs=0.03)  # sliders shape the scalp's hair
+    assert found["tied"] == pytest.approx(1.0, abs=0.03)
     assert all(count > 0.9 * whole for count, whole in zip(found["saved"], found["grooms"], strict=True))
     assert [found["shaved_use"], found["cut_use"]] == ["none", "none"]
     assert found["cut"] == [scalp, brows, 0, lashes]

@@ -86,3 +86,11 @@ data.attributes.remove(data.attributes["grmm_part"])
 report(told=counts(worn().strands))
 data.remove_curves(indices=np.flatnonzero(worn().strands.groom.groups == roots.BEARD).tolist())
 report(cut=counts(worn().strands), cut_use=worn().hair.beard)
+
+# Hair that a knot holds keeps its length, also as curves.
+hair.curves, hair.beard = None, "NONE"
+hair.groom = "bun"
+bpy.ops.grmm.hair_as_curves(sculpt=False)
+before = lengths(worn().strands)[roots.SCALP]
+hair.length = 2.0
+report(tied=lengths(worn().strands)[roots.SCALP] / before)

@@ -39,7 +39,7 @@ class LightReader:
 
     def visit(self, instance: bpy.types.DepsgraphObjectInstance) -> None:
         """Copy a lamp; everything else is passed over. What a render does not show is not in its depsgraph."""
-        if instance.object.type == "LIGHT" and instance.show_self:
+        if instance.object.type == "LIGHT" and instance.show_self and not _is_portal(instance.object.data):
             matrix = np.array(instance.matrix_world, np.float64)
             self._lamps.append(lamp_of(instance.object.data, matrix, instance.object.name))
             self._receivers.append(instance.object.original.light_linking.receiver_collection)
@@ -80,6 +80,28 @@ def _link_states(collection: bpy.types.Collection) -> dict[str, str]:
     return states
 
 
+def _is_portal(light: bpy.types.Light) -> bool:
+    """Whether an area lamp shines not by itself but only tells Cycles where the world's light comes in."""
+    return light.type == "AREA" and bool(getattr(getattr(light, "cycles", None), "is_portal", False))
+
+
+def _emitted(light: bpy.types.Light) -> np.ndarray:
+    """What a lamp's nodes make of its color, linear RGB, [3]: the color and strength of an emission; what is linked is 1."""
+    tree = light.node_tree if light.node_tree is not None and getattr(light, "use_nodes", True) else None
+    output = None if tree is None else tree.get_output_node("ALL")
+    if output is None:
+        return np.ones(3)
+    surface = output.inputs["Surface"]
+    if not surface.is_linked:
+        return np.zeros(3)
+    node = surface.links[0].from_node
+    if node.type != "EMISSION":
+        return np.ones(3)
+    color, strength = node.inputs["Color"], node.inputs["Strength"]
+    emitted = np.ones(3) if color.is_linked else np.array(color.default_value[:3])
+    return emitted if strength.is_linked else emitted * float(strength.default_value)
+
+
 def lamp_of(light: bpy.types.Light, matrix: np.ndarray, name: str) -> Lamp:
     """One lamp.
 
@@ -92,7 +114,7 @@ def lamp_of(light: bpy.types.Light, matrix: np.ndarray, name: str) -> Lamp:
         ConfigError: Numbers that are no light.
     """
     axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-12)
-    color = np.array(light.color)
+    color = np.array(light.color) * _emitted(light)
     if light.use_temperature:
         color = color * np.array(light.temperature_color)
     strength = float(light.energy) * 2.0 ** float(light.exposure)

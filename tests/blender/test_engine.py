@@ -109,6 +109,9 @@ def test_avatars_take_the_scenes_light(render_script, blender_version):
     # nine numbers hold the light of a picture of hard edges within some percent of the brightest
     np.testing.assert_allclose(result["ours"], result["cycles"], atol=0.035)
     assert np.ptp(result["cycles"]) > 0.2
+    np.testing.assert_allclose(result["nodes"], [[0.5, 1.5, 2.5]] * 2, rtol=2e-2)  # an emission's color and strength
+    assert not any(result["unlinked"])
+    assert result["portal"] == [1, 0.0, 0.0, 0.0]  # a lamp less, and dark in Cycles
 
 
 def test_sliders_of_light_take_keys_and_a_world_an_exr_file(render_script, blender_version):

@@ -160,8 +160,10 @@ scene.render.engine = "CYCLES"
 scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.use_denoising = 256, 0, False
 scene.render.resolution_x = scene.render.resolution_y = 4
 scene.render.image_settings.file_format = "OPEN_EXR"
-theirs = []
-for way in ways:
+
+
+def cycles(way: np.ndarray) -> list[float]:
+    """Mean color of a white plane that faces a way."""
     rotation = Vector(way).to_track_quat("Z", "Y")
     plane.rotation_euler = rotation.to_euler()
     scene.camera.rotation_euler = rotation.to_euler()
@@ -171,6 +173,37 @@ for way in ways:
     bpy.ops.render.render(write_still=True)
     loaded = bpy.data.images.load(str(path))
     loaded.colorspace_settings.name = "Non-Color"
-    theirs.append(np.array(loaded.pixels[:]).reshape(-1, 4)[:, :3].mean(0))
+    color = np.array(loaded.pixels[:]).reshape(-1, 4)[:, :3].mean(0)
     bpy.data.images.remove(loaded)
-report(ours=ours.tolist(), cycles=np.array(theirs).tolist())
+    return color.tolist()
+
+
+report(ours=ours.tolist(), cycles=[cycles(way) for way in ways])
+
+# Nodes of lamps, and areas that only let the world's light in.
+background.inputs["Strength"].default_value = 0.0
+straight = lamp("AREA", (0.0, 0.0, 2.0), 50.0)
+plain = read(straight.data, np.array(straight.matrix_world), "").color, cycles(ways[4])
+straight.data.use_nodes = True
+emission = next(node for node in straight.data.node_tree.nodes if node.type == "EMISSION")
+emission.inputs["Color"].default_value, emission.inputs["Strength"].default_value = (0.2, 0.6, 1.0, 1.0), 2.5
+nodes = read(straight.data, np.array(straight.matrix_world), "").color, cycles(ways[4])
+report(nodes=[(np.array(by_nodes) / np.array(without)).tolist() for by_nodes, without in zip(nodes, plain, strict=True)])
+straight.data.node_tree.links.clear()
+report(unlinked=[*read(straight.data, np.array(straight.matrix_world), "").color, *cycles(ways[4])])
+straight.data.use_nodes = False
+
+
+def lamps() -> int:
+    """How many lamps shine on avatars."""
+    straight.data.update_tag()
+    bpy.context.view_layer.update()
+    reader = lights.LightReader()
+    for instance in bpy.context.evaluated_depsgraph_get().object_instances:
+        reader.visit(instance)
+    return len(reader.lighting(scene, ()).lamps)
+
+
+before = lamps()
+straight.data.cycles.is_portal = True
+report(portal=[before - lamps(), *cycles(ways[4])])

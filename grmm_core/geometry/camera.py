@@ -14,6 +14,7 @@ from ..errors import ShapeError
 
 _GL_TO_CV = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL camera axes (y up, z backward) to OpenCV
 _NEAREST = 1e-6  # metres; nothing is divided by less
+_SAME = 1e-6  # what a scale differs by from 1 by rounding
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,16 @@ class Camera:
     def transformed(self, model_to_world: np.ndarray) -> Camera:
         """Return this camera as seen from a model's space (eq. 2): world_to_camera @ model_to_world, [4, 4]."""
         return replace(self, world_to_camera=self.world_to_camera @ np.asarray(model_to_world, np.float64))
+
+    def unscaled(self) -> tuple[Camera, float]:
+        """The same picture without the scale of `transformed`, and that scale: a depth over it is in the model's own metres."""
+        linear = self.world_to_camera[:3, :3]
+        size = float(np.cbrt(np.abs(np.linalg.det(linear))))
+        if abs(size - 1.0) < _SAME:
+            return self, 1.0
+        focal = size if self.orthographic else 1.0
+        placed = np.concatenate([self.world_to_camera[:3] / size, self.world_to_camera[3:]])
+        return replace(self, world_to_camera=placed, fx=self.fx * focal, fy=self.fy * focal), size
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return camera coordinates [N, 3] in metres and pixels [N, 2] of points of the world [N, 3].

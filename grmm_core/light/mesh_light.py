@@ -98,8 +98,10 @@ class LitSurface(NamedTuple):
             depth: Of the picture, metres, [H, W].
             alpha: Of the picture, [H, W].
             skin: Number of the channel that holds how much of the cover is skin; None: all.
-            camera: In the axes of the vertices.
+            camera: In the axes of the vertices; what it scales them by, the depths are scaled by.
         """
+        camera, size = camera.unscaled()
+        depth = depth if size == 1.0 else depth / size
         local, pixels = camera.project(self.vertices)
         linear = local[:, 2] if camera.orthographic else 1.0 / np.maximum(local[:, 2], _NEAREST)
         seen = np.concatenate([pixels, linear[:, None]], 1)

@@ -55,8 +55,10 @@ class Furrows(NamedTuple):
             depth: Metres, [H, W].
             alpha: [H, W].
             skin: How much of the cover is skin, [H, W]; None: all.
-            camera: In the axes of the vertices.
+            camera: In the axes of the vertices; what it scales them by, the depths are scaled by.
         """
+        camera, size = camera.unscaled()
+        depth = depth if size == 1.0 else depth / size
         local, pixels = camera.project(self.vertices)
         ahead = (local[:, 2] > _NEAREST)[self.faces].all(1)
         faces, places = self.faces[ahead], self.places[ahead]

@@ -62,6 +62,19 @@ def test_opengl_matrices_give_the_same_pixels(orthographic):
         assert project(camera, tuple(point)) == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
+def test_a_camera_that_scales_is_one_of_the_models_own_metres(orthographic):
+    camera = replace(Camera.orbit(64, 48, 30, 10), orthographic=orthographic, fx=200.0, fy=180.0)
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
+    scaled = camera.transformed(np.diag([4.0, 4.0, 4.0, 1.0]))
+    own, size = scaled.unscaled()
+    assert size == pytest.approx(4.0)
+    (theirs, pixels), (local, same) = scaled.project(points), own.project(points)
+    np.testing.assert_allclose(same, pixels, atol=1e-9)
+    np.testing.assert_allclose(local * size, theirs, atol=1e-12)
+    assert camera.unscaled() == (camera, 1.0)
+
+
 def test_moving_the_model_equals_moving_the_camera():
     camera = Camera.orbit(64, 64, yaw=15)
     model_to_world = np.eye(4)

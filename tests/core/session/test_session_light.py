@@ -34,7 +34,7 @@ def session(request):
 
 def drawn(session, lighting, response=Response(), controls=Controls(), hair=BALD, matrix=None, camera=CAMERA):  # noqa: B008
     placed = Instance(
-        session.open("default").id, controls, np.eye(4) if matrix is None else matrix, hair=hair, response=response
+        session.open("default").id, controls, np.eye(4) if matrix is None else matrix, hair=hair or HairUse(), response=response
     )
     return session.render([placed], camera, RenderOptions(passes=PASSES, lighting=lighting))
 
@@ -63,6 +63,20 @@ def test_the_studios_light_stays_when_the_neck_turns_a_head(session, turns):
     covered = lit["alpha"][..., 0] > 0.9
     assert np.abs(unlit["rgb"] - lit["rgb"])[covered].mean() < 0.02  # 0.022 to 0.036 where the light turned with the head
     assert abs(unlit["rgb"][covered].mean() - straight["rgb"][straight["alpha"][..., 0] > 0.9].mean()) < 0.1
+
+
+@pytest.mark.parametrize("size", [0.1, 20.0])
+def test_light_on_a_scaled_head_is_that_on_the_head(session, size):
+    """Light was read from the mesh by world metres: blurred on large heads, and on what hides the mesh of small ones."""
+    lamp = Point(strength=20.0, position=(0.8, 0.3, 0.8), radius=0.05)
+    scaled = Point(strength=20.0 * size**2, position=tuple(size * x for x in lamp.position), radius=0.05 * size)
+    matrix, placed = np.diag([size, size, size, 1.0]), CAMERA.world_to_camera.copy()
+    placed[:3, 3] *= size
+    large = drawn(session, Lighting((scaled,)), hair=None, matrix=matrix, camera=replace(CAMERA, world_to_camera=placed))
+    plain = drawn(session, Lighting((lamp,)), hair=None)
+    off = np.abs(large["rgb"] - plain["rgb"])
+    assert off.mean() < 1e-4
+    assert np.quantile(off, 0.999) < 0.01
 
 
 def test_in_the_studios_rig_a_lit_avatar_looks_as_it_was_learned(session):

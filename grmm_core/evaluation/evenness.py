@@ -15,9 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..head import HeadModel
-from ..light.materials import materials_of
 from ..light.relight import to_linear
-from ..light.resting import RestLight, Texels
+from ..light.resting import rig_at_vertices
 from ..light.surroundings import basis
 from ..light.transfer import vertex_normals
 from ..pictures.sampling import bilinear
@@ -57,7 +56,8 @@ def evenness(picture: np.ndarray, shot: Shot, head: HeadModel) -> Evenness:
     skin = head.marked("face") & ~head.marked(*_NOT_PLAIN) & seen_vertices(shot.vertices, shot.camera, bare, head)
     pixels = shot.camera.project(shot.vertices[skin])[1]
     colors = bilinear(picture, pixels).astype(np.float64)
-    lightness = np.log(np.maximum(to_linear(colors) @ LUMINANCE, _DARK) / _rig(head, shot.vertices, skin, colors))
+    rig = rig_at_vertices(head, shot.vertices, colors)[skin]
+    lightness = np.log(np.maximum(to_linear(colors) @ LUMINANCE, _DARK) / (rig @ LUMINANCE))
     normals = vertex_normals(shot.vertices, head.faces)[skin]
     columns, trust = basis(normals), np.ones(len(normals))
     for _ in range(_ROUNDS):
@@ -69,15 +69,3 @@ def evenness(picture: np.ndarray, shot: Shot, head: HeadModel) -> Evenness:
         trust = 1.0 / (1.0 + (off / (_CUT * np.median(off) + 1e-9)) ** 2)
     aside, up = (float(np.exp((basis(way) - basis(way * [-1, -1, 1])) @ found)) for way in (ASIDE, UP))
     return Evenness(float((columns @ found).std()), aside, up)
-
-
-def _rig(head: HeadModel, vertices: np.ndarray, skin: np.ndarray, colors: np.ndarray) -> np.ndarray:
-    """Luminance of the studio's rig at the vertices [V, 3] that are `skin` [V], of K colors [K, 3] display sRGB: [K]."""
-    chosen = np.flatnonzero(skin)
-    corner = np.zeros(len(vertices), np.int64)
-    corner[head.faces.ravel()] = np.arange(head.faces.size)  # one of the faces around each vertex, and its corner
-    face, at = np.divmod(corner[chosen], 3)
-    barycentric = np.eye(3, dtype=np.float32)[at]
-    texels, materials = Texels.of(head, face, barycentric), materials_of(head, face, barycentric)
-    light: np.ndarray = RestLight.of(head, texels, materials, vertices, colors).rig @ LUMINANCE
-    return light

@@ -21,7 +21,6 @@ _WRAP = 0.25  # beyond the terminator: soft edges, as scattering and hair have t
 _FLAT = 3.0  # how fast a thin Gaussian's axis is trusted
 _BALL = 0.3  # how much every normal is that of a ball
 _EVEN, _CELLS = 0.006, 1 << 22  # metres of the cells of `evened`; more of them than a head has are not worth it
-_MOST_OVER = 1.5  # below jaws little light arrives, and what does is not known so well
 _GAMMA = 2.2  # of display values, nearly
 
 
@@ -96,17 +95,6 @@ def roughly_lit(colors: np.ndarray, normals: np.ndarray, lighting: Lighting, int
     light, rig = (harmonics @ coefficients.astype(np.float32) for coefficients in (harmonics_of(lighting), rig_harmonics()))
     ratio = np.clip(light * np.float32(intensity) / np.maximum(rig, 1e-3), 0.0, MAX_RATIO)
     found: np.ndarray = colors * ratio ** np.float32(1.0 / _GAMMA)
-    return found
-
-
-def over_rig(normals: np.ndarray) -> np.ndarray:
-    """What a surface throws back over its color as learned under the studio's rig, in linear light, [N] float32.
-
-    Args:
-        normals: Outward unit normals in head axes, [N, 3].
-    """
-    rig = (basis(np.asarray(normals, np.float64)) @ rig_harmonics()).mean(1)
-    found: np.ndarray = np.clip(np.pi / np.maximum(rig, 1e-3), 0.0, _MOST_OVER).astype(np.float32)
     return found
 
 

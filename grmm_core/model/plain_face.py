@@ -10,9 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..controls.names import JOINT_NAMES
-from ..geometry.triangles import vertex_normals
 from ..head import HeadModel
-from ..light.rough import over_rig
+from ..light.resting import Texels, rig_at_vertices
 from ..pictures.color import linear_to_srgb, srgb_to_linear
 from ..pictures.images import quantize
 from .layout import texel_layout
@@ -43,6 +42,7 @@ _HUNG = 2.0  # how quickly a neck begins to count as one that hair hangs over
 _APART = "mouth_interior", "lashes", "left_eyeball", "right_eyeball"
 _CHIN_WIDE, _BEARDED = 0.02, 0.5  # metres from the middle; share of hair in the color of a chin that has a beard
 _CHEEK = 0.025  # metres, down from the eyes and out from so far beside the middle, over which hair may begin to hang
+_MOST_OVER = 2.5  # below jaws little light arrives, and what does is not known so well
 _GRAIN = 0.05  # of hair and brows, in display values: strands' worth of unevenness
 
 
@@ -133,7 +133,7 @@ def accented(head: HeadModel, painting: np.ndarray) -> np.ndarray:
 def unlit(head: HeadModel, vertices: np.ndarray, painting: np.ndarray) -> np.ndarray:
     """Return a painting of a person without the studio's light, as a material in a scene's light wants it.
 
-    What is taken off is the light on a ball, by the normals: what a nose or jaw shades stays in the colors.
+    What is taken off is the light that lies on the person, what nose and jaw shade included: a scene shades that again.
 
     Args:
         head: The mesh and its UV map.
@@ -142,13 +142,14 @@ def unlit(head: HeadModel, vertices: np.ndarray, painting: np.ndarray) -> np.nda
     """
     side = len(painting)
     layout = texel_layout(head.uv, head.uv_faces, side)
-    normals = vertex_normals(vertices, head.faces)[head.faces[layout.face]]  # [N, 3, 3]
-    normals = (normals * layout.barycentric[..., None]).sum(1)
-    over, known = np.ones((side * side, 1), np.float32), np.zeros(side * side, bool)
-    over[layout.texel, 0] = over_rig(normals / np.linalg.norm(normals, axis=1, keepdims=True).clip(1e-9))
+    linear, known = srgb_to_linear(painting.astype(np.float32) / 255.0), np.zeros(side * side, bool)
+    face = head.marked("face")[head.faces[layout.face]].all(1) if "face" in head.regions else np.ones(len(layout), bool)
+    rig = rig_at_vertices(head, vertices, painting.reshape(-1, 3)[layout.texel][face] / 255.0).mean(1, keepdims=True)
+    light = Texels.of(head, layout.face, layout.barycentric).at(rig)
+    over = np.ones((side * side, 1), np.float32)
+    over[layout.texel] = np.clip(np.pi / np.maximum(light, 1e-3), 0.0, _MOST_OVER)
     known[layout.texel] = True
-    over = fill_unknown(over.reshape(side, side, 1), known.reshape(side, side))
-    return quantize(linear_to_srgb(over * srgb_to_linear(painting.astype(np.float32) / 255.0)))
+    return quantize(linear_to_srgb(fill_unknown(over.reshape(side, side, 1), known.reshape(side, side)) * linear))
 
 
 def _averaged(picture: np.ndarray, size: int) -> np.ndarray:

@@ -38,18 +38,20 @@ def beneath(
     Returns:
         0..1, [N].
     """
+    blocks = [block for block in blocks if block.group == group]
+    if not blocks:
+        return np.zeros(len(points))
     template = np.asarray(head.v_template, float)
     up = (vertex_normals(template, np.asarray(head.faces))[corners] * weights[..., None]).sum(1)
     low = points.min(0) - 3 * CELL
     size = np.ceil((points.max(0) + 3 * CELL - low) / CELL).astype(int) + 1
     filled = np.zeros(int(size.prod()))
     for block in blocks:
-        if block.group == group:
-            origin, axes = block.frames.at(template)
-            begun, real = _begun(np.matmul(block.points, axes) + origin[:, None])
-            areas = np.broadcast_to((block.widths[:, :1] * (STEP * len(block) / len(begun))), real.shape)[real]
-            cells = np.clip(((begun[real] - low) / CELL).astype(int), 0, size - 1)
-            np.add.at(filled, np.ravel_multi_index(tuple(cells.T), tuple(size)), areas)
+        origin, axes = block.frames.at(template)
+        begun, real = _begun(np.matmul(block.points, axes) + origin[:, None])
+        areas = np.broadcast_to((block.widths[:, :1] * (STEP * len(block) / len(begun))), real.shape)[real]
+        cells = np.clip(((begun[real] - low) / CELL).astype(int), 0, size - 1)
+        np.add.at(filled, np.ravel_multi_index(tuple(cells.T), tuple(size)), areas)
     dense = smooth_grid(smooth_grid(filled.reshape(size) / CELL**2))[..., None]
     passed = np.zeros(len(points))
     for k in range(-1, layers):

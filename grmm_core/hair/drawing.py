@@ -177,7 +177,7 @@ def strand_gaussians(
     owner = block.owner[:count]
     points, axes = (np.ascontiguousarray(part, np.float32) for part in (points, axes))
     numbers = _far(direction) if eye is None else eye.numbers()
-    opacities, tints = OPACITY * there, block.tinted(settings.length)
+    opacities, tints, open_ = OPACITY * there, block.tinted(settings.length), block.lit(settings)
     seen = np.ones((len(points), segments), np.float32)
     if hiding is not None:
         _hide(hiding, points, radii, opacities, numbers, seen)
@@ -194,7 +194,7 @@ def strand_gaussians(
         light = np.empty((len(own), segments + 1, 4), np.float32)
         some = StrandGaussians(*(np.empty((len(own) * segments, *shape), np.float32) for shape in _SHAPES))
         some.opacities[:] = seen[owner[own]].ravel()
-        pose(points, axes, owner[own], block.spread[own], block.light, some.opacities, where, light)
+        pose(points, axes, owner[own], block.spread[own], open_, some.opacities, where, light)
         segments_forward(where, radii[own], opacities[own], numbers, eye is not None, *some[:4])
         shade_into(where, albedo[own], light, some.opacities, numbers, settings.sheen, some.colors)
         if tints is not None:

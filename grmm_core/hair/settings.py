@@ -88,6 +88,14 @@ class HairSettings:
         return self.length == 1.0 and self.curl == self.frizz == 0.0
 
     @property
+    def shading(self) -> float:
+        """How much of the optical depth of hair as it is stored is left, 0..1: fewer and shorter hairs let more light in.
+
+        The power is that of light traced anew in seven grooms, cut to 0.6, 0.3 and 0.1 of their length.
+        """
+        return self.density * min(self.length, 1.0) ** 0.5
+
+    @property
     def color_key(self) -> tuple[float, ...]:
         """What the strands' color depends on, besides light and eye."""
         return tuple(getattr(self, name) for name in PIGMENTS)

@@ -24,6 +24,7 @@ HAIRS = 100_000  # on a head
 SOFT = 0.35  # power of the strands that a drawn one stands for: how much fainter it is, and wider
 SOFTEST = 0.9  # likewise of the shortest: wide bundles of these are dots
 STUBBLE, CROPPED = 0.004, 0.02  # metres: strands so short are the shortest, longer ones are not short
+SKY, DIM = 0.5, 1e-4  # openness of skin without hair, and what counts as none
 FADE = 0.15  # share of a level's strands that are fading in
 POINTS = (4, 6, 8, 12, 16, 24, 32, 40)  # numbers of points that a group may be drawn with
 BEND = 0.0006  # metres that a coarser number of points may be off
@@ -204,6 +205,20 @@ class StrandBlock:
             colors = albedos(settings, self.lock[self.owner[:count]], self.chance[:count, 1:], self.hairs, share)
             known = self._drawn["last"] = key, (radii, there, colors)
         return known[1]
+
+    def lit(self, settings: HairSettings) -> np.ndarray:
+        """`light` with as much hair as settings leave: on the way to that of bare skin. That of the last settings is kept."""
+        if settings.shading == 1.0:
+            return self.light
+        known = self._lit.get("last")
+        if known is None or known[0] != settings.shading:
+            more = (np.clip(self.light[..., :1], DIM, SKY) / SKY) ** np.float32(settings.shading - 1.0)
+            known = self._lit["last"] = settings.shading, self.light * more
+        return known[1]
+
+    @functools.cached_property
+    def _lit(self) -> dict[str, tuple[float, np.ndarray]]:
+        return {}
 
     @functools.cached_property
     def _drawn(self) -> dict[str, tuple[tuple[float, HairSettings, float], tuple[np.ndarray, np.ndarray, np.ndarray]]]:

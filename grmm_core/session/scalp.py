@@ -18,7 +18,7 @@ from ..hair.pigment import albedos
 from ..hair.roots import BEARD as BEARDS
 from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
-from ..hair.strands import StrandBlock
+from ..hair.strands import DIM, StrandBlock
 from ..head import HeadModel
 from ..model.config import METRES_PER_MM
 from ..pictures.color import linear_to_srgb, srgb_to_linear
@@ -129,27 +129,45 @@ def _seen(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, ahead: float
     return srgb_to_linear(to_numpy(colors).clip(0.0, 1.0)).astype(np.float32)
 
 
-def cap_color(
-    evaluator: Evaluator, target: OpenAvatar, skin: Skin, blocks: Sequence[StrandBlock], settings: HairSettings
-) -> np.ndarray:
+class Covered(NamedTuple):
+    """What strands as they are stored do to the skin of each texel.
+
+    Attributes:
+        under: Whether it lies under scalp hair, 0..1 [N].
+        cover: What roots cover of it, 0..1 [N].
+        light: What reaches it, 0..1 [N].
+        shaded: Whether strands of each part of `SHADED` lie over it closely, 0..1 [N].
+    """
+
+    under: np.ndarray
+    cover: np.ndarray
+    light: np.ndarray
+    shaded: tuple[np.ndarray, ...]
+
+
+def covered(evaluator: Evaluator, target: OpenAvatar, blocks: Sequence[StrandBlock]) -> Covered:
+    """Find what strands cover, whatever their settings."""
+    places, head = _places(evaluator, target), target.model.head_model
+    cover, light = ((part[places.corners] * places.weights).sum(1) for part in _under_hair(head, blocks))
+    where = head, places.points, places.corners, places.weights, blocks
+    shaded = tuple(beneath(*where, group, SHADING) * places.outer for group in SHADED)
+    return Covered(beneath(*where), cover, light, shaded)
+
+
+def cap_color(skin: Skin, there: Covered, settings: HairSettings) -> np.ndarray:
     """Color of the texels where they are laid flat, under strands, display sRGB [N, 3] float32."""
-    places = _places(evaluator, target)
-    cover, light = _under_hair(target.model.head_model, blocks)
-    cover, light = ((part[places.corners] * places.weights).sum(1)[:, None] for part in (cover, light))
-    under = beneath(target.model.head_model, places.points, places.corners, places.weights, blocks)[:, None]
-    cover = cover * under
+    cover = (1.0 - (1.0 - there.cover) ** settings.density)[:, None] * there.under[:, None]
+    dark = there.under * (1.0 - np.maximum(there.light, DIM) ** settings.shading)
     hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0]
     color = skin.color * (1.0 - UNDER * cover) + UNDER * cover * hair
-    return linear_to_srgb(color * (1.0 - under * (1.0 - light)))
+    return linear_to_srgb(color * (1.0 - dark)[:, None])
 
 
-def shade(evaluator: Evaluator, target: OpenAvatar, blocks: Sequence[StrandBlock]) -> np.ndarray:
+def shade(there: Covered, settings: Sequence[HairSettings]) -> np.ndarray:
     """What strands that lie over skin leave of its color, as a fringe on a forehead and a beard on a chin, float32 [N, 1]."""
-    places = _places(evaluator, target)
-    left = np.ones(len(places.points))
-    for group in set(SHADED).intersection(block.group for block in blocks):
-        under = beneath(target.model.head_model, places.points, places.corners, places.weights, blocks, group, SHADING)
-        left *= 1.0 - SHADED[group] * under * places.outer
+    left = np.ones(len(there.under))
+    for (group, most), over in zip(SHADED.items(), there.shaded, strict=True):
+        left *= 1.0 - most * settings[group].shading * over
     return left[:, None].astype(np.float32)
 
 

@@ -35,7 +35,7 @@ from ..splat.types import Gaussians
 from .cap import Cap
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
-from .scalp import Skin, bare_skin, cap_color, shade
+from .scalp import Covered, Skin, bare_skin, cap_color, covered, shade
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
@@ -186,17 +186,21 @@ class Wardrobe:
         def bare() -> Skin:
             return bare_skin(evaluator, target, at_rest(target, inputs), worn.own)
 
+        def find() -> Covered:
+            return covered(evaluator, target, [block for layer in worn.layers for block in self.blocks(layer, head)])
+
         def make() -> Cap:
-            blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
+            there = evaluator.cache.get((target.id, "covered", *worn.key), find)
             photo = worn.own and target.avatar.provenance.from_photos  # it shows how dark skin under its own hair is
-            left = np.ones((len(target.model.layout), 1), np.float32) if photo else shade(evaluator, target, blocks)
+            left = np.ones((len(target.model.layout), 1), np.float32) if photo else shade(there, worn.settings)
             share, color = np.zeros(len(left), np.float32), np.zeros((len(left), 3), np.float32)
             if worn.flat:
                 skin = evaluator.cache.get((target.id, "skin", worn.own, *inputs.identity_key), bare)
-                share, color = skin.share, cap_color(evaluator, target, skin, blocks, worn.settings[SCALP])
+                share, color = skin.share, cap_color(skin, there, worn.settings[SCALP])
             return Cap(*map(self._engine.array, (share, color, left)))
 
-        settings = worn.settings[SCALP].color_key
+        scalp, beard = worn.settings[SCALP], worn.settings[BEARD]
+        settings = *scalp.color_key, scalp.density, scalp.shading, beard.shading
         return evaluator.cache.get((target.id, "cap", worn.own, worn.flat, *worn.key, *inputs.identity_key, *settings), make)
 
     def gaussians(

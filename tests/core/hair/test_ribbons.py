@@ -7,8 +7,12 @@ import pytest
 import torch
 
 from grmm_core.geometry.camera import Camera
+from grmm_core.hair import HairSettings, library_groom
 from grmm_core.hair.gradients import strand_segments
+from grmm_core.hair.occlusion import openness
 from grmm_core.hair.ribbons import OPACITY, Eye, segments, shade
+from grmm_core.hair.strands import blocks_of, lengthened
+from grmm_core.head import load_open_head
 from grmm_core.pictures.color import linear_to_srgb
 from grmm_core.splat import Gaussians, rasterize
 
@@ -107,3 +111,19 @@ def test_compiled_shading_is_the_readable_text(eye, sheen):
     means = 0.5 * (points[:, 1:] + points[:, :-1])
     shown = shade(means, axes, np.repeat(albedo[:, :1], 4, 1), light[:, 1:], EYES[eye], sheen)
     np.testing.assert_allclose(colors.reshape(20, 4, 3), linear_to_srgb(np.clip(shown, 0, 1)), atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("values", "left"), [({"density": 0.2}, 0.4), ({"length": 0.3}, 0.8), ({"length": 0.15, "density": 0.5}, 0.5)]
+)
+def test_fewer_and_shorter_hairs_let_in_about_the_light_that_is_traced_anew(values, left):
+    head, settings = load_open_head(), HairSettings(**values)
+    template = np.asarray(head.v_template, float)
+    (block,) = blocks_of(library_groom("long").level(0.1), template, head.faces)
+    origin, axes = block.frames.at(template)
+    points = np.matmul(lengthened(block.points, settings.length), axes) + origin[:, None]
+    widths = settings.density * block.widths.mean(1) * len(block) / len(block.points)
+    traced = openness(points, widths, template, head.faces)[..., 0]
+    before, after = (np.abs(light[..., 0] - traced).mean() for light in (block.light, block.lit(settings)))
+    assert after < left * before
+    np.testing.assert_array_equal(block.lit(HairSettings(thickness=2.0)), block.light)

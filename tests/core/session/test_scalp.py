@@ -9,10 +9,11 @@ from grmm_core.avatar import Hair
 from grmm_core.avatar.types import Provenance
 from grmm_core.hair import HairSettings
 from grmm_core.hair.packaged import library_groom
+from grmm_core.hair.roots import GROUPS
 from grmm_core.hair.strands import blocks_of
 from grmm_core.pictures.color import srgb_to_linear
 from grmm_core.session import HairUse, create_session
-from grmm_core.session.scalp import bare_skin, shade
+from grmm_core.session.scalp import bare_skin, covered, shade
 from grmm_core.session.wardrobe import Wardrobe
 
 SKIN = (0.8, 0.6, 0.5)
@@ -92,8 +93,9 @@ def test_skin_under_a_beard_and_a_fringe_is_dark_and_other_skin_is_not(model):
     nose = outer & (z > 0.105) & (y > 0.005) & (y < 0.04)
     assert min(part.sum() for part in (jaw, brow, nose)) > 20
 
-    def left(name, part):
-        return shade(evaluator, target, blocks_of(library_groom(name, part=part), mean, head.faces))[:, 0]
+    def left(name, part, **values):
+        there = covered(evaluator, target, blocks_of(library_groom(name, part=part), mean, head.faces))
+        return shade(there, [HairSettings(**values)] * len(GROUPS))[:, 0]
 
     beard, fringe = left("full", "beard"), left("fringe", "scalp")
     assert beard[jaw].mean() < 0.7
@@ -102,4 +104,5 @@ def test_skin_under_a_beard_and_a_fringe_is_dark_and_other_skin_is_not(model):
     for dark, others in ((beard, (brow, nose, ~outer)), (fringe, (jaw, nose, ~outer))):
         assert [dark[other].min() for other in others] == [1.0] * 3
     assert left("coily", "scalp")[brow | nose].min() > 0.99  # curls stand out before it
-    assert (shade(evaluator, target, ()) == 1.0).all()
+    np.testing.assert_allclose(1.0 - left("full", "beard", density=0.25), 0.25 * (1.0 - beard), atol=1e-6)
+    assert (shade(covered(evaluator, target, ()), [HairSettings()] * len(GROUPS)) == 1.0).all()

@@ -11,8 +11,8 @@ import itertools
 import statistics
 import sys
 import time
-from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Hashable, Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..controls.frame import Controls
 from ..errors import RuntimeMissingError
@@ -115,21 +115,27 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
     return result
 
 
+Name = TypeVar("Name", bound=Hashable)
 _CHANGES = (0.618034 * number % 1.0 for number in itertools.count())
 """Numbers of 0..1 that do not come again in a run, so that no frame finds what another one has left."""
 
 
-def best_times(calls: Mapping[str, Callable[[], object]], repeats: int, warm: bool = True) -> dict[str, float]:
-    """Time alternatives in turns, after one call each if `warm`, and return the best seconds of each."""
-    best = dict.fromkeys(calls, float("inf"))
-    for call in calls.values() if warm else ():
-        call()
+def times_of(calls: Mapping[Name, Callable[[], object]], repeats: int) -> dict[Name, list[float]]:
+    """Time alternatives in turns and return the seconds of each turn."""
+    times: dict[Name, list[float]] = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():
             start = time.perf_counter()
             call()
-            best[name] = min(best[name], time.perf_counter() - start)
-    return best
+            times[name].append(time.perf_counter() - start)
+    return times
+
+
+def best_times(calls: Mapping[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Time alternatives in turns, after one call each, and return the best seconds of each."""
+    for call in calls.values():
+        call()
+    return {name: min(seconds) for name, seconds in times_of(calls, repeats).items()}
 
 
 def _model(session: LocalSession, avatar_id: int) -> GRMM:
@@ -171,21 +177,21 @@ def light(session: LocalSession, avatar_id: int, repeats: int) -> dict[str, Any]
 
     Caches keep some expressions' shadows and light. Until they are full each new expression touches memory that the system has
     not given out before (4,000 pages lit, 25 to 50 ms of the system's time), then what is forgotten is used again. So the first
-    expressions of an avatar are a row of their own, with the median of their times.
+    expressions of an avatar are a row of their own. Medians, not the least: expressions cost more and less by themselves.
     """
     lighting = lighting_of(["lamp:45,35,42", "lamp:-40,10,7,1,0.8,0.6", "lamp:150,20,30", "sun:20,60,2", "world:0.05"])
-    calls = {"lit": frames(session, avatar_id, lighting), "unlit": frames(session, avatar_id)}
-    for of in calls.values():
-        of["nothing"]()
-    first: dict[str, list[float]] = {which: [] for which in calls}
-    for _ in range(FILLING):
-        for which, of in calls.items():
-            first[which].append(best_times({which: of["expression"]}, 1, warm=False)[which])
+    lit, unlit = frames(session, avatar_id, lighting), frames(session, avatar_id)
     names = ("nothing", "camera", "expression")
-    times = best_times({f"{name} {which}": of[name] for which, of in calls.items() for name in names}, repeats)
-    times |= {f"first expressions {which}": statistics.median(seconds) for which, seconds in first.items()}
-    rows = (*names, "first expressions")
-    return {name: {"ratio": times[f"{name} lit"] / times[f"{name} unlit"], "ms": 1e3 * times[f"{name} lit"]} for name in rows}
+    for of in (lit, unlit):
+        of["nothing"]()
+    rows = {"first expressions": times_of({"lit": lit["expression"], "unlit": unlit["expression"]}, FILLING)}
+    calls = {(name, which): of[name] for which, of in (("lit", lit), ("unlit", unlit)) for name in names}
+    times = times_of(calls, max(repeats, FILLING))
+    rows |= {name: {which: times[name, which] for which in ("lit", "unlit")} for name in names}
+    found = {name: [statistics.median(row[which]) for which in ("lit", "unlit")] for name, row in rows.items()}
+    return {
+        name: {"ratio": found[name][0] / found[name][1], "ms": 1e3 * found[name][0]} for name in (*names, "first expressions")
+    }
 
 
 def frames(session: LocalSession, avatar_id: int, lighting: Lighting | None = None) -> dict[str, Callable[[], object]]:

@@ -70,7 +70,10 @@ def _with_faces(photo: Photo, focal: float | None) -> AnalysedPhoto:
     try:
         faces = find_faces(photo.pixels)
     except NoFaceError as error:
-        raise NoFaceError(f"No face was found in {name}; use a photo where the whole face is visible and sharp.") from error
+        raise NoFaceError(
+            f"No face was found in {name}; if there is one, it is turned or tilted too far, covered or not sharp: use a photo "
+            "from the front or at most half from the side, where the whole face is visible."
+        ) from error
     large = tuple(face for face in faces if _face_size(face) >= MIN_FACE)
     if not large:
         raise NoFaceError(

@@ -2,8 +2,9 @@
 
 The networks are MediaPipe's face detector, face landmarks and blendshapes (`networks`); the steps between them (anchors,
 weighted non-maximum suppression, rotated regions) follow its published graphs. Two things are added: the picture is searched
-in tiles when nothing is found at once, because the detector sees only 128 pixels, and a face counts only when the landmark
-network says that one is present, because the detector alone accepts cats.
+in tiles when nothing is found at once, or only faces so small that others beside them may be missed, because the detector sees
+only 128 pixels, and a face counts only when the landmark network says that one is present, because the detector alone accepts
+cats.
 
 Coordinates are pixels of the picture given, x right, y down; the subject's left side is on the right of the picture.
 """
@@ -33,6 +34,7 @@ REGION_SCALE = 1.5  # the landmark network's region relative to the face's box
 SCORE_CLIP = 100.0
 TILE_LEVELS = (2, 4, 8, 16)  # tiles across the longer side that are tried after the whole picture
 TILE_OVERLAP = 0.34
+SMALL_FACE = 0.2  # of a tile's side: where faces of this size are seen, the detector misses others
 MIN_REGION = 24.0  # pixels; below this the landmark network guesses
 
 # The detector's anchors (strides of its two output grids, anchors in each cell).
@@ -107,7 +109,7 @@ def find_faces(image: np.ndarray) -> list[Face]:
             face = locate_landmarks(pixels, detection)
             if face.presence >= MIN_PRESENCE and not any(_overlap(face.box, f.box) > SUPPRESSION_OVERLAP for f in faces):
                 faces.append(face)
-        if faces:
+        if faces and min(np.ptp(face.box.reshape(2, 2), axis=0).max() for face in faces) > SMALL_FACE * windows[0][2]:
             break
     if not faces:
         raise NoFaceError("No face was found in the photo; use one where the whole face is visible, upright and sharp.")

@@ -70,6 +70,18 @@ def test_a_small_face_is_found_by_tiles(photos):
     np.testing.assert_allclose(face.landmarks[:, :2] - [400, 1500], alone.landmarks[:, :2], atol=3.0)
 
 
+def test_no_face_of_a_row_is_missed(photos):
+    """At once the detector sees the middle ones only."""
+    names = ("astronaut", "admiral", "astronaut", "admiral", "astronaut")
+    picture = np.full((400, 1500, 3), 90, np.uint8)
+    for place, name in enumerate(names):
+        one = Image.fromarray(photos(name))
+        one.thumbnail((300, 400))
+        picture[: one.height, 300 * place : 300 * place + one.width] = np.asarray(one)
+    places = sorted(int(face.landmarks[1, 0] // 300) for face in find_faces(picture))
+    assert places == [0, 1, 2, 3, 4]
+
+
 def test_landmarks_follow_a_turned_photo(photos):
     image, angle = photos("admiral"), 25.0
     (face,) = find_faces(image)

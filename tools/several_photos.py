@@ -1,9 +1,10 @@
 """What further photos give a fit: `python -m tools.several_photos -o FOLDER [--people 2] [--counts 1 2 4 8] [--preset fast]`.
 
-People drawn at random from the model are photographed from different sides in different lights, with small expressions, and
-fitted from the pictures alone. Printed are, by the number of photos, the color error in each photo as a session draws it, the
-error of the shape, and PSNR of bare faces in views and expressions that no photo shows: in even light, drawn on the true mesh,
-so that it tells of colors alone, each color's gain free, since the first photo's exposure stays in the avatar.
+People drawn at random from the model are photographed from different sides in different lights, with small expressions, as a
+camera exposes them and above the edge of their bust, and fitted from the pictures alone. Printed are, by the number of photos,
+the color error in each photo as a session draws it, the error of the shape, and PSNR of faces in views and expressions that no
+photo shows: of skin that neither wears strands before, in even light, drawn on the true mesh, so that it tells of colors alone,
+each color's gain free, since the first photo's exposure stays in the avatar.
 """
 
 from __future__ import annotations
@@ -26,7 +27,10 @@ from grmm_core.fitting.result import photo_controls, photo_light
 from grmm_core.fitting.types import PhotoTrack
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import triangle_depth
+from grmm_core.light.lamps import STUDIO
 from grmm_core.light.parse import lighting_of
+from grmm_core.light.relight import to_linear
+from grmm_core.light.shading import Response
 from grmm_core.light.transfer import turn_between
 from grmm_core.model.portrait import portrait_camera
 from grmm_core.pictures.images import quantize, write_png
@@ -50,12 +54,16 @@ HELD_OUT: tuple[tuple[float, float, dict[str, float]], ...] = (
     (20.0, 0.0, {}), (-25.0, -8.0, {}), (60.0, 0.0, {}), (-60.0, 5.0, {}),
     (0.0, 0.0, {"mouthSmileLeft": 0.7, "mouthSmileRight": 0.7}),
 )  # fmt: skip
-BARE = HairUse("none", brows="none", beard="none", lashes="none")
+EXPOSED = 90.0, 0.85  # percentile of the picture's brightest channel of skin, and what a camera makes of it, display sRGB
+BELOW = 0.3  # of the face's height: how much below the chin is in a picture
+BARE, BROWS = HairUse("none", brows="none", beard="none", lashes="none"), HairUse("none")
+EXPOSURES = 3  # until that holds: light is not doubled by twice the lamps where it is clipped
+COVERED = 0.02  # of a pixel by hair, of which photos tell no skin
 
 
 def shot(session: LocalSession, number: int, controls: Controls, camera: Camera, **more: object) -> dict[str, np.ndarray]:
     """One picture; `more` is the instance's."""
-    options = RenderOptions(passes=("rgb", "alpha", "depth"), background=GREY)
+    options = RenderOptions(passes=("rgb", "hair"), background=GREY)
     drawn: dict[str, np.ndarray] = session.render([Instance(number, controls, **more)], camera, options)  # type: ignore[arg-type]
     return drawn
 
@@ -63,12 +71,33 @@ def shot(session: LocalSession, number: int, controls: Controls, camera: Camera,
 def photos_of(session: LocalSession, person: int, folder: Path, count: int) -> list[Path]:
     """Photograph a person."""
     paths = []
-    for index, (yaw, pitch, values, words) in enumerate(PHOTOS[:count]):
-        camera = Camera.orbit(SIDE, SIDE, yaw, pitch, distance=1.2, fov=22.0)
-        drawn = shot(session, person, Controls().set_named(values), camera, lighting=lighting_of(words))
+    for index, (_, _, values, words) in enumerate(PHOTOS[:count]):
+        controls, lighting = Controls().set_named(values), lighting_of(words) or STUDIO
+        camera, face = _framed(session, person, controls, index)
+        for _ in range(EXPOSURES):
+            drawn = shot(session, person, controls, camera, lighting=lighting, response=Response())["rgb"]
+            bright = float(to_linear(np.percentile(drawn[face].max(-1), EXPOSED[0])))
+            lighting = lighting.scaled((float(to_linear(np.array(EXPOSED[1]))) / bright,) * 3)
         paths.append(folder / f"photo{index + 1}.png")
-        write_png(paths[-1], quantize(drawn["rgb"]))
+        write_png(paths[-1], quantize(drawn))
     return paths
+
+
+def photo_camera(index: int) -> Camera:
+    """Camera of a photo before it is cropped."""
+    yaw, pitch, _, _ = PHOTOS[index]
+    return Camera.orbit(SIDE, SIDE, yaw, pitch, distance=1.2, fov=22.0)
+
+
+def _framed(session: LocalSession, person: int, controls: Controls, index: int) -> tuple[Camera, np.ndarray]:
+    """A photo's camera, whose picture ends below the chin, and the pixels that show the face, [H, W] bool."""
+    head, camera = session.engine.store.default().model.head_model, photo_camera(index)
+    vertices = np.asarray(session.deform(person, controls).vertices, np.float64)
+    face = head.marked("face")
+    rows = camera.project(vertices[face])[1][:, 1]
+    end = min(SIDE, round(float(rows.max() + BELOW * np.ptp(rows))))
+    camera = camera.crop(0, 0, SIDE, end)
+    return camera, _shows(vertices, head.faces[face[head.faces].all(1)], head.faces, camera)
 
 
 def errors_in_photos(session: LocalSession, path: Path, avatar: Avatar, tracks: Sequence[PhotoTrack]) -> list[float]:
@@ -86,7 +115,7 @@ def errors_in_photos(session: LocalSession, path: Path, avatar: Avatar, tracks: 
 
 
 def held_out(session: LocalSession, person: int, avatar: Avatar, folder: Path) -> tuple[float, float]:
-    """PSNR of the bare face in views that no photo shows, dB, and the mean error of its shape, metres."""
+    """PSNR of the face in views that no photo shows, dB, and the mean error of its shape, metres."""
     truth, head = session.target(person).avatar, session.engine.store.default().model.head_model
     face = head.marked("face")
     shapes = [head.vertices(one.shape, np.zeros(1), np.zeros((5, 3)))[face] for one in (avatar, truth)]
@@ -100,8 +129,11 @@ def held_out(session: LocalSession, person: int, avatar: Avatar, folder: Path) -
     for yaw, pitch, values in HELD_OUT:
         controls, camera = Controls().set_named(values), portrait_camera(HELD_OUT_SIDE, yaw, pitch)
         drawn = [shot(session, one, controls, camera, hair=BARE)["rgb"] for one in (number, person)]
+        worn = [(number, BROWS), (person, HairUse())]
         vertices = np.asarray(session.deform(person, controls).vertices, np.float64)
         seen = _shows(vertices, head.faces[face[head.faces].all(1)], head.faces, camera)
+        for one, hair in worn:
+            seen &= shot(session, one, controls, camera, hair=hair)["hair"][..., 0] < COVERED
         a, b = (picture[seen] for picture in drawn)
         squares.append(((a * ((a * b).sum(0) / (a * a).sum(0)) - b) ** 2).mean(1))
     session.release(number)

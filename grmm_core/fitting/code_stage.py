@@ -159,7 +159,7 @@ def _starts(
         for number, w in enumerate(people):
             vertices, decoded = _Search(model, prior, [view], surface, light, None, w).decoded(view)
             here = light.picture(model, view, vertices, decoded)
-            maps = solve_maps(model, [view], [vertices], [decoded], surface, [here])
+            maps = solve_maps(model, [view], [vertices], [decoded], surface, [here], torch.ones_like(light.trust[:1]))
             drawn = draw(model, view.camera, vertices, decoded.recolored(recolor(decoded.colors, maps, surface)))
             drawn = relit(drawn, here)
             scored.append((float(fit_loss(drawn, view, background(0, view), start_weights, None)), number))
@@ -202,7 +202,7 @@ class _Search:
         pairs = [self.decoded(view) for view in self.views]
         meshes, decoded = [vertices for vertices, _ in pairs], [attributes for _, attributes in pairs]
         self.lit = [self.light.picture(self.model, view, *pair) for view, pair in zip(self.views, pairs, strict=True)]
-        self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.lit)
+        self.maps = solve_maps(self.model, self.views, meshes, decoded, self.surface, self.lit, self.light.trust)
 
     def recolored(self, attributes: Attributes) -> Attributes:
         """Attributes with the colors that the maps give."""
@@ -213,7 +213,7 @@ class _Search:
         vertices, attributes = self.decoded(view)
         drawn = draw(self.model, view.camera, vertices, self.recolored(attributes))
         drawn = relit(drawn, self.lit[view.index])
-        value = fit_loss(drawn, view, background(step, view), CODE_WEIGHTS, self.perceptual)
+        value = fit_loss(drawn, view, background(step, view), CODE_WEIGHTS, self.perceptual) * self.light.trust[view.index]
         value = value + CODE_WEIGHT * self.w.square().sum() + EXPRESSION_WEIGHT * self.z_exp.square().sum()
         return value + PHOTO_WEIGHT * self.photo.square().sum(), drawn
 

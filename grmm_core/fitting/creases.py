@@ -136,7 +136,7 @@ def crease_colors(surface: Surface, colors: Tensor, strain: Tensor, features: Te
     return (share_of(strain) * _away(surface, plain))[:, None] * (detail - lasting)
 
 
-def own_colors(surface: Surface, difference: Tensor, strain: Tensor, parts: Tensor) -> Tensor:
+def own_colors(surface: Surface, difference: Tensor, strain: Tensor, parts: Tensor, trust: Tensor) -> Tensor:
     """The part of what one photo shows otherwise than the calmest does [N, 3] that belongs to its expression.
 
     Args:
@@ -144,11 +144,13 @@ def own_colors(surface: Surface, difference: Tensor, strain: Tensor, parts: Tens
         difference: As the photo shows it, [N, 3].
         strain: `strained` at the texels, [N].
         parts: Lips, lids, brows, eyes and mouth, [N] bool: they move, and are never tracked to the texel.
+        trust: In the photo's light, 0..1: of a light that is not known well edges of shadows are left, which are no folds.
     """
     skin = (surface.group == SKIN).to(difference)
     detail = difference - surface.smooth(difference * skin[:, None], OWN_TEXELS)  # what is wide is the photo's light
-    share = skin * share_of(strain, OWN_STRAIN)
-    return torch.where(parts[:, None], difference, share[:, None] * detail).clamp(-MOST, MOST)
+    share = trust * skin * share_of(strain, OWN_STRAIN)
+    moved = torch.where(skin > 0.0, trust * difference.T, difference.T).T  # teeth are no matter of light
+    return torch.where(parts[:, None], moved, share[:, None] * detail).clamp(-MOST, MOST)
 
 
 def _away(surface: Surface, plain: Tensor) -> Tensor:

@@ -62,6 +62,7 @@ SHAPE_REST = 0.05  # pulls unseen shapes back to the prior faster than colors
 REFINED_EVERY = 3  # steps of which one has the refined picture's term of eq. 20, the others the splatted one's
 LOCALITY_EVERY = 2  # steps of which one has L_loc, with that much more weight: decoding at another code is a third of a step
 COLOR_ROUNDS, LAST_ROUNDS = 3, 6  # of `Tuner.match_colors` at the beginning of each level, and at the end
+_NEVER_SEEN = 1e-3  # so little texels count as seen that no photo shows
 OWN_ROUNDS = 8  # of `Tuner.differences`
 
 
@@ -245,23 +246,34 @@ class Tuner:
                 if name in TRUSTED:  # a grazing view of skin shows what is behind it as well
                     gradient *= self.frontal_by[index][:, None]
                 if name == "color":
-                    gradient *= self.folding.calm[index][:, None]
+                    gradient *= (self.folding.calm[index] * self._beside(index))[:, None]
                 gradient.addcmul_(self.pulls[name], value, value=2.0 / len(value))  # of the mean of pull * value^2
         self.optimiser.step()
         self.step_count += 1
         return drawn.detached()
 
+    def _beside(self, index: int) -> Tensor:
+        """How much a photo tells of the texels' colors beside the one that tells most, 0..1, [N]; 1 where none does."""
+        shares = self._shares(torch.stack(self.seen_by) + _NEVER_SEEN)
+        return shares[index] / shares.amax(0)
+
     @torch.no_grad()
     def match_colors(self, level: int, rounds: int) -> None:
         """Bring every shown Gaussian's color nearer to the photos at once (see `spread_to_colors`)."""
+        every = torch.stack(self.seen_by) * self.folding.calm  # [P, N]
+        told, shares = every.amax(0)[:, None], self._shares(every)
         for turn in range(rounds):
             variant = turn if turn < rounds - 1 else None
-            change, weight = torch.zeros_like(self.tint), torch.zeros_like(self.tint[:, :1])
+            change = torch.zeros_like(self.tint)
             for index in range(len(self.levels[level])):
-                shown = (self.seen_by[index] * self.folding.calm[index])[:, None]
-                step = self._color_step(level, index, self.attributes(index, variant))
-                change, weight = change + shown * step, weight + shown
-            self.maps["color"] += change / weight.clamp(min=1.0)
+                change += shares[index, :, None] * self._color_step(level, index, self.attributes(index, variant))
+            self.maps["color"] += told * change
+
+    def _shares(self, told: Tensor) -> Tensor:
+        """Shares of the photos in the texels' colors, by what each tells and how well its light is known, both [P, N]."""
+        counted = told * self.light.trust[:, None]
+        shares: Tensor = counted / counted.sum(0).clamp(min=1e-9)
+        return shares
 
     def _color_step(self, level: int, index: int, attributes: Attributes) -> Tensor:
         """Change of the colors that brings a picture nearer to its photo, [N, 3]."""
@@ -356,8 +368,10 @@ class Tuner:
             return None
         creases = shared.expand(len(self.inputs), -1, -1)
         if len(self.inputs) > 1:
-            every = zip(self.differences(), folding.strains, brought.shares, strict=True)
-            own = [share * own_colors(self.surface, found, strain, folding.parts) for found, strain, share in every]
+            every = zip(self.differences(), folding.strains, brought.shares, self.light.trust, strict=True)
+            own = [
+                share * own_colors(self.surface, found, strain, folding.parts, trust) for found, strain, share, trust in every
+            ]
             creases = creases + torch.stack(own)
         change = brought.maps(creases)
         at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))

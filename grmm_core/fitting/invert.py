@@ -33,7 +33,8 @@ from .decoder_stage import Tuner
 from .folder import PREVIEW_FILE
 from .locality import LOCALITY_WEIGHT
 from .objective import decode, draw, relit
-from .photo_light import Light, Shown, found_lights, kept_lights
+from .person_lights import found_lights, kept_lights
+from .photo_light import Light, Shown
 from .photo_targets import FitView, aligned_weights, bare_pixels, fit_view
 from .presets import Preset, preset_named
 from .recoloring import PhotoLight, recolor
@@ -130,9 +131,9 @@ class _Inversion:
             surface = texel_surface(self.model)
             views = self.views(self.preset.decoders.levels[0][0])
             pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
-            lights, ratios = found_lights(self.model.head_model, self.model.layout, self.tracks, pictures)
-            codes = self._codes(surface, PhotoLight.of(self.model, ratios))
-            light = self._light(codes, surface, lights)
+            lights, ratios, trust = found_lights(self.model.head_model, self.model.layout, self.tracks, pictures)
+            codes = self._codes(surface, PhotoLight.of(self.model, ratios, trust))
+            light = self._light(codes, surface, lights, trust)
             if self.second_stage:
                 deltas = self._decoders(codes, surface, light)
             else:
@@ -169,13 +170,13 @@ class _Inversion:
             save_codes(self.work, self.codes_key, codes)
         return codes
 
-    def _light(self, codes: Codes, surface: Surface, lights: Sequence[Light]) -> PhotoLight:
+    def _light(self, codes: Codes, surface: Surface, lights: Sequence[Light], trust: np.ndarray) -> PhotoLight:
         """The photos' lights on the person of the codes, as a session has them there."""
         model = self.model
         with torch.no_grad():
             posed = [codes.inputs(model, view) for view in self.views(self.preset.codes.small_side)]
             colors = recolor(_frontal(model, codes.z_id), codes.maps, surface)
-            return _lights_on(model, self.tracks, lights, posed, codes.z_exp, colors)
+            return _lights_on(model, self.tracks, lights, posed, codes.z_exp, colors, trust)
 
     def _decoders(self, codes: Codes, surface: Surface, light: PhotoLight) -> dict[str, Tensor]:
         settings = self.preset.decoders
@@ -267,7 +268,7 @@ def _frontal(model: GRMM, z_id: Tensor) -> Tensor:
 
 def _lights_on(
     model: GRMM, tracks: Sequence[PhotoTrack], lights: Sequence[Light], posed: Sequence[ModelInputs[Tensor]], shared: Tensor,
-    colors: Tensor,
+    colors: Tensor, trust: np.ndarray | None = None,
 ) -> PhotoLight:  # fmt: skip
     """Lights of photos on the person whom a model draws.
 
@@ -278,6 +279,7 @@ def _lights_on(
         posed: Inputs of each.
         shared: What all photos add to the expression code, [Y].
         colors: Of the person, [N, 3].
+        trust: As `PhotoLight` has it; None: photos are drawn only.
     """
 
     def mesh(inputs: ModelInputs[Tensor]) -> np.ndarray:
@@ -285,7 +287,7 @@ def _lights_on(
 
     shown = [Shown(mesh(_resting(model, inputs, shared)), mesh(inputs)) for inputs in posed]
     spread = kept_lights(model.head_model, model.layout, tracks, lights, shown, to_numpy(colors))
-    return PhotoLight.of(model, spread)
+    return PhotoLight.of(model, spread, np.ones(len(tracks)) if trust is None else trust)
 
 
 def photo_pictures(

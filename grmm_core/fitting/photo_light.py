@@ -5,13 +5,12 @@ of surroundings (nine coefficients a color, Ramamoorthi and Hanrahan 2001) and o
 may take light away, found by robust least squares; what it does not explain, highlights too, stays in the flat colors. Tone and
 light are known as a product only: in the light of the first photo the median of the seen skin is as in the studio's rig.
 
-Used by `invert` and `result`. Needs numpy only.
+Used by `person_lights`, `invert` and `result`. Needs numpy only.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +21,6 @@ from ..head import HeadModel
 from ..light.bounce import nearest_points
 from ..light.lamps import STUDIO, Lighting, Sun
 from ..light.materials import materials_of
-from ..light.posture import Posture
 from ..light.relight import to_linear
 from ..light.resting import RestLight, Texels, casters_of, even_mouth
 from ..light.shading import Learned, Response, reached, relative, shade, transport
@@ -30,11 +28,8 @@ from ..light.shadows import maps_of
 from ..light.surroundings import TERMS, Surroundings, sphere
 from ..light.texel_shadows import TexelShadows
 from ..light.transfer import vertex_normals
-from ..light.turning import turned_light
-from ..model.layout import TexelLayout
 from ..pictures.sampling import bilinear
 from .chin import below_chin
-from .types import PhotoTrack
 
 SUNS = tuple(Sun(direction=tuple(d), angle=1.0) for d in sphere(24)[0] if d[2] > -0.3 and d[1] > -0.5)
 """Directions that light may come from, in head axes; as wide as soft boxes and windows."""
@@ -47,16 +42,15 @@ _RIDGE = 0.1  # likewise: keeps lights small that the face hardly shows
 # of the studio have 0.03 to 0.06, real photos 0.17 and more
 _AS_RIG = 0.08
 _ROUNDS, _CUT = 6, 5.0  # of robust weights
+_KNOWN = 0.2  # of `_EVEN`, `_TINT` and `_RIDGE` where other photos tell the colors
 _NOT_SKIN = ("lips", "lids", "brows", "lashes", "mouth_interior")
 # how much more skin below the chin counts while a photo stands alone: it shows little of it, slantwise, and that little tells
 # how deep the chin's shadow is; where other photos tell the colors, each texel counts as it is seen
 _UNDER = 12.0
 _FACING = 0.25  # cosine between normal and view from which skin tells its color
 _BEHIND = 0.004  # metres behind the mesh's depth that still are its surface
-_AGAIN = 2  # times that the lights of several photos are found again, by the colors that all of them show
 _DARK = 0.004  # linear color of a texel below which it tells no light
-_FEW = 60  # texels: less skin tells no light
-_STILL = np.zeros((5, 3))  # pose at rest
+FEW = 60  # texels: less skin tells no light
 
 
 class Light(NamedTuple):
@@ -79,6 +73,12 @@ class Light(NamedTuple):
         """The studio's light, stronger or weaker."""
         dark = np.zeros((len(SUNS), 3), np.float32), np.zeros((TERMS, 3), np.float32)
         return Light(*dark, *(np.full(3, value, np.float32) for value in (tone, level)))
+
+    def scaled(self, factor: np.ndarray) -> Light:
+        """Stronger by a factor a color, [3]."""
+        if not self.known:
+            return self._replace(level=self.level * factor)
+        return self._replace(suns=self.suns * factor, around=self.around * factor)
 
     @property
     def known(self) -> bool:
@@ -131,6 +131,10 @@ class PhotoHead:
         turn: From the axes of the head at rest to those of the posed one (`light.posture.Posture`), [3, 3]; None: they are the
             same.
         lying: How the texels lie where these are all of an avatar, as sessions look for shadows by it.
+
+    Attributes:
+        told: Texels of skin that light is found by, [N] bool.
+        one_tone: Skin of one tone in the studio's rig: the trained colors carry its shade below brows, nose and chin, [N, 3].
     """
 
     def __init__(
@@ -152,7 +156,8 @@ class PhotoHead:
         else:
             self._seen = np.stack([lying.all_seen(one, self._receivers, posed) for one in maps])
         skin = _skin(head)[texels.corners].all(1)
-        self._told = skin & (self._rest.rig > reached(self._rest.rig).min(0)).all(1)
+        self.told = skin & (self._rest.rig > reached(self._rest.rig).min(0)).all(1)
+        self.one_tone = self._rest.rig / np.median(self._rest.rig[self.told], 0)
         self._telling = 1.0 + _UNDER * texels.at(below_chin(head)[:, None])[:, 0]
 
     def ratio(self, light: Light) -> np.ndarray:
@@ -162,6 +167,8 @@ class PhotoHead:
 
     def spread(self, light: Light) -> np.ndarray:
         """`ratio` times how much each texel counts at a pixel (`light.shading.Arrived.front`), and that, [N, 4] float32."""
+        if not light.known:
+            return np.concatenate([self._turned * light.level, np.ones_like(self._turned)], 1).astype(np.float32)
         suns = tuple(dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(light.suns, SUNS, strict=True))
         around = Surroundings(np.asarray(light.around, np.float64)).turned(self._turn.T).coefficients
         rest, corners = self._rest, self._texels.corners
@@ -180,10 +187,25 @@ class PhotoHead:
             light: As it was found.
             flat: Colors in the studio's rig, linear RGB, [N, 3].
         """
-        counted = (seen.weights > 0) & self._told & (flat > _DARK).all(1)
+        counted = (seen.weights > 0) & self.told & (flat > _DARK).all(1)
         wanted = np.asarray(to_linear(np.asarray(seen.colors[counted], np.float64))) / flat[counted]
         level = np.median(wanted, 0)
-        return self._found(seen.weights, counted, wanted / level, level, light.tone)
+        return self._found(seen.weights, counted, wanted / level, level, light.tone, _KNOWN)
+
+    def exposed(self, seen: Seen, light: Light, flat: np.ndarray, shown: np.ndarray) -> Light:
+        """Find how strong the studio's light is in a photo, on the skin that others show.
+
+        Args:
+            seen: Its skin.
+            light: As it was found.
+            flat: Colors in the rig by the other photos, linear RGB, [N, 3].
+            shown: Whether these show a texel, [N] bool.
+        """
+        counted = (seen.weights > 0) & self.told & (flat > _DARK).all(1) & shown
+        if counted.sum() < FEW:
+            return light
+        wanted = np.asarray(to_linear(np.asarray(seen.colors[counted], np.float64))) / flat[counted]
+        return light._replace(level=np.median(wanted / self._turned[counted], 0).astype(np.float32))
 
     def solve(self, seen: Seen, tone: np.ndarray | None = None) -> Light:
         """Find the light of a photo.
@@ -193,7 +215,7 @@ class PhotoHead:
             tone: As another photo of the person has it, linear RGB, [3]; None: that of this one.
         """
         linear = np.asarray(to_linear(np.asarray(seen.colors, np.float64)))
-        counted = (seen.weights > 0) & self._told
+        counted = (seen.weights > 0) & self.told
         own = tone is None
         level = np.maximum(np.median(linear[counted], 0), 1e-4)
         tone = level if tone is None else tone
@@ -205,19 +227,25 @@ class PhotoHead:
         light = self._found(seen.weights * self._telling, counted, wanted, level / tone, tone)
         if own:
             middle = np.median(self.ratio(light)[counted], 0)
-            light = light._replace(suns=light.suns / middle, around=light.around / middle)
+            light = light.scaled(1.0 / middle)
         return light
 
-    def _found(self, given: np.ndarray, counted: np.ndarray, wanted: np.ndarray, scale: np.ndarray, tone: np.ndarray) -> Light:
-        """The light whose ratio to the rig's is nearest to `wanted` [K, 3] at the `counted` texels, times `scale` [3]."""
+    def _found(
+        self, given: np.ndarray, counted: np.ndarray, wanted: np.ndarray, scale: np.ndarray, tone: np.ndarray, held: float = 1.0
+    ) -> Light:  # fmt: skip
+        """The light whose ratio to the rig's is nearest to `wanted` [K, 3] at the `counted` texels, times `scale` [3].
+
+        How much it is `held` to even light is a factor.
+        """
         parts = transport(
             SUNS, self._receivers, list(self._seen), self._materials, self._rest.transfer, self._eye, MATT, self._turn
         )  # fmt: skip
         direct = np.concatenate([parts.diffuse.transpose(1, 0, 2), np.repeat(parts.ambient[:, :, None], 3, 2)], 1)
         columns = direct / self._rest.rig[:, None].astype(np.float64)  # [N, U, 3]
-        here, weights, rest = columns[counted], given[counted], columns[self._told]
-        grey = _robust(here.mean(2), wanted.mean(1), weights, rest.mean(2), None)
-        found = np.stack([_robust(here[:, :, c], wanted[:, c], weights, rest[:, :, c], grey) for c in range(3)], 1) * scale
+        here, weights, rest = columns[counted], given[counted], columns[self.told]
+        grey = _robust(here.mean(2), wanted.mean(1), weights, rest.mean(2), None, held)
+        found = np.stack([_robust(here[:, :, c], wanted[:, c], weights, rest[:, :, c], grey, held) for c in range(3)], 1)
+        found = found * scale
         suns, around = found[: len(SUNS)].astype(np.float32), Surroundings(found[len(SUNS) :]).turned(self._turn).coefficients
         return Light(suns, around.astype(np.float32), tone, np.ones(3, np.float32))
 
@@ -265,136 +293,19 @@ def seen_texels(
     return pixels, seen * facing.clip(0.0, 1.0) * (inside[row, column] > 0.5)
 
 
-def found_lights(
-    head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrack],
-    pictures: Sequence[tuple[Camera, np.ndarray, np.ndarray]],
-) -> tuple[list[Light], np.ndarray]:  # fmt: skip
-    """Find the light of each photo of a person; the first gives the skin's tone.
-
-    The person is the mesh that was tracked, without what a model has learned.
-
-    Args:
-        head: Head model.
-        layout: Texels of the avatar.
-        tracks: Photos.
-        pictures: Of each its camera, colors and bare pixels as in `seen_skin`.
-
-    Returns:
-        The lights, and their `PhotoHead.spread`, [P, N, 4] float32.
-    """
-    heads = _Heads(head, layout)
-    lights: list[Light] = []
-    ratios: list[np.ndarray] = []
-    every: list[tuple[Seen, PhotoHead | None]] = []
-    tone = None
-    for track, (camera, picture, inside) in zip(tracks, pictures, strict=True):
-        shown = _tracked(head, track)
-        seen = seen_skin(head, heads.texels, shown.posed, camera, picture, inside)
-        colors, light, here = seen.colors[seen.weights > 0], Light.studio(), None
-        if len(colors) >= _FEW:
-            middle = np.median(colors, 0)
-            here = heads.photo(track, shown, middle)
-            if "face" in head.regions:
-                light = here.solve(seen, tone)
-            else:  # what is light and what is color cannot be told
-                level = np.maximum(np.asarray(to_linear(middle)), 1e-4)
-                light = Light.studio(level if tone is None else tone, 1.0 if tone is None else level / tone)
-            tone = light.tone
-        lights.append(light)
-        every.append((seen, here))
-        ratios.append(here.spread(light) if light.known and here is not None else heads.even(light, track, shown))
-    for _ in range(_AGAIN if sum(light.known for light in lights) > 1 else 0):
-        flat = mean_flat(every, ratios)
-        for index, (seen, here) in enumerate(every):
-            if here is not None and lights[index].known:
-                lights[index] = here.again(seen, lights[index], flat)
-                ratios[index] = here.spread(lights[index])
-    return lights, np.stack(ratios)
-
-
-def mean_flat(every: Sequence[tuple[Seen, PhotoHead | None]], ratios: Sequence[np.ndarray]) -> np.ndarray:
-    """Colors of the texels in the studio's rig, the mean over the photos, linear RGB, [N, 3]; 0 where none shows them.
-
-    Args:
-        every: What each photo shows, and its head.
-        ratios: `PhotoHead.spread` of each photo's light.
-    """
-    total, weight = np.zeros((len(ratios[0]), 3)), np.full((len(ratios[0]), 1), 1e-6)
-    for (seen, _), ratio in zip(every, ratios, strict=True):
-        linear = np.asarray(to_linear(np.asarray(seen.colors, np.float64)))
-        light = ratio[:, :3] / ratio[:, 3:]
-        told = seen.weights[:, None]
-        total += told * linear / np.maximum(light, 1e-2)
-        weight += told
-    return total / weight
-
-
-def kept_lights(
-    head: HeadModel, layout: TexelLayout, tracks: Sequence[PhotoTrack], lights: Sequence[Light], shown: Sequence[Shown],
-    colors: np.ndarray,
-) -> np.ndarray:  # fmt: skip
-    """`PhotoHead.spread` of lights that were found before as a session has them, [P, N, 4] float32.
-
-    Args:
-        head: Head model.
-        layout: Texels of the avatar.
-        tracks: Photos.
-        lights: Of each.
-        shown: The person in each, with what the model has learned.
-        colors: Of the texels at rest, display sRGB, [N, 3].
-    """
-    heads = _Heads(head, layout)
-    ratios = [
-        heads.photo(track, here, colors).spread(light) if light.known else heads.even(light, track, here)
-        for track, here, light in zip(tracks, shown, lights, strict=True)
-    ]
-    return np.stack(ratios)
-
-
-def _tracked(head: HeadModel, track: PhotoTrack) -> Shown:
-    """A person as tracked."""
-    rest = head.vertices(track.shape, np.zeros(1), _STILL)
-    return Shown(rest, head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose)))
-
-
-class _Heads:
-    """What the photos of an avatar's person have in common."""
-
-    def __init__(self, head: HeadModel, layout: TexelLayout) -> None:
-        self._head, self.texels = head, Texels.of(head, layout.face, layout.barycentric)
-        self._lying = self.texels.shadows(head, layout.uv, layout.grid, layout.texel)
-
-    def photo(self, track: PhotoTrack, shown: Shown, colors: np.ndarray) -> PhotoHead:
-        """What light does in a photo; colors as of `PhotoHead`."""
-        pose = self._head.pose_of(track.expression, track.pose)
-        turn = Posture(self._head, track.shape, _STILL, pose, shown.rest).turn
-        turned = self._turned(track, shown)
-        return PhotoHead(self._head, self.texels, shown, track.camera.position, colors, turned, turn, self._lying)
-
-    def even(self, light: Light, track: PhotoTrack, shown: Shown) -> np.ndarray:
-        """`PhotoHead.spread` of the studio's light, stronger or weaker."""
-        turned = self._turned(track, shown)
-        return np.concatenate([turned * light.level, np.ones_like(turned)], 1)
-
-    def _turned(self, track: PhotoTrack, shown: Shown) -> np.ndarray:
-        """What the turn of a photo's neck makes of the studio's light, [N, 1] float32."""
-        light = turned_light(self._head, self.texels, shown.posed, self._head.pose_of(track.expression, track.pose))
-        return np.ones((len(self.texels.face), 1), np.float32) if light is None else light
-
-
 def _robust(
-    columns: np.ndarray, wanted: np.ndarray, weights: np.ndarray, everywhere: np.ndarray, near: np.ndarray | None
+    columns: np.ndarray, wanted: np.ndarray, weights: np.ndarray, everywhere: np.ndarray, near: np.ndarray | None, held: float
 ) -> np.ndarray:
     """Least squares of [K, U] unknowns, those of lamps not below zero; outliers (brows, marks, highlights) count little.
 
-    The same columns of all skin [M, U] are pulled to 1, and unknowns to those of `near` [U].
+    The same columns of all skin [M, U] are pulled to 1, and unknowns to those of `near` [U], `held` times as much as usual.
     """
     trust = np.ones(len(wanted))
-    even = everywhere.T @ everywhere * (_EVEN / len(everywhere)), everywhere.mean(0) * _EVEN
+    even = everywhere.T @ everywhere * (held * _EVEN / len(everywhere)), everywhere.mean(0) * (held * _EVEN)
     for _ in range(_ROUNDS):
         weighted = columns * (weights * trust / weights.sum())[:, None]
         square, right = weighted.T @ columns + even[0], weighted.T @ wanted + even[1]
-        pull = (_RIDGE if near is None else _TINT) * np.trace(square) / len(square)
+        pull = held * (_RIDGE if near is None else _TINT) * np.trace(square) / len(square)
         square += pull * np.eye(len(square))
         found = _not_below_zero(square, right if near is None else right + pull * near)
         off = columns @ found - wanted

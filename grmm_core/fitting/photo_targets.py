@@ -49,7 +49,8 @@ SHADOW_RIM = 0.05  # likewise: how far beside the face hair throws a shadow
 SHADOW = 0.88  # of the face's lightness: less is shadow there
 NECK_TINT, NECK_LIGHT = 0.05, 1.15  # how far a neck's chromaticity and how much its lightness may exceed the face's: collars do
 CLIPPED = 0.985  # of a channel: from here on a photo does not say how bright it was
-BURNT, BURNT_RIM = 1.75, 0.016  # times the face's median lightness; of the head's height
+BURNT, BURNT_RIM = 1.6, 0.016  # times the lightness of the face where it is lit; of the head's height
+LIT = 0.75  # of the face's pixels are darker than where it is lit, although light from a side may leave most of it in shadow
 _MULTIPLE = 16  # pixels: the refinement network folds and halves
 
 
@@ -277,7 +278,7 @@ def _burnt(track: PhotoTrack, parts: PhotoParts, height: float) -> np.ndarray:
     face, light = parts.skin > _LIKELY, track.image.mean(2)
     if not face.any():
         return np.zeros(face.shape, bool)
-    bright = (light > BURNT * np.median(light[face])) & (parts.mouth + parts.eyes < BARE)
+    bright = (light > BURNT * np.quantile(light[face], LIT)) & (parts.mouth + parts.eyes < BARE)
     return _widened(_plane(bright), max(1, round(BURNT_RIM * height)))
 
 

@@ -36,7 +36,7 @@ from .code_stage import Codes, code_prior, fit_codes
 from .decoder_stage import Tuner
 from .landmark_stage import LandmarkFit, finished, restarted
 from .objective import decode, draw, relit
-from .photo_light import found_lights
+from .person_lights import found_lights
 from .photo_targets import FitView, bare_pixels, fit_view
 from .point_rig import LandmarkRig, PointRig
 from .presets import CodeSettings, DecoderSettings
@@ -187,8 +187,8 @@ class _Appearance:
         self.surface: Surface = texel_surface(model)
         views = self.views(tracks, SIDE)
         pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
-        _, ratios = found_lights(head, model.layout, tracks, pictures)
-        self.light = PhotoLight.of(model, ratios)
+        _, ratios, trust = found_lights(head, model.layout, tracks, pictures)
+        self.light = PhotoLight.of(model, ratios, trust)
         small, large = self.views(tracks, QUICK.small_side), self.views(tracks, QUICK.side)
         was = [parameter.requires_grad for parameter in model.parameters()]
         model.requires_grad_(False)
@@ -267,7 +267,7 @@ class _Appearance:
         difference = float(np.sqrt(np.mean(np.concatenate(squares)))) if len(every) else 0.0
         return Compared(
             self._points.triangles[every], self._points.barycentric[every], np.concatenate(targets), np.concatenate(normals),
-            np.concatenate(sigmas) * max(1.0, NOISE * difference), difference, view,
+            np.concatenate(sigmas) * max(1.0, NOISE * difference) / float(self.light.trust[index].sqrt()), difference, view,
         )  # fmt: skip
 
     def _visible(self, view: FitView, vertices: np.ndarray, bare: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -46,17 +46,20 @@ class PhotoLight:
     Attributes:
         spread: Irradiance relative to the rig's times how much a texel counts at a pixel, and that, [P, N, 4].
         grid: Where the texels lie on the mesh.
+        trust: How much each photo tells of colors beside the one whose light is known best, 0..1, [P].
     """
 
     spread: Tensor
     grid: TexelGrid
+    trust: Tensor
 
     @staticmethod
-    def of(model: GRMM, spread: np.ndarray) -> PhotoLight:
-        """On a model's texels, of `spread` [P, N, 4]."""
+    def of(model: GRMM, spread: np.ndarray, trust: np.ndarray) -> PhotoLight:
+        """On a model's texels, of `spread` [P, N, 4] and `trust` [P]."""
         layout = model.layout
         grid = texel_grid(model.head_model, layout.uv, layout.grid, layout.texel)
-        return PhotoLight(torch.as_tensor(spread, dtype=model.dtype, device=model.device), grid)
+        first, second = (torch.as_tensor(part, dtype=model.dtype, device=model.device) for part in (spread, trust))
+        return PhotoLight(first, grid, second)
 
     def tells(self, index: int) -> Tensor:
         """How far a photo tells the texels' colors, 0..1, [N]: in deep shadow, which light is never known well, it does not."""
@@ -91,8 +94,9 @@ def recolor(colors: Tensor, maps: Tensor, surface: Surface) -> Tensor:
 
 
 def solve_maps(
-    model: GRMM, views: list[FitView], meshes: list[Tensor], decoded: list[Attributes], surface: Surface, lights: list[Tensor]
-) -> Tensor:
+    model: GRMM, views: list[FitView], meshes: list[Tensor], decoded: list[Attributes], surface: Surface, lights: list[Tensor],
+    trust: Tensor,
+) -> Tensor:  # fmt: skip
     """The groups' color maps that bring the attributes nearest to the photos, robust least squares, [3, 4, 3].
 
     Args:
@@ -102,9 +106,10 @@ def solve_maps(
         decoded: Attributes for each.
         surface: Groups.
         lights: `PhotoLight.picture` of each.
+        trust: `PhotoLight.trust` of each, [P].
     """
     rows, targets, counts = [], [], []
-    for view, vertices, attributes, light in zip(views, meshes, decoded, lights, strict=True):
+    for view, vertices, attributes, light, counted in zip(views, meshes, decoded, lights, trust, strict=True):
         columns = torch.cat([attributes.colors, torch.ones_like(attributes.colors[:, :1])], 1)  # [N, 4]
         spread = (surface.membership[:, :, None] * columns[:, None]).flatten(1)  # [N, 12]
         scene = model.gaussians(vertices, attributes)
@@ -117,7 +122,7 @@ def solve_maps(
         alpha = parts[:, 3::_COLUMNS].sum(1, keepdim=True)  # uncovered pixels of the person say nothing
         rows.append(parts)
         targets.append(image * alpha)
-        counts.append(alpha[:, 0])
+        counts.append(alpha[:, 0] * counted)
     a, b, count = torch.cat(rows).double(), torch.cat(targets).double(), torch.cat(counts).double()
     identity = unchanged(a).flatten(0, 1)  # [12, 3]
     if float(count.sum()) < _MIN_PIXELS:

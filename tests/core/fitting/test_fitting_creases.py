@@ -99,14 +99,16 @@ def test_what_a_photo_shows_otherwise_is_a_fold_where_it_strains_the_skin(model)
     line = torch.nonzero(skin).ravel()[::40]
     difference[line] = -0.2
     nothing, wide = torch.zeros(len(skin)), torch.full_like(difference, 0.1)
-    none = torch.zeros(len(skin), dtype=torch.bool)
-    calm = own_colors(surface, difference, nothing, none)
+    none, one = torch.zeros(len(skin), dtype=torch.bool), torch.ones(())
+    calm = own_colors(surface, difference, nothing, none, one)
     assert not calm.any()
-    folded = own_colors(surface, difference, nothing + 1.0, none)
+    folded = own_colors(surface, difference, nothing + 1.0, none, one)
     assert (folded[line].mean(1) < -0.8 * 0.2).all()
-    light = own_colors(surface, wide, nothing + 1.0, none)[skin]
+    light = own_colors(surface, wide, nothing + 1.0, none, one)[skin]
     assert float(light.abs().mean()) < 0.05  # what is wide is light
-    assert (own_colors(surface, wide, nothing, ~none) > 0.05).all()  # parts that move bring all
+    assert (own_colors(surface, wide, nothing, ~none, one) > 0.05).all()  # parts that move bring all
+    doubted = own_colors(surface, difference, nothing + 1.0, none, 0.1 * one)  # what may be a shadow's edge
+    torch.testing.assert_close(doubted, 0.1 * folded)
 
 
 def test_creases_are_whole_in_the_photos_expression_and_gone_at_rest(model):

@@ -249,7 +249,7 @@ def test_color_maps_are_found_exactly(person):
         drawn = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, wanted, surface)), refined=False)
         picture = drawn.raw / drawn.alpha[..., None].clamp(min=1e-3)
         target = dataclasses.replace(view, image=picture, mask=(drawn.alpha > 0.9).to(code))
-        found = solve_maps(model, [target], [vertices], [look], surface, [torch.ones_like(picture)])
+        found = solve_maps(model, [target], [vertices], [look], surface, [torch.ones_like(picture)], torch.ones(1))
         shown = draw(model, view.camera, vertices, look.recolored(recolor(look.colors, found, surface)), refined=False).raw
     assert float((shown - drawn.raw)[target.mask > 0].abs().mean()) < 0.01
 

@@ -10,7 +10,8 @@ import torch
 
 from grmm_core.controls.names import EXPRESSION_NAMES
 from grmm_core.errors import ShapeError
-from grmm_core.fitting.photo_light import MATT, SUNS, Light, PhotoHead, Seen, Shown, mean_flat, seen_skin
+from grmm_core.fitting.person_lights import doubts, mean_flat
+from grmm_core.fitting.photo_light import MATT, SUNS, Light, PhotoHead, Seen, Shown, seen_skin
 from grmm_core.fitting.result import photo_light
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_open_head
@@ -77,7 +78,7 @@ def test_skin_lit_from_a_side_becomes_even_and_its_own_light_makes_it_as_before(
     found = photo_head.solve(Seen(colors, np.ones(len(lit))))
     ratio = photo_head.ratio(found)
     flat = unlit(colors, ratio)
-    told = (lit > 0.25).all(1) & photo_head._told
+    told = (lit > 0.25).all(1) & photo_head.told
     plain, freckled = ((to_linear(flat) / shade)[told & (marks[:, 0] == value)] for value in (1.0, 0.6))
     uneven, left = (values.std(0) / values.mean(0) for values in (lit[told], plain))
     assert uneven.min() > 0.35
@@ -109,14 +110,46 @@ def test_several_photos_tell_marks_from_light(photo_head, side, shade):
     first = photo_head.solve(seen[0])
     alone = found = [first, photo_head.solve(seen[1], first.tone)]
     for _ in range(2):
-        flat = mean_flat([(one, photo_head) for one in seen], [photo_head.spread(light) for light in found])
+        every, ratios = [(one, photo_head) for one in seen], [photo_head.spread(light) for light in found]
+        flat = mean_flat(every, ratios, doubts(every, ratios))
         found = [photo_head.again(one, light, flat) for one, light in zip(seen, found, strict=True)]
 
     def apart(lights):
         one, two = (to_linear(s.colors) / photo_head.ratio(light) for s, light in zip(seen, lights, strict=True))
-        return float(np.abs(np.log(one / two))[photo_head._told & dark].mean())
+        return float(np.abs(np.log(one / two))[photo_head.told & dark].mean())
 
     assert apart(found) < 0.6 * apart(alone)
+
+
+def test_a_photo_whose_light_leaves_the_skin_uneven_hardly_counts(photo_head, side, shade):
+    """Of a light that no sum of wide ones explains, what is left is no color."""
+    random = np.random.default_rng(0)
+    even = side._replace(suns=0.0 * side.suns + 0.3)
+    blotched = np.exp(0.6 * np.sin(200.0 * photo_head._rest.vertices[photo_head._texels.corners].mean(1)[:, 1:2]))
+    every = [
+        (Seen(to_display(SKIN * shade * photo_head.ratio(light) * apart), np.ones(len(shade))), photo_head)
+        for light, apart in ((even, random.normal(1.0, 0.03, (len(shade), 1))), (side, blotched))
+    ]
+    ratios = [photo_head.spread(light) for light in (even, side)]
+    doubt = doubts(every, ratios)
+    assert doubt[1] > 3.0 * doubt[0]
+    told = photo_head.told
+    off, alike = (np.log(mean_flat(every, ratios, d) / (SKIN * shade))[told].std() for d in (doubt, np.ones(2)))
+    assert off < 0.05 < alike
+
+
+def test_the_studios_light_is_as_strong_as_photos_of_either_side_agree(photo_head, shade):
+    """Each photo's own median would make one side as bright as the other."""
+    places = photo_head._rest.vertices[photo_head._texels.corners].mean(1)
+    color = SKIN * np.where(places[:, 0] < 0.0, 0.7, 1.0)[:, None] * shade
+    weights = np.clip(0.5 + np.array([[1.0], [-1.0]]) * places[:, 0] / 0.03, 0.0, 1.0)
+    every = [(Seen(to_display(color), one), photo_head) for one in weights]
+    first = photo_head.solve(every[0][0])
+    second = first._replace(level=np.full(3, 0.7, np.float32))
+    assert not second.known
+    flat = mean_flat(every[:1], [photo_head.spread(first)], np.ones(1))
+    found = photo_head.exposed(every[1][0], second, flat, weights[0] > 0.3)
+    np.testing.assert_allclose(found.level, 1.0, atol=0.12)
 
 
 def test_colors_of_the_studio_stay_as_they_are(photo_head, shade):

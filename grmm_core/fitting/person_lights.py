@@ -88,7 +88,7 @@ def found_lights(
             lights[index] = lights[index].scaled(common)
             ratios[index] = here.spread(lights[index])
     trust = np.ones(len(lights))
-    trust[told] = (doubt.min() / doubt) ** 2
+    trust[told] = doubt.min() / doubt  # squared, too little would be left of folds that one photo shows
     return lights, np.stack(ratios), trust
 
 

@@ -106,8 +106,14 @@ def _people(someone: Subject, wanted: set[str]) -> Iterator[tuple[int, str, Subj
             yield group, name, replace(someone, **values)
 
 
-def _dense(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, subject: Subject) -> Groom:
-    """One part of a person's hair; a beard drawn several times over, as dense as beards are."""
+def change_styles() -> None:
+    """Have the studio's generators draw hair as the package has it, from now on."""
+    for name, values in CHANGES.items():
+        STYLES[name] = replace(STYLES[name], **values)
+
+
+def grown(head: HeadModel, mesh: RenderMesh, neutral: np.ndarray, group: int, subject: Subject) -> Groom:
+    """One part of the hair of somebody with the mean head; a beard drawn several times over, as dense as beards are."""
     found: list[Groom] = []
     while not found or (group == BEARD and sum(map(len, found)) < BEARD_STRANDS and len(found) < BEARD_DRAWS):
         groom = make_groom(head, mesh, neutral, replace(subject, index=len(found)))
@@ -178,13 +184,12 @@ def average_person(head: HeadModel) -> tuple[Subject, np.ndarray]:
 
 def main() -> int:
     """Write the files."""
-    for name, values in CHANGES.items():
-        STYLES[name] = replace(STYLES[name], **values)
+    change_styles()
     head = load_open_head()
     mesh = RenderMesh.build(head)
     someone, neutral = average_person(head)
     for group, name, subject in _people(someone, set(sys.argv[1:] or GROUPS)):
-        _write(group, name, _dense(head, mesh, neutral, group, subject))
+        _write(group, name, grown(head, mesh, neutral, group, subject))
     return 0
 
 

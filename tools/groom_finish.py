@@ -41,6 +41,11 @@ COILS = 0.2  # radius of a person's own curls, of their length, from which on th
 SUNK = 0.85  # share of what is above that surface that is taken away
 # hair that is combed back ends no lower beside the ears than this share of it does so far from the middle, unevenly: metres
 LOWEST, MIDDLE, UNEVEN = 0.05, 0.03, 0.006
+# falling hair ends in a line behind: roots at such heights, of strands so long with ends so far back, tell where, a share of them
+# ending lower; how uneven it is, and how much lower in front; its height at least, since a bust's back goes outwards there, on
+# which hair lies as a shelf; and how long is what has its root below it: metres
+SIDES, REACHING, BEHIND, HEM = (0.03, 0.085), 0.05, -0.03, 0.25
+RAGGED, TAPERED, BACK, DOWN = 0.007, 0.05, -0.106, 0.004
 COMPANY, ALONE = 5, 1.7  # so many places of other strands are as far off at most, as a share of what is usual in the style
 SIDEBURN = (0.022, 0.052)  # metres: height of roots before the ears below which curls are short, and above which they are not
 SHORT_CURL = 0.15  # of their length
@@ -69,6 +74,8 @@ def finished(groom: Groom, vertices: np.ndarray, head: HeadModel, name: str) -> 
         strands = _level(strands, vertices, head)
     if style.comb == "swept":
         strands = _trimmed(strands)
+    if style.comb in ("parted", "fringe") and not style.rope:
+        strands = _hemmed(strands)
     if not style.curl:
         strands = _combed(strands, straight=not coils)
     if style.receding > 1.0:
@@ -162,6 +169,24 @@ def _trimmed(strands: np.ndarray) -> np.ndarray:
     part = above[row, last] / np.maximum(above[row, last] - above[row, last + 1], 1e-9)
     hangs = long & (above[:, 0] > 0.0) & (above < 0.0).any(1)
     return cut(strands, np.where(hangs, (last + part) / (strands.shape[1] - 1), 1.0))
+
+
+def _hemmed(strands: np.ndarray) -> np.ndarray:
+    """Falling strands [N, K, 3] that end behind in one line: what roots at the nape have below it would stand out as a tail."""
+    end, root, long = strands[:, -1], strands[:, 0], lengths_of(strands)
+    falls = (root[:, 1] > SIDES[0]) & (root[:, 1] < SIDES[1]) & (end[:, 2] < BEHIND) & (long > REACHING)
+    if falls.sum() < ALIKE:
+        return strands
+    behind = smoothstep(0.0, BEHIND, end[:, 2])
+    hem = max(np.quantile(end[falls, 1], HEM), BACK) - TAPERED * (1.0 - behind)
+    hem = hem + np.random.default_rng(7).uniform(-RAGGED, RAGGED, len(strands))
+    below = strands[..., 1] < hem[:, None]
+    last = np.maximum(below.argmax(1) - 1, 0)  # point before the hem
+    row = np.arange(len(strands))
+    above = strands[row, last, 1] - hem
+    part = np.clip(above / np.maximum(strands[row, last, 1] - strands[row, last + 1, 1], 1e-9), 0.0, 1.0)
+    share = np.maximum((last + part) / (strands.shape[1] - 1), np.minimum(DOWN / np.maximum(long, DOWN), 1.0))
+    return cut(strands, np.where(below.any(1) & (behind > 0.0), share, 1.0))
 
 
 def _accompanied(strands: np.ndarray) -> np.ndarray:

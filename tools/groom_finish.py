@@ -41,9 +41,9 @@ COILS = 0.2  # radius of a person's own curls, of their length, from which on th
 SUNK = 0.85  # share of what is above that surface that is taken away
 # hair that is combed back ends no lower beside the ears than this share of it does so far from the middle, unevenly: metres
 LOWEST, MIDDLE, UNEVEN = 0.05, 0.03, 0.006
-# falling hair ends in a line behind: roots at such heights, of strands so long with ends so far back, tell where, a share of them
-# ending lower; how uneven it is, and how much lower in front; its height at least, since a bust's back goes outwards there, on
-# which hair lies as a shelf; and how long is what has its root below it: metres
+# falling hair ends in a line behind: roots at such heights, of strands so long with ends so far back, tell where, and a share
+# of them ends lower; how uneven it is, and how much lower in front; its height at least, since a bust's back goes outwards
+# there, on which hair lies as a shelf; and how long is what has its root below it: metres
 SIDES, REACHING, BEHIND, HEM = (0.03, 0.085), 0.05, -0.03, 0.25
 RAGGED, TAPERED, BACK, DOWN = 0.007, 0.05, -0.106, 0.004
 COMPANY, ALONE = 5, 1.7  # so many places of other strands are as far off at most, as a share of what is usual in the style

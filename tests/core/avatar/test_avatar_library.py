@@ -13,6 +13,7 @@ from grmm_core.avatar import load_avatar, read_avatar_header, save_avatar
 from grmm_core.avatar.library import DEFAULT_NAME, LIBRARY_PREFIX, library_names, library_path
 from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileAccessError
+from grmm_core.files.tensorfile import read_tensors, write_tensors
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import library_groom
 from grmm_core.hair.groom import join
@@ -63,8 +64,13 @@ def test_every_avatar_is_drawn(weights):
 
 
 def test_lashes_of_earlier_files_are_replaced_and_later_ones_kept(tmp_path):
-    path, usual = library_path(DEFAULT_NAME), library_groom("natural", part="lashes")
-    assert read_avatar_header(path).format_version < 4
+    usual, path = library_groom("natural", part="lashes"), tmp_path / "earlier.grmm"
+    avatar = load_avatar(library_path(DEFAULT_NAME))
+    wrong = avatar.hair.groom
+    moved = 0.003 * (np.repeat(wrong.groups, wrong.counts) == LASHES)[:, None]
+    save_avatar(replace(avatar, hair=replace(avatar.hair, groom=replace(wrong, points=wrong.points + moved))), path)
+    tensors, metadata = read_tensors(path)
+    write_tensors(path, tensors, metadata | {"format_version": "3"})
     old = load_avatar(path)
 
     def lashes(avatar):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -133,6 +134,7 @@ def test_a_groom_worn_by_somebody_is_outside_of_their_skin_and_ends_at_the_rim(h
     larger = template.copy()
     larger[head.regions["scalp"]] *= 1.06
     groom, brows = library_groom("long").level(0.05), library_groom("natural", part="brows")
+    groom = replace(groom, points=1.25 * groom.points)  # so long that it gets into the back and below the rim
     made = worn(head, larger, join([groom, brows]))
     np.testing.assert_array_equal(made.select(made.groups == BROWS).points, brows.points)
     count = int(groom.counts[0])

@@ -26,7 +26,9 @@ def head():
 
 @pytest.fixture(scope="module")
 def groom() -> Groom:
-    return join([library_groom("long").level(0.05), library_groom("natural", part="brows").level(0.1)])
+    long = library_groom("long")
+    reaches = np.linalg.norm(np.diff(long.points.reshape(len(long), -1, 3), axis=1), axis=2).sum(1) > 0.18
+    return join([long.select(np.flatnonzero(reaches)).level(0.05), library_groom("natural", part="brows").level(0.1)])
 
 
 def posed(head, yaw: float) -> np.ndarray:

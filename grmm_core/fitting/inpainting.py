@@ -39,9 +39,12 @@ FEATHER_TEXELS, FADES = 5.0, (0.05, 0.45)  # how far what was seen goes on befor
 EDGE_TEXELS, EDGE = 12.0, (0.5, 0.75)  # likewise beside the face where what was seen last is darker than plain skin
 # beside the face: smooth shading over so many texels, how much of it is kept, and what more where it is well seen
 SHADING_TEXELS, SHADING, WELL_SEEN = 5.0, 0.06, 0.5
-# of a neck: texels over which it is smoothed, how light it may be beside plain skin of the face, and of how different a color
-NECK_TEXELS, NECK_LIGHT, NECK_TINT = 5.0, (0.85, 1.0), 0.01
-BURNT = 0.15  # how much lighter than plain skin any may be beside and below the face: highlights are, and rims of light beyond
+# of a neck: texels over which it is smoothed, how light it may be beside plain skin of the face and of how different a tint,
+# how light any place of it beside the rest, and smoothed knowledge up to which that fades out
+NECK_TEXELS, NECK_LIGHT, NECK_TINT, NECK_SHADE, NECK_FADE = 5.0, (0.75, 1.0), 0.04, (0.8, 1.1), 0.3
+# beside and below the face: how much lighter than plain skin any may be, from where on it is light from behind, and texels over
+# which that is looked at
+BURNT, BURNT_TEXELS = (0.06, 0.14), 2.0
 GRAIN = (0.6, 0.2)  # of seen skin's detail that skin has which was not seen: of the face, and below the chin
 HALF_KNOWN = 0.4  # knowledge from which on a texel counts fully in that
 HAIR_REACH = 2.0  # unseen skin goes on as hair where half of what is known around it is hair
@@ -172,6 +175,7 @@ def _fill_surface(
     if len(sample) >= _FEW_TEXELS:
         odd = (change.mean(1) - torch.quantile(sample, 0.5)).abs()
         plain = plain_known * (1.0 - odd / BARE_SKIN).clamp(0, 1)
+    plain = plain * (1.0 - surface.below)  # a neck has a tone of its own
     beyond, between = (surface.fill(change, part, rest=COLOR_REST) for part in (plain, plain_known))
     inner = surface.smooth((plain_known / HALF_KNOWN).clamp(0, 1)[:, None], FEATHER_TEXELS)
     seen = torch.lerp(between, change, plain_known[:, None])  # with its small gaps, as between the lips
@@ -179,13 +183,15 @@ def _fill_surface(
     dark = ((beyond - seen).mean(1, keepdim=True) / BARE_SKIN).clamp(0, 1)
     edge = surface.beside[:, None] * ((EDGE[1] - far) / (EDGE[1] - EDGE[0])).clamp(0, 1)
     seen = torch.lerp(seen, beyond, edge * dark)
-    burnt = ((seen - beyond).mean(1, keepdim=True) - BURNT).clamp(min=0.0) * (surface.beside * skin)[:, None]
-    seen = seen - burnt  # a rim of light is none of the person's colors
-    neck = _plain_neck(surface, prior, seen, beyond)
+    lighter = (seen - beyond).mean(1, keepdim=True)
+    lighter = torch.maximum(surface.smooth(lighter, BURNT_TEXELS), lighter - BURNT[0])  # single texels may be lighter: pores
+    burnt = ((lighter - BURNT[0]) / (BURNT[1] - BURNT[0])).clamp(0, 1) * (surface.beside * skin)[:, None]
+    seen = torch.lerp(seen, beyond, burnt)  # a rim of light is none of the person's colors, nor is its tint
     off = surface.smooth(seen, SHADING_TEXELS) - beyond  # shadows of hair, chin and collar would turn with the head
     doubted = surface.beside[:, None] * (1.0 - WELL_SEEN * far.clamp(0, 1))
-    seen = torch.lerp(seen - doubted * (off - SHADING * torch.tanh(off / SHADING)), neck, surface.below[:, None])
+    seen = seen - doubted * (off - SHADING * torch.tanh(off / SHADING))
     outer = torch.lerp(beyond, seen, ((inner - FADES[0]) / (FADES[1] - FADES[0])).clamp(0, 1))
+    outer = torch.lerp(outer, _plain_neck(surface, prior, change, beyond, plain_known), surface.below[:, None])
     plain_skin = skin & ~surface.lips & (plain > 0.5)
     if int(plain_skin.sum()) >= _FEW_TEXELS:
         below = surface.below
@@ -197,16 +203,33 @@ def _fill_surface(
     return prior - start + torch.where((skin & ~surface.lips)[:, None], outer, alone)
 
 
-def _plain_neck(surface: Surface, prior: Tensor, seen: Tensor, beyond: Tensor) -> Tensor:
-    """Changes of color [N, 3] to plain skin, smoothly as dark as it was seen, and a little tinted, for what is below the chin.
+def _plain_neck(surface: Surface, prior: Tensor, change: Tensor, beyond: Tensor, known: Tensor) -> Tensor:
+    """Changes of color [N, 3] to plain skin of the neck's own tone, for what is below the chin.
 
-    What else a photo shows there is the tint of shadows, which light never explains to the end, and the rims of collars and
-    necklaces.
+    A neck is darker and redder than the face above it, evenly: what the photo shows of it gives one tone for all of it. Around
+    that it is smoothly darker where it was seen so. What else a photo shows there is the tint of shadows, which light never
+    explains to the end, and the rims of collars and necklaces.
+
+    Args:
+        surface: Texels.
+        prior: Colors of stage 1, [N, 3].
+        change: To what the photo shows, [N, 3].
+        beyond: To plain skin, [N, 3].
+        known: How well plain skin is known, 0..1, [N].
     """
-    shown, around = surface.smooth(torch.cat([prior + seen, prior + beyond], 1), NECK_TEXELS).split(3, 1)
-    dark = (shown.mean(1, keepdim=True) / around.mean(1, keepdim=True).clamp(min=1e-3)).clamp(*NECK_LIGHT)
     plain = prior + surface.smooth(beyond, NECK_TEXELS)
-    return plain * dark + NECK_TINT * torch.tanh((shown - around * dark) / NECK_TINT) - prior
+    told = known * surface.below
+    ratio = (prior + change) / plain.clamp(min=1e-2)
+    sample = ratio[told > HALF_KNOWN]
+    if len(sample) < _FEW_TEXELS:
+        return plain - prior
+    tone = torch.quantile(sample, 0.5, dim=0)
+    light = tone.mean()
+    tint = (tone / light).clamp(1.0 - NECK_TINT, 1.0 + NECK_TINT)
+    own = ((ratio.mean(1, keepdim=True) / light).clamp(*NECK_SHADE) - 1.0) * told[:, None]
+    shade, weight = surface.smooth(torch.cat([own, told[:, None]], 1), NECK_TEXELS).split(1, 1)
+    shade = 1.0 + shade / weight.clamp(min=NECK_FADE)
+    return plain * tint * (light * shade).clamp(*NECK_LIGHT) - prior
 
 
 def _bare_skin(surface: Surface, colors: Tensor, known: Tensor) -> Tensor:

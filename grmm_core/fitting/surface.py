@@ -28,6 +28,8 @@ INNER_REGIONS = (
 )  # fmt: skip
 SEAM_REACH = 0.004  # metres on the mean head between texels at the borders of the UV map's islands
 BESIDE = (0.045, 0.06)  # metres from the plane of symmetry: eyes and mouth are before the first, brows before the second
+BESIDE_CHIN = (0.025, 0.04)  # likewise below the lips, where the face is narrower
+UNDER_LIPS = (0.0, 0.008)  # metres below the lips: above the first the face is wide, below the second narrow
 MIRROR_REACH = 0.005  # metres; the mean head is nearly symmetric
 MIRROR_WEIGHT = 0.25  # of a link across the plane of symmetry; a neighbour has 1
 SEEN_WEIGHT = 40.0  # of a fully seen texel's own value
@@ -114,13 +116,24 @@ def texel_surface(model: GRMM) -> Surface:
         matrices.append(FixedSparse((rows, columns, values), (count, count)).to(model.device))
         degrees.append(np.bincount(rows, values, count))
     below = (barycentric * below_chin(head)[faces]).sum(1)
-    beside = np.maximum(np.interp(np.abs(positions[:, 0]), BESIDE, (0.0, 1.0)), below)
+    beside = np.maximum(_beside(head, positions), below)
     beside_below = torch.tensor(np.stack([beside, below]), dtype=model.dtype, device=model.device)
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
         beside_below[0], beside_below[1], torch.tensor(head.marked("lips")[faces].all(1), device=model.device),
     )  # fmt: skip
+
+
+def _beside(head: HeadModel, positions: np.ndarray) -> np.ndarray:
+    """How far points of the mean head [N, 3] are beside eyes, mouth and chin, 0..1 [N]."""
+    lateral = np.abs(positions[:, 0])
+    beside = np.interp(lateral, BESIDE, (0.0, 1.0))
+    if "lips" in head.regions:
+        lower = head.v_template[head.regions["lips"], 1].min() - positions[:, 1]
+        chin = np.interp(lower, UNDER_LIPS, (0.0, 1.0))
+        beside = (1.0 - chin) * beside + chin * np.interp(lateral, BESIDE_CHIN, (0.0, 1.0))
+    return beside
 
 
 def _average(edges: np.ndarray, count: int) -> FixedSparse:

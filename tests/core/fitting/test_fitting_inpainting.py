@@ -333,6 +333,37 @@ def test_a_rim_of_light_is_none_of_the_persons_colors(bare, bare_surface):
     torch.testing.assert_close(filled[middle], change[middle], atol=0.03, rtol=0.0)  # a glint on the nose
 
 
+def test_light_from_behind_on_the_jaw_leaves_plain_skin(bare, bare_surface):
+    places = bare.anchor(bare.head.v_template).positions
+    start, none = torch.tensor([0.5, 0.35, 0.25]).repeat(bare.gaussian_count, 1), torch.zeros(bare.gaussian_count)
+    skin = (bare_surface.group == SKIN) & ~bare_surface.lips & (bare_surface.below == 0.0)
+    under = places[bare_surface.lips, 1].min() - 0.011
+    rim = skin & (places[:, 1] < under) & (places[:, 0] > 0.042)
+    assert int(rim.sum()) > 10
+    change = torch.zeros_like(start)
+    change[rim] = torch.tensor([0.2, 0.3, 0.4])  # whitish
+    filled = fill_colors(bare_surface, start, start, change, torch.ones_like(none), none, none)
+    assert float(filled[rim].abs().max()) < 0.1
+    assert float(filled[rim].abs().mean()) < 0.03
+
+
+def test_a_neck_has_the_tone_that_a_photo_shows_of_it(bare, bare_surface):
+    """A collar leaves a strip: what it covers is as dark and as red, and nothing of that is on the face."""
+    places = bare.anchor(bare.head.v_template).positions
+    skin, neck = bare_surface.group == SKIN, bare_surface.below == 1.0
+    start = torch.tensor([0.7, 0.5, 0.4]).repeat(bare.gaussian_count, 1)
+    strip = neck & skin & (places[:, 2] > places[neck & skin, 2].median())
+    change = torch.zeros_like(start)
+    change[strip] = start[strip] * torch.tensor([-0.12, -0.16, -0.17])
+    seen, none = (~neck | strip).to(start), torch.zeros(len(start))
+    filled = start + fill_colors(bare_surface, start, start, change, seen, none, none)
+    covered = neck & skin & ~strip
+    tone = filled[covered].mean(0) / start[0]
+    torch.testing.assert_close(tone, torch.tensor([0.88, 0.84, 0.83]), atol=0.02, rtol=0.0)
+    face = skin & (bare_surface.below == 0.0) & (bare_surface.beside == 0.0)
+    torch.testing.assert_close(filled[face], start[face], atol=0.01, rtol=0.0)
+
+
 def test_necklaces_and_blotches_stay_off_the_neck(bare, bare_surface):
     """They would stand on it in every other view and light; how dark the neck is stays."""
     skin, neck = bare_surface.group == SKIN, bare_surface.below == 1.0

@@ -12,6 +12,7 @@ Called by `code_stage`, `decoder_stage`, `invert` and the evaluation. Imports to
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -149,14 +150,7 @@ def fit_view(
         hairless: The model has no hair: hair and beard are no targets, but strands that are found elsewhere (`hair_stage`).
     """
     pose = head.pose_of(track.expression, track.pose)
-    vertices = head.vertices(track.shape, track.expression, pose)
-    pixels = project(vertices, track.camera)
-    left, top, right, bottom = head_window(pixels, track.camera)
-    seen = parse(track, head)
-    parts = _areas(track, seen, vertices[head.faces], pixels)
-    weight, empty = track.valid * (1.0 - parts.body), parts.empty
-    if hairless:
-        weight, empty = _bare(track, seen, vertices[head.faces], float(np.ptp(pixels[:, 1])), weight, empty)
+    (left, top, right, bottom), parts, weight, empty = _targets(track, head, hairless)
     camera = track.camera.crop(left, top, right - left, bottom - top)
     scale = min(1.0, side / max(camera.width, camera.height))
     width, height = (max(_MULTIPLE, round(n * scale / _MULTIPLE) * _MULTIPLE) for n in (camera.width, camera.height))
@@ -179,6 +173,24 @@ def fit_view(
         numbers(track.shape), numbers(track.expression), numbers(pose),
         numbers(aligned_weights(track.expression, head, aligned_count)),
     )  # fmt: skip
+
+
+@functools.lru_cache(maxsize=8)
+def _targets(
+    track: PhotoTrack, head: HeadModel, hairless: bool
+) -> tuple[tuple[int, int, int, int], _Areas, np.ndarray, np.ndarray]:  # fmt: skip
+    """Window of the head, what the whole working picture shows, and its weight and empty pixels, [H, W].
+
+    The last few answers are kept, for a fit asks at every resolution.
+    """
+    vertices = head.vertices(track.shape, track.expression, head.pose_of(track.expression, track.pose))
+    pixels = project(vertices, track.camera)
+    seen = parse(track, head)
+    parts = _areas(track, seen, vertices[head.faces], pixels)
+    weight, empty = track.valid * (1.0 - parts.body), parts.empty
+    if hairless:
+        weight, empty = _bare(track, seen, vertices[head.faces], float(np.ptp(pixels[:, 1])), weight, empty)
+    return head_window(pixels, track.camera), parts, weight, empty
 
 
 def project(points: np.ndarray, camera: Camera) -> np.ndarray:

@@ -77,7 +77,8 @@ def thin_frames(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
 def _grown(mask: np.ndarray, reach: int) -> np.ndarray:
     """A mask [H, W] widened by so many pixels to each side."""
     plane = torch.from_numpy(mask.astype(np.float32))[None, None]
-    grown: np.ndarray = functional.max_pool2d(plane, 2 * reach + 1, 1, reach)[0, 0].numpy() > 0.5
+    wide = functional.max_pool2d(plane, (1, 2 * reach + 1), 1, (0, reach))  # a square is its rows, then its columns
+    grown: np.ndarray = functional.max_pool2d(wide, (2 * reach + 1, 1), 1, (reach, 0))[0, 0].numpy() > 0.5
     return grown
 
 

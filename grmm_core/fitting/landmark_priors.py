@@ -48,7 +48,8 @@ _SKIN_SIGMA = 0.03
 _FACING_FULL, _FACING_NONE, _HIDDEN_FACTOR = 0.35, -0.25, 4.0
 
 NOISE_ASSET = Path(__file__).resolve().parent.parent / "assets" / "landmark_noise.safetensors"
-NOISE_SHARE = 0.5  # of the modes' standard deviation: the network errs less on photos than on synthetic pictures
+# of the modes' standard deviation: the network errs less on photos, which it was trained on, than on synthetic pictures
+NOISE_SHARE = 0.2
 
 # How far the reported coefficients are believed: mean of the prior = factor * reported.
 _START_FACTORS = {

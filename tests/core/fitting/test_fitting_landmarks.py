@@ -107,6 +107,7 @@ def test_wrong_landmarks_do_little_harm(head, rig):
 
 
 def test_systematic_errors_of_the_network_are_not_taken_for_shape(head, rig, monkeypatch):
+    monkeypatch.setattr(landmark_priors, "NOISE_SHARE", 0.5)  # nearly what it errs by on synthetic pictures
     shape, camera = person(6), Camera.orbit(SIZE, SIZE, yaw=8.0, distance=1.2)
     clean = observe(rig, shape, np.zeros(100), camera)
     modes = landmark_modes(camera.world_to_camera[:3, :3]) * eye_distance(clean)  # [478, 2, K]

@@ -155,6 +155,7 @@ def main() -> int:
     parser.add_argument("--counts", type=int, nargs="+", default=[1, 2, 4, 8])
     parser.add_argument("--preset", default="fast")
     args = parser.parse_args()
+    rows: dict[int, list[tuple[float, ...]]] = {count: [] for count in args.counts}
     with make_local_session(engine="torch") as session:
         for seed in range(args.first, args.first + args.people):
             folder = args.output / str(seed)
@@ -167,6 +168,10 @@ def main() -> int:
                 decibels, apart = held_out(session, person, result.avatar, folder)
                 figures = " ".join(f"{error:.4f}" for error in errors)
                 print(f"{seed} {count}: {decibels:.2f} dB, shape {1e3 * apart:.2f} mm, in the photos {figures}", flush=True)
+                rows[count].append((decibels, 1e3 * apart, max(errors)))
+    for count, found in rows.items() if args.people > 1 else ():
+        decibels, apart, most = np.mean(found, 0)
+        print(f"mean {count}: {decibels:.2f} dB, shape {apart:.2f} mm, in the worst photo {most:.4f}")
     return 0
 
 

@@ -133,7 +133,7 @@ def _make(
     from .invert import invert, photo_errors, photo_pictures, photo_views
     from .photo_targets import left_out
     from .root_shade import shaded_scalp
-    from .settling import settled
+    from .settling import locally_lit, settled
 
     if request.threads:
         import torch
@@ -164,7 +164,11 @@ def _make(
         avatar = textured(person, avatar, unlit, parts)
     finish(0.7)
     pictures = photo_pictures(person, avatar, tracks)
-    avatar = settled(session, person, avatar, tracks, pictures)
+    several = len(tracks) > 1  # light that strands keep off the skin then is the photos' own, and no color
+    aims = photo_pictures(person, avatar, tracks, lit=False) if several else pictures
+    avatar = settled(session, person, avatar, tracks, aims, lit=not several)
+    if several:
+        avatar = locally_lit(session, with_deltas(loaded.model, avatar.deltas, folder), avatar, tracks)
     figures = {"rmse": photo_errors(pictures), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(

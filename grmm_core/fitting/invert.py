@@ -22,19 +22,23 @@ from ..geometry.libraries import to_numpy
 from ..head import HeadModel
 from ..jobs.progress import Reporter
 from ..jobs.stages import FIT
+from ..light.relight import to_linear
+from ..light.resting import Texels
 from ..model.grmm import GRMM, Picture
 from ..model.inputs import ModelInputs
 from ..model.weights_file import WeightsInfo
 from ..pictures.images import encode_png, quantize
+from ..pictures.sampling import bilinear
 from ..training.losses import Perceptual
 from .checkpoint import codes_key, decoders_key, load_codes, resume_tuner, save_codes, save_tuner
 from .code_stage import Codes, code_prior, fit_codes
-from .decoder_stage import Tuner
+from .decoder_stage import Tuner, start_colors
 from .folder import PREVIEW_FILE
+from .local_light import local_lights
 from .locality import LOCALITY_WEIGHT
 from .objective import decode, draw, relit
-from .person_lights import found_lights, kept_lights
-from .photo_light import Light, Shown
+from .person_lights import found_lights, kept_lights, trust_in
+from .photo_light import Light, Seen, Shown, seen_texels
 from .photo_targets import FitView, aligned_weights, bare_pixels, fit_view
 from .presets import Preset, preset_named
 from .recoloring import PhotoLight, recolor
@@ -131,9 +135,9 @@ class _Inversion:
             surface = texel_surface(self.model)
             views = self.views(self.preset.decoders.levels[0][0])
             pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
-            lights, ratios, trust = found_lights(self.model.head_model, self.model.layout, self.tracks, pictures)
-            codes = self._codes(surface, PhotoLight.of(self.model, ratios, trust))
-            light = self._light(codes, surface, lights, trust)
+            lights, ratios, doubt = found_lights(self.model.head_model, self.model.layout, self.tracks, pictures)
+            codes = self._codes(surface, PhotoLight.of(self.model, ratios, trust_in(doubt)))
+            light, lights = self._light(codes, surface, lights, doubt)
             if self.second_stage:
                 deltas = self._decoders(codes, surface, light)
             else:
@@ -170,13 +174,27 @@ class _Inversion:
             save_codes(self.work, self.codes_key, codes)
         return codes
 
-    def _light(self, codes: Codes, surface: Surface, lights: Sequence[Light], trust: np.ndarray) -> PhotoLight:
-        """The photos' lights on the person of the codes, as a session has them there."""
-        model = self.model
+    def _light(
+        self, codes: Codes, surface: Surface, lights: Sequence[Light], doubt: np.ndarray
+    ) -> tuple[PhotoLight, list[Light]]:  # fmt: skip
+        """The photos' lights on the person of the codes, as a session has them there, and with what lies on the skin."""
+        model, views = self.model, self.views(self.preset.decoders.levels[0][0])
         with torch.no_grad():
-            posed = [codes.inputs(model, view) for view in self.views(self.preset.codes.small_side)]
-            colors = recolor(_frontal(model, codes.z_id), codes.maps, surface)
-            return _lights_on(model, self.tracks, lights, posed, codes.z_exp, colors, trust)
+            posed = [codes.inputs(model, view) for view in views]
+            frontal = _frontal(model, codes.z_id)
+            colors = recolor(frontal, codes.maps, surface)
+            light = _lights_on(model, self.tracks, lights, posed, codes.z_exp, colors, trust_in(doubt))
+            if len(lights) < 2 or "face" not in model.head_model.regions:  # what is light and what is color cannot be told
+                return light, list(lights)
+            flat = to_linear(to_numpy(start_colors(frontal, codes, surface)).astype(np.float64))
+            texels = photo_texels(model)
+            seen = [
+                seen_in(model, texels, inputs, view).of_skin(model.head_model, texels)
+                for inputs, view in zip(posed, views, strict=True)
+            ]
+        local, told = local_lights(model.head_model, texels, seen, list(light.ratios()), np.asarray(flat), doubt)
+        lights = [one._replace(local=own) for one, own in zip(lights, local, strict=True)]
+        return light.times(np.stack([texels.factor(own) for own in local]), told), lights
 
     def _decoders(self, codes: Codes, surface: Surface, light: PhotoLight) -> dict[str, Tensor]:
         settings = self.preset.decoders
@@ -206,7 +224,8 @@ class _Inversion:
         views = self.views(self.preset.decoders.levels[-1][0])
         tracking = {"aligned": torch.stack([view.aligned for view in views]), "z_exp": codes.photo_z_exp}
         arrays = {name: value.cpu().numpy() for name, value in tracking.items()}
-        arrays |= {LIGHT + name: np.stack([getattr(light, name) for light in lights]) for name in Light._fields}
+        light = {name: np.stack([getattr(light, name) for light in lights]) for name in Light._fields}
+        arrays |= {LIGHT + name: values for name, values in light.items() if values.size}
         avatar = make_avatar(
             self.name, self.tracks, self.info, codes.z_id.cpu().numpy(), codes.z_exp.cpu().numpy(),
             {name: value.cpu().numpy() for name, value in deltas.items()}, arrays,
@@ -228,6 +247,30 @@ def photo_views(model: GRMM, tracks: Sequence[PhotoTrack], side: int = MEASURED_
     """Tracked photos as targets for a model, with so many pixels along the longer side."""
     kind = len(ALIGNED_NAMES), model.dtype, model.device, model.config.hairless
     return [fit_view(track, model.head_model, index, side, *kind) for index, track in enumerate(tracks)]
+
+
+def photo_texels(model: GRMM) -> Texels:
+    """Texels of a model's avatars."""
+    return Texels.of(model.head_model, model.layout.face, model.layout.barycentric)
+
+
+def seen_in(
+    model: GRMM, texels: Texels, inputs: ModelInputs[Tensor], view: FitView, picture: np.ndarray | None = None,
+    counts: np.ndarray | float = 1.0,
+) -> Seen:  # fmt: skip
+    """What a photo, or another picture of its view, shows of the head that no hair covers: skin, lips and eyes.
+
+    Args:
+        model: Model.
+        texels: `photo_texels`.
+        inputs: As the photo shows the person.
+        view: The photo.
+        picture: Display sRGB, [H, W, 3]; None: the photo's.
+        counts: How much pixels count besides, [H, W].
+    """
+    mesh, shown = to_numpy(model.mesh(inputs).vertices), view.image.cpu().numpy() if picture is None else picture
+    pixels, weights = seen_texels(model.head_model, texels, mesh, view.camera, bare_pixels(view) * counts)
+    return Seen(bilinear(shown, pixels), weights)
 
 
 def _tint_only(model: GRMM, codes: Codes, surface: Surface, views: list[FitView]) -> dict[str, Tensor]:
@@ -291,7 +334,7 @@ def _lights_on(
 
 
 def photo_pictures(
-    model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE
+    model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], side: int = MEASURED_SIDE, *, lit: bool = True
 ) -> list[tuple[FitView, Picture]]:
     """An avatar drawn as each of its photos shows it, in that photo's light.
 
@@ -300,17 +343,18 @@ def photo_pictures(
         avatar: Fitted to these photos.
         tracks: Photos.
         side: Longer side of the picture.
+        lit: False: in the studio's light.
     """
     pictures: list[tuple[FitView, Picture]] = []
     known = [photo_light(avatar, index) for index in range(len(tracks))]
     shared = torch.as_tensor(np.array(avatar.z_exp)).to(model.anchor.barycentric)
     with torch.no_grad():
         posed = [photo_model_inputs(model, avatar, track, index)[0] for index, track in enumerate(tracks)]
-        lights = _lights_on(model, tracks, known, posed, shared, _frontal(model, posed[0].z_id))
+        lights = _lights_on(model, tracks, known, posed, shared, _frontal(model, posed[0].z_id)) if lit else None
         for view, inputs in zip(photo_views(model, tracks, side), posed, strict=True):
             vertices, decoded = model.mesh(inputs).vertices, decode(model, inputs, view.camera)
             drawn = draw(model, view.camera, vertices, decoded)
-            pictures.append((view, relit(drawn, lights.picture(model, view, vertices, decoded))))
+            pictures.append((view, drawn if lights is None else relit(drawn, lights.picture(model, view, vertices, decoded))))
     return pictures
 
 

@@ -44,8 +44,7 @@ def found_lights(
         pictures: Of each its camera, colors and bare pixels as in `seen_skin`.
 
     Returns:
-        The lights, their `PhotoHead.spread`, [P, N, 4] float32, and how much each photo tells of the colors beside the one
-        whose light is known best, 0..1 [P].
+        The lights, their `PhotoHead.spread`, [P, N, 4] float32, and how uneven each leaves skin of one tone (`doubts`), [P].
     """
     heads = _Heads(head, layout)
     lights: list[Light] = []
@@ -70,7 +69,7 @@ def found_lights(
         ratios.append(heads.even(light, track, shown) if here is None else here.spread(light))
     several = [(seen, here) for seen, here in every if here is not None]
     if len(several) < 2 or "face" not in head.regions:
-        return lights, np.stack(ratios), np.ones(len(lights))
+        return lights, np.stack(ratios), np.full(len(lights), _SURE)
     told = [index for index, (_, here) in enumerate(every) if here is not None]
     doubt = doubts(several, [ratios[index] for index in told])
     in_rig, middle = not any(light.known for light in lights), _middle(several[0], ratios[told[0]])
@@ -87,9 +86,15 @@ def found_lights(
         for index, (_, here) in zip(told, several, strict=True):
             lights[index] = lights[index].scaled(common)
             ratios[index] = here.spread(lights[index])
-    trust = np.ones(len(lights))
-    trust[told] = doubt.min() / doubt  # squared, too little would be left of folds that one photo shows
-    return lights, np.stack(ratios), trust
+    every_doubt = np.full(len(lights), doubt.min())
+    every_doubt[told] = doubt
+    return lights, np.stack(ratios), every_doubt
+
+
+def trust_in(doubt: np.ndarray) -> np.ndarray:
+    """How much each photo tells of the colors beside the one whose light is known best, by `found_lights`, 0..1 [P]."""
+    trust: np.ndarray = doubt.min() / doubt  # squared, too little would be left of folds that one photo shows
+    return trust
 
 
 def _beside_others(
@@ -198,7 +203,7 @@ class _Heads:
     def even(self, light: Light, track: PhotoTrack, shown: Shown) -> np.ndarray:
         """`PhotoHead.spread` of the studio's light, stronger or weaker."""
         turned = self._turned(track, shown)
-        return np.concatenate([turned * light.level, np.ones_like(turned)], 1)
+        return np.concatenate([turned * light.level * self.texels.factor(light.local), np.ones_like(turned)], 1)
 
     def _turned(self, track: PhotoTrack, shown: Shown) -> np.ndarray:
         """What the turn of a photo's neck makes of the studio's light, [N, 1] float32."""

@@ -33,6 +33,7 @@ from .chin import below_chin
 
 SUNS = tuple(Sun(direction=tuple(d), angle=1.0) for d in sphere(24)[0] if d[2] > -0.3 and d[1] > -0.5)
 """Directions that light may come from, in head axes; as wide as soft boxes and windows."""
+_NO_LOCAL = np.zeros((0, 3), np.float32)
 MATT = Response(gloss=0.0, even_mouth=True, rig_at_rest=True)
 """How an avatar takes the light of its photo, whose highlights are in its colors."""
 _EVEN = 0.05  # of the weight of what is seen: that light is even all over the skin, for what the photo does not show
@@ -61,12 +62,14 @@ class Light(NamedTuple):
         around: Coefficients of the surroundings' radiance in head axes, [9, 3].
         tone: Of the skin in the studio's rig, linear RGB, [3].
         level: Of the studio's rig, where neither suns nor surroundings could be found, [3].
+        local: As `Lighting.local`.
     """
 
     suns: np.ndarray
     around: np.ndarray
     tone: np.ndarray
     level: np.ndarray
+    local: np.ndarray = _NO_LOCAL
 
     @staticmethod
     def studio(tone: np.ndarray | float = 1.0, level: np.ndarray | float = 1.0) -> Light:
@@ -89,13 +92,14 @@ class Light(NamedTuple):
     def lighting(self) -> Lighting | None:
         """As a session takes it, head axes; None is the studio's."""
         if not self.known:
-            return None if np.all(self.level == 1.0) else STUDIO.scaled(tuple(self.level))
+            rig = STUDIO.scaled(tuple(self.level))
+            return None if np.all(self.level == 1.0) and not len(self.local) else dataclasses.replace(rig, local=self.local)
         lit = (dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(self.suns, SUNS, strict=True) if color.any())
-        return Lighting(tuple(lit), Surroundings(np.asarray(self.around, np.float64)))
+        return Lighting(tuple(lit), Surroundings(np.asarray(self.around, np.float64)), local=self.local)
 
 
 class Seen(NamedTuple):
-    """Skin in a photo.
+    """What a photo shows of a head, mostly of its skin.
 
     Attributes:
         colors: Of texels, display sRGB, [N, 3].
@@ -104,6 +108,10 @@ class Seen(NamedTuple):
 
     colors: np.ndarray
     weights: np.ndarray
+
+    def of_skin(self, head: HeadModel, texels: Texels) -> Seen:
+        """Bare skin alone."""
+        return self._replace(weights=self.weights * _skin(head)[texels.corners].all(1))
 
 
 class Shown(NamedTuple):
@@ -168,7 +176,8 @@ class PhotoHead:
     def spread(self, light: Light) -> np.ndarray:
         """`ratio` times how much each texel counts at a pixel (`light.shading.Arrived.front`), and that, [N, 4] float32."""
         if not light.known:
-            return np.concatenate([self._turned * light.level, np.ones_like(self._turned)], 1).astype(np.float32)
+            even = self._turned * light.level * self._texels.factor(light.local)
+            return np.concatenate([even, np.ones_like(self._turned)], 1).astype(np.float32)
         suns = tuple(dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(light.suns, SUNS, strict=True))
         around = Surroundings(np.asarray(light.around, np.float64)).turned(self._turn.T).coefficients
         rest, corners = self._rest, self._texels.corners
@@ -176,6 +185,7 @@ class PhotoHead:
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         learned = Learned(rest.rig, np.zeros_like(rest.rig))
         found = relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, [0, 1, 2, 6]]
+        found[:, :3] *= self._texels.factor(light.local)
         even_mouth(self._head, corners, found, 3)
         return found
 
@@ -270,7 +280,7 @@ def seen_skin(
         inside: Pixels that are the person's, 0..1, [H, W].
     """
     pixels, weights = seen_texels(head, texels, posed, camera, inside)
-    return Seen(bilinear(picture, pixels), weights * _skin(head)[texels.corners].all(1))
+    return Seen(bilinear(picture, pixels), weights).of_skin(head, texels)
 
 
 def seen_texels(

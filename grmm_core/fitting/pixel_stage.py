@@ -36,7 +36,7 @@ from .code_stage import Codes, code_prior, fit_codes
 from .decoder_stage import Tuner
 from .landmark_stage import LandmarkFit, finished, restarted
 from .objective import decode, draw, relit
-from .person_lights import found_lights
+from .person_lights import found_lights, trust_in
 from .photo_targets import FitView, bare_pixels, fit_view
 from .point_rig import LandmarkRig, PointRig
 from .presets import CodeSettings, DecoderSettings
@@ -187,8 +187,8 @@ class _Appearance:
         self.surface: Surface = texel_surface(model)
         views = self.views(tracks, SIDE)
         pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
-        _, ratios, trust = found_lights(head, model.layout, tracks, pictures)
-        self.light = PhotoLight.of(model, ratios, trust)
+        _, ratios, doubt = found_lights(head, model.layout, tracks, pictures)
+        self.light = PhotoLight.of(model, ratios, trust_in(doubt))
         small, large = self.views(tracks, QUICK.small_side), self.views(tracks, QUICK.side)
         was = [parameter.requires_grad for parameter in model.parameters()]
         model.requires_grad_(False)

@@ -47,11 +47,13 @@ class PhotoLight:
         spread: Irradiance relative to the rig's times how much a texel counts at a pixel, and that, [P, N, 4].
         grid: Where the texels lie on the mesh.
         trust: How much each photo tells of colors beside the one whose light is known best, 0..1, [P].
+        told: How far each tells each texel's color by what it shows there, 0..1, [P, N].
     """
 
     spread: Tensor
     grid: TexelGrid
     trust: Tensor
+    told: Tensor
 
     @staticmethod
     def of(model: GRMM, spread: np.ndarray, trust: np.ndarray) -> PhotoLight:
@@ -59,12 +61,23 @@ class PhotoLight:
         layout = model.layout
         grid = texel_grid(model.head_model, layout.uv, layout.grid, layout.texel)
         first, second = (torch.as_tensor(part, dtype=model.dtype, device=model.device) for part in (spread, trust))
-        return PhotoLight(first, grid, second)
+        return PhotoLight(first, grid, second, torch.ones_like(first[..., 0]))
+
+    def ratios(self) -> np.ndarray:
+        """Irradiance relative to the rig's, [P, N, 3]."""
+        spread = to_numpy(self.spread)
+        ratios: np.ndarray = spread[..., :3] / spread[..., 3:]
+        return ratios
+
+    def times(self, factor: np.ndarray, told: np.ndarray) -> PhotoLight:
+        """The light times a factor at the texels, [P, N, 3], with `told` [P, N]."""
+        more = as_like(np.concatenate([factor, np.ones_like(factor[..., :1])], -1), self.spread)
+        return PhotoLight(self.spread * more, self.grid, self.trust, as_like(told, self.spread))
 
     def tells(self, index: int) -> Tensor:
         """How far a photo tells the texels' colors, 0..1, [N]: in deep shadow, which light is never known well, it does not."""
         ratio = self.spread[index, :, :3] / self.spread[index, :, 3:]
-        return ((ratio.amin(-1) - DIM[0]) / (DIM[1] - DIM[0])).clamp(0, 1)
+        return ((ratio.amin(-1) - DIM[0]) / (DIM[1] - DIM[0])).clamp(0, 1) * self.told[index]
 
     @torch.no_grad()
     def picture(self, model: GRMM, view: FitView, vertices: Tensor, attributes: Attributes) -> Tensor:

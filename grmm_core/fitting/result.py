@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ..model.weights_file import WeightsInfo
 
 LIGHT = "light_"  # before the names of a `photo_light.Light`'s parts in an avatar's arrays
+LOCAL = LIGHT + "local"  # there where the photos are several
 LICENCE = "Shows a real person. To be used only with that person's agreement."
 
 
@@ -101,7 +102,8 @@ def photo_light(avatar: Avatar, index: int = 0) -> Light:
     if LIGHT + "suns" not in avatar.tracking:
         _row(avatar, "pose", index)
         return Light.studio()
-    return Light(*(_row(avatar, LIGHT + name, index) for name in Light._fields))
+    known = (name for name in Light._fields if LIGHT + name in avatar.tracking)
+    return Light(**{name: _row(avatar, LIGHT + name, index) for name in known})
 
 
 def _row(avatar: Avatar, name: str, index: int) -> np.ndarray:

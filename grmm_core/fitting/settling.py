@@ -1,8 +1,9 @@
-"""The last step: skin under strands and in a session's light looks as the fit has it.
+"""The last steps: skin under strands and in a session's light looks as the fit has it.
 
 Skin is fitted bare. Brows, lashes and fringes that are drawn over it darken it again, and a session's light, which knows the
 avatar's own mesh and albedo, is not the fit's to the last per cent. What of that shows is taken out of the skin's colors,
-smoothed, so that no strand leaves its negative on the skin. Imports torch.
+smoothed, so that no strand leaves its negative on the skin. Of several photos skin is compared in the studio's light, and what
+each photo shows otherwise then becomes a part of its own light. Imports torch.
 """
 
 from __future__ import annotations
@@ -19,22 +20,26 @@ from ..avatar import EXTENSION, Avatar, save_avatar
 from ..model.grmm import GRMM, Picture
 from ..session import Instance, RenderOptions, Session
 from .blurring import blurred
-from .invert import photo_model_inputs
+from .invert import photo_model_inputs, photo_texels, photo_views, seen_in
+from .local_light import more_local
 from .objective import contributions, decode, spread_to_colors
 from .photo_light import MATT
 from .photo_targets import FitView, bare_pixels
-from .result import photo_controls, photo_light
+from .result import LOCAL, photo_controls, photo_light
 from .root_shade import APPEARANCE
 from .types import PhotoTrack
 
 SMOOTH = 2.0  # pixels: what is finer are the strands themselves
 COVERED = 0.7  # of a pixel by strands: under more, nothing is known of skin
 MOST = 0.15  # change of a color
+BARE = 0.05  # of a pixel by strands, from which on it tells no light of skin
+_LIT_AGAIN = 2  # times that what a photo's light lacks is found
 HALF_SEEN = 0.1  # pixels at which a texel is half believed
 
 
 def settled(
-    session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], aims: Sequence[tuple[FitView, Picture]]
+    session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack], aims: Sequence[tuple[FitView, Picture]],
+    *, lit: bool = True,
 ) -> Avatar:  # fmt: skip
     """An avatar whose skin, worn and lit by a session, differs less from its bare fit where its photos show skin.
 
@@ -43,17 +48,19 @@ def settled(
         model: With the avatar's own changes.
         avatar: Fitted, with strands.
         tracks: Its photos.
-        aims: The avatar without strands in each photo's view and light, of `invert.photo_pictures`.
+        aims: The avatar without strands in each photo's view, of `invert.photo_pictures`.
+        lit: Whether these are in the photos' lights.
     """
     if avatar.hair is None or avatar.hair.groom is None or APPEARANCE not in avatar.deltas:
         return avatar
     colors = np.array(avatar.deltas[APPEARANCE], np.float32)
-    colors[:, :3] += _step(session, avatar, model, tracks, aims).clamp(-MOST, MOST).cpu().numpy()
+    colors[:, :3] += _step(session, avatar, model, tracks, aims, lit).clamp(-MOST, MOST).cpu().numpy()
     return dataclasses.replace(avatar, deltas={**avatar.deltas, APPEARANCE: colors})
 
 
 def _step(
     session: Session, avatar: Avatar, model: GRMM, tracks: Sequence[PhotoTrack], aims: Sequence[tuple[FitView, Picture]],
+    lit: bool,
 ) -> torch.Tensor:  # fmt: skip
     """Change of the colors that brings what the session draws nearer to the aims, [N, 3]."""
     options = RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0))
@@ -64,9 +71,11 @@ def _step(
         save_avatar(avatar, path)
         number = session.open(path).id
         for (view, drawn), track in zip(aims, tracks, strict=True):
-            lighting = photo_light(avatar, view.index).lighting
             controls = photo_controls(avatar, model.head_model, view.index)
-            worn = session.render([Instance(number, controls, response=MATT, lighting=lighting)], view.camera, options)
+            instance = Instance(number, controls)
+            if lit:
+                instance = dataclasses.replace(instance, response=MATT, lighting=photo_light(avatar, view.index).lighting)
+            worn = session.render([instance], view.camera, options)
             bare = bare_pixels(view) * (1.0 - worn["hair"][..., 0])
             counts = (bare > 1.0 - COVERED)[..., None]
             off = blurred(((drawn.image.cpu().numpy() - worn["rgb"]) * counts).transpose(2, 0, 1), SMOOTH).transpose(1, 2, 0)
@@ -78,3 +87,33 @@ def _step(
             total, weight = total + shown * step, weight + shown
         session.release(number)
     return total / weight.clamp(min=1.0)
+
+
+def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack]) -> Avatar:
+    """An avatar of several photos whose lights have what they still lack (`local_light`), drawn by a session, strands and all.
+
+    Args:
+        session: With the avatar's weights.
+        model: With the avatar's own changes.
+        avatar: Finished but for that.
+        tracks: Its photos.
+    """
+    if LOCAL not in avatar.tracking:
+        return avatar
+    head, texels, local = model.head_model, photo_texels(model), np.array(avatar.tracking[LOCAL], np.float32)
+    options = RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0))
+    with tempfile.TemporaryDirectory(prefix="grmm-") as folder, torch.no_grad():
+        path = Path(folder) / f"worn{EXTENSION}"
+        save_avatar(avatar, path)
+        number = session.open(path).id
+        for view, track in zip(photo_views(model, tracks), tracks, strict=True):
+            light, controls = photo_light(avatar, view.index), photo_controls(avatar, head, view.index)
+            shown = model, texels, photo_model_inputs(model, avatar, track, view.index)[0], view
+            for _ in range(_LIT_AGAIN):
+                lighting = light._replace(local=local[view.index]).lighting
+                worn = session.render([Instance(number, controls, response=MATT, lighting=lighting)], view.camera, options)
+                bare = (worn["hair"][..., 0] < BARE).astype(np.float32)
+                drawn = seen_in(*shown, worn["rgb"], bare).colors
+                local[view.index] *= more_local(head, texels, seen_in(*shown, counts=bare), drawn)
+        session.release(number)
+    return dataclasses.replace(avatar, tracking={**avatar.tracking, LOCAL: local})

@@ -81,6 +81,10 @@ class Texels(NamedTuple):
         for_rows(kernels.interpolate, len(out), *given, out)
         return out
 
+    def factor(self, local: np.ndarray) -> np.ndarray:
+        """`Lighting.local` at the points, [N, 3], or [1, 3] of ones where there is none."""
+        return self.at(local) if len(local) else np.ones((1, 3), np.float32)
+
     def dim(self, seen: np.ndarray, rows: np.ndarray, through: np.ndarray) -> None:
         """Multiply what is seen at rows [M] of the points, [N], by what comes through to vertices, [V]; `seen` is changed."""
         kernels = compiled_kernels()

@@ -13,6 +13,7 @@ from collections.abc import Hashable
 
 import numpy as np
 
+from ..errors import ShapeError
 from ..geometry.boxes import box_around
 from ..geometry.libraries import to_numpy
 from ..light.bounce import nearest_points
@@ -66,6 +67,8 @@ class LitAvatar:
         self._hair, self._softened = hair, softened if response.detail and not response.even_mouth else NOT_SOFTENED
         self._head = target.model.head_model
         self._vertices = to_numpy(evaluator.mesh(target, inputs).vertices)
+        if len(lighting.local) not in (0, len(self._vertices)):
+            raise ShapeError("A photo's light lies on another head than this one; use the light of the avatar's own photos.")
         self._box = box_around(self._vertices)
         self._centre = 0.5 * (self._box[0] + self._box[1])
         self.lamps = lighting.shaded(tuple(self._centre))
@@ -81,7 +84,7 @@ class LitAvatar:
             [N, LIGHT_CHANNELS] float32 of the skin and of the strands, if any, as of `shading.relative`.
         """
         around = self._lighting.surroundings
-        light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key
+        light = repr(self.lamps), b"" if around is None else around.coefficients.tobytes(), self._occluders_key, self._local_key
         worn = () if self._hair is None else self._hair.key
         key = (eye.tobytes(), self._response, len(self._softened), *light, worn, *self._inputs.mesh_key)
         cache, owner = self._evaluator.cache, self._target.id
@@ -122,6 +125,7 @@ class LitAvatar:
         corners = self._drawn.corners
         inside = mean_irradiance(self._lighting.surroundings) * (_BOWL * self._response.intensity)
         found = relative(scene, bounced, corners, self._drawn.barycentric, learned, self._response.gloss, inside)
+        found[:, RATIO] *= self._drawn.factor(self._lighting.local)
         if self._response.even_mouth:
             even_mouth(self._head, corners, found, FRONT)
         return found, tilts
@@ -424,6 +428,10 @@ class LitAvatar:
             corners = (corners - self._to_cloud[:3, 3]) @ self._to_cloud[:3, :3]
             low, high = np.minimum(low, corners.min(0)), np.maximum(high, corners.max(0))
         return LightGrid.around(low, high)
+
+    @functools.cached_property
+    def _local_key(self) -> bytes:
+        return hashlib.blake2b(self._lighting.local.tobytes(), digest_size=16).digest()
 
     @functools.cached_property
     def _casters(self) -> Casters:

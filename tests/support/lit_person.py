@@ -38,7 +38,7 @@ def lit_person(session, light: Light, groom: Groom, image=None, cover=None, side
         valid=plain, camera=camera, photo_camera=camera, landmarks=marks, landmarks_fitted=marks, arkit=np.zeros(52), **zeros,
     )  # fmt: skip
     tracking = {"aligned": np.zeros((1, len(ALIGNED_NAMES)), np.float32), "z_exp": np.zeros((1, loaded.model.z_exp_size))}
-    tracking |= {LIGHT + name: getattr(light, name)[None] for name in Light._fields}
+    tracking |= {LIGHT + name: value[None] for name, value in light._asdict().items() if value.size}
     z_exp = np.zeros(loaded.model.z_exp_size, np.float32)
     avatar = make_avatar("lit", [track], loaded.info, loaded.info.default_z_id, z_exp, {}, tracking)
     return dataclasses.replace(avatar, hair=Hair(groom, HairSettings(melanin=0.3))), track

@@ -17,9 +17,9 @@ from grmm_core.fitting.hair_texture import trimmed
 from grmm_core.fitting.invert import photo_pictures, photo_views
 from grmm_core.fitting.photo_light import MATT
 from grmm_core.fitting.photo_targets import aligned_weights, bare_pixels
-from grmm_core.fitting.result import photo_controls
+from grmm_core.fitting.result import LOCAL, photo_controls, photo_light
 from grmm_core.fitting.root_shade import APPEARANCE, shaded_scalp
-from grmm_core.fitting.settling import settled
+from grmm_core.fitting.settling import locally_lit, settled
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.zbuffer import triangle_depth
 from grmm_core.hair import library_groom
@@ -103,6 +103,25 @@ def test_without_strands_nothing_is_settled(session, model):
     avatar, track = colored(session, light_from_a_side(), library_groom("bob"))
     bald = dataclasses.replace(avatar, hair=None)
     assert settled(session, model, bald, [track], []) is bald
+
+
+def test_what_photos_show_otherwise_becomes_their_light(session, model, tmp_path):
+    """Of several photos; one alone has it in its colors."""
+    light, head = light_from_a_side(), model.head_model
+    avatar, track = colored(session, light, library_groom("bushy", head.name, "brows"))
+    assert locally_lit(session, model, avatar, [track]) is avatar
+    ((view, aim),) = photo_pictures(model, avatar, [track])
+    rows = np.linspace(0.4, 1.0, SIDE)[:, None, None]  # darker towards the top, as under a hat
+    track = dataclasses.replace(track, image=aim.image.numpy() * rows, mask=aim.alpha.numpy())
+    avatar = dataclasses.replace(avatar, tracking={**avatar.tracking, LOCAL: np.ones((1, head.vertex_count, 3), np.float32)})
+    lit = locally_lit(session, model, avatar, [track])
+    bare, off = bare_pixels(view) * aim.alpha.numpy() > 0.99, []
+    for person in (avatar, lit):
+        drawn = worn(session, person, head, view.camera, photo_light(person), tmp_path / "person.grmm")
+        off.append(np.sqrt(((drawn["rgb"] - track.image)[bare & (drawn["hair"][..., 0] < 0.01)] ** 2).mean()))
+    assert off[0] > 0.08
+    assert off[1] < 0.35 * off[0]
+    np.testing.assert_array_equal(lit.deltas[APPEARANCE], avatar.deltas[APPEARANCE])
 
 
 def test_skin_that_a_photo_shows_bare_takes_no_shade_of_roots(session, model):

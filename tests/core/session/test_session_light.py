@@ -10,7 +10,10 @@ import numpy as np
 import pytest
 
 from grmm_core.controls.frame import Controls
+from grmm_core.errors import ShapeError
+from grmm_core.fitting.photo_light import MATT
 from grmm_core.geometry.camera import Camera
+from grmm_core.head import load_open_head
 from grmm_core.light.lamps import STUDIO, Lighting, Point, Spot, Sun, soft_box
 from grmm_core.light.resting import MOUTH
 from grmm_core.light.shading import LEAST_FRONT, Response
@@ -317,8 +320,27 @@ def test_odd_light_is_a_picture(session, lighting):
         assert np.isfinite(lit[name]).all(), name
 
 
+def test_light_that_lies_on_the_skin_turns_with_it(session):
+    """Half the light on the person's left, as a photo had it there."""
+    head = session.engine.store.default().model.head_model
+    local = np.where(head.v_template[:, :1] > 0.0, 0.5, 1.0) * np.ones(3)
+    for controls in (Controls(), Controls().set_named({"neck.y": 0.3})):
+        even, lies = (drawn(session, replace(STUDIO, local=one), MATT, controls) for one in (local[:0], local))
+        ratio = lies["linear"][..., :3].sum(-1) / even["linear"][..., :3].sum(-1).clip(1e-6)
+        nose = round(float(CAMERA.project(session.deform(session.open("default").id, controls).vertices)[1][:, 0].mean()))
+        shown = even["alpha"][..., 0] > 0.99
+        left, right = ratio[:, nose + 25 :][shown[:, nose + 25 :]], ratio[:, : nose - 25][shown[:, : nose - 25]]
+        np.testing.assert_allclose([np.median(left), np.median(right)], [0.5, 1.0], atol=0.02)
+
+
+def test_light_that_lies_on_another_head_is_refused(session):
+    with pytest.raises(ShapeError, match="another head"):
+        drawn(session, replace(STUDIO, local=np.ones((7, 3))), MATT)
+
+
 def test_light_reaches_a_worker():
     spots = Surroundings.of_picture(np.maximum(np.random.default_rng(0).random((16, 32, 3)), 0.2))
     light = Lighting((soft_box(30, 20, 1.0, 0.3, 40.0, (1.0, 0.5, 0.2)), *LEFT.lamps), spots, np.zeros((1, 3, 3)))
+    light = replace(light, local=np.full((load_open_head().vertex_count, 3), 0.7))
     with create_session("local", engine="plain") as here, create_session("worker", engine="plain") as worker:
         np.testing.assert_allclose(drawn(worker, light)["rgb"], drawn(here, light)["rgb"], atol=1e-6)

@@ -1,0 +1,101 @@
+"""What of a photo's light no lamp explains: it is told from the person's colors, and lies on the skin."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from grmm_core.fitting.local_light import local_lights, more_local
+from grmm_core.fitting.photo_light import Seen
+from grmm_core.head import load_open_head
+from grmm_core.light.relight import to_display, to_linear
+from grmm_core.light.resting import Texels
+
+SKIN = np.array([0.4, 0.25, 0.18])
+SURE, DOUBTFUL = 0.03, 0.3
+
+
+@pytest.fixture(scope="module")
+def head():
+    return load_open_head()
+
+
+@pytest.fixture(scope="module")
+def texels(head):
+    """Points of the face, four on a triangle, as an avatar has about five."""
+    faces = np.flatnonzero(head.marked("face")[head.faces].all(1)).astype(np.int32)
+    within = np.concatenate([np.full((1, 3), 1.0 / 3.0), 0.5 * np.eye(3) + 1.0 / 6.0]).astype(np.float32)
+    return Texels.of(head, np.repeat(faces, 4), np.tile(within, (len(faces), 1)))
+
+
+@pytest.fixture(scope="module")
+def places(head, texels):
+    return texels.at(head.v_template)
+
+
+@pytest.fixture(scope="module")
+def bare(head, texels):
+    """How much photos show of the points: no lips and lids."""
+    return (~head.marked("lips", "lids")[texels.corners].any(1)).astype(float)
+
+
+def logs(texels, local, where):
+    return np.log(texels.factor(local)[where]).mean(1)
+
+
+def photos(shades, bare):
+    return [Seen(np.asarray(to_display(SKIN * shade[:, None])), bare) for shade in shades]
+
+
+def test_a_shadow_in_one_doubtful_light_is_light_and_no_color(head, texels, places, bare):
+    forehead = places[:, 1] > np.percentile(places[:, 1], 70)
+    shadow, even = np.where(forehead, 0.5, 1.0), np.ones(len(places))
+    (first, second), told = local_lights(
+        head, texels, photos([even, shadow], bare), [np.ones((len(places), 3))] * 2, SKIN * np.ones((len(places), 1)),
+        np.array([SURE, DOUBTFUL]),
+    )  # fmt: skip
+    middle = places[:, 1] > np.percentile(places[:, 1], 80)
+    np.testing.assert_allclose(logs(texels, first, middle), 0.0, atol=0.02)
+    np.testing.assert_allclose(np.median(logs(texels, second, middle)), np.log(0.5), atol=0.04)
+    assert np.percentile(told[:, middle], 5) > 0.9
+
+
+def test_what_all_photos_show_alike_is_color(head, texels, places, bare):
+    red = np.where(places[:, 0] > 0.02, 0.85, 1.0)
+    found, _ = local_lights(
+        head, texels, photos([red, red, red], bare), [np.ones((len(places), 3))] * 3, SKIN * np.ones((len(places), 1)),
+        np.full(3, SURE),
+    )  # fmt: skip
+    middle = places[:, 0] > 0.035
+    for local in found:
+        assert np.abs(logs(texels, local, middle)).max() < 0.2 * abs(np.log(0.85))
+
+
+def test_a_highlight_is_no_color_and_a_light_mark_is_one(head, texels, places, bare):
+    """On a cheek that both photos show."""
+    spot = (np.linalg.norm(places - places[(places[:, 2] + 0.5 * np.abs(places[:, 0])).argmax()], axis=1) < 0.004) & (bare > 0)
+    assert spot.any()
+    bright, even = np.where(spot, 2.4, 1.0), np.ones(len(places))
+    given = [np.ones((len(places), 3))] * 2, SKIN * np.ones((len(places), 1)), np.full(2, SURE)
+    told = [
+        local_lights(head, texels, photos(shades, bare), *given)[1][0, spot] for shades in ([bright, even], [bright, bright])
+    ]
+    assert told[0].mean() < 0.5
+    assert told[1].min() > 0.9
+
+
+def test_an_eye_has_one_light_and_what_no_photo_shows_has_none(head, texels, places):
+    faces = np.flatnonzero(head.marked("left_eyeball")[head.faces].all(1)).astype(np.int32)
+    eye = Texels.of(head, faces, np.full((len(faces), 3), 1.0 / 3.0, np.float32))
+    drawn = np.full((len(faces), 3), 0.5)
+    colors = np.asarray(to_display(0.5 * to_linear(drawn)))
+    local = more_local(head, eye, Seen(colors, (eye.at(head.v_template)[:, 0] > 0.03).astype(float)), drawn)
+    np.testing.assert_allclose(local[head.marked("left_eyeball")], 0.5, atol=0.05)
+    np.testing.assert_array_equal(local[head.v_template[:, 2] < 0.0], 1.0)
+
+
+def test_burnt_out_and_black_pixels_tell_no_light(head, texels, places, bare):
+    half = places[:, 0] > 0.0
+    colors = np.where(half[:, None], 1.0, np.asarray(to_display(SKIN)))
+    local = more_local(head, texels, Seen(colors, bare), np.asarray(to_display(SKIN * np.ones((len(places), 1)))))
+    np.testing.assert_allclose(texels.factor(local), 1.0, atol=0.01)

@@ -25,6 +25,8 @@ from .surface import SKIN, Surface
 
 FEATURES = ("lips", "lids", "brows")
 STRAIN = (0.08, 0.25)  # share by which skin is stretched or folded: below the first nothing is a crease, above the second all
+DEEP_STRAIN = (0.015, 0.05)  # likewise of dark folds, as beside a nose: the photo's light throws their shadow
+DEEP, FOLD_TEXELS = (0.03, 0.08), 1.5  # how dark these are beside the skin around, smoothed over so many texels
 OWN_STRAIN = (0.03, 0.12)  # likewise where other photos show the skin otherwise
 OWN_TEXELS = 16.0  # length below which that is a fold
 MOST_BROUGHT = 1.0  # of what a photo shows otherwise than others: no trained expression brings more of it
@@ -133,7 +135,9 @@ def crease_colors(surface: Surface, colors: Tensor, strain: Tensor, features: Te
     around = surface.smooth(colors * plain, WIDTH_TEXELS) / surface.smooth(plain, WIDTH_TEXELS).clamp(min=1e-3)
     detail = colors - around
     lasting = PORES * torch.tanh(detail / PORES)
-    return (share_of(strain) * _away(surface, plain))[:, None] * (detail - lasting)
+    deep = share_of(-surface.smooth(detail, FOLD_TEXELS).mean(1), DEEP)
+    share = torch.maximum(share_of(strain), deep * share_of(strain, DEEP_STRAIN))
+    return (share * _away(surface, plain))[:, None] * (detail - lasting)
 
 
 def own_colors(surface: Surface, difference: Tensor, strain: Tensor, parts: Tensor, trust: Tensor) -> Tensor:

@@ -65,6 +65,24 @@ def test_dark_lines_are_creases_where_skin_is_strained_and_marks_elsewhere(model
     assert not crease_colors(surface, colors, torch.ones(len(colors)), ~plain).any()  # lips, lids and brows keep theirs
 
 
+def test_dark_folds_go_where_skin_is_hardly_strained_and_moles_stay(model):
+    surface = texel_surface(model)
+    places = model.anchor(torch.as_tensor(np.array(model.head_model.v_template))).positions
+    skin = (surface.group == SKIN) & ~surface.lips
+    left = skin & (places[:, 0] > 0.0)
+    fold = left & (places[:, 0] < 0.03) & (places[:, 1] - places[surface.lips, 1].max()).abs().lt(0.006)
+    mole = torch.zeros_like(fold)
+    mole[torch.nonzero(skin & ~left)[::97, 0]] = True
+    colors = TONE.repeat(model.gaussian_count, 1)
+    colors[fold | mole] -= 0.25
+    plain, little = torch.zeros(len(colors), dtype=torch.bool), torch.full((len(colors),), 0.05)
+    creases = crease_colors(surface, colors, little, plain)
+    assert int(fold.sum()) > 8
+    assert float(creases[fold].mean()) < -0.08
+    assert float(creases[mole].mean()) > -0.03
+    assert not crease_colors(surface, colors, 0.0 * little, plain).any()
+
+
 def test_each_of_several_photos_has_its_own_folds(model):
     generator = torch.Generator().manual_seed(2)
     maps = ExpressionMaps(6, 8, 5, 40).requires_grad_(False)

@@ -50,8 +50,9 @@ def beneath(
         origin, axes = block.frames.at(template)
         begun, real = _begun(np.matmul(block.points, axes) + origin[:, None])
         areas = np.broadcast_to((block.widths[:, :1] * (STEP * len(block) / len(begun))), real.shape)[real]
-        cells = np.clip(((begun[real] - low) / CELL).astype(int), 0, size - 1)
-        np.add.at(filled, np.ravel_multi_index(tuple(cells.T), tuple(size)), areas)
+        cells = np.floor((begun[real] - low) / CELL).astype(int)
+        near = ((cells >= 0) & (cells < size)).all(1)  # not a bun behind the head
+        np.add.at(filled, np.ravel_multi_index(tuple(cells[near].T), tuple(size)), areas[near])
     dense = smooth_grid(smooth_grid(filled.reshape(size) / CELL**2))[..., None]
     passed = np.zeros(len(points))
     for k in range(-1, layers):

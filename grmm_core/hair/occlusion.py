@@ -59,9 +59,11 @@ def openness(points: np.ndarray, widths: np.ndarray, vertices: np.ndarray, faces
 
 
 def smooth_grid(grid: np.ndarray) -> np.ndarray:
-    """Values [X, Y, Z] blurred by a binomial of three cells along each axis."""
+    """Values [X, Y, Z] blurred by a binomial of three cells along each axis; at the borders cells repeat."""
     for axis in range(3):
-        grid = 0.5 * grid + 0.25 * (np.roll(grid, 1, axis) + np.roll(grid, -1, axis))
+        steps = np.arange(grid.shape[axis])
+        before, after = (grid.take(np.clip(steps + step, 0, steps[-1]), axis) for step in (-1, 1))
+        grid = 0.5 * grid + 0.25 * (before + after)
     return grid
 
 

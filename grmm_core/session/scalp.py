@@ -32,6 +32,8 @@ CHIN, BEARDED = 0.025, 0.6  # metres to either side of the chin's middle; bright
 TEMPLES = (-0.01, 0.01)  # metres: above these heights hair of a photo is painted beside the scalp
 BEHIND = (0.0, -0.015)  # metres: likewise behind these depths, at whatever height
 OTHER = (0.08, 0.2)  # of the brightness of skin: from how far off in color on a photo's texel counts as hair, and counts fully
+HAIRLINE = 2  # triangles beside the scalp up to which a shaven head's hairline may lie
+TINTED = (0.02, 0.08)  # likewise there, of anybody's
 FOREHEAD = (0.074, 0.084)  # metres: above the brows, hair is that of the scalp
 BEARD = ((0.0, 0.02), (0.03, 0.01))  # metres: below this height, and in front of this depth, hair is beard
 RIM = (0.006, 0.015)  # metres from an open edge: nearer than the first one what is dark is the edge, not a photo's hair
@@ -40,6 +42,7 @@ SAMPLES = 1200  # texels of skin from which it is taken
 SHADED = {SCALP: 0.3, BEARDS: 0.5}  # of the brightness of skin that is not laid flat: what dense strands over it take
 SHADING = 5  # layers of `hair.cover` over skin in which strands shade it: curls that stand before a forehead do not
 UNDER = 0.9  # how much of the hair's color the skin under dense hair takes on
+ROOTED = 0.75  # of what is left, where that skin is of a place without hair: what roots in it take
 SKIN = ("face", "neck")  # regions where skin shows; the others in it below
 _NOT_SKIN = ("lips", "brows", "lids", "lashes", "mouth_interior", "left_eyeball", "right_eyeball")
 _ISLAND = 0
@@ -53,6 +56,7 @@ class _Places(NamedTuple):
         corners: Vertices of the triangle under each, [N, 3].
         weights: Barycentric coordinates, [N, 3].
         scalp: How far it belongs to the scalp, 0..1 [N].
+        hairline: How far to the scalp or to what is beside it, as far as `HAIRLINE` triangles, 0..1 [N].
         skin: Whether it is plain skin of face and neck, [N].
         outer: Whether it is on the outer skin, [N].
         beside: How far it is beside, behind and above the face, 0..1 [N].
@@ -63,6 +67,7 @@ class _Places(NamedTuple):
     corners: np.ndarray
     weights: np.ndarray
     scalp: np.ndarray
+    hairline: np.ndarray
     skin: np.ndarray
     outer: np.ndarray
     beside: np.ndarray
@@ -70,10 +75,17 @@ class _Places(NamedTuple):
 
 
 class Skin(NamedTuple):
-    """How flat each texel is to be laid, 0..1 [N], and the color of the skin there, linear RGB [N, 3]; both float32."""
+    """What lies under hair; float32.
+
+    Attributes:
+        share: How flat each texel is to be laid, 0..1 [N].
+        color: Of the skin there, linear RGB [N, 3].
+        bare: How far that color is of skin on which no hair grows, 0..1 [N].
+    """
 
     share: np.ndarray
     color: np.ndarray
+    bare: np.ndarray
 
 
 def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: bool = False) -> Skin:
@@ -83,9 +95,9 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
     """
     places = _places(evaluator, target)
     seen = _seen(evaluator, target, inputs, 1.0)
-    hairless = target.model.config.hairless
+    hairless, bare = target.model.config.hairless, np.zeros(len(seen), np.float32)
     if hairless and own:
-        return Skin(places.scalp.astype(np.float32), seen)
+        return Skin(places.scalp.astype(np.float32), seen, bare)
     far = np.zeros(len(seen), np.float32)
     if not hairless:
         offsets = to_numpy(evaluator.offsets(target, inputs))[:, :3] * target.model.config.position_unit_mm * METRES_PER_MM
@@ -100,9 +112,11 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
         beard = np.zeros_like(beard)  # shaven: what is dark beside the jaw is scalp hair that hangs there
     around = (1.0 - beard) * places.outer * (places.painted if hairless else places.beside)
     share = np.maximum(places.scalp, far * around)
-    clean = np.flatnonzero(plain & (bright > DARK[0] * middle))
+    photo = target.avatar.provenance.from_photos
+    shaven = places.hairline if hairless and not photo else np.zeros(len(seen))  # its tint ends at the person's own hairline
+    clean = np.flatnonzero(plain & (bright > DARK[0] * middle) & (shaven < 0.02))
     if not len(clean):
-        return Skin(share.astype(np.float32), seen)
+        return Skin(share.astype(np.float32), seen, bare)
     some = clean[:: max(1, len(clean) // SAMPLES)]
     wanted = np.flatnonzero((around > 0) | (share > 0))
     color = seen.copy()
@@ -113,14 +127,16 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
     # what is as dark as hair beside and behind the face is hair that lies on the skin
     usual = np.maximum(color.mean(1), 1e-4)
     dark = _ramp(bright / usual, DARK[0], DARK[1])
-    if hairless:  # only a photo paints its hair there, of any color, with soft borders; else the scalp has its own color
+    if hairless:  # only a photo paints its hair there, of any color, with soft borders; else the scalp is shaven
         sides = seen, _seen(evaluator, target, inputs, -1.0)  # the inner side of an open bust is in the dark, and no hair
-        if target.avatar.provenance.from_photos:
+        if photo:
             dark = np.minimum(*(_ramp(np.abs(side - color).max(1) / usual, *OTHER) for side in sides))
         else:
             dark = np.minimum(*(_ramp(side.mean(1) / usual, *DARK) for side in sides))
-        color = seen + dark[:, None] * (color - seen)
-    return Skin(np.maximum(share, dark * around).astype(np.float32), color)
+            tinted = np.minimum(*(_ramp(np.abs(side - color).max(1) / usual, *TINTED) for side in sides))
+            dark = np.maximum.reduce([dark, tinted * shaven, places.scalp])
+        color, bare = seen + dark[:, None] * (color - seen), dark.astype(np.float32)
+    return Skin(np.maximum(share, dark * around).astype(np.float32), color, bare)
 
 
 def _seen(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, ahead: float) -> np.ndarray:
@@ -159,7 +175,8 @@ def cap_color(skin: Skin, there: Covered, settings: HairSettings) -> np.ndarray:
     cover = (1.0 - (1.0 - there.cover) ** settings.density)[:, None] * there.under[:, None]
     dark = there.under * (1.0 - np.maximum(there.light, DIM) ** settings.shading)
     hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0]
-    color = skin.color * (1.0 - UNDER * cover) + UNDER * cover * hair
+    left = (1.0 - UNDER * cover) * (1.0 - ROOTED * skin.bare[:, None] * cover)
+    color = skin.color * left + (1.0 - left) * hair
     return linear_to_srgb(color * (1.0 - dark)[:, None])
 
 
@@ -216,6 +233,9 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
             return (head.marked(*names).astype(float)[corners] * layout.barycentric).sum(1)
 
         points = (np.asarray(head.v_template, float)[corners] * layout.barycentric[..., None]).sum(1)
+        faces, wider = np.asarray(head.faces), head.marked("scalp")
+        for _ in range(HAIRLINE):
+            wider = np.isin(np.arange(len(wider)), faces[wider[faces].any(1)])
         outer = np.asarray(head.uv_islands)[layout.face] == _ISLAND
         beside = np.maximum(_ramp(points[:, 2], *BESIDE), _ramp(points[:, 1], *FOREHEAD))
         skin = outer & (share(*SKIN) > 0.99) & (share(*_NOT_SKIN) < 0.01)
@@ -224,6 +244,7 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
             corners,
             layout.barycentric,
             share("scalp") * outer,
+            (wider[corners] * layout.barycentric).sum(1) * outer,
             skin,
             outer,
             beside,

@@ -59,6 +59,30 @@ def test_hair_that_a_photo_painted_is_taken_away_with_the_strands_and_a_shaven_s
     assert wardrobe.worn(person, HairUse("own")).flat  # strands shade the skin
 
 
+def test_a_shaven_scalps_tint_ends_nowhere_under_a_receded_groom(model):
+    """Hair that somebody was trained without has tinted the scalp, in patches, up to the person's own hairline."""
+    head, layout = model.head_model, model.layout
+    faces = np.asarray(head.faces)
+    corners = faces[layout.face]
+    vertices = np.asarray(head.v_template, float)
+    outer = np.asarray(head.uv_islands)[layout.face] == 0
+    scalp = (head.marked("scalp").astype(float)[corners] * layout.barycentric).sum(1)
+    wider = np.isin(np.arange(len(vertices)), faces[head.marked("scalp")[faces].any(1)])
+    front = (vertices[corners] * layout.barycentric[..., None]).sum(1)[:, 2] > 0.02
+    beside = outer & front & (scalp < 0.01) & ((wider[corners] * layout.barycentric).sum(1) > 0.5)
+    patches = np.random.default_rng(3).uniform(0.8, 0.95, len(scalp)) * ((scalp > 0) | beside)
+    seen = np.where(patches[:, None] > 0, patches[:, None], 1.0) * np.array(SKIN)
+    evaluator = SimpleNamespace(
+        cache=SimpleNamespace(get=lambda key, make: make()), appearance=lambda target, inputs, eye: (seen.astype(np.float32),)
+    )
+    found = bare_skin(evaluator, _person(model, from_photos=False), SimpleNamespace())
+    skin = srgb_to_linear(np.array(SKIN))
+    np.testing.assert_allclose(found.color[outer & (scalp > 0.99)] / skin, 1.0, atol=0.02)
+    assert beside.sum() > 100
+    shown = srgb_to_linear(seen) * (1.0 - found.share[:, None]) + found.share[:, None] * found.color
+    assert np.median(shown[beside] / skin) > 0.97 > np.median(srgb_to_linear(seen)[beside] / skin)
+
+
 @pytest.mark.parametrize("from_photos", [True, False])
 def test_the_dark_rim_and_inner_side_of_a_bust_are_no_hair(model, from_photos):
     head, layout = model.head_model, model.layout
@@ -79,6 +103,19 @@ def test_the_dark_rim_and_inner_side_of_a_bust_are_no_hair(model, from_photos):
     assert found.share[rim | back].max() < 0.01
     scalp = (head.marked("scalp").astype(float)[corners] * layout.barycentric).sum(1) > 0.99
     assert found.share[scalp & outer].min() > 0.99
+
+
+def test_a_bun_behind_the_head_lies_over_no_forehead(model):
+    head, layout = model.head_model, model.layout
+    mean, evaluator = np.asarray(head.v_template, float), SimpleNamespace(cache=SimpleNamespace(get=lambda key, make: make()))
+    x, y, z = (mean[np.asarray(head.faces)[layout.face]] * layout.barycentric[..., None]).sum(1).T
+    forehead = (np.asarray(head.uv_islands)[layout.face] == 0) & (z > 0.085) & (y > 0.09) & (y < 0.107) & (np.abs(x) < 0.03)
+    assert forehead.sum() > 100
+    bun, tail = (
+        covered(evaluator, _person(model, from_photos=False), blocks_of(library_groom(name), mean, head.faces)).under[forehead]
+        for name in ("bun", "ponytail")
+    )
+    np.testing.assert_allclose(bun.mean(), tail.mean(), atol=0.05)  # both are combed back alike
 
 
 def test_skin_under_a_beard_and_a_fringe_is_dark_and_other_skin_is_not(model):

@@ -34,12 +34,14 @@ CURL = 0.35  # a person's own, where a style has one
 LASH_COUNTS, LASH_POINTS = (90, 42), 6  # of an upper and a lower lid; of a lash
 LASH_LENGTHS = (0.003, 0.0045, 0.0062, 0.0055)  # metres of upper lashes at four places: without mascara they hardly show
 # where the package's grooms differ from the studio's: braids so many that no crown is bare between them, curls that hold
-# together, since hair of many directions in one place is seen as a weave; shorn hair that lies one way, since skin shows
-# where it does not, and covers as much as that of a head; combed hair without ridges, ends that are not all points
+# together, since hair of many directions in one place is seen as a weave; locs of enough points to be seen wound, and fewer,
+# so that they are told apart; shorn hair that lies one way, since skin shows where it does not, and covers as much as that of
+# a head; combed hair without ridges, ends that are not all points
 _SHORN: dict[str, Any] = {"messiness": 0.09, "width": 0.00017}
 _CROPPED: dict[str, Any] = {"messiness": 0.12, "width": 0.00018, "clumping": 0.3}
 _COMBED: dict[str, Any] = {"comb": "swept", "clumping": 0.35, "messiness": 0.035, "hug": 0.8, "flyaway": 0.008}
 _FALLING: dict[str, Any] = {"clumping": 0.42}
+_WOUND: dict[str, Any] = {"messiness": 0.06, "frizz": 0.0002, "wavelength": 0.055, "points": 36}
 CHANGES: dict[str, dict[str, Any]] = {
     "stubble": _SHORN,
     "buzz": _SHORN,
@@ -56,7 +58,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     "curtains": _FALLING,
     "layered": {"clumping": 0.5},
     "braids": {"clumps": 300, "rope": 0.0027, "clearance": 0.004, "lift": 0.25, "hug": 0.7, "puff": 0.004, "wound": 0.3},
-    "locs": {"clumps": 300, "rope": 0.0034, "lift": 0.3, "hug": 0.7, "puff": 0.004, "wound": 0.3},
+    "locs": {"clumps": 210, "rope": 0.0037, "lift": 0.3, "hug": 0.7, "puff": 0.004, "wound": 0.2, **_WOUND},
     "ringlets": {"clumps": 260, "clumping": 0.95, "curl_spread": 0.12, "gather": 0.2},
 }
 # styles are cut differently on women; these are a woman's

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> dict[str, Any] | int:
 def _find_faces(request: FacesRequest, console: Console, stop: StopOnSignal) -> dict[str, Any]:
     """Draw faces, landmarks and outline of each photo, so that the user can check the choice."""
     make_folder(request.folder)
-    pictures, missing = [], []
+    pictures, missing, found = [], [], []
     with console.progress(FIND_FACES) as show:
         report = Reporter(FIND_FACES, show, lambda: stop.requested)
         report("load", 0.0)
@@ -86,13 +86,14 @@ def _find_faces(request: FacesRequest, console: Console, stop: StopOnSignal) -> 
         from ..files.access import atomic_write_bytes
         from ..fitting.api import check_face
         from ..fitting.faces_picture import draw_faces
-        from ..fitting.track import analyse_photo
+        from ..fitting.track import analyse_photo, check_turned
         from ..photo.load import load_photo
         from ..pictures.images import encode_png
 
         for index, (photo, wanted) in enumerate(zip(request.photos, faces_by_photo(request), strict=True)):
             report.part("analyse")(index / len(request.photos))
             analysed = analyse_photo(photo)
+            found.append(analysed)
             count = len(analysed.faces)
             mask = load_photo(request.masks[index]).coverage() if request.masks else None
             missing += [(photo, wanted, count)] if wanted >= count else []
@@ -105,6 +106,7 @@ def _find_faces(request: FacesRequest, console: Console, stop: StopOnSignal) -> 
         report("analyse", 1.0)
     for photo, wanted, count in missing:  # said after all pictures are drawn: they show which numbers there are
         check_face(photo, wanted, count)
+    check_turned(found, faces_by_photo(request))
     return {"pictures": pictures}
 
 

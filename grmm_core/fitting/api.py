@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..avatar import Avatar, PhotoRecord
-from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError
+from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
 from ..jobs.progress import ProgressCallback, Reporter, within
 from ..photo.load import PhotoFile, check_proportion
 from .folder import TRACKS_FILE, Job, can_resume, check_photos_differ, check_writable, prepare
@@ -39,7 +39,6 @@ FacesCallback = Callable[[Path, np.ndarray], None]
 """Called for each photo with its path and the faces' boxes, [K, 4] pixels: left, top, right, bottom."""
 
 _LANDMARK_SHARE = 0.3  # of the time that tracking takes
-_MOST_TURNED = 55.0  # degrees: of a face that is turned further in every photo, half would be a guess
 
 logger = logging.getLogger(__name__)
 
@@ -187,7 +186,7 @@ def _tracks(
 ) -> list[PhotoTrack]:  # fmt: skip
     """Track the photos, or read what an interrupted run has tracked."""
     from .pixel_stage import track_pixels
-    from .track import analyse_photo, track_photos
+    from .track import analyse_photo, check_turned, track_photos
 
     path = request.work_folder / TRACKS_FILE
     if request.resume and path.exists():
@@ -205,11 +204,11 @@ def _tracks(
             on_faces(photo.path, np.stack([face.box for face in one.faces]) / one.photo.scale)
         check_face(photo.path, job.faces[index], len(one.faces))
         analysed.append(one)
+    check_turned(analysed, job.faces)
     report.part("analyse")(1.0)
     outlines = [mask.load().coverage() for mask in masks] or None
     told, head = report.part("track"), model.head_model
     tracks = track_photos(analysed, head, faces=job.faces, masks=outlines, progress=within(told, 0.0, _LANDMARK_SHARE))
-    check_turned(tracks)
     tracks = track_pixels(tracks, model, info, progress=within(told, _LANDMARK_SHARE, 1.0))
     save_tracks(path, tracks)
     return tracks
@@ -227,18 +226,6 @@ def job_of(request: FitRequest, photos: Sequence[PhotoFile], masks: Sequence[Pho
     for photo, mask in zip(photos, masks, strict=False):
         check_proportion((mask.width, mask.height), (photo.width, photo.height), photo.path.name)
     return Job(records, faces_by_photo(request), tuple(mask.sha256() for mask in masks), request.weights, request.head)
-
-
-def check_turned(tracks: Sequence[PhotoTrack]) -> None:
-    """Refuse a person of whom every photo shows the side only. Raises `NoFaceError`."""
-    sides = [track.camera.view_direction(np.zeros(3)) for track in tracks]  # in head axes, whose z is to the front
-    degrees = [abs(float(np.degrees(np.arctan2(side[0], side[2])))) for side in sides]
-    least = int(np.argmin(degrees))
-    if degrees[least] > _MOST_TURNED:
-        raise NoFaceError(
-            f"The face in {tracks[least].source or 'the photo'} is turned by {degrees[least]:.0f} degrees; add a photo from at "
-            f"most {_MOST_TURNED:.0f} degrees beside the front."
-        )
 
 
 def check_face(photo: Path, face: int, count: int) -> None:

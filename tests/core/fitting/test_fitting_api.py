@@ -10,7 +10,6 @@ import os
 import re
 import shutil
 import threading
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,10 +23,11 @@ from grmm_core.avatar import PhotoRecord, load_avatar, read_avatar_header
 from grmm_core.avatar.library import library_path
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError, ShapeError
 from grmm_core.fitting import presets
-from grmm_core.fitting.api import FitResult, check_turned, fit
+from grmm_core.fitting.api import FitResult, fit
 from grmm_core.fitting.folder import TRACKS_FILE, Job, can_resume, prepare
 from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset
 from grmm_core.fitting.request import FitRequest
+from grmm_core.fitting.track import analyse_photo, check_turned
 from grmm_core.geometry.camera import Camera
 from grmm_core.jobs.progress import Progress
 from grmm_core.jobs.stages import FIT
@@ -109,14 +109,30 @@ def test_by_weights_without_hair_the_person_wears_strands(photo, make, tmp_path)
     assert hair.settings.length < 1.3
 
 
-def test_a_face_from_the_side_alone_is_refused_in_one_sentence():
-    def turned(yaw):
-        return SimpleNamespace(source="anna.jpg", camera=Camera.orbit(64, 64, yaw, 10.0))
+def test_a_face_from_the_side_is_refused_before_anything_is_tracked(make, tmp_path, capsys):
+    """The library's avatar, turned by 30 and by 65 degrees."""
+    from grmm_core.session import create_session
+    from grmm_core.session.api import Instance, RenderOptions
 
-    check_turned([turned(-50.0)])
-    check_turned([turned(80.0), turned(20.0)])  # another photo shows the front
-    with pytest.raises(NoFaceError, match=r"anna\.jpg is turned by 70 degrees; add a photo"):
-        check_turned([turned(-70.0), turned(85.0)])
+    paths = {yaw: tmp_path / f"turned_{yaw}.png" for yaw in (30, 65)}
+    with create_session("local") as session:
+        avatar = session.open("default")
+        for yaw, path in paths.items():
+            camera = Camera.orbit(256, 256, yaw, 3.0, distance=1.1, fov=18.0)
+            options = RenderOptions(passes=("rgb",), background=(0.6, 0.65, 0.7))
+            picture = session.render([Instance(avatar.id)], camera, options)["rgb"]
+            Image.fromarray((np.clip(picture, 0, 1) * 255).astype(np.uint8)).save(path)
+    stages = []
+    with pytest.raises(NoFaceError, match=r"turned_65\.png is turned by (6|7)\d degrees; add a photo"):
+        make([paths[65]], tmp_path / "a.grmm", progress=lambda event: stages.append(event.stage))
+    assert set(stages) <= {"load", "analyse"}
+    analysed = [analyse_photo(path) for path in paths.values()]
+    check_turned(analysed, (0, 0))  # another photo shows the front
+    check_turned(analysed[:1], (0,))
+    # who looks at the faces first is told then, after the pictures are drawn
+    assert cli.main(["fit", str(paths[65]), "--find-faces", str(tmp_path / "found")]) == 1
+    assert "is turned by" in capsys.readouterr().err
+    assert (tmp_path / "found" / "found_1.png").exists()
 
 
 def test_cancelling_leaves_no_avatar_and_resuming_does_not_track_again(photo, make, tmp_path):

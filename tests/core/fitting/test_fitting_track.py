@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from photos import analyse_picture, two_people
-from PIL import Image
+from PIL import Image, ImageFilter
 from shape_errors import measure_shapes
 
 from grmm_core.controls.names import ARKIT_NAMES
@@ -205,3 +205,26 @@ def test_shapes_are_measured_over_people(analysed, tracked, head):
     assert result.mean_head[0] > 0.5
     with pytest.raises(ConfigError, match="Nobody"):
         measure_shapes(head, [(track.shape, [blank])], 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "spoilt"), [("not sharp enough", lambda p: p.filter(ImageFilter.GaussianBlur(9))), ("cut off by", None)]
+)
+def test_a_face_out_of_focus_or_beyond_the_edge_is_refused_in_one_sentence(photo_file, analysed, tmp_path, name, spoilt):
+    face = analysed("astronaut").faces[0]
+    picture = Image.open(photo_file("astronaut")).convert("RGB")
+    scale = picture.width / analysed("astronaut").photo.pixels.shape[1]
+    left, top, right, bottom = (float(edge) * scale for edge in face.box)
+    size = bottom - top
+    around = (left - size, top - size, right + size, bottom + size)
+    if spoilt is None:
+        around = (left + 0.33 * (right - left), *around[1:])  # one eye is outside
+    picture = picture.crop(tuple(round(edge) for edge in around))
+    picture = picture.resize((512, round(512 * picture.height / picture.width)))
+    path = tmp_path / "anna.png"
+    (picture if spoilt is None else spoilt(picture)).save(path)
+    with pytest.raises(NoFaceError, match=rf"^The face in anna\.png is {name}[^.]*\.$"):
+        analyse_photo(path)
+    if spoilt is not None:  # a softer picture is taken
+        picture.filter(ImageFilter.GaussianBlur(2)).save(path)
+        assert len(analyse_photo(path).faces) == 1

@@ -228,3 +228,12 @@ def test_a_face_out_of_focus_or_beyond_the_edge_is_refused_in_one_sentence(photo
     if spoilt is not None:  # a softer picture is taken
         picture.filter(ImageFilter.GaussianBlur(2)).save(path)
         assert len(analyse_photo(path).faces) == 1
+
+
+def test_a_person_who_does_not_stand_out_is_refused_in_one_sentence(analysed, head):
+    photo = analysed("astronaut")
+    elsewhere = np.zeros(photo.photo.pixels.shape[:2], np.float32)
+    elsewhere[-8:] = 1.0
+    with pytest.raises(NoFaceError, match="does not stand out from the background; give a picture of the outline"):
+        track_photos([photo], head, size=SIZE, masks=[elsewhere])
+    assert len(track_photos([photo, photo], head, size=SIZE, masks=[elsewhere, None])) == 2  # another photo shows the person

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,12 +44,12 @@ def figures(
 
 
 def people_of_library(scene: Scene) -> dict[str, DrawnPerson]:
-    """Avatars of the library by the captured person that each is of."""
+    """Avatars of the library by the captured person that each is of, without the hair that the library grew on them anew."""
     found = {}
     for avatar in map(load_avatar, map(library_path, library_names())):
         for name, code in zip(scene.info.people, scene.info.z_id, strict=True):
             if np.array_equal(code, avatar.z_id):
-                found[name] = scene.from_avatar(avatar)
+                found[name] = scene.from_avatar(replace(avatar, hair=None))
     return found
 
 

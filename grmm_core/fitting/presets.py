@@ -36,7 +36,8 @@ class DecoderSettings:
     """Stage 2.
 
     Attributes:
-        levels: Longer side of the picture and steps, one after another.
+        levels: Longer side of the picture and steps, one after another; colors are matched at last at the last one, which may
+            have no steps.
         networks: Tune the decoders' networks too, not their maps only.
     """
 
@@ -63,7 +64,10 @@ class Preset:
 
 PRESETS: dict[str, Preset] = {
     "fast": Preset(
-        "fast", CodeSettings(192, 96, 24, 2, 6, 16, goes_on=True), DecoderSettings(((192, 40), (384, 50)), False), (4.0, 10.0)
+        "fast",
+        CodeSettings(192, 96, 24, 2, 6, 16, goes_on=True),
+        DecoderSettings(((192, 40), (384, 50), (512, 0)), False),
+        (4.0, 10.0),
     ),
     "standard": Preset(
         "standard",

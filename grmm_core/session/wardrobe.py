@@ -23,7 +23,7 @@ from ..hair.contact import moved as displaced
 from ..hair.drawing import Hiding, level_shares, nearer, raised_by, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
-from ..hair.packaged import library_groom
+from ..hair.packaged import HEAD, library_groom
 from ..hair.prior import random_groom
 from ..hair.ribbons import Eye
 from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
@@ -129,7 +129,7 @@ class Wardrobe:
                 continue
             elif recorded is not None:
                 found.append(Layer((OWN_HAIR, str(target.id)), recorded).only((group,)))
-            elif hairless and own is None and part in USUAL:
+            elif hairless and own is None and part in USUAL and head == HEAD:  # the package has none for other heads
                 found.append(Layer((part, USUAL[part]), library_groom(USUAL[part], head, part)))
         layers = tuple(layer for layer in found if layer is not None)
         instead = own is not None and own.scalp if use.groom == OWN_HAIR else True

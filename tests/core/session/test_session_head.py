@@ -9,12 +9,12 @@ from flame_head_files import flame_head_fields
 from tiny_model import write_tiny_weights
 
 from grmm_core.controls.frame import Controls
-from grmm_core.errors import FileFormatError
+from grmm_core.errors import FileFormatError, ShapeError
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import load_flame
 from grmm_core.light.lamps import Lighting, Sun
 from grmm_core.light.shading import Response
-from grmm_core.session import Instance, RenderOptions, create_session, make_local_session
+from grmm_core.session import HairUse, Instance, RenderOptions, create_session, make_local_session
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +37,16 @@ def test_weights_of_a_flame_head(files, mode):
         assert np.abs(mesh.vertices - rest.vertices).max() > 0.005
         alpha = session.render([Instance(info.id)], Camera.orbit(48, 48), RenderOptions(passes=("alpha",)))["alpha"]
         assert alpha.max() > 0.5
+
+
+def test_a_flame_head_without_hair_is_drawn_and_a_groom_of_another_head_is_refused(files, tmp_path):
+    flame, _ = files
+    weights = write_tiny_weights(tmp_path / "bare.safetensors", head=load_flame(flame), hairless=True)
+    with make_local_session(weights, "cpu", 1, flame, "plain") as session:
+        head, options = session.open("default").id, RenderOptions(passes=("alpha",))
+        assert session.render([Instance(head)], Camera.orbit(48, 48), options)["alpha"].max() > 0.5
+        with pytest.raises(ShapeError, match="bob is for the head open_head, not flame2023; wear it on an avatar of that head"):
+            session.render([Instance(head, hair=HairUse("groom:bob"))], Camera.orbit(48, 48), options)
 
 
 @pytest.mark.parametrize("engine", ["plain", "torch"])

@@ -362,10 +362,18 @@ def test_a_mask_replaces_the_outline_that_would_be_found(photo, make, tmp_path):
     from PIL import Image
 
     mask = tmp_path / "mask.png"
-    Image.fromarray(np.zeros((256, 256), np.uint8)).save(mask)
-    result = make([photo], tmp_path / "a.grmm", masks=[mask])
-    assert float(result.tracks[0].mask.max()) < 0.1
-    assert dataclasses.is_dataclass(result)
+    left = np.zeros((256, 256), np.uint8)
+    left[:, :128] = 255
+    Image.fromarray(left).save(mask)
+    track = make([photo], tmp_path / "a.grmm", masks=[mask]).tracks[0]
+    whole, seen = track.photo_camera, track.camera
+    edge = round((whole.width / 2 - whole.cx) * seen.fx / whole.fx + seen.cx)
+    assert float(track.mask[:, edge + 4 :].max()) < 0.1
+    inside = track.mask[track.mask.shape[0] // 2, edge - 60 : edge - 4]
+    assert float(inside.min()) > 0.9
+    Image.fromarray(0 * left).save(mask)
+    with pytest.raises(NoFaceError, match="stand out"):
+        make([photo], tmp_path / "b.grmm", masks=[mask])
 
 
 @pytest.mark.slow

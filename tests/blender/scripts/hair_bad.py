@@ -21,10 +21,13 @@ found: dict[str, list] = {}
 
 
 def fresh() -> bpy.types.Object:
-    hair.curves = None
-    bpy.context.view_layer.objects.active = head
-    bpy.ops.grmm.hair_as_curves(sculpt=False)
-    return hair.curves
+    if hair.curves not in (None, groomed):
+        bpy.data.hair_curves.remove(hair.curves.data)  # with its object: Blender would evaluate ten million points each time
+    made = groomed.copy()
+    made.data = groomed.data.copy()
+    scene.collection.objects.link(made)
+    hair.curves = made
+    return made
 
 
 def set_values(data: bpy.types.Curves, name: str, field: str, change: Callable[[np.ndarray], None]) -> None:
@@ -46,6 +49,9 @@ def judge(name: str) -> None:
 
 judge("groom")
 picture = load_png(render(folder / "groom.png"))
+bpy.context.view_layer.objects.active = head
+bpy.ops.grmm.hair_as_curves(sculpt=False)
+groomed = hair.curves
 
 curves = fresh()
 curves.data.surface = None

@@ -97,17 +97,21 @@ def photo_light(avatar: Avatar, index: int = 0) -> Light:
     """Light of a photo, in the axes of the head; the studio's where it is not known, as of avatars of earlier versions.
 
     Raises:
-        ShapeError: The avatar has no such photo.
+        ShapeError: The avatar has no such photo, or its file is damaged.
     """
     if LIGHT + "suns" not in avatar.tracking:
         _row(avatar, "pose", index)
         return Light.studio()
-    known = (name for name in Light._fields if LIGHT + name in avatar.tracking)
-    return Light(**{name: _row(avatar, LIGHT + name, index) for name in known})
+    known = [name for name in Light._fields if LIGHT + name != LOCAL or LOCAL in avatar.tracking]
+    light = Light(**{name: _row(avatar, LIGHT + name, index) for name in known})
+    usual = Light.studio()._replace(local=light.local)  # what lies on the skin is checked with the head
+    if any(np.shape(value) != np.shape(other) for value, other in zip(light, usual, strict=True)):
+        raise ShapeError(f"The light of photo {index + 1} in {avatar.name!r} is damaged; make the avatar from photos again.")
+    return light
 
 
 def _row(avatar: Avatar, name: str, index: int) -> np.ndarray:
     table = avatar.tracking.get(name)
-    if table is None or not 0 <= index < len(table):
+    if table is None or not np.ndim(table) or not 0 <= index < len(table):
         raise ShapeError(f"The avatar {avatar.name!r} does not know its photo {index + 1}; make it from photos again.")
     return table[index]

@@ -236,3 +236,18 @@ def test_relit_colors_have_the_gradients_of_finite_differences(head, texels):
 
     given = [random.uniform(0.2, 0.7, (3, 4, 3)), random.uniform(0.1, 1.0, (len(SUNS), 3)), random.uniform(0.05, 0.3, (9, 3))]
     assert torch.autograd.gradcheck(lit, [torch.from_numpy(array).requires_grad_() for array in given], eps=1e-6, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape"), [("suns", (1, 3, 3)), ("around", (1, 2)), ("tone", ()), ("level", None), ("local", ())]
+)
+def test_a_damaged_light_in_a_file_is_refused_in_one_sentence(avatar_of_before, name, shape):
+    tables = avatar_of_before.tracking
+    tables |= {f"light_{key}": table[None] for key, table in Light.studio()._asdict().items() if key != "local"}
+    assert photo_light(avatar_of_before).lighting is None
+    if shape is None:
+        del tables[f"light_{name}"]
+    else:
+        tables[f"light_{name}"] = np.ones(shape, np.float32)
+    with pytest.raises(ShapeError, match=r"make (it|the avatar) from photos again\.$"):
+        photo_light(avatar_of_before)

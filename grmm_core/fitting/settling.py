@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import dataclasses
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,7 @@ MOST = 0.15  # change of a color
 BARE = 0.05  # of a pixel by strands, from which on it tells no light of skin
 _LIT_AGAIN = 2  # times that what a photo's light lacks is found
 HALF_SEEN = 0.1  # pixels at which a texel is half believed
+_OPTIONS = RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0))
 
 
 def settled(
@@ -63,19 +65,15 @@ def _step(
     lit: bool,
 ) -> torch.Tensor:  # fmt: skip
     """Change of the colors that brings what the session draws nearer to the aims, [N, 3]."""
-    options = RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0))
     total = aims[0][1].image.new_zeros(model.gaussian_count, 3)
     weight = total[:, :1]
-    with tempfile.TemporaryDirectory(prefix="grmm-") as folder, torch.no_grad():
-        path = Path(folder) / f"worn{EXTENSION}"
-        save_avatar(avatar, path)
-        number = session.open(path).id
+    with _opened(session, avatar) as number, torch.no_grad():
         for (view, drawn), track in zip(aims, tracks, strict=True):
             controls = photo_controls(avatar, model.head_model, view.index)
             instance = Instance(number, controls)
             if lit:
                 instance = dataclasses.replace(instance, response=MATT, lighting=photo_light(avatar, view.index).lighting)
-            worn = session.render([instance], view.camera, options)
+            worn = session.render([instance], view.camera, _OPTIONS)
             bare = bare_pixels(view) * (1.0 - worn["hair"][..., 0])
             counts = (bare > 1.0 - COVERED)[..., None]
             off = blurred(((drawn.image.cpu().numpy() - worn["rgb"]) * counts).transpose(2, 0, 1), SMOOTH).transpose(1, 2, 0)
@@ -85,7 +83,6 @@ def _step(
             shown = contributions(model, *seen, torch.as_tensor(bare).to(total))[:, None]
             shown = shown / (shown + HALF_SEEN)
             total, weight = total + shown * step, weight + shown
-        session.release(number)
     return total / weight.clamp(min=1.0)
 
 
@@ -101,19 +98,27 @@ def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[
     if LOCAL not in avatar.tracking:
         return avatar
     head, texels, local = model.head_model, photo_texels(model), np.array(avatar.tracking[LOCAL], np.float32)
-    options = RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0))
-    with tempfile.TemporaryDirectory(prefix="grmm-") as folder, torch.no_grad():
-        path = Path(folder) / f"worn{EXTENSION}"
-        save_avatar(avatar, path)
-        number = session.open(path).id
+    with _opened(session, avatar) as number, torch.no_grad():
         for view, track in zip(photo_views(model, tracks), tracks, strict=True):
             light, controls = photo_light(avatar, view.index), photo_controls(avatar, head, view.index)
             shown = model, texels, photo_model_inputs(model, avatar, track, view.index)[0], view
             for _ in range(_LIT_AGAIN):
                 lighting = light._replace(local=local[view.index]).lighting
-                worn = session.render([Instance(number, controls, response=MATT, lighting=lighting)], view.camera, options)
+                worn = session.render([Instance(number, controls, response=MATT, lighting=lighting)], view.camera, _OPTIONS)
                 bare = (worn["hair"][..., 0] < BARE).astype(np.float32)
                 drawn = seen_in(*shown, worn["rgb"], bare).colors
                 local[view.index] *= more_local(head, texels, seen_in(*shown, counts=bare), drawn)
-        session.release(number)
     return dataclasses.replace(avatar, tracking={**avatar.tracking, LOCAL: local})
+
+
+@contextmanager
+def _opened(session: Session, avatar: Avatar) -> Iterator[int]:
+    """An avatar's number in a session, which forgets it afterwards."""
+    with tempfile.TemporaryDirectory(prefix="grmm-") as folder:
+        path = Path(folder) / f"worn{EXTENSION}"
+        save_avatar(avatar, path)
+        number = session.open(path).id
+    try:
+        yield number
+    finally:
+        session.release(number)

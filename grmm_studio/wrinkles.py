@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from grmm_core.controls.names import ARKIT_NAMES
-from grmm_core.wrinkles.families import FAMILIES, driven, family_places, line_depth, strength
+from grmm_core.wrinkles.families import FAMILIES, amounts_of, driven, family_places, line_depth, strength
 from grmm_core.wrinkles.noise import bump, smoothstep
 
 from .subjects import Subject, skin_albedo
@@ -65,7 +65,7 @@ class LineField:
         """Line amounts [n, 3] of the map's channels and color factors [n, 3] of a shot's coefficients [E >= 52]."""
         weights = {name: float(value) for name, value in zip(ARKIT_NAMES, expression, strict=False)}
         count = len(next(iter(self.colors.values())))
-        lines, blood = driven(self.families, weights), np.zeros(count)
+        lines, blood = driven(self.families, amounts_of(weights)), np.zeros(count)
         for (name, side), where in self.colors.items():
             amount = blood_change(weights, name, side)
             if amount:

@@ -61,8 +61,8 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--size", type=positive_int, default=CONFIGURATION_SIZE, help="pixels of --config (%(default)s)")
     parser.add_argument(
-        "--engine", choices=("torch", "plain"), default="torch" if has_torch() else "plain",
-        help="what draws: torch, or numpy, numba and onnxruntime (default: %(default)s)",
+        "--engine", choices=("auto", "torch", "plain"), default="auto",
+        help="what draws: torch, or numpy, numba and onnxruntime (default: what sessions take here)",
     )  # fmt: skip
     add_model(parser)
     add_events(parser)
@@ -90,7 +90,7 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             "threads": status.threads,
         }
         sections: dict[str, Callable[[], dict[str, Any]]] = {
-            **({"stages": lambda: stages(session, avatar.id, repeats)} if args.engine == "torch" else {}),
+            **({"stages": lambda: stages(session, avatar.id, repeats)} if status.engine == "torch" else {}),
             **({"engines": lambda: engines(session, args, repeats)} if has_torch() and has_plain_engine() else {}),
             "caching": lambda: caching(session, avatar.id, repeats),
             "light": lambda: light(session, avatar.id, repeats),
@@ -107,8 +107,8 @@ def run(args: argparse.Namespace) -> dict[str, Any]:
             result["worker"] = worker(session, args, repeats)
             report("rasteriser", 0.0)
             result["peak memory of frames MiB"] = peak_memory_mib()
-            if args.engine == "torch":
-                result |= bench_splat.measure(best_times, repeats, args.quick, _model(session, avatar.id).device.type)
+            if has_torch():
+                result |= bench_splat.measure(best_times, repeats, args.quick, status.device.split()[0])
     result["peak memory MiB"] = peak_memory_mib()
     result["alternatives"] = bench_splat.alternatives()
     _show(args.console, result)

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import os
+import runpy
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import BackendError
@@ -25,6 +28,23 @@ def choose_device(name: str) -> torch.device:
         usable = ", ".join(device for device, there in available.items() if there)
         raise BackendError(f"The device {name!r} is not available here; use auto or one of: {usable}.")
     return torch.device(name)
+
+
+def has_card() -> bool:
+    """Whether torch's device "auto" is a graphics card here; torch is imported only where it was built for one."""
+    if "torch" not in sys.modules and not _built_for_cards():
+        return False
+    return choose_device("auto").type != "cpu"
+
+
+def _built_for_cards() -> bool:
+    """What torch's own record of its build says, without the seconds that importing torch takes."""
+    torch = importlib.util.find_spec("torch")
+    record = Path(torch.origin).with_name("version.py") if torch is not None and torch.origin else None
+    if record is None or not record.is_file():
+        return torch is not None
+    built = runpy.run_path(str(record))
+    return bool(built.get("cuda") or built.get("hip"))
 
 
 def describe_device(device: torch.device) -> str:

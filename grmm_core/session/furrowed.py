@@ -52,10 +52,8 @@ def furrows_of(
         return (relief.driven(*held),)
 
     def rise() -> tuple[np.ndarray, ...]:
-        left = relief.driven(inputs.expression)
-        if held.any():
-            left = left - evaluator.cache.get((target.id, "furrows held", held.tobytes()), hold)[0]
-        heights = relief.heights(left)
+        taken = evaluator.cache.get((target.id, "furrows held", held.tobytes()), hold)[0] if held.any() else None
+        heights = relief.heights(inputs.expression, taken)
         return () if heights is None else (sizes_of(heights * np.float32(strength)),)
 
     key = (inputs.expression.tobytes(), held.tobytes(), strength)

@@ -129,16 +129,20 @@ def family_places(rest: np.ndarray, skin: np.ndarray, lips: np.ndarray) -> np.nd
     return np.stack([places[family.name, family.side] for family in FAMILIES])
 
 
-def driven(places: np.ndarray, weights: Mapping[str, float]) -> np.ndarray:
+def amounts_of(weights: Mapping[str, float]) -> np.ndarray:
+    """How far each of `FAMILIES` is driven by ARKit names' coefficients, 0..1, [F]."""
+    return np.array([drive(weights, family.name, family.side) for family in FAMILIES]) ** 0.8
+
+
+def driven(places: np.ndarray, amounts: np.ndarray) -> np.ndarray:
     """How far each channel's furrows are driven at each point, 0..1, [n, 3].
 
     Args:
         places: Of `family_places`, [F, n].
-        weights: ARKit names to their coefficients.
+        amounts: Of `amounts_of`, [F].
     """
-    amounts = np.array([drive(weights, family.name, family.side) for family in FAMILIES], places.dtype) ** 0.8
     result = np.zeros((CHANNELS, places.shape[1]), places.dtype)
-    for family, amount, place in zip(FAMILIES, amounts, places, strict=True):
+    for family, amount, place in zip(FAMILIES, amounts.astype(places.dtype), places, strict=True):
         if amount > 0.0:  # an expression drives a few of them, and reading the others is most of the time
             result[family.channel] += amount * place
     return np.minimum(result, 1.0, out=result).T

@@ -1,4 +1,7 @@
-"""The compiled twin of `furrows.draw`. Importing this loads numba. All arrays are contiguous float32 but for indices."""
+"""The compiled twins of `Relief.heights` and `furrows.draw`. Importing this loads numba.
+
+All arrays are contiguous float32 but for indices.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,44 @@ _LOST = np.array(GROOVE, np.float32)
 # the power 1 / 2.2 as a root and a cubic: right to 0.0003 between DARKEST and BRIGHTEST
 _A, _B, _C, _D = single(1.10057756), single(-0.1896713), single(0.12203938), single(-0.0329282)
 _TINY = single(1e-12)
+_PIECE = 512  # of a relief's pixels at a time
+
+
+@compiled(**OPTIONS)
+def raise_skin(
+    places: np.ndarray, used: np.ndarray, amounts: np.ndarray, channels: np.ndarray, held: np.ndarray, lines: np.ndarray,
+    pixel: np.ndarray, height: np.ndarray, first: int, last: int,
+) -> None:  # fmt: skip
+    """Heights of furrowed pixels of a relief; see `Relief.heights`.
+
+    Args:
+        places: [F, n].
+        used: Families that are driven, [U].
+        amounts: How far, [U].
+        channels: Of these families, [U].
+        held: What is taken from what drives, [3, n].
+        lines: [3, n].
+        pixel: [n].
+        height: Written there.
+        first: Of the pixels.
+        last: The one after the last.
+    """
+    drive, total = np.empty(_PIECE, np.float32), np.empty(_PIECE, np.float32)
+    for low in range(first, last, _PIECE):
+        count = min(_PIECE, last - low)
+        total[:] = _0
+        for channel in range(len(lines)):
+            drive[:] = _0
+            for k in range(len(used)):
+                if channels[k] == channel:
+                    place, amount = places[used[k], low : low + count], amounts[k]
+                    for n in range(count):
+                        drive[n] += amount * place[n]
+            line, taken = lines[channel, low : low + count], held[channel, low : low + count]
+            for n in range(count):
+                total[n] += line[n] * max(min(drive[n], _1) - taken[n], _0)
+        for n in range(count):
+            height[pixel[low + n]] = total[n]
 
 
 @compiled(**OPTIONS)

@@ -1,4 +1,4 @@
-"""A person's furrows on the UV map, and how high the skin stands there in an expression. Needs numpy only."""
+"""A person's furrows on the UV map, and how high the skin stands there in an expression. Needs numpy; numba makes it faster."""
 
 from __future__ import annotations
 
@@ -9,14 +9,16 @@ import numpy as np
 
 from ..controls.names import ARKIT_NAMES
 from ..head import HeadModel, PeopleModel
+from ..light.shadows import compiled_kernels
 from ..model.layout import texel_layout
-from .families import CHANNELS, FAMILIES, LINE_DEPTH, driven, family_places, line_depth
+from .families import FAMILIES, LINE_DEPTH, amounts_of, driven, family_places, line_depth
 from .lines import furrowed, paint_lines
 
 FINER = 3
 """Pixels of the relief along a texel's side: 0.5 mm on a forehead, where a furrow is 1 to 2 mm wide."""
 _SMOOTH = ("left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "lashes", "mouth_interior")
 _LOWEST = 2e-6  # metres of relief that is worth a pixel
+_ROUNDING = 1e-8  # metres
 _LEAST = 0.02  # of a furrow's weight that is worth a pixel
 _LEARNED = {"fold": 0.65}  # of a family's furrows: weights know the shade of a smile's fold already
 _MARGIN = 2  # pixels around what has furrows
@@ -82,27 +84,43 @@ class Relief(NamedTuple):
         return Relief(corner, size, pixel, *found)
 
     def driven(self, *expressions: np.ndarray) -> np.ndarray:
-        """How far each channel's furrows are driven by the strongest of some expressions, 0..1, [n, 3].
+        """How far each channel's furrows are driven by the strongest of some expressions, 0..1, [3, n].
 
         Args:
             expressions: Coefficients of the open head, the first of which are ARKit's, [E] each.
         """
-        found = [driven(self.places, dict(zip(ARKIT_NAMES, e.tolist(), strict=False))) for e in expressions if e.any()]
-        if not found:
-            return np.zeros((len(self.pixel), CHANNELS), np.float32)
-        return found[0] if len(found) == 1 else np.max(found, axis=0)
+        found = [driven(self.places, self._amounts(e)).T for e in expressions]
+        return np.ascontiguousarray(np.max(found, axis=0))
 
-    def heights(self, amounts: np.ndarray) -> np.ndarray | None:
+    def heights(self, expression: np.ndarray, held: np.ndarray | None = None) -> np.ndarray | None:
         """How high the skin stands above the smooth one, metres, [*size] float32; None where it is smooth.
 
         Args:
-            amounts: As of `driven`, less those of what colors hold already.
+            expression: As of `driven`.
+            held: What colors hold of it already, as of `driven`; None: nothing.
         """
-        if not (amounts > 0.0).any():
+        amounts = self._amounts(expression)
+        if not amounts.any():
             return None
         height = np.zeros(int(self.size.prod()), np.float32)
-        height[self.pixel] = np.einsum("cn,nc->n", self.lines, np.maximum(amounts, 0.0))
-        return height.reshape(*self.size)
+        if compiled_kernels() is None:
+            left = driven(self.places, amounts).T if held is None else driven(self.places, amounts).T - held
+            height[self.pixel] = (self.lines * np.maximum(left, 0.0)).sum(0)
+        else:
+            from ..compute.threads import for_rows
+            from .furrow_kernels import raise_skin
+
+            used = np.flatnonzero(amounts)
+            channels = np.array([FAMILIES[family].channel for family in used])
+            held = np.zeros_like(self.lines) if held is None else held
+            options = self.places, used, amounts[used].astype(np.float32), channels, held, self.lines, self.pixel, height
+            for_rows(raise_skin, len(self.pixel), *options)
+        return height.reshape(*self.size) if max(height.max(), -height.min()) > _ROUNDING else None
+
+    def _amounts(self, expression: np.ndarray) -> np.ndarray:
+        if not expression.any():
+            return np.zeros(len(FAMILIES))
+        return amounts_of(dict(zip(ARKIT_NAMES, expression.tolist(), strict=False)))
 
 
 def age_of(shape: np.ndarray, people: PeopleModel) -> float:

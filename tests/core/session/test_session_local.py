@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from grmm_core.avatar import load_avatar, save_avatar
 from grmm_core.controls.frame import Controls
 from grmm_core.errors import ConfigError, RuntimeMissingError
 from grmm_core.geometry.camera import Camera
-from grmm_core.session import PASS_NAMES, Instance, RenderOptions, create_session
+from grmm_core.session import PASS_NAMES, Instance, RenderOptions, create_session, make_local_session
 
 SIZE = 96
 CAMERA = Camera.orbit(SIZE, SIZE)
@@ -69,32 +70,34 @@ def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
     np.testing.assert_allclose(part, whole[rows, columns], atol=1e-5)
 
 
-def test_only_what_changed_is_computed(local, monkeypatch):
+def test_only_what_changed_is_computed(weights, monkeypatch):
+    from grmm_core.inference.plain_model import PlainModel
     from grmm_core.model.grmm import GRMM
 
     calls = []
-    for name in ("opacity", "appearance", "offsets", "displacement", "geometry"):
-        original = getattr(GRMM, name)
+    for model, name in itertools.product((GRMM, PlainModel), ("opacity", "appearance", "offsets", "mesh", "geometry")):
+        original = getattr(model, name)
 
         def counted(self, *args, name=name, original=original):
             calls.append(name)
             return original(self, *args)
 
-        monkeypatch.setattr(GRMM, name, counted)
-    info = local.sample(501)
-    local.render([Instance(info.id)], CAMERA)
-    assert sorted(calls) == ["appearance", "displacement", "geometry", "offsets", "opacity"]
-    calls.clear()
-    local.render([Instance(info.id)], CAMERA)
-    assert calls == []
-    local.render([Instance(info.id)], Camera.orbit(SIZE, SIZE, yaw=20.0))
-    assert calls == ["appearance"]
-    calls.clear()
-    local.render([Instance(info.id, Controls().set_named({"neck.x": 0.1}))], CAMERA)
-    assert sorted(calls) == ["displacement", "geometry"]
-    calls.clear()
-    local.render([Instance(info.id, Controls().set_named({"jawOpen": 0.1}))], CAMERA)
-    assert sorted(calls) == ["displacement", "geometry", "offsets"]
+        monkeypatch.setattr(model, name, counted)
+    with create_session("local", weights=weights, device="cpu", threads=1) as session:
+        info = session.sample(501)
+        session.render([Instance(info.id)], CAMERA)
+        assert sorted(calls) == ["appearance", "geometry", "mesh", "offsets", "opacity"]
+        calls.clear()
+        session.render([Instance(info.id)], CAMERA)
+        assert calls == []
+        session.render([Instance(info.id)], Camera.orbit(SIZE, SIZE, yaw=20.0))
+        assert calls == ["appearance"]
+        calls.clear()
+        session.render([Instance(info.id, Controls().set_named({"neck.x": 0.1}))], CAMERA)
+        assert sorted(calls) == ["geometry", "mesh"]
+        calls.clear()
+        session.render([Instance(info.id, Controls().set_named({"jawOpen": 0.1}))], CAMERA)
+        assert sorted(calls) == ["geometry", "mesh", "offsets"]
 
 
 def test_the_cache_stays_within_its_limit(weights, local):
@@ -249,3 +252,22 @@ def test_of_many_people_drawn_at_random_the_latest_are_held(local):
     for number in people:
         local.release(number)
     assert not [number for number in local._opened._held if number in people]
+
+
+def test_the_faster_engine_draws_where_nobody_chose_one(weights, monkeypatch):
+    """On the CPU that is the one without torch; on a graphics card, or where its libraries are missing, torch."""
+    from grmm_core import session as package
+    from grmm_core.compute import devices
+
+    def name(device="auto", engine="auto"):
+        with make_local_session(weights, device, engine=engine) as session:
+            return session.status().engine
+
+    assert name("cpu") == "plain"
+    assert name("cpu", "torch") == "torch"
+    monkeypatch.setattr(devices, "has_card", lambda: False)
+    assert name() == "plain"
+    monkeypatch.setattr(devices, "has_card", lambda: True)
+    assert name() == "torch"
+    monkeypatch.setattr(package, "PLAIN_LIBRARIES", ("no_such_library",))
+    assert name("cpu") == "torch"

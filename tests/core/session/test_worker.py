@@ -180,7 +180,7 @@ def test_a_hung_worker_is_ended_when_the_time_is_over(weights):
         info = session.open("default")
         pid = session.status().pid
         os.kill(pid, signal.SIGSTOP)
-        session._timeout = 0.5  # too short for a new worker to load the model
+        session._timeout = 0.05  # too short for a new worker to start
         with pytest.raises(SessionError, match="longer than 0 seconds and was stopped, 3 times in a row"):
             session.deform(info.id, Controls())
         assert wait_until_gone(pid)

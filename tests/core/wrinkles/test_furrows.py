@@ -14,6 +14,7 @@ from grmm_core.head import load_open_head, load_people_model
 from grmm_core.light.rough import rig_harmonics
 from grmm_core.light.transfer import vertex_normals
 from grmm_core.wrinkles import furrows
+from grmm_core.wrinkles import relief as reliefs
 from grmm_core.wrinkles.families import DRIVERS, FAMILIES, LINE_DEPTH, drive, line_depth
 from grmm_core.wrinkles.furrows import Furrows, sizes_of
 from grmm_core.wrinkles.relief import FINER, Relief, age_of, seed_of
@@ -35,7 +36,7 @@ def relief(head):
 
 def furrowed(head, relief, vertices=None):
     vertices = np.asarray(head.v_template if vertices is None else vertices, np.float32)
-    heights = relief.heights(relief.driven(SMILE))
+    heights = relief.heights(SMILE)
     corners = head.uv[head.uv_faces[relief.faces]] * (GRID * FINER) - 0.5 - relief.corner[::-1]
     normals = vertex_normals(vertices, head.faces).astype(np.float32)
     faces = np.ascontiguousarray(head.faces[relief.faces], np.int32)
@@ -58,7 +59,7 @@ def test_a_side_is_driven_by_its_own_shapes():
 def test_relief_is_one_persons_own_and_deeper_with_age(head, relief):
     other, young = Relief.of(head, head.uv, GRID, 8, 0.8), Relief.of(head, head.uv, GRID, 7, 0.05)
     all_of_them = np.ones(len(ARKIT_NAMES), np.float32)
-    mine, theirs, early = (each.heights(each.driven(all_of_them)) for each in (relief, other, young))
+    mine, theirs, early = (each.heights(all_of_them) for each in (relief, other, young))
     assert mine is not None
     assert theirs is not None
     assert early is not None
@@ -70,8 +71,20 @@ def test_relief_is_one_persons_own_and_deeper_with_age(head, relief):
 
 
 def test_nothing_rises_in_a_neutral_face_nor_above_what_colors_hold(relief):
-    assert relief.heights(relief.driven(0.0 * SMILE)) is None
-    assert relief.heights(relief.driven(SMILE) - relief.driven(SMILE, 0.5 * SMILE)) is None
+    assert relief.heights(0.0 * SMILE) is None
+    assert relief.heights(SMILE, relief.driven(SMILE, 0.5 * SMILE)) is None
+
+
+@pytest.mark.parametrize("share", [None, 0.4])
+def test_the_compiled_form_raises_as_the_readable_one(relief, share, monkeypatch):
+    frown = np.zeros_like(SMILE)
+    frown[ARKIT_NAMES.index("browDownLeft")] = 0.7
+    held = None if share is None else relief.driven(share * SMILE, frown)
+    fast = relief.heights(SMILE + 0.9 * frown, held)
+    monkeypatch.setattr(reliefs, "compiled_kernels", lambda: None)
+    readable = relief.heights(SMILE + 0.9 * frown, held)
+    assert np.abs(readable).max() > 0.1 * LINE_DEPTH
+    np.testing.assert_allclose(fast, readable, atol=1e-8)
 
 
 @pytest.mark.parametrize(("size", "fov", "flat"), [(192, 12.0, False), (96, 26.0, False), (160, 6.0, False), (128, 14.0, True)])
@@ -106,7 +119,7 @@ def test_what_stands_before_the_skin_has_no_furrows(head, relief):
 
 
 def test_sizes_keep_the_mean(relief):
-    heights = relief.heights(relief.driven(SMILE))
+    heights = relief.heights(SMILE)
     levels, (rows, columns), first = sizes_of(heights), heights.shape, 0
     for number in range(LEVELS):
         count = (rows >> number) * (columns >> number)

@@ -166,8 +166,9 @@ def _make(
     several = len(tracks) > 1  # light that strands keep off the skin then is the photos' own, and no color
     aims = photo_pictures(person, avatar, tracks, lit=False) if several else pictures
     avatar = settled(session, person, avatar, tracks, aims, lit=not several)
-    if several:
-        avatar = locally_lit(session, with_deltas(loaded.model, avatar.deltas, folder), avatar, tracks)
+    person = with_deltas(loaded.model, avatar.deltas, folder)
+    avatar = locally_lit(session, person, avatar, tracks)
+    pictures = photo_pictures(person, avatar, tracks)
     figures = {"rmse": photo_errors(pictures), "landmark_error": [track.landmark_error for track in tracks]}
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
     avatar = dataclasses.replace(

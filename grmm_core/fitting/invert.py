@@ -38,7 +38,7 @@ from .local_light import local_lights
 from .locality import LOCALITY_WEIGHT
 from .objective import decode, draw, relit
 from .person_lights import found_lights, kept_lights, trust_in
-from .photo_light import Light, Seen, Shown, seen_texels
+from .photo_light import FACING, Light, Seen, Shown, seen_texels
 from .photo_targets import FitView, aligned_weights, bare_pixels, fit_view
 from .presets import Preset, preset_named
 from .recoloring import PhotoLight, recolor
@@ -184,7 +184,7 @@ class _Inversion:
             frontal = _frontal(model, codes.z_id)
             colors = recolor(frontal, codes.maps, surface)
             light = _lights_on(model, self.tracks, lights, posed, codes.z_exp, colors, trust_in(doubt))
-            if len(lights) < 2 or "face" not in model.head_model.regions:  # what is light and what is color cannot be told
+            if "face" not in model.head_model.regions:  # what is light and what is color cannot be told
                 return light, list(lights)
             flat = to_linear(to_numpy(start_colors(frontal, codes, surface)).astype(np.float64))
             texels = photo_texels(model)
@@ -256,7 +256,7 @@ def photo_texels(model: GRMM) -> Texels:
 
 def seen_in(
     model: GRMM, texels: Texels, inputs: ModelInputs[Tensor], view: FitView, picture: np.ndarray | None = None,
-    counts: np.ndarray | float = 1.0,
+    counts: np.ndarray | float = 1.0, least: float = FACING,
 ) -> Seen:  # fmt: skip
     """What a photo, or another picture of its view, shows of the head that no hair covers: skin, lips and eyes.
 
@@ -267,9 +267,10 @@ def seen_in(
         view: The photo.
         picture: Display sRGB, [H, W, 3]; None: the photo's.
         counts: How much pixels count besides, [H, W].
+        least: As of `seen_texels`.
     """
     mesh, shown = to_numpy(model.mesh(inputs).vertices), view.image.cpu().numpy() if picture is None else picture
-    pixels, weights = seen_texels(model.head_model, texels, mesh, view.camera, bare_pixels(view) * counts)
+    pixels, weights = seen_texels(model.head_model, texels, mesh, view.camera, bare_pixels(view) * counts, least)
     return Seen(bilinear(shown, pixels), weights)
 
 

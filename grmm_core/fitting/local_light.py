@@ -1,10 +1,11 @@
-"""What each of several photos shows of its light that no lamp explains: shadows of hair, highlights, edges of shadows.
+"""What each photo shows of its light that no lamp explains: shadows of hair and chin, highlights, edges of shadows.
 
 What a photo shows otherwise than flat colors in its light, as far as it is wide, is either color that was not known or light
 that was not: d_k = f + r_k in logarithms, f of the person and r_k of photo k. With f ~ N(0, `_COLOR`^2) and r_k ~ N(0, s_k^2),
 where s_k is how uneven the photo's light leaves skin of one tone (`person_lights.doubts`), the likeliest f is the mean of the
 d_k weighted by 1 / s_k^2, less a part. So in skin that a hard light alone shows the person keeps the prior's wide shades, and
-takes the detail. Used by `invert` and `settling`. Needs numpy only.
+takes the detail. Lightness and tint of a single photo are told apart each by itself, since gloss and shade change lightness
+much more than tint, and people's skin both alike. Used by `invert` and `settling`. Needs numpy only.
 """
 
 from __future__ import annotations
@@ -19,12 +20,15 @@ from ..light.resting import Texels
 from .photo_light import Seen
 
 _COLOR = 0.05  # expected wide error of the person's colors, of their logarithm
+_ALONE = 0.08, 0.04  # likewise of their lightness and of their tint, where a single photo shows them
+_CREASE, _AGAIN = 0.1, 2  # of the logarithm: what is so far from its surroundings is a fold or a mark; rounds of such weights
 _ROUNDS = (3,)  # of averaging over neighbouring vertices, which lie 5 mm apart in a face
-_LAST_ROUNDS = (1, 4, 16)  # likewise once colors are known: light goes on where skin is seen at a slant
+_LAST_ROUNDS = (0, 1, 4, 16)  # likewise once colors are known: light goes on where skin is seen at a slant
+_STEPS = 4  # of it, each by what the last has left (simultaneous algebraic reconstruction)
 _HALF_SEEN = 0.3  # texels of a vertex at which it is half believed
 _WEAKER = 10.0  # of wider means so much fewer are
 _GLARE = (0.2, 0.5)  # of the logarithm: brighter by the first a photo is believed less, from the second on not at all
-_MOST = 1.5  # of the logarithm
+_MOST, _MOST_TINT = 2.5, 0.2  # of the logarithm: of the whole, and of a channel beside their mean
 _DARKEST = 5e-4  # linear color below which nothing is told
 _BURNT, _DARK = 0.99, 0.01  # display values that tell no light
 
@@ -51,33 +55,74 @@ def local_lights(
         off, told = _off(seen, ratio * flat)
         light = ratio.min(1)
         dim = np.clip(light / np.median(light[told > 0]), 0.0, 1.0) if told.any() else light * 0.0
-        wide, sure = _at_vertices(head, texels, np.concatenate([off, dim[:, None]], 1), told, _ROUNDS)
+        both, counted = np.concatenate([off, dim[:, None]], 1), told
+        wide, sure = _at_vertices(head, texels, both, counted, _ROUNDS)
+        for _ in range(_AGAIN if len(every) == 1 else 0):
+            counted = told / (1.0 + ((off - texels.at(wide[:, :3])).mean(1) / _CREASE) ** 2)
+            wide, sure = _at_vertices(head, texels, both, counted, _ROUNDS)
         found.append((wide[:, :3], sure))
         precision.append(sure * (wide[:, 3:] / own) ** 2)
-    total = sum(precision) + _COLOR**-2
-    color = sum(weight * off for weight, (off, _) in zip(precision, found, strict=True)) / total
-    local = [np.exp(sure * (off - color)).astype(np.float32) for off, sure in found]
+    if len(every) == 1:
+        color = _alone(*found[0], precision[0])
+    else:
+        total = sum(precision) + _COLOR**-2
+        color = sum(weight * off for weight, (off, _) in zip(precision, found, strict=True)) / total
+    local = [_factor(sure * (off - color)) for off, sure in found]
+    shown = np.stack([seen.weights > 0 for seen in every])
+    if len(every) == 1:  # what stands out from its surroundings is as likely a mark
+        return local, np.ones(shown.shape)
     lit = (ratio * texels.factor(own) for ratio, own in zip(ratios, local, strict=True))
     flat = flat * np.exp(texels.at(color))
     left = np.stack([_off(seen, light * flat)[0].mean(1) for seen, light in zip(every, lit, strict=True)])
-    shown = np.stack([seen.weights > 0 for seen in every])
     least = np.where(shown, left, np.inf).min(0)
     bright = left - np.where(shown.sum(0) > 1, least, 0.0)  # what all show is a mark
     return local, np.where(shown, np.clip((_GLARE[1] - bright) / (_GLARE[1] - _GLARE[0]), 0.0, 1.0), 1.0)
 
 
-def more_local(head: HeadModel, texels: Texels, seen: Seen, drawn: np.ndarray) -> np.ndarray:
-    """What is left of a photo's light once the person is known, a factor as `Lighting.local`, [V, 3] float32.
+def _alone(wide: np.ndarray, sure: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """The part of what a single photo shows otherwise, at vertices [V, 3], that is color; arguments of [V, 3], [V, 1], [V, 1].
+
+    Gloss is paler and shade is redder than skin: the tint that goes with lightness is as much light as that. Of the rest people
+    have some, and all photos show no more than `_ALONE`.
+    """
+    light = wide.mean(1, keepdims=True)
+    tint = wide - light
+    own: np.ndarray = precision / (precision + _ALONE[0] ** -2)
+    along = (sure * light * tint).sum(0) / max(float((sure * light**2).sum()), 1e-9) * light
+    spread = float((sure * (tint - along) ** 2).sum() / max(3.0 * float(sure.sum()), 1e-9))
+    color: np.ndarray = own * (light + along) + sure * min(1.0, _ALONE[1] ** 2 / max(spread, 1e-9)) * (tint - along)
+    return color
+
+
+def more_local(head: HeadModel, texels: Texels, seen: Seen, drawn: np.ndarray, local: np.ndarray) -> np.ndarray:
+    """`Lighting.local` of a photo with what its light still lacks once the person is known, [V, 3] float32.
 
     Args:
         head: Head model.
         texels: Of the avatar.
         seen: What the photo shows, lips and eyes, too.
         drawn: Colors of the texels as the avatar is drawn in the photo's light, display sRGB, [N, 3].
+        local: As it was, [V, 3].
     """
-    off, told = _off(seen, np.asarray(to_linear(np.asarray(drawn, np.float64))))
-    wide, sure = _at_vertices(head, texels, off, told, _LAST_ROUNDS)
-    return np.exp(sure * wide).astype(np.float32)
+    now = np.asarray(to_linear(np.asarray(drawn, np.float64)))
+    logarithm = np.log(np.maximum(local, _DARKEST))
+    before = texels.at(logarithm)
+    shows = np.asarray(drawn, np.float64).mean(1) ** 2  # a logarithm's error shows the less the darker it is
+    shows /= max(float(np.median(shows[seen.weights > 0])), 1e-6) if (seen.weights > 0).any() else 1.0
+    for _ in range(_STEPS):
+        off, told = _off(seen, now * np.exp(texels.at(logarithm) - before))
+        told = told * np.minimum(shows, 1.0)
+        wide, sure = _at_vertices(head, texels, off, told, _LAST_ROUNDS)
+        logarithm = np.log(_factor(logarithm + sure * wide))
+    return np.exp(logarithm)
+
+
+def _factor(logarithm: np.ndarray) -> np.ndarray:
+    """A factor of the light, [V, 3] float32: shade and gloss have hardly another tint than the light around them."""
+    light = logarithm.mean(1, keepdims=True)
+    tint = (logarithm - light).clip(-_MOST_TINT, _MOST_TINT)
+    factor: np.ndarray = np.exp(light.clip(-_MOST, _MOST) + tint).astype(np.float32)
+    return factor
 
 
 def _off(seen: Seen, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

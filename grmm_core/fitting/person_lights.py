@@ -68,12 +68,12 @@ def found_lights(
         every.append((seen, here))
         ratios.append(heads.even(light, track, shown) if here is None else here.spread(light))
     several = [(seen, here) for seen, here in every if here is not None]
-    if len(several) < 2 or "face" not in head.regions:
+    if not several or "face" not in head.regions:
         return lights, np.stack(ratios), np.full(len(lights), _SURE)
     told = [index for index, (_, here) in enumerate(every) if here is not None]
     doubt = doubts(several, [ratios[index] for index in told])
     in_rig, middle = not any(light.known for light in lights), _middle(several[0], ratios[told[0]])
-    for _ in range(_AGAIN):
+    for _ in range(_AGAIN if len(several) > 1 else 0):
         known = [ratios[index] for index in told]
         flat = mean_flat(several, known, doubt)
         for number, (index, (seen, here)) in enumerate(zip(told, several, strict=True)):

@@ -48,7 +48,7 @@ _NOT_SKIN = ("lips", "lids", "brows", "lashes", "mouth_interior")
 # how much more skin below the chin counts while a photo stands alone: it shows little of it, slantwise, and that little tells
 # how deep the chin's shadow is; where other photos tell the colors, each texel counts as it is seen
 _UNDER = 12.0
-_FACING = 0.25  # cosine between normal and view from which skin tells its color
+FACING = 0.25  # cosine between normal and view from which skin tells its color
 _BEHIND = 0.004  # metres behind the mesh's depth that still are its surface
 _DARK = 0.004  # linear color of a texel below which it tells no light
 FEW = 60  # texels: less skin tells no light
@@ -284,11 +284,11 @@ def seen_skin(
 
 
 def seen_texels(
-    head: HeadModel, texels: Texels, posed: np.ndarray, camera: Camera, inside: np.ndarray
+    head: HeadModel, texels: Texels, posed: np.ndarray, camera: Camera, inside: np.ndarray, least: float = FACING
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Where points of a posed head are in a picture, [N, 2] pixels, and how directly they are seen there, 0..1 [N].
 
-    Arguments as of `seen_skin`.
+    Arguments as of `seen_skin`, and the `least` cosine between normal and view.
     """
     posed = np.asarray(posed, np.float64)
     points = texels.receivers(posed, vertex_normals(posed, head.faces))
@@ -299,7 +299,7 @@ def seen_texels(
     row = np.clip(pixels[:, 1].astype(int), 0, camera.height - 1)
     there = (pixels >= 0.0).all(1) & (pixels < [camera.width, camera.height]).all(1)
     near = local[:, 2] < triangle_depth(posed[head.faces], camera)[row, column] + _BEHIND
-    seen = there & near & (facing > _FACING)
+    seen = there & near & (facing > FACING)
     return pixels, seen * facing.clip(0.0, 1.0) * (inside[row, column] > 0.5)
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..model.weights_file import WeightsInfo
 
 LIGHT = "light_"  # before the names of a `photo_light.Light`'s parts in an avatar's arrays
-LOCAL = LIGHT + "local"  # there where the photos are several
+LOCAL = LIGHT + "local"  # there where skin is told from the rest
 LICENCE = "Shows a real person. To be used only with that person's agreement."
 
 

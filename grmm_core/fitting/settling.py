@@ -34,7 +34,7 @@ SMOOTH = 2.0  # pixels: what is finer are the strands themselves
 COVERED = 0.7  # of a pixel by strands: under more, nothing is known of skin
 MOST = 0.15  # change of a color
 BARE = 0.05  # of a pixel by strands, from which on it tells no light of skin
-_LIT_AGAIN = 2  # times that what a photo's light lacks is found
+SLANT = 0.08  # cosine between normal and view from which on it does: the chin's underside is seen at a slant
 HALF_SEEN = 0.1  # pixels at which a texel is half believed
 _OPTIONS = RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0))
 
@@ -87,7 +87,7 @@ def _step(
 
 
 def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[PhotoTrack]) -> Avatar:
-    """An avatar of several photos whose lights have what they still lack (`local_light`), drawn by a session, strands and all.
+    """An avatar whose photos' lights have what they still lack (`local_light`), drawn by a session, strands and all.
 
     Args:
         session: With the avatar's weights.
@@ -102,12 +102,10 @@ def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[
         for view, track in zip(photo_views(model, tracks), tracks, strict=True):
             light, controls = photo_light(avatar, view.index), photo_controls(avatar, head, view.index)
             shown = model, texels, photo_model_inputs(model, avatar, track, view.index)[0], view
-            for _ in range(_LIT_AGAIN):
-                lighting = light._replace(local=local[view.index]).lighting
-                worn = session.render([Instance(number, controls, response=MATT, lighting=lighting)], view.camera, _OPTIONS)
-                bare = (worn["hair"][..., 0] < BARE).astype(np.float32)
-                drawn = seen_in(*shown, worn["rgb"], bare).colors
-                local[view.index] *= more_local(head, texels, seen_in(*shown, counts=bare), drawn)
+            worn = session.render([Instance(number, controls, response=MATT, lighting=light.lighting)], view.camera, _OPTIONS)
+            bare = (worn["hair"][..., 0] < BARE).astype(np.float32)
+            drawn = seen_in(*shown, worn["rgb"]).colors
+            local[view.index] = more_local(head, texels, seen_in(*shown, None, bare, SLANT), drawn, local[view.index])
     return dataclasses.replace(avatar, tracking={**avatar.tracking, LOCAL: local})
 
 

@@ -84,12 +84,45 @@ def test_a_highlight_is_no_color_and_a_light_mark_is_one(head, texels, places, b
     assert told[1].min() > 0.9
 
 
+def alone(head, texels, bare, shade, doubt):
+    """`Lighting.local` of one photo of skin times a shade, [N, 3]."""
+    seen = Seen(np.asarray(to_display(SKIN * shade)), bare)
+    even = np.ones_like(shade)
+    (local,), told = local_lights(head, texels, [seen], [even], SKIN * even, np.array([doubt]))
+    np.testing.assert_array_equal(told, 1.0)
+    return local
+
+
+def test_of_one_photo_wide_shade_is_light_where_its_light_is_doubtful_and_color_where_it_is_not(head, texels, places, bare):
+    shade = np.where(places[:, 1] > np.percentile(places[:, 1], 70), 0.6, 1.0)[:, None] * np.ones(3)
+    middle = places[:, 1] > np.percentile(places[:, 1], 80)
+    assert np.median(logs(texels, alone(head, texels, bare, shade, DOUBTFUL), middle)) < 0.85 * np.log(0.6)
+    assert np.median(logs(texels, alone(head, texels, bare, shade, SURE), middle)) > 0.3 * np.log(0.6)
+
+
+def test_of_one_photo_a_fold_stays_in_the_colors(head, texels, places, bare):
+    fold = np.abs(places[:, 1] - np.percentile(places[:, 1], 75)) < 0.0015
+    shade = np.where(fold, 0.5, 1.0)[:, None] * np.ones(3)
+    assert np.abs(logs(texels, alone(head, texels, bare, shade, DOUBTFUL), bare > 0)).max() < 0.3 * -np.log(0.5)
+
+
+def test_of_one_photo_slight_tint_is_color_and_the_tint_of_gloss_is_light(head, texels, places, bare):
+    cheek = places[:, 0] > 0.035
+    red = np.where(cheek[:, None], np.exp([0.05, -0.025, -0.025]), 1.0)
+    local = np.log(texels.factor(alone(head, texels, bare, red, DOUBTFUL))[cheek & (bare > 0)])
+    assert np.abs(np.median(local, 0)).max() < 0.01
+    pale = np.where(cheek[:, None], np.exp([0.2, 0.3, 0.4]), 1.0)
+    local = np.log(texels.factor(alone(head, texels, bare, pale, DOUBTFUL))[cheek & (bare > 0)])
+    np.testing.assert_allclose(np.median(local, 0), [0.2, 0.3, 0.4], atol=0.06)
+
+
 def test_an_eye_has_one_light_and_what_no_photo_shows_has_none(head, texels, places):
     faces = np.flatnonzero(head.marked("left_eyeball")[head.faces].all(1)).astype(np.int32)
     eye = Texels.of(head, faces, np.full((len(faces), 3), 1.0 / 3.0, np.float32))
     drawn = np.full((len(faces), 3), 0.5)
     colors = np.asarray(to_display(0.5 * to_linear(drawn)))
-    local = more_local(head, eye, Seen(colors, (eye.at(head.v_template)[:, 0] > 0.03).astype(float)), drawn)
+    seen, even = Seen(colors, (eye.at(head.v_template)[:, 0] > 0.03).astype(float)), np.ones((head.vertex_count, 3), np.float32)
+    local = more_local(head, eye, seen, drawn, even)
     np.testing.assert_allclose(local[head.marked("left_eyeball")], 0.5, atol=0.05)
     np.testing.assert_array_equal(local[head.v_template[:, 2] < 0.0], 1.0)
 
@@ -97,5 +130,6 @@ def test_an_eye_has_one_light_and_what_no_photo_shows_has_none(head, texels, pla
 def test_burnt_out_and_black_pixels_tell_no_light(head, texels, places, bare):
     half = places[:, 0] > 0.0
     colors = np.where(half[:, None], 1.0, np.asarray(to_display(SKIN)))
-    local = more_local(head, texels, Seen(colors, bare), np.asarray(to_display(SKIN * np.ones((len(places), 1)))))
+    drawn, even = np.asarray(to_display(SKIN * np.ones((len(places), 1)))), np.ones((head.vertex_count, 3), np.float32)
+    local = more_local(head, texels, Seen(colors, bare), drawn, even)
     np.testing.assert_allclose(texels.factor(local), 1.0, atol=0.01)

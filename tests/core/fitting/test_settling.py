@@ -106,10 +106,9 @@ def test_without_strands_nothing_is_settled(session, model):
 
 
 def test_what_photos_show_otherwise_becomes_their_light(session, model, tmp_path):
-    """Of several photos; one alone has it in its colors."""
     light, head = light_from_a_side(), model.head_model
     avatar, track = colored(session, light, library_groom("bushy", head.name, "brows"))
-    assert locally_lit(session, model, avatar, [track]) is avatar
+    assert locally_lit(session, model, avatar, [track]) is avatar, "whose light on the skin was never looked for"
     ((view, aim),) = photo_pictures(model, avatar, [track])
     rows = np.linspace(0.4, 1.0, SIDE)[:, None, None]  # darker towards the top, as under a hat
     track = dataclasses.replace(track, image=aim.image.numpy() * rows, mask=aim.alpha.numpy())

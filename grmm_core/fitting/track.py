@@ -37,6 +37,7 @@ FRAME_HALF = 0.224  # metres from there to the picture's edge (1.1 m away, angle
 PADDING_GREY = 0.5
 MOST_OUTSIDE = 0.2  # of the landmarks beyond the picture's edge: with more an eye or the mouth would be a guess
 LEAST_OUTLINED = 0.25  # of the landmarks inside the person's outline: portraits have nearly all, a painting of strokes none
+LEAST_SHOWN = 0.65  # likewise: where there are fewer, a thing hides half of the face
 MOST_TURNED = 55.0  # degrees: of a face that is turned further in every photo, half would be a guess
 _ANALYSE_SHARE, _LANDMARK_SHARE, _REFINE_SHARE = 0.4, 0.3, 0.2  # of the time, for the progress
 
@@ -183,7 +184,7 @@ def track_photos(
         report(_ANALYSE_SHARE + _LANDMARK_SHARE)
         mask = masks[index] if masks is not None and index < len(masks) else None
         pictures.append(_working_picture(item.photo, fit.cameras[index], size, mask))
-    _check_outlined(analysed, pictures, fit)
+    _check_outlined(analysed, pictures, fit, given=masks is not None)
     refined = refine(fit, pictures, rig, progress=lambda f: report(1.0 - _REFINE_SHARE * (1.0 - f)))
     tracks = [
         _track(item, face, refined, index, picture, rig)
@@ -193,17 +194,27 @@ def track_photos(
     return tracks
 
 
-def _check_outlined(photos: Sequence[AnalysedPhoto], pictures: Sequence[Appearance], fit: LandmarkFit) -> None:
-    """Refuse a person of whom no photo's outline holds the face: nothing of it would be painted. Raises `NoFaceError`."""
+def _check_outlined(
+    photos: Sequence[AnalysedPhoto], pictures: Sequence[Appearance], fit: LandmarkFit, *, given: bool
+) -> None:  # fmt: skip
+    """Refuse a person of whom no photo's outline holds the face: nothing of it would be painted, or half of it.
+
+    Half is enough where outlines were `given`, for then nothing beside them is taken for hair. Raises `NoFaceError`.
+    """
     shares = []
     for picture, landmarks in zip(pictures, fit.landmarks, strict=True):
         places = (landmarks - np.array([picture.left, picture.top])) * picture.scale
         columns, rows = np.clip(places.astype(int), 0, np.array(picture.mask.shape[::-1]) - 1).T
         shares.append(float(picture.mask[rows, columns].mean()))
+    name = photos[int(np.argmax(shares))].photo.path.name
     if max(shares) < LEAST_OUTLINED:
-        name = photos[int(np.argmax(shares))].photo.path.name
         raise NoFaceError(
             f"The person in {name} does not stand out from the background; give a picture of the outline, or use another photo."
+        )
+    if max(shares) < LEAST_SHOWN and not given:
+        raise NoFaceError(
+            f"Something hides about {100.0 * (1.0 - max(shares)):.0f} percent of the face in {name}; use a photo that shows the whole "
+            "face, or give a picture of the outline."
         )
 
 

@@ -237,3 +237,13 @@ def test_a_person_who_does_not_stand_out_is_refused_in_one_sentence(analysed, he
     with pytest.raises(NoFaceError, match="does not stand out from the background; give a picture of the outline"):
         track_photos([photo], head, size=SIZE, masks=[elsewhere])
     assert len(track_photos([photo, photo], head, size=SIZE, masks=[elsewhere, None])) == 2  # another photo shows the person
+
+
+def test_a_face_half_behind_a_smooth_thing_is_refused_in_one_sentence(photo_file, analysed, head, tmp_path):
+    face, picture = analysed("admiral").faces[0], Image.open(photo_file("admiral")).convert("RGB")
+    scale = picture.width / analysed("admiral").photo.pixels.shape[1]
+    picture.paste((38, 30, 26), (round(0.5 * (face.box[0] + face.box[2]) * scale), 0, picture.width, picture.height))
+    path = tmp_path / "anna.png"
+    picture.save(path)
+    with pytest.raises(NoFaceError, match=r"^Something hides about [3-6]\d percent of the face in anna\.png; [^.]*\.$"):
+        track_photos([path], head, size=SIZE)

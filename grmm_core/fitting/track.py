@@ -213,8 +213,8 @@ def _check_outlined(
         )
     if max(shares) < LEAST_SHOWN and not given:
         raise NoFaceError(
-            f"Something hides about {100.0 * (1.0 - max(shares)):.0f} percent of the face in {name}; use a photo that shows the whole "
-            "face, or give a picture of the outline."
+            f"Something hides about {100.0 * (1.0 - max(shares)):.0f} percent of the face in {name}; "
+            "use a photo that shows the whole face, or give a picture of the outline."
         )
 
 

@@ -29,7 +29,6 @@ PROBES = {
     "studio": ["-c", STUDIO],
     "train": ["-c", "from torch.utils.tensorboard import SummaryWriter; SummaryWriter('curves').close()"],
     "data": ["-c", "import h5py, av; h5py.File('a.h5', 'w').close()"],
-    "plain": ["-c", "import onnxruntime"],
     "exr": ["-c", "import OpenEXR"],
     "cluster": ["-c", "import bokeh; from grmm_core.jobs.cluster import open_cluster\nwith open_cluster('local:1'): pass"],
     "dev": ["-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", str(ROOT / "tests" / "core")],
@@ -77,6 +76,8 @@ def test_the_core_draws_without_extras(plain: Path):
     run(plain, "-m", "grmm_core", "render", "default", "-o", "head.png", "--size", "64")
     assert (plain / "head.png").stat().st_size > 1000
     assert "torch" in run(plain, "-m", "grmm_core", "info", "--json")
+    engine = "from grmm_core.session import make_local_session as make\nwith make() as session: print(session.status().engine)"
+    assert run(plain, "-c", engine).split() == ["plain"]  # the faster one on a CPU
 
 
 @pytest.mark.parametrize("extra", EXTRAS)

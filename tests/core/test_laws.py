@@ -109,7 +109,7 @@ LEFT_TO_THE_USER = {"gsplat", "zstandard"}  # a faster way on a graphics card; v
 
 
 @pytest.mark.parametrize(
-    ("package", "extras"), [("grmm_core", ("train", "data", "plain", "cluster", "exr")), ("grmm_studio", ("studio",))]
+    ("package", "extras"), [("grmm_core", ("train", "data", "cluster", "exr")), ("grmm_studio", ("studio",))]
 )
 def test_what_a_package_imports_is_declared(package, extras):
     """Each extra is tried in an environment of its own by `tests/test_install.py`."""

@@ -16,10 +16,11 @@ pytestmark = pytest.mark.blender
 FAKES = {
     "torch": "2.6.0",
     "numba": "0.61.0",
+    "onnxruntime": "1.20.0",
     "numpy": "2.0.0",
     "pillow": "11.0.0",
 }
-NEWER = {"torch": "2.9.0", "numba": "0.63.0", "numpy": "2.2.0", "pillow": "12.0.0"}
+NEWER = {"torch": "2.9.0", "numba": "0.63.0", "onnxruntime": "1.30.0", "numpy": "2.2.0", "pillow": "12.0.0"}
 TORCH = """
 __version__ = "2.6.0"
 class zeros:

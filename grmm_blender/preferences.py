@@ -57,7 +57,7 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
     )
     worker_python: text(
         "Worker's Python",
-        "Python executable with torch and numba for the worker; empty for the installed runtime",
+        "Python executable with torch, numba and onnxruntime for the worker; empty for the installed runtime",
         subtype="FILE_PATH",
         update=_on_edit,
     )

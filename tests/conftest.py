@@ -42,8 +42,8 @@ def weights(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def local(weights: Path) -> Iterator[Session]:
-    """A session in this process, with the tiny weights."""
+    """A session in this process, with the tiny weights and the reference of all engines."""
     from grmm_core.session import create_session
 
-    with create_session("local", weights=weights, device="cpu", threads=1) as session:
+    with create_session("local", weights=weights, device="cpu", threads=1, engine="torch") as session:
         yield session

@@ -136,8 +136,10 @@ def make_local_session(
 
 def _torch_draws(device: str) -> bool:
     """Whether torch is the engine where nobody chose one: on the CPU it takes half as long again as the plain one."""
-    if device not in ("auto", "cpu") or not has_plain_engine():
-        return has_torch() or device not in ("auto", "cpu")
+    if device not in ("auto", "cpu"):
+        return True
+    if not has_plain_engine():
+        return has_torch()
     from ..compute.devices import has_card
 
     return device == "auto" and has_torch() and has_card()

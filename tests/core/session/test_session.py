@@ -37,7 +37,7 @@ def moved(x=0.0, y=0.0, z=0.0, scale=1.0) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def worker(weights):
-    with create_session("worker", weights=weights, device="cpu", threads=1) as session:
+    with create_session("worker", weights=weights, device="cpu", threads=1, engine="torch") as session:
         yield session
 
 
@@ -55,7 +55,10 @@ def plain_worker(weights):
 
 @pytest.fixture(scope="module", params=["local", "worker", "plain", "plain_worker"])
 def session(request):
-    return request.getfixturevalue(request.param)
+    session = request.getfixturevalue(request.param)
+    assert session.open("default").id
+    assert session.status().engine == ("plain" if request.param.startswith("plain") else "torch")
+    return session
 
 
 @pytest.fixture

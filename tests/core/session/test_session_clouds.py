@@ -26,9 +26,10 @@ def weights(tmp_path_factory):
     return write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
 
 
-@pytest.fixture(scope="module", params=["local", "worker"])
+@pytest.fixture(scope="module", params=[("local", "torch"), ("worker", "plain")], ids=["torch", "plain"])
 def session(request, weights):
-    with create_session(request.param, weights=weights, device="cpu", threads=1) as session:
+    mode, engine = request.param
+    with create_session(mode, weights=weights, device="cpu", threads=1, engine=engine) as session:
         yield session
 
 

@@ -25,10 +25,10 @@ def files(tmp_path_factory):
     return flame, write_tiny_weights(folder / "on_flame.safetensors", head=load_flame(flame))
 
 
-@pytest.mark.parametrize("mode", ["local", "worker"])
-def test_weights_of_a_flame_head(files, mode):
+@pytest.mark.parametrize(("mode", "engine"), [("local", "torch"), ("worker", "plain")])
+def test_weights_of_a_flame_head(files, mode, engine):
     flame, weights = files
-    with create_session(mode, weights=weights, head=flame) as session:
+    with create_session(mode, weights=weights, head=flame, engine=engine) as session:
         info = session.open("default")
         head = load_flame(flame)
         assert (info.head_name, info.vertex_count) == (head.name, len(head.v_template))

@@ -15,12 +15,13 @@ CLOSE = {"rtol": 0.0, "atol": 5e-6}
 RED = (1.0, 0.0, 0.0)
 
 
-@pytest.fixture(scope="module", params=["local", "worker"])
+@pytest.fixture(scope="module", params=[("local", "torch"), ("worker", "plain")], ids=["torch", "plain"])
 def session(request, tmp_path_factory):
     from tiny_model import write_tiny_weights
 
     weights = write_tiny_weights(tmp_path_factory.mktemp("weights") / "tiny.safetensors")
-    with create_session(request.param, weights=weights, device="cpu", threads=1) as session:
+    mode, engine = request.param
+    with create_session(mode, weights=weights, device="cpu", threads=1, engine=engine) as session:
         yield session
 
 

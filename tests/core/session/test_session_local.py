@@ -70,7 +70,8 @@ def test_the_margin_is_as_wide_as_the_network_sees(channels, fold):
     np.testing.assert_allclose(part, whole[rows, columns], atol=1e-5)
 
 
-def test_only_what_changed_is_computed(weights, monkeypatch):
+@pytest.mark.parametrize("engine", ["torch", "plain"])
+def test_only_what_changed_is_computed(weights, engine, monkeypatch):
     from grmm_core.inference.plain_model import PlainModel
     from grmm_core.model.grmm import GRMM
 
@@ -83,7 +84,7 @@ def test_only_what_changed_is_computed(weights, monkeypatch):
             return original(self, *args)
 
         monkeypatch.setattr(model, name, counted)
-    with create_session("local", weights=weights, device="cpu", threads=1) as session:
+    with make_local_session(weights, "cpu", 1, engine=engine) as session:
         info = session.sample(501)
         session.render([Instance(info.id)], CAMERA)
         assert sorted(calls) == ["appearance", "geometry", "mesh", "offsets", "opacity"]

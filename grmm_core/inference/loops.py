@@ -90,7 +90,7 @@ def fold_pixels(
     """
     height, width, count = rgb.shape[0], rgb.shape[1], features.shape[2]
     seen = np.zeros((weight.shape[1], _BLOCKS), np.float32)
-    total = np.empty(_BLOCKS, np.float32)
+    total = np.empty((2, _BLOCKS), np.float32)
     for y in range(first, last):
         for left in range(0, out.shape[2], _BLOCKS):
             size = min(_BLOCKS, out.shape[2] - left)
@@ -104,15 +104,20 @@ def fold_pixels(
                     _copy_columns(rgb[row, start:stop:fold], part[:3])
                     _copy_columns(features[row, start:stop:fold], part[3 : 3 + count])
                     _copy_columns(depth[row, start:stop:fold, None], part[3 + count :])
-            for channel in range(len(out)):
-                total[:] = bias[channel]
-                for k in range(0, len(seen), 4):  # four at a time: one store for four products
+            for channel in range(0, len(out), 2):  # two at a time, of four products: eight for six loads and stores
+                beside = min(channel + 1, len(out) - 1)
+                total[0], total[1] = bias[channel], bias[beside]
+                for k in range(0, len(seen), 4):
                     a, b, c, d = weight[channel, k], weight[channel, k + 1], weight[channel, k + 2], weight[channel, k + 3]
+                    e, f, g, h = weight[beside, k], weight[beside, k + 1], weight[beside, k + 2], weight[beside, k + 3]
                     for x in range(size):
-                        total[x] += a * seen[k, x] + b * seen[k + 1, x] + c * seen[k + 2, x] + d * seen[k + 3, x]
-                target = out[channel, y, left : left + size]
-                for x in range(size):
-                    target[x] = max(total[x], slope * total[x])
+                        p, q, r, s = seen[k, x], seen[k + 1, x], seen[k + 2, x], seen[k + 3, x]
+                        total[0, x] += a * p + b * q + c * r + d * s
+                        total[1, x] += e * p + f * q + g * r + h * s
+                for one in range(channel, beside + 1):
+                    target, own = out[one, y, left : left + size], total[one - channel]
+                    for x in range(size):
+                        target[x] = max(own[x], slope * own[x])
 
 
 @compiled(nogil=True, signature_or_function=_UNFOLD_RESIDUAL, **OPTIONS)

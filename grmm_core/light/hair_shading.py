@@ -112,6 +112,17 @@ class LightGrid(NamedTuple):
         """All places, [X * Y * Z, 3] metres; not to be written to."""
         return _places(tuple(self.low.tolist()), self.size)
 
+    def around_points(self, points: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
+        """Numbers of the places between which points [N, 3] lie (`Reaching.at`), ascending, [K]; `coordinates` as of there."""
+        touched, kernels = np.zeros(self.size, np.bool_), compiled_kernels()
+        if kernels is None:
+            low = np.floor(_on_grid(points, coordinates, self.size)).astype(int)
+            for corner in np.ndindex(2, 2, 2):
+                touched[tuple((low + corner).T)] = True
+        else:
+            kernels.touch(np.ascontiguousarray(points, np.float32), coordinates.astype(np.float32), touched)
+        return np.flatnonzero(touched)
+
     def coordinates(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """What leads to numbers of places from points whose place in the grid's axes is turn @ point + shift, [3, 4]."""
         return np.concatenate([turn, (shift - self.low)[:, None]], 1) / GRID
@@ -122,6 +133,12 @@ def _places(low: tuple[float, ...], size: tuple[int, int, int]) -> np.ndarray:
     """`LightGrid.points`, kept: a grid stays while an expression changes."""
     found: np.ndarray = np.array(low) + GRID * np.stack(np.unravel_index(np.arange(np.prod(size)), size), -1)
     found.flags.writeable = False
+    return found
+
+
+def _on_grid(points: np.ndarray, coordinates: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    """Where points [N, 3] lie between the places of a grid, those beside it at its edge, [N, 3]."""
+    found: np.ndarray = np.clip(points @ coordinates[:, :3].T + coordinates[:, 3], 0.0, np.array(size) - 1.001)
     return found
 
 
@@ -138,8 +155,7 @@ class Reaching(NamedTuple):
 
     def at(self, points: np.ndarray) -> np.ndarray:
         """Between the grid's places, beside it as at its edge, [L, N]; points [N, 3]."""
-        size = np.array(self.parts.shape[:3])
-        at = np.clip(points @ self.coordinates[:, :3].T + self.coordinates[:, 3], 0.0, size - 1.001)
+        at = _on_grid(points, self.coordinates, self.parts.shape[:3])
         low = np.floor(at).astype(int)
         total = np.zeros((len(points), self.parts.shape[3]))
         for corner in np.ndindex(2, 2, 2):

@@ -1,4 +1,4 @@
-"""The compiled twins of light at points and of relit pixels. Importing this loads numba.
+"""The compiled twins of light at points. Importing this loads numba.
 
 All arrays are contiguous float32 but for indices. What takes `first` and `last` does these rows (`compute.threads.for_rows`).
 """
@@ -207,6 +207,32 @@ def march(
         seen[i] *= math.exp(-total * length)
 
 
+@compiled(**OPTIONS)
+def touch(points: np.ndarray, to_grid: np.ndarray, touched: np.ndarray) -> None:
+    """Mark the places of a grid between which points lie; see `hair_shading.LightGrid.around_points`.
+
+    Args:
+        points: [N, 3].
+        to_grid: Coordinates of the grid, [3, 4].
+        touched: Written, [X, Y, Z] bool.
+    """
+    most_x, most_y, most_z = touched.shape[0] - 2, touched.shape[1] - 2, touched.shape[2] - 2
+    last_a = last_b = last_c = -1
+    flat, up, across = touched.reshape(-1), touched.shape[2], touched.shape[1] * touched.shape[2]
+    for i in range(len(points)):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        x = to_grid[0, 0] * px + to_grid[0, 1] * py + to_grid[0, 2] * pz + to_grid[0, 3]
+        y = to_grid[1, 0] * px + to_grid[1, 1] * py + to_grid[1, 2] * pz + to_grid[1, 3]
+        z = to_grid[2, 0] * px + to_grid[2, 1] * py + to_grid[2, 2] * pz + to_grid[2, 3]
+        a, b, c = min(max(int(x), 0), most_x), min(max(int(y), 0), most_y), min(max(int(z), 0), most_z)
+        if a == last_a and b == last_b and c == last_c:  # as most pieces of a strand and the ones before them
+            continue
+        last_a, last_b, last_c = a, b, c
+        at = (a * touched.shape[1] + b) * touched.shape[2] + c
+        for row in (at, at + up, at + across, at + across + up):
+            flat[row] = flat[row + 1] = True
+
+
 # --- light at points ---------------------------------------------------------------------------------------------------------
 
 
@@ -287,58 +313,3 @@ def bounced(
             share, p = shares[i, k], givers[i, k]
             r, g, b = r + share * sums[p, 0], g + share * sums[p, 1], b + share * sums[p, 2]
         out[i, 0], out[i, 1], out[i, 2] = r * red, g * green, b * blue
-
-
-# --- pictures ----------------------------------------------------------------------------------------------------------------
-
-TABLE, LINEAR_END, DISPLAY_END = 4096, 1.25, 1.5
-"""Steps of the tables that `relit` reads, and the last values that they hold: display, and the root of linear light."""
-
-
-@compiled(inline="always", **OPTIONS)
-def _read(table: np.ndarray, at: float) -> float:
-    low = int(at)
-    return table[low] + (at - np.float32(low)) * (table[low + 1] - table[low])  # numba makes float64 of less an integer
-
-
-@compiled(**OPTIONS)
-def relit(
-    rgb: np.ndarray, alpha: np.ndarray, light: np.ndarray, start: int, linear: np.ndarray, display: np.ndarray, least: float,
-    most: float, out: np.ndarray, first: int, last: int,
-) -> None:  # fmt: skip
-    """Pixels in another light; see `relight.relit`.
-
-    Args:
-        rgb: [P, 3].
-        alpha: [P].
-        light: Channels of the picture, [P, C].
-        start: Of them the first of ratio (3), highlights (3) and cover that faces the viewer (1).
-        linear: Linear light of display values 0..`LINEAR_END`, [TABLE + 2].
-        display: Display values of linear light by its root, 0..`DISPLAY_END`, [TABLE + 2].
-        least: Cover that is drawn.
-        most: Share of a color that highlights may take off.
-        out: Written, [P, 3].
-        first: Row of `out`.
-        last: The row after the last.
-    """
-    to_linear, to_display = np.float32(TABLE / LINEAR_END), np.float32(TABLE / DISPLAY_END)
-    for i in range(first, last):
-        cover = alpha[i]
-        if cover < least:
-            out[i, 0] = out[i, 1] = out[i, 2] = _0
-            continue
-        inverse, front = _1 / cover, _1 / max(light[i, start + 6], np.float32(1e-6))
-        for c in range(3):
-            flat = max(rgb[i, c] * inverse, _0)
-            if flat < np.float32(LINEAR_END):
-                value = _read(linear, flat * to_linear)
-            else:
-                value = ((flat + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
-            value *= light[i, start + c] * front
-            value = max(value + max(light[i, start + 3 + c] * front, -np.float32(most) * value), _0)
-            root = math.sqrt(value)
-            if root < np.float32(DISPLAY_END):
-                value = _read(display, root * to_display)
-            else:
-                value = np.float32(1.055) * value ** np.float32(1.0 / 2.4) - np.float32(0.055)
-            out[i, c] = value * cover

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
+import math
+from collections.abc import Callable
 
 import numpy as np
+from numpy.polynomial.chebyshev import cheb2poly, chebfit
 
 from ..compute.buffers import empty
 from ..geometry.libraries import Array, library_of
@@ -12,6 +15,7 @@ from ..pictures.color import MIN_ALPHA, SRGB_GAMMA, SRGB_OFFSET, SRGB_TOE, SRGB_
 from .shadows import compiled_kernels
 
 _MOST = 0.5  # of a color that taking off the rig's highlights may cost
+_DEGREE = 7
 _DARKEST = 0.2  # of the rig's light: in deeper shadow colors are noise
 
 
@@ -53,16 +57,16 @@ def relit_pixels(rgb: np.ndarray, alpha: np.ndarray, channels: np.ndarray, start
         channels: [H, W, C].
         start: The first of three channels of ratio, behind them three of highlights, and their cover (`shading.relative`).
     """
-    kernels = compiled_kernels()
-    if kernels is None:
+    if compiled_kernels() is None:
         light = over_cover(channels[..., start : start + 7], alpha)
         return relit(rgb, alpha, light[..., :3], light[..., 3:6])
     from ..compute.threads import for_rows
+    from .relight_kernel import relit as compiled_relit
 
     out = empty(rgb.shape)
     flat = (np.ascontiguousarray(array, np.float32) for array in (rgb.reshape(-1, 3), alpha.reshape(-1)))
     light = channels.reshape(-1, channels.shape[-1])
-    for_rows(kernels.relit, alpha.size, *flat, light, start, *_tables(), MIN_ALPHA, _MOST, out.reshape(-1, 3))
+    for_rows(compiled_relit, alpha.size, *flat, light, start, *_polynomials(), MIN_ALPHA, _MOST, out.reshape(-1, 3))
     return out
 
 
@@ -73,12 +77,19 @@ def over_cover(light: Array, alpha: Array) -> Array:
 
 
 @functools.lru_cache(maxsize=1)
-def _tables() -> tuple[np.ndarray, np.ndarray]:
-    """Linear light by display values, and display values by the root of linear light."""
-    from .light_kernels import DISPLAY_END, LINEAR_END, TABLE
+def _polynomials() -> tuple[tuple[np.float32, ...], tuple[np.float32, ...]]:
+    """Both curves of sRGB above their straight parts, within 6e-6: factors of degree 7, and the line to -1..1 before them."""
+    from .relight_kernel import DISPLAY_END, LINEAR_END
 
-    steps = np.arange(TABLE + 2) / TABLE
-    return to_linear(steps * LINEAR_END).astype(np.float32), to_display((steps * DISPLAY_END) ** 2).astype(np.float32)
+    def fitted(curve: Callable[[np.ndarray], np.ndarray], low: float, high: float) -> tuple[np.float32, ...]:
+        way = np.cos(np.pi * (np.arange(1000) + 0.5) / 1000)  # as Chebyshev has them: the error is spread evenly
+        factors = cheb2poly(chebfit(way, curve(low + (high - low) * (0.5 + 0.5 * way)), _DEGREE))
+        return tuple(map(np.float32, (*factors, 2.0 / (high - low), -(high + low) / (high - low))))
+
+    return (
+        fitted(to_linear, SRGB_TOE * SRGB_TOE_SLOPE, float(LINEAR_END)),
+        fitted(lambda root: to_display(root**4), SRGB_TOE**0.25, math.sqrt(float(DISPLAY_END))),
+    )
 
 
 def to_linear(values: Array) -> Array:

@@ -150,8 +150,10 @@ class LitAvatar:
     def _strands(self, points: np.ndarray, quats: np.ndarray, eye: np.ndarray, these: int) -> np.ndarray:
         """What lights strands, `these`, as `channels` has it, less what their colors hold of the rig's."""
         grid, centre = self._grid, self._posture.middle
-        parts = np.stack([self._shadow(lamp)[1] for lamp in self.lamps], -1) if self.lamps else np.zeros((*grid.size, 0))
-        here = Reaching(parts, grid.coordinates(np.eye(3), np.zeros(3)))
+        coordinates = grid.coordinates(np.eye(3), np.zeros(3))
+        asked = grid.around_points(points, coordinates)
+        parts = [self._reaching(lamp, asked) for lamp in self.lamps]
+        here = Reaching(np.stack(parts, -1) if parts else np.zeros((*grid.size, 0)), coordinates)
         scene = strand_light(
             self.lamps, points, quats, here, centre, eye, coefficients_of(self._lighting.surroundings), self._response
         )  # fmt: skip
@@ -256,6 +258,15 @@ class LitAvatar:
             self._drawn.dim(known, new, self._through(lamp, self._cloud))
         return known
 
+    def _reaching(self, lamp: Lamp, asked: np.ndarray) -> np.ndarray:
+        """Which part of a lamp reaches hair at places `asked` [K] of `_grid`, [X, Y, Z]; at others it may be below 0."""
+        _, known, *maps = self._shadow(lamp)
+        flat = known.reshape(-1)
+        new = asked[flat[asked] < 0.0]
+        if len(new):
+            flat[new] = Maps(*maps).reaching(self._grid.points[new]) * self._between(lamp, self._grid, self._to_cloud).flat[new]
+        return known
+
     def _shadow(self, lamp: Lamp) -> tuple[np.ndarray, ...]:
         """What is known of a lamp's shadow.
 
@@ -271,8 +282,7 @@ class LitAvatar:
             if self._hair is not None and len(self._lighting.occluders):  # beside the head only these throw shadows
                 held = Receivers.around(grid.points, grid.points)
             maps = maps_of(lamp, held, self._casters, self._response.softness)
-            reaching = maps.reaching(grid.points).reshape(grid.size) * self._between(lamp, grid, self._to_cloud)
-            return np.full(count, -1.0, np.float32), reaching, *maps
+            return np.full(count, -1.0, np.float32), np.full(grid.size, -1.0, np.float32), *maps
 
         mesh = (self._lod, () if self._hair is None else self._hair.key, *self._inputs.mesh_key)
         key = (self._target.id, "seen", repr(lamp), self._response.softness, self._occluders_key, *mesh)

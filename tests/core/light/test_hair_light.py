@@ -49,6 +49,22 @@ def test_hair_behind_a_pane_is_lit_just_behind_it_and_dark_further_off_alike_wit
     np.testing.assert_allclose(reaching, maps.reaching(points), atol=2e-3)
 
 
+def test_light_is_asked_for_at_just_the_places_between_which_hair_lies_alike_without_numba(monkeypatch):
+    random, grid = np.random.default_rng(1), LightGrid.around(np.full(3, -0.1), np.full(3, 0.1))
+    points = random.uniform(-0.13, 0.05, (80, 3)).astype(np.float32)  # some lie beside it
+    coordinates = grid.coordinates(np.linalg.qr(random.normal(size=(3, 3)))[0], np.array([0.01, 0.0, 0.02]))
+    asked = grid.around_points(points, coordinates)
+    parts = random.random((*grid.size, 2)).astype(np.float32)
+    elsewhere = np.ones(parts[..., 0].size, bool)
+    elsewhere[asked] = False
+    before = Reaching(parts.copy(), coordinates).at(points)
+    parts.reshape(-1, 2)[elsewhere] = np.nan
+    np.testing.assert_array_equal(Reaching(parts, coordinates).at(points), before)
+    assert len(asked) < 0.5 * elsewhere.size
+    monkeypatch.setattr(hair_shading, "compiled_kernels", lambda: None)
+    np.testing.assert_array_equal(grid.around_points(points, coordinates), asked)
+
+
 def test_the_light_between_places_changes_evenly_and_places_stay_where_they_are():
     small, large = (LightGrid.around(np.full(3, -half), np.full(3, half)) for half in (0.05, 0.08))
     assert {tuple(place) for place in small.points.round(6)} <= {tuple(place) for place in large.points.round(6)}

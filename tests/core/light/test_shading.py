@@ -215,13 +215,14 @@ def test_hair_dims_what_lies_behind_it(lamp):
     )
 
 
-def test_compiled_pixels_are_the_readable_ones():
+@pytest.mark.parametrize("strength", [0.5, 4.0])  # within what the polynomials reach, and beyond it
+def test_compiled_pixels_are_the_readable_ones(strength):
     random = np.random.default_rng(0)
     alpha = random.random((9, 7)).astype(np.float32)
     alpha[0] = 0.0
-    rgb, channels = random.random((9, 7, 3)) * alpha[..., None], random.random((9, 7, 9)) * 4.0 * alpha[..., None]
-    channels[..., 5:8] -= alpha[..., None]
-    channels[..., 8] = alpha * random.uniform(0.1, 1.0, alpha.shape)
+    rgb, channels = random.random((9, 7, 3)) * alpha[..., None], random.random((9, 7, 9)) * strength * alpha[..., None]
+    channels[..., 5:8] -= 0.25 * strength * alpha[..., None]
+    channels[..., 8] = alpha * random.uniform(0.5, 1.0, alpha.shape)
     rgb, channels = rgb.astype(np.float32), channels.astype(np.float32)
     light = over_cover(channels[..., 2:], alpha)
     np.testing.assert_allclose(

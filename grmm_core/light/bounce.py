@@ -19,6 +19,7 @@ from .transfer import openness
 PATCH = 0.02  # metres
 _SIDE = 1e-3  # of a normal, that counts as turned to a side
 _GIVERS = 12  # patches that a vertex takes light from
+_TASK = 1024  # vertices that a thread takes at least
 _MOST = 0.9  # albedo of the brightest skin
 
 
@@ -63,7 +64,7 @@ class Exchange(NamedTuple):
         leaving = (facing * middles).sum(1) - vertices @ facing.T
         squares = (vertices**2).sum(1)[:, None] + (middles**2).sum(1) - 2.0 * vertices @ middles.T + whole / math.pi
         factors = np.maximum(arriving, 0.0) * np.maximum(-leaving, 0.0) * whole / squares**2
-        givers = np.argpartition(-factors, _GIVERS, axis=1)[:, :_GIVERS]
+        givers = np.argpartition(-factors, _GIVERS, axis=1)[:, :_GIVERS].copy()  # not a part of all of them
         shares = np.take_along_axis(factors, givers, 1)
         total = shares.sum(1)
         shares *= np.where(total > 0.0, (1.0 - openness(rows)) / np.maximum(total, 1e-20), 0.0)[:, None]
@@ -90,9 +91,13 @@ class Exchange(NamedTuple):
         """Irradiance at vertices of light that left skin once, [V, 3], of what arrives there straight, [V, 3]."""
         count, kernels = int(self.patch.max()) + 1, compiled_kernels()
         if kernels is not None:
+            from ..compute.threads import for_rows
+
             out, sums = np.empty((len(self.shares), 3), np.float32), np.zeros((count, 3), np.float32)
-            values = (np.ascontiguousarray(array, np.float32) for array in (irradiance, albedo))
-            kernels.bounced(self.patch, self.area, self.givers, self.shares, *values, sums, out)
+            kernels.thrown_back(
+                self.patch, self.area, *(np.ascontiguousarray(v, np.float32) for v in (irradiance, albedo)), sums
+            )
+            for_rows(kernels.bounced, len(out), self.givers, self.shares, sums, out, smallest=_TASK)
             return out
         means = np.stack([np.bincount(self.patch, self.area * irradiance[:, k], count) for k in range(3)], -1)
         result: np.ndarray = np.einsum("vk,vkc->vc", self.shares, (means * albedo).astype(np.float32)[self.givers])

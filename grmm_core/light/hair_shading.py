@@ -120,7 +120,10 @@ class LightGrid(NamedTuple):
             for corner in np.ndindex(2, 2, 2):
                 touched[tuple((low + corner).T)] = True
         else:
-            kernels.touch(np.ascontiguousarray(points, np.float32), coordinates.astype(np.float32), touched)
+            from ..compute.threads import for_rows
+
+            given = np.ascontiguousarray(points, np.float32), coordinates.astype(np.float32)
+            for_rows(kernels.touch, len(points), *given, touched)
         return np.flatnonzero(touched)
 
     def coordinates(self, turn: np.ndarray, shift: np.ndarray) -> np.ndarray:

@@ -208,18 +208,20 @@ def march(
 
 
 @compiled(**OPTIONS)
-def touch(points: np.ndarray, to_grid: np.ndarray, touched: np.ndarray) -> None:
-    """Mark the places of a grid between which points lie; see `hair_shading.LightGrid.around_points`.
+def touch(points: np.ndarray, to_grid: np.ndarray, touched: np.ndarray, first: int, last: int) -> None:
+    """Mark the places of a grid between which some points lie; see `hair_shading.LightGrid.around_points`.
 
     Args:
         points: [N, 3].
         to_grid: Coordinates of the grid, [3, 4].
         touched: Written, [X, Y, Z] bool.
+        first: Row of `points`.
+        last: The row after the last.
     """
     most_x, most_y, most_z = touched.shape[0] - 2, touched.shape[1] - 2, touched.shape[2] - 2
     last_a = last_b = last_c = -1
     flat, up, across = touched.reshape(-1), touched.shape[2], touched.shape[1] * touched.shape[2]
-    for i in range(len(points)):
+    for i in range(first, last):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         x = to_grid[0, 0] * px + to_grid[0, 1] * py + to_grid[0, 2] * pz + to_grid[0, 3]
         y = to_grid[1, 0] * px + to_grid[1, 1] * py + to_grid[1, 2] * pz + to_grid[1, 3]
@@ -286,30 +288,29 @@ def relative(
 
 
 @compiled(**OPTIONS)
-def learned(light: np.ndarray, darkest: float, rig: np.ndarray, highlights: np.ndarray) -> None:
-    """Write what `shading.Learned.of` makes of light, [N, 8]: irradiance of `darkest` of the most at least; both [N, 3]."""
-    most = _0
-    for i in range(len(light)):
-        most = max(most, light[i, 0], light[i, 1], light[i, 2])
-    least = np.float32(darkest) * most
-    for i in range(len(light)):
+def learned(light: np.ndarray, least: float, rig: np.ndarray, highlights: np.ndarray, first: int, last: int) -> None:
+    """Write what `shading.Learned.of` makes of light, [N, 8]: irradiance of `least` at least, and highlights, both [N, 3]."""
+    for i in range(first, last):
         for k in range(3):
             rig[i, k], highlights[i, k] = max(light[i, k], least), light[i, 3 + k]
 
 
 @compiled(**OPTIONS)
-def bounced(
-    patch: np.ndarray, area: np.ndarray, givers: np.ndarray, shares: np.ndarray, irradiance: np.ndarray, albedo: np.ndarray,
-    sums: np.ndarray, out: np.ndarray,
+def thrown_back(
+    patch: np.ndarray, area: np.ndarray, irradiance: np.ndarray, albedo: np.ndarray, sums: np.ndarray
 ) -> None:  # fmt: skip
-    """Write what comes from patches of skin to vertices, [V, 3]; see `bounce.Exchange`. Zeros are `sums` [P, 3] before."""
+    """Add what patches of skin throw back to zeros, [P, 3]; see `bounce.Exchange`."""
     for i in range(len(patch)):
         for c in range(3):
-            sums[patch[i], c] += area[i] * irradiance[i, c]
-    red, green, blue = albedo[0], albedo[1], albedo[2]
-    for i in range(len(out)):
+            sums[patch[i], c] += area[i] * irradiance[i, c] * albedo[c]
+
+
+@compiled(**OPTIONS)
+def bounced(givers: np.ndarray, shares: np.ndarray, sums: np.ndarray, out: np.ndarray, first: int, last: int) -> None:
+    """Write what comes from patches of skin, of `thrown_back`, to vertices, [V, 3]; see `bounce.Exchange`."""
+    for i in range(first, last):
         r = g = b = _0
         for k in range(givers.shape[1]):
             share, p = shares[i, k], givers[i, k]
             r, g, b = r + share * sums[p, 0], g + share * sums[p, 1], b + share * sums[p, 2]
-        out[i, 0], out[i, 1], out[i, 2] = r * red, g * green, b * blue
+        out[i, 0], out[i, 1], out[i, 2] = r, g, b

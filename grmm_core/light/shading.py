@@ -280,8 +280,11 @@ class Learned(NamedTuple):
         kernels = compiled_kernels()
         if kernels is None:
             return Learned(reached(arrived.irradiance), arrived.highlights)
+        from ..compute.threads import for_rows
+
         found = Learned(*np.empty((2, len(arrived.values), 3), np.float32))
-        kernels.learned(arrived.values, _DARKEST, *found)
+        least = np.float32(_DARKEST * float(arrived.irradiance.max()) if len(arrived.values) else 0.0)
+        for_rows(kernels.learned, len(arrived.values), arrived.values, least, *found)
         return found
 
 

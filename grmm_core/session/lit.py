@@ -125,7 +125,8 @@ class LitAvatar:
         corners = self._drawn.corners
         inside = mean_irradiance(self._lighting.surroundings) * (_BOWL * self._response.intensity)
         found = relative(scene, bounced, corners, self._drawn.barycentric, learned, self._response.gloss, inside)
-        found[:, RATIO] *= self._drawn.factor(self._lighting.local)
+        if len(self._lighting.local):
+            found[:, RATIO] *= self._drawn.factor(self._lighting.local)
         if self._response.even_mouth:
             even_mouth(self._head, corners, found, FRONT)
         return found, tilts

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from ..avatar import EXTENSION, Avatar, Hair, save_avatar
+from ..avatar import EXTENSION, Avatar, save_avatar
 from ..controls.frame import Controls, resolve
 from ..data.dataset import CaptureDataset
 from ..data.types import Shot
@@ -39,10 +39,14 @@ class Haired:
     Args:
         scene: Model, on the CPU.
         datasets: Captures whose people are drawn.
+        packed: With the strands that fit into a file instead of all that are recorded.
+        strands: Of `RenderOptions`: 1 draws as views do.
     """
 
-    def __init__(self, scene: Scene, datasets: Sequence[CaptureDataset]) -> None:
-        self._scene, self._datasets = scene, datasets
+    def __init__(
+        self, scene: Scene, datasets: Sequence[CaptureDataset], *, packed: bool = False, strands: float = FINAL_STRANDS
+    ) -> None:
+        self._scene, self._datasets, self._packed, self._strands = scene, datasets, packed, strands
         self._session = create_session("local", weights=scene.path, device="cpu")
         self._open: dict[int, tuple[DrawnPerson, int, HairUse]] = {}
 
@@ -69,15 +73,16 @@ class Haired:
         controls = replace(controls, expression=expression, pose=(shot.pose - plain.pose).astype(np.float32))
         _, avatar, hair = self._open[id(person)]
         instance = Instance(avatar, controls, hair=hair)
-        return self._session.render([instance], camera, RenderOptions(background=(0.0, 0.0, 0.0), strands=FINAL_STRANDS))["rgb"]
+        return self._session.render([instance], camera, RenderOptions(background=(0.0, 0.0, 0.0), strands=self._strands))["rgb"]
 
     def _opened(self, person: DrawnPerson, subject: str, seen: SeenIn) -> tuple[int, HairUse]:
         avatar, use = person.avatar or self._made(person), HairUse()
         if avatar.hair is None:
-            hair = captured_hair(self._datasets, subject, self._scene.head, seen)
-            avatar = replace(avatar, hair=None if hair is None else Hair(None, hair.settings, hair.parts, hair.scalp))
-            if hair is not None and hair.groom is not None:  # all strands that are recorded: a file has fewer
+            hair = captured_hair(self._datasets, subject, self._scene.head, seen, even=True)
+            if hair is not None and hair.groom is not None and not self._packed:  # all that are recorded: a file has fewer
                 use = HairUse(self._session.put_groom(subject, "recorded", hair.groom), hair.settings, parts=hair.parts)
+                hair = replace(hair, groom=None)
+            avatar = replace(avatar, hair=hair)
         with tempfile.TemporaryDirectory(prefix="grmm-evaluate-") as folder:
             path = Path(folder) / f"person{EXTENSION}"
             save_avatar(avatar, path)

@@ -90,10 +90,13 @@ def reduced(values: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     return small
 
 
-def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView], head: HeadModel) -> HairSettings:
+def with_colors(
+    settings: HairSettings, groom: Groom, views: Sequence[HairView], head: HeadModel, *, even: bool = False
+) -> HairSettings:
     """Settings whose drawn colors are in the mean those of the first photo's hair, as bright and as tinted as it shows them.
 
-    Of hair that hardly shows, as beside a hat, only how dark and how grey it is is believed.
+    Of hair that hardly shows, as beside a hat, only how dark and how grey it is is believed. `even` hair has no white hairs
+    among dark ones: where it is grey, it is dyed so.
     """
     view = around_head(views[0])
     side = min(1.0, COLOR_SIDE / max(view.hair.shape))
@@ -128,7 +131,7 @@ def with_colors(settings: HairSettings, groom: Groom, views: Sequence[HairView],
     simple = [one for one in tried if not one.grey and not one.redness]  # grey and red together look nearly like neither
     best = min((nearest(min(starts, key=distance)) for starts in (simple, tried)), key=distance)
     off = weights @ strands.gaussians(best).colors - wanted
-    if plain or float(np.abs(off).max()) <= UNLIKELY:
+    if (plain or float(np.abs(off).max()) <= UNLIKELY) and not (even and best.grey > 0.0):
         return best
     best = best.changed(dye=1.0)  # no pigment makes it
     color = np.clip(wanted, 0.0, 1.0)

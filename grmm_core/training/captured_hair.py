@@ -28,28 +28,31 @@ SeenIn = Callable[[Shot, View], bool]
 
 
 def captured_hair(
-    datasets: Iterable[CaptureDataset], person: str, head: HeadModel, seen: SeenIn = lambda shot, view: True
-) -> Hair | None:
+    datasets: Iterable[CaptureDataset], person: str, head: HeadModel, seen: SeenIn = lambda shot, view: True,
+    *, even: bool = False,
+) -> Hair | None:  # fmt: skip
     """Return what a person wears; None where no capture has recorded it.
 
     Colors are sought where a view shows the person with hair and says where it is, else they are the settings' own.
 
     Args:
-        datasets: Captures; the first that has the person's strands counts.
+        datasets: Captures; the strands are those of the first that has them, and the views of all tell the colors.
         person: Name.
         head: Of the captures.
         seen: Which views may tell the colors.
+        even: Grey is one tone for all hairs of the scalp, as the studio's is, and no white hairs among dark ones.
 
     Raises:
         FileAccessError, FileFormatError: A file is missing or damaged.
     """
-    for dataset in datasets:
-        groom = dataset.groom(person)
+    folders = list(datasets)
+    for recorded in folders:
+        groom = recorded.groom(person)
         if groom is None:
             continue
         views = [
             (dataset, shot, view)
-            for shot in dataset.shots if shot.subject == person
+            for dataset in folders for shot in dataset.shots if shot.subject == person
             for view in shot.shown(bare=False) if PART_LAYER in view.layers and seen(shot, view)
         ]  # fmt: skip
         settings, parts = HairSettings(), {}
@@ -58,7 +61,7 @@ def captured_hair(
             shown = [_hair_view(*view, head, GROUPS[group]) for view in views] if len(some) else []
             if shown:
                 clearest = max(shown, key=lambda view: float(view.hair.sum()))
-                colored = with_colors(settings.for_part(group), some, [clearest], head)
+                colored = with_colors(settings.for_part(group), some, [clearest], head, even=even and group == SCALP)
                 if group == SCALP:
                     settings = colored
                 elif colored != settings.for_part(group):

@@ -10,7 +10,7 @@ from grmm_core.data.layers import PART_LAYER, PARTS
 from grmm_core.data.types import Picture, Shot, View
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
-from grmm_core.hair.coloring import WornHair
+from grmm_core.hair.coloring import HairView, WornHair, with_colors
 from grmm_core.hair.groom import join
 from grmm_core.head import load_open_head
 from grmm_core.training.captured_hair import captured_hair
@@ -62,3 +62,20 @@ def test_unseen_colors_are_left_and_unrecorded_hair_is_none(capture):
     datasets, _ = capture
     assert captured_hair(datasets, "bo", load_open_head()).settings == HairSettings()
     assert captured_hair(datasets, "cy", load_open_head()) is None
+
+
+def test_grey_of_the_studio_is_one_tone():
+    """White hairs among dark ones would hide where the curls of a truth go whose grey hairs are all alike."""
+    head, groom, camera = load_open_head(), library_groom("bob"), Camera.orbit(SIZE, SIZE, 10.0, fov=14.0)
+    vertices = np.asarray(head.v_template, np.float64)
+
+    def shown(settings):
+        return WornHair(groom, settings, vertices, camera, head).drawn(settings)
+
+    for painted, grey in ((HairSettings(melanin=0.85, grey=0.75), True), (HairSettings(melanin=0.3), False)):
+        rgb, alpha = shown(painted)
+        view, full = HairView(camera, vertices, rgb, alpha, np.ones_like(alpha)), alpha > 0.8
+        mixed, even = (with_colors(HairSettings(), groom, [view], head, even=one) for one in (False, True))
+        assert mixed.dye == 0.0
+        assert (mixed.grey > 0.0, even.dye == 1.0, even == mixed) == (grey, grey, not grey)
+        np.testing.assert_allclose(shown(even)[0][full].mean(0), rgb[full].mean(0), atol=0.02)

@@ -49,6 +49,8 @@ HAIR_RIM = 0.016  # likewise from hair and hats
 SHADOW_RIM = 0.05  # likewise: how far beside the face hair throws a shadow
 SHADOW = 0.88  # of the face's lightness: less is shadow there
 NECK_TINT, NECK_LIGHT = 0.05, 1.15  # how far a neck's chromaticity and how much its lightness may exceed the face's: collars do
+# by so much more that of a redder neck, by the share of the face's lightness that it lacks: shade is redder
+NECK_SHADE = 3.0
 CLIPPED = 0.985  # of a channel: from here on a photo does not say how bright it was
 BURNT, BURNT_RIM = 1.6, 0.016  # times the lightness of the face where it is lit; of the head's height
 LIT = 0.75  # of the face's pixels are darker than where it is lit, although light from a side may leave most of it in shadow
@@ -300,9 +302,11 @@ def _foreign(image: np.ndarray, parts: PhotoParts) -> np.ndarray:
     if not face.any():
         return np.zeros(face.shape, bool)
     light = image.mean(2)
-    tint = image / np.maximum(image.sum(2, keepdims=True), 1e-3)
-    off = np.abs(tint - np.median(tint[face], 0)).max(2)
-    return (parts.neck > _LIKELY) & ((off > NECK_TINT) | (light > NECK_LIGHT * np.median(light[face])))
+    tint, usual = image / np.maximum(image.sum(2, keepdims=True), 1e-3), np.median(light[face])
+    off = tint - np.median(tint[face], 0)
+    shade = np.where(off[..., 0] > 0.0, np.clip(1.0 - light / usual, 0.0, 1.0), 0.0)
+    allowed = NECK_TINT * (1.0 + NECK_SHADE * shade)
+    return (parts.neck > _LIKELY) & ((np.abs(off).max(2) > allowed) | (light > NECK_LIGHT * usual))
 
 
 def _plane(mask: np.ndarray) -> torch.Tensor:

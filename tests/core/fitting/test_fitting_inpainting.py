@@ -143,6 +143,21 @@ def test_skin_that_light_from_behind_has_burnt_out_tells_no_color(model, monkeyp
     assert 0.7 < float(views[1].weight.sum() / views[0].weight.sum()) < 1.0
 
 
+def test_a_neck_in_the_shade_of_the_chin_tells_its_color_and_cloth_that_was_taken_for_neck_does_not(model, monkeypatch):
+    head, person = model.head_model, track(model.head_model)
+    low = (np.abs(person.image - CLOTH).max(-1) < 0.01).astype(float)
+    monkeypatch.setattr(photo_targets, "parse", lambda photo, _: parts_of(1.0 - photo.mask, neck=low))
+    shade, deep = np.multiply(SKIN_TONE, (0.6, 0.5, 0.45)), np.multiply(SKIN_TONE, (0.3, 0.2, 0.18))
+    cloths = [(0.95, 0.95, 0.95), (0.1, 0.1, 0.12), (0.35, 0.35, 0.36), tuple(CLOTH), (0.8, 0.1, 0.1)]
+    counts = []
+    for tone in (shade, deep, *cloths):
+        shown = dataclasses.replace(person, image=np.where(low[..., None] > 0.0, tone, person.image))
+        view = fit_view(shown, head, 0, SIZE, len(ALIGNED_NAMES), model.dtype, hairless=True)
+        counts.append(int(((view.measured > 0.5).numpy() & (np.abs(view.image.numpy() - tone).max(-1) < 0.02)).sum()))
+    assert counts[0] > 20
+    assert counts[1:] == [counts[0], 0, 0, 0, 0, 0]
+
+
 def test_hair_over_the_cheeks_is_told_from_skin_brows_and_beard(model):
     head = model.head_model
     view, bearded = view_of(model), view_of(model, beard=True)

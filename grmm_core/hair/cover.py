@@ -13,11 +13,14 @@ from ..geometry.triangles import vertex_normals
 from ..head import HeadModel
 from .occlusion import sample, smooth_grid
 from .roots import SCALP
-from .strands import StrandBlock, lengths_of
+from .strands import CROPPED, StrandBlock, lengths_of
 
 CELL, LAYERS = 0.003, 20  # metres of a cell in which strands are counted, and of how many over the skin
 FIRST, STEP = 0.06, 0.002  # metres of each strand from its root that count, in steps; curls cover by what is farther out
 DENSE = 1.0  # cover by strands, laid beside each other, from where on skin counts as lying under hair
+# how soon shorn hair, which has no partings, covers skin: without an edge, at which roots that lie a little unevenly would make
+# patches of bare skin
+SHORN_DENSE = 2.6
 
 
 def beneath(
@@ -45,19 +48,22 @@ def beneath(
     up = (vertex_normals(template, np.asarray(head.faces))[corners] * weights[..., None]).sum(1)
     low = points.min(0) - 3 * CELL
     size = np.ceil((points.max(0) + 3 * CELL - low) / CELL).astype(int) + 1
-    filled = np.zeros(int(size.prod()))
+    filled = np.zeros((2, int(size.prod())))  # by longer hair, and by shorn hair
     for block in blocks:
         origin, axes = block.frames.at(template)
         begun, real = _begun(np.matmul(block.points, axes) + origin[:, None])
         areas = np.broadcast_to((block.widths[:, :1] * (STEP * len(block) / len(begun))), real.shape)[real]
         cells = np.floor((begun[real] - low) / CELL).astype(int)
         near = ((cells >= 0) & (cells < size)).all(1)  # not a bun behind the head
-        np.add.at(filled, np.ravel_multi_index(tuple(cells[near].T), tuple(size)), areas[near])
-    dense = smooth_grid(smooth_grid(filled.reshape(size) / CELL**2))[..., None]
-    passed = np.zeros(len(points))
+        np.add.at(filled[int(block.length < CROPPED)], np.ravel_multi_index(tuple(cells[near].T), tuple(size)), areas[near])
+    dense = np.stack([smooth_grid(smooth_grid(part.reshape(size) / CELL**2)) for part in filled], -1)
+    passed = np.zeros((len(points), 2))
     for k in range(-1, layers):
-        passed += sample(dense, (points + (k + 0.5) * CELL * up - low) / CELL - 0.5)[:, 0]
-    return np.minimum(passed / DENSE, 1.0)
+        passed += sample(dense, (points + (k + 0.5) * CELL * up - low) / CELL - 0.5)
+    if group != SCALP:
+        return np.minimum(passed.sum(1) / DENSE, 1.0)
+    covered: np.ndarray = 1.0 - (1.0 - np.minimum(passed[:, 0] / DENSE, 1.0)) * np.exp(-SHORN_DENSE * passed[:, 1].clip(0.0))
+    return covered
 
 
 def _begun(strands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

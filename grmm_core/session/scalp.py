@@ -43,6 +43,7 @@ SHADED = {SCALP: 0.3, BEARDS: 0.5}  # of the brightness of skin that is not laid
 SHADING = 5  # layers of `hair.cover` over skin in which strands shade it: curls that stand before a forehead do not
 UNDER = 0.9  # how much of the hair's color the skin under dense hair takes on
 ROOTED = 0.75  # of what is left, where that skin is of a place without hair: what roots in it take
+GLOSS = 0.05  # linear: white glints on that color where light gets to; without them what shows of it is rust
 SKIN = ("face", "neck")  # regions where skin shows; the others in it below
 _NOT_SKIN = ("lips", "brows", "lids", "lashes", "mouth_interior", "left_eyeball", "right_eyeball")
 _ISLAND = 0
@@ -174,7 +175,7 @@ def cap_color(skin: Skin, there: Covered, settings: HairSettings) -> np.ndarray:
     """Color of the texels where they are laid flat, under strands, display sRGB [N, 3] float32."""
     cover = (1.0 - (1.0 - there.cover) ** settings.density)[:, None] * there.under[:, None]
     dark = there.under * (1.0 - np.maximum(there.light, DIM) ** settings.shading)
-    hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0]
+    hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0] + GLOSS * (there.light**2)[:, None]
     left = (1.0 - UNDER * cover) * (1.0 - ROOTED * skin.bare[:, None] * cover)
     color = skin.color * left + (1.0 - left) * hair
     return linear_to_srgb(color * (1.0 - dark)[:, None])

@@ -13,7 +13,7 @@ from grmm_core.hair.roots import GROUPS
 from grmm_core.hair.strands import blocks_of
 from grmm_core.pictures.color import srgb_to_linear
 from grmm_core.session import HairUse, create_session
-from grmm_core.session.scalp import bare_skin, covered, shade
+from grmm_core.session.scalp import Covered, Skin, bare_skin, cap_color, covered, shade
 from grmm_core.session.wardrobe import Wardrobe
 
 SKIN = (0.8, 0.6, 0.5)
@@ -143,3 +143,14 @@ def test_skin_under_a_beard_and_a_fringe_is_dark_and_other_skin_is_not(model):
     assert left("coily", "scalp")[brow | nose].min() > 0.99  # curls stand out before it
     np.testing.assert_allclose(1.0 - left("full", "beard", density=0.25), 0.25 * (1.0 - beard), atol=1e-6)
     assert (shade(covered(evaluator, target, ()), [HairSettings()] * len(GROUPS)) == 1.0).all()
+
+
+def test_what_shows_between_shorn_hair_is_not_rust_and_deep_inside_hair_is_dark():
+    """Brown hair's color without the glints that its strands have is far redder than they are."""
+    ones = np.ones(3, np.float32)
+    light = np.array([0.9, 0.5, 0.05])
+    skin = Skin(ones, srgb_to_linear(np.tile(SKIN, (3, 1))), ones)
+    red, green, blue = cap_color(skin, Covered(ones, ones, light, ()), HairSettings(melanin=0.62)).T
+    assert red[0] < 2.2 * blue[0]
+    assert (np.diff(green) < 0.0).all()
+    assert green[2] < 0.06

@@ -49,7 +49,7 @@ def openness(points: np.ndarray, widths: np.ndarray, vertices: np.ndarray, faces
     dim = thick + SOLID * head
     wanted = np.flatnonzero((smooth_grid(thick) > 0).ravel())
     places = np.stack(np.unravel_index(wanted, tuple(size)), 1).astype(np.float32) + 0.5
-    directions = _sphere(DIRECTIONS).astype(np.float32)
+    directions = directions_over(DIRECTIONS)
     seen = np.empty((len(wanted), 4), np.float32)
     march(np.ascontiguousarray(dim, np.float32), places, directions, int(REACH / CELL), CELL, seen)
     result = np.zeros((int(size.prod()), 4), np.float32)
@@ -67,12 +67,12 @@ def smooth_grid(grid: np.ndarray) -> np.ndarray:
     return grid
 
 
-def _sphere(count: int) -> np.ndarray:
-    """Unit vectors spread evenly (a Fibonacci lattice), [count, 3]."""
+def directions_over(count: int) -> np.ndarray:
+    """Unit vectors spread evenly over the sphere (a Fibonacci lattice), float32 [count, 3]."""
     i = np.arange(count) + 0.5
     y, angle = 1 - 2 * i / count, np.pi * (1 + 5**0.5) * i
     r = np.sqrt(1 - y * y)
-    return np.stack([r * np.cos(angle), y, r * np.sin(angle)], 1)
+    return np.stack([r * np.cos(angle), y, r * np.sin(angle)], 1).astype(np.float32)
 
 
 def _inside(low: np.ndarray, size: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

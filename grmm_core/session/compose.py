@@ -238,15 +238,15 @@ def _gaussians(
         own = item.target.seen_from(local_camera, options.lod)
     else:
         direction = local_camera.view_direction(np.array(HEAD_CENTRE))
-        cap = None
+        cap, lit = None, _is_lit(item, options)
         if played or (item.worn is not None and item.worn.layers):
             hiding = wardrobe.hiding(evaluator, item.target, item.inputs, local_camera)
         if item.worn is not None:
-            cap = wardrobe.cap(evaluator, item.target, item.inputs, item.worn)
+            cap = wardrobe.cap(evaluator, item.target, item.inputs, item.worn, lit)
             strands = wardrobe.gaussians(
                 evaluator, item.target, item.inputs, item.worn, local_camera, options.lod, options.strands, hiding=hiding
             )
-        own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap, _is_lit(item, options))
+        own = evaluator.gaussians(item.target, item.inputs, direction, options.lod, cap, lit)
     count = len(own)
     features = own.features
     if item.model is not None and item.model.config.antialias:

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..geometry.libraries import to_numpy
 from ..hair.cover import beneath
+from ..hair.hanging import left_by_hair
 from ..hair.pigment import albedos
 from ..hair.roots import BEARD as BEARDS
 from ..hair.roots import SCALP
@@ -41,6 +42,7 @@ NEAR = 0.02  # metres: over what distance the skin's color is smoothed
 SAMPLES = 1200  # texels of skin from which it is taken
 SHADED = {SCALP: 0.3, BEARDS: 0.5}  # of the brightness of skin that is not laid flat: what dense strands over it take
 SHADING = 5  # layers of `hair.cover` over skin in which strands shade it: curls that stand before a forehead do not
+DISPLAYED = 1.0 / 2.2  # power that makes a share of light one of a display color
 UNDER = 0.9  # how much of the hair's color the skin under dense hair takes on
 ROOTED = 0.75  # of what is left, where that skin is of a place without hair: what roots in it take
 GLOSS = 0.05  # linear: white glints on that color where light gets to; without them what shows of it is rust
@@ -154,12 +156,14 @@ class Covered(NamedTuple):
         cover: What roots cover of it, 0..1 [N].
         light: What reaches it, 0..1 [N].
         shaded: Whether strands of each part of `SHADED` lie over it closely, 0..1 [N].
+        beside: What hair that stands off leaves of the rig's light where none lies over it, 0..1 [N].
     """
 
     under: np.ndarray
     cover: np.ndarray
     light: np.ndarray
     shaded: tuple[np.ndarray, ...]
+    beside: np.ndarray
 
 
 def covered(evaluator: Evaluator, target: OpenAvatar, blocks: Sequence[StrandBlock]) -> Covered:
@@ -168,7 +172,9 @@ def covered(evaluator: Evaluator, target: OpenAvatar, blocks: Sequence[StrandBlo
     cover, light = ((part[places.corners] * places.weights).sum(1) for part in _under_hair(head, blocks))
     where = head, places.points, places.corners, places.weights, blocks
     shaded = tuple(beneath(*where, group, SHADING) * places.outer for group in SHADED)
-    return Covered(beneath(*where), cover, light, shaded)
+    under = beneath(*where)
+    left = (left_by_hair(head, blocks)[places.corners] * places.weights).sum(1)
+    return Covered(under, cover, light, shaded, 1.0 - (1.0 - left) * (1.0 - under) * places.outer)
 
 
 def cap_color(skin: Skin, there: Covered, settings: HairSettings) -> np.ndarray:
@@ -187,6 +193,11 @@ def shade(there: Covered, settings: Sequence[HairSettings]) -> np.ndarray:
     for (group, most), over in zip(SHADED.items(), there.shaded, strict=True):
         left *= 1.0 - most * settings[group].shading * over
     return left[:, None].astype(np.float32)
+
+
+def shadow(there: Covered, settings: HairSettings) -> np.ndarray:
+    """What scalp hair that stands off, as beside a neck, leaves of the color of skin in the rig's light, float32 [N, 1]."""
+    return ((1.0 - (1.0 - there.beside) * settings.shading) ** DISPLAYED)[:, None].astype(np.float32)
 
 
 def _under_hair(head: HeadModel, blocks: Sequence[StrandBlock]) -> tuple[np.ndarray, np.ndarray]:

@@ -35,7 +35,7 @@ from ..splat.types import Gaussians
 from .cap import Cap
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
-from .scalp import Covered, Skin, bare_skin, cap_color, covered, shade
+from .scalp import Covered, Skin, bare_skin, cap_color, covered, shade, shadow
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
@@ -177,8 +177,13 @@ class Wardrobe:
         lies = functools.partial(outside, head, mean)
         return _kept(self._ready, (*layer.key, head.name), lambda: blocks_of(layer.groom, mean, head.faces, lies))
 
-    def cap(self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn) -> Cap | None:
-        """What lays the trained hair flat and darkens skin under strands; see `scalp`. None where neither is."""
+    def cap(
+        self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, lit_later: bool = False
+    ) -> Cap | None:  # fmt: skip
+        """What lays the trained hair flat and darkens skin under strands; see `scalp`. None where neither is.
+
+        Where a scene's light is to take the rig's place, its own shadows are those of hair beside the skin.
+        """
         if not worn.flat and not any((layer.groom.groups == BEARD).any() for layer in worn.layers):
             return None
         head = target.model.head_model
@@ -193,6 +198,8 @@ class Wardrobe:
             there = evaluator.cache.get((target.id, "covered", *worn.key), find)
             photo = worn.own and target.avatar.provenance.from_photos  # it shows how dark skin under its own hair is
             left = np.ones((len(target.model.layout), 1), np.float32) if photo else shade(there, worn.settings)
+            if not photo and not lit_later:
+                left = np.minimum(left, shadow(there, worn.settings[SCALP]))
             share, color = np.zeros(len(left), np.float32), np.zeros((len(left), 3), np.float32)
             if worn.flat:
                 skin = evaluator.cache.get((target.id, "skin", worn.own, *inputs.identity_key), bare)
@@ -201,7 +208,9 @@ class Wardrobe:
 
         scalp, beard = worn.settings[SCALP], worn.settings[BEARD]
         settings = *scalp.color_key, scalp.density, scalp.shading, beard.shading
-        return evaluator.cache.get((target.id, "cap", worn.own, worn.flat, *worn.key, *inputs.identity_key, *settings), make)
+        return evaluator.cache.get(
+            (target.id, "cap", lit_later, worn.own, worn.flat, *worn.key, *inputs.identity_key, *settings), make
+        )
 
     def gaussians(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, camera: Camera | None, lod: int = 0,

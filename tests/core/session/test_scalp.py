@@ -13,7 +13,7 @@ from grmm_core.hair.roots import GROUPS
 from grmm_core.hair.strands import blocks_of
 from grmm_core.pictures.color import srgb_to_linear
 from grmm_core.session import HairUse, create_session
-from grmm_core.session.scalp import Covered, Skin, bare_skin, cap_color, covered, shade
+from grmm_core.session.scalp import Covered, Skin, bare_skin, cap_color, covered, shade, shadow
 from grmm_core.session.wardrobe import Wardrobe
 
 SKIN = (0.8, 0.6, 0.5)
@@ -150,7 +150,30 @@ def test_what_shows_between_shorn_hair_is_not_rust_and_deep_inside_hair_is_dark(
     ones = np.ones(3, np.float32)
     light = np.array([0.9, 0.5, 0.05])
     skin = Skin(ones, srgb_to_linear(np.tile(SKIN, (3, 1))), ones)
-    red, green, blue = cap_color(skin, Covered(ones, ones, light, ()), HairSettings(melanin=0.62)).T
+    red, green, blue = cap_color(skin, Covered(ones, ones, light, (), ones), HairSettings(melanin=0.62)).T
     assert red[0] < 2.2 * blue[0]
     assert (np.diff(green) < 0.0).all()
     assert green[2] < 0.06
+
+
+def test_hair_that_hangs_beside_a_neck_throws_a_shadow_on_it(model):
+    head, layout = model.head_model, model.layout
+    target = _person(model, from_photos=False)
+    mean, evaluator = np.asarray(head.v_template, float), SimpleNamespace(cache=SimpleNamespace(get=lambda key, make: make()))
+    x, y, z = (mean[np.asarray(head.faces)[layout.face]] * layout.barycentric[..., None]).sum(1).T
+    outer = np.asarray(head.uv_islands)[layout.face] == 0
+    neck = outer & (y > -0.12) & (y < -0.08) & (np.abs(x) > 0.03) & (z > -0.03) & (z < 0.03)
+    nose = outer & (z > 0.105) & (y > 0.005) & (y < 0.04)
+    assert min(neck.sum(), nose.sum()) > 20
+
+    def left(*names, **values):
+        blocks = [block for name in names for block in blocks_of(library_groom(name), mean, head.faces)]
+        return shadow(covered(evaluator, target, blocks), HairSettings(**values))[:, 0]
+
+    long, short = left("long"), left("crop")
+    assert long[neck].mean() < 0.8 < 0.95 < short[neck].mean()
+    assert long[nose].mean() > 0.95
+    assert long[~outer].min() == 1.0
+    assert long.min() > 0.3  # skin and hair around give some light back
+    assert left("long", density=0.3)[neck].mean() > long[neck].mean() + 0.1
+    assert (left() == 1.0).all()

@@ -19,7 +19,7 @@ from grmm_core.light.resting import MOUTH
 from grmm_core.light.shading import LEAST_FRONT, Response
 from grmm_core.light.surroundings import Surroundings
 from grmm_core.pictures.color import linear_to_srgb
-from grmm_core.session import HairUse, Instance, RenderOptions, create_session
+from grmm_core.session import HairUse, Instance, RenderOptions, create_session, wardrobe
 from grmm_core.session.lit import RATIO, SHADOW, LitAvatar
 from grmm_core.session.wardrobe import Wardrobe
 
@@ -274,7 +274,8 @@ def test_strands_are_lit_with_the_skin(session):
 
 
 def test_in_the_studios_rig_strands_look_as_unlit_ones(session, monkeypatch):
-    monkeypatch.setattr(Wardrobe, "covering", lambda *_: (np.zeros((0, 3)), np.zeros(0)))  # whose shadow colors have not
+    monkeypatch.setattr(Wardrobe, "covering", lambda *_: (np.zeros((0, 3)), np.zeros(0)))  # neither throws shadows on skin
+    monkeypatch.setattr(wardrobe, "shadow", lambda there, settings: np.ones((len(there.under), 1), np.float32))
     session.evaluator.cache.clear()
     plain, lit = (drawn(session, light, hair=HairUse("groom:bob")) for light in (None, STUDIO))
     session.evaluator.cache.clear()

@@ -32,7 +32,8 @@ FINEST, SHORN = 0.00012, 0.6  # metres: parents are split until strands are abou
 FEW = 0.03  # of the scalp's strands: so few long or short ones are not told apart
 MOST_CHILDREN = 8
 ROOT_SPREAD, TIP_SPREAD = 0.95, 0.45  # of the distance between parents, how far their children are at root and tip
-TOGETHER = 0.33  # share of the former that is left at the tip
+TOGETHER, APART = 0.33, 0.75  # share of the former that is left at the tip: of curls and ropes, and of straight hair
+STRAIGHT = (0.96, 0.985)  # way of a strand's second half over its length, of curls and of straight hair
 SHORTER = 0.3  # of its length by which a child of a short parent is shorter at most
 BEARD_HAIRS, BEARD_WIDE, BEARD_CHILDREN = 20_000, 0.00009, 4  # of a beard, the diameter of long ones, and children at most
 BEARD_SHORTER, BEARD_FLAT = 0.65, 0.5  # as `SHORTER`, so that beards end softly; share of its height that a beard loses
@@ -351,8 +352,12 @@ def _spread(groom: Groom, owner: np.ndarray, vertices: np.ndarray, faces: np.nda
     turn, far = np.arange(total) // len(groom) / (total // len(groom)), np.sqrt(g.random(total))
     angle = 2 * np.pi * (g.random(len(groom))[owner] + turn)
     root = np.stack([far * np.cos(angle), far * np.sin(angle), np.zeros(total)], 1) * ROOT_SPREAD
-    short = shortness(lengths_of(groom.points.reshape(len(groom), -1, 3)))[owner, None]  # does not hang together in wisps
-    tip = (TOGETHER + (1.0 - TOGETHER) * short) * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
+    points = groom.points.reshape(len(groom), -1, 3)
+    short = shortness(lengths_of(points))  # does not hang together in wisps
+    half = points[:, points.shape[1] // 2 :]
+    way = np.linalg.norm(half[:, -1] - half[:, 0], axis=1) / np.maximum(lengths_of(half), 1e-9)
+    left = np.interp(way, STRAIGHT, (TOGETHER, APART))  # locks that end in points make a comb of a hem
+    tip = (left + (1.0 - left) * short)[owner, None] * root + g.normal(0, 0.5, (total, 3)) * TIP_SPREAD
     spread = root_distance(groom, vertices, faces) * np.stack([root, tip], 1)
     spread[: len(groom)] = 0.0
     return spread

@@ -13,7 +13,9 @@ from grmm_core.hair import HairSettings
 from grmm_core.hair.coloring import WornHair
 from grmm_core.hair.compact import MAX_BYTES, compact_parts, restored_parts
 from grmm_core.hair.groom import QUANTUM, TINTS, Groom, bind, join
+from grmm_core.hair.packaged import library_groom
 from grmm_core.hair.roots import BEARD, LASHES, SCALP
+from grmm_core.hair.strands import blocks_of
 from grmm_core.head.open_head import load_open_head
 
 
@@ -180,3 +182,17 @@ def test_a_groom_of_another_head_is_refused(head, strands):
     arrays["steps"] = arrays["steps"][:-1]
     with pytest.raises(ShapeError, match="points"):
         Groom.unpack(arrays)
+
+
+def test_hairs_of_straight_hair_end_beside_each_other_and_those_of_ropes_together():
+    """Where the former met in points, a hem was a comb; braids and locs are told apart by gaps between them."""
+    head = load_open_head()
+
+    def left(name):
+        (block,) = blocks_of(library_groom(name), head.v_template, head.faces)
+        own = block.spread[len(block.points) :]  # the children
+        root, tip = (np.linalg.norm(own[:, end, :2], axis=1).mean() for end in (0, 1))
+        return tip / root
+
+    assert 0.7 < left("bob") < 1.2
+    assert left("locs") < 0.65

@@ -304,7 +304,7 @@ def _foreign(image: np.ndarray, parts: PhotoParts) -> np.ndarray:
     light = image.mean(2)
     tint, usual = image / np.maximum(image.sum(2, keepdims=True), 1e-3), np.median(light[face])
     off = tint - np.median(tint[face], 0)
-    shade = np.where(off[..., 0] > 0.0, np.clip(1.0 - light / usual, 0.0, 1.0), 0.0)
+    shade = np.where(off[..., 0] > 0.0, np.clip(1.0 - light / max(float(usual), 1e-3), 0.0, 1.0), 0.0)
     allowed = NECK_TINT * (1.0 + NECK_SHADE * shade)
     return (parts.neck > _LIKELY) & ((np.abs(off).max(2) > allowed) | (light > NECK_LIGHT * usual))
 

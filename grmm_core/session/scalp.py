@@ -156,7 +156,7 @@ class Covered(NamedTuple):
         cover: What roots cover of it, 0..1 [N].
         light: What reaches it, 0..1 [N].
         shaded: Whether strands of each part of `SHADED` lie over it closely, 0..1 [N].
-        beside: What hair that stands off leaves of the rig's light where none lies over it, 0..1 [N].
+        beside: What hair that stands off leaves of the rig's light, 0..1 [N].
     """
 
     under: np.ndarray
@@ -172,15 +172,16 @@ def covered(evaluator: Evaluator, target: OpenAvatar, blocks: Sequence[StrandBlo
     cover, light = ((part[places.corners] * places.weights).sum(1) for part in _under_hair(head, blocks))
     where = head, places.points, places.corners, places.weights, blocks
     shaded = tuple(beneath(*where, group, SHADING) * places.outer for group in SHADED)
-    under = beneath(*where)
-    left = (left_by_hair(head, blocks)[places.corners] * places.weights).sum(1)
-    return Covered(under, cover, light, shaded, 1.0 - (1.0 - left) * (1.0 - under) * places.outer)
+    lost = ((1.0 - left_by_hair(head, blocks))[places.corners] * places.weights).sum(1)
+    return Covered(beneath(*where), cover, light, shaded, 1.0 - lost * places.outer)
 
 
-def cap_color(skin: Skin, there: Covered, settings: HairSettings) -> np.ndarray:
-    """Color of the texels where they are laid flat, under strands, display sRGB [N, 3] float32."""
+def cap_color(skin: Skin, there: Covered, settings: HairSettings, rig: bool) -> np.ndarray:
+    """Color of the texels where they are laid flat, under strands, display sRGB [N, 3] float32; `rig`: in its shadows, too."""
     cover = (1.0 - (1.0 - there.cover) ** settings.density)[:, None] * there.under[:, None]
     dark = there.under * (1.0 - np.maximum(there.light, DIM) ** settings.shading)
+    if rig:  # else a bright rim would be left along the hairline, between both shadows
+        dark = np.maximum(dark, (1.0 - there.beside) * settings.shading)
     hair = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0, 0] + GLOSS * (there.light**2)[:, None]
     left = (1.0 - UNDER * cover) * (1.0 - ROOTED * skin.bare[:, None] * cover)
     color = skin.color * left + (1.0 - left) * hair

@@ -198,12 +198,13 @@ class Wardrobe:
             there = evaluator.cache.get((target.id, "covered", *worn.key), find)
             photo = worn.own and target.avatar.provenance.from_photos  # it shows how dark skin under its own hair is
             left = np.ones((len(target.model.layout), 1), np.float32) if photo else shade(there, worn.settings)
-            if not photo and not lit_later:
+            rig = not photo and not lit_later
+            if rig:
                 left = np.minimum(left, shadow(there, worn.settings[SCALP]))
             share, color = np.zeros(len(left), np.float32), np.zeros((len(left), 3), np.float32)
             if worn.flat:
                 skin = evaluator.cache.get((target.id, "skin", worn.own, *inputs.identity_key), bare)
-                share, color = skin.share, cap_color(skin, there, worn.settings[SCALP])
+                share, color = skin.share, cap_color(skin, there, worn.settings[SCALP], rig)
             return Cap(*map(self._engine.array, (share, color, left)))
 
         scalp, beard = worn.settings[SCALP], worn.settings[BEARD]

@@ -150,7 +150,7 @@ def test_what_shows_between_shorn_hair_is_not_rust_and_deep_inside_hair_is_dark(
     ones = np.ones(3, np.float32)
     light = np.array([0.9, 0.5, 0.05])
     skin = Skin(ones, srgb_to_linear(np.tile(SKIN, (3, 1))), ones)
-    red, green, blue = cap_color(skin, Covered(ones, ones, light, (), ones), HairSettings(melanin=0.62)).T
+    red, green, blue = cap_color(skin, Covered(ones, ones, light, (), ones), HairSettings(melanin=0.62), False).T
     assert red[0] < 2.2 * blue[0]
     assert (np.diff(green) < 0.0).all()
     assert green[2] < 0.06
@@ -177,3 +177,13 @@ def test_hair_that_hangs_beside_a_neck_throws_a_shadow_on_it(model):
     assert long.min() > 0.3  # skin and hair around give some light back
     assert left("long", density=0.3)[neck].mean() > long[neck].mean() + 0.1
     assert (left() == 1.0).all()
+
+
+def test_at_the_hairline_skin_is_no_brighter_than_in_the_shadow_beside_it():
+    ones = np.ones(3, np.float32)
+    skin = Skin(ones, np.full((3, 3), 0.5, np.float32), ones)
+    there = Covered(np.array([0.0, 0.3, 1.0], np.float32), 0.0 * ones, np.array([1.0, 1.0, 0.2], np.float32), (), 0.6 * ones)
+    plain, shaded = (srgb_to_linear(cap_color(skin, there, HairSettings(), rig))[:, 1] for rig in (False, True))
+    assert plain[0] == plain[1] == pytest.approx(0.5, abs=1e-3)
+    np.testing.assert_allclose(shaded[:2], 0.3, atol=1e-3)
+    assert shaded[2] == plain[2] < 0.3  # under dense hair it is darker than that already

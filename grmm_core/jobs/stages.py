@@ -87,6 +87,15 @@ FIT = JobStages(
 PEOPLE = JobStages("fits", (Stage("people", "Fitting"),))
 PIECES = JobStages("evaluation on a cluster", (Stage("pieces", "Measuring"),))  # which end in any order
 FIND_FACES = JobStages("search for faces", (Stage("load", "Starting", 4.0), Stage("analyse", "Looking for faces", 2.0)))
+TRACK = JobStages(
+    "performance capture",
+    (
+        Stage("load", "Starting", 3.0),
+        Stage("read", "Following the face", 20.0),  # this and the last of some 600 frames; both grow with the video
+        Stage("person", "Finding the person", 4.0),
+        Stage("solve", "Solving expressions", 14.0),
+    ),
+)
 CAPTURE = JobStages("capture", (Stage("shots", "Rendering"),))
 TRAINING = JobStages("training", (Stage("prepare", "Preparing", 0.01), Stage("steps", "Training")))
 EVALUATION = JobStages(

@@ -167,18 +167,30 @@ def _start(observations: Sequence[Observation], rig: LandmarkRig) -> tuple[Probl
     for item in observations:
         prior = make_priors(rig.head, item.arkit, item.focal, item.width, item.height)
         model = rig.positions(shape, prior.expression_mean, prior.pose_mean)
-        rotation, scale, shift = similarity(model - center, item.landmarks.astype(np.float64))
-        magnification = -float(np.log(scale))
-        offset = shift[:2] - np.array([item.width, item.height]) / 2.0
+        rotation, offset, magnification = seen_pose(model - center, item)
         # depth over focal length is 1 / scale; the priors of distance and focal length split the product
         focal = prior.log_focal(magnification)
         noise = np.zeros(landmark_modes(rotation).shape[2])
         views.append(View(rotation, offset, magnification, focal, prior.expression_mean.copy(), prior.pose_mean.copy(), noise))
-        units.append(scale * _eye_distance(mean))
+        units.append(_eye_distance(mean) / np.exp(magnification))
         term = Term(rig, item.landmarks[:, :2].astype(np.float64), landmark_sigmas(rig, rotation) * units[-1])
         photos.append(PhotoProblem(item.width, item.height, prior, (term,)))
     problem = Problem(tuple(photos), center, rig.shape_count, rig.expression_count, len(views[0].noise))
     return problem, Solution(shape, tuple(views)), tuple(units)
+
+
+def seen_pose(model: np.ndarray, item: Observation) -> tuple[np.ndarray, np.ndarray, float]:
+    """How landmarks are seen, by the similarity between these (with their relative depth) and the model's.
+
+    Args:
+        model: Landmarks about the point that `View.offset` projects, metres, [478, 3].
+        item: What was found.
+
+    Returns:
+        `rotation`, `offset` and `magnification` of a `View`.
+    """
+    rotation, scale, shift = similarity(model, item.landmarks.astype(np.float64))
+    return rotation, shift[:2] - np.array([item.width, item.height]) / 2.0, -float(np.log(scale))
 
 
 def similarity(model: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:

@@ -7,7 +7,9 @@ joint angles they are linear in shape and expression. Used by `solver` and the s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import copy
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -64,6 +66,7 @@ class PointRig:
         self._parents = head.parents.tolist()
         self._joint_template = head.joint_template.astype(np.float64)  # [5, 3]
         self._joint_dirs = head.joint_dirs.astype(np.float64)  # [5, 3, S]
+        self._expression_pose = head.expression_pose.astype(np.float64)  # [E, 5, 3]
         self._parts: list[_JointPart] = []
         for joint in range(JOINT_COUNT):
             weight = head.weights[corners, joint].astype(np.float64) * barycentric  # [N, 3]
@@ -76,6 +79,28 @@ class PointRig:
             template = np.einsum("nk,nkx->nx", weight, head.v_template[corners])
             flat = directions.reshape(self.count * 3, -1)
             self._parts.append(_JointPart(joint, weight.sum(1), template, flat, posedirs))
+
+    def of_person(self, shape: np.ndarray, expressions: int) -> Self:
+        """The same points of one person: no shape is left to find, and only the first components of expression are.
+
+        Args:
+            shape: [S].
+            expressions: How many of the E components are kept.
+        """
+        rig = copy.copy(self)
+        rig.shape_count, rig.expression_count = 0, expressions
+        rig._joint_template, rig._joint_dirs = self._joints(shape), self._joint_dirs[..., :0]
+        rig._expression_pose = self._expression_pose[:expressions]
+        split, end = self.shape_count, self.shape_count + expressions
+        rig._parts = [
+            replace(
+                part,
+                template=part.template + (part.directions[:, :split] @ shape).reshape(-1, 3),
+                directions=np.ascontiguousarray(part.directions[:, split:end]),
+            )
+            for part in self._parts
+        ]
+        return rig
 
     def positions(self, shape: np.ndarray, expression: np.ndarray, pose: np.ndarray) -> np.ndarray:
         """Points in head space.
@@ -132,11 +157,11 @@ class PointRig:
                 difference = self._skinned(points, joints, total + step) - self._skinned(points, joints, total - step)
                 by_angle[:, :, part.joint, axis] = difference / (2.0 * _ANGLE_STEP)
         by_expression = derivative[:, :, self.shape_count :]
-        by_expression += np.tensordot(by_angle, self.head.expression_pose.astype(np.float64), axes=([2, 3], [1, 2]))
+        by_expression += np.tensordot(by_angle, self._expression_pose, axes=([2, 3], [1, 2]))
         return positions, derivative[:, :, : self.shape_count], by_expression, by_angle
 
     def _total_pose(self, expression: np.ndarray, pose: np.ndarray) -> np.ndarray:
-        return pose + np.tensordot(expression, self.head.expression_pose.astype(np.float64), axes=1)
+        return pose + np.tensordot(expression, self._expression_pose, axes=1)
 
     def _joints(self, shape: np.ndarray) -> np.ndarray:
         return self._joint_template + self._joint_dirs @ shape

@@ -92,18 +92,19 @@ class Face:
         return float(np.linalg.norm(left - right))
 
 
-def find_faces(image: np.ndarray) -> list[Face]:
+def find_faces(image: np.ndarray, levels: int | None = None) -> list[Face]:
     """Return the faces of a photo, the largest first.
 
     Args:
         image: [H, W, 3] uint8 or float 0..1, display sRGB.
+        levels: How many levels are searched at most: the whole picture, then those of `TILE_LEVELS`; None for all.
 
     Raises:
         NoFaceError: None was found; the message says what to try.
     """
-    pixels = _to_tensor(image)
+    pixels = to_pixels(image)
     faces: list[Face] = []
-    for windows in _search_levels(pixels.shape[3], pixels.shape[2]):
+    for windows in _search_levels(pixels.shape[3], pixels.shape[2])[:levels]:
         detections = _suppress([d for window in windows for d in _detect(pixels, *window)])
         for detection in detections:
             face = locate_landmarks(pixels, detection)
@@ -128,18 +129,44 @@ def locate_landmarks(pixels: Tensor, detection: Detection) -> Face:
     center = (detection.box[:2] + detection.box[2:]) / 2.0
     side = float(max(detection.box[2:] - detection.box[:2])) * REGION_SCALE
     points, presence = _landmarks_in_region(pixels, center, side, angle)
+    if presence >= MIN_PRESENCE and float(max(_region(points)[1])) > MIN_REGION / REGION_SCALE:
+        points, presence = _landmarks_again(pixels, points)
+    return _face(pixels, points, presence, detection.score)
+
+
+def follow_face(pixels: Tensor, face: Face) -> Face:
+    """Find a face again near where it was, as in the next frame of a video; its `presence` says whether it is still there.
+
+    Args:
+        pixels: [1, 3, H, W] float 0..1.
+        face: As it was found before.
+    """
+    points, presence = _landmarks_again(pixels, face.landmarks)
+    return _face(pixels, points, presence, face.score)
+
+
+def _landmarks_again(pixels: Tensor, points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Landmarks in the region that known ones give."""
+    center, size, angle = _region(points)
+    return _landmarks_in_region(pixels, center, float(max(size)) * REGION_SCALE, angle)
+
+
+def _region(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Centre [2] and size [2] of the upright box around landmarks, and how far it is turned."""
     right, left = points[_EYE_CORNERS[0], :2], points[_EYE_CORNERS[1], :2]
     angle = math.atan2(left[1] - right[1], left[0] - right[0])
     low, high = _extent_along(points[:, :2], angle)
-    center = _rotate((low + high) / 2.0, angle)
-    if presence >= MIN_PRESENCE and float(max(high - low)) > MIN_REGION / REGION_SCALE:
-        points, presence = _landmarks_in_region(pixels, center, float(max(high - low)) * REGION_SCALE, angle)
+    return _rotate((low + high) / 2.0, angle), high - low, angle
+
+
+def _face(pixels: Tensor, points: np.ndarray, presence: float, score: float) -> Face:
     box = np.concatenate([points[:, :2].min(0), points[:, :2].max(0)])
     size = np.array([pixels.shape[3], pixels.shape[2]], np.float32)
-    return Face(points, _coefficients(points[:, :2], size), presence, detection.score, box)
+    return Face(points, _coefficients(points[:, :2], size), presence, score, box)
 
 
-def _to_tensor(image: np.ndarray) -> Tensor:
+def to_pixels(image: np.ndarray) -> Tensor:
+    """A picture [H, W, 3], uint8 or float 0..1, as [1, 3, H, W] float 0..1."""
     pixels = torch.tensor(np.ascontiguousarray(image))
     pixels = pixels.float() / 255.0 if pixels.dtype == torch.uint8 else pixels.float()
     return pixels.permute(2, 0, 1)[None].contiguous()

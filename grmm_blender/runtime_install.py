@@ -29,15 +29,17 @@ from ..grmm_core.jobs.progress import Progress, Reporter
 from ..grmm_core.jobs.stages import INSTALL
 from ..grmm_core.session.process import NO_WINDOW, lines_of
 
-REQUIREMENTS = ("torch>=2.6,<3", "numba>=0.61,<1", "onnxruntime>=1.20,<2", "numpy>=1.26,<3", "pillow>=10.3,<14")
+REQUIREMENTS = (
+    "torch>=2.6,<3", "numba>=0.61,<1", "onnxruntime>=1.20,<2", "numpy>=1.26,<3", "pillow>=10.3,<14", "av>=14,<19",
+)  # fmt: skip
 """What the worker imports; the same as the dependencies of the package `grmm-core`."""
 FOLDER = "runtime"
 STATE_FILE = "grmm_runtime.json"
 _PARTIAL = "runtime.partial"
 _LOG_LINES = 400
-_USUAL_PACKAGES = 17  # that pip fetches for the requirements on a machine without CUDA; only shapes the progress bar
+_USUAL_PACKAGES = 18  # that pip fetches for the requirements on a machine without CUDA; only shapes the progress bar
 _CHECK = (
-    "import json, platform, numpy, numba, onnxruntime, torch, PIL; "
+    "import json, platform, av, numpy, numba, onnxruntime, torch, PIL; "
     "torch.zeros(3).sum(); "
     "print(json.dumps({'python': platform.python_version(), 'torch': torch.__version__, 'numba': numba.__version__, "
     "'numpy': numpy.__version__, 'cuda': torch.cuda.is_available()}))"

@@ -19,9 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
+from ..errors import FileFormatError
 from ..files.access import read_bytes
 from ..files.npz import read_npz
+from ..pictures.videos import open_video, pyav
 from .foreign import FlameFrame, ForeignDataset, held_out_people, intrinsic_camera, vector3
 from .types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 
@@ -129,7 +130,7 @@ class _Videos:
 
     def frame(self, path: Path, number: int) -> np.ndarray:
         """RGB, uint8, [H, W, 3]. Raises `FileFormatError` where the video is shorter."""
-        av = _pyav()
+        av = pyav()
         with self._lock:
             container = self._container(path)
             stream = container.streams.video[0]
@@ -151,29 +152,11 @@ class _Videos:
 
     def _container(self, path: Path) -> Any:
         if path not in self._open:
-            av = _pyav()
-            try:
-                self._open[path] = av.open(str(path), metadata_errors="replace")
-            except FileNotFoundError as error:
-                raise FileAccessError(f"{path} does not exist; download it.") from error
-            except (av.FFmpegError, OSError) as error:
-                raise FileFormatError(f"{path} is not a readable video; download it again.") from error
-            streams = self._open[path].streams.video
-            if not streams or streams[0].codec_context is None:  # none for a codec that a damaged header names
-                del self._open[path]
-                raise FileFormatError(f"{path} has no pictures; download it again.")
+            self._open[path] = open_video(path, "download it again")
             if len(self._open) > _OPEN_VIDEOS:
                 self._open.popitem(last=False)[1].close()
         self._open.move_to_end(path)
         return self._open[path]
-
-
-def _pyav() -> Any:
-    try:
-        import av
-    except ImportError as error:
-        raise RuntimeMissingError("Reading videos needs PyAV; run pip install av.") from error
-    return av
 
 
 def _participants(folder: Path) -> list[Path]:

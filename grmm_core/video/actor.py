@@ -33,8 +33,8 @@ class Actor:
     Attributes:
         shape: Coefficients of the head model, [S].
         focal: Focal length in pixels of the frames.
-        offsets: How far landmarks of brows and eyes lie from the head model's in the picture of an upright head, in distances of
-            the outer eye corners, [478, 2]; zeros below the eyes.
+        offsets: How far landmarks of brows and eyes lie from the head model's in the picture of an upright head, in distances
+            of the outer eye corners, [478, 2]; zeros below the eyes.
     """
 
     shape: np.ndarray

@@ -10,13 +10,14 @@ from typing import Any, Self
 
 import numpy as np
 
-from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
+from ..errors import FileFormatError
+from ..pictures.videos import open_video, pyav
 
 MAX_SIDE = 1280  # pixels: a face that fills a third of it is still finer than the landmark network's 256
 MAX_SECONDS = 3600.0
 DEFAULT_FPS = 30.0
 _QUARTER = 90.0  # degrees
-_UNREADABLE = "{name} is not a readable video; open it in a player, and save it again as MP4 if it plays."
+_REMEDY = "open it in a player, and save it again as MP4 if it plays"
 
 
 class VideoFile:
@@ -37,27 +38,13 @@ class VideoFile:
             RuntimeMissingError: PyAV is not installed.
         """
         self.path = Path(path)
-        self._av = pyav()
-        if self.path.is_dir():
-            raise FileAccessError(f"{self.path} is a folder; choose a video file.")
-        try:
-            self._container: Any = self._av.open(str(self.path), metadata_errors="replace")
-        except FileNotFoundError as error:
-            raise FileAccessError(f"{self.path} does not exist; choose a video file.") from error
-        except PermissionError as error:
-            raise FileAccessError(f"{self.path} may not be read; change its permissions.") from error
-        except (self._av.FFmpegError, OSError, ValueError) as error:
-            raise FileFormatError(_UNREADABLE.format(name=self.path.name)) from error
-        streams = self._container.streams.video
-        if not streams or streams[0].codec_context is None or not streams[0].width:  # none for an unknown codec
-            self._container.close()
-            raise FileFormatError(f"{self.path.name} has no pictures; choose a video of a face.")
-        self._stream = streams[0]
+        self._container: Any = open_video(self.path, _REMEDY)
+        self._stream = self._container.streams.video[0]
         self._stream.thread_type = "AUTO"
         rate = self._stream.average_rate or self._stream.guessed_rate
         self.fps = float(rate) if rate and 1.0 <= rate <= 1000.0 else DEFAULT_FPS
         length = self._container.duration
-        self.duration = None if not length or length < 0 else length / self._av.time_base
+        self.duration = None if not length or length < 0 else length / pyav().time_base
         if self.duration is not None and self.duration > MAX_SECONDS:
             self._container.close()
             raise FileFormatError(
@@ -89,9 +76,9 @@ class VideoFile:
                     return
                 if time >= start:
                     yield time, self._pixels(frame)
-        except (self._av.FFmpegError, OSError, ValueError, MemoryError) as error:
+        except (pyav().FFmpegError, OSError, ValueError, MemoryError) as error:
             if not shown:
-                raise FileFormatError(_UNREADABLE.format(name=self.path.name)) from error
+                raise FileFormatError(f"{self.path} is a damaged video; {_REMEDY}.") from error
 
     def _pixels(self, frame: Any) -> np.ndarray:
         """Display pixels of a frame: scaled down, and turned as phones say that they were held."""
@@ -99,12 +86,3 @@ class VideoFile:
         width, height = (max(2, round(side * factor)) for side in (frame.width, frame.height))
         pixels = frame.to_ndarray(width=width, height=height, format="rgb24")
         return np.ascontiguousarray(np.rot90(pixels, round(frame.rotation / _QUARTER)))  # both count against the clock
-
-
-def pyav() -> Any:
-    """The library. Raises `RuntimeMissingError` where it is not installed."""
-    try:
-        import av
-    except ImportError as error:
-        raise RuntimeMissingError("Reading videos needs PyAV; run pip install av.") from error
-    return av

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import base64
 import hashlib
 import tomllib
@@ -17,10 +18,11 @@ FAKES = {
     "torch": "2.6.0",
     "numba": "0.61.0",
     "onnxruntime": "1.20.0",
+    "av": "14.0.0",
     "numpy": "2.0.0",
     "pillow": "11.0.0",
 }
-NEWER = {"torch": "2.9.0", "numba": "0.63.0", "onnxruntime": "1.30.0", "numpy": "2.2.0", "pillow": "12.0.0"}
+NEWER = {"torch": "2.9.0", "numba": "0.63.0", "onnxruntime": "1.30.0", "av": "18.0.0", "numpy": "2.2.0", "pillow": "12.0.0"}
 TORCH = """
 __version__ = "2.6.0"
 class zeros:
@@ -116,6 +118,7 @@ def test_runtime_from_wheels(run_blender: RunBlender, version: str, tmp_path: Pa
 
 def test_requirements_are_those_of_the_package(repository: Path):
     text = (repository / "grmm_blender" / "runtime_install.py").read_text("utf-8")
-    line = next(line for line in text.splitlines() if line.startswith("REQUIREMENTS"))
+    names = (node for node in ast.parse(text).body if isinstance(node, ast.Assign))
+    stated = next(node.value for node in names if getattr(node.targets[0], "id", "") == "REQUIREMENTS")
     wanted = tomllib.loads((repository / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
-    assert set(eval(line.partition("=")[2])) == set(wanted)  # a tuple of strings out of our own source
+    assert set(ast.literal_eval(stated)) == set(wanted)

@@ -184,6 +184,7 @@ PLACES = {
     "drawing": "how a backend draws",
     "panel": "a room's panel",
     "properties": "property groups",
+    "request": "what is asked of a kind of work",
     "settings": "property groups of the scene",
     "types": "a room's data classes",
 }

@@ -226,7 +226,7 @@ def test_json_has_no_nan():
 
 @pytest.mark.slow
 def test_bench_measures_ratios(grmm, weights):
-    code, out, _ = grmm("bench", "--quick", "--weights", weights, "--threads", "1", "--json")
+    code, out, _ = grmm("bench", "--quick", "--weights", weights, "--engine", "torch", "--threads", "1", "--json")
     figures = json.loads(out)
     assert code == 0
     assert sum(stage["share"] for stage in figures["stages"].values()) == pytest.approx(1.0)

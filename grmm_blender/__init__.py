@@ -25,7 +25,8 @@ imports torch or numba, or knows the operators. What is registered stands in the
 ``runtime_install``                     torch in a folder of the extension's own
 ``diagnostics`` ``preferences``         what runs where, in words; the extension's preferences
 ``preset_menus`` ``panels``             user interface
-``fitting``                             avatars from photos: job, panel
+``command_job``                         a command of `grmm` in a process of its own
+``fitting`` ``video``                   avatars from photos, performances from videos: job, panel
 ``menus`` ``translations``              menus of the viewport; labels in other languages
 ``handlers``                            frame change, edits, load and save
 """

@@ -47,6 +47,11 @@ def set_node_input(modifier: bpy.types.Modifier, name: str, value: float) -> Non
         socket.value = value
 
 
+def trim_strip(strip: bpy.types.Strip, frames: int) -> None:
+    """Leave out the first frames of a strip of the sequencer; the rest stays where it is."""
+    setattr(strip, "left_handle_offset" if hasattr(strip, "left_handle_offset") else "frame_offset_start", frames)
+
+
 def _input_of(modifier: bpy.types.Modifier, name: str) -> Any:
     """The modifier's own property, or its key where modifiers have none."""
     items = modifier.node_group.interface.items_tree

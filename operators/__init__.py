@@ -6,6 +6,7 @@
 ``add_head``            add an avatar to the scene
 ``add_flame``           add the user's own FLAME head
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV
+``import_video``        keyframes from a video of a face
 ``import_splats``       splat files and other projects' avatars
 ``save_avatar``         avatar files
 ``export_splats``       splat files, meshes, GaussianAvatars' folders
@@ -48,6 +49,7 @@ from . import (
     hair,
     import_performance,
     import_splats,
+    import_video,
     keying,
     motion,
     portrait_camera,
@@ -63,6 +65,7 @@ PARTS = (
     add_flame,
     import_performance,
     import_splats,
+    import_video,
     save_avatar,
     export_splats,
     export_animation,

@@ -22,7 +22,7 @@ def open_video(path: Path, remedy: str) -> Any:
 
     Args:
         path: The file.
-        remedy: What to do about a file that cannot be used, for messages: "choose another video".
+        remedy: What to do about a file that cannot be read, for messages: "choose another video".
 
     Returns:
         PyAV's container.
@@ -38,7 +38,7 @@ def open_video(path: Path, remedy: str) -> Any:
     try:
         container = av.open(str(path), metadata_errors="replace")
     except FileNotFoundError as error:
-        raise FileAccessError(f"{path} does not exist; {remedy}.") from error
+        raise FileAccessError(f"{path} does not exist; choose another file.") from error
     except PermissionError as error:
         raise FileAccessError(f"{path} may not be read; change its permissions.") from error
     except (av.FFmpegError, OSError, ValueError) as error:

@@ -60,21 +60,23 @@ class VideoFile:
     def frames(self, start: float = 0.0, end: float | None = None) -> Iterator[tuple[float, np.ndarray]]:
         """Seconds from the beginning and pixels [H, W, 3] uint8 of each frame from `start` to `end`, once.
 
+        A frame that begins half of its length before or after these counts as on time.
+
         Raises:
             FileFormatError: Not even the first frame can be read. A damaged end is left out.
         """
         first: float | None = None
-        shown = 0
+        shown, late = 0, 0.5 / self.fps
         try:
             for frame in self._container.decode(self._stream):
                 time = shown / self.fps if frame.time is None else float(frame.time)
                 first = time if first is None else first
                 time, shown = time - first, shown + 1
-                if end is not None and time > end:
+                if end is not None and time > end + late:
                     return
                 if time > MAX_SECONDS:
                     return
-                if time >= start:
+                if time >= start - late:
                     yield time, self._pixels(frame)
         except (pyav().FFmpegError, OSError, ValueError, MemoryError) as error:
             if not shown:

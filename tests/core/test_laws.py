@@ -182,11 +182,13 @@ PLACES = {
     "checkpoint": "the state of interrupted work",
     "config": "what is chosen before a run",
     "drawing": "how a backend draws",
+    "job": "work in a process of its own",
     "panel": "a room's panel",
     "properties": "property groups",
     "request": "what is asked of a kind of work",
     "settings": "property groups of the scene",
     "types": "a room's data classes",
+    "watch": "what becomes of a job",
 }
 
 

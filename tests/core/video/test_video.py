@@ -9,22 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from videos import turned_by_a_quarter, write_video
+from videos import filmed, turned_by_a_quarter, write_video
 
 from grmm_core.avatar.library import library_path
 from grmm_core.cli import main
-from grmm_core.controls.frame import Controls
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import CancelledError, ConfigError, FileAccessError, FileFormatError, NoFaceError
 from grmm_core.fitting.landmark_priors import LIPS
 from grmm_core.fitting.point_rig import LandmarkRig
 from grmm_core.formats import format_to_read
-from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head
 from grmm_core.performance import Performance
-from grmm_core.pictures.images import quantize
-from grmm_core.session import HairUse, Instance, RenderOptions, create_session
-from grmm_core.session.wearing import NO_HAIR
 from grmm_core.video.api import track
 from grmm_core.video.finishing import fill_gaps, gap_warning, steady_gaze, whole_blinks
 from grmm_core.video.following import follow
@@ -57,18 +52,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> Take:
     weights[:, SMILE] = (0.4 - 0.4 * np.cos(np.pi * times))[:, None]
     weights[10:13, BLINK] = np.array([0.7, 1.0, 0.6])[:, None]
     turn = 0.3 * np.sin(np.pi * times)
-    frames = []
-    with create_session("local", threads=1) as session:
-        avatar = session.open(f"library:{PERSON}")
-        camera = Camera.orbit(SIZE, SIZE, yaw=0.0, pitch=0.0, distance=1.1, fov=17.0, target=(0.0, 0.0, 0.0))
-        for row, angle in zip(weights, turn, strict=True):
-            controls = Controls()
-            controls.aligned[: len(ARKIT_NAMES)] = row
-            controls.pose[0, 1] = angle
-            options = RenderOptions(background=(0.4, 0.45, 0.5))
-            frames.append(
-                quantize(session.render([Instance(avatar.id, controls, hair=HairUse(NO_HAIR))], camera, options)["rgb"])
-            )
+    frames = filmed(f"library:{PERSON}", weights, turn, SIZE)
     return Take(write_video(tmp_path_factory.mktemp("take") / "take.mp4", frames, FPS), frames, weights, turn)
 
 

@@ -1,0 +1,56 @@
+"""Performances from videos in Blender: a whole capture, and captures that end in other ways."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from blender_process import RunBlender, find_python
+from videos import filmed, write_video
+
+from grmm_core.controls.names import ARKIT_NAMES
+
+pytestmark = pytest.mark.blender
+FPS, COUNT = 15, 15
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A second of somebody who opens the mouth and turns to a side, with sound, and a text."""
+    folder = tmp_path_factory.mktemp("videos")
+    weights = np.zeros((COUNT, len(ARKIT_NAMES)), np.float32)
+    weights[:, ARKIT_NAMES.index("jawOpen")] = 0.5 * np.sin(np.pi * np.arange(COUNT) / (COUNT - 1))
+    frames = filmed("library:bald", weights, 0.3 * np.arange(COUNT) / (COUNT - 1))
+    write_video(folder / "speech.mp4", frames, FPS, sound=1.0)
+    (folder / "text.mp4").write_text("no video")
+    return folder
+
+
+@pytest.mark.parametrize("version", ["4.5", "5.2"])
+def test_a_video_keys_the_head(run_blender: RunBlender, folder: Path, version: str):
+    find_python(version)
+    environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
+    found = run_blender("video_import.py", folder, python=version, environment=environment, timeout=300.0).result
+    imported = found["imported"]
+    assert not imported["poll_without"]
+    frames = np.arange(3, COUNT)  # from 0.2 s on
+    assert np.corrcoef(imported["jaw"], np.sin(np.pi * frames / (COUNT - 1)))[0, 1] > 0.9
+    assert max(imported["jaw"]) > 0.25
+    turned = np.array(imported["turn"])
+    assert np.abs(turned - turned[0] - 0.3 * (frames - 3) / (COUNT - 1)).max() < np.radians(4.0)
+    assert imported["range"] == [11, 22]
+    assert imported["action"] == "speech"
+    assert imported["note"].startswith("Frames 11 to 22 are keyed, with its sound in the sequencer.")
+    assert imported["sound"] == [["speech", 11, 8]]
+
+    errors = found["errors"]
+    assert "none.mp4 does not exist" in errors["missing"]
+    assert "text.mp4 is not a readable video" in errors["text"]
+    assert "must come after the first" in errors["backwards"]
+    assert not errors["keyed"]
+    assert "The head is not in the scene any more; its performance is kept in" in found["gone"]["message"]
+    assert found["another"] == {"before": "opened", "message": "There is no capture; import a video.", "note": ""}
+    assert "ended without a performance" in found["nameless"]["message"]
+    assert found["failed"]["note"] == "No face was found in speech.mp4."

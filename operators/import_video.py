@@ -13,6 +13,7 @@ from ..grmm_blender.exporting import performer_of
 from ..grmm_blender.fitting.provenance import provenance_sentence
 from ..grmm_blender.performance import MAX_FRAME, ImportOptions
 from ..grmm_blender.rig.avatar import Avatar, active_object
+from ..grmm_blender.splats.rigged import Puppet
 from ..grmm_blender.video import watch
 from ..grmm_blender.video.job import TrackJob
 from ..grmm_core.errors import FileAccessError
@@ -21,12 +22,20 @@ from .common import Result, active_performer, menu_entries, polls, reports_error
 from .importing import ImportsFiles, over_viewport
 
 _FOLDER = "grmm_videos"
+_OPTIONS = ("start", "first", "last", "keys", "smoothing", "neutral", "head", "own_shape", "sound", "set_range")
 
 
 def _check(context: bpy.types.Context) -> None:
     """There is somebody to act, and nobody else acts."""
     active_performer(context)
     require(not watch.is_running(), "A video is being followed; wait or cancel it")
+
+
+def _file_from_photos(performer: Avatar | Puppet | None) -> Path | None:
+    """File of an avatar that was made from photos; None of others."""
+    if not (isinstance(performer, Avatar) and provenance_sentence(performer.source)):
+        return None
+    return Path(performer.source)
 
 
 class GRMM_OT_import_video(ImportsFiles, Operator):
@@ -70,6 +79,14 @@ class GRMM_OT_import_video(ImportsFiles, Operator):
 
     poll = polls(_check)
 
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the options in the file browser's side panel; the person's shape only where the avatar has it from photos."""
+        self.layout.use_property_split = True
+        photographed = _file_from_photos(performer_of(active_object(context))) is not None
+        for name in _OPTIONS:
+            if photographed or name != "own_shape":
+                self.layout.prop(self, name)
+
     @reports_errors
     def execute(self, context: bpy.types.Context) -> Result:
         """Start the capture; in background wait for it."""
@@ -80,8 +97,8 @@ class GRMM_OT_import_video(ImportsFiles, Operator):
         folder = Path(bpy.app.tempdir) / _FOLDER
         folder.mkdir(parents=True, exist_ok=True)
         request = TrackRequest(
-            video, folder / f"{video.stem}{OUTPUT_SUFFIX}", self._person(performer), self.first, self.last or None,
-            threads=runtime.threads,
+            video, folder / f"{video.stem}{OUTPUT_SUFFIX}", _file_from_photos(performer) if self.own_shape else None,
+            self.first, self.last or None, threads=runtime.threads,
         )  # fmt: skip
         options = ImportOptions(
             start=self.start,
@@ -97,12 +114,6 @@ class GRMM_OT_import_video(ImportsFiles, Operator):
             job.wait()
             self.report({"INFO"}, watch.finish(context))
         return {"FINISHED"}
-
-    def _person(self, performer: object) -> Path | None:
-        """File of the person's own avatar, where the user says that it is one."""
-        if not (self.own_shape and isinstance(performer, Avatar) and provenance_sentence(performer.source)):
-            return None
-        return Path(bpy.path.abspath(performer.source))
 
 
 class GRMM_OT_cancel_video(Operator):

@@ -38,6 +38,7 @@ class _Watched:
         set_range: Let the scene start and end with it.
         sound: Put the video's sound into the sequencer.
         note: One sentence about it once it has ended, or "".
+        is_from_another_file: Whether another .blend file was opened since.
     """
 
     job: TrackJob
@@ -47,6 +48,7 @@ class _Watched:
     set_range: bool
     sound: bool
     note: str = ""
+    is_from_another_file: bool = False
 
 
 _watched: _Watched | None = None
@@ -90,17 +92,20 @@ def finish(context: bpy.types.Context) -> str:
 
 
 def _keyed(context: bpy.types.Context, watched: _Watched) -> str:
-    ended = watched.job.status
+    ended, name = watched.job.status, watched.request.video.name
+    if watched.is_from_another_file:
+        raise GrmmError(f"The capture of {name} was cancelled, for another file was opened; import the video there again.")
     if ended.state != "done":
         raise GrmmError(ended.message)
     path = Path(ended.performance)
-    head = next((obj for obj in context.scene.objects if obj.session_uid == watched.target), None)
+    head = next((obj for obj in bpy.data.objects if obj.session_uid == watched.target), None)
     performer = performer_of(head)
-    if performer is None:
-        raise GrmmError(f"The head is not in the scene any more; its performance is kept in {path}.")
+    scenes = () if head is None else head.users_scene
+    if performer is None or not scenes:
+        raise GrmmError(f"The head is in no scene any more; its performance is kept in {path} until Blender is closed.")
     performance = format_to_read(path, "performance").read(path)
     written = apply_performance(performer, performance, watched.options, watched.request.video.stem)
-    scene = context.scene
+    scene = context.scene if context.scene in scenes else scenes[0]  # the window may show another one by now
     if watched.set_range:
         scene.frame_start, scene.frame_end = max(round(written.first), 0), max(round(written.last), 0)
     heard = watched.sound and _add_sound(scene, watched)
@@ -146,11 +151,13 @@ def unregister() -> None:
 
 @persistent
 def _on_load(*_: object) -> None:
-    """Another file, which has no head that waits for it: the capture ends."""
+    """Another file, where no head waits: the capture ends. What was said of one that had ended belongs to the file before."""
     global _watched
-    if _watched is not None:
-        _watched.job.cancel()
-    _watched = None
+    if _watched is None or _watched.note:
+        _watched = None
+        return
+    _watched.is_from_another_file = True
+    _watched.job.cancel()
 
 
 def _poll() -> float | None:

@@ -50,7 +50,17 @@ def test_a_video_keys_the_head(run_blender: RunBlender, folder: Path, version: s
     assert "text.mp4 is not a readable video" in errors["text"]
     assert "must come after the first" in errors["backwards"]
     assert not errors["keyed"]
-    assert "The head is not in the scene any more; its performance is kept in" in found["gone"]["message"]
-    assert found["another"] == {"before": "opened", "message": "There is no capture; import a video.", "note": ""}
+    assert "The head is in no scene any more; its performance is kept in" in found["gone"]["message"]
+    assert found["another"]["note"].startswith("The capture of speech.mp4 was cancelled, for another file was opened;")
+    assert found["cancelled"] == {"polls": [False, True], "message": "The capture was cancelled.", "keyed": 0}
     assert "ended without a performance" in found["nameless"]["message"]
     assert found["failed"]["note"] == "No face was found in speech.mp4."
+    assert found["own_shape"] == [[9, False, None], [10, True, "ada.grmm"]]
+
+    scene = found["another_scene"]
+    assert scene["note"].startswith("Frames 1 to ")
+    assert scene["keyed"] == scene["redone"]
+    assert scene["keyed"][:2] == [True, 1]
+    assert scene["keyed"][2] < 250 == scene["other"]  # the range of the head's scene
+    assert scene["undone"] == [False, 0, 250]
+    assert scene["note_of_before"] == ""

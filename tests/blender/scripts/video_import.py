@@ -5,13 +5,15 @@ The first capture is whole; those after it are stand-ins for processes that have
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 from rig_support import fresh_head, without_detail
-from support import module, report
+from support import empty_scene, module, report
 
 folder = Path(sys.argv[1])
 actions = module("grmm_blender.rig.actions")
@@ -62,27 +64,97 @@ def imported() -> dict:
 
 def job_that_says(event: dict, code: int = 0):
     """A job that follows a process which writes one event."""
-    process = subprocess.Popen(
-        [sys.executable, "-c", SAYS.format(event=event, code=code)],
-        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    job = module("grmm_blender.video.job").TrackJob(process)
+    job = job_of(SAYS.format(event=event, code=code))
     job.wait(60)
     return job
+
+
+def job_of(source: str):
+    """A job that follows a process which runs this."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", source], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    return module("grmm_blender.video.job").TrackJob(process)
+
+
+def follow(job, avatar) -> None:
+    request = module("grmm_core.video.request").TrackRequest(folder / "speech.mp4", folder / "take.json")
+    options = module("grmm_blender.performance").ImportOptions()
+    watch.start(job, request, avatar.object, options, set_range=True, sound=False)
 
 
 def ended(event: dict, code: int = 0, before=None) -> dict:
     """What is said of a capture that ended with an event; `before` happens while it runs."""
     avatar = fresh_head()
-    request = module("grmm_core.video.request").TrackRequest(folder / "speech.mp4", folder / "take.json")
-    options = module("grmm_blender.performance").ImportOptions()
-    watch.start(job_that_says(event, code), request, avatar.object, options, set_range=True, sound=False)
+    follow(job_that_says(event, code), avatar)
     said = {}
     if before is not None:
         said["before"] = before(avatar)
     said["message"] = said_by(lambda: watch.finish(bpy.context))
     said["note"] = watch.note()
     return said
+
+
+def cancelled() -> dict:
+    """Of the head that is there."""
+    avatar = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
+    job = job_of("import time; time.sleep(60)")
+    follow(job, avatar)
+    polls = [bpy.ops.grmm.import_video.poll(), bpy.ops.grmm.cancel_video.poll()]
+    bpy.ops.grmm.cancel_video()
+    job.wait(30)
+    message = said_by(lambda: watch.finish(bpy.context))
+    return {"polls": polls, "message": message, "keyed": len(curves_of(avatar.object))}
+
+
+def another_scene() -> dict:
+    """The window shows another scene when the capture ends; then one step of undo, and the file is left."""
+    head = fresh_head().object.name
+    scene = bpy.context.scene.name
+    bpy.ops.ed.undo_push(message="before")
+    follow(job_that_says(done), module("grmm_blender.rig.avatar").avatar_of(bpy.data.objects[head]))
+    bpy.context.window.scene = bpy.data.scenes.new("Other")
+
+    def state() -> list:
+        found = bpy.data.objects[head]
+        keyed = found.animation_data is not None and found.animation_data.action is not None
+        return [keyed, len(bpy.data.actions), bpy.data.scenes[scene].frame_end]
+
+    said = {"note": watch.finish(bpy.context), "keyed": state(), "other": bpy.context.scene.frame_end}
+    bpy.ops.ed.undo()
+    said["undone"] = state()
+    bpy.ops.ed.redo()
+    said["redone"] = state()
+    open_another(None)
+    said["note_of_before"] = watch.note()
+    return said
+
+
+def own_shape() -> list[list]:
+    """Whether the option is shown, and whose shape is asked for: of the head that is there, and of one from a photo."""
+    avatars, operators = module("grmm_core.avatar"), module("operators.import_video")
+    made = avatars.load_avatar(module("grmm_core.avatar.library").library_file("library:bald"))
+    made = dataclasses.replace(made, provenance=avatars.Provenance(from_photos=True))
+    avatars.save_avatar(made, folder / "ada.grmm")
+    asked = []
+
+    def start(_python: str, request):
+        asked.append(request.person and request.person.name)
+        raise module("grmm_core.errors").ConfigError("This is far enough.")
+
+    def seen() -> list:
+        drawn = []
+        layout = SimpleNamespace(prop=lambda _operator, name: drawn.append(name))
+        operators.GRMM_OT_import_video.draw(SimpleNamespace(layout=layout), bpy.context)
+        said_by(lambda: bpy.ops.grmm.import_video(filepath=str(folder / "speech.mp4"), own_shape=True))
+        return [len(drawn), "own_shape" in drawn, asked[-1]]
+
+    whole, operators.TrackJob = operators.TrackJob, SimpleNamespace(start=start)
+    found = [seen()]
+    bpy.ops.grmm.add_head(filepath=str(folder / "ada.grmm"))
+    found.append(seen())
+    operators.TrackJob = whole
+    return found
 
 
 def remove(avatar) -> str:
@@ -92,7 +164,7 @@ def remove(avatar) -> str:
 
 
 def open_another(_avatar) -> str:
-    bpy.ops.wm.read_homefile(use_empty=True)
+    empty_scene()
     return "opened"
 
 
@@ -104,12 +176,15 @@ def errors() -> dict:
     return {"missing": missing, "text": text, "backwards": backwards, "keyed": len(curves_of(avatar.object))}
 
 
-done = {"event": "done", "performance": str(folder / "take.json")}
+done = {"event": "done", "performance": str(Path(bpy.app.tempdir) / "grmm_videos" / "speech.json")}  # of the first capture
 report(
     imported=imported(),
     errors=errors(),
+    cancelled=cancelled(),
+    own_shape=own_shape(),
     gone=ended(done, before=remove),
     another=ended(done, before=open_another),
+    another_scene=another_scene(),
     nameless=ended({"event": "done"}),
     failed=ended({"event": "error", "message": "No face was found in speech.mp4."}, 1),
 )

@@ -10,6 +10,6 @@
 `api`              `track`: all of it, to a file
 =================  =====================================================================================
 
-Reported coefficients alone are a poor performance: of a speaking head whose weights are known, the mouth moved by them has a
-correlation of 0.60 with the truth, solved from the landmarks 0.90 (docs/formats.md). Needs torch and PyAV, but for `request`.
+Reported coefficients alone are a poor performance: of a speaking head whose weights are known, the lips moved by them have a
+correlation of 0.64 with the truth, solved from the landmarks 0.90 (docs/video.md). Needs torch and PyAV, but for `request`.
 """

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import atexit
 import functools
-import hashlib
 import importlib.util
 import json
 import os
@@ -30,6 +29,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from kept_kernels import keep_kernels, lend_kernels
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPTS = ROOT / "tests" / "blender" / "scripts"
@@ -37,7 +37,6 @@ PYTHON_52_VARIABLE = "GRMM_BPY52_PYTHON"
 EXTENSION = Path("extensions", "user_default", "grmm")  # in a Blender user folder
 STOCK = {"4.5": "4.5 alone", "5.2": "5.2"}
 """Blenders with numpy and nothing else; the 4.5 beside pytest has torch, so `.venv45` holds another one."""
-KERNEL_TIME = 1_700_000_000  # seconds; any constant
 DEFAULT_TIMEOUT = 180.0  # seconds; numba may compile for the first time
 
 
@@ -107,36 +106,8 @@ def user_folder(version: str) -> Path:
     folder = _temporary_folder()
     done = _launch(version, folder, "install.py", [str(extension_zip())], DEFAULT_TIMEOUT, enable=False)
     assert done.returncode == 0, done.output
-    _keep_kernels(folder / EXTENSION / "grmm_core", version)
+    lend_kernels(folder / EXTENSION / "grmm_core")
     return folder
-
-
-def _keep_kernels(core: Path, version: str) -> None:
-    """Lend the installed core the kernels that an earlier test run compiled, and take back what this run adds.
-
-    Compiling them takes longer than most tests. Numba accepts a compiled form when the source has the same time and size; the
-    store is named after the contents of all sources, so that nothing outdated can be lent.
-    """
-    folder = core / "splat" / "cpu"
-    sources = sorted(folder.glob("*.py"))
-    digest = hashlib.sha256(version.encode())
-    for source in sources:
-        digest.update(source.read_bytes())
-        os.utime(source, (KERNEL_TIME, KERNEL_TIME))
-    store = ROOT / "build" / "test-kernels" / digest.hexdigest()[:16]
-    cache = folder / "__pycache__"
-    if store.exists():
-        shutil.copytree(store, cache, dirs_exist_ok=True)
-
-    def take_back() -> None:
-        compiled = [path for path in cache.glob("*.nb*") if not (store / path.name).exists()]
-        if compiled:
-            store.mkdir(parents=True, exist_ok=True)
-            # The index of a kernel names its data files, so data goes first.
-            for path in sorted(cache.glob("*.nb*"), key=lambda path: path.suffix):
-                shutil.copy2(path, store)
-
-    atexit.register(take_back)
 
 
 def _run(
@@ -168,9 +139,12 @@ def _run(
         copy = _temporary_folder()
         shutil.copytree(folder, copy, dirs_exist_ok=True)
         folder = copy
+        lend_kernels(folder / EXTENSION / "grmm_core")
     if edit:
         edit(folder / EXTENSION)
     done = _launch(python, folder, script, [str(a) for a in arguments], timeout, enable, environment)
+    if not edit:  # what is compiled of changed files is nobody else's
+        keep_kernels(folder / EXTENSION / "grmm_core")
     if check:
         assert done.returncode == 0, f"{script} exited with {done.returncode}:\n{done.output}"
     return done

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
+import io
 import json
 import math
 import os
 import re
 import shutil
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
 from dask_workers import address, kill_once_there_is, two_workers
-from PIL import Image
+from PIL import Image, ImageFile
 from progress_checks import check_progress
 from tiny_model import write_tiny_weights
 
@@ -68,17 +71,60 @@ def make(weights):
     return make
 
 
-@pytest.fixture(autouse=True)
-def quick_preset(monkeypatch):
-    monkeypatch.setitem(presets.PRESETS, "fast", QUICK)
+@pytest.fixture(autouse=True, scope="module")
+def quick_preset():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(presets.PRESETS, "fast", QUICK)
+        yield
 
 
-def test_a_photo_becomes_a_file_that_says_so(photo, make, tmp_path):
-    events, faces = [], []
-    result = make(
-        [photo], tmp_path / "anna.grmm", progress=events.append, on_faces=lambda name, boxes: faces.append((name, boxes))
-    )  # fmt: skip
-    header = read_avatar_header(result.path)
+@contextlib.contextmanager
+def watching(*paths):
+    """How often each of some files is opened, and the sizes of all pictures that are decoded, while this lasts."""
+    opened, decoded = {path.name: 0 for path in paths}, []
+    known = {str(path) for path in paths}
+    open_file, load = os.open, ImageFile.ImageFile.load
+
+    def count(file) -> None:
+        if str(file) in known:
+            opened[Path(file).name] += 1
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "open", lambda file, *a, **k: (count(file), open_file(file, *a, **k))[1])
+        # what is decoded already has no tiles left
+        patch.setattr(
+            ImageFile.ImageFile, "load", lambda self: (decoded.append(self.size) if self.tile else None, load(self))[1]
+        )
+        yield opened, decoded
+
+
+@dataclasses.dataclass(frozen=True)
+class Commanded:
+    """What `grmm fit --events` wrote and said, and how often it opened and decoded the photo."""
+
+    path: Path
+    events: list[dict]
+    opened: dict[str, int]
+    decoded: list[tuple[int, int]]
+
+    @property
+    def progress(self) -> list[Progress]:
+        return [Progress.from_json(event) for event in self.events if event["event"] == "progress"]
+
+
+@pytest.fixture(scope="module")
+def anna(photo, tmp_path_factory):
+    """One fit for all tests that only look at what comes of it: by the command, and by weights without hair."""
+    bare = write_tiny_weights(tmp_path_factory.mktemp("bare") / "bare.safetensors", hairless=True)
+    output, said = tmp_path_factory.mktemp("anna") / "anna.grmm", io.StringIO()
+    arguments = ["fit", str(photo), "-o", str(output), "--preset", "fast", "--weights", str(bare), "--device", "cpu"]
+    with contextlib.redirect_stdout(said), watching(photo) as (opened, decoded):
+        assert cli.main([*arguments, "--events"]) == 0
+    return Commanded(output, [json.loads(line) for line in said.getvalue().splitlines()], opened, decoded)
+
+
+def test_a_photo_becomes_a_file_that_says_so(photo, anna):
+    header = read_avatar_header(anna.path)
     assert header.name == "anna"
     assert header.provenance.from_photos
     assert header.provenance.date
@@ -87,26 +133,36 @@ def test_a_photo_becomes_a_file_that_says_so(photo, make, tmp_path):
     assert record.sha256 == hashlib.sha256(photo.read_bytes()).hexdigest()
     assert header.thumbnail.startswith(b"\x89PNG")
     assert header.camera.width == 256
-    assert load_avatar(result.path).painting.std() > 1
-    check_progress(events, FIT)
-    assert list(dict.fromkeys(event.stage for event in events)) == [stage.name for stage in FIT.stages]
-    assert events[-1].fraction == 1.0
-    assert not math.isnan(events[0].seconds_left), "there is an estimate from the beginning"
-    assert any(event.picture.endswith("preview.png") for event in events)
-    assert faces[0][1].shape == (1, 4)
-    assert list(tmp_path.iterdir()) == [tmp_path / "anna.grmm"], "the work folder is gone"
-    assert result.rmse[0] == pytest.approx(float(load_avatar(result.path).tracking["rmse"][0]), rel=1e-5)
+    assert load_avatar(anna.path).painting.std() > 1
+    check_progress(anna.progress, FIT)
+    assert list(dict.fromkeys(event.stage for event in anna.progress)) == [stage.name for stage in FIT.stages]
+    assert anna.progress[-1].fraction == 1.0
+    assert not math.isnan(anna.progress[0].seconds_left), "there is an estimate from the beginning"
+    assert any(event.picture.endswith("preview.png") for event in anna.progress)
+    assert list(anna.path.parent.iterdir()) == [anna.path], "the work folder is gone"
+    assert anna.events[-1]["rmse"] == pytest.approx(load_avatar(anna.path).tracking["rmse"].tolist(), rel=1e-5)
 
 
-def test_by_weights_without_hair_the_person_wears_strands(photo, make, tmp_path):
+def test_by_weights_without_hair_the_person_wears_strands(anna):
     """The photo shows the embedded avatar."""
-    bare = write_tiny_weights(tmp_path / "bare.safetensors", hairless=True)
-    hair = load_avatar(make([photo], tmp_path / "anna.grmm", weights=bare).path).hair
+    hair = load_avatar(anna.path).hair
     assert hair.groom is not None
     assert hair.scalp
     own = load_avatar(library_path("default")).hair.settings
     assert abs(hair.settings.melanin - own.melanin) < 0.15
     assert hair.settings.length < 1.3
+
+
+def test_events_are_json_lines(photo, anna, capsys):
+    assert anna.events[0]["event"] == "progress"
+    assert (anna.events[-1]["event"], anna.events[-1]["avatar"]) == ("done", str(anna.path))
+    (faces,) = [event for event in anna.events if event["event"] == "faces"]
+    assert faces["photo"] == str(photo)
+    assert np.shape(faces["boxes"]) == (1, 4)
+    assert cli.main(["info", str(anna.path)]) == 0
+    shown = capsys.readouterr().out
+    assert "from photos: yes" in shown
+    assert "face.png" in shown
 
 
 def test_a_face_from_the_side_is_refused_before_anything_is_tracked(make, tmp_path, capsys):
@@ -169,51 +225,33 @@ def test_the_state_of_other_photos_is_not_resumed(photo, make, tmp_path):
     assert "analyse" in {event.stage for event in seen}
 
 
-def test_photos_and_masks_are_opened_once_and_decoded_once(photo, make, tmp_path, monkeypatch):
-    from PIL import Image, ImageFile
-
-    turned, mask, jpeg = tmp_path / "turned.png", tmp_path / "mask.png", tmp_path / "face.jpg"
+@pytest.fixture(scope="module")
+def masked(photo, weights, tmp_path_factory):
+    """A fit of two photos with a mask each, of the second one for its left half; the result, what was opened and decoded."""
+    folder = tmp_path_factory.mktemp("masked")
+    turned, jpeg, whole, half = (folder / name for name in ("turned.png", "face.jpg", "whole.png", "half.png"))
     exif = Image.Exif()
     exif[0x0112] = 3
     with Image.open(photo) as image:
         image.transpose(Image.Transpose.ROTATE_180).save(turned, exif=exif)
         image.save(jpeg, quality=95)
-    Image.fromarray(np.full((256, 256), 255, np.uint8)).save(mask)
-    watched = {str(path): 0 for path in (turned, mask, jpeg)}
-    decoded = []
-    open_file, load = os.open, ImageFile.ImageFile.load
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "open", lambda file, *a, **k: (count(watched, file), open_file(file, *a, **k))[1])
-        # what is decoded already has no tiles left
-        patch.setattr(
-            ImageFile.ImageFile, "load", lambda self: (decoded.append(self.size) if self.tile else None, load(self))[1]
-        )
-        result = make([turned, jpeg], tmp_path / "a.grmm")
-        make([turned], tmp_path / "b.grmm", masks=[mask])
-    assert watched == {str(turned): 2, str(mask): 1, str(jpeg): 1}, "once in each fit"
+    mask = np.full((256, 256), 255, np.uint8)
+    Image.fromarray(mask).save(whole)
+    mask[:, 128:] = 0
+    Image.fromarray(mask).save(half)
+    options = {"preset": "fast", "weights": weights, "device": "cpu", "masks": [whole, half]}
+    with watching(turned, jpeg, whole, half) as (opened, decoded):
+        result = fit(FitRequest([turned, jpeg], folder / "a.grmm", **options))
+    return result, opened, decoded
+
+
+def test_photos_and_masks_are_opened_once_and_decoded_once(masked, anna):
+    result, opened, decoded = masked
+    assert opened == {"turned.png": 1, "face.jpg": 1, "whole.png": 1, "half.png": 1}
     assert len(decoded) == 4
     assert [record.name for record in result.avatar.provenance.photos] == ["turned.png", "face.jpg"]
-
-
-def count(watched, file) -> None:
-    if str(file) in watched:
-        watched[str(file)] += 1
-
-
-def test_events_are_json_lines(photo, weights, tmp_path, capsys):
-    output = tmp_path / "a.grmm"
-    arguments = ["fit", str(photo), "-o", str(output), "--preset", "fast", "--weights", str(weights), "--device", "cpu"]
-    assert cli.main([*arguments, "--events"]) == 0
-    events = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert events[0]["event"] == "progress"
-    assert (events[-1]["event"], events[-1]["avatar"]) == ("done", str(output))
-    (faces,) = [event for event in events if event["event"] == "faces"]
-    assert faces["photo"] == str(photo)
-    check_progress([Progress.from_json(event) for event in events if event["event"] == "progress"], FIT)
-    assert cli.main(["info", str(output)]) == 0
-    shown = capsys.readouterr().out
-    assert "from photos: yes" in shown
-    assert "face.png" in shown
+    assert anna.opened == {"face.png": 1}  # nor where the outline is found
+    assert len(anna.decoded) == 1
 
 
 @pytest.mark.parametrize(
@@ -358,20 +396,15 @@ def test_a_full_disk_leaves_nothing_half_written(photo, make, tmp_path, monkeypa
     assert not list(tmp_path.rglob("*.tmp"))
 
 
-def test_a_mask_replaces_the_outline_that_would_be_found(photo, make, tmp_path):
-    from PIL import Image
-
-    mask = tmp_path / "mask.png"
-    left = np.zeros((256, 256), np.uint8)
-    left[:, :128] = 255
-    Image.fromarray(left).save(mask)
-    track = make([photo], tmp_path / "a.grmm", masks=[mask]).tracks[0]
+def test_a_mask_replaces_the_outline_that_would_be_found(masked, photo, make, tmp_path):
+    track = masked[0].tracks[1]
     whole, seen = track.photo_camera, track.camera
     edge = round((whole.width / 2 - whole.cx) * seen.fx / whole.fx + seen.cx)
     assert float(track.mask[:, edge + 4 :].max()) < 0.1
     inside = track.mask[track.mask.shape[0] // 2, edge - 60 : edge - 4]
     assert float(inside.min()) > 0.9
-    Image.fromarray(0 * left).save(mask)
+    mask = tmp_path / "mask.png"
+    Image.fromarray(np.zeros((256, 256), np.uint8)).save(mask)
     with pytest.raises(NoFaceError, match="stand out"):
         make([photo], tmp_path / "b.grmm", masks=[mask])
 

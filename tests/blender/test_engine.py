@@ -10,12 +10,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from blender_process import RunBlender
+from blender_process import RunBlender, find_python
 from exr import layers_of, read_exr
 from PIL import Image
 from tolerances import CHANNEL_STEP
 
 pytestmark = pytest.mark.blender
+
+ENVIRONMENT = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1", "GRMM_TEST_THREADS": "1"}
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +32,7 @@ def render_script(run_blender: RunBlender, weights: Path, tmp_path: Path):
     """Run a script of `tests/blender/scripts/` as SCRIPT WEIGHTS FOLDER ... and return what it reported."""
 
     def run(script: str, *arguments: object, python: str = "4.5", threads: int = 1, **options):
-        environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1", "GRMM_TEST_THREADS": str(threads)}
+        environment = ENVIRONMENT | {"GRMM_TEST_THREADS": str(threads)}
         return run_blender(script, weights, tmp_path, *arguments, python=python, environment=environment, **options).result
 
     return run
@@ -46,11 +48,19 @@ def test_cameras(render_script, blender_version):
         assert values["covered"] > 0.05, name
 
 
-def test_passes(render_script, blender_version, tmp_path):
-    result = render_script("engine_passes.py", python=blender_version)
-    passes = layers_of(read_exr(tmp_path / "passes.exr"), result["layer"])
-    with np.load(tmp_path / "expected.npz") as archive:
+@pytest.fixture(scope="module", params=["4.5", "5.2"])
+def passes_of(request, run_blender: RunBlender, weights: Path, tmp_path_factory: pytest.TempPathFactory):
+    """What `engine_passes.py` reported, the passes of one of its files, and what the session says they hold."""
+    find_python(request.param)
+    folder = tmp_path_factory.mktemp("passes")
+    result = run_blender("engine_passes.py", weights, folder, python=request.param, environment=ENVIRONMENT).result
+    with np.load(folder / "expected.npz") as archive:
         wanted = dict(archive)
+    return lambda name: (result, layers_of(read_exr(folder / f"{name}.exr"), result["layer"]), wanted)
+
+
+def test_passes(passes_of):
+    result, passes, wanted = passes_of("passes")
     first, second = result["heads"]
     assert {"Combined", "Normal", "Mask", f"Mask {first}", f"Mask {second}", "Raw", "Features 00", "Features 07"} <= set(passes)
     depth = passes["Z"] if "Z" in passes else passes["Depth"]
@@ -70,11 +80,9 @@ def test_passes(render_script, blender_version, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["crop", "keep"])
-def test_border_is_a_part_of_the_full_picture(render_script, blender_version, tmp_path, kind):
-    result = render_script("engine_passes.py", kind, python=blender_version)
-    passes = layers_of(read_exr(tmp_path / "passes.exr"), result["layer"])
-    with np.load(tmp_path / "expected.npz") as archive:
-        wanted = archive["combined"]
+def test_border_is_a_part_of_the_full_picture(passes_of, kind):
+    _, passes, wanted = passes_of(kind)
+    wanted = wanted["combined"]
     height, width = wanted.shape[:2]
     x0, x1, y0, y1 = int(0.3 * width), int(0.71 * width), int(0.2 * height), int(0.6 * height)
     part = wanted[height - y1 : height - y0, x0:x1]
@@ -198,8 +206,7 @@ def test_kept_depths_of_meshes_are_never_old(render_script, blender_version):
 
 
 def test_errors_say_what_is_wrong_and_leave_no_file(run_blender, weights, tmp_path, blender_version):
-    environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
-    done = run_blender("engine_errors.py", weights, tmp_path, python=blender_version, environment=environment)
+    done = run_blender("engine_errors.py", weights, tmp_path, python=blender_version, environment=ENVIRONMENT)
     messages, left = done.result["messages"], done.result["left"]
     wanted = {
         "nan": "jawOpen is not a finite number",
@@ -351,8 +358,7 @@ def test_keys_on_the_slider_deepen_the_furrows_of_a_lifted_brow(render_script, b
 
 def test_two_machines_of_a_farm_render_what_one_does(render_script, blender_version, tmp_path):
     """Odd and even frames in two processes, one of them from the last to the first; a third draws what a lost one left."""
-    render_script("engine_farm.py", "make", python=blender_version)
-    whole = render_script("engine_farm.py", "render", "one", python=blender_version)
+    whole = render_script("engine_farm.py", "make", "one", python=blender_version)
     assert whole["drawn"] == list(range(1, 9))
     odd = render_script("engine_farm.py", "render", "two", 1, 3, 5, 7, python=blender_version)
     even = render_script("engine_farm.py", "render", "two", 8, 6, 4, 2, python=blender_version)
@@ -367,9 +373,8 @@ def test_two_machines_of_a_farm_render_what_one_does(render_script, blender_vers
 
 def test_frames_are_the_same_on_one_and_two_threads(render_script, tmp_path):
     pictures = {}
-    render_script("engine_farm.py", "make")
-    for threads in (1, 2):
-        render_script("engine_farm.py", "render", f"threads{threads}", 2, 7, threads=threads)
+    for threads, what in ((1, "make"), (2, "render")):
+        render_script("engine_farm.py", what, f"threads{threads}", 2, 7, threads=threads)
         pictures[threads] = [_pixels(tmp_path / f"threads{threads}" / f"frame_000{number}.png") for number in (2, 7)]
     np.testing.assert_array_equal(pictures[1], pictures[2])
 

@@ -1,6 +1,6 @@
-"""One machine of a render farm: engine_farm.py WEIGHTS FOLDER make | render NAME FRAMES...
+"""One machine of a render farm: engine_farm.py WEIGHTS FOLDER make|render NAME FRAMES...
 
-"make" saves the file: Placeholders, no Overwrite. "render" loads it, sets the output to FOLDER/NAME, and renders these frames
+"make" first saves the file: Placeholders, no Overwrite. Both load it, set the output to FOLDER/NAME, and render these frames
 in this order, each as `blender -b FILE -f FRAME` does; without frames all of them, as `blender -b FILE -a`.
 """
 
@@ -25,18 +25,18 @@ if what == "make":
         head.keyframe_insert('["jawOpen"]', frame=frame)
     scene.render.use_placeholder, scene.render.use_overwrite = True, False
     bpy.ops.wm.save_as_mainfile(filepath=str(blend))
-else:
-    bpy.ops.wm.open_mainfile(filepath=str(blend))
-    use_weights(weights)
-    scene = bpy.context.scene
-    scene.render.filepath = str(folder / rest[0] / "frame_")
-    drawn: list[int] = []
-    bpy.app.handlers.render_write.append(lambda scene, _: drawn.append(scene.frame_current))
-    frames = [int(frame) for frame in rest[1:]]
-    first, last = scene.frame_start, scene.frame_end
-    for frame in frames:
-        scene.frame_start = scene.frame_end = frame
-        bpy.ops.render.render(animation=True)
-    if not frames:
-        bpy.ops.render.render(animation=True)
-    report(drawn=drawn, first=first, last=last)
+
+bpy.ops.wm.open_mainfile(filepath=str(blend))
+use_weights(weights)
+scene = bpy.context.scene
+scene.render.filepath = str(folder / rest[0] / "frame_")
+drawn: list[int] = []
+bpy.app.handlers.render_write.append(lambda scene, _: drawn.append(scene.frame_current))
+frames = [int(frame) for frame in rest[1:]]
+first, last = scene.frame_start, scene.frame_end
+for frame in frames:
+    scene.frame_start = scene.frame_end = frame
+    bpy.ops.render.render(animation=True)
+if not frames:
+    bpy.ops.render.render(animation=True)
+report(drawn=drawn, first=first, last=last)

@@ -1,4 +1,7 @@
-"""All passes of two avatars into a multilayer EXR, and what the session says they hold: engine_passes.py WEIGHTS FOLDER."""
+"""All passes of two avatars into multilayer EXR, and what the session says they hold: engine_passes.py WEIGHTS FOLDER.
+
+Three files: the whole picture, a border that is cropped to (crop.exr), and one in its place (keep.exr).
+"""
 
 from __future__ import annotations
 
@@ -21,13 +24,12 @@ extra.use_light = extra.use_mask = extra.use_raw = extra.use_normal = extra.use_
 settings = scene.render.image_settings
 set_multilayer_exr(settings)
 settings.exr_codec = "NONE"
-scene.render.use_border = len(sys.argv) > 3
-if scene.render.use_border:
-    scene.render.use_crop_to_border = sys.argv[3] == "crop"
-    scene.render.border_min_x, scene.render.border_max_x = 0.3, 0.71
-    scene.render.border_min_y, scene.render.border_max_y = 0.2, 0.6
-scene.render.filepath = str(folder / "passes.exr")
-bpy.ops.render.render(write_still=True)
+scene.render.border_min_x, scene.render.border_max_x = 0.3, 0.71
+scene.render.border_min_y, scene.render.border_max_y = 0.2, 0.6
+for name in ("passes", "crop", "keep"):
+    scene.render.use_border, scene.render.use_crop_to_border = name != "passes", name == "crop"
+    scene.render.filepath = str(folder / f"{name}.exr")
+    bpy.ops.render.render(write_still=True)
 
 bpy.context.view_layer.update()
 buffers = expected(

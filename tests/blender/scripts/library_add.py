@@ -1,6 +1,8 @@
-"""Adding avatars of the library: library_add.py."""
+"""Adding avatars of the library: library_add.py [COUNT]. Without a number all of them."""
 
 from __future__ import annotations
+
+import sys
 
 import bpy
 import numpy as np
@@ -10,7 +12,7 @@ from support import empty_scene, module, report
 library = module("grmm_core.avatar.library")
 result: dict = {"names": list(library.library_names()), "menu": hasattr(bpy.types, "GRMM_MT_add"), "people": {}}
 empty_scene()
-for name in result["names"]:
+for name in result["names"][: int(sys.argv[1]) if len(sys.argv) > 1 else None]:
     bpy.ops.grmm.add_head(person="LIBRARY", library=name)
     avatar = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
     bare = without_detail(avatar)

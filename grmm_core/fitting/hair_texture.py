@@ -3,8 +3,9 @@
 Strands have a color of few pigments; a photo shows more. What it adds at each place of each strand is found by least squares
 through the rasteriser: the simultaneous algebraic reconstruction technique (Andersen and Kak 1984), in which every strand
 takes the mean difference of the pixels that it shows in, and which, ended early, finds what is coarse and lasting first. Only
-pixels that are hair count. Strands that no photo shows take what those near them have, then what is on the other side of the
-head, and with distance nothing: then the groom's pigments alone are seen. Imports torch.
+pixels that are hair count, and of these what faces the camera; along a strand colors change slowly. Strands that no photo
+shows take what those near them have, then what is on the other side of the head, and with distance nothing: then the groom's
+pigments alone are seen. Imports torch.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from ..model.grmm import GRMM
 from ..photo.parser import PhotoParts
 from ..splat.api import rasterize
 from ..splat.types import Gaussians
-from .blurring import widened
+from .blurring import blurred, widened
 from .face_hair import brow_cover
 from .hair_stage import hair_view
 from .inpainting import within
@@ -46,6 +47,13 @@ FEW_PIXELS = 0.15  # likewise from where on it takes whole steps
 RANGE = (0.02, 0.98)  # quantiles of the photos' hair that colors keep to, in each channel
 FULL = (0.6, 0.9)  # of a pixel: with less hair it does not count, with more wholly; outlines have the background's colors
 RIM = 2  # pixels at the outline of hair that show what is behind as well: their colors would be drawn as a bright line
+# metres along a strand over which it has one color: a photo's locks lie otherwise than a groom's strands, and a streak that
+# crosses these would be a row of blotches on them
+ALONG = 0.04
+# cosines between the view and the surface of hair below which a pixel tells no color, and above which wholly: at a slant a
+# shadow of a few pixels, as in a parting or at the outline, is a stripe of centimetres on the head
+SLANTS = (0.3, 0.7)
+SOFT = 3.0  # pixels over which that surface is smoothed: locks are no slopes
 OTHERS = 0.5  # share of what a place shows in that must be hair; what hangs before the face or the background is not believed
 GUESS = 0.12  # that is added at most to a color that no photo shows
 # of strands that are cut: pixels that a place must show in, hair in these below which it is wrong and above which right, the
@@ -57,6 +65,7 @@ FACING = 0.15  # cosine between the skin's normal and the view, below which that
 CELL = 0.006  # metres: of the grid on which colors spread
 NEAR, FAR = 1.2, 4.0  # cells that colors spread to other strands, and to the other side of the head
 THIN_NEAR, THIN_FAR = 0.15, 0.3  # how much must be known around a place to count as half known
+_THIN = 1e-3  # cover, and metres of depth, that are divided by at least
 
 
 class Photo(NamedTuple):
@@ -101,8 +110,9 @@ def textured(
     own = np.isin(hair.groom.groups, (SCALP, BROWS))
     groom = dataclasses.replace(hair.groom.select(own), tints=None)
     onto = [Onto(photo, len(groom)) for photo in _photos(model, avatar, hair, groom, tracks, parts, RIM)]
-    tints, known = reconstructed(onto, len(groom))
-    colored = dataclasses.replace(groom, tints=spread(places_of(groom, model.head_model), tints, known))
+    places = places_of(groom, model.head_model)
+    tints, known = reconstructed(onto, places)
+    colored = dataclasses.replace(groom, tints=spread(places, tints, known))
     return _joined(avatar, hair, colored, hair.groom.select(~own))
 
 
@@ -195,16 +205,17 @@ def trimmed(
     return _joined(avatar, hair, kept, hair.groom.select(~scalp))
 
 
-def reconstructed(onto: Sequence[Onto], count: int) -> tuple[np.ndarray, np.ndarray]:
+def reconstructed(onto: Sequence[Onto], places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find what photos add to colors of strands.
 
     Args:
         onto: Photos of one person, with the same strands.
-        count: Of the strands.
+        places: Of the strands on the mean head, metres, [N, TINTS, 3].
 
     Returns:
-        Tints [count, TINTS, 3], and how well each place is known, 0..1 [count, TINTS].
+        Tints [N, TINTS, 3], and how well each place is known, 0..1 [N, TINTS].
     """
+    count, beside = len(places), _beside(places)
     tints = torch.zeros(count * TINTS, 3)
     weight = sum((one.shown for one in onto), torch.zeros(count * TINTS))
     first = onto[0].photo
@@ -213,10 +224,36 @@ def reconstructed(onto: Sequence[Onto], count: int) -> tuple[np.ndarray, np.ndar
     for _ in range(ROUNDS):
         step = sum((one.step(tints) for one in onto), torch.zeros_like(tints))
         tints += RATE * step / (weight[:, None] + FEW_PIXELS)
+        tints = _along(beside, tints, weight)
         if len(sample):
             tints = within(base + tints, sample, RANGE) - base
     known = weight / (weight + SURE_PIXELS) * torch.stack([one.pure for one in onto]).amax(0)
     return tints.reshape(count, TINTS, 3).numpy(), known.reshape(count, TINTS).numpy()
+
+
+def faced(strands: Gaussians, camera: Camera) -> Tensor:
+    """How well a picture shows each pixel of hair by how its surface is turned, 0..1 [H, W] (`SLANTS`)."""
+    with torch.no_grad():
+        picture = rasterize(strands, camera)
+    cover, depth = blurred(torch.stack([picture.alpha, picture.depth * picture.alpha]).numpy(), SOFT)
+    depth /= np.maximum(cover, _THIN)
+    rise, along = np.gradient(depth)  # of depth from pixel to pixel, which are depth / focal length wide
+    slope = np.hypot(rise * camera.fy, along * camera.fx) / np.maximum(depth, _THIN)
+    facing = 1.0 / np.hypot(1.0, slope)
+    return torch.from_numpy(((facing - SLANTS[0]) / (SLANTS[1] - SLANTS[0])).clip(0.0, 1.0).astype(np.float32))
+
+
+def _beside(places: np.ndarray) -> Tensor:
+    """How much places of strands [N, T, 3] share of their color with each other place of the same strand, [N, T, T]."""
+    steps = np.linalg.norm(np.diff(places, axis=1, prepend=places[:, :1]), axis=2).cumsum(1)
+    return torch.from_numpy(np.exp(-0.5 * ((steps[:, :, None] - steps[:, None]) / ALONG) ** 2).astype(np.float32))
+
+
+def _along(beside: Tensor, tints: Tensor, weight: Tensor) -> Tensor:
+    """Tints [N * T, 3] evened along each strand, those places most that show in most pixels, [N * T]."""
+    shown = weight.reshape(beside.shape[:2])[..., None]
+    total = beside @ torch.cat([tints.reshape(*shown.shape[:2], 3) * shown, shown], 2)
+    return (total[..., :3] / total[..., 3:].clamp_min(1e-6)).reshape(-1, 3)
 
 
 class Onto:
@@ -229,6 +266,7 @@ class Onto:
         self.part = (at - base).float()[:, None]
         self.first = photo.rows * TINTS + base
         self.hair = ((photo.hair - FULL[0]) / (FULL[1] - FULL[0])).clamp(0, 1) * photo.counts
+        self.hair *= faced(photo.strands, photo.camera)
         planes = torch.stack([self.hair, torch.ones_like(self.hair), photo.counts], -1)
         self.shown, every, self.counted = self._back(planes, photo.strands.colors).unbind(1)
         self.pure = ((self.shown / every.clamp_min(1e-6) - OTHERS) / (1.0 - OTHERS)).clamp(0, 1)

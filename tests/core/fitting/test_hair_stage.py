@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def test_streaks_of_a_photo_are_found_and_fade_where_it_shows_nothing():
     head = load_open_head()
     groom, settings = library_groom("bob"), HairSettings(melanin=0.7)
     places = texture.places_of(groom, head)
-    streaked = np.sin(places[..., :1] / 0.008) * np.array([0.2, 0.15, 0.1])
+    streaked = np.sin(places[:, :1, :1] / 0.008) * np.ones((1, texture.TINTS, 1)) * np.array([0.2, 0.15, 0.1])
     camera, vertices = Camera.orbit(256, 256, 10.0, 6.0), np.asarray(head.v_template, np.float64)
 
     def strands(tints):
@@ -94,17 +95,59 @@ def test_streaks_of_a_photo_are_found_and_fade_where_it_shows_nothing():
     seen = texture.Photo(
         image, shown.alpha, torch.ones_like(shown.alpha), skin, plain, rows, where, camera, np.ones(len(groom))
     )
-    found, known = texture.reconstructed([texture.Onto(seen, len(groom))], len(groom))
+    found, known = texture.reconstructed([texture.Onto(seen, len(groom))], places)
     tints = texture.spread(places, found, known)
 
     again, before = (rasterize(one, camera).rgb for one in (strands(tints)[1], plain))
-    full = shown.alpha > 0.95
+    full = (shown.alpha > 0.95) & (texture.faced(plain, camera) > 0.95)
     off, was = (float((one - shown.rgb)[full].square().mean().sqrt()) for one in (again, before))
     assert off < 0.35 * was
     back = places[..., 2].min(1) < -0.06
     assert np.abs(tints[back]).mean() < 0.2 * np.abs(tints[known > 0.5]).mean()
     assert (known[back] < 0.1).mean() > 0.9
     assert np.isfinite(tints).all()
+
+
+def test_colors_of_hair_are_even_along_strands():
+    places = np.zeros((2, texture.TINTS, 3))
+    places[..., 1] = -np.linspace(0.0, 0.1, texture.TINTS)
+    banded = np.where(np.arange(texture.TINTS) % 4 < 2, 0.2, -0.2)  # a photo's locks cross the strands
+    seen = Pixels(np.stack([banded, banded + 0.3]), np.array([1.0, 0.5]))
+    found, known = texture.reconstructed([seen], places)
+    assert np.ptp(found, axis=1).max() < np.ptp(banded) / 3
+    np.testing.assert_allclose(found[1].mean(0) - found[0].mean(0), 0.3, atol=0.03)
+    assert (known[0] > known[1]).all()
+
+
+class Pixels:
+    """In the place of `texture.Onto`: a pixel for each place, which shows it to so much of the strand's."""
+
+    def __init__(self, colors: np.ndarray, shown: np.ndarray) -> None:
+        self.colors = torch.from_numpy(np.repeat(colors.reshape(-1, 1), 3, 1).astype(np.float32))
+        self.shown = torch.from_numpy(np.repeat(shown, texture.TINTS).astype(np.float32))
+        self.pure = torch.ones_like(self.shown)
+        nothing = torch.zeros(0, 3)
+        strands = SimpleNamespace(colors=nothing)
+        self.photo = SimpleNamespace(image=nothing, hair=torch.zeros(0), strands=strands)
+
+    def mean(self, values: torch.Tensor) -> torch.Tensor:
+        return torch.zeros_like(self.colors)
+
+    def step(self, tints: torch.Tensor) -> torch.Tensor:
+        return self.shown[:, None] * (self.colors - tints)
+
+
+def test_hair_at_a_slant_tells_no_color():
+    across, up = (part.reshape(-1) for part in np.meshgrid(np.linspace(-0.1, 0.1, 60), np.linspace(-0.1, 0.1, 60)))
+    camera = Camera.orbit(64, 64, distance=1.0, fov=8.0)
+    for degrees, believed in ((0.0, 1.0), (30.0, 1.0), (60.0, 0.5), (80.0, 0.0)):
+        angle = np.radians(degrees)
+        sheet = np.stack([across * np.cos(angle) * 3.0, up, across * np.sin(angle) * 3.0], 1)
+        count = len(sheet)
+        strands = Gaussians(*(torch.from_numpy(np.asarray(part, np.float32)) for part in (
+            sheet, np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.full((count, 3), 0.004), np.ones(count), np.ones((count, 3)),
+        )))  # fmt: skip
+        assert abs(float(texture.faced(strands, camera)[24:40, 30:34].mean()) - believed) < 0.15
 
 
 def test_directions_are_those_of_stripes():

@@ -51,8 +51,9 @@ RIM = 2  # pixels at the outline of hair that show what is behind as well: their
 # crosses these would be a row of blotches on them
 ALONG = 0.04
 # cosines between the view and the surface of hair below which a pixel tells no color, and above which wholly: at a slant a
-# shadow of a few pixels, as in a parting or at the outline, is a stripe of centimetres on the head
-SLANTS = (0.3, 0.7)
+# shadow of a few pixels, as in a parting or at the outline, is a stripe of centimetres on the head. Stricter, and hair at the
+# sides loses the shade that a photo shows
+SLANTS = (0.15, 0.5)
 SOFT = 3.0  # pixels over which that surface is smoothed: locks are no slopes
 OTHERS = 0.5  # share of what a place shows in that must be hair; what hangs before the face or the background is not believed
 GUESS = 0.12  # that is added at most to a color that no photo shows

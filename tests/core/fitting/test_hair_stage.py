@@ -140,7 +140,7 @@ class Pixels:
 def test_hair_at_a_slant_tells_no_color():
     across, up = (part.reshape(-1) for part in np.meshgrid(np.linspace(-0.1, 0.1, 60), np.linspace(-0.1, 0.1, 60)))
     camera = Camera.orbit(64, 64, distance=1.0, fov=8.0)
-    for degrees, believed in ((0.0, 1.0), (30.0, 1.0), (60.0, 0.5), (80.0, 0.0)):
+    for degrees, believed in ((0.0, 1.0), (30.0, 1.0), (71.0, 0.5), (85.0, 0.0)):
         angle = np.radians(degrees)
         sheet = np.stack([across * np.cos(angle) * 3.0, up, across * np.sin(angle) * 3.0], 1)
         count = len(sheet)

@@ -57,9 +57,10 @@ def video(blender: WalkedBlender) -> None:
     if blender.run(_ACTION) != before:
         raise WalkError(f"undo leaves the action {blender.run(_ACTION)!r}, not {before!r}")
     blender.run(SELECT_RIG + f"bpy.ops.grmm.import_video('EXEC_DEFAULT', filepath={inner!r})\nbpy.ops.grmm.cancel_video()")
-    while (state := blender.run(_STATE))[0]:
+    while blender.run(_STATE)[0]:
         time.sleep(0.5)
     blender.picture("video_cancelled", 3)
-    if "cancelled" not in state[1]:
-        raise WalkError(f"a cancelled capture says {state[1]!r}")
+    note = blender.run(_STATE)[1]
+    if "cancelled" not in note:
+        raise WalkError(f"a cancelled capture says {note!r}")
     blender.run(_PREFERENCES.format(""))

@@ -132,7 +132,7 @@ def _resize(step: dict[str, Any], value: Tensor, size: Tensor) -> Tensor:
 
 
 def _prelu(_: dict[str, Any], value: Tensor, slope: Tensor) -> Tensor:
-    return torch.where(value >= 0, value, value * slope)
+    return functional.prelu(value.permute(0, 3, 1, 2), slope.reshape(-1)).permute(0, 2, 3, 1)
 
 
 def _slice(step: dict[str, Any], value: Tensor, begin: Tensor, end: Tensor, stride: Tensor) -> Tensor:

@@ -10,6 +10,7 @@ import json
 import logging
 import subprocess
 import threading
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -47,7 +48,7 @@ class JobStatus:
 Status = TypeVar("Status", bound=JobStatus)
 
 
-class CommandJob(Generic[Status]):
+class CommandJob(ABC, Generic[Status]):
     """A running command. Make it with `launch`.
 
     Attributes:
@@ -144,9 +145,9 @@ class CommandJob(Generic[Status]):
             return replace(status, state="failed", message=str(event["message"]))
         return status
 
+    @abstractmethod
     def finished(self, status: Status, event: dict[str, Any]) -> Status:
         """The status with what the last event of a job that ended well names. Raises `ValueError` where it names nothing."""
-        raise NotImplementedError
 
     def _read(self) -> None:
         for line in lines_of(self._process.stdout):

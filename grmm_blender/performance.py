@@ -300,6 +300,10 @@ class ImportedRange:
     keys: int
     warnings: tuple[str, ...]
 
+    def set_range(self, scene: bpy.types.Scene) -> None:
+        """Let the scene start and end with it."""
+        scene.frame_start, scene.frame_end = max(round(self.first), 0), max(round(self.last), 0)
+
 
 def _placed(
     avatar: Avatar | Puppet, channels: list[Channel], present: Present, name: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import bpy
 
@@ -12,6 +12,13 @@ def areas(*kinds: str) -> Iterator[bpy.types.Area]:
     manager = bpy.context.window_manager
     for window in manager.windows if manager is not None else ():
         yield from (area for area in window.screen.areas if area.type in kinds)
+
+
+def in_viewport(action: Callable[[bpy.types.Context], object]) -> None:
+    """Do what a timer has to do as somebody in a 3D viewport would: timers have no window of their own."""
+    area = next(areas("VIEW_3D"), None)
+    with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area):
+        action(bpy.context)
 
 
 def redraw(*kinds: str) -> None:

@@ -21,7 +21,7 @@ from ..grmm_core.performance import REGIONS
 from ..grmm_core.performance.curves import DEFAULT_ANGLE_ERROR
 from .common import Result, active_performer, flame_path, menu_entries, polls, reports_errors
 from .file_formats import dropped_suffixes, has_options, listed, option_values, read_filter
-from .importing import ImportsFiles, over_viewport, pointer_progress
+from .importing import ImportsFiles, KeysHead, over_viewport, pointer_progress
 
 READ = formats("performance", read=True)
 _HUNDRED = 100
@@ -46,7 +46,7 @@ def _gain(name: str, description: str) -> Any:
 
 
 @has_options(READ, "reading")
-class GRMM_OT_import_performance(ImportsFiles, Operator):
+class GRMM_OT_import_performance(KeysHead, ImportsFiles, Operator):
     """Key the active avatar with a recorded performance (ARKit JSON, Live Link Face CSV, FLAME npz)."""
 
     bl_label = "Import Performance"
@@ -117,13 +117,6 @@ class GRMM_OT_import_performance(ImportsFiles, Operator):
         "Close the avatar's lips wherever the recording closes them, also after calibration, gain and smoothing",
         default=True,
     )
-    head: choice(
-        "Head Rotation",
-        "Which bone takes the recorded rotation of the head",
-        ("neck", "Neck", "The neck bone: the shoulders stay"),
-        ("root", "Root", "The root bone: everything turns"),
-        ("NONE", "None", "Leave the head where it is"),
-    )
     eyes: choice(
         "Eyes",
         "What turns the eyes; recordings often say the same thing twice",
@@ -136,7 +129,6 @@ class GRMM_OT_import_performance(ImportsFiles, Operator):
         "Your own FLAME model, which says what the coefficients of a FLAME performance mean on another head",
         subtype="FILE_PATH",
     )
-    set_range: flag("Set Scene Range", "Let the scene start and end with the performance", default=True)
 
     poll = polls(active_performer)
 
@@ -166,7 +158,7 @@ class GRMM_OT_import_performance(ImportsFiles, Operator):
             written = self._import(context, Path(bpy.path.abspath(self.filepath)), show)
         scene = context.scene
         if self.set_range:
-            scene.frame_start, scene.frame_end = max(round(written.first), 0), max(round(written.last), 0)
+            written.set_range(scene)
         scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
         self.warn(written.warnings)
         self.report(
@@ -213,7 +205,7 @@ class GRMM_OT_import_performance(ImportsFiles, Operator):
             offset=self.offset,
             first=self.first,
             last=self.last or None,
-            head_joint="" if self.head == "NONE" else self.head,
+            head_joint=self.head_joint,
             eyes=self.eyes,
             present=self.present,
         )

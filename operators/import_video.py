@@ -19,7 +19,7 @@ from ..grmm_blender.video.job import TrackJob
 from ..grmm_core.errors import FileAccessError
 from ..grmm_core.video.request import OUTPUT_SUFFIX, SUFFIXES, TrackRequest
 from .common import Result, active_performer, menu_entries, polls, reports_errors, require
-from .importing import ImportsFiles, over_viewport
+from .importing import ImportsFiles, KeysHead, over_viewport
 
 _FOLDER = "grmm_videos"
 _OPTIONS = ("start", "first", "last", "keys", "smoothing", "neutral", "head", "own_shape", "sound", "set_range")
@@ -38,7 +38,7 @@ def _file_from_photos(performer: Avatar | Puppet | None) -> Path | None:
     return Path(performer.source)
 
 
-class GRMM_OT_import_video(ImportsFiles, Operator):
+class GRMM_OT_import_video(KeysHead, ImportsFiles, Operator):
     """Key the active avatar with the performance of a face in a video of somebody who has agreed."""
 
     bl_label = "Import Video"
@@ -64,18 +64,10 @@ class GRMM_OT_import_video(ImportsFiles, Operator):
         ("AUTO", "Find It", "The actor's face and head in the calmest frames"),
         ("NONE", "As Tracked", "Take nothing off: a head that looks into the camera is straight"),
     )
-    head: choice(
-        "Head Rotation",
-        "Which bone takes the rotation of the head",
-        ("neck", "Neck", "The neck bone: the shoulders stay"),
-        ("root", "Root", "The root bone: everything turns"),
-        ("NONE", "None", "Leave the head where it is"),
-    )
     own_shape: flag(
         "Same Person", "The avatar was made from photos of the person in the video: its shape is used to follow the face"
     )
     sound: flag("Add Sound", "Put the video's sound into the sequencer", default=True)
-    set_range: flag("Set Scene Range", "Let the scene start and end with the performance", default=True)
 
     poll = polls(_check)
 
@@ -106,7 +98,7 @@ class GRMM_OT_import_video(ImportsFiles, Operator):
             keys=self.keys,
             neutral="auto" if self.neutral == "AUTO" else None,
             smoothing=self.smoothing,
-            head_joint="" if self.head == "NONE" else self.head,
+            head_joint=self.head_joint,
         )
         job = TrackJob.start(session_host.job_python(), request)
         watch.start(job, request, performer.object, options, set_range=self.set_range, sound=self.sound)

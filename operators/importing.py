@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import bpy
 
+from ..grmm_blender.declare import choice, flag
 from .common import OperatorMixin, Result
 
 _MAX_WARNINGS = 5
@@ -44,6 +45,24 @@ def pointer_progress(context: bpy.types.Context, total: int) -> Iterator[Callabl
 def over_viewport(context: bpy.types.Context) -> bool:
     """Whether something is held over a 3D viewport; `poll_drop` of file handlers asks."""
     return context.area is not None and context.area.type == "VIEW_3D"
+
+
+class KeysHead:
+    """Mixin of operators that key a head with a performance: what they all ask."""
+
+    head: choice(
+        "Head Rotation",
+        "Which bone takes the recorded rotation of the head",
+        ("neck", "Neck", "The neck bone: the shoulders stay"),
+        ("root", "Root", "The root bone: everything turns"),
+        ("NONE", "None", "Leave the head where it is"),
+    )
+    set_range: flag("Set Scene Range", "Let the scene start and end with the performance", default=True)
+
+    @property
+    def head_joint(self) -> str:
+        """The bone, "" for none."""
+        return "" if self.head == "NONE" else self.head
 
 
 class TakesDrops:

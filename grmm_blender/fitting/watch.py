@@ -229,13 +229,10 @@ def _poll() -> float | None:
     windows.redraw_sidebars()
     if _watched is None or _watched.job.running:
         return _POLL_SECONDS if _watched is not None else None
-    area = next(windows.areas("VIEW_3D"), None)
-    window = bpy.context.window_manager.windows[0]
-    with bpy.context.temp_override(window=window, area=area):
-        try:
-            finish(bpy.context)
-        except GrmmError as error:
-            _log.warning("fit: %s", error)
+    try:
+        windows.in_viewport(finish)
+    except GrmmError as error:
+        _log.warning("fit: %s", error)
     windows.redraw_sidebars()
     return None
 

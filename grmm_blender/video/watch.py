@@ -107,7 +107,7 @@ def _keyed(context: bpy.types.Context, watched: _Watched) -> str:
     written = apply_performance(performer, performance, watched.options, watched.request.video.stem)
     scene = context.scene if context.scene in scenes else scenes[0]  # the window may show another one by now
     if watched.set_range:
-        scene.frame_start, scene.frame_end = max(round(written.first), 0), max(round(written.last), 0)
+        written.set_range(scene)
     heard = watched.sound and _add_sound(scene, watched)
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     if bpy.ops.ed.undo_push.poll():
@@ -167,13 +167,10 @@ def _poll() -> float | None:
         return None
     if _watched.job.running:
         return _POLL_SECONDS
-    area = next(windows.areas("VIEW_3D"), None)
-    window = bpy.context.window_manager.windows[0]
-    with bpy.context.temp_override(window=window, area=area):
-        try:
-            finish(bpy.context)
-        except GrmmError as error:
-            _log.warning("capture: %s", error)
+    try:
+        windows.in_viewport(finish)
+    except GrmmError as error:
+        _log.warning("capture: %s", error)
     windows.redraw_sidebars()
     return None
 

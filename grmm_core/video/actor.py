@@ -59,11 +59,15 @@ def find_actor(followed: Followed, rig: LandmarkRig, shape: np.ndarray | None = 
     return Actor(fit.shape if shape is None else shape, min(focal, _LONG_FOCAL * longest), _offsets(fit, known, seen))
 
 
-def rolled(offsets: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """Offsets [478, 2] of an upright head in the picture of one that is turned so, [3, 3] head to camera."""
+def roll_of(rotation: np.ndarray) -> np.ndarray:
+    """Roll of a head in the picture, [2, 2]: rows of an upright head's offsets times it are those of a head turned so.
+
+    Args:
+        rotation: Head to camera, [3, 3].
+    """
     angle = np.arctan2(rotation[1, 0], rotation[0, 0])
     c, s = np.cos(angle), np.sin(angle)
-    return offsets @ np.array([[c, s], [-s, c]])
+    return np.array([[c, s], [-s, c]])
 
 
 def _offsets(fit: LandmarkFit, rig: LandmarkRig, seen: list[Observation]) -> np.ndarray:
@@ -76,7 +80,7 @@ def _offsets(fit: LandmarkFit, rig: LandmarkRig, seen: list[Observation]) -> np.
     for item, photo, view, unit in zip(seen, fit.problem.photos, fit.views, fit.units, strict=True):
         expression = np.where(upper, photo.priors.expression_mean, view.expression)
         points = project(fit.problem, photo, view, rig.positions(fit.shape, expression, view.pose))
-        found.append(rolled((item.landmarks[:, :2] - points) / unit, view.rotation.T))
+        found.append((item.landmarks[:, :2] - points) / unit @ roll_of(view.rotation).T)
     return np.mean(found, axis=0) * above[:, None]
 
 

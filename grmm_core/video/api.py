@@ -13,12 +13,13 @@ from ..controls.names import ARKIT_NAMES
 from ..errors import FileAccessError, NoFaceError
 from ..fitting.point_rig import LandmarkRig
 from ..formats.performances.arkit_json import write_arkit_json
+from ..geometry.rotations import matrix_to_euler, unwrap_euler
 from ..head.open_head import load_open_head
 from ..jobs.progress import Reporter
 from ..jobs.stages import TRACK
 from ..performance import Performance, resample
 from .actor import find_actor
-from .finishing import euler_angles, fill_gaps, gap_warning, steady_gaze, whole_blinks
+from .finishing import fill_gaps, gap_warning, steady_gaze, whole_blinks
 from .following import follow
 from .reading import VideoFile
 from .request import TrackRequest
@@ -95,7 +96,9 @@ def track(
     times, seen = followed.times - followed.times[0], followed.seen
     weights = fill_gaps(motion.weights, seen, times)
     weights = steady_gaze(whole_blinks(weights, times), times)
-    turned = fill_gaps(euler_angles(motion.rotation[seen][np.maximum(np.cumsum(seen) - 1, 0)]), seen, times)
+    turned = np.zeros((len(times), 3))
+    turned[seen] = unwrap_euler(matrix_to_euler(motion.rotation[seen]))
+    turned = fill_gaps(turned, seen, times)
     warnings += [sentence for sentence in (gap_warning(seen, times),) if sentence]
     performance = Performance(
         times, weights, fps, SOURCE, tuple(ARKIT_NAMES), head_rotation=turned.astype(np.float32), warnings=warnings

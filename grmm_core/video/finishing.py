@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from ..controls.names import ARKIT_NAMES
-from ..geometry.rotations import matrix_to_euler, unwrap_euler
 
 LONG_GAP = 0.5  # seconds without the face that are worth a warning
 _SIDES = ("Left", "Right")
@@ -37,11 +36,6 @@ def gap_warning(seen: np.ndarray, times: np.ndarray) -> str:
         return ""
     lost = 100.0 * (1.0 - seen.mean())
     return f"The face is not seen from {begin:.1f} to {end:.1f} s ({lost:.0f} % of all frames); what it does there is made up."
-
-
-def euler_angles(rotation: np.ndarray) -> np.ndarray:
-    """Rotations [T, 3, 3] as XYZ Euler angles without jumps, radians, [T, 3]."""
-    return unwrap_euler(matrix_to_euler(rotation))
 
 
 def whole_blinks(weights: np.ndarray, times: np.ndarray) -> np.ndarray:

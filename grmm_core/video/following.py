@@ -65,8 +65,8 @@ def follow(
     width = height = 0
     searched = -math.inf
     for time, pixels in frames:
-        if progress is not None and expected:
-            progress(len(times) / expected)
+        if progress is not None:  # also where it is not known how long the video is: it may raise
+            progress(len(times) / expected if expected else 0.0)
         if width and (width, height) != (pixels.shape[1], pixels.shape[0]):
             break  # a video whose frames change size has been cut together from others
         height, width = pixels.shape[:2]

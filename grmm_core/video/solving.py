@@ -20,7 +20,7 @@ from ..fitting.point_rig import LandmarkRig
 from ..fitting.solver import PhotoProblem, Problem, Solution, Term, project, solve
 from ..head.head_model import JOINT_COUNT
 from ..jobs.progress import Share
-from .actor import Actor, observation, rolled
+from .actor import Actor, observation, roll_of
 from .following import Followed
 
 STEPS = 2
@@ -79,7 +79,7 @@ def solve_frames(followed: Followed, actor: Actor, rig: LandmarkRig, progress: S
             expression = priors.expression_mean.clip(0.0, 1.0)
             view = View(turned, offset, magnification, float(np.log(actor.focal)), expression, priors.pose_mean, np.zeros(0))
         unit = eyes * np.exp(-view.magnification)  # pixels
-        target = item.landmarks[:, :2] - rolled(actor.offsets, view.rotation) * unit
+        target = item.landmarks[:, :2] - actor.offsets @ roll_of(view.rotation) * unit
         sigma = landmark_sigmas(person, view.rotation)
         sigma[list(EYES)] *= _LID_FACTOR
         photo = PhotoProblem(item.width, item.height, priors, (Term(person, target, sigma * unit),))

@@ -20,6 +20,7 @@ from grmm_core.fitting.point_rig import LandmarkRig
 from grmm_core.formats import format_to_read
 from grmm_core.head.open_head import load_open_head
 from grmm_core.performance import Performance
+from grmm_core.video.actor import find_actor
 from grmm_core.video.api import track
 from grmm_core.video.finishing import fill_gaps, gap_warning, steady_gaze, whole_blinks
 from grmm_core.video.following import follow
@@ -139,6 +140,14 @@ def test_a_cancelled_capture_leaves_no_file(take: Take, tmp_path: Path) -> None:
     assert not output.exists()
 
 
+def test_a_video_of_unknown_length_can_be_cancelled(take: Take) -> None:
+    def stop(_share: float, _message: str = "") -> None:
+        raise CancelledError("The performance capture was cancelled.")
+
+    with pytest.raises(CancelledError):
+        follow(enumerate(take.frames), "take.webm", expected=None, progress=stop)
+
+
 def test_what_is_no_video_of_a_face_is_one_sentence(take: Take, tmp_path: Path) -> None:
     whole = take.video.read_bytes()
     (tmp_path / "text.mp4").write_text("not a video")
@@ -216,6 +225,20 @@ def test_gaps_are_bridged_and_ends_held() -> None:
     assert np.allclose(fill_gaps(values, seen, times)[:, 0], [1.0, 1.0, 2.0, 3.75, 4.0, 4.0])
     assert gap_warning(seen, times).startswith("The face is not seen from 0.2 to 1.0 s (50 % of all frames)")
     assert gap_warning(np.ones(6, bool), times[:3].repeat(2)) == ""
+
+
+def test_a_tilted_camera_changes_nothing_about_the_person(take: Take) -> None:
+    """What brows and lids of a face differ by belongs to the head: the same frames, rolled by 25 degrees, give the same."""
+    rig = LandmarkRig(load_open_head())
+    upright = follow(((i / FPS, frame) for i, frame in enumerate(take.frames[:8])), "take.mp4")
+    angle = np.radians(25.0)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    points = upright.landmarks.copy()
+    points[..., :2] = (points[..., :2] - SIZE / 2) @ turn + SIZE / 2
+    tilted = dataclasses.replace(upright, landmarks=points)
+    first, second = (find_actor(followed, rig).offsets for followed in (upright, tilted))
+    assert np.abs(first).max() > 0.02
+    assert np.abs(first - second).max() < 0.3 * np.abs(first).max()
 
 
 def test_a_person_is_the_head_with_that_shape() -> None:

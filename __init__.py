@@ -25,7 +25,7 @@ MODULES = (
     ".grmm_blender.preset_menus",
     ".grmm_blender.panels",
     ".grmm_blender.fitting",
-    ".grmm_blender.video",
+    ".grmm_blender.recordings",
     ".grmm_blender.menus",
     ".grmm_blender.translations",
     ".grmm_blender.handlers",

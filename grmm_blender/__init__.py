@@ -26,7 +26,7 @@ imports torch or numba, or knows the operators. What is registered stands in the
 ``diagnostics`` ``preferences``         what runs where, in words; the extension's preferences
 ``preset_menus`` ``panels``             user interface
 ``command_job``                         a command of `grmm` in a process of its own
-``fitting`` ``video``                   avatars from photos, performances from videos: job, panel
+``fitting`` ``recordings``              avatars from photos, performances from videos and voices: job, panel
 ``menus`` ``translations``              menus of the viewport; labels in other languages
 ``handlers``                            frame change, edits, load and save
 """

@@ -15,7 +15,7 @@ _SECTIONS = (
     ("wear_hair", "hair_as_curves"),
     ("random_expression", "mirror", "reset", "random_identity", "make_independent", "select_controls"),
     ("apply_pose", "save_pose", "create_pose_library"),
-    ("import_performance", "import_video", "save_avatar"),
+    ("import_performance", "import_video", "import_voice", "save_avatar"),
     ("composite_set_up", "composite_remove", "portrait_camera", "turntable", "contact_sheet"),
 )
 

@@ -31,13 +31,14 @@ from ..grmm_core.session.process import NO_WINDOW, lines_of
 
 REQUIREMENTS = (
     "torch>=2.6,<3", "numba>=0.61,<1", "onnxruntime>=1.20,<2", "numpy>=1.26,<3", "pillow>=10.3,<14", "av>=14,<19",
+    "pocketsphinx>=5.0.3,<6; python_version<'3.14'",
 )  # fmt: skip
 """What the worker imports; the same as the dependencies of the package `grmm-core`."""
 FOLDER = "runtime"
 STATE_FILE = "grmm_runtime.json"
 _PARTIAL = "runtime.partial"
 _LOG_LINES = 400
-_USUAL_PACKAGES = 18  # that pip fetches for the requirements on a machine without CUDA; only shapes the progress bar
+_USUAL_PACKAGES = 22  # that pip fetches for the requirements on a machine without CUDA; only shapes the progress bar
 _CHECK = (
     "import json, platform, av, numpy, numba, onnxruntime, torch, PIL; "
     "torch.zeros(3).sum(); "

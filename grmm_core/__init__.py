@@ -20,7 +20,7 @@ The map, from the ground up; each part uses only those above it:
 ``session``                             open, deform, render: in this process or in a worker process
 ``data`` ``training``                   capture data sets; losses and the training loop, for many people or one
 ``photo`` ``fitting``                   what a photo shows; from photos to an avatar
-``video``                               from a video of a face to a performance
+``video`` ``voice``                     from a video of a face, or a recorded voice, to a performance
 ``evaluation``                          protocols, regions, figures and sheets
 ``cli``                                 the `grmm` command
 

@@ -6,7 +6,9 @@
 ``add_head``            add an avatar to the scene
 ``add_flame``           add the user's own FLAME head
 ``import_performance``  keyframes from ARKit JSON and Live Link Face CSV
+``recordings``          what imports of recordings share, and their cancel button
 ``import_video``        keyframes from a video of a face
+``import_voice``        keyframes from a recorded voice
 ``import_splats``       splat files and other projects' avatars
 ``save_avatar``         avatar files
 ``export_splats``       splat files, meshes, GaussianAvatars' folders
@@ -50,10 +52,12 @@ from . import (
     import_performance,
     import_splats,
     import_video,
+    import_voice,
     keying,
     motion,
     portrait_camera,
     pose_library,
+    recordings,
     relink,
     residual,
     save_avatar,
@@ -65,7 +69,9 @@ PARTS = (
     add_flame,
     import_performance,
     import_splats,
+    recordings,
     import_video,
+    import_voice,
     save_avatar,
     export_splats,
     export_animation,

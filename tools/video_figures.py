@@ -26,7 +26,7 @@ from grmm_core.geometry.camera import Camera
 from grmm_core.head.open_head import load_open_head
 from grmm_core.performance import Performance
 from grmm_core.pictures.images import quantize
-from grmm_core.pictures.videos import pyav
+from grmm_core.pictures.recordings import pyav
 from grmm_core.session import Instance, RenderOptions, create_session
 from grmm_core.video.api import track
 from grmm_core.video.following import follow

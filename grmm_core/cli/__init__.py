@@ -24,7 +24,7 @@ from .. import __version__
 from ..errors import GrmmError
 from .console import Console
 
-COMMANDS = ("info", "render", "fit", "track", "capture", "train", "evaluate", "export", "sample", "bench")
+COMMANDS = ("info", "render", "fit", "track", "speak", "capture", "train", "evaluate", "export", "sample", "bench")
 EXIT_OK, EXIT_ERROR, EXIT_USAGE = 0, 1, 2
 
 

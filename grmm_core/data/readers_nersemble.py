@@ -22,7 +22,7 @@ import numpy as np
 from ..errors import FileFormatError
 from ..files.access import read_bytes
 from ..files.npz import read_npz
-from ..pictures.videos import open_video, pyav
+from ..pictures.recordings import open_video, pyav
 from .foreign import FlameFrame, ForeignDataset, held_out_people, intrinsic_camera, vector3
 from .types import HELD_OUT_CAMERA, HELD_OUT_EXPRESSION, HELD_OUT_PERSON, TRAIN, Picture, Shot, View
 

@@ -96,6 +96,14 @@ TRACK = JobStages(
         Stage("solve", "Solving expressions", 14.0),
     ),
 )
+SPEAK = JobStages(
+    "performance from a voice",
+    (
+        Stage("read", "Reading the recording", 1.0),
+        Stage("listen", "Listening", 20.0),
+        Stage("act", "Moving the face", 2.0),
+    ),
+)
 CAPTURE = JobStages("capture", (Stage("shots", "Rendering"),))
 TRAINING = JobStages("training", (Stage("prepare", "Preparing", 0.01), Stage("steps", "Training")))
 EVALUATION = JobStages(

@@ -77,8 +77,8 @@ def track(
             shape = avatar.shape.astype(np.float64)
         else:
             warnings.append(f"{request.person.name} has another head model; the person's shape was found in the video.")
-    with VideoFile(request.video) as video:
-        fps, name = video.fps, request.video.name
+    with VideoFile(request.recording) as video:
+        fps, name = video.fps, request.recording.name
         length = None if video.duration is None else min(video.duration, request.end or np.inf) - request.start
         if length is not None and length <= 0.0:
             raise FileAccessError(f"{name} is {video.duration:.1f} s long; begin before second {request.start:g}.")

@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 
 from ..errors import FileFormatError
-from ..pictures.videos import open_video, pyav
+from ..pictures.recordings import open_video, pyav
 
 MAX_SIDE = 1280  # pixels: a face that fills a third of it is still finer than the landmark network's 256
 MAX_SECONDS = 3600.0

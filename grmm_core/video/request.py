@@ -23,7 +23,7 @@ class TrackRequest:
     """The performance of one face in a video of somebody who has agreed.
 
     Attributes:
-        video: The file.
+        recording: The file, a video.
         output: ARKit JSON file to write.
         person: `.grmm` file of an avatar of the person in the video, whose shape is used; None finds the shape in the video.
         start: First second that is used.
@@ -35,7 +35,7 @@ class TrackRequest:
         ConfigError: These values cannot be meant. Files are looked at when the work begins.
     """
 
-    video: Path
+    recording: Path
     output: Path
     person: Path | None = None
     start: float = 0.0
@@ -44,7 +44,7 @@ class TrackRequest:
     threads: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("video", "output"):
+        for name in ("recording", "output"):
             object.__setattr__(self, name, Path(getattr(self, name)))
         object.__setattr__(self, "person", None if self.person is None else Path(self.person))
         if self.output.suffix.lower() != OUTPUT_SUFFIX:
@@ -64,7 +64,7 @@ class TrackRequest:
         result += [] if self.person is None else [f"--person={self.person}"]
         result += [] if self.end is None else [f"--end={self.end!r}"]
         result += [f"--threads={self.threads}"] if self.threads else []
-        return [*result, "--", str(self.video)]
+        return [*result, "--", str(self.recording)]
 
     @staticmethod
     def from_arguments(parsed: argparse.Namespace) -> TrackRequest:

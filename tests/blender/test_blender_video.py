@@ -1,35 +1,42 @@
-"""Performances from videos in Blender: a whole capture, and captures that end in other ways."""
+"""Performances from videos and voices in Blender: whole ones, and captures that end in other ways."""
 
 from __future__ import annotations
 
+import json
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from blender_process import RunBlender, find_python
-from videos import filmed, write_video
+from videos import filmed, write_sound, write_video
 
 from grmm_core.controls.names import ARKIT_NAMES
+from grmm_core.voice.listening import Phone
+from grmm_core.voice.mouth import mouth
+from grmm_core.voice.sound import RATE, loudness, read_sound
 
 pytestmark = pytest.mark.blender
 FPS, COUNT = 15, 15
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A second of somebody who opens the mouth and turns to a side, with sound, and a text."""
+def folder(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A second of somebody who opens the mouth and turns to a side, with sound; a voice; a text; silence."""
     folder = tmp_path_factory.mktemp("videos")
     weights = np.zeros((COUNT, len(ARKIT_NAMES)), np.float32)
     weights[:, ARKIT_NAMES.index("jawOpen")] = 0.5 * np.sin(np.pi * np.arange(COUNT) / (COUNT - 1))
     frames = filmed("library:bald", weights, 0.3 * np.arange(COUNT) / (COUNT - 1))
     write_video(folder / "speech.mp4", frames, FPS, sound=1.0)
     (folder / "text.mp4").write_text("no video")
+    shutil.copy(repository / "tests" / "data" / "voice" / "voice.ogg", folder)
+    write_sound(folder / "silence.wav", np.zeros(RATE, np.int16), RATE, RATE, 1)
     return folder
 
 
 @pytest.mark.parametrize("version", ["4.5", "5.2"])
-def test_a_video_keys_the_head(run_blender: RunBlender, folder: Path, version: str):
+def test_recordings_key_the_head(run_blender: RunBlender, repository: Path, folder: Path, version: str):
     find_python(version)
     environment = {"GRMM_WORKER_PYTHON": sys.executable, "OMP_NUM_THREADS": "1"}
     found = run_blender("video_import.py", folder, python=version, environment=environment, timeout=300.0).result
@@ -45,13 +52,32 @@ def test_a_video_keys_the_head(run_blender: RunBlender, folder: Path, version: s
     assert imported["note"].startswith("Frames 11 to 22 are keyed, with its sound in the sequencer.")
     assert imported["sound"] == [["speech", 11, 8]]
 
+    spoken = found["spoken"]
+    assert spoken["note"].startswith("Frames 10 to ")
+    assert "with its sound in the sequencer. Heard: maybe we should buy" in spoken["note"]
+    samples = read_sound(folder / "voice.ogg")
+    assert spoken["range"] == [10, pytest.approx(10 + 30 * len(samples) / RATE, abs=2)]
+    known = json.loads((repository / "tests" / "data" / "voice" / "voice.json").read_text("utf-8"))["phones"]
+    times = np.arange(len(spoken["jaw"])) / 30
+    truth = mouth([Phone(*phone) for phone in known], loudness(samples), times)[:, ARKIT_NAMES.index("jawOpen")]
+    assert np.corrcoef(spoken["jaw"], truth)[0, 1] > 0.85
+    shut = np.array(spoken["close"])
+    lips = [(begin, end) for name, begin, end in known if name in "PBM"]
+    assert min(shut[round(30 * begin) : round(30 * end) + 1].max() for begin, end in lips) > 0.02
+    assert spoken["turned"]
+    assert spoken["keys"] < len(times)
+    assert spoken["strips"] == [["music", 1, 1], ["voice", 2, 10]]
+    assert spoken["text"] == [1, True]
+    assert "Nobody is heard to speak in silence.wav" in spoken["silent"]
+    assert "No recording is chosen" in spoken["none"]
+
     errors = found["errors"]
     assert "none.mp4 does not exist" in errors["missing"]
     assert "text.mp4 is not a readable video" in errors["text"]
     assert "must come after the first" in errors["backwards"]
     assert not errors["keyed"]
     assert "The head is in no scene any more; its performance is kept in" in found["gone"]["message"]
-    assert found["another"]["note"].startswith("The capture of speech.mp4 was cancelled, for another file was opened;")
+    assert found["another"]["note"].startswith("The work on speech.mp4 was cancelled, for another file was opened;")
     assert found["cancelled"] == {"polls": [False, True], "message": "The capture was cancelled.", "keyed": 0}
     assert "ended without a performance" in found["nameless"]["message"]
     assert found["failed"]["note"] == "No face was found in speech.mp4."

@@ -19,10 +19,14 @@ FAKES = {
     "numba": "0.61.0",
     "onnxruntime": "1.20.0",
     "av": "14.0.0",
+    "pocketsphinx": "5.0.3",
     "numpy": "2.0.0",
     "pillow": "11.0.0",
 }
-NEWER = {"torch": "2.9.0", "numba": "0.63.0", "onnxruntime": "1.30.0", "av": "18.0.0", "numpy": "2.2.0", "pillow": "12.0.0"}
+NEWER = {
+    "torch": "2.9.0", "numba": "0.63.0", "onnxruntime": "1.30.0", "av": "18.0.0", "pocketsphinx": "5.1.0", "numpy": "2.2.0",
+    "pillow": "12.0.0",
+}  # fmt: skip
 TORCH = """
 __version__ = "2.6.0"
 class zeros:

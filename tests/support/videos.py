@@ -1,4 +1,4 @@
-"""Videos that tests make: frames encoded on the spot, and what phones write into their headers."""
+"""Videos and sound files that tests make, encoded on the spot, and what phones write into their headers."""
 
 from __future__ import annotations
 
@@ -43,6 +43,22 @@ def write_video(
                 block.sample_rate, block.pts, block.time_base = _RATE, begin, Fraction(1, _RATE)
                 container.mux(heard.encode(block))
             container.mux(heard.encode())
+    return path
+
+
+def write_sound(path: Path, samples: np.ndarray, rate: int, written_rate: int, channels: int) -> Path:
+    """Encode samples [N] int16 as a file of 16 bits, in another rate and the same in each channel."""
+    import av
+
+    layout = {1: "mono", 2: "stereo"}[channels]
+    frame = av.AudioFrame.from_ndarray(samples[None], format="s16", layout="mono")
+    frame.sample_rate = rate
+    resampler = av.AudioResampler(format="s16", layout=layout, rate=written_rate)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("pcm_s16le", rate=written_rate, layout=layout)
+        for block in [*resampler.resample(frame), *resampler.resample(None)]:
+            container.mux(stream.encode(block))
+        container.mux(stream.encode(None))
     return path
 
 

@@ -12,7 +12,7 @@ from .steps import HEAD, MIDDLE, SELECT_RIG, scroll_sidebar
 SECONDS, FOLLOW_SECONDS = 2.0, 600.0
 _STATE = """
 import sys
-watch = next(module for name, module in sys.modules.items() if name.endswith("grmm_blender.video.watch"))
+watch = next(module for name, module in sys.modules.items() if name.endswith("grmm_blender.recordings.watch"))
 result = [watch.is_running(), watch.note()]
 """
 _ACTION = HEAD + "data = head.animation_data\nresult = data.action.name if data is not None and data.action is not None else ''"
@@ -56,7 +56,7 @@ def video(blender: WalkedBlender) -> None:
     blender.key("ctrl", "z")
     if blender.run(_ACTION) != before:
         raise WalkError(f"undo leaves the action {blender.run(_ACTION)!r}, not {before!r}")
-    blender.run(SELECT_RIG + f"bpy.ops.grmm.import_video('EXEC_DEFAULT', filepath={inner!r})\nbpy.ops.grmm.cancel_video()")
+    blender.run(SELECT_RIG + f"bpy.ops.grmm.import_video('EXEC_DEFAULT', filepath={inner!r})\nbpy.ops.grmm.cancel_recording()")
     while blender.run(_STATE)[0]:
         time.sleep(0.5)
     blender.picture("video_cancelled", 3)

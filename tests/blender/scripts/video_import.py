@@ -1,6 +1,6 @@
-"""Performances from videos inside Blender: video_import.py FOLDER, with speech.mp4 (with sound) and text.mp4.
+"""Performances from recordings inside Blender: video_import.py FOLDER, with speech.mp4 (with sound), text.mp4 and voice.ogg.
 
-The first capture is whole; those after it are stand-ins for processes that have ended in other ways.
+The first capture and the voice are whole; those between are stand-ins for processes that have ended in other ways.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from support import empty_scene, module, report
 
 folder = Path(sys.argv[1])
 actions = module("grmm_blender.rig.actions")
-watch = module("grmm_blender.video.watch")
+watch = module("grmm_blender.recordings.watch")
 SAYS = "import json, sys; print(json.dumps({event})); sys.exit({code})"
 
 
@@ -74,13 +74,13 @@ def job_of(source: str):
     process = subprocess.Popen(
         [sys.executable, "-c", source], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    return module("grmm_blender.video.job").TrackJob(process)
+    return module("grmm_blender.recordings.job").TrackJob(process)
 
 
 def follow(job, avatar) -> None:
     request = module("grmm_core.video.request").TrackRequest(folder / "speech.mp4", folder / "take.json")
     options = module("grmm_blender.performance").ImportOptions()
-    watch.start(job, request, avatar.object, options, set_range=True, sound=False)
+    watch.start(job, request, avatar.object, options, set_range=True, sound=False, message="Import Video")
 
 
 def ended(event: dict, code: int = 0, before=None) -> dict:
@@ -100,8 +100,8 @@ def cancelled() -> dict:
     avatar = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
     job = job_of("import time; time.sleep(60)")
     follow(job, avatar)
-    polls = [bpy.ops.grmm.import_video.poll(), bpy.ops.grmm.cancel_video.poll()]
-    bpy.ops.grmm.cancel_video()
+    polls = [bpy.ops.grmm.import_video.poll(), bpy.ops.grmm.cancel_recording.poll()]
+    bpy.ops.grmm.cancel_recording()
     job.wait(30)
     message = said_by(lambda: watch.finish(bpy.context))
     return {"polls": polls, "message": message, "keyed": len(curves_of(avatar.object))}
@@ -168,6 +168,39 @@ def open_another(_avatar) -> str:
     return "opened"
 
 
+def spoken() -> dict:
+    """A voice, in a scene that has sound already."""
+    avatar = without_detail(fresh_head())
+    scene = bpy.context.scene
+    scene.render.fps = 30
+    scene.sequence_editor_create().strips.new_sound("music", str(folder / "voice.ogg"), 1, 1)
+    bpy.ops.grmm.import_voice(filepath=str(folder / "voice.ogg"), start=10)
+    curves = curves_of(avatar.object)
+    count = scene.frame_end - scene.frame_start + 1
+
+    def curve(name: str) -> list[float]:
+        found = next(curve for (path, _), curve in curves.items() if name in path)
+        return [found.evaluate(10 + frame) for frame in range(count)]
+
+    drawn = []
+    operators, layout = module("operators.import_voice"), SimpleNamespace(prop=lambda _operator, name: drawn.append(name))
+    for language in ("ENGLISH", "OTHER"):
+        drawn.append(language)
+        operators.GRMM_OT_import_voice.draw(SimpleNamespace(layout=layout, language=language), bpy.context)
+    return {
+        "note": watch.note(),
+        "jaw": curve("jawOpen"),
+        "close": curve("mouthClose"),
+        "turned": any("rotation_euler" in path for path, _ in curves_of(avatar.armature)),
+        "keys": max(len(curve.keyframe_points) for curve in curves.values()),
+        "range": [scene.frame_start, scene.frame_end],
+        "strips": sorted([strip.name, strip.channel, handles(strip)[0]] for strip in scene.sequence_editor.strips),
+        "text": [drawn.count("said"), drawn.index("said") < drawn.index("OTHER")],
+        "silent": said_by(lambda: bpy.ops.grmm.import_voice(filepath=str(folder / "silence.wav"))),
+        "none": said_by(lambda: bpy.ops.grmm.import_voice()),
+    }
+
+
 def errors() -> dict:
     avatar = fresh_head()
     missing = said_by(lambda: bpy.ops.grmm.import_video(filepath=str(folder / "none.mp4")))
@@ -176,9 +209,10 @@ def errors() -> dict:
     return {"missing": missing, "text": text, "backwards": backwards, "keyed": len(curves_of(avatar.object))}
 
 
-done = {"event": "done", "performance": str(Path(bpy.app.tempdir) / "grmm_videos" / "speech.json")}  # of the first capture
+done = {"event": "done", "performance": str(Path(bpy.app.tempdir) / "grmm_recordings" / "speech.json")}  # of the first capture
 report(
     imported=imported(),
+    spoken=spoken(),
     errors=errors(),
     cancelled=cancelled(),
     own_shape=own_shape(),

@@ -32,7 +32,7 @@ from grmm_core.data.readers import is_dataset, open_dataset
 from grmm_core.errors import ConfigError, FileAccessError, FileFormatError, RuntimeMissingError
 from grmm_core.geometry.camera import Camera
 from grmm_core.geometry.rotations import axis_angle_to_matrix, matrix_to_euler
-from grmm_core.pictures.videos import pyav
+from grmm_core.pictures.recordings import pyav
 
 
 @pytest.fixture(scope="module")

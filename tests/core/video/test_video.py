@@ -193,7 +193,7 @@ def bad_requests() -> Iterator[tuple[dict[str, object], str]]:
 @pytest.mark.parametrize(("changes", "message"), list(bad_requests()))
 def test_requests_that_cannot_be_meant_are_refused(changes: dict[str, object], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        TrackRequest(**{"video": "a.mp4", "output": "take.json", **changes})  # type: ignore[arg-type]
+        TrackRequest(**{"recording": "a.mp4", "output": "take.json", **changes})  # type: ignore[arg-type]
 
 
 def test_half_blinks_become_whole_and_open_eyes_stay() -> None:

@@ -1,4 +1,4 @@
-"""Follows the one capture of this Blender: a timer redraws the panel, and keys the head when it is done.
+"""Follows the one recording that this Blender works on: a timer redraws the panel, and keys the head when it is done.
 
 In background mode there are no timers: the operator waits and calls `finish` itself.
 """
@@ -8,27 +8,28 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import shorten
 
 import bpy
 from bpy.app.handlers import persistent
 
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.formats import format_to_read
-from ...grmm_core.video.request import TrackRequest
 from .. import events, windows
 from ..compat import trim_strip
 from ..exporting import performer_of
 from ..performance import ImportedRange, ImportOptions, apply_performance
-from .job import TrackJob
+from .job import RecordingJob, RecordingStatus, Request
 
 _POLL_SECONDS = 0.3
 _SOUND_CHANNEL = 1
+_SHOWN_WORDS = 200  # characters
 _log = logging.getLogger(__name__)
 
 
 @dataclass
 class _Watched:
-    """The running or last capture.
+    """The running or last job.
 
     Attributes:
         job: Itself.
@@ -36,17 +37,19 @@ class _Watched:
         target: `session_uid` of the head that takes it: it outlives undo, and names nothing where the head is gone.
         options: How it becomes keys.
         set_range: Let the scene start and end with it.
-        sound: Put the video's sound into the sequencer.
+        sound: Put the recording's sound into the sequencer.
+        message: Of the step of undo.
         note: One sentence about it once it has ended, or "".
         is_from_another_file: Whether another .blend file was opened since.
     """
 
-    job: TrackJob
-    request: TrackRequest
+    job: RecordingJob
+    request: Request
     target: int
     options: ImportOptions
     set_range: bool
     sound: bool
+    message: str
     note: str = ""
     is_from_another_file: bool = False
 
@@ -55,34 +58,35 @@ _watched: _Watched | None = None
 
 
 def start(
-    job: TrackJob, request: TrackRequest, head: bpy.types.Object, options: ImportOptions, *, set_range: bool, sound: bool
-) -> None:
-    """Follow a capture for a head. There is one at a time."""
+    job: RecordingJob, request: Request, head: bpy.types.Object, options: ImportOptions, *, set_range: bool, sound: bool,
+    message: str,
+) -> None:  # fmt: skip
+    """Follow a job for a head. There is one at a time."""
     global _watched
-    _watched = _Watched(job, request, head.session_uid, options, set_range, sound)
+    _watched = _Watched(job, request, head.session_uid, options, set_range, sound, message)
     if not bpy.app.background and not bpy.app.timers.is_registered(_poll):
         bpy.app.timers.register(_poll, first_interval=_POLL_SECONDS, persistent=True)
 
 
-def current() -> TrackJob | None:
-    """The running or last capture."""
+def current() -> RecordingJob | None:
+    """The running or last job."""
     return None if _watched is None else _watched.job
 
 
 def is_running() -> bool:
-    """Whether a capture runs."""
+    """Whether one runs."""
     return _watched is not None and _watched.job.running
 
 
 def note() -> str:
-    """One sentence about the last capture, or ""."""
+    """One sentence about the last one, or ""."""
     return "" if _watched is None else _watched.note
 
 
 def finish(context: bpy.types.Context) -> str:
-    """Key the head with an ended capture, as one step to undo; returns a sentence about it, or raises it as a `GrmmError`."""
+    """Key the head with what an ended job made, as one step to undo; returns a sentence about it or raises a `GrmmError`."""
     if _watched is None:
-        raise GrmmError("There is no capture; import a video.")
+        raise GrmmError("There is no performance; import a video or a voice.")
     try:
         _watched.note = _keyed(context, _watched)
     except GrmmError as error:
@@ -92,9 +96,9 @@ def finish(context: bpy.types.Context) -> str:
 
 
 def _keyed(context: bpy.types.Context, watched: _Watched) -> str:
-    ended, name = watched.job.status, watched.request.video.name
+    ended, name = watched.job.status, watched.request.recording.name
     if watched.is_from_another_file:
-        raise GrmmError(f"The capture of {name} was cancelled, for another file was opened; import the video there again.")
+        raise GrmmError(f"The work on {name} was cancelled, for another file was opened; import it there again.")
     if ended.state != "done":
         raise GrmmError(ended.message)
     path = Path(ended.performance)
@@ -104,30 +108,31 @@ def _keyed(context: bpy.types.Context, watched: _Watched) -> str:
     if performer is None or not scenes:
         raise GrmmError(f"The head is in no scene any more; its performance is kept in {path} until Blender is closed.")
     performance = format_to_read(path, "performance").read(path)
-    written = apply_performance(performer, performance, watched.options, watched.request.video.stem)
+    written = apply_performance(performer, performance, watched.options, watched.request.recording.stem)
     scene = context.scene if context.scene in scenes else scenes[0]  # the window may show another one by now
     if watched.set_range:
         written.set_range(scene)
-    heard = watched.sound and _add_sound(scene, watched)
+    sounds = watched.sound and _add_sound(scene, watched)
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     if bpy.ops.ed.undo_push.poll():
-        bpy.ops.ed.undo_push(message="Import Video")
-    return _said(written, ended.message, heard)
+        bpy.ops.ed.undo_push(message=watched.message)
+    return _said(written, ended, sounds)
 
 
-def _said(written: ImportedRange, message: str, heard: bool) -> str:
-    sound = ", with its sound in the sequencer" if heard else ""
-    return f"Frames {written.first:g} to {written.last:g} are keyed{sound}. {message}".rstrip()
+def _said(written: ImportedRange, ended: RecordingStatus, sounds: bool) -> str:
+    sound = ", with its sound in the sequencer" if sounds else ""
+    words = f" Heard: {shorten(ended.heard, _SHOWN_WORDS)}." if ended.heard else ""
+    return f"Frames {written.first:g} to {written.last:g} are keyed{sound}.{words} {ended.message}".rstrip()
 
 
 def _add_sound(scene: bpy.types.Scene, watched: _Watched) -> bool:
     """Put the sound where the performance starts, on a channel that is free; returns whether there is any."""
-    options, video = watched.options, watched.request.video
+    options, recording = watched.options, watched.request.recording
     strips = scene.sequence_editor_create().strips
     channel = max((strip.channel for strip in strips), default=_SOUND_CHANNEL - 1) + 1
     skipped = round(watched.request.start * options.fps)
     try:
-        strip = strips.new_sound(video.stem, str(video), channel, round(options.start) - skipped)
+        strip = strips.new_sound(recording.stem, str(recording), channel, round(options.start) - skipped)
     except RuntimeError:  # a video without sound
         return False
     trim_strip(strip, skipped)
@@ -170,7 +175,7 @@ def _poll() -> float | None:
     try:
         windows.in_viewport(finish)
     except GrmmError as error:
-        _log.warning("capture: %s", error)
+        _log.warning("recording: %s", error)
     windows.redraw_sidebars()
     return None
 

@@ -1,10 +1,10 @@
-"""`python -m tools.voice_figures [--record FOLDER]`: how well lips follow a voice, on synthetic voices whose phones are known.
+"""`python -m tools.voice_figures`: how well lips follow a voice, on synthetic voices whose phones are known.
 
 The sentences below are spoken by flite's voices, which are made of recordings of real people (Debian's package `flite`;
 `--flite` names another program), and listened to: with their text given, by words, and in single sounds. What is found moves
 the lips of the mean head, and so does the truth; printed are the correlations of how far lips are open, wide and forward, how
 many of the closures of P, B and M are made while they are heard, and the same for a jaw that follows the loudness. `--record`
-writes the first sentence and its phones as the tests use them.
+writes the first sentence and its phones as the tests use them, `--sheet` draws the default avatar that says its beginning.
 """
 
 from __future__ import annotations
@@ -20,15 +20,23 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.fitting.point_rig import LandmarkRig
+from grmm_core.geometry.camera import Camera
 from grmm_core.head.head_model import JOINT_COUNT
 from grmm_core.head.open_head import load_open_head
+from grmm_core.pictures.images import quantize
 from grmm_core.pictures.recordings import pyav
+from grmm_core.session import Instance, RenderOptions, create_session
+from grmm_core.voice.api import FPS, speak
 from grmm_core.voice.listening import SILENCE, Phone, listen
 from grmm_core.voice.mouth import mouth
+from grmm_core.voice.request import SpeakRequest
 from grmm_core.voice.sound import HOP, RATE, loudness, read_sound
+
+from .people_pictures import PAPER, sheet
 
 SENTENCES = (
     "Maybe we should buy five more apples before the shop closes.",
@@ -41,7 +49,7 @@ SENTENCES = (
     "Thick fog rolled over the valley, and nobody could see the bridge any more.",
 )
 VOICES = ("rms", "awb", "slt")
-FPS = 60.0
+SIZE, SHOWN, COLUMNS, QUALITY, INK = 220, 16, 8, 85, (90, 90, 90)  # of the sheet: pixels of a picture, pictures
 _NAMES = {"PAU": SILENCE, "AX": "AH", "BRTH": SILENCE}
 _UPPER, _LOWER, _LEFT, _RIGHT, _MIDDLE = 13, 14, 61, 291, 0  # landmarks: inner lips, corners, the upper lip's middle
 _LIPS = frozenset("PBM")
@@ -116,17 +124,42 @@ def record(flite: str, folder: Path) -> None:
     (folder / "voice.json").write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
+def draw(flite: str, path: Path) -> None:
+    """Draw the middle of each of the first phones, with its name."""
+    with tempfile.TemporaryDirectory() as made:
+        wave = Path(made) / "voice.wav"
+        phones = spoken(flite, VOICES[0], SENTENCES[0], wave)
+        performance = speak(SpeakRequest(wave, Path(made) / "take.json", SENTENCES[0])).performance
+    camera = Camera.orbit(SIZE, SIZE, yaw=12.0, pitch=0.0, distance=1.1, fov=12.5, target=(0.0, -0.015, 0.03))
+    tiles = []
+    with create_session("local") as session:
+        avatar = session.open("default").id
+        for phone in [phone for phone in phones if phone.name != SILENCE][:SHOWN]:
+            frame = round((phone.start + phone.end) / 2 * performance.fps)
+            picture = session.render(
+                [Instance(avatar, performance.controls(frame, "neck"))], camera, RenderOptions(background=PAPER)
+            )
+            image = Image.fromarray(quantize(picture["rgb"]))
+            ImageDraw.Draw(image).text((8, 6), phone.name, fill=INK, font_size=18)
+            tiles.append(np.asarray(image))
+    sheet(tiles, COLUMNS).save(path, quality=QUALITY)
+
+
 def main(arguments: Sequence[str]) -> int:
     """Run; returns the exit code."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--flite", default="flite", help="the program")
     parser.add_argument("--record", type=Path, metavar="FOLDER", help="write the tests' voice instead")
+    parser.add_argument("--sheet", type=Path, metavar="FILE", help="draw the picture of docs/voice.md instead")
     args = parser.parse_args(arguments)
     if shutil.which(args.flite) is None:
         print(f"There is no program {args.flite}; install flite (on Debian: apt-get install flite).")
         return 1
     if args.record:
         record(args.flite, args.record)
+        return 0
+    if args.sheet:
+        draw(args.flite, args.sheet)
         return 0
     lips = Lips()
     print("voice  way    open  wide  forward  closures  seconds of processor time a second")

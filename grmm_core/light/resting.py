@@ -221,15 +221,23 @@ def rig_at_vertices(head: HeadModel, vertices: np.ndarray, colors: np.ndarray) -
         colors: Of its skin under the rig, display sRGB, [K, 3].
     """
     vertices = np.asarray(vertices, np.float64)
-    normals, casters = vertex_normals(vertices, head.faces), casters_of(head, vertices)
-    receivers, texels = Receivers.around(vertices, normals), Texels.of_vertices(head)
-    rows = transfer(vertices, normals, casters.faces, _WAYS)
-    seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
-    eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
-    straight = shade(STUDIO.lamps, receivers, seen, materials_of(head, *texels[:2]), rows, eye, around).irradiance
+
+    def make() -> tuple[np.ndarray, Exchange]:
+        normals, casters = vertex_normals(vertices, head.faces), casters_of(head, vertices)
+        receivers, texels = Receivers.around(vertices, normals), Texels.of_vertices(head)
+        rows = transfer(vertices, normals, casters.faces, _WAYS)
+        seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
+        eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
+        straight = shade(STUDIO.lamps, receivers, seen, materials_of(head, *texels[:2]), rows, eye, around).irradiance
+        return straight, Exchange.of(vertices, normals, head.faces, rows)
+
+    straight, exchange = _ROUGHLY.get((head, vertices), make)
     skin = head.marked(_SKIN) if _SKIN in head.regions else np.ones(len(vertices), bool)
-    bounced = Exchange.of(vertices, normals, head.faces, rows).bounced(straight, albedo_of(colors, straight[skin]))
-    return reached(straight + bounced)
+    return reached(straight + exchange.bounced(straight, albedo_of(colors, straight[skin])))
+
+
+_ROUGHLY: Recent[tuple[np.ndarray, Exchange]] = Recent(3)
+"""What of `rig_at_vertices` does not depend on colors: the same person is often added again."""
 
 
 class _Standing(NamedTuple):

@@ -12,7 +12,7 @@ MINUTES ?= 60
 FILES   ?=
 FUZZ_ARGS ?=
 # A file's tests stay in one process, and share what they set up. Torch's threads would only get in each other's way.
-# Files begin in their order: those of many tests first, as is usual, leaves the few long ones of Blender to the end, and a core idle.
+# Files begin in the order of tests/conftest.py: those of many tests first, as is usual, leaves the few long ones of Blender to the end, and a core idle.
 PYTEST = OMP_NUM_THREADS=1 $(PY) -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test test-all fuzz lint extension release open-head help clean

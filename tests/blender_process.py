@@ -139,7 +139,7 @@ def _run(
         copy = _temporary_folder()
         shutil.copytree(folder, copy, dirs_exist_ok=True)
         folder = copy
-        lend_kernels(folder / EXTENSION / "grmm_core")
+    lend_kernels(folder / EXTENSION / "grmm_core")
     if edit:
         edit(folder / EXTENSION)
     done = _launch(python, folder, script, [str(a) for a in arguments], timeout, enable, environment)

@@ -21,6 +21,19 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "support")]
 
 
+# One file of Blender's first, which compiles the kernels that all of them need, while other processes are at tests without
+# Blender; then what takes longest, so that none of it is left to one process alone at the end.
+ORDER = ("blender/test_blender_export.py", "core/fitting", "blender", "studio", "core/session", "core/training", "")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    def place(item: pytest.Item) -> int:
+        name = item.path.relative_to(ROOT / "tests").as_posix()
+        return next(number for number, begin in enumerate(ORDER) if name.startswith(begin))
+
+    items.sort(key=place)
+
+
 @pytest.fixture(scope="session")
 def repository() -> Path:
     return ROOT

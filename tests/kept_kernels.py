@@ -26,11 +26,13 @@ _found: list[tuple[Path, Path]] = []  # relative source, store
 
 
 def lend_kernels(core: Path) -> None:
-    """Lend the core of an install, as it was packed, its compiled kernels."""
+    """Lend the core of an install, as it was packed, its compiled kernels; once more, what others have compiled since."""
     for source, store in _stores(core):
         os.utime(source, (KERNEL_TIME, KERNEL_TIME))
-        if store.exists():
-            shutil.copytree(store, source.parent / CACHE, dirs_exist_ok=True)
+        cache = source.parent / CACHE
+        with contextlib.suppress(FileNotFoundError, shutil.Error):  # another process of the run puts a larger one in its place
+            if any(not (cache / path.name).exists() for path in store.iterdir()):
+                shutil.copytree(store, cache, dirs_exist_ok=True)
 
 
 def keep_kernels(core: Path) -> None:

@@ -22,7 +22,7 @@ from ..head.flame_align import closest_on_surface
 from ..photo.glasses import thin_frames
 from ..photo.parser import MESH_PARTS, PhotoParts, part_map
 from ..photo.person import box_sum
-from .blurring import widened
+from ..photo.widening import widened
 
 if TYPE_CHECKING:
     from ..head import HeadModel

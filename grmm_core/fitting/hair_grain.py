@@ -11,6 +11,7 @@ import torch
 from torch.nn import functional
 
 from ..hair.groom import Groom
+from ..photo.widening import widened
 
 WINDOW, GRAIN_WINDOW = 5, 9  # px: over which a structure tensor is averaged, for directions and for grain
 INSIDE, MARGIN = 0.6, 2  # cover above which a pixel is hair, and how far around it all must be
@@ -34,8 +35,8 @@ def structure(image: np.ndarray, window: int = WINDOW) -> np.ndarray:
 
 def amid(mask: np.ndarray) -> np.ndarray:
     """Pixels of a mask [H, W] that lie `MARGIN` inside it, bool."""
-    outside = torch.from_numpy(1.0 - np.asarray(mask, np.float32))[None, None]
-    inside: np.ndarray = functional.max_pool2d(outside, 2 * MARGIN + 1, 1, MARGIN)[0, 0].numpy() == 0.0
+    outside = torch.from_numpy(1.0 - np.asarray(mask, np.float32))[None]
+    inside: np.ndarray = widened(outside, MARGIN)[0].numpy() == 0.0
     return inside
 
 

@@ -21,6 +21,7 @@ from ..hair.body import Body
 from ..hair.gradients import strand_segments
 from ..hair.groom import Groom, bind
 from ..hair.strands import lengthened
+from ..photo.widening import widened
 from ..splat.api import rasterize
 from ..splat.types import Gaussians
 
@@ -120,8 +121,8 @@ def with_hairline(groom: Groom, photos: Sequence[Seen], head: HeadModel) -> Groo
         local, pixels = photo.camera.project(roots)
         inside = ((pixels >= 0) & (pixels < (photo.camera.width, photo.camera.height))).all(1)
         column, row = (np.clip(pixels[:, k].astype(int), 0, size - 1) for k, size in enumerate(photo.hair.shape[::-1]))
-        planes = torch.from_numpy(np.stack([photo.hair, 1.0 - photo.counts]).astype(np.float32))[None]
-        near = functional.max_pool2d(planes, 2 * NEAR + 1, 1, NEAR)[0].amax(0).numpy()
+        planes = torch.from_numpy(np.stack([photo.hair, 1.0 - photo.counts]).astype(np.float32))
+        near = widened(planes, NEAR).amax(0).numpy()
         bare |= inside & (local[:, 2] < photo.depth[row, column] + BEHIND) & (near[row, column] < SKIN)
     return groom if bare.mean() > MOST_BARE else groom.select(~bare)
 

@@ -29,9 +29,10 @@ from ..hair.strands import between
 from ..head import HeadModel
 from ..model.grmm import GRMM
 from ..photo.parser import PhotoParts
+from ..photo.widening import widened
 from ..splat.api import rasterize
 from ..splat.types import Gaussians
-from .blurring import blurred, widened
+from .blurring import blurred
 from .face_hair import brow_cover
 from .hair_stage import hair_view
 from .inpainting import within

@@ -19,8 +19,8 @@ from torch import Tensor
 
 from ..geometry.libraries import present
 from ..model.grmm import GRMM, Attributes
+from ..photo.widening import widened
 from ..splat import rasterize
-from .blurring import widened
 from .grain import grain
 from .objective import contributions
 from .photo_targets import FitView

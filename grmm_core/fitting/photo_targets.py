@@ -26,7 +26,7 @@ from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head import HeadModel
 from ..photo.glasses import thin_frames
 from ..photo.parser import PhotoParts, parse
-from .blurring import widened
+from ..photo.widening import widened
 from .types import PhotoTrack
 
 MARGIN_SIDE, MARGIN_TOP, MARGIN_BOTTOM = 0.18, 0.22, 0.03  # of the head's height in the picture, around the mesh

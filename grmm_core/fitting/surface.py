@@ -16,6 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..compute.recent import Recent
+from ..geometry.libraries import to_numpy
 from ..head import HeadModel
 from ..model.grmm import GRMM
 from ..model.sparse import FixedSparse
@@ -92,7 +94,17 @@ class Surface:
 
 
 def texel_surface(model: GRMM) -> Surface:
-    """Find parts and links of a model's texels on the mean head."""
+    """Find parts and links of a model's texels on the mean head; tracking and fitting ask for the same model's."""
+    anchor, config = model.anchor, model.config
+    texels = (to_numpy(part) for part in (anchor.face, anchor.barycentric, anchor.texel))
+    key = model.head_model, anchor.grid, *texels, config.hairless, model.dtype, model.device
+    return _SURFACES.get(key, lambda: _found(model))
+
+
+_SURFACES: Recent[Surface] = Recent(1)
+
+
+def _found(model: GRMM) -> Surface:
     head, grid = model.head_model, model.anchor.grid
     faces = head.faces[model.anchor.face.cpu().numpy()]  # [N, 3]
     barycentric = model.anchor.barycentric.cpu().numpy()

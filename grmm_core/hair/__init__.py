@@ -21,7 +21,7 @@ The map:
     settings.py   `HairSettings`, `SETTINGS`
     compact.py    a groom in few bytes; packaged.py   the package's grooms
     prior.py      a code of few numbers that gives grooms between those seen; hair at random
-    strands.py    a groom made ready: more strands, levels of detail, shape by settings
+    strands.py    a groom made ready: more strands, levels of detail, shape by settings;  ready.py   the last ones, kept
     occlusion.py  how much light reaches the inside;  pigment.py   colors of strands
     ribbons.py    strands as Gaussians and their shading, readable; strand_kernels.py compiled; gradients.py for PyTorch
     drawing.py    all of it for one picture

@@ -18,13 +18,13 @@ from torch.nn import functional
 from ..geometry.camera import Camera
 from ..splat.api import rasterize, rasterize_arrays
 from ..splat.types import GaussianArrays, Gaussians
-from .body import on_person, outside
+from .body import on_person
 from .drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from .groom import Groom
+from .ready import ready
 from .ribbons import Eye
 from .roots import SCALP
 from .settings import HairSettings
-from .strands import blocks_of
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -115,6 +115,7 @@ def with_colors(
     if len(groom) and (groom.groups != SCALP).all():  # brows and beards let the skin through, and so do drawn ones
         wanted = _without_skin(image, hair, full, cover)
 
+    @functools.cache  # each is asked for by several of its neighbours
     def distance(tried: HairSettings) -> float:
         off = weights @ strands.gaussians(tried).colors - wanted
         return float((off**2).sum() + _PULL * (tried.grey + 0.3 * tried.redness))
@@ -173,8 +174,7 @@ class WornHair:
         still: np.ndarray | None = None,
     ) -> None:  # fmt: skip
         self._camera, self._eye = camera, Eye.of(camera)
-        mean = np.asarray(head.v_template, np.float64)
-        blocks = blocks_of(groom, mean, head.faces, functools.partial(outside, head, mean))
+        blocks = ready(groom, head)
         shares = level_shares(blocks, self._eye.pixels_per_metre())
         self._hiding = Hiding.of(vertices, hiding_faces(head), camera)
         self._posed = []

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..compute.recent import Recent
 from .transfer import vertex_normals
 
 if TYPE_CHECKING:
@@ -103,6 +104,13 @@ def materials_of(head: HeadModel, face: np.ndarray, barycentric: np.ndarray) -> 
         face: Face of each texel, [N].
         barycentric: [N, 3].
     """
+    return _KNOWN.get((head, face, barycentric), lambda: _found(head, face, barycentric))
+
+
+_KNOWN: Recent[Materials] = Recent(2)
+
+
+def _found(head: HeadModel, face: np.ndarray, barycentric: np.ndarray) -> Materials:
     count = len(head.v_template)
     table = np.tile(np.array([*vars(SKIN).values()], np.float32), (count, 1))
     for name, look in MATERIALS.items():

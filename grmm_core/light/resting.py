@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from ..compute.recent import Recent
 from ..controls.frame import resolve
 from ..controls.table import Controls
 from .bounce import Exchange, albedo_of, nearest_points
@@ -117,8 +118,16 @@ class Texels(NamedTuple):
 
     def shadows(self, head: HeadModel, uv: np.ndarray, grid: int, texel: np.ndarray) -> TexelShadows:
         """How the points lie, which are texels [N] of a grid that the UV map `uv` [U, 2] of a head lies on."""
-        places = uv[head.uv_faces[self.face]] * grid
-        return TexelShadows.of(grid, texel, self.corners, places, head.v_template, self.at(head.v_template))
+
+        def make() -> TexelShadows:
+            places = uv[head.uv_faces[self.face]] * grid
+            return TexelShadows.of(grid, texel, self.corners, places, head.v_template, self.at(head.v_template))
+
+        return _LYING.get((head, *self, uv, grid, texel), make)
+
+
+_LYING: Recent[TexelShadows] = Recent(2)
+"""Of `Texels.shadows`."""
 
 
 def texel_grid(head: HeadModel, uv: np.ndarray, grid: int, texel: np.ndarray) -> TexelGrid:
@@ -170,19 +179,10 @@ class RestLight(NamedTuple):
             colors: Of the texels under the rig, display sRGB, [N, 3]; those of the face say what skin throws back.
             lying: How the texels lie, where a scene's shadows are looked for by it.
         """
-        normals = vertex_normals(vertices, head.faces)
-        opened = _Opened.of(head, vertices, transfer(vertices, normals, casting_faces(head)[0]))
-        exchange = Exchange.of(vertices, normals, head.faces, opened.rows)
-        mouth = head.marked(*MOUTH) & ~head.marked(_SKIN)  # lips are seen when it is closed
-        exchange.light(mouth, head.marked("lips") & ~mouth, _GLOW)
-        rows, receivers, casters = texels.at(opened.rows), texels.receivers(vertices, normals), casters_of(head, vertices)
-        if lying is None:
-            seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
-        else:
-            seen = np.stack([lying.all_seen(maps_of(lamp, receivers, casters), receivers, vertices) for lamp in STUDIO.lamps])
+        still = _STANDING.get((head, *texels, vertices, lying), lambda: _Standing.of(head, texels, vertices, lying))
+        opened, exchange, seen, at_vertices = still.opened, still.exchange, still.seen.copy(), still.at_vertices
         eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
-        at_vertices = nearest_points(texels.corners, texels.barycentric, len(vertices))
-        straight = shade(STUDIO.lamps, receivers, seen, materials, rows, eye, around).irradiance
+        straight = shade(STUDIO.lamps, still.receivers, seen, materials, still.rows, eye, around).irradiance
         skin = np.isin(texels.corners[:, 0], head.regions.get(_SKIN, np.arange(len(vertices))))
         albedo = albedo_of(colors[skin], straight[skin])
         rig = straight + texels.at(exchange.bounced(straight[at_vertices], albedo))
@@ -190,7 +190,7 @@ class RestLight(NamedTuple):
         rig = reached(rig)
         turned_out = (light.mean(1) / rig[at_vertices].mean(1)).astype(np.float32)
         shutting = np.stack([_moves(head, {name: value}) for name, value in _SHUT.items()])
-        return RestLight(rows, rig, albedo, *exchange, seen, vertices, normals, shutting, turned_out)
+        return RestLight(still.rows, rig, albedo, *exchange, seen, vertices, still.normals, shutting, turned_out)
 
     @property
     def exchange(self) -> Exchange:
@@ -221,15 +221,63 @@ def rig_at_vertices(head: HeadModel, vertices: np.ndarray, colors: np.ndarray) -
         colors: Of its skin under the rig, display sRGB, [K, 3].
     """
     vertices = np.asarray(vertices, np.float64)
-    normals, casters = vertex_normals(vertices, head.faces), casters_of(head, vertices)
-    receivers, texels = Receivers.around(vertices, normals), Texels.of_vertices(head)
-    rows = transfer(vertices, normals, casters.faces, _WAYS)
-    seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
-    eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
-    straight = shade(STUDIO.lamps, receivers, seen, materials_of(head, *texels[:2]), rows, eye, around).irradiance
+
+    def make() -> tuple[np.ndarray, Exchange]:
+        normals, casters = vertex_normals(vertices, head.faces), casters_of(head, vertices)
+        receivers, texels = Receivers.around(vertices, normals), Texels.of_vertices(head)
+        rows = transfer(vertices, normals, casters.faces, _WAYS)
+        seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
+        eye, around = np.array([0.0, 0.0, 1.0]), coefficients_of(STUDIO.surroundings)
+        straight = shade(STUDIO.lamps, receivers, seen, materials_of(head, *texels[:2]), rows, eye, around).irradiance
+        return straight, Exchange.of(vertices, normals, head.faces, rows)
+
+    straight, exchange = _ROUGHLY.get((head, vertices), make)
     skin = head.marked(_SKIN) if _SKIN in head.regions else np.ones(len(vertices), bool)
-    bounced = Exchange.of(vertices, normals, head.faces, rows).bounced(straight, albedo_of(colors, straight[skin]))
-    return reached(straight + bounced)
+    return reached(straight + exchange.bounced(straight, albedo_of(colors, straight[skin])))
+
+
+_ROUGHLY: Recent[tuple[np.ndarray, Exchange]] = Recent(3)
+"""What of `rig_at_vertices` does not depend on colors: the same person is often added again."""
+
+
+class _Standing(NamedTuple):
+    """What of the light on a head at rest does not depend on colors: it takes nearly all of the time, and is kept.
+
+    Attributes:
+        rows, seen, normals: Of `RestLight`, `seen` without what an open mouth shows.
+        receivers: The texels.
+        exchange: What skin throws on skin.
+        opened: The head with an open mouth.
+        at_vertices: Number of the texel that is nearest to each vertex, [V].
+    """
+
+    rows: np.ndarray
+    seen: np.ndarray
+    normals: np.ndarray
+    receivers: Receivers
+    exchange: Exchange
+    opened: _Opened
+    at_vertices: np.ndarray
+
+    @staticmethod
+    def of(head: HeadModel, texels: Texels, vertices: np.ndarray, lying: TexelShadows | None) -> _Standing:
+        """Work it out; arguments as of `RestLight.of`."""
+        normals = vertex_normals(vertices, head.faces)
+        opened = _Opened.of(head, vertices, transfer(vertices, normals, casting_faces(head)[0]))
+        exchange = Exchange.of(vertices, normals, head.faces, opened.rows)
+        mouth = head.marked(*MOUTH) & ~head.marked(_SKIN)  # lips are seen when it is closed
+        exchange.light(mouth, head.marked("lips") & ~mouth, _GLOW)
+        receivers, casters = texels.receivers(vertices, normals), casters_of(head, vertices)
+        if lying is None:
+            seen = np.stack([visible(lamp, receivers, casters) for lamp in STUDIO.lamps])
+        else:
+            seen = np.stack([lying.all_seen(maps_of(lamp, receivers, casters), receivers, vertices) for lamp in STUDIO.lamps])
+        at_vertices = nearest_points(texels.corners, texels.barycentric, len(vertices))
+        return _Standing(texels.at(opened.rows), seen, normals, receivers, exchange, opened, at_vertices)
+
+
+_STANDING: Recent[_Standing] = Recent(3)
+"""Of `RestLight.of`: a photo's person as tracked, and as a session has it."""
 
 
 class _Opened(NamedTuple):

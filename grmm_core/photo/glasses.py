@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch.nn import functional
 
+from .widening import widened
+
 EYES = ((33, 246, 161, 160, 159, 158, 157, 173, 133, 155, 154, 153, 145, 144, 163, 7),
         (263, 466, 388, 387, 386, 385, 384, 398, 362, 382, 381, 380, 374, 373, 390, 249))  # fmt: skip
 """Landmarks around each eye."""
@@ -76,9 +78,7 @@ def thin_frames(image: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
 
 def _grown(mask: np.ndarray, reach: int) -> np.ndarray:
     """A mask [H, W] widened by so many pixels to each side."""
-    plane = torch.from_numpy(mask.astype(np.float32))[None, None]
-    wide = functional.max_pool2d(plane, (1, 2 * reach + 1), 1, (0, reach))  # a square is its rows, then its columns
-    grown: np.ndarray = functional.max_pool2d(wide, (2 * reach + 1, 1), 1, (reach, 0))[0, 0].numpy() > 0.5
+    grown: np.ndarray = widened(torch.from_numpy(mask.astype(np.float32))[None], reach)[0].numpy() > 0.5
     return grown
 
 

@@ -21,6 +21,7 @@ from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head.head_model import HeadModel
 from .parser_network import load_parser
 from .person import guided_filter
+from .widening import widened
 
 SIZE = 128
 REACH = 0.2  # metres from the head's origin that are 1 in the channels of place
@@ -126,7 +127,7 @@ def parse(track: Tracked, head: HeadModel) -> PhotoParts:
         sharp[0] += 1.0 - pixels[0, 4]
         sharp = sharp / sharp.sum(0, keepdim=True).clamp_min(1e-6)
         eyes = torch.from_numpy(mesh[[tuple(MESH_PARTS).index(name) for name in ("eyes", "mouth")]]).amax(0)[None, None]
-        features = functional.max_pool2d(eyes, 2 * AROUND_EYES + 1, 1, AROUND_EYES)
+        features = widened(eyes[0], AROUND_EYES)[None]
         features = functional.interpolate(features, pixels.shape[2:])[0, 0]
         divided = _things(_by_color(sharp, pixels[0, :3], features), pixels[0, :3])
     return PhotoParts(*_enclosed(divided, eyes).numpy())
@@ -203,7 +204,7 @@ def _things(shares: Tensor, picture: Tensor) -> Tensor:
     own = shares[person].sum(0)
     thing = _likelihood(picture, shares[other] * (shares[other] > THING))
     reach = round(AROUND_THING * max(own.shape))
-    around = functional.max_pool2d((shares[other] > THING)[None, None].float(), 2 * reach + 1, 1, reach)[0, 0]
+    around = widened((shares[other] > THING)[None].float(), reach)[0]
     body = _likelihood(picture, own * (own > SURE) * (1.0 - around))
     if thing is None or body is None:
         return shares

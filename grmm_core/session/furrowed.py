@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..compute.recent import Recent
 from ..geometry.camera import Camera
 from ..geometry.libraries import as_like, present, to_numpy
 from ..head import load_open_head, load_people_model
@@ -20,6 +21,7 @@ from .evaluator import Evaluator, Inputs, OpenAvatar
 
 _DIRECTED = 0.6  # of how a scene's light differs by direction: where it is shadowed is not asked, and skin scatters
 _MIDDLE = 0.5  # of a pixel or texel
+_RELIEFS: Recent[Relief] = Recent(2)  # a fit opens its person several times
 
 
 def furrows_of(
@@ -43,7 +45,8 @@ def furrows_of(
 
     def paint() -> Relief:
         own = target.avatar.shape
-        return Relief.of(head, layout.uv, layout.grid, seed_of(own), age_of(own, load_people_model()))
+        person = seed_of(own), age_of(own, load_people_model())
+        return _RELIEFS.get((head, layout.uv, layout.grid, *person), lambda: Relief.of(head, layout.uv, layout.grid, *person))
 
     relief = Relief(*evaluator.cache.get((target.id, "furrow relief"), paint))
     held = np.stack([still, *_of_photos(target, len(still))])

@@ -7,7 +7,6 @@ Grooms are made ready once (`hair.strands`), posed once for each mesh, and turne
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import TypeVar
@@ -15,21 +14,23 @@ from typing import TypeVar
 import numpy as np
 
 from ..avatar import Hair
+from ..compute.recent import Recent
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..geometry.libraries import to_numpy, zeros
-from ..hair.body import on_person, outside
+from ..hair.body import on_person
 from ..hair.contact import moved as displaced
 from ..hair.drawing import Hiding, level_shares, nearer, raised_by, strand_gaussians
 from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
 from ..hair.packaged import HEAD, library_groom
 from ..hair.prior import random_groom
+from ..hair.ready import contents, ready
 from ..hair.ribbons import Eye
 from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
 from ..hair.shoulders import Shoulders
-from ..hair.strands import StrandBlock, blocks_of
+from ..hair.strands import StrandBlock
 from ..head import HeadModel
 from ..splat.types import Gaussians
 from .cap import Cap
@@ -40,6 +41,7 @@ from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_
 
 EXPORT_DENSITY = 1000.0  # pixels per metre for which Gaussians are made where there is no picture
 READY = 12  # grooms that are kept ready
+_COVERED: Recent[Covered] = Recent(3)  # by contents: a fit opens its person several times
 Kept = TypeVar("Kept")
 _HIDING_ISLAND = 0  # of the UV map: the skin hides hair, eyes and teeth are behind it
 
@@ -173,9 +175,7 @@ class Wardrobe:
 
     def blocks(self, layer: Layer, head: HeadModel) -> tuple[StrandBlock, ...]:
         """Strands made ready for a head."""
-        mean = np.asarray(head.v_template, np.float64)
-        lies = functools.partial(outside, head, mean)
-        return _kept(self._ready, (*layer.key, head.name), lambda: blocks_of(layer.groom, mean, head.faces, lies))
+        return _kept(self._ready, (*layer.key, head.name), lambda: ready(layer.groom, head))
 
     def cap(
         self, evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, worn: Worn, lit_later: bool = False
@@ -192,7 +192,9 @@ class Wardrobe:
             return bare_skin(evaluator, target, at_rest(target, inputs), worn.own)
 
         def find() -> Covered:
-            return covered(evaluator, target, [block for layer in worn.layers for block in self.blocks(layer, head)])
+            blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
+            layout, grooms = target.model.layout, tuple(contents(layer.groom) for layer in worn.layers)
+            return _COVERED.get((head, layout.face, layout.barycentric, grooms), lambda: covered(evaluator, target, blocks))
 
         def make() -> Cap:
             there = evaluator.cache.get((target.id, "covered", *worn.key), find)

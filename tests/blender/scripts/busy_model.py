@@ -8,6 +8,7 @@ import types
 
 import bpy
 import numpy as np
+from render_support import unpainted
 from support import empty_scene, enable, module, report
 
 enable()
@@ -74,7 +75,8 @@ thread = threading.Thread(target=hold)
 thread.start()
 holding.wait(LONG)
 started = time.monotonic()
-bpy.ops.grmm.add_head()
+with unpainted():
+    bpy.ops.grmm.add_head()
 avatar = avatar_of(bpy.context.object)
 avatar.object["jawOpen"] = 0.7
 avatar.object.update_tag()

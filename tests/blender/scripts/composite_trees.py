@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import bpy
+from render_support import unpainted
 from support import empty_scene, module, report
 
 
@@ -58,7 +59,8 @@ def message(operator: object) -> str:
 scene = empty_scene()
 scene.render.engine = "CYCLES"
 report(no_avatar=message(bpy.ops.grmm.composite_set_up))
-bpy.ops.grmm.add_head()
+with unpainted():
+    bpy.ops.grmm.add_head()
 head = bpy.context.object
 scene.render.engine = "GRMM"
 report(grmm=message(bpy.ops.grmm.composite_set_up), none=message(bpy.ops.grmm.composite_remove))

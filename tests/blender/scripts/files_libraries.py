@@ -7,7 +7,7 @@ from pathlib import Path
 
 import bpy
 import numpy as np
-from render_support import use_weights
+from render_support import unpainted, use_weights
 from rig_support import core_mesh, largest, mesh_of, model_mesh, randomise, without_detail
 from support import empty_scene, module, report
 
@@ -110,7 +110,8 @@ def bad_files() -> list[str]:
     (folder / "broken.grmm").write_bytes((folder / "person.grmm").read_bytes()[:500])
     for name in ("gone.grmm", "broken.grmm", ""):
         try:
-            bpy.ops.grmm.add_head(person="FILE", filepath=str(folder / name) if name else "")
+            with unpainted():
+                bpy.ops.grmm.add_head(person="FILE", filepath=str(folder / name) if name else "")
         except RuntimeError as error:
             messages.append(str(error).strip().splitlines()[0].removeprefix("Error: "))
     return [*messages, str(len(bpy.data.objects))]

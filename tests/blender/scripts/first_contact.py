@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 import bpy
-from render_support import exact_colors, load_png, render, use_weights
+from render_support import exact_colors, load_png, render, unpainted, use_weights
 from support import module, report
 
 weights, folder = sys.argv[1], Path(sys.argv[2])
@@ -84,7 +84,8 @@ scene.objects["Cube"].location.x = 3.0
 add_as_in_a_window()
 moved = [scene.render.engine != "GRMM", [round(x, 3) for x in scene.camera.location], lowest()]
 scene = startup()
-bpy.ops.grmm.add_head(person="RANDOM", seed=3)
+with unpainted():
+    bpy.ops.grmm.add_head(person="RANDOM", seed=3)
 scripted = [scene.render.engine != "GRMM", [round(x, 3) for x in scene.camera.location], list(bpy.context.object.location)]
 bpy.ops.grmm.portrait_camera()
 bpy.ops.grmm.portrait_camera()
@@ -113,7 +114,8 @@ left_rigs = module("grmm_blender.rig.left_rigs").LeftRigs()
 
 def after_deleting(name: str, hat: bool = False, other_bone: bool = False) -> list[bool]:
     startup()
-    bpy.ops.grmm.add_head(person="RANDOM", seed=3)
+    with unpainted():
+        bpy.ops.grmm.add_head(person="RANDOM", seed=3)
     avatar = avatars.avatars_in(bpy.context.scene)[0]
     rig = avatar.armature
     if hat:
@@ -132,7 +134,8 @@ def after_deleting(name: str, hat: bool = False, other_bone: bool = False) -> li
 
 # Who deletes a rig alone has the head as a mesh, where it stood and free to be moved.
 startup()
-bpy.ops.grmm.add_head(person="RANDOM", seed=3)
+with unpainted():
+    bpy.ops.grmm.add_head(person="RANDOM", seed=3)
 kept = avatars.avatars_in(bpy.context.scene)[0]
 rig, left_head = kept.armature, kept.object
 rig.location, rig.rotation_euler, rig.scale = (1.0, 2.0, 3.0), (0.0, 0.0, 0.5), (2.0, 2.0, 2.0)

@@ -6,7 +6,7 @@ import sys
 
 import bpy
 from panel_recorder import draw_all
-from render_support import heads, new_scene
+from render_support import heads, new_scene, unpainted
 from support import module, report
 
 scene = new_scene(sys.argv[1])
@@ -40,7 +40,8 @@ class Menu:
 bpy.types.GRMM_MT_add.draw(Menu, bpy.context)
 bpy.types.GRMM_MT_add_hair.draw(Menu, bpy.context)
 own = module("grmm_blender.rig.identity").own_hair("default").settings
-bpy.ops.grmm.add_head()
+with unpainted():
+    bpy.ops.grmm.add_head()
 added = bpy.context.object.children[0].grmm.hair
 names_of_settings = [row.name for row in module("grmm_core.hair").SETTINGS]
 report(own=[[round(float(getattr(values, name)), 5) for name in names_of_settings] for values in (own, added)])

@@ -6,6 +6,7 @@ import sys
 
 import bpy
 import numpy as np
+from render_support import unpainted
 from rig_support import core_mesh, mesh_of, update, without_detail
 from support import empty_scene, module, report
 
@@ -13,7 +14,8 @@ library = module("grmm_core.avatar.library")
 result: dict = {"names": list(library.library_names()), "menu": hasattr(bpy.types, "GRMM_MT_add"), "people": {}}
 empty_scene()
 for name in result["names"][: int(sys.argv[1]) if len(sys.argv) > 1 else None]:
-    bpy.ops.grmm.add_head(person="LIBRARY", library=name)
+    with unpainted():
+        bpy.ops.grmm.add_head(person="LIBRARY", library=name)
     avatar = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
     bare = without_detail(avatar)
     result["people"][name] = {

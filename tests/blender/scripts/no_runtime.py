@@ -10,7 +10,7 @@ from rig_support import core_mesh, fresh_head, largest, mesh_of, randomise
 from support import heavy_modules, module, report
 
 host = module("grmm_blender.session_host")
-avatar = fresh_head()
+avatar = fresh_head(painted=True)
 randomise(avatar, np.random.default_rng(0))
 report(
     available=host.runtime_status().available,
@@ -28,7 +28,7 @@ def message_of(call, *arguments: object, **options: object) -> str:
     return ""
 
 
-avatar = fresh_head()
+avatar = fresh_head(painted=True)
 bpy.ops.grmm.import_performance(filepath=sys.argv[1], start=1)
 errors, meshes = [], []
 for frame in (1, 40, 90, 60):
@@ -41,7 +41,7 @@ bpy.ops.grmm.random_detail(seed=1)
 bpy.ops.grmm.calibrate_neutral()
 bpy.context.scene.frame_set(1)
 report(edited=largest(mesh_of(avatar) - core_mesh(avatar)))
-rested = mesh_of(fresh_head())
+rested = mesh_of(fresh_head(painted=True))
 message = message_of(bpy.ops.grmm.add_head, person="RANDOM", seed=2)
 person = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
 report(random_person=[message, largest(mesh_of(person) - core_mesh(person)), largest(mesh_of(person) - rested)])

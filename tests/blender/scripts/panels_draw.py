@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import bpy
 from panel_recorder import Narrow, draw_all, panels
+from render_support import unpainted
 from support import empty_scene, module, report
 
 empty_scene()
 report(without=draw_all())
-bpy.ops.grmm.add_head()
+with unpainted():
+    bpy.ops.grmm.add_head()
 report(head=draw_all())
 report(narrow=draw_all(Narrow()))
 manager = bpy.context.window_manager

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +23,32 @@ def use_weights(path: str) -> None:
     host.configure(host.RuntimeSettings(weights=path, device="cpu", threads=threads))
 
 
+@contextlib.contextmanager
+def unpainted() -> Iterator[None]:
+    """Heads that are added meanwhile lack what takes seconds, and only pictures of their mesh show.
+
+    Random people keep their plain faces, and in paintings the studio's light is left.
+    """
+    repaint, materials = module("grmm_blender.rig.repaint"), module("grmm_blender.rig.materials")
+    kept = repaint.ask, materials.unlit
+    repaint.ask, materials.unlit = lambda avatar: None, lambda head, vertices, painting: painting
+    try:
+        yield
+    finally:
+        repaint.ask, materials.unlit = kept
+
+
 def new_scene(weights: str, heads: int = 1, size: tuple[int, int] = (96, 80)) -> bpy.types.Scene:
-    """Return an empty scene with heads beside one another and a camera in front, set up for exact colors."""
+    """Return an empty scene with heads beside one another and a camera in front, set up for exact colors.
+
+    The heads are `unpainted`.
+    """
     empty_scene()
     use_weights(weights)
     scene = bpy.context.scene
     for index in range(heads):
-        bpy.ops.grmm.add_head(person="RANDOM", seed=SEED + index)
+        with unpainted():
+            bpy.ops.grmm.add_head(person="RANDOM", seed=SEED + index)
         rig = bpy.context.object if bpy.context.object.type == "ARMATURE" else bpy.context.object.parent
         rig.location = (0.35 * index, 0.25 * index, 0.0)
     scene.render.engine = "GRMM"

@@ -11,6 +11,7 @@ from pathlib import Path
 import addon_utils
 import bpy
 import numpy as np
+from render_support import unpainted
 from rig_support import core_mesh, fresh_head, largest, mesh_of, new_head, randomise, update, without_detail
 from support import MODULE, enable, module, report
 
@@ -70,7 +71,8 @@ def redone(name: str) -> dict:
 def added_and_undone() -> list[int]:
     count = len(bpy.data.objects)
     bpy.ops.ed.undo_push(message="before adding")
-    bpy.ops.grmm.add_head()
+    with unpainted():
+        bpy.ops.grmm.add_head()
     bpy.ops.ed.undo_push(message="added")
     added = len(bpy.data.objects) - count
     bpy.ops.ed.undo()

@@ -77,7 +77,7 @@ def undone(avatar) -> dict:
 
 
 def duplicates() -> dict:
-    first = without_detail(fresh_head())
+    first = without_detail(fresh_head(painted=True))
     randomise(first, np.random.default_rng(2))
     for obj in (first.object, first.armature):
         obj.select_set(True)
@@ -119,7 +119,7 @@ def duplicates() -> dict:
 
 def elsewhere() -> dict:
     """Heads added from edit-like modes, hidden collections, and with names taken."""
-    fresh_head()
+    fresh_head(painted=True)
     rig = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).armature
     bpy.context.view_layer.objects.active = rig
     bpy.ops.object.mode_set(mode="POSE")
@@ -130,13 +130,13 @@ def elsewhere() -> dict:
     layer = bpy.context.view_layer.layer_collection.children["hidden"]
     bpy.context.view_layer.active_layer_collection = layer
     layer.exclude = True
-    second = new_head()
+    second = new_head(painted=True)
     return {"pose_mode": polled, "second": second.object.name in bpy.context.view_layer.objects, "name": second.name}
 
 
 def painted() -> dict:
     """What the mesh looks like without splats, before and after it becomes another person, and with a user's own material."""
-    avatar = fresh_head()
+    avatar = fresh_head(painted=True)
     mesh = avatar.object.data
 
     def look() -> dict:
@@ -189,7 +189,7 @@ def painted() -> dict:
     return {"first": first, "second": second, "kept": kept, "runtime": runtime, **made}
 
 
-avatar = without_detail(fresh_head())
+avatar = without_detail(fresh_head(painted=True))
 report(structure=structure(avatar), added=bone_and_slider_add_up(avatar), clamped=clamped(avatar))
 report(nan=not_a_number(avatar))
 report(undo=undone(avatar))

@@ -2,32 +2,32 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from typing import Any
 
 import bpy
 import numpy as np
-from render_support import use_weights
+from render_support import unpainted, use_weights
 from support import empty_scene, module
 
 SEED = 3
 POSED = ("root", "neck", "jaw", "left_eye", "right_eye")
 
 
-def new_head(weights: str = "", seed: int = SEED) -> Any:
-    """Add a random person of the weights, or the default head without a model; returns its Avatar."""
+def new_head(weights: str = "", seed: int = SEED, painted: bool = False) -> Any:
+    """Add a random person of the weights, or the default head without a model, which may be `unpainted`; returns its Avatar."""
     if weights:
         use_weights(weights)
-        bpy.ops.grmm.add_head(person="RANDOM", seed=seed)
-    else:
-        bpy.ops.grmm.add_head()
+    with contextlib.nullcontext() if painted else unpainted():
+        bpy.ops.grmm.add_head(**({"person": "RANDOM", "seed": seed} if weights else {}))
     return module("grmm_blender.rig.avatar").avatar_of(bpy.context.object)
 
 
-def fresh_head(weights: str = "", seed: int = SEED) -> Any:
+def fresh_head(weights: str = "", seed: int = SEED, painted: bool = False) -> Any:
     """As `new_head`, in an empty file."""
     empty_scene()
-    return new_head(weights, seed)
+    return new_head(weights, seed, painted)
 
 
 def without_detail(avatar: Any) -> Any:

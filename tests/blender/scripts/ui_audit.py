@@ -6,6 +6,7 @@ import inspect
 
 import bpy
 from panel_recorder import panels
+from render_support import unpainted
 from support import MODULE, empty_scene, module, report
 
 NUMBERS = ("INT", "FLOAT")
@@ -79,7 +80,8 @@ registered = ours(bpy.types.Panel)
 problems += [f"{cls.__name__} has no label" for cls in registered if not cls.bl_label and "HIDE_HEADER" not in cls.bl_options]
 problems += [f"{cls.__name__} is not named GRMM_PT_*" for cls in registered if not cls.__name__.startswith("GRMM_PT_")]
 
-bpy.ops.grmm.add_head()
+with unpainted():
+    bpy.ops.grmm.add_head()
 head = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).object
 for name in head.keys():  # noqa: SIM118
     if name.startswith("grmm"):

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import bpy
+from render_support import unpainted
 from rig_support import fresh_head, without_detail
 from support import empty_scene, module, report
 
@@ -151,7 +152,8 @@ def own_shape() -> list[list]:
 
     whole, operators.TrackJob = operators.TrackJob, SimpleNamespace(start=start)
     found = [seen()]
-    bpy.ops.grmm.add_head(filepath=str(folder / "ada.grmm"))
+    with unpainted():
+        bpy.ops.grmm.add_head(filepath=str(folder / "ada.grmm"))
     found.append(seen())
     operators.TrackJob = whole
     return found

@@ -1,0 +1,31 @@
+"""Grooms made ready for the mean of a head, by their contents: a fit asks for the same ones several times. Numpy only."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..compute.recent import Recent
+from .body import outside
+from .groom import Groom
+from .strands import StrandBlock, blocks_of
+
+if TYPE_CHECKING:
+    from ..head import HeadModel
+
+_READY: Recent[tuple[StrandBlock, ...]] = Recent(3)
+
+
+def ready(groom: Groom, head: HeadModel) -> tuple[StrandBlock, ...]:
+    """Make a groom ready, scalp hair in the light that it gets outside of the head's skin. Raises as `strands.blocks_of`."""
+    mean = np.asarray(head.v_template, np.float64)
+    lies = functools.partial(outside, head, mean)
+    return _READY.get((head, *contents(groom)), lambda: blocks_of(groom, mean, head.faces, lies))
+
+
+def contents(groom: Groom) -> tuple[np.ndarray | None, ...]:
+    """All that a groom is."""
+    return tuple(getattr(groom, field.name) for field in dataclasses.fields(groom))

@@ -98,7 +98,7 @@ def test_more_photos_tell_more_of_the_shape(head, rig):
 
 
 def test_an_error_that_photos_share_weighs_no_more_than_in_one(head, rig, monkeypatch):
-    """What the network gets wrong on a face it gets wrong in every photo: were it independent, two would bend the shape more."""
+    """What the network gets wrong on a face it gets wrong in every photo: were it independent, two would bend a shape more."""
 
     def independent(problem, *others):
         return replace(weighed(problem, *others), shape_weight=1.0)

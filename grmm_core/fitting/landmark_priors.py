@@ -49,7 +49,9 @@ _FACING_FULL, _FACING_NONE, _HIDDEN_FACTOR = 0.35, -0.25, 4.0
 
 NOISE_ASSET = Path(__file__).resolve().parent.parent / "assets" / "landmark_noise.safetensors"
 # of the modes' standard deviation: the network errs less on photos, which it was trained on, than on synthetic pictures
-NOISE_SHARE = 0.2
+NOISE_SHARE = 0.5
+# of that where the shape is known: what a photo's own unknowns take over wrongly is seen in that photo only
+VIEW_NOISE = 0.2
 
 # How far the reported coefficients are believed: mean of the prior = factor * reported.
 _START_FACTORS = {

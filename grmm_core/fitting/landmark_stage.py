@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import ShapeError
 from ..geometry.camera import Camera
 from ..head.head_model import JOINT_COUNT
-from .landmark_priors import View, landmark_modes, landmark_sigmas, make_priors
+from .landmark_priors import VIEW_NOISE, View, landmark_modes, landmark_sigmas, make_priors
 from .point_rig import LandmarkRig
 from .solver import PhotoProblem, Problem, Solution, Term, camera_of, project, solve
 from .types import LANDMARK_COUNT, PhotoTrack
@@ -99,7 +99,7 @@ def fit_landmarks(
     problem = _weighed(problem, start, units, rig)
     solution = solve(problem, start, ITERATIONS, progress=progress)
     logger.debug("landmarks: %d steps, objective %.1f", solution.iterations, solution.objective)
-    return finished(problem, solution, units, rig)
+    return finished(problem, with_shape(problem, solution, ITERATIONS), units, rig)
 
 
 def restarted(tracks: Sequence[PhotoTrack], rig: LandmarkRig) -> LandmarkFit:
@@ -141,7 +141,29 @@ def _weighed(problem: Problem, start: Solution, units: tuple[float, ...], rig: L
     for photo, view, unit in zip(problem.photos, start.views, units, strict=True):
         sigma, modes = landmark_sigmas(rig, view.rotation) * unit, landmark_modes(view.rotation) * unit
         photos.append(replace(photo, terms=(replace(photo.terms[0], sigma=sigma, modes=modes),)))
-    return replace(problem, photos=tuple(photos))
+    # the network errs on a face in much the same way in all its photos: together they tell of the shape what one tells
+    return replace(problem, photos=tuple(photos), shape_weight=float(len(photos)))
+
+
+def with_shape(problem: Problem, start: Solution, limit: int) -> Solution:
+    """Camera, expression and pose of each photo for the shape that was found.
+
+    Landmarks are believed more than where the shape is looked for: an error of the network that bends the shape is seen in
+    every view and expression, one that moves a brow in its photo only, where nearness is what counts.
+
+    Args:
+        problem: What the shape was found by; the first term of each photo is its landmarks.
+        start: Its solution.
+        limit: Largest number of steps.
+    """
+    photos, views = [], []
+    for photo, view in zip(problem.photos, start.views, strict=True):
+        landmarks, *others = photo.terms
+        assert landmarks.modes is not None
+        photos.append(replace(photo, terms=(replace(landmarks, modes=landmarks.modes * VIEW_NOISE), *others)))
+        views.append(replace(view, noise=view.noise / VIEW_NOISE))
+    solution = solve(replace(problem, photos=tuple(photos)), replace(start, views=tuple(views)), limit, shape_held=True)
+    return replace(solution, views=tuple(replace(view, noise=view.noise * VIEW_NOISE) for view in solution.views))
 
 
 def _eye_distance(landmarks: np.ndarray) -> float:

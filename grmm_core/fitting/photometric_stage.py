@@ -16,7 +16,7 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..head.head_model import HeadModel
-from .landmark_stage import LandmarkFit, finished, similarity
+from .landmark_stage import LandmarkFit, finished, similarity, with_shape
 from .outline import REGIONS, OutlinePoints, find_outline
 from .point_rig import LandmarkRig, PointRig
 from .solver import Term, solve
@@ -92,8 +92,9 @@ def refine(
             photos.append(replace(photo, terms=terms))
         if not count:
             return fit
-        solution = solve(replace(fit.problem, photos=tuple(photos)), result.solution, ROUND_ITERATIONS)
-        result = finished(fit.problem, solution, fit.units, rig)
+        problem = replace(fit.problem, photos=tuple(photos))
+        solution = solve(problem, result.solution, ROUND_ITERATIONS)
+        result = finished(fit.problem, with_shape(problem, solution, ROUND_ITERATIONS), fit.units, rig)
     worse = max(after - before for before, after in zip(_errors(fit), _errors(result), strict=True))
     change = shape_change(rig.head, fit.shape, result.shape)
     logger.debug("outline: %d points, landmark error grows by %.4f eye distances, shape by %.4f m", count, worse, change)

@@ -7,7 +7,7 @@ to fine. Both pictures are compared without what varies slowly, for light and sk
 kept only where it makes the pictures agree better and the landmarks do not contradict it.
 
 Of several photos the avatar is then painted with what all of them show, eyes and brows too, and they are tracked once more:
-each photo moves to where it agrees with the others.
+each photo moves to where it agrees with the others. The shape stays: where photos agree says little of what is true of it.
 
 Called by `api` and the evaluation. Imports torch.
 """
@@ -34,7 +34,7 @@ from ..pictures.sampling import bilinear
 from .blurring import blurred
 from .code_stage import Codes, code_prior, fit_codes
 from .decoder_stage import Tuner
-from .landmark_stage import LandmarkFit, finished, restarted
+from .landmark_stage import LandmarkFit, finished, restarted, with_shape
 from .objective import decode, draw, relit
 from .person_lights import found_lights, trust_in
 from .photo_targets import FitView, bare_pixels, fit_view
@@ -97,13 +97,19 @@ def track_pixels(
     end = _QUICK_SHARE + (1.0 - _QUICK_SHARE) * (0.5 if several else 1.0)
     moved = _rounds(labelled, appearance, rig, BLURS, False, within(told, _QUICK_SHARE, end))
     if several:  # what one photo's avatar is painted with lies where it was tracked, and tells nothing
-        moved = _rounds(moved, appearance, rig, PAINTED_BLURS, True, within(told, end, 1.0))
-    worse = max(new.landmark_error - old.landmark_error for new, old in zip(moved, tracks, strict=True))
-    logger.debug("pixels: landmark error grows by %.4f", worse)
-    if moved is labelled or worse > MOST_LANDMARK_LOSS:
+        agreeing = _rounds(moved, appearance, rig, PAINTED_BLURS, True, within(told, end, 1.0))
+        moved = agreeing if _believed(agreeing, tracks) else moved
+    if moved is labelled or not _believed(moved, tracks):
         return list(tracks)
     identity = appearance.codes.z_id.cpu().numpy()
     return [replace(track, labels=old.labels, identity=identity) for track, old in zip(moved, tracks, strict=True)]
+
+
+def _believed(moved: Sequence[PhotoTrack], tracks: Sequence[PhotoTrack]) -> bool:
+    """Whether the landmarks do not contradict where the photos were moved to."""
+    worse = max(new.landmark_error - old.landmark_error for new, old in zip(moved, tracks, strict=True))
+    logger.debug("pixels: landmark error grows by %.4f", worse)
+    return worse <= MOST_LANDMARK_LOSS
 
 
 def _rounds(
@@ -125,8 +131,10 @@ def _rounds(
             replace(photo, terms=(*photo.terms, found.term(rig.head, now[index])))
             for index, (photo, found) in enumerate(zip(fit.problem.photos, compared, strict=True))
         )
-        solution = solve(replace(fit.problem, photos=photos), fit.solution, ITERATIONS)
-        fit = finished(fit.problem, solution, fit.units, rig)
+        problem, solution = replace(fit.problem, photos=photos), fit.solution
+        if not painted:
+            solution = solve(problem, solution, ITERATIONS)
+        fit = finished(fit.problem, with_shape(problem, solution, ITERATIONS), fit.units, rig)
         now = [_moved(track, fit, index) for index, track in enumerate(tracks)]
     logger.debug("pixels: differences %s", differences)
     return now if differences[-1] < differences[0] else tracks

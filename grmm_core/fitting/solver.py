@@ -7,11 +7,11 @@ expression. The photos share the shape; camera, expression, jaw and eyes are eac
 
 The objective, with points l of the terms of photo n, projection pi, targets q and expected errors sigma in pixels:
 
-    |shape|^2 + sum_n [ sum_l rho(|pi_n(P_l(shape, e_n, pose_n)) + M_nl b_n - q_nl| / sigma_nl) + |b_n|^2
+    w |shape|^2 + sum_n [ sum_l rho(|pi_n(P_l(shape, e_n, pose_n)) + M_nl b_n - q_nl| / sigma_nl) + |b_n|^2
                         + priors of e_n, pose_n, focal length, distance ]
 
-where b are the strengths of the error modes M of the landmark network: what it gets wrong, it gets wrong for many landmarks at
-once, and without them it would be taken for shape.
+where w is 1 for photos that err independently, and b are the strengths of the error modes M of the landmark network: what it
+gets wrong, it gets wrong for many landmarks at once, and without them it would be taken for shape.
 """
 
 from __future__ import annotations
@@ -77,6 +77,7 @@ class Problem:
         photos: At least one.
         center: The point of head space that `View.offset` projects, metres, [3].
         shape_count, expression_count, noise_count: S, E and K.
+        shape_weight: Of the shape's prior, w of the module: photos that err alike count as fewer than they are.
     """
 
     photos: tuple[PhotoProblem, ...]
@@ -84,6 +85,7 @@ class Problem:
     shape_count: int
     expression_count: int
     noise_count: int
+    shape_weight: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,7 @@ def solve(
     limit: int,
     *,
     cameras_only: bool = False,
+    shape_held: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> Solution:
     """Minimise the objective from `start`, in at most `limit` steps.
@@ -120,6 +123,7 @@ def solve(
         start: Where to begin.
         limit: Largest number of steps.
         cameras_only: Leave shape, expression and angles as they are.
+        shape_held: Leave the shape as it is.
         progress: Called with 0..1; may raise to cancel.
     """
     damping = FIRST_DAMPING
@@ -131,6 +135,8 @@ def solve(
             progress((iteration - 1) / limit)
         matrix, gradient = _normal_equations(problem, shape, views, cameras_only)
         blocked = np.zeros(len(gradient), bool) if cameras_only else _blocked(problem, views, gradient)
+        if shape_held and not cameras_only:
+            blocked[: problem.shape_count] = True
         free = np.flatnonzero(~blocked)
         gain = 0.0
         while damping < MAX_DAMPING:
@@ -153,7 +159,7 @@ def solve(
 
 def evaluate(problem: Problem, shape: np.ndarray, views: tuple[View, ...]) -> float:
     """The objective; twice the gradient of `_normal_equations` is its gradient."""
-    total = float((shape**2).sum())
+    total = problem.shape_weight * float((shape**2).sum())
     for photo, view in zip(problem.photos, views, strict=True):
         total += photo.priors.value(view) + float((view.noise**2).sum())
         for term in photo.terms:
@@ -204,8 +210,8 @@ def _normal_equations(
     size = _view_size(problem, cameras_only)
     matrix = np.zeros((shared + size * len(views), shared + size * len(views)))
     gradient = np.zeros(len(matrix))
-    matrix[np.arange(shared), np.arange(shared)] = 1.0
-    gradient[:shared] = shape[:shared]
+    matrix[np.arange(shared), np.arange(shared)] = problem.shape_weight
+    gradient[:shared] = problem.shape_weight * shape[:shared]
     for index, (photo, view) in enumerate(zip(problem.photos, views, strict=True)):
         own = slice(shared + index * size, shared + (index + 1) * size)
         for term in photo.terms:

@@ -10,7 +10,7 @@ from shape_errors import aligned, shape_error
 
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.errors import ShapeError
-from grmm_core.fitting import landmark_priors
+from grmm_core.fitting import landmark_priors, landmark_stage
 from grmm_core.fitting.landmark_priors import FACE_OVAL, landmark_modes
 from grmm_core.fitting.landmark_stage import Observation, fit_landmarks
 from grmm_core.geometry.camera import Camera
@@ -95,6 +95,38 @@ def test_more_photos_tell_more_of_the_shape(head, rig):
             assert len(fit.cameras) == count
             values.append(shape_error(head, fit.shape, shape))
     assert np.mean(errors[4]) < 0.85 * np.mean(errors[1])
+
+
+def test_an_error_that_photos_share_weighs_no_more_than_in_one(head, rig, monkeypatch):
+    """What the network gets wrong on a face it gets wrong in every photo: were it independent, two would bend a shape more."""
+
+    def independent(problem, *others):
+        return replace(weighed(problem, *others), shape_weight=1.0)
+
+    weighed, errors = landmark_stage._weighed, {"one": [], "two": [], "independent": []}
+    cameras = [Camera.orbit(SIZE, SIZE, yaw=yaw, pitch=4.0, distance=1.2) for yaw in (0.0, 30.0)]
+    for seed in range(2):
+        shape, mistaken = person(seed), person(seed) + person(seed + 10)  # landmarks of somebody else, from every side
+        observations = [observe(rig, mistaken, np.zeros(100), camera, noise=1.5, seed=i) for i, camera in enumerate(cameras)]
+        errors["one"].append(shape_error(head, fit_landmarks(observations[:1], rig).shape, shape))
+        errors["two"].append(shape_error(head, fit_landmarks(observations, rig).shape, shape))
+        with monkeypatch.context() as patch:
+            patch.setattr(landmark_stage, "_weighed", independent)
+            errors["independent"].append(shape_error(head, fit_landmarks(observations, rig).shape, shape))
+    assert np.mean(errors["two"]) < 1.05 * np.mean(errors["one"])
+    assert np.mean(errors["two"]) < 0.95 * np.mean(errors["independent"])
+
+
+def test_a_photo_is_nearer_its_landmarks_than_they_are_believed_for_the_shape(rig, monkeypatch):
+    camera = Camera.orbit(SIZE, SIZE, yaw=8.0, distance=1.2)
+    seen = observe(rig, person(6), np.zeros(100), camera)
+    modes = landmark_modes(camera.world_to_camera[:3, :3]) * eye_distance(seen)
+    seen.landmarks[:, :2] += modes @ np.random.default_rng(0).normal(0.0, 1.0, modes.shape[2])
+    near = fit_landmarks([seen], rig)
+    monkeypatch.setattr(landmark_stage, "VIEW_NOISE", 1.0)
+    alike = fit_landmarks([seen], rig)
+    np.testing.assert_array_equal(near.shape, alike.shape)  # found before
+    assert reprojection(near, seen) < 0.97 * reprojection(alike, seen)
 
 
 def test_wrong_landmarks_do_little_harm(head, rig):

@@ -157,6 +157,20 @@ def test_pixels_that_contradict_the_landmarks_are_not_believed(person, truth, mo
     assert kept is start
 
 
+def test_where_photos_agree_against_the_landmarks_they_stay_as_each_was_tracked(person, truth, monkeypatch):
+    model, info = person
+    lost = 2.0 * pixel_stage.MOST_LANDMARK_LOSS * np.ptp(truth.landmarks[:, 0])
+
+    def rounds(tracks, appearance, rig, blurs, painted, told):
+        changes = {"landmarks_fitted": truth.landmarks + lost} if painted else {"expression": 0.5 * truth.expression}
+        return [dataclasses.replace(track, **changes) for track in tracks]
+
+    monkeypatch.setattr(pixel_stage, "_rounds", rounds)
+    for track in track_pixels([truth, truth], model, info):
+        np.testing.assert_array_equal(track.landmarks_fitted, truth.landmarks)
+        np.testing.assert_array_equal(track.expression, 0.5 * truth.expression)
+
+
 def test_a_picture_without_a_face_keeps_its_track(person, truth):
     model, info = person
     empty = dataclasses.replace(truth, mask=np.zeros_like(truth.mask))

@@ -68,7 +68,7 @@ class FoldShade:
         most = DEEPEST / self.share.clamp(min=1e-3)
         kept = ((1.0 - self.share) * detail).clamp(-most, most)
         soft = to_display(lit * torch.exp(kept - detail))
-        return colors + soft - to_display(lit)
+        return soft + (1.0 - self.share) * (colors - to_display(lit))  # the rest is what no screen shows
 
     def _detail(self, colors: Tensor) -> Tensor:
         """What stands out from the skin around, in logarithms, [N, 3]."""

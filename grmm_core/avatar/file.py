@@ -10,11 +10,11 @@ Layout, versions 1 to 4. Metadata of the tensor file (all strings):
                     from version 2 on hair: {settings {name: number}, parts {part: settings}, scalp true/false} or null
 
 Tensors, float32: ``z_id`` [Z], ``z_exp`` [Y], ``shape`` [300], ``expression`` [<=100], ``pose`` [5, 3],
-``tracking/NAME`` any, ``delta/PARAMETER`` in the shape of that parameter (float16 where that is exact; from version 3 on
-maps [N, C] in int8, with float16 ``delta_scale/PARAMETER`` [C, ceil(N / 64)], see `files.packing`),
-``hair/NAME`` the strands as `hair.compact` has them, ``hair/PART/NAME`` those of brows, beard and lashes, at most 1 MB in
-all; without them an avatar with hair settings has none. Lashes of earlier versions stood wrong on lids that move: on the open
-head the package's take their place.
+``tracking/NAME`` any (int8 where that is exact and they are many), ``delta/PARAMETER`` in the shape of that parameter
+(float16 where that is exact; from version 3 on maps [N, C] in int8, with float16 ``delta_scale/PARAMETER`` [C, ceil(N / 64)],
+see `files.packing`), ``hair/NAME`` the strands as `hair.compact` has them, ``hair/PART/NAME`` those of brows, beard and lashes,
+at most 1 MB in all; without them an avatar with hair settings has none. Lashes of earlier versions stood wrong on lids that
+move: on the open head the package's take their place.
 Uint8, where there is one: ``painting`` [P, P, 3]; what does not know it passes over it.
 
 Called by sessions, fitting, the command line and Blender's panels (`read_avatar_header`). Needs numpy only.
@@ -50,6 +50,7 @@ EXTENSION = ".grmm"
 _TRACKING = "tracking/"
 _PAINTING = "painting"
 _HAIR = "hair/"
+_LARGE = 4096  # numbers from which on an array is tried in eight bits
 _ARRAYS = ("z_id", "z_exp", "shape", "expression", "pose")
 _HEX_DIGITS = frozenset("0123456789abcdef")
 
@@ -96,7 +97,7 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
         parts = {name: settings.to_json() for name, settings in hair.parts.items()}
         description["hair"] = {"settings": hair.settings.to_json(), "parts": parts, "scalp": hair.scalp}
     tensors = {name: getattr(avatar, name) for name in _ARRAYS}
-    tensors |= {_TRACKING + name: array for name, array in avatar.tracking.items()}
+    tensors |= {_TRACKING + name: _in_bytes(array) for name, array in avatar.tracking.items()}
     changes = delta_tensors(avatar.deltas)
     tensors |= changes
     if avatar.painting.size:
@@ -111,6 +112,14 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
         "avatar": json.dumps(description, ensure_ascii=False, allow_nan=False),
     }
     write_tensors(path, tensors, metadata)
+
+
+def _in_bytes(array: np.ndarray) -> np.ndarray:
+    """Int8 where an array is large and that loses nothing; readers of every version take it for the numbers that it was."""
+    if array.size < _LARGE or np.abs(array).max() > np.iinfo(np.int8).max:
+        return array
+    whole = array.astype(np.int8)
+    return whole if np.array_equal(whole, array) else array
 
 
 def read_avatar_header(path: str | os.PathLike[str]) -> AvatarHeader:

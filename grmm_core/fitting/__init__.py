@@ -10,7 +10,7 @@
 ``outline``            where the skin ends in a photo: ears and cheeks
 ``photo_light``        the light of a photo from the skin's colors
 ``person_lights``      the lights of all photos of a person, by the colors that they agree on; ``local_light``: what no lamp
-                       explains of them
+                       explains of them; ``fold_light``: shade in narrow folds
 ``photometric_stage``  the refinement by outline
 ``track``              photos to tracks; ``pixel_stage``: again by all their pixels, as a quick avatar looks
 ``faces_picture``      the faces of a photo as a picture, to check the choice

@@ -29,6 +29,7 @@ from ..model.parameters import EXPRESSION_MAPS
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import Folding, bringing, crease_colors, own_colors
+from .fold_light import FoldShade
 from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, unclipped, uncut
 from .lids import lid_exposure, lid_share, plain_lids
 from .locality import LOCALITY_WEIGHT, Locality, tunable_copy
@@ -351,16 +352,19 @@ class Tuner:
         """Take folds and furrows out of the map of colors; returns the change that brings them with the photos' expression.
 
         So does what they show at the rim of lips, eyes and mouth, [N, 3], where tracking is never exact: at rest it would be a
-        line of the wrong color.
+        line of the wrong color. As far as light makes their shade it is taken out altogether (`fold_light`).
         """
-        trained, table = self.model.decoders.expression, self.model.aligned_codes
+        trained, table, folding = self.model.decoders.expression, self.model.aligned_codes, self.folding
+        colors = self.decoded[0].colors + self.tint + maps["color"]
+        shade = self._shade(colors)
+        even = shade.without(colors)
+        maps["color"] = maps["color"] + even - colors
         if trained is None or table is None:
             maps["color"] = maps["color"] + rim
             return None
-        folding = self.folding
         # where one photo shows the skin unstrained, what all show is the person's
-        colors = self.decoded[0].colors + self.tint + maps["color"]
-        shared = crease_colors(self.surface, colors, folding.strains.amin(0), folding.features) + rim
+        folds = crease_colors(self.surface, colors, folding.strains.amin(0), folding.features)
+        shared = even - shade.without(colors - folds) + rim
         shown = [inputs.z_exp for inputs in self.inputs]
         brought = bringing(trained, self.codes.z_id, self.codes.z_exp, shown, table)
         if brought is None:  # the photos' expression is the face at rest
@@ -377,6 +381,13 @@ class Tuner:
         at_rest = trained.weights(self.codes.z_exp) * (1.0 + trained.gains(self.codes.z_id))
         maps["color"] = maps["color"] + rim - shared - (at_rest @ change).view_as(shared)
         return change
+
+    def _shade(self, colors: Tensor) -> FoldShade:
+        """What of the colors [N, 3] is shade in narrow folds; none on weights that do not tell skin from the rest."""
+        head = self.model.head_model
+        face = torch.as_tensor(head.marked("face")[corners_of(self.model)].all(1), device=colors.device)
+        plain = face & (self.surface.group == SKIN) & ~self.folding.features
+        return FoldShade.of(self.surface, colors, recolor(self.decoded[0].colors, self.codes.maps, self.surface), plain)
 
     def _hairy(self) -> Tensor:
         """Share of the pixels that skin texels contribute to which show hair before the face, over all photos, [N]."""

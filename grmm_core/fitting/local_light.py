@@ -17,18 +17,22 @@ import numpy as np
 from ..head import HeadModel
 from ..light.relight import to_linear
 from ..light.resting import Texels
-from .photo_light import Seen
+from .photo_light import FACING, FINE_MOST, FINE_STEP, Seen
 
 _COLOR = 0.05  # expected wide error of the person's colors, of their logarithm
 _ALONE = 0.08, 0.04  # likewise of their lightness and of their tint, where a single photo shows them
 _CREASE, _AGAIN = 0.1, 2  # of the logarithm: what is so far from its surroundings is a fold or a mark; rounds of such weights
 _ROUNDS = (3,)  # of averaging over neighbouring vertices, which lie 5 mm apart in a face
 _LAST_ROUNDS = (0, 1, 4, 16)  # likewise once colors are known: light goes on where skin is seen at a slant
-_STEPS = 4  # of it, each by what the last has left (simultaneous algebraic reconstruction)
+_THROAT_ROUNDS = 2  # likewise on the throat, after each step
+_THROAT, _THROAT_RIM = (0.4, 0.8), 4  # share of throat after so many rounds: below the first light stays, above the second none
+_STEPS = 6  # of it, each by what the last has left (simultaneous algebraic reconstruction)
 _HALF_SEEN = 0.3  # texels of a vertex at which it is half believed
 _WEAKER = 10.0  # of wider means so much fewer are
 _GLARE = (0.2, 0.5)  # of the logarithm: brighter by the first a photo is believed less, from the second on not at all
 _MOST, _MOST_TINT = 2.5, 0.2  # of the logarithm: of the whole, and of a channel beside their mean
+_SLANT = (0.5 * FACING, 2.0 * FACING)  # weights below which texels tell no fine light, and above which all
+_MOST_FINE_TINT = 0.5  # likewise in folds: what comes out of them has passed through skin, and is red
 _DARKEST = 5e-4  # linear color below which nothing is told
 _BURNT, _DARK = 0.99, 0.01  # display values that tell no light
 
@@ -109,18 +113,62 @@ def more_local(head: HeadModel, texels: Texels, seen: Seen, drawn: np.ndarray, l
     before = texels.at(logarithm)
     shows = np.asarray(drawn, np.float64).mean(1) ** 2  # a logarithm's error shows the less the darker it is
     shows /= max(float(np.median(shows[seen.weights > 0])), 1e-6) if (seen.weights > 0).any() else 1.0
+    even = _EvenThroat(head)
     for _ in range(_STEPS):
         off, told = _off(seen, now * np.exp(texels.at(logarithm) - before))
         told = told * np.minimum(shows, 1.0)
         wide, sure = _at_vertices(head, texels, off, told, _LAST_ROUNDS)
-        logarithm = np.log(_factor(logarithm + sure * wide))
-    return np.exp(logarithm)
+        logarithm = even.of(np.log(_factor(logarithm + sure * wide)))
+    return np.exp(logarithm).astype(np.float32)
 
 
-def _factor(logarithm: np.ndarray) -> np.ndarray:
+class _EvenThroat:
+    """Makes light on the throat smooth: faces are long there, and what differs from one to the next is a line.
+
+    Attributes:
+        share: How far a vertex is of the throat, 0..1, [V, 1].
+    """
+
+    def __init__(self, head: HeadModel) -> None:
+        self._edges, self._neck = _edges(head), head.marked("neck")[:, None].astype(np.float64)
+        inside = self._neck
+        for _ in range(_THROAT_RIM):
+            inside = _averaged(inside, self._edges)
+        self.share = self._neck * ((inside - _THROAT[0]) / (_THROAT[1] - _THROAT[0])).clip(0.0, 1.0)
+
+    def of(self, values: np.ndarray) -> np.ndarray:
+        """Values of vertices [V, C]; those of the face, the chin's underside among them, stay."""
+        smooth = np.concatenate([self._neck * values, self._neck], 1)
+        for _ in range(_THROAT_ROUNDS):
+            smooth = _averaged(smooth, self._edges)
+        means = smooth[:, :-1] / np.maximum(smooth[:, -1:], 1e-9)
+        return np.where(self.share > 0.0, values + self.share * (means - values), values)
+
+
+def on_face(head: HeadModel, texels: Texels) -> np.ndarray:
+    """Texels that tell fine light, 0..1 [N]: those of the throat are long, too, and would be lines."""
+    return 1.0 - texels.at(_EvenThroat(head).share)[:, 0]
+
+
+def more_fine(seen: Seen, drawn: np.ndarray, fine: np.ndarray) -> np.ndarray:
+    """`Light.fine` of a photo with what its light still lacks at the texels of skin that it shows, [N, 3] float32.
+
+    Args:
+        seen: Skin alone.
+        drawn: Colors of the texels as the avatar is drawn in the photo's light, display sRGB, [N, 3].
+        fine: As it was, [N, 3].
+    """
+    off, told = _off(seen, np.asarray(to_linear(np.asarray(drawn, np.float64))))
+    sure = np.clip((told - _SLANT[0]) / (_SLANT[1] - _SLANT[0]), 0.0, 1.0)[:, None]
+    shade = np.log(_factor(FINE_STEP * fine + sure * off, _MOST_FINE_TINT))
+    found: np.ndarray = np.round(shade / FINE_STEP).clip(-FINE_MOST, FINE_MOST).astype(np.float32)
+    return found
+
+
+def _factor(logarithm: np.ndarray, most_tint: float = _MOST_TINT) -> np.ndarray:
     """A factor of the light, [V, 3] float32: shade and gloss have hardly another tint than the light around them."""
     light = logarithm.mean(1, keepdims=True)
-    tint = (logarithm - light).clip(-_MOST_TINT, _MOST_TINT)
+    tint = (logarithm - light).clip(-most_tint, most_tint)
     factor: np.ndarray = np.exp(light.clip(-_MOST, _MOST) + tint).astype(np.float32)
     return factor
 
@@ -131,6 +179,21 @@ def _off(seen: Seen, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     linear = np.asarray(to_linear(np.asarray(seen.colors, np.float64)))
     off = np.log(np.maximum(linear, _DARKEST) / np.maximum(drawn, _DARKEST))
     return off.clip(-_MOST, _MOST), seen.weights * told
+
+
+def _edges(head: HeadModel) -> np.ndarray:
+    """Pairs of vertices that a face's edge joins, each once, [2, E]."""
+    edges = np.concatenate([head.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    return np.unique(np.sort(edges, 1), axis=0).T
+
+
+def _averaged(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Values of vertices [V, C], half of each its neighbours' mean."""
+    (first, second), count = edges, len(values)
+    degree = np.maximum(np.bincount(first, minlength=count) + np.bincount(second, minlength=count), 1)[:, None]
+    around = [np.bincount(first, c[second], count) + np.bincount(second, c[first], count) for c in values.T]
+    mixed: np.ndarray = 0.5 * values + 0.5 * np.stack(around, 1) / degree
+    return mixed
 
 
 def _at_vertices(
@@ -144,17 +207,14 @@ def _at_vertices(
     corners, shares = texels.corners.reshape(-1), (texels.barycentric * weights[:, None]).reshape(-1).astype(np.float64)
     spread = np.repeat(np.concatenate([values, np.ones((len(values), 1))], 1), 3, 0) * shares[:, None]
     sums = np.stack([np.bincount(corners, column, count) for column in spread.T], 1)
-    edges = np.concatenate([head.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
-    first, second = np.unique(np.sort(edges, 1), axis=0).T
-    degree = np.maximum(np.bincount(first, minlength=count) + np.bincount(second, minlength=count), 1)[:, None]
+    edges = _edges(head)
     for side in ("left", "right"):
         eye = head.marked(f"{side}_eyeball")
         sums[eye] = sums[eye].sum(0)
     means, sure, half = np.zeros((count, values.shape[1])), np.zeros((count, 1)), _HALF_SEEN
     for more in np.diff(rounds, prepend=0):
         for _ in range(more):
-            around = [np.bincount(first, c[second], count) + np.bincount(second, c[first], count) for c in sums.T]
-            sums = 0.5 * sums + 0.5 * np.stack(around, 1) / degree
+            sums = _averaged(sums, edges)
         here = (1.0 - sure) * sums[:, -1:] / (sums[:, -1:] + half)
         means, sure, half = means + here * sums[:, :-1] / np.maximum(sums[:, -1:], 1e-9), sure + here, half / _WEAKER
     return means / np.maximum(sure, 1e-9), sure

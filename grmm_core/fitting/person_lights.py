@@ -203,7 +203,8 @@ class _Heads:
     def even(self, light: Light, track: PhotoTrack, shown: Shown) -> np.ndarray:
         """`PhotoHead.spread` of the studio's light, stronger or weaker."""
         turned = self._turned(track, shown)
-        return np.concatenate([turned * light.level * self.texels.factor(light.local), np.ones_like(turned)], 1)
+        lit = turned * light.level * self.texels.factor(light.local, light.fine_factor)
+        return np.concatenate([lit, np.ones_like(turned)], 1)
 
     def _turned(self, track: PhotoTrack, shown: Shown) -> np.ndarray:
         """What the turn of a photo's neck makes of the studio's light, [N, 1] float32."""

@@ -33,6 +33,7 @@ from .chin import below_chin
 
 SUNS = tuple(Sun(direction=tuple(d), angle=1.0) for d in sphere(24)[0] if d[2] > -0.3 and d[1] > -0.5)
 """Directions that light may come from, in head axes; as wide as soft boxes and windows."""
+FINE_STEP, FINE_MOST = 0.02, 127  # of `Light.fine`: as many steps as a byte has
 _NO_LOCAL = np.zeros((0, 3), np.float32)
 MATT = Response(gloss=0.0, even_mouth=True, rig_at_rest=True)
 """How an avatar takes the light of its photo, whose highlights are in its colors."""
@@ -63,6 +64,8 @@ class Light(NamedTuple):
         tone: Of the skin in the studio's rig, linear RGB, [3].
         level: Of the studio's rig, where neither suns nor surroundings could be found, [3].
         local: As `Lighting.local`.
+        fine: Logarithm of `Lighting.fine` in steps of `FINE_STEP`, whole numbers up to `FINE_MOST`, so that a file holds them
+            in a byte each.
     """
 
     suns: np.ndarray
@@ -70,6 +73,7 @@ class Light(NamedTuple):
     tone: np.ndarray
     level: np.ndarray
     local: np.ndarray = _NO_LOCAL
+    fine: np.ndarray = _NO_LOCAL
 
     @staticmethod
     def studio(tone: np.ndarray | float = 1.0, level: np.ndarray | float = 1.0) -> Light:
@@ -89,13 +93,20 @@ class Light(NamedTuple):
         return bool(np.any(self.suns) or np.any(self.around))
 
     @property
+    def fine_factor(self) -> np.ndarray:
+        """`Lighting.fine`."""
+        factor: np.ndarray = np.exp(FINE_STEP * self.fine.clip(-FINE_MOST, FINE_MOST)).astype(np.float32)
+        return factor
+
+    @property
     def lighting(self) -> Lighting | None:
         """As a session takes it, head axes; None is the studio's."""
         if not self.known:
             rig = STUDIO.scaled(tuple(self.level))
-            return None if np.all(self.level == 1.0) and not len(self.local) else dataclasses.replace(rig, local=self.local)
+            usual = np.all(self.level == 1.0) and not len(self.local) and not len(self.fine)
+            return None if usual else dataclasses.replace(rig, local=self.local, fine=self.fine_factor)
         lit = (dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(self.suns, SUNS, strict=True) if color.any())
-        return Lighting(tuple(lit), Surroundings(np.asarray(self.around, np.float64)), local=self.local)
+        return Lighting(tuple(lit), Surroundings(np.asarray(self.around, np.float64)), local=self.local, fine=self.fine_factor)
 
 
 class Seen(NamedTuple):
@@ -176,7 +187,7 @@ class PhotoHead:
     def spread(self, light: Light) -> np.ndarray:
         """`ratio` times how much each texel counts at a pixel (`light.shading.Arrived.front`), and that, [N, 4] float32."""
         if not light.known:
-            even = self._turned * light.level * self._texels.factor(light.local)
+            even = self._turned * light.level * self._texels.factor(light.local, light.fine_factor)
             return np.concatenate([even, np.ones_like(self._turned)], 1).astype(np.float32)
         suns = tuple(dataclasses.replace(sun, color=tuple(color)) for color, sun in zip(light.suns, SUNS, strict=True))
         around = Surroundings(np.asarray(light.around, np.float64)).turned(self._turn.T).coefficients
@@ -185,7 +196,7 @@ class PhotoHead:
         bounced = rest.exchange.bounced(scene.irradiance[self._at_vertices], rest.albedo)
         learned = Learned(rest.rig, np.zeros_like(rest.rig))
         found = relative(scene, bounced, corners, self._texels.barycentric, learned, 0.0)[:, [0, 1, 2, 6]]
-        found[:, :3] *= self._texels.factor(light.local)
+        found[:, :3] *= self._texels.factor(light.local, light.fine_factor)
         even_mouth(self._head, corners, found, 3)
         return found
 

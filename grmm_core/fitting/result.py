@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..model.weights_file import WeightsInfo
 
 LIGHT = "light_"  # before the names of a `photo_light.Light`'s parts in an avatar's arrays
-LOCAL = LIGHT + "local"  # there where skin is told from the rest
+LOCAL, FINE = LIGHT + "local", LIGHT + "fine"  # there where skin is told from the rest
 LICENCE = "Shows a real person. To be used only with that person's agreement."
 
 
@@ -102,9 +102,9 @@ def photo_light(avatar: Avatar, index: int = 0) -> Light:
     if LIGHT + "suns" not in avatar.tracking:
         _row(avatar, "pose", index)
         return Light.studio()
-    known = [name for name in Light._fields if LIGHT + name != LOCAL or LOCAL in avatar.tracking]
+    known = [name for name in Light._fields if LIGHT + name not in (LOCAL, FINE) or LIGHT + name in avatar.tracking]
     light = Light(**{name: _row(avatar, LIGHT + name, index) for name in known})
-    usual = Light.studio()._replace(local=light.local)  # what lies on the skin is checked with the head
+    usual = Light.studio()._replace(local=light.local, fine=light.fine)  # what lies on the skin is checked with the head
     if any(np.shape(value) != np.shape(other) for value, other in zip(light, usual, strict=True)):
         raise ShapeError(f"The light of photo {index + 1} in {avatar.name!r} is damaged; make the avatar from photos again.")
     return light

@@ -12,21 +12,24 @@ import dataclasses
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from ..avatar import EXTENSION, Avatar, save_avatar
+from ..avatar.deltas import rounded
+from ..controls.frame import Controls
 from ..model.grmm import GRMM, Picture
 from ..session import Instance, RenderOptions, Session
 from .blurring import blurred
 from .invert import photo_model_inputs, photo_texels, photo_views, seen_in
-from .local_light import more_local
+from .local_light import more_fine, more_local, on_face
 from .objective import contributions, decode, spread_to_colors
-from .photo_light import MATT
+from .photo_light import MATT, Light
 from .photo_targets import FitView, bare_pixels
-from .result import LOCAL, photo_controls, photo_light
+from .result import FINE, LOCAL, photo_controls, photo_light
 from .root_shade import APPEARANCE
 from .types import PhotoTrack
 
@@ -35,6 +38,7 @@ COVERED = 0.7  # of a pixel by strands: under more, nothing is known of skin
 MOST = 0.15  # change of a color
 BARE = 0.05  # of a pixel by strands, from which on it tells no light of skin
 SLANT = 0.08  # cosine between normal and view from which on it does: the chin's underside is seen at a slant
+FINE_ROUNDS = 2  # of `local_light.more_fine`, each by another drawing: texels and pixels are about as large
 HALF_SEEN = 0.1  # pixels at which a texel is half believed
 _OPTIONS = RenderOptions(passes=("rgb", "hair"), background=(0.0, 0.0, 0.0))
 
@@ -57,7 +61,7 @@ def settled(
         return avatar
     colors = np.array(avatar.deltas[APPEARANCE], np.float32)
     colors[:, :3] += _step(session, avatar, model, tracks, aims, lit).clamp(-MOST, MOST).cpu().numpy()
-    return dataclasses.replace(avatar, deltas={**avatar.deltas, APPEARANCE: colors})
+    return dataclasses.replace(avatar, deltas={**avatar.deltas, APPEARANCE: rounded(colors)})
 
 
 def _step(
@@ -97,16 +101,30 @@ def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[
     """
     if LOCAL not in avatar.tracking:
         return avatar
-    head, texels, local = model.head_model, photo_texels(model), np.array(avatar.tracking[LOCAL], np.float32)
+    head, texels, found = model.head_model, photo_texels(model), []
+    face = on_face(head, texels)
     with _opened(session, avatar) as number, torch.no_grad():
         for view, track in zip(photo_views(model, tracks), tracks, strict=True):
             light, controls = photo_light(avatar, view.index), photo_controls(avatar, head, view.index)
             shown = model, texels, photo_model_inputs(model, avatar, track, view.index)[0], view
-            worn = session.render([Instance(number, controls, response=MATT, lighting=light.lighting)], view.camera, _OPTIONS)
-            bare = (worn["hair"][..., 0] < BARE).astype(np.float32)
-            drawn = seen_in(*shown, worn["rgb"]).colors
-            local[view.index] = more_local(head, texels, seen_in(*shown, None, bare, SLANT), drawn, local[view.index])
-    return dataclasses.replace(avatar, tracking={**avatar.tracking, LOCAL: local})
+
+            worn = partial(_worn, session, number, controls, view)
+            drawn = worn(light)
+            seen = seen_in(*shown, None, (drawn["hair"][..., 0] < BARE).astype(np.float32), SLANT)
+            light = light._replace(local=more_local(head, texels, seen, seen_in(*shown, drawn["rgb"]).colors, light.local))
+            skin = seen.of_skin(head, texels)
+            skin = skin._replace(weights=skin.weights * face)
+            light = light._replace(fine=np.zeros((len(texels.face), 3), np.float32))
+            for _ in range(FINE_ROUNDS):
+                light = light._replace(fine=more_fine(skin, seen_in(*shown, worn(light)["rgb"]).colors, light.fine))
+            found.append(light)
+    local, fine = np.stack([light.local for light in found]), np.stack([light.fine for light in found])
+    return dataclasses.replace(avatar, tracking={**avatar.tracking, LOCAL: local, FINE: fine})
+
+
+def _worn(session: Session, number: int, controls: Controls, view: FitView, light: Light) -> dict[str, np.ndarray]:
+    """An avatar in a photo's view, in a light."""
+    return session.render([Instance(number, controls, response=MATT, lighting=light.lighting)], view.camera, _OPTIONS)
 
 
 @contextmanager

@@ -138,12 +138,14 @@ class Lighting:
         occluders: Corners of triangles that throw shadows besides the avatar's own mesh, [T, 3, 3].
         local: Factor of the irradiance at an avatar's vertices, linear RGB, [V, 3]; [0, 3]: 1. What a photo shows of its light
             that no lamp explains; it lies on the skin.
+        fine: Likewise at the texels of an avatar's Gaussians, beside `local`, [N, 3] or [0, 3]: shade in folds.
     """
 
     lamps: tuple[Lamp, ...] = ()
     surroundings: Surroundings | None = None
     occluders: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3), np.float32))
     local: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
+    fine: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lamps", tuple(self.lamps))
@@ -151,10 +153,11 @@ class Lighting:
         if occluders.ndim != 3 or occluders.shape[1:] != (3, 3) or not np.isfinite(occluders).all():
             raise ConfigError("What throws shadows must be triangles [T, 3, 3] of finite numbers.")
         object.__setattr__(self, "occluders", occluders)
-        local = np.ascontiguousarray(self.local, np.float32)
-        if local.ndim != 2 or local.shape[1] != 3 or not np.isfinite(local).all() or (local < 0.0).any():
-            raise ConfigError("Factors of light at vertices must be finite and not below 0, [V, 3].")
-        object.__setattr__(self, "local", local)
+        for name, where in (("local", "vertices"), ("fine", "texels")):
+            factors = np.ascontiguousarray(getattr(self, name), np.float32)
+            if factors.ndim != 2 or factors.shape[1] != 3 or not np.isfinite(factors).all() or (factors < 0.0).any():
+                raise ConfigError(f"Factors of light at {where} must be finite and not below 0, [..., 3].")
+            object.__setattr__(self, name, factors)
 
     def in_space(self, to_space: np.ndarray) -> Lighting:
         """The same light in other axes.
@@ -184,7 +187,7 @@ class Lighting:
 
         around = None if self.surroundings is None else self.surroundings.turned(turn)
         occluders = self.occluders @ linear.T.astype(np.float32) + to_space[:3, 3].astype(np.float32)
-        return Lighting(tuple(map(moved, self.lamps)), around, occluders, self.local)
+        return Lighting(tuple(map(moved, self.lamps)), around, occluders, self.local, self.fine)
 
     def scaled(self, factor: Vector) -> Lighting:
         """The same light times linear RGB."""

@@ -82,9 +82,13 @@ class Texels(NamedTuple):
         for_rows(kernels.interpolate, len(out), *given, out)
         return out
 
-    def factor(self, local: np.ndarray) -> np.ndarray:
-        """`Lighting.local` at the points, [N, 3], or [1, 3] of ones where there is none."""
-        return self.at(local) if len(local) else np.ones((1, 3), np.float32)
+    def factor(self, local: np.ndarray, fine: np.ndarray | None = None) -> np.ndarray:
+        """`Lighting.local` at the points, times `Lighting.fine` there, [N, 3], or [1, 3] of ones where there is neither.
+
+        A fine factor of other points than these is of other weights than the avatar's, and does not count.
+        """
+        found = self.at(local) if len(local) else np.ones((1, 3), np.float32)
+        return found if fine is None or len(fine) != len(self.corners) else found * fine
 
     def dim(self, seen: np.ndarray, rows: np.ndarray, through: np.ndarray) -> None:
         """Multiply what is seen at rows [M] of the points, [N], by what comes through to vertices, [V]; `seen` is changed."""

@@ -125,8 +125,10 @@ class LitAvatar:
         corners = self._drawn.corners
         inside = mean_irradiance(self._lighting.surroundings) * (_BOWL * self._response.intensity)
         found = relative(scene, bounced, corners, self._drawn.barycentric, learned, self._response.gloss, inside)
-        if len(self._lighting.local):
-            found[:, RATIO] *= self._drawn.factor(self._lighting.local)
+        fine = self._lighting.fine
+        if len(self._lighting.local) or len(fine):
+            at_rows = fine[self._rows] if len(fine) == len(self._texels.corners) else None
+            found[:, RATIO] *= self._drawn.factor(self._lighting.local, at_rows)
         if self._response.even_mouth:
             even_mouth(self._head, corners, found, FRONT)
         return found, tilts
@@ -442,7 +444,8 @@ class LitAvatar:
 
     @functools.cached_property
     def _local_key(self) -> bytes:
-        return hashlib.blake2b(self._lighting.local.tobytes(), digest_size=16).digest()
+        on_skin = self._lighting.local.tobytes() + self._lighting.fine.tobytes()
+        return hashlib.blake2b(on_skin, digest_size=16).digest()
 
     @functools.cached_property
     def _casters(self) -> Casters:

@@ -47,6 +47,19 @@ def test_round_trip_keeps_everything(saved):
     assert (loaded.camera.fx, loaded.camera.width, loaded.camera.orthographic) == (original.camera.fx, 640, False)
 
 
+def test_many_whole_numbers_take_a_byte_each(tmp_path):
+    """As of the light that lies in folds; others are kept to the last bit."""
+    random, path = np.random.default_rng(0), tmp_path / "small.grmm"
+    whole = random.integers(-127, 128, (1, 2000, 3)).astype(np.float32)
+    given = {"whole": whole, "few": whole[0, 0], "parts": whole + 0.5, "large": whole * 2.0, "empty": whole[:0]}
+    save_avatar(make_avatar(tracking=given), path)
+    for name, array in load_avatar(path).tracking.items():
+        np.testing.assert_array_equal(array, given[name])
+        assert array.dtype == np.float32
+    stored = safetensors.load_file(path)
+    assert {name for name in given if stored[f"tracking/{name}"].dtype == np.int8} == {"whole"}
+
+
 def test_header_agrees_with_the_whole_file(saved):
     header, avatar = read_avatar_header(saved), load_avatar(saved)
     assert (header.name, header.weights, header.provenance) == (avatar.name, avatar.weights, avatar.provenance)

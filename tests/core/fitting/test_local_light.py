@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.fitting.local_light import local_lights, more_local
-from grmm_core.fitting.photo_light import Seen
+from grmm_core.fitting.local_light import local_lights, more_fine, more_local, on_face
+from grmm_core.fitting.photo_light import FINE_MOST, FINE_STEP, Seen
 from grmm_core.head import load_open_head
 from grmm_core.light.relight import to_display, to_linear
 from grmm_core.light.resting import Texels
@@ -133,3 +133,40 @@ def test_burnt_out_and_black_pixels_tell_no_light(head, texels, places, bare):
     drawn, even = np.asarray(to_display(SKIN * np.ones((len(places), 1)))), np.ones((head.vertex_count, 3), np.float32)
     local = more_local(head, texels, Seen(colors, bare), drawn, even)
     np.testing.assert_allclose(texels.factor(local), 1.0, atol=0.01)
+
+
+def test_shade_of_a_fold_becomes_fine_light_where_skin_is_seen(texels, places, bare):
+    fold = np.abs(places[:, 1] - np.percentile(places[:, 1], 75)) < 0.0015
+    even = np.asarray(to_display(SKIN * np.ones((len(places), 1))))
+    colors = np.asarray(to_display(SKIN * np.where(fold, 0.5, 1.0)[:, None]))
+    colors[::50], shown = 1.0, bare * (places[:, 0] > 0.0)  # burnt out here and there
+    fine = more_fine(Seen(colors, shown), even, np.zeros((len(places), 3), np.float32))
+    told = (shown > 0) & (np.arange(len(places)) % 50 > 0)
+    np.testing.assert_allclose(FINE_STEP * fine[fold & told], np.log(0.5), atol=0.6 * FINE_STEP)
+    assert not fine[~fold].any()
+    assert not fine[~told].any()
+    np.testing.assert_array_equal(fine, np.round(fine))
+    again = more_fine(Seen(colors, shown), even, fine)
+    np.testing.assert_allclose(again, 2.0 * fine, atol=1.0)
+    assert np.abs(more_fine(Seen(colors, shown), even, 60.0 * fine)).max() <= FINE_MOST
+
+
+def test_light_on_the_throat_has_no_lines_and_the_face_keeps_its_edges(head):
+    """Every column of faces was told otherwise than the next."""
+    points, nothing = Texels.of_vertices(head), Seen(np.full((head.vertex_count, 3), 0.5), np.zeros(head.vertex_count))
+    stripes = np.where(np.arange(head.vertex_count) % 2, 1.2, 0.8)[:, None] * np.ones(3, np.float32)
+    local = more_local(head, points, nothing, np.full((head.vertex_count, 3), 0.5), stripes)
+    inside = head.marked("neck")
+    for _ in range(3):  # away from the rim of the throat
+        outside = head.faces[~inside[head.faces].all(1)]
+        inside[outside] = False
+    edges = np.concatenate([head.faces[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    edges = edges[inside[edges].all(1)]
+    assert len(edges) > 100
+    before, after = (np.abs(np.diff(np.log(light.mean(1))[edges], axis=1)).mean() for light in (stripes, local))
+    assert after < 0.15 * before
+    face = head.marked("face") & ~head.marked("neck")
+    np.testing.assert_allclose(local[face], stripes[face], rtol=1e-5)
+    tells = on_face(head, points)
+    assert tells[inside].max() < 0.01
+    assert tells[face].min() > 0.99

@@ -334,6 +334,26 @@ def test_light_that_lies_on_the_skin_turns_with_it(session):
         np.testing.assert_allclose([np.median(left), np.median(right)], [0.5, 1.0], atol=0.02)
 
 
+def test_fine_light_lies_on_the_texels(session):
+    """A dark stripe that is narrower than the faces of the mesh."""
+    model = session.engine.store.default().model
+    head, layout = model.head_model, model.layout
+    places = (head.v_template[head.faces[layout.face]] * layout.barycentric[..., None]).sum(1)
+    stripe = np.where(np.abs(places[:, 1:2] - places[places[:, 2].argmax(), 1] - 0.05) < 0.0015, 0.3, 1.0) * np.ones(3)
+    even, lies = (drawn(session, replace(STUDIO, fine=one), MATT)["linear"][..., :3].sum(-1) for one in (stripe[:0], stripe))
+    ratio, face = lies / even.clip(1e-6), even > 0.3 * even.max()
+    assert ratio[face].min() < 0.6
+    dark = (ratio < 0.8) & face
+    assert 0 < dark.any(1).sum() < 0.1 * face.any(1).sum()
+    np.testing.assert_allclose(np.median(ratio[face]), 1.0, atol=1e-3)
+
+
+def test_fine_light_of_other_weights_does_not_count(session):
+    """An avatar that was carried over has other texels than its file says."""
+    even, other = (drawn(session, replace(STUDIO, fine=one), MATT)["rgb"] for one in (np.ones((0, 3)), np.zeros((9, 3))))
+    np.testing.assert_array_equal(even, other)
+
+
 def test_light_that_lies_on_another_head_is_refused(session):
     with pytest.raises(ShapeError, match="another head"):
         drawn(session, replace(STUDIO, local=np.ones((7, 3))), MATT)
@@ -344,4 +364,5 @@ def test_light_reaches_a_worker():
     light = Lighting((soft_box(30, 20, 1.0, 0.3, 40.0, (1.0, 0.5, 0.2)), *LEFT.lamps), spots, np.zeros((1, 3, 3)))
     light = replace(light, local=np.full((load_open_head().vertex_count, 3), 0.7))
     with create_session("local", engine="plain") as here, create_session("worker", engine="plain") as worker:
+        light = replace(light, fine=np.full((len(here.engine.store.default().model.layout.face), 3), 0.8))
         np.testing.assert_allclose(drawn(worker, light)["rgb"], drawn(here, light)["rgb"], atol=1e-6)

@@ -116,7 +116,7 @@ def save_avatar(avatar: Avatar, path: str | os.PathLike[str]) -> None:
 
 def _in_bytes(array: np.ndarray) -> np.ndarray:
     """Int8 where an array is large and that loses nothing; readers of every version take it for the numbers that it was."""
-    if array.size < _LARGE or np.abs(array).max() > np.iinfo(np.int8).max:
+    if array.size < _LARGE or not np.abs(array).max() <= np.iinfo(np.int8).max:  # nor what is no number
         return array
     whole = array.astype(np.int8)
     return whole if np.array_equal(whole, array) else array

@@ -1,15 +1,18 @@
-"""The walk's step of a video: dropped on a head, followed beside Blender, keyed, undone, and cancelled."""
+"""The walk's steps of recordings: dropped on a head, worked on beside Blender, keyed, undone, and cancelled."""
 
 from __future__ import annotations
 
+import shutil
 import time
+from pathlib import Path
 
 from tools.video_figures import FPS, filmed, played, write_video
 
 from .blender import WalkedBlender, WalkError
 from .steps import HEAD, MIDDLE, SELECT_RIG, scroll_sidebar
 
-SECONDS, FOLLOW_SECONDS = 2.0, 600.0
+SECONDS, WORK_SECONDS = 2.0, 600.0
+VOICE = Path(__file__).resolve().parents[2] / "tests" / "data" / "voice" / "voice.ogg"
 _STATE = """
 import sys
 watch = next(module for name, module in sys.modules.items() if name.endswith("grmm_blender.recordings.watch"))
@@ -24,43 +27,58 @@ bpy.context.preferences.addons[name].preferences.worker_python = {!r}
 
 def video(blender: WalkedBlender) -> None:
     """Drop a video of an avatar on the head, where a Python with torch is given; else a sentence says what is needed."""
-    path = blender.shared / "speaking.mp4"
+    path = blender.shared / "filmed.mp4"
     performance = played()
     write_video(path, filmed("library:bun", performance)[: round(SECONDS * FPS)], FPS)
+    _take(blender, path, "import_video", "video")
+
+
+def voice(blender: WalkedBlender) -> None:
+    """Drop a recorded voice on the head, likewise."""
+    path = blender.shared / "spoken.ogg"
+    shutil.copy(VOICE, path)
+    _take(blender, path, "import_voice", "voice")
+
+
+def _take(blender: WalkedBlender, path: Path, operator: str, name: str) -> None:
+    """Drop a recording, see the head keyed, undo that, and cancel another go."""
     inner = blender.inner(path)
+    call = f"bpy.ops.grmm.{operator}('EXEC_DEFAULT', filepath={inner!r})\n"
     blender.run(SELECT_RIG)
     if not blender.torch_python:
-        blender.run(f"bpy.ops.grmm.import_video('EXEC_DEFAULT', filepath={inner!r})")
-        blender.picture("video_without_torch", 3)
+        blender.run(call)
+        blender.picture(f"{name}_without_torch", 3)
         return
     blender.run(_PREFERENCES.format(blender.torch_python))
     before = blender.run(_ACTION)
     blender.drop(inner, *MIDDLE)
-    blender.picture("video_dropped", 2, settled=False)
-    if not blender.run(_STATE)[0]:  # Blender asks which of its own imports or ours is meant
-        blender.key("Escape")
-        blender.run(SELECT_RIG + f"bpy.ops.grmm.import_video('EXEC_DEFAULT', filepath={inner!r})")
+    blender.picture(f"{name}_dropped", 2, settled=False)
     begin = time.monotonic()
+    if blender.run(_ACTION) == before and not blender.run(_STATE)[0]:  # Blender asks which of its own imports or ours is meant
+        blender.key("Escape")
+        blender.run(SELECT_RIG + call)
+        begin = time.monotonic()
     scroll_sidebar(blender)
-    blender.picture("video_followed", 3, settled=False)
+    blender.picture(f"{name}_worked_on", 3, settled=False)
     while (state := blender.run(_STATE))[0]:
-        if time.monotonic() - begin > FOLLOW_SECONDS:
-            raise WalkError("the video is not followed")
+        if time.monotonic() - begin > WORK_SECONDS:
+            raise WalkError(f"the {name} is not finished")
         time.sleep(1.0)
-    blender.note(f"{SECONDS:g} s of video were followed in {time.monotonic() - begin:.0f} s: {state[1]}")
+    blender.note(f"the {name} was worked on for {time.monotonic() - begin:.0f} s: {state[1]}")
     if blender.run(_ACTION) != path.stem:
         raise WalkError(f"the head has the action {blender.run(_ACTION)!r}: {state[1]}")
-    blender.run("bpy.context.scene.frame_set(20)")
-    blender.picture("video_keyed", 4)
+    for frame in (20, 34):
+        blender.run(f"bpy.context.scene.frame_set({frame})")
+        blender.picture(f"{name}_keyed_{frame}", 4)
     blender.move(*MIDDLE)
     blender.key("ctrl", "z")
     if blender.run(_ACTION) != before:
         raise WalkError(f"undo leaves the action {blender.run(_ACTION)!r}, not {before!r}")
-    blender.run(SELECT_RIG + f"bpy.ops.grmm.import_video('EXEC_DEFAULT', filepath={inner!r})\nbpy.ops.grmm.cancel_recording()")
+    blender.run(SELECT_RIG + call + "bpy.ops.grmm.cancel_recording()")
     while blender.run(_STATE)[0]:
         time.sleep(0.5)
-    blender.picture("video_cancelled", 3)
+    blender.picture(f"{name}_cancelled", 3)
     note = blender.run(_STATE)[1]
     if "cancelled" not in note:
-        raise WalkError(f"a cancelled capture says {note!r}")
+        raise WalkError(f"a cancelled {name} says {note!r}")
     blender.run(_PREFERENCES.format(""))

@@ -14,7 +14,7 @@ STEPS: tuple[steps.Step, ...] = (
     corners.graded, animator.bare_mesh, animator.import_options, steps.performance, closer.played_frames, steps.escape,
     steps.photos, steps.undo, closer.copies, animator.recordings, corners.channels, corners.import_avatar, animator.turntable,
     animator.motion, animator.written, steps.save_and_reopen, corners.without_window, steps.eevee, steps.drop, steps.delete,
-    corners.disabled_while_playing, animator.fit, filming.video, steps.disable_and_enable,
+    corners.disabled_while_playing, animator.fit, filming.video, filming.voice, steps.disable_and_enable,
 )  # fmt: skip
 
 

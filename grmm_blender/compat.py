@@ -52,6 +52,11 @@ def trim_strip(strip: bpy.types.Strip, frames: int) -> None:
     setattr(strip, "left_handle_offset" if hasattr(strip, "left_handle_offset") else "frame_offset_start", frames)
 
 
+def strip_start(strip: bpy.types.Strip) -> int:
+    """Frame on which the whole content of a strip of the sequencer begins, what is left out of it included."""
+    return round(strip.content_start if hasattr(strip, "content_start") else strip.frame_start)
+
+
 def _input_of(modifier: bpy.types.Modifier, name: str) -> Any:
     """The modifier's own property, or its key where modifiers have none."""
     items = modifier.node_group.interface.items_tree

@@ -6,6 +6,7 @@ The first capture and the voice are whole; those between are stand-ins for proce
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -203,6 +204,40 @@ def spoken() -> dict:
     }
 
 
+def spoken_over_keys() -> dict:
+    """Voices on a head that smiles: one that replaces the smile, the same again, another one, and one that is added to it."""
+    avatar = without_detail(fresh_head())
+    head, scene = avatar.object, bpy.context.scene
+    sync = scene.sync_mode
+    for frame, value in ((1, 0.2), (40, 0.4)):
+        head["mouthSmileLeft"] = value
+        head.keyframe_insert('["mouthSmileLeft"]', frame=frame)
+    own = head.animation_data.action
+    shutil.copy(folder / "voice.ogg", folder / "other.ogg")
+
+    def heard() -> list:
+        return sorted([strip.name, strip.mute] for strip in scene.sequence_editor.strips)
+
+    def speak(name: str, **options) -> dict:
+        bpy.ops.grmm.import_voice(filepath=str(folder / name), language="OTHER", liveliness=0.0, **options)
+        return {"strips": heard(), "action": head.animation_data.action.name, "note": watch.note()}
+
+    def smile(frame: int) -> float:
+        scene.frame_set(frame)
+        return avatar.controls().aligned[names.index("mouthSmileLeft")].item()
+
+    names = list(module("grmm_core.controls.names").ARKIT_NAMES)
+    said = {"first": speak("voice.ogg"), "sync": [sync, scene.sync_mode], "own": [own.name, own.use_fake_user]}
+    said["again"] = speak("voice.ogg", strength=0.5)
+    said["other"] = speak("other.ogg")
+    spoken = [smile(frame) for frame in (1, 20, 40)]
+    head.animation_data.action = own
+    said["added"] = speak("voice.ogg", start=1, present="ADD")
+    said["smile"] = [smile(frame) - value for frame, value in zip((1, 20, 40), spoken, strict=True)]
+    said["tracks"] = [strip.action.name for track in head.animation_data.nla_tracks for strip in track.strips]
+    return said
+
+
 def errors() -> dict:
     avatar = fresh_head()
     missing = said_by(lambda: bpy.ops.grmm.import_video(filepath=str(folder / "none.mp4")))
@@ -215,6 +250,7 @@ done = {"event": "done", "performance": str(Path(bpy.app.tempdir) / "grmm_record
 report(
     imported=imported(),
     spoken=spoken(),
+    over_keys=spoken_over_keys(),
     errors=errors(),
     cancelled=cancelled(),
     own_shape=own_shape(),

@@ -158,7 +158,8 @@ def _add_sound(scene: bpy.types.Scene, watched: _Watched, action: bpy.types.Acti
             return False
         if old is not None:
             old.mute = True
-    trim_strip(strip, skipped)
+    end = watched.request.end
+    trim_strip(strip, skipped, None if end is None else round(end * options.fps))
     action[_SOUND_KEY] = strip.name
     if scene.sync_mode == _EVERY_FRAME:  # lips fall behind the sound where frames take their time
         scene.sync_mode = _WITH_SOUND

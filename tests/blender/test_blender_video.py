@@ -79,6 +79,8 @@ def test_recordings_key_the_head(run_blender: RunBlender, repository: Path, fold
     assert over["sync"] == ["NONE", "AUDIO_SYNC"]
     assert over["first"]["strips"] == over["again"]["strips"] == [["voice", False]]  # not twice
     assert over["other"]["strips"] == [["other", False], ["voice", True]]  # one voice at a time
+    assert over["part"] == [7, 7 + 36, 7 - 12, pytest.approx(7 + 36, abs=1)]  # a second and a half, at 24 frames a second
+    assert over["heard"] == 1
     assert "is kept in the action" not in over["added"]["note"]
     assert over["tracks"] == [own]
     # Keys 0.2 and 0.4 on frames 1 and 40, with what the voice does on top.

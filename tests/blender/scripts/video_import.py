@@ -28,8 +28,9 @@ def curves_of(obj) -> dict:
 
 
 def handles(strip) -> list[int]:
-    """Where a strip is heard from, and where its file begins."""
-    names = ("left_handle", "content_start") if hasattr(strip, "left_handle") else ("frame_final_start", "frame_start")
+    """Where a strip is heard from and up to, and where its file begins."""
+    new = hasattr(strip, "left_handle")
+    names = ("left_handle", "right_handle", "content_start") if new else ("frame_final_start", "frame_final_end", "frame_start")
     return [round(getattr(strip, name)) for name in names]
 
 
@@ -60,7 +61,7 @@ def imported() -> dict:
         "range": [scene.frame_start, scene.frame_end],
         "action": avatar.object.animation_data.action.name,
         "note": watch.note(),
-        "sound": [[strip.name, *handles(strip)] for strip in strips],
+        "sound": [[strip.name, *handles(strip)[::2]] for strip in strips],
     }
 
 
@@ -231,6 +232,10 @@ def spoken_over_keys() -> dict:
     said["again"] = speak("voice.ogg", strength=0.5)
     said["other"] = speak("other.ogg")
     spoken = [smile(frame) for frame in (1, 20, 40)]
+    speak("voice.ogg", start=7, first=0.5, last=2.0)
+    strips = scene.sequence_editor.strips
+    said["part"] = [*handles(strips[head.animation_data.action["grmm_sound"]]), scene.frame_end]
+    said["heard"] = sum(not mute for _, mute in heard())
     head.animation_data.action = own
     said["added"] = speak("voice.ogg", start=1, present="ADD")
     said["smile"] = [smile(frame) - value for frame, value in zip((1, 20, 40), spoken, strict=True)]

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 EyeSource = Literal["AUTO", "SHAPES", "ROTATIONS"]
 Keys = Literal["FRAMES", "REDUCED", "SAMPLES"]
-Present = Literal["KEEP", "PUSH_DOWN", "WRITE_INTO"]
+Present = Literal["KEEP", "ADD", "PUSH_DOWN", "WRITE_INTO"]
+_PUSHED = {"ADD": "ADD", "PUSH_DOWN": "REPLACE"}  # how the new action blends with what is pushed down
 _EYE_SHAPES = "eyeLook"
 _EYES = {"left_eye": "left_eye_rotation", "right_eye": "right_eye_rotation"}
 MAX_FRAME = 1_048_574  # Blender's last frame
@@ -70,7 +71,8 @@ class ImportOptions:
         angle_error: Largest deviation of an angle for reduced keys, radians.
         head_joint: Bone that takes the rotation of the head; "" for none.
         eyes: Take the eyes from the eyeLook shapes, from the recorded rotations, or from whichever the file has.
-        present: What becomes of the action that is there: kept unused, pushed down to a track, or written into.
+        present: What becomes of the action that is there: kept unused, pushed down to a track and added to, pushed down and
+            replaced where both say something, or written into.
     """
 
     start: float = 1.0
@@ -316,10 +318,12 @@ def _placed(
         if obj is None or not own:
             continue
         if present != "WRITE_INTO":
-            put_aside(obj, push_down=present == "PUSH_DOWN")
+            put_aside(obj, push_down=present in _PUSHED)
         has_own = obj.animation_data is not None and obj.animation_data.action is not None
         bag = ensure_bag(obj, name, None if has_own else shared)
         shared = obj.animation_data.action
+        if present in _PUSHED:
+            obj.animation_data.action_blend_type = _PUSHED[present]
         placed += [(channel, bag) for channel in own]
     return placed
 

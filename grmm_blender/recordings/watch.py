@@ -16,7 +16,7 @@ from bpy.app.handlers import persistent
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.formats import format_to_read
 from .. import events, windows
-from ..compat import trim_strip
+from ..compat import strip_start, trim_strip
 from ..exporting import performer_of
 from ..performance import ImportedRange, ImportOptions, apply_performance
 from .job import RecordingJob, RecordingStatus, Request
@@ -24,6 +24,8 @@ from .job import RecordingJob, RecordingStatus, Request
 _POLL_SECONDS = 0.3
 _SOUND_CHANNEL = 1
 _SHOWN_WORDS = 200  # characters
+_EVERY_FRAME, _WITH_SOUND = "NONE", "AUDIO_SYNC"  # how a scene is played
+_SOUND_KEY = "grmm_sound"  # of an action: name of the strip that was heard with it
 _log = logging.getLogger(__name__)
 
 
@@ -108,35 +110,66 @@ def _keyed(context: bpy.types.Context, watched: _Watched) -> str:
     if performer is None or not scenes:
         raise GrmmError(f"The head is in no scene any more; its performance is kept in {path} until Blender is closed.")
     performance = format_to_read(path, "performance").read(path)
+    before = _action_of(head)
     written = apply_performance(performer, performance, watched.options, watched.request.recording.stem)
     scene = context.scene if context.scene in scenes else scenes[0]  # the window may show another one by now
     if watched.set_range:
         written.set_range(scene)
-    sounds = watched.sound and _add_sound(scene, watched)
+    put_aside = before if before is not None and watched.options.present == "KEEP" else None
+    sounds = watched.sound and _add_sound(scene, watched, _action_of(head), put_aside)
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     if bpy.ops.ed.undo_push.poll():
         bpy.ops.ed.undo_push(message=watched.message)
-    return _said(written, ended, sounds)
+    return _said(written, ended, sounds, put_aside)
 
 
-def _said(written: ImportedRange, ended: RecordingStatus, sounds: bool) -> str:
+def _action_of(obj: bpy.types.Object) -> bpy.types.Action | None:
+    return None if obj.animation_data is None else obj.animation_data.action
+
+
+def _said(written: ImportedRange, ended: RecordingStatus, sounds: bool, put_aside: bpy.types.Action | None) -> str:
     sound = ", with its sound in the sequencer" if sounds else ""
     words = f" Heard: {shorten(ended.heard, _SHOWN_WORDS)}." if ended.heard else ""
-    return f"Frames {written.first:g} to {written.last:g} are keyed{sound}.{words} {ended.message}".rstrip()
+    kept = f" What was keyed before is kept in the action {put_aside.name}." if put_aside is not None else ""
+    return f"Frames {written.first:g} to {written.last:g} are keyed{sound}.{words}{kept} {ended.message}".rstrip()
 
 
-def _add_sound(scene: bpy.types.Scene, watched: _Watched) -> bool:
-    """Put the sound where the performance starts, on a channel that is free; returns whether there is any."""
+def _add_sound(scene: bpy.types.Scene, watched: _Watched, action: bpy.types.Action, put_aside: bpy.types.Action | None) -> bool:
+    """Put the sound where the performance starts, on a channel that is free; returns whether there is any.
+
+    Args:
+        scene: Of the head.
+        watched: The job.
+        action: What was keyed.
+        put_aside: What it replaces, whose sound is not heard any more: two voices at once are nobody's.
+    """
     options, recording = watched.options, watched.request.recording
     strips = scene.sequence_editor_create().strips
     channel = max((strip.channel for strip in strips), default=_SOUND_CHANNEL - 1) + 1
     skipped = round(watched.request.start * options.fps)
-    try:
-        strip = strips.new_sound(recording.stem, str(recording), channel, round(options.start) - skipped)
-    except RuntimeError:  # a video without sound
-        return False
-    trim_strip(strip, skipped)
+    start = round(options.start) - skipped
+    old = strips.get(put_aside.get(_SOUND_KEY, "")) if put_aside is not None else None
+    if old is not None and _plays(old, recording, start):  # another try with the same recording
+        strip = old
+    else:
+        try:
+            strip = strips.new_sound(recording.stem, str(recording), channel, start)
+        except RuntimeError:  # a video without sound
+            return False
+        if old is not None:
+            old.mute = True
+    end = watched.request.end
+    trim_strip(strip, skipped, None if end is None else round(end * options.fps))
+    action[_SOUND_KEY] = strip.name
+    if scene.sync_mode == _EVERY_FRAME:  # lips fall behind the sound where frames take their time
+        scene.sync_mode = _WITH_SOUND
     return True
+
+
+def _plays(strip: bpy.types.Strip, recording: Path, start: int) -> bool:
+    """Whether a strip plays the sound of a recording that begins at a frame."""
+    sound = getattr(strip, "sound", None)
+    return sound is not None and Path(bpy.path.abspath(sound.filepath)) == recording and strip_start(strip) == start
 
 
 def register() -> None:

@@ -13,6 +13,11 @@ from .steps import HEAD, MIDDLE, SELECT_RIG, scroll_sidebar
 
 SECONDS, WORK_SECONDS = 2.0, 600.0
 VOICE = Path(__file__).resolve().parents[2] / "tests" / "data" / "voice" / "voice.ogg"
+_NEAR = """
+bpy.ops.view3d.view_axis(type="FRONT")
+bpy.ops.view3d.view_selected()
+area.spaces.active.region_3d.view_distance *= 1.5
+"""
 _STATE = """
 import sys
 watch = next(module for name, module in sys.modules.items() if name.endswith("grmm_blender.recordings.watch"))
@@ -46,10 +51,15 @@ def _take(blender: WalkedBlender, path: Path, operator: str, name: str) -> None:
     call = f"bpy.ops.grmm.{operator}('EXEC_DEFAULT', filepath={inner!r})\n"
     blender.run(SELECT_RIG)
     if not blender.torch_python:
-        blender.run(call)
+        try:
+            blender.run(call)
+        except WalkError as error:
+            blender.note(f"without torch {operator} says: {str(error).strip().splitlines()[-1]}")
         blender.picture(f"{name}_without_torch", 3)
         return
     blender.run(_PREFERENCES.format(blender.torch_python))
+    blender.run(_NEAR)
+    scroll_sidebar(blender)  # now: software draws for longer than a voice is worked on
     before = blender.run(_ACTION)
     blender.drop(inner, *MIDDLE)
     blender.picture(f"{name}_dropped", 2, settled=False)
@@ -58,8 +68,7 @@ def _take(blender: WalkedBlender, path: Path, operator: str, name: str) -> None:
         blender.key("Escape")
         blender.run(SELECT_RIG + call)
         begin = time.monotonic()
-    scroll_sidebar(blender)
-    blender.picture(f"{name}_worked_on", 3, settled=False)
+    blender.picture(f"{name}_worked_on", 1, settled=False)
     while (state := blender.run(_STATE))[0]:
         if time.monotonic() - begin > WORK_SECONDS:
             raise WalkError(f"the {name} is not finished")

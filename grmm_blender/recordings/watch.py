@@ -130,7 +130,7 @@ def _action_of(obj: bpy.types.Object) -> bpy.types.Action | None:
 def _said(written: ImportedRange, ended: RecordingStatus, sounds: bool, put_aside: bpy.types.Action | None) -> str:
     sound = ", with its sound in the sequencer" if sounds else ""
     words = f" Heard: {shorten(ended.heard, _SHOWN_WORDS)}." if ended.heard else ""
-    kept = f" What was keyed before is kept in the action {put_aside.name}." if put_aside is not None else ""
+    kept = f' What was keyed before is kept in the action "{put_aside.name}".' if put_aside is not None else ""
     return f"Frames {written.first:g} to {written.last:g} are keyed{sound}.{words}{kept} {ended.message}".rstrip()
 
 

@@ -67,6 +67,11 @@ def strip_start(strip: bpy.types.Strip) -> int:
     return round(strip.content_start if hasattr(strip, "content_start") else strip.frame_start)
 
 
+def heard_from(strip: bpy.types.Strip) -> int:
+    """First frame on which a strip of the sequencer is played."""
+    return round(strip.left_handle if hasattr(strip, "left_handle") else strip.frame_final_start)
+
+
 def _input_of(modifier: bpy.types.Modifier, name: str) -> Any:
     """The modifier's own property, or its key where modifiers have none."""
     items = modifier.node_group.interface.items_tree

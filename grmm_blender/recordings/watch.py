@@ -16,7 +16,7 @@ from bpy.app.handlers import persistent
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.formats import format_to_read
 from .. import events, windows
-from ..compat import heard_from, strip_start, trim_strip
+from ..compat import heard_from, show_in_sequencers, strip_start, trim_strip
 from ..exporting import performer_of
 from ..performance import ImportedRange, ImportOptions, apply_performance
 from .job import RecordingJob, RecordingStatus, Request
@@ -172,6 +172,7 @@ def _add_sound(
     action = _action_of(head)
     if action is not None:
         action[_SOUND_KEY] = "\n".join(dict.fromkeys([*kept, strip.name]))
+    show_in_sequencers(scene)
     if scene.sync_mode == _EVERY_FRAME:  # lips fall behind the sound where frames take their time
         scene.sync_mode = _WITH_SOUND
     return True

@@ -76,6 +76,7 @@ def test_recordings_key_the_head(run_blender: RunBlender, repository: Path, fold
     assert over["own"][1]  # kept in the file
     assert over["first"]["note"].startswith("Frames 1 to ")
     assert f'What was keyed before is kept in the action "{own}".' in over["first"]["note"]
+    assert over["seen"]
     assert over["sync"] == ["NONE", "AUDIO_SYNC"]
     assert over["first"]["strips"] == over["again"]["strips"] == [["voice", False]]  # not twice
     assert over["other"]["strips"] == [["other", False], ["voice", True]]  # one voice at a time

@@ -229,6 +229,8 @@ def spoken_over_keys() -> dict:
 
     names = list(module("grmm_core.controls.names").ARKIT_NAMES)
     said = {"first": speak("voice.ogg"), "sync": [sync, scene.sync_mode], "own": [own.name, own.use_fake_user]}
+    shown = {getattr(workspace, "sequencer_scene", scene) for workspace in bpy.data.workspaces}
+    said["seen"] = shown <= {scene}
     said["again"] = speak("voice.ogg", strength=0.5)
     said["other"] = speak("other.ogg")
     spoken = [smile(frame) for frame in (1, 20, 40)]

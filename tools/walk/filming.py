@@ -68,14 +68,12 @@ def _take(blender: WalkedBlender, path: Path, operator: str, name: str) -> None:
         blender.key("Escape")
         blender.run(SELECT_RIG + call)
         begin = time.monotonic()
-    blender.picture(f"{name}_worked_on", 1, settled=False)
-    while (state := blender.run(_STATE))[0]:
-        if time.monotonic() - begin > WORK_SECONDS:
-            raise WalkError(f"the {name} is not finished")
-        time.sleep(1.0)
-    blender.note(f"the {name} was worked on for {time.monotonic() - begin:.0f} s: {state[1]}")
+    blender.picture(f"{name}_worked_on", 3, settled=False)
+    note = _wait_for_note(blender, name)
+    blender.note(f"the {name} was worked on for {time.monotonic() - begin:.0f} s: {note}")
     if blender.run(_ACTION) != path.stem:
-        raise WalkError(f"the head has the action {blender.run(_ACTION)!r}: {state[1]}")
+        raise WalkError(f"the head has the action {blender.run(_ACTION)!r}: {note}")
+    scroll_sidebar(blender)  # to what it says
     for frame in (20, 34):
         blender.run(f"bpy.context.scene.frame_set({frame})")
         blender.picture(f"{name}_keyed_{frame}", 4)
@@ -84,10 +82,20 @@ def _take(blender: WalkedBlender, path: Path, operator: str, name: str) -> None:
     if blender.run(_ACTION) != before:
         raise WalkError(f"undo leaves the action {blender.run(_ACTION)!r}, not {before!r}")
     blender.run(SELECT_RIG + call + "bpy.ops.grmm.cancel_recording()")
-    while blender.run(_STATE)[0]:
-        time.sleep(0.5)
+    note = _wait_for_note(blender, name)
     blender.picture(f"{name}_cancelled", 3)
-    note = blender.run(_STATE)[1]
     if "cancelled" not in note:
         raise WalkError(f"a cancelled {name} says {note!r}")
     blender.run(_PREFERENCES.format(""))
+
+
+def _wait_for_note(blender: WalkedBlender, name: str) -> str:
+    """Wait until a recording has been worked on and Blender's timer has seen it; returns what the panel says."""
+    deadline = time.monotonic() + WORK_SECONDS
+    while True:
+        running, note = blender.run(_STATE)
+        if note and not running:
+            return str(note)
+        if time.monotonic() > deadline:
+            raise WalkError(f"the {name} is not finished")
+        time.sleep(0.5)

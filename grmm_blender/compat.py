@@ -67,6 +67,18 @@ def strip_start(strip: bpy.types.Strip) -> int:
     return round(strip.content_start if hasattr(strip, "content_start") else strip.frame_start)
 
 
+def heard_from(strip: bpy.types.Strip) -> int:
+    """First frame on which a strip of the sequencer is played."""
+    return round(strip.left_handle if hasattr(strip, "left_handle") else strip.frame_final_start)
+
+
+def show_in_sequencers(scene: bpy.types.Scene) -> None:
+    """Let sequencers that show no scene show this one: in 5.x each workspace names its own, at first none, and looks empty."""
+    for workspace in bpy.data.workspaces:
+        if getattr(workspace, "sequencer_scene", scene) is None:
+            workspace.sequencer_scene = scene
+
+
 def _input_of(modifier: bpy.types.Modifier, name: str) -> Any:
     """The modifier's own property, or its key where modifiers have none."""
     items = modifier.node_group.interface.items_tree

@@ -283,7 +283,16 @@ def apply_performance(
         count += len(keys.points)
         replace_keys(curve, keys, (frames[0], frames[-1]))
         report(_REDUCED + (1.0 - _REDUCED) * (k + 1) / len(placed))
-    return ImportedRange(float(frames[0]), float(frames[-1]), len(placed), count, tuple(prepared.warnings))
+    first, last = float(frames[0]), float(frames[-1])
+    played = _played(avatar, first, last) if options.present == "WRITE_INTO" else (first, last)
+    return ImportedRange(first, last, played, len(placed), count, tuple(prepared.warnings))
+
+
+def _played(avatar: Avatar | Puppet, first: float, last: float) -> tuple[float, float]:
+    """First and last frame that have keys in the actions that a performance was written into."""
+    owners = [obj.animation_data for obj in (avatar.object, avatar.armature) if obj is not None]
+    spans = [data.action.curve_frame_range for data in owners if data is not None and data.action is not None]
+    return min([first, *(span[0] for span in spans)]), max([last, *(span[1] for span in spans)])
 
 
 @dataclass(frozen=True)
@@ -292,19 +301,21 @@ class ImportedRange:
 
     Attributes:
         first, last: Scene frames.
+        played: The same of all that the avatar plays now: more where the performance was written into an action.
         curves, keys: How many.
         warnings: Sentences about what was repaired, missing or limited.
     """
 
     first: float
     last: float
+    played: tuple[float, float]
     curves: int
     keys: int
     warnings: tuple[str, ...]
 
     def set_range(self, scene: bpy.types.Scene) -> None:
-        """Let the scene start and end with it."""
-        scene.frame_start, scene.frame_end = max(round(self.first), 0), max(round(self.last), 0)
+        """Let the scene start and end with it, and with what it was written into."""
+        scene.frame_start, scene.frame_end = (max(round(frame), 0) for frame in self.played)
 
 
 def _placed(

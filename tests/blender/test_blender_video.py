@@ -75,12 +75,18 @@ def test_recordings_key_the_head(run_blender: RunBlender, repository: Path, fold
     own = over["own"][0]
     assert over["own"][1]  # kept in the file
     assert over["first"]["note"].startswith("Frames 1 to ")
-    assert f"What was keyed before is kept in the action {own}." in over["first"]["note"]
+    assert f'What was keyed before is kept in the action "{own}".' in over["first"]["note"]
+    assert over["seen"]
     assert over["sync"] == ["NONE", "AUDIO_SYNC"]
     assert over["first"]["strips"] == over["again"]["strips"] == [["voice", False]]  # not twice
     assert over["other"]["strips"] == [["other", False], ["voice", True]]  # one voice at a time
     assert over["part"] == [7, 7 + 36, 7 - 12, pytest.approx(7 + 36, abs=1)]  # a second and a half, at 24 frames a second
     assert over["heard"] == 1
+    # A sentence behind that part, both in the scene's range; another take of it; then one that replaces all.
+    assert over["next"] == [2, 7, pytest.approx(101 + 24 * len(samples) / RATE, abs=2)]
+    assert over["second_take"] == ["voice.001", "other.001"]
+    assert over["alone"] == ["voice.003"]
+    assert over["count"] == 6  # six places, at eight imports
     assert "is kept in the action" not in over["added"]["note"]
     assert over["tracks"] == [own]
     # Keys 0.2 and 0.4 on frames 1 and 40, with what the voice does on top.

@@ -229,6 +229,8 @@ def spoken_over_keys() -> dict:
 
     names = list(module("grmm_core.controls.names").ARKIT_NAMES)
     said = {"first": speak("voice.ogg"), "sync": [sync, scene.sync_mode], "own": [own.name, own.use_fake_user]}
+    shown = {getattr(workspace, "sequencer_scene", scene) for workspace in bpy.data.workspaces}
+    said["seen"] = shown <= {scene}
     said["again"] = speak("voice.ogg", strength=0.5)
     said["other"] = speak("other.ogg")
     spoken = [smile(frame) for frame in (1, 20, 40)]
@@ -236,6 +238,14 @@ def spoken_over_keys() -> dict:
     strips = scene.sequence_editor.strips
     said["part"] = [*handles(strips[head.animation_data.action["grmm_sound"]]), scene.frame_end]
     said["heard"] = sum(not mute for _, mute in heard())
+    speak("voice.ogg", start=101, present="WRITE_INTO")
+    said["next"] = [sum(not mute for _, mute in heard()), scene.frame_start, scene.frame_end]
+    speak("other.ogg", start=101, present="WRITE_INTO")
+    speak("other.ogg", start=101, present="WRITE_INTO", strength=0.5)
+    said["second_take"] = [strip.name for strip in strips if not strip.mute]
+    speak("voice.ogg", start=201)
+    said["alone"] = [strip.name for strip in strips if not strip.mute]
+    said["count"] = len(strips)
     head.animation_data.action = own
     said["added"] = speak("voice.ogg", start=1, present="ADD")
     said["smile"] = [smile(frame) - value for frame, value in zip((1, 20, 40), spoken, strict=True)]

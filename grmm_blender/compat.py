@@ -47,9 +47,36 @@ def set_node_input(modifier: bpy.types.Modifier, name: str, value: float) -> Non
         socket.value = value
 
 
-def trim_strip(strip: bpy.types.Strip, frames: int) -> None:
-    """Leave out the first frames of a strip of the sequencer; the rest stays where it is."""
-    setattr(strip, "left_handle_offset" if hasattr(strip, "left_handle_offset") else "frame_offset_start", frames)
+def trim_strip(strip: bpy.types.Strip, first: int, last: int | None) -> None:
+    """Leave out frames of a strip of the sequencer; the rest stays where it is.
+
+    Args:
+        strip: Of a file.
+        first: Of its own frames, counted from 0, the first that is kept.
+        last: The first one behind what is kept; None for all.
+    """
+    new = hasattr(strip, "left_handle_offset")
+    length = round(strip.content_duration if new else strip.frame_duration)
+    setattr(strip, "left_handle_offset" if new else "frame_offset_start", first)
+    behind = 0 if last is None else max(length - last, 0)
+    setattr(strip, "right_handle_offset" if new else "frame_offset_end", behind)
+
+
+def strip_start(strip: bpy.types.Strip) -> int:
+    """Frame on which the whole content of a strip of the sequencer begins, what is left out of it included."""
+    return round(strip.content_start if hasattr(strip, "content_start") else strip.frame_start)
+
+
+def heard_from(strip: bpy.types.Strip) -> int:
+    """First frame on which a strip of the sequencer is played."""
+    return round(strip.left_handle if hasattr(strip, "left_handle") else strip.frame_final_start)
+
+
+def show_in_sequencers(scene: bpy.types.Scene) -> None:
+    """Let sequencers that show no scene show this one: in 5.x each workspace names its own, at first none, and looks empty."""
+    for workspace in bpy.data.workspaces:
+        if getattr(workspace, "sequencer_scene", scene) is None:
+            workspace.sequencer_scene = scene
 
 
 def _input_of(modifier: bpy.types.Modifier, name: str) -> Any:

@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 
 EyeSource = Literal["AUTO", "SHAPES", "ROTATIONS"]
 Keys = Literal["FRAMES", "REDUCED", "SAMPLES"]
-Present = Literal["KEEP", "PUSH_DOWN", "WRITE_INTO"]
+Present = Literal["KEEP", "ADD", "PUSH_DOWN", "WRITE_INTO"]
+_PUSHED = {"ADD": "ADD", "PUSH_DOWN": "REPLACE"}  # how the new action blends with what is pushed down
 _EYE_SHAPES = "eyeLook"
 _EYES = {"left_eye": "left_eye_rotation", "right_eye": "right_eye_rotation"}
 MAX_FRAME = 1_048_574  # Blender's last frame
@@ -70,7 +71,8 @@ class ImportOptions:
         angle_error: Largest deviation of an angle for reduced keys, radians.
         head_joint: Bone that takes the rotation of the head; "" for none.
         eyes: Take the eyes from the eyeLook shapes, from the recorded rotations, or from whichever the file has.
-        present: What becomes of the action that is there: kept unused, pushed down to a track, or written into.
+        present: What becomes of the action that is there: kept unused, pushed down to a track and added to, pushed down and
+            replaced where both say something, or written into.
     """
 
     start: float = 1.0
@@ -281,7 +283,16 @@ def apply_performance(
         count += len(keys.points)
         replace_keys(curve, keys, (frames[0], frames[-1]))
         report(_REDUCED + (1.0 - _REDUCED) * (k + 1) / len(placed))
-    return ImportedRange(float(frames[0]), float(frames[-1]), len(placed), count, tuple(prepared.warnings))
+    first, last = float(frames[0]), float(frames[-1])
+    played = _played(avatar, first, last) if options.present == "WRITE_INTO" else (first, last)
+    return ImportedRange(first, last, played, len(placed), count, tuple(prepared.warnings))
+
+
+def _played(avatar: Avatar | Puppet, first: float, last: float) -> tuple[float, float]:
+    """First and last frame that have keys in the actions that a performance was written into."""
+    owners = [obj.animation_data for obj in (avatar.object, avatar.armature) if obj is not None]
+    spans = [data.action.curve_frame_range for data in owners if data is not None and data.action is not None]
+    return min([first, *(span[0] for span in spans)]), max([last, *(span[1] for span in spans)])
 
 
 @dataclass(frozen=True)
@@ -290,19 +301,21 @@ class ImportedRange:
 
     Attributes:
         first, last: Scene frames.
+        played: The same of all that the avatar plays now: more where the performance was written into an action.
         curves, keys: How many.
         warnings: Sentences about what was repaired, missing or limited.
     """
 
     first: float
     last: float
+    played: tuple[float, float]
     curves: int
     keys: int
     warnings: tuple[str, ...]
 
     def set_range(self, scene: bpy.types.Scene) -> None:
-        """Let the scene start and end with it."""
-        scene.frame_start, scene.frame_end = max(round(self.first), 0), max(round(self.last), 0)
+        """Let the scene start and end with it, and with what it was written into."""
+        scene.frame_start, scene.frame_end = (max(round(frame), 0) for frame in self.played)
 
 
 def _placed(
@@ -316,10 +329,12 @@ def _placed(
         if obj is None or not own:
             continue
         if present != "WRITE_INTO":
-            put_aside(obj, push_down=present == "PUSH_DOWN")
+            put_aside(obj, push_down=present in _PUSHED)
         has_own = obj.animation_data is not None and obj.animation_data.action is not None
         bag = ensure_bag(obj, name, None if has_own else shared)
         shared = obj.animation_data.action
+        if present in _PUSHED:
+            obj.animation_data.action_blend_type = _PUSHED[present]
         placed += [(channel, bag) for channel in own]
     return placed
 

@@ -121,7 +121,7 @@ class GRMM_AddonPreferences(bpy.types.AddonPreferences):
             versions = ", ".join(f"{name} {facts[name]}" for name in ("python", "torch", "numba") if name in facts)
             layout.label(text=f"Installed runtime: {versions}")
         else:
-            layout.label(text="No PyTorch installed: avatars from photos and graphics cards need it")
+            layout.label(text="No PyTorch installed: photos, videos, voices and graphics cards need it")
             draw_text(layout, machine.advice, context)
             if not bpy.app.online_access and not self.wheels:
                 draw_text(layout, OFFLINE, context, icon="INFO")

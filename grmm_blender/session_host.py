@@ -43,8 +43,8 @@ NO_RUNTIME = (
     "torch in the preferences of the extension."
 )
 NO_TORCH = (
-    "Avatars from photos need torch, which this Blender does not have; install the runtime, or choose a Python that has torch, "
-    "in the preferences of the GRMM extension."
+    "Photos, videos and voices need torch, which this Blender does not have; install the runtime, or choose a Python that has "
+    "torch, in the preferences of the GRMM extension."
 )
 _WAIT_SECONDS = 0.5  # that the main thread waits for another one's picture once there is nothing left to compile
 FIRST_TIME = "the first time after installing takes half a minute"
@@ -175,7 +175,7 @@ def choose_runtime(current: RuntimeSettings) -> tuple[Mode, str]:
 
 
 def job_python() -> str:
-    """Return the interpreter for fits, in a process of its own.
+    """Return the interpreter for work on photos, videos and voices, in a process of its own.
 
     Raises:
         RuntimeMissingError: Torch is neither here nor behind another interpreter.

@@ -11,10 +11,10 @@ from mathutils import Euler, Matrix, Vector
 from .engine.settings import ENGINE
 from .rig.avatar import Avatar
 from .scene.avatars import place_of
-from .scene.cameras import fitting_distance
+from .scene.cameras import fit_shorter_side
 
 PORTRAIT_TAG = "grmm_portrait"  # custom property of the camera: a second run uses it again
-LENS, SENSOR = 85.0, 36.0  # of a portrait, millimetres
+LENS = 85.0  # of a portrait, millimetres
 _YAW, _PITCH = math.radians(15.0), math.radians(4.0)  # a little from the side, a little from above
 _MARGIN = 0.1  # around the head, of its size
 _VIEW_RADII = 4.0  # distance of a viewport from the middle of the head, in radii
@@ -93,8 +93,7 @@ def _viewports(context: bpy.types.Context, everywhere: bool) -> list[bpy.types.S
 def aim(scene: bpy.types.Scene, avatar: Avatar, camera: bpy.types.Object) -> None:
     """Put a camera without parent before an avatar so that its head fills the picture, and render through it."""
     place = place_of(avatar, bpy.context.evaluated_depsgraph_get())
-    camera.data.lens, camera.data.sensor_fit, camera.data.sensor_width = LENS, "AUTO", SENSOR
-    distance = fitting_distance(scene.render, LENS, SENSOR, place.radius * (1 + _MARGIN))
+    distance = fit_shorter_side(camera.data, LENS, place.radius * (1 + _MARGIN))
     turned = Matrix.Rotation(place.facing + _YAW, 4, "Z") @ Matrix.Rotation(math.pi / 2 - _PITCH, 4, "X")
     camera.matrix_world = Matrix.Translation(place.centre) @ turned @ Matrix.Translation((0.0, 0.0, distance))
     camera.data.display_size = min(camera.data.display_size, distance / 8)  # else its frame is larger than the head

@@ -61,13 +61,6 @@ class GRMM_OT_import_performance(KeysHead, ImportsFiles, Operator):
         ("REDUCED", "Reduced", "As few keys as the largest error allows, with handles: easy to edit"),
         ("SAMPLES", "Every Sample", "One key for each recorded sample, also between frames"),
     )
-    present: choice(
-        "Old Action",
-        "What becomes of an animation that the avatar has; the recording gets an action named after the file",
-        ("KEEP", "Keep", "It stays in the file with a fake user, to be chosen again in the action editor"),
-        ("PUSH_DOWN", "Push Down", "It plays on in a track of the nonlinear animation, below the recording"),
-        ("WRITE_INTO", "Write Into", "No new action: the recording replaces its keys from first to last frame"),
-    )
     max_error: number("Max Error", "How far reduced keys may deviate from the recording", default=0.01, min=0.0005, max=0.2)
     fps: number("Rate (0: File's)", "Frames per second of the recording; 0 takes what the file says", min=0.0, max=1000.0)
     angle_error: number(

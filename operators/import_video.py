@@ -18,7 +18,9 @@ from ..grmm_core.video.request import OUTPUT_SUFFIX, SUFFIXES, TrackRequest
 from .common import Result, active_performer, menu_entries, reports_errors
 from .recordings import ImportsRecordings, TakesRecordings
 
-_OPTIONS = ("start", "first", "last", "keys", "smoothing", "neutral", "head", "own_shape", "sound", "set_range")
+_OPTIONS = (
+    "start", "first", "last", "keys", "present", "smoothing", "neutral", "head", "own_shape", "sound", "set_range",
+)  # fmt: skip
 
 
 def _file_from_photos(performer: Avatar | Puppet | None) -> Path | None:

@@ -13,8 +13,8 @@ from .common import Result, menu_entries, reports_errors
 from .recordings import ImportsRecordings, TakesRecordings
 
 _OPTIONS = (
-    "start", "first", "last", "language", "said", "strength", "liveliness", "seed", "keys", "head", "sound",
-    "set_range",
+    "start", "first", "last", "language", "said", "strength", "liveliness", "seed", "keys", "present", "head",
+    "sound", "set_range",
 )  # fmt: skip
 
 

@@ -57,6 +57,14 @@ class KeysHead:
         ("root", "Root", "The root bone: everything turns"),
         ("NONE", "None", "Leave the head where it is"),
     )
+    present: choice(
+        "Old Action",
+        "What becomes of an animation that the avatar has; the recording gets an action named after the file",
+        ("KEEP", "Keep", "It stays in the file with a fake user, to be chosen again in the action editor"),
+        ("ADD", "Add to It", "It plays on in a track of the nonlinear animation, and the recording is added to it"),
+        ("PUSH_DOWN", "Push Down", "It plays on in a track of the nonlinear animation, below the recording"),
+        ("WRITE_INTO", "Write Into", "No new action: the recording replaces its keys from first to last frame"),
+    )
     set_range: flag("Set Scene Range", "Let the scene start and end with the performance", default=True)
 
     @property

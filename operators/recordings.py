@@ -39,7 +39,7 @@ class ImportsRecordings(KeysHead, ImportsFiles):
         ("REDUCED", "Reduced", "As few keys as a small error allows, with handles: easy to edit"),
         ("FRAMES", "Every Frame", "One key on each scene frame"),
     )
-    sound: flag("Add Sound", "Put the recording's sound into the sequencer", default=True)
+    sound: flag("Add Sound", "Put the recording's sound into the sequencer, and keep playing in step with it", default=True)
 
     poll = polls(_check)
 
@@ -75,7 +75,7 @@ class ImportsRecordings(KeysHead, ImportsFiles):
         render = context.scene.render
         options = ImportOptions(
             start=self.start, fps=render.fps / render.fps_base, keys=self.keys, neutral=neutral, smoothing=smoothing,
-            head_joint=self.head_joint,
+            head_joint=self.head_joint, present=self.present,
         )  # fmt: skip
         job = kind.start(session_host.job_python(), request)
         target = active_performer(context).object

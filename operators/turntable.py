@@ -11,8 +11,8 @@ from ..grmm_blender.declare import Operator, flag, number, whole
 from ..grmm_blender.rig.actions import action_curves
 from ..grmm_blender.rig.avatar import Avatar
 from ..grmm_blender.scene.avatars import place_of
-from ..grmm_blender.scene.cameras import fitting_distance
-from ..grmm_blender.staging import LENS, SENSOR
+from ..grmm_blender.scene.cameras import fit_shorter_side
+from ..grmm_blender.staging import LENS
 from .common import Result, active_avatar, polls
 
 PIVOT_TAG = "grmm_turntable"  # custom property of the objects: a second run uses them again
@@ -59,8 +59,7 @@ class GRMM_OT_turntable(Operator):
         pivot.rotation_mode = "XYZ"
         camera.parent = pivot
         camera.matrix_parent_inverse = Matrix()
-        camera.data.lens, camera.data.sensor_fit, camera.data.sensor_width = self.lens, "AUTO", SENSOR
-        distance = fitting_distance(scene.render, self.lens, SENSOR, place.radius * (1 + self.margin))
+        distance = fit_shorter_side(camera.data, self.lens, place.radius * (1 + self.margin))
         camera.location = (0.0, -distance * math.cos(self.elevation), distance * math.sin(self.elevation))
         camera.rotation_euler = (math.pi / 2 - self.elevation, 0.0, 0.0)
         camera.data.clip_start = min(0.1, distance / 10)

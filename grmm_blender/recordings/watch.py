@@ -16,7 +16,7 @@ from bpy.app.handlers import persistent
 from ...grmm_core.errors import GrmmError
 from ...grmm_core.formats import format_to_read
 from .. import events, windows
-from ..compat import trim_strip
+from ..compat import heard_from, show_in_sequencers, strip_start, trim_strip
 from ..exporting import performer_of
 from ..performance import ImportedRange, ImportOptions, apply_performance
 from .job import RecordingJob, RecordingStatus, Request
@@ -24,6 +24,9 @@ from .job import RecordingJob, RecordingStatus, Request
 _POLL_SECONDS = 0.3
 _SOUND_CHANNEL = 1
 _SHOWN_WORDS = 200  # characters
+_EVERY_FRAME, _WITH_SOUND = "NONE", "AUDIO_SYNC"  # how a scene is played
+_SOUND_KEY = "grmm_sound"  # of an action: names of the strips that are heard with it, a line each
+_REPLACES = ("KEEP", "WRITE_INTO")  # what becomes of old keys where they are not played any more, or not all of them
 _log = logging.getLogger(__name__)
 
 
@@ -108,35 +111,77 @@ def _keyed(context: bpy.types.Context, watched: _Watched) -> str:
     if performer is None or not scenes:
         raise GrmmError(f"The head is in no scene any more; its performance is kept in {path} until Blender is closed.")
     performance = format_to_read(path, "performance").read(path)
+    before = _action_of(head)
     written = apply_performance(performer, performance, watched.options, watched.request.recording.stem)
     scene = context.scene if context.scene in scenes else scenes[0]  # the window may show another one by now
     if watched.set_range:
         written.set_range(scene)
-    sounds = watched.sound and _add_sound(scene, watched)
+    put_aside = before if before is not None and watched.options.present == "KEEP" else None
+    old = before.get(_SOUND_KEY, "").split("\n") if before is not None and watched.options.present in _REPLACES else []
+    sounds = watched.sound and _add_sound(scene, watched, written, head, old)
     scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
     if bpy.ops.ed.undo_push.poll():
         bpy.ops.ed.undo_push(message=watched.message)
-    return _said(written, ended, sounds)
+    return _said(written, ended, sounds, put_aside)
 
 
-def _said(written: ImportedRange, ended: RecordingStatus, sounds: bool) -> str:
+def _action_of(obj: bpy.types.Object) -> bpy.types.Action | None:
+    return None if obj.animation_data is None else obj.animation_data.action
+
+
+def _said(written: ImportedRange, ended: RecordingStatus, sounds: bool, put_aside: bpy.types.Action | None) -> str:
     sound = ", with its sound in the sequencer" if sounds else ""
     words = f" Heard: {shorten(ended.heard, _SHOWN_WORDS)}." if ended.heard else ""
-    return f"Frames {written.first:g} to {written.last:g} are keyed{sound}.{words} {ended.message}".rstrip()
+    kept = f' What was keyed before is kept in the action "{put_aside.name}".' if put_aside is not None else ""
+    return f"Frames {written.first:g} to {written.last:g} are keyed{sound}.{words}{kept} {ended.message}".rstrip()
 
 
-def _add_sound(scene: bpy.types.Scene, watched: _Watched) -> bool:
-    """Put the sound where the performance starts, on a channel that is free; returns whether there is any."""
-    options, recording = watched.options, watched.request.recording
+def _add_sound(
+    scene: bpy.types.Scene, watched: _Watched, written: ImportedRange, head: bpy.types.Object, old: list[str]
+) -> bool:
+    """Put the sound where the performance starts, on a channel that is free; returns whether there is any.
+
+    What is replaced is not heard any more, for two voices at once are nobody's, and another try with a recording plays the
+    sound that is there.
+
+    Args:
+        scene: Of the head.
+        watched: The job.
+        written: What was keyed.
+        head: It.
+        old: Names of the strips that were heard with what it was keyed with before.
+    """
+    options, request = watched.options, watched.request
     strips = scene.sequence_editor_create().strips
-    channel = max((strip.channel for strip in strips), default=_SOUND_CHANNEL - 1) + 1
-    skipped = round(watched.request.start * options.fps)
-    try:
-        strip = strips.new_sound(recording.stem, str(recording), channel, round(options.start) - skipped)
-    except RuntimeError:  # a video without sound
-        return False
-    trim_strip(strip, skipped)
+    skipped = round(request.start * options.fps)
+    start = round(options.start) - skipped
+    before = [strips[name] for name in old if name in strips]
+    strip = next((one for one in before if _plays(one, request.recording, start)), None)
+    if strip is None:
+        channel = max((one.channel for one in strips), default=_SOUND_CHANNEL - 1) + 1
+        try:
+            strip = strips.new_sound(request.recording.stem, str(request.recording), channel, start)
+        except RuntimeError:  # a video without sound
+            return False
+    trim_strip(strip, skipped, None if request.end is None else round(request.end * options.fps))
+    replaces_all = options.present == "KEEP"
+    for other in before:
+        if other != strip and (replaces_all or written.first <= heard_from(other) < written.last):
+            other.mute = True
+    kept = [] if replaces_all else old
+    action = _action_of(head)
+    if action is not None:
+        action[_SOUND_KEY] = "\n".join(dict.fromkeys([*kept, strip.name]))
+    show_in_sequencers(scene)
+    if scene.sync_mode == _EVERY_FRAME:  # lips fall behind the sound where frames take their time
+        scene.sync_mode = _WITH_SOUND
     return True
+
+
+def _plays(strip: bpy.types.Strip, recording: Path, start: int) -> bool:
+    """Whether a strip plays the sound of a recording that begins at a frame."""
+    sound = getattr(strip, "sound", None)
+    return sound is not None and Path(bpy.path.abspath(sound.filepath)) == recording and strip_start(strip) == start
 
 
 def register() -> None:

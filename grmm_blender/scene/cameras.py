@@ -15,6 +15,9 @@ from .shot import Region
 SUPPORTED_CAMERAS = ("PERSP", "ORTHO")
 FACE = (0.0, -0.01, 0.08)  # a point between nose and mouth, head space, metres
 FACE_FOV, CLOSE_FOV = 15.0, 9.4  # degrees; show the head, and the face from chin to forehead
+SHORTER_SIDE = 24.0  # of a sensor, millimetres: of a small picture on film
+_FORMAT = {"w": "resolution_x", "h": "resolution_y", "x": "pixel_aspect_x", "y": "pixel_aspect_y"}
+_LONGER_SIDE = f"{SHORTER_SIDE:g} * max(w * x, h * y) / min(w * x, h * y)"
 
 
 @dataclass(frozen=True)
@@ -82,18 +85,29 @@ def clip_range(camera: bpy.types.Object) -> tuple[float, float]:
     return camera.data.clip_start if camera.data.type == "PERSP" else 1e-4, camera.data.clip_end
 
 
-def fitting_distance(render: bpy.types.RenderSettings, lens: float, sensor: float, radius: float) -> float:
-    """Return the distance from which a ball fills the shorter side of the picture, metres.
+def fit_shorter_side(camera: bpy.types.Camera, lens: float, radius: float) -> float:
+    """Return the distance from which a ball fills the shorter side of the picture, metres, whatever format that gets later.
+
+    Blender fits a sensor to the longer side or to one that is chosen: a head that filled a wide picture would be small in a
+    square one, or cut off in an upright one. So a driver makes the sensor wider as the picture gets longer. It is a simple
+    expression, which Blender computes also where scripts are not trusted.
 
     Args:
-        render: Format of the picture.
+        camera: Gets lens and sensor.
         lens: Focal length, millimetres.
-        sensor: Width of the sensor that the longer side is fitted to, millimetres.
         radius: Of the ball, metres.
     """
-    width, height = render.resolution_x * render.pixel_aspect_x, render.resolution_y * render.pixel_aspect_y
-    half = math.atan(sensor * min(width, height) / max(width, height) / (2 * lens))
-    return radius / math.sin(half)
+    camera.lens, camera.sensor_fit = lens, "AUTO"
+    driver = camera.driver_add("sensor_width").driver
+    driver.type, driver.expression = "SCRIPTED", _LONGER_SIDE
+    for variable in list(driver.variables):
+        driver.variables.remove(variable)
+    for name, path in _FORMAT.items():
+        variable = driver.variables.new()
+        variable.name, variable.type = name, "CONTEXT_PROP"  # of whichever scene is rendered: no other one is kept in the file
+        variable.targets[0].context_property = "ACTIVE_SCENE"
+        variable.targets[0].data_path = f"render.{path}"
+    return radius / math.sin(math.atan(SHORTER_SIDE / (2 * lens)))
 
 
 def render_region(render: bpy.types.RenderSettings, width: int, height: int) -> Region:

@@ -116,7 +116,7 @@ _NAMES: dict[Holds, tuple[str, str]] = {
     "splats": ("a splat file", "Splats"), "mesh": ("a mesh", "Meshes"), "avatar": ("an avatar", "Avatars"),
     "sequence": ("a sequence", "Sequences"), "performance": ("a performance", "Performances"), "arrays": ("a file", "Arrays"),
 }  # fmt: skip
-_VIDEO = "a video, which is not turned into motion here; record the face with Live Link Face or Face Cap and choose their file."
-_SOUND = "sound, which is not turned into motion here; have Audio2Face-3D make a .csv of the speech and choose that."
-_RECORDINGS = dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm"), _VIDEO)
-_RECORDINGS |= dict.fromkeys((".wav", ".mp3", ".flac", ".ogg", ".m4a"), _SOUND)
+_VIDEO = "a video; import it as GRMM Performance from Video, or have grmm track make a performance of it."
+_SOUND = "sound; import it as GRMM Performance from Voice, or have grmm speak make a performance of it."
+_RECORDINGS = dict.fromkeys((".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm"), _VIDEO)
+_RECORDINGS |= dict.fromkeys((".wav", ".mp3", ".m4a", ".flac", ".ogg", ".opus", ".aac", ".aiff"), _SOUND)

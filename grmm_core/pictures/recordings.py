@@ -7,6 +7,8 @@ from typing import Any
 
 from ..errors import FileAccessError, FileFormatError, RuntimeMissingError
 
+_AS_VOICE = "a voice is imported as GRMM Performance from Voice, or by grmm speak"
+
 
 def pyav() -> Any:
     """The library. Raises `RuntimeMissingError` where it is not installed."""
@@ -37,7 +39,10 @@ def open_video(path: Path, remedy: str) -> Any:
     container = _open(path, "video", remedy)
     streams = container.streams.video
     if not streams or streams[0].codec_context is None or not streams[0].width:  # none for a codec that a header misnames
+        heard = not streams and container.streams.audio
         container.close()
+        if heard:
+            raise FileFormatError(f"{path} has sound but no pictures; {_AS_VOICE}.")
         raise FileFormatError(f"{path} has no pictures; {remedy}.")
     return container
 

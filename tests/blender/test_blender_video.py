@@ -71,6 +71,29 @@ def test_recordings_key_the_head(run_blender: RunBlender, repository: Path, fold
     assert "Nobody is heard to speak in silence.wav" in spoken["silent"]
     assert "No recording is chosen" in spoken["none"]
 
+    over = found["over_keys"]
+    own = over["own"][0]
+    assert over["own"][1]  # kept in the file
+    assert over["first"]["note"].startswith("Frames 1 to ")
+    assert f'What was keyed before is kept in the action "{own}".' in over["first"]["note"]
+    assert over["seen"]
+    assert over["sync"] == ["NONE", "AUDIO_SYNC"]
+    assert over["first"]["strips"] == over["again"]["strips"] == [["voice", False]]  # not twice
+    assert over["other"]["strips"] == [["other", False], ["voice", True]]  # one voice at a time
+    assert over["part"] == [7, 7 + 36, 7 - 12, pytest.approx(7 + 36, abs=1)]  # a second and a half, at 24 frames a second
+    assert over["heard"] == 1
+    # A sentence behind that part, both in the scene's range; another take of it; then one that replaces all.
+    assert over["next"] == [2, 7, pytest.approx(101 + 24 * len(samples) / RATE, abs=2)]
+    assert over["second_take"] == ["voice.001", "other.001"]
+    assert over["alone"] == ["voice.003"]
+    assert over["count"] == 6  # six places, at eight imports
+    assert "is kept in the action" not in over["added"]["note"]
+    assert over["tracks"] == [own]
+    # Keys 0.2 and 0.4 on frames 1 and 40, with what the voice does on top.
+    assert over["smile"][0] == pytest.approx(0.2, abs=0.02)
+    assert 0.2 < over["smile"][1] < 0.4
+    assert over["smile"][2] == pytest.approx(0.4, abs=0.02)
+
     errors = found["errors"]
     assert "none.mp4 does not exist" in errors["missing"]
     assert "text.mp4 is not a readable video" in errors["text"]
@@ -81,7 +104,7 @@ def test_recordings_key_the_head(run_blender: RunBlender, repository: Path, fold
     assert found["cancelled"] == {"polls": [False, True], "message": "The capture was cancelled.", "keyed": 0}
     assert "ended without a performance" in found["nameless"]["message"]
     assert found["failed"]["note"] == "No face was found in speech.mp4."
-    assert found["own_shape"] == [[9, False, None], [10, True, "ada.grmm"]]
+    assert found["own_shape"] == [[10, False, None], [11, True, "ada.grmm"]]
 
     scene = found["another_scene"]
     assert scene["note"].startswith("Frames 1 to ")

@@ -38,6 +38,12 @@ def test_a_head_is_seen_moved_opened_and_deleted_as_expected(run_blender: RunBle
     assert lowest == pytest.approx(0.0, abs=1e-3)  # on the floor
     assert found["scripted"] == [True, [7.359, -6.926, 4.958], [0.0, 0.0, 0.0]]
     assert found["portrait"] == ["Portrait Camera", ["Camera", "Portrait Camera"], "GRMM"]
+    # The head keeps its size, and stays whole, where the picture gets another format after the camera has been placed.
+    shares = [share for share, _ in found["formats"]]
+    assert shares == pytest.approx([shares[0]] * 3, rel=1e-3)
+    assert shares[0] > 0.6
+    assert max(away for _, away in found["formats"]) < 0.5
+    assert found["sensor"] == pytest.approx(24.0 * 16 / 9, rel=1e-4)
     assert found["dropped"] == [True, ".grmm", "person.grmm"]
     assert "No avatar file is chosen" in found["none_chosen"]
     assert found["rig_deleted"] == [True, True, True, False, False]

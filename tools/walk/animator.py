@@ -9,9 +9,8 @@ from grmm_core.formats import format_to_read, format_to_write
 from tools.demo.performance import write_performance
 
 from .blender import WalkedBlender, WalkError
-from .steps import HEAD, MIDDLE, PHOTO, SELECT_RIG, close_windows, place, scroll_sidebar
+from .steps import HEAD, MIDDLE, PHOTO, SELECT_RIG, close_windows, scroll_sidebar
 
-FIT_HEADING = 12  # pixels from the sidebar's lower edge to the heading of the panel of photos
 FIT_SECONDS, WRITE_SECONDS, BROWSER_SECONDS = 1200.0, 300.0, 60.0
 _RIG_PLACE = SELECT_RIG + "result = list(rig.location)"
 _STARTED_ON = """
@@ -237,9 +236,6 @@ def fit(blender: WalkedBlender) -> None:
     if not blender.torch_python:
         return
     blender.run(SELECT_RIG)
-    scroll_sidebar(blender)
-    left, _, _, bottom = place(blender, "UI")
-    blender.click(left + 60, bottom - FIT_HEADING, 1)  # closed since the sidebar was drawn first
     blender.run(_PREFERENCES + f"chosen.worker_python = {blender.torch_python!r}")
     path = blender.inner(blender.bring(PHOTO, PHOTO.name))
     blender.run(f"bpy.ops.grmm.fit_add_photos(filepath={path!r})")

@@ -9,7 +9,7 @@ from .steps import HEAD, MIDDLE, SELECT_RIG, place
 
 WORDS = ("grmm", "blink")  # typed into the search
 PLAYED_PICTURES = 3
-SEARCH_SECONDS = 4.0  # until the menu is there: what is typed before is lost
+SEARCH_SECONDS = 7.0  # until the menu is there: what is typed before is lost
 UNDO_SECONDS = 60.0  # software OpenGL draws before it hears of a key
 TOOLTIPS = {"random": 146, "mirror": 100, "copy": 55}  # pixels from the sidebar's right edge to icons of a region's heading
 HEADING = 440  # pixels from the sidebar's upper edge to the heading of the first region

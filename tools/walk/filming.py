@@ -13,6 +13,11 @@ from .steps import HEAD, MIDDLE, SELECT_RIG, scroll_sidebar
 
 SECONDS, WORK_SECONDS = 2.0, 600.0
 VOICE = Path(__file__).resolve().parents[2] / "tests" / "data" / "voice" / "voice.ogg"
+_NEAR = """
+bpy.ops.view3d.view_axis(type="FRONT")
+bpy.ops.view3d.view_selected()
+area.spaces.active.region_3d.view_distance *= 1.5
+"""
 _STATE = """
 import sys
 watch = next(module for name, module in sys.modules.items() if name.endswith("grmm_blender.recordings.watch"))
@@ -46,10 +51,15 @@ def _take(blender: WalkedBlender, path: Path, operator: str, name: str) -> None:
     call = f"bpy.ops.grmm.{operator}('EXEC_DEFAULT', filepath={inner!r})\n"
     blender.run(SELECT_RIG)
     if not blender.torch_python:
-        blender.run(call)
+        try:
+            blender.run(call)
+        except WalkError as error:
+            blender.note(f"without torch {operator} says: {str(error).strip().splitlines()[-1]}")
         blender.picture(f"{name}_without_torch", 3)
         return
     blender.run(_PREFERENCES.format(blender.torch_python))
+    blender.run(_NEAR)
+    scroll_sidebar(blender)  # now: software draws for longer than a voice is worked on
     before = blender.run(_ACTION)
     blender.drop(inner, *MIDDLE)
     blender.picture(f"{name}_dropped", 2, settled=False)
@@ -58,15 +68,12 @@ def _take(blender: WalkedBlender, path: Path, operator: str, name: str) -> None:
         blender.key("Escape")
         blender.run(SELECT_RIG + call)
         begin = time.monotonic()
-    scroll_sidebar(blender)
     blender.picture(f"{name}_worked_on", 3, settled=False)
-    while (state := blender.run(_STATE))[0]:
-        if time.monotonic() - begin > WORK_SECONDS:
-            raise WalkError(f"the {name} is not finished")
-        time.sleep(1.0)
-    blender.note(f"the {name} was worked on for {time.monotonic() - begin:.0f} s: {state[1]}")
+    note = _wait_for_note(blender, name)
+    blender.note(f"the {name} was worked on for {time.monotonic() - begin:.0f} s: {note}")
     if blender.run(_ACTION) != path.stem:
-        raise WalkError(f"the head has the action {blender.run(_ACTION)!r}: {state[1]}")
+        raise WalkError(f"the head has the action {blender.run(_ACTION)!r}: {note}")
+    scroll_sidebar(blender)  # to what it says
     for frame in (20, 34):
         blender.run(f"bpy.context.scene.frame_set({frame})")
         blender.picture(f"{name}_keyed_{frame}", 4)
@@ -75,10 +82,20 @@ def _take(blender: WalkedBlender, path: Path, operator: str, name: str) -> None:
     if blender.run(_ACTION) != before:
         raise WalkError(f"undo leaves the action {blender.run(_ACTION)!r}, not {before!r}")
     blender.run(SELECT_RIG + call + "bpy.ops.grmm.cancel_recording()")
-    while blender.run(_STATE)[0]:
-        time.sleep(0.5)
+    note = _wait_for_note(blender, name)
     blender.picture(f"{name}_cancelled", 3)
-    note = blender.run(_STATE)[1]
     if "cancelled" not in note:
         raise WalkError(f"a cancelled {name} says {note!r}")
     blender.run(_PREFERENCES.format(""))
+
+
+def _wait_for_note(blender: WalkedBlender, name: str) -> str:
+    """Wait until a recording has been worked on and Blender's timer has seen it; returns what the panel says."""
+    deadline = time.monotonic() + WORK_SECONDS
+    while True:
+        running, note = blender.run(_STATE)
+        if note and not running:
+            return str(note)
+        if time.monotonic() > deadline:
+            raise WalkError(f"the {name} is not finished")
+        time.sleep(0.5)

@@ -35,6 +35,7 @@ for name in {names}:
     panel.bl_options = set()
     bpy.utils.register_class(panel)
 """
+_LOOK_PANELS = ("GRMM_PT_hair", "GRMM_PT_light")
 STRANDS = """
 bpy.app.driver_namespace["walk"] = {name: getattr(head.grmm.hair, name) for name in ("groom", "curl", "melanin")}
 head.grmm.hair.groom = "bob"
@@ -148,7 +149,7 @@ def _f12(blender: WalkedBlender) -> float:
 
 def panels(blender: WalkedBlender) -> None:
     """Look at the head from the front, with the sidebar's GRMM tab open."""
-    open_panels(blender)
+    open_panels(blender, *_LOOK_PANELS, "GRMM_PT_fit", "GRMM_PT_recording")
     blender.run(SELECT_RIG + "bpy.ops.view3d.view_axis(type='FRONT')\nbpy.ops.view3d.view_selected()")
     blender.run("area.spaces.active.region_3d.view_distance *= 1.5\narea.spaces.active.show_region_ui = True")
     blender.picture("sidebar", 3)
@@ -174,7 +175,7 @@ def look(blender: WalkedBlender) -> None:
 
 def open_panels(blender: WalkedBlender, *names: str) -> None:
     """Have panels, *Hair* and *Light* if none are named, stand open; before they are drawn for the first time."""
-    blender.run(_OPEN_PANELS.format(names=names or ("GRMM_PT_hair", "GRMM_PT_light")))
+    blender.run(_OPEN_PANELS.format(names=names or _LOOK_PANELS))
 
 
 def scroll_sidebar(blender: WalkedBlender) -> None:

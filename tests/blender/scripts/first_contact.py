@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import bpy
+from bpy_extras.object_utils import world_to_camera_view
 from render_support import exact_colors, load_png, render, unpainted, use_weights
 from support import module, report
 
@@ -91,6 +92,22 @@ bpy.ops.grmm.portrait_camera()
 bpy.ops.grmm.portrait_camera()
 cameras = sorted(obj.name for obj in scene.objects if obj.type == "CAMERA")
 report(moved=moved, scripted=scripted, portrait=[scene.camera.name, cameras, scene.render.engine])
+
+
+def filled() -> list[float]:
+    """Share of the picture's shorter side that the head's height takes; how far it is from the middle, 0.5 at an edge."""
+    bpy.context.view_layer.update()
+    head, render = avatars.avatars_in(scene)[0].object, scene.render
+    places = [world_to_camera_view(scene, scene.camera, head.matrix_world @ vertex.co) for vertex in head.data.vertices]
+    height = (max(place.y for place in places) - min(place.y for place in places)) * render.resolution_y
+    away = max(max(abs(place.x - 0.5), abs(place.y - 0.5)) for place in places)
+    return [height / min(render.resolution_x, render.resolution_y), away]
+
+
+formats = []
+for scene.render.resolution_x, scene.render.resolution_y in ((1920, 1080), (1080, 1080), (1080, 1920)):
+    formats.append(filled())
+report(formats=formats, sensor=scene.camera.data.sensor_width)
 
 # Avatar files are imported and dropped like others.
 host = module("grmm_blender.session_host")

@@ -6,6 +6,7 @@ The first capture and the voice are whole; those between are stand-ins for proce
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -27,8 +28,9 @@ def curves_of(obj) -> dict:
 
 
 def handles(strip) -> list[int]:
-    """Where a strip is heard from, and where its file begins."""
-    names = ("left_handle", "content_start") if hasattr(strip, "left_handle") else ("frame_final_start", "frame_start")
+    """Where a strip is heard from and up to, and where its file begins."""
+    new = hasattr(strip, "left_handle")
+    names = ("left_handle", "right_handle", "content_start") if new else ("frame_final_start", "frame_final_end", "frame_start")
     return [round(getattr(strip, name)) for name in names]
 
 
@@ -59,7 +61,7 @@ def imported() -> dict:
         "range": [scene.frame_start, scene.frame_end],
         "action": avatar.object.animation_data.action.name,
         "note": watch.note(),
-        "sound": [[strip.name, *handles(strip)] for strip in strips],
+        "sound": [[strip.name, *handles(strip)[::2]] for strip in strips],
     }
 
 
@@ -203,6 +205,54 @@ def spoken() -> dict:
     }
 
 
+def spoken_over_keys() -> dict:
+    """Voices on a head that smiles: one that replaces the smile, the same again, another one, and one that is added to it."""
+    avatar = without_detail(fresh_head())
+    head, scene = avatar.object, bpy.context.scene
+    sync = scene.sync_mode
+    for frame, value in ((1, 0.2), (40, 0.4)):
+        head["mouthSmileLeft"] = value
+        head.keyframe_insert('["mouthSmileLeft"]', frame=frame)
+    own = head.animation_data.action
+    shutil.copy(folder / "voice.ogg", folder / "other.ogg")
+
+    def heard() -> list:
+        return sorted([strip.name, strip.mute] for strip in scene.sequence_editor.strips)
+
+    def speak(name: str, **options) -> dict:
+        bpy.ops.grmm.import_voice(filepath=str(folder / name), language="OTHER", liveliness=0.0, **options)
+        return {"strips": heard(), "action": head.animation_data.action.name, "note": watch.note()}
+
+    def smile(frame: int) -> float:
+        scene.frame_set(frame)
+        return avatar.controls().aligned[names.index("mouthSmileLeft")].item()
+
+    names = list(module("grmm_core.controls.names").ARKIT_NAMES)
+    said = {"first": speak("voice.ogg"), "sync": [sync, scene.sync_mode], "own": [own.name, own.use_fake_user]}
+    shown = {getattr(workspace, "sequencer_scene", scene) for workspace in bpy.data.workspaces}
+    said["seen"] = shown <= {scene}
+    said["again"] = speak("voice.ogg", strength=0.5)
+    said["other"] = speak("other.ogg")
+    spoken = [smile(frame) for frame in (1, 20, 40)]
+    speak("voice.ogg", start=7, first=0.5, last=2.0)
+    strips = scene.sequence_editor.strips
+    said["part"] = [*handles(strips[head.animation_data.action["grmm_sound"]]), scene.frame_end]
+    said["heard"] = sum(not mute for _, mute in heard())
+    speak("voice.ogg", start=101, present="WRITE_INTO")
+    said["next"] = [sum(not mute for _, mute in heard()), scene.frame_start, scene.frame_end]
+    speak("other.ogg", start=101, present="WRITE_INTO")
+    speak("other.ogg", start=101, present="WRITE_INTO", strength=0.5)
+    said["second_take"] = [strip.name for strip in strips if not strip.mute]
+    speak("voice.ogg", start=201)
+    said["alone"] = [strip.name for strip in strips if not strip.mute]
+    said["count"] = len(strips)
+    head.animation_data.action = own
+    said["added"] = speak("voice.ogg", start=1, present="ADD")
+    said["smile"] = [smile(frame) - value for frame, value in zip((1, 20, 40), spoken, strict=True)]
+    said["tracks"] = [strip.action.name for track in head.animation_data.nla_tracks for strip in track.strips]
+    return said
+
+
 def errors() -> dict:
     avatar = fresh_head()
     missing = said_by(lambda: bpy.ops.grmm.import_video(filepath=str(folder / "none.mp4")))
@@ -215,6 +265,7 @@ done = {"event": "done", "performance": str(Path(bpy.app.tempdir) / "grmm_record
 report(
     imported=imported(),
     spoken=spoken(),
+    over_keys=spoken_over_keys(),
     errors=errors(),
     cancelled=cancelled(),
     own_shape=own_shape(),

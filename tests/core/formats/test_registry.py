@@ -23,6 +23,8 @@ from grmm_core.files.npz import read_npz
 from grmm_core.formats import format_to_read, format_to_write, formats, write_mesh, write_splats
 from grmm_core.formats.avatars.gaussian_avatars import GaussianAvatar, write_gaussian_avatar
 from grmm_core.formats.registry import MODULES
+from grmm_core.video.request import SUFFIXES as VIDEOS
+from grmm_core.voice.request import SUFFIXES as VOICES
 
 
 def test_every_module_with_a_format_is_in_the_list():
@@ -129,9 +131,12 @@ def test_damaged_members_of_every_compression_are_one_sentence(tmp_path, method)
                 read()
 
 
-@pytest.mark.parametrize(("name", "kind"), [("take.MP4", "a video.*Live Link Face"), ("speech.wav", "sound.*Audio2Face")])
-def test_a_recording_of_a_face_or_of_speech_is_refused_with_a_way_to_its_motion(tmp_path, name, kind):
-    path = tmp_path / name
+@pytest.mark.parametrize(
+    ("suffix", "kind"),
+    [(suffix.upper(), "a video; .*grmm track") for suffix in VIDEOS] + [(suffix, "sound; .*grmm speak") for suffix in VOICES],
+)
+def test_a_recording_of_a_face_or_of_speech_is_refused_with_a_way_to_its_motion(tmp_path, suffix, kind):
+    path = tmp_path / f"take{suffix}"
     path.write_bytes(b"RIFF\0\0\0\0WAVEfmt ")
     with pytest.raises(FileFormatError, match=kind):
         format_to_read(path, "performance")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from videos import filmed, turned_by_a_quarter, write_video
+from videos import filmed, turned_by_a_quarter, write_sound, write_video
 
 from grmm_core.avatar.library import library_path
 from grmm_core.cli import main
@@ -157,6 +157,9 @@ def test_what_is_no_video_of_a_face_is_one_sentence(take: Take, tmp_path: Path) 
     for name in ("text.mp4", "half.mp4", "empty.mp4"):
         with pytest.raises(FileFormatError, match=f"{name} (is not a readable video|has no pictures)"):
             track(TrackRequest(tmp_path / name, tmp_path / "out.json"))
+    heard = write_sound(tmp_path / "heard.mov", np.zeros(1600, np.int16), 16000, 16000, 1)
+    with pytest.raises(FileFormatError, match=r"heard\.mov has sound but no pictures; .*grmm speak\.$"):
+        track(TrackRequest(heard, tmp_path / "out.json"))
     with pytest.raises(NoFaceError, match=r"No face was found in grey\.mp4"):
         track(TrackRequest(grey, tmp_path / "out.json"))
     with pytest.raises(FileAccessError, match="does not exist"):

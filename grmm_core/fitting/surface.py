@@ -141,15 +141,15 @@ def _found(model: GRMM) -> Surface:
         matrices.append(FixedSparse((rows, columns, values), (count, count)).to(model.device))
         degrees.append(np.bincount(rows, values, count))
     below = (barycentric * below_chin(head)[faces]).sum(1)
-    lips = head.marked(*LIPS)[faces].all(1)
+    lips, teeth, inside = (head.marked(*part)[faces].all(1) for part in (LIPS, TEETH, INSIDE))
+    near_lips = _near_lips(positions, lips) * (group == SKIN)
     beside = np.maximum(_beside(head, positions), below)
-    beside_below = torch.tensor(np.stack([beside, below]), dtype=model.dtype, device=model.device)
+    shares = torch.tensor(np.stack([beside, below, near_lips]), dtype=model.dtype, device=model.device)
+    own = torch.tensor(np.stack([lips, teeth, inside]), device=model.device)
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
-        beside_below[0], beside_below[1],
-        *(torch.tensor(head.marked(*part)[faces].all(1), device=model.device) for part in (LIPS, TEETH, INSIDE)),
-        torch.tensor(_near_lips(positions, lips) * (group == SKIN), dtype=model.dtype, device=model.device),
+        shares[0], shares[1], own[0], own[1], own[2], shares[2],
     )  # fmt: skip
 
 

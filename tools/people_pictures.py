@@ -14,6 +14,8 @@ from grmm_core.avatar.library import LIBRARY_PREFIX, library_names
 from grmm_core.controls.frame import Controls
 from grmm_core.controls.names import ARKIT_NAMES
 from grmm_core.geometry.camera import Camera
+from grmm_core.light.parse import lighting_of
+from grmm_core.light.shading import Response
 from grmm_core.pictures.images import quantize
 from grmm_core.session import FINAL_STRANDS, create_session
 from grmm_core.session.api import Session
@@ -21,6 +23,8 @@ from grmm_core.session.values import Instance, RenderOptions
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "images"
 PAPER = (0.86, 0.86, 0.86)
+# a key, a rim and a world, as a photographer would stand them, and the wall behind
+LIGHT, WALL = ("lamp:45,35,30", "lamp:-140,30,30,0.8,0.9,1", "world:0.27,0.92,0.98,1.1"), (0.2, 0.21, 0.23)
 YAWS = (-25.0, 20.0, 0.0, 35.0, -40.0, 10.0, -10.0, 28.0)
 # one after the other over the library: what an animator asks of everybody
 EXPRESSIONS: tuple[Mapping[str, float], ...] = (
@@ -49,9 +53,16 @@ def camera(size: int, yaw: float, fov: float = 18.0) -> Camera:
 
 
 def drawn(session: Session, number: int, expression: Mapping[str, float], view: Camera, wrinkles: float = 1.0) -> np.ndarray:
-    """One picture, uint8 [H, W, 3]."""
+    """One picture in the studio's light, uint8 [H, W, 3]."""
     instance = Instance(number, Controls().set_named(expression), wrinkles=wrinkles)
     return quantize(session.render([instance], view, RenderOptions(background=PAPER, strands=FINAL_STRANDS))["rgb"])
+
+
+def lit(session: Session, number: int, expression: Mapping[str, float], view: Camera) -> np.ndarray:
+    """One picture in `LIGHT`, likewise."""
+    instance = Instance(number, Controls().set_named(expression), response=Response())
+    options = RenderOptions(background=WALL, strands=FINAL_STRANDS, lighting=lighting_of(LIGHT))
+    return quantize(session.render([instance], view, options)["rgb"])
 
 
 def sheet(tiles: Sequence[np.ndarray], columns: int) -> Image.Image:
@@ -69,9 +80,9 @@ def main() -> int:
     with create_session("local") as session:
         names = library_names()
         avatars = [session.open(LIBRARY_PREFIX + name).id for name in names]
-        plain = [drawn(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(avatars)]
+        plain = [lit(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(avatars)]
         moved = [
-            drawn(session, who, EXPRESSIONS[i % len(EXPRESSIONS)], camera(arguments.size, -YAWS[i % len(YAWS)]))
+            lit(session, who, EXPRESSIONS[i % len(EXPRESSIONS)], camera(arguments.size, -YAWS[i % len(YAWS)]))
             for i, who in enumerate(avatars)
         ]
         rows = [tile for i in range(0, len(plain), 8) for tile in (*plain[i : i + 8], *moved[i : i + 8])]
@@ -81,7 +92,7 @@ def main() -> int:
         tiles = [drawn(session, who, both(each), near, much) for who in faces for much in (0.0, 1.0) for each in FURROWING]
         sheet(tiles, 8).save(arguments.out / "wrinkles.jpg", quality=85)
         people = [session.sample(seed).id for seed in range(24)]
-        tiles = [drawn(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(people)]
+        tiles = [lit(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(people)]
         sheet(tiles, 8).save(arguments.out / "random_people.jpg", quality=85)
     return 0
 

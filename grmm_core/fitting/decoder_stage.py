@@ -334,7 +334,7 @@ class Tuner:
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
-        rim = (shown - maps["color"]) * known_of(self.seen_rim)[:, None] * self.parts[:, None]
+        rim = (shown - maps["color"]) * (known_of(self.seen_rim) * torch.where(self.parts, 1.0, self.surface.lip_rim))[:, None]
         creases = self._creases(maps, rim) if fill else None
         features, rotation = (torch.zeros(len(self.tint), width).to(self.tint) for width in (self.model.config.features, 4))
         deltas = {

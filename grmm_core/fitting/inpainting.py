@@ -22,6 +22,7 @@ from ..model.grmm import GRMM, Attributes
 from ..photo.widening import widened
 from ..splat import rasterize
 from .grain import grain
+from .mouth_colors import plain_mouth
 from .objective import contributions
 from .photo_targets import FitView
 from .surface import INNER, SCALP, SKIN, Surface
@@ -170,6 +171,7 @@ def _fill_surface(
     """
     skin = surface.group == SKIN
     change = start + changes - prior
+    plain_known = plain_known * (1.0 - surface.lip_rim) * ~surface.lips  # at their rim a photo shows lips, or teeth
     sample = change[skin & (plain_known > 0.5)].mean(1)
     plain = plain_known
     if len(sample) >= _FEW_TEXELS:
@@ -200,7 +202,7 @@ def _fill_surface(
         outer = outer + strength[:, None] * grain(surface, change, plain_skin)
     parts = surface.lips | (surface.group == INNER)
     alone = surface.fill(change, known * parts, rest=PART_REST)
-    return prior - start + torch.where((skin & ~surface.lips)[:, None], outer, alone)
+    return prior - start + plain_mouth(surface, prior, change, known, outer, alone)
 
 
 def _plain_neck(surface: Surface, prior: Tensor, change: Tensor, beyond: Tensor, known: Tensor) -> Tensor:

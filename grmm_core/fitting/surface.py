@@ -28,10 +28,12 @@ GROUPS = 3
 INNER_REGIONS = (
     "left_eyeball", "right_eyeball", "upper_teeth", "lower_teeth", "tongue", "mouth_interior", "lashes",
 )  # fmt: skip
+LIPS, TEETH, INSIDE = ("lips",), ("upper_teeth", "lower_teeth"), ("tongue", "mouth_interior")
 SEAM_REACH = 0.004  # metres on the mean head between texels at the borders of the UV map's islands
 BESIDE = (0.045, 0.06)  # metres from the plane of symmetry: eyes and mouth are before the first, brows before the second
 BESIDE_CHIN = (0.025, 0.04)  # likewise below the lips, where the face is narrower
 UNDER_LIPS = (0.0, 0.008)  # metres below the lips: above the first the face is wide, below the second narrow
+LIP_RIM = (0.003, 0.009)  # metres from the lips: skin nearer than the first is at their rim, beyond the second not
 MIRROR_REACH = 0.005  # metres; the mean head is nearly symmetric
 MIRROR_WEIGHT = 0.25  # of a link across the plane of symmetry; a neighbour has 1
 SEEN_WEIGHT = 40.0  # of a fully seen texel's own value
@@ -52,6 +54,9 @@ class Surface:
         beside: How far it is beside the face's features or below the chin, 0..1, [N].
         below: How far below the chin, 0..1, [N] (`chin.below_chin`).
         lips: Whether it is of the lips, [N].
+        teeth: Whether it is of the teeth, [N].
+        inside: Whether it is of the tongue or the mouth around it, [N].
+        lip_rim: How near skin is to the lips, 0..1, [N]; 0 on the lips.
     """
 
     group: Tensor
@@ -61,6 +66,14 @@ class Surface:
     beside: Tensor
     below: Tensor
     lips: Tensor
+    teeth: Tensor
+    inside: Tensor
+    lip_rim: Tensor
+
+    @property
+    def skin(self) -> Tensor:
+        """Whether texels are skin or lips, [N]."""
+        return self.group == SKIN
 
     @property
     def membership(self) -> Tensor:
@@ -128,13 +141,28 @@ def _found(model: GRMM) -> Surface:
         matrices.append(FixedSparse((rows, columns, values), (count, count)).to(model.device))
         degrees.append(np.bincount(rows, values, count))
     below = (barycentric * below_chin(head)[faces]).sum(1)
+    lips, teeth, inside = (head.marked(*part)[faces].all(1) for part in (LIPS, TEETH, INSIDE))
+    near_lips = _near_lips(positions, lips) * (group == SKIN)
     beside = np.maximum(_beside(head, positions), below)
-    beside_below = torch.tensor(np.stack([beside, below]), dtype=model.dtype, device=model.device)
+    shares = torch.tensor(np.stack([beside, below, near_lips]), dtype=model.dtype, device=model.device)
+    own = torch.tensor(np.stack([lips, teeth, inside]), device=model.device)
     return Surface(
         torch.tensor(group, dtype=torch.int64, device=model.device), (matrices[0], matrices[1]),
         torch.tensor(np.stack(degrees), dtype=model.dtype, device=model.device), _average(plain, count).to(model.device),
-        beside_below[0], beside_below[1], torch.tensor(head.marked("lips")[faces].all(1), device=model.device),
+        shares[0], shares[1], own[0], own[1], own[2], shares[2],
     )  # fmt: skip
+
+
+def _near_lips(positions: np.ndarray, lips: np.ndarray) -> np.ndarray:
+    """How near points of the mean head [N, 3] are to those of the lips, 0..1 [N]; 0 for these."""
+    near = np.zeros(len(positions))
+    if not lips.any():
+        return near
+    low, high = positions[lips].min(0) - LIP_RIM[1], positions[lips].max(0) + LIP_RIM[1]
+    rows = np.flatnonzero(((positions > low) & (positions < high)).all(1) & ~lips)
+    far = torch.cdist(torch.from_numpy(positions[rows]), torch.from_numpy(positions[lips])).amin(1).numpy()
+    near[rows] = np.interp(far, LIP_RIM, (1.0, 0.0))
+    return near
 
 
 def _beside(head: HeadModel, positions: np.ndarray) -> np.ndarray:

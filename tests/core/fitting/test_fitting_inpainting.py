@@ -339,7 +339,7 @@ def test_a_scalp_is_skin(bare_surface):
 def test_a_rim_of_light_is_none_of_the_persons_colors(bare, bare_surface):
     start = torch.tensor([0.5, 0.35, 0.25]).repeat(bare.gaussian_count, 1)
     seen, none = torch.ones(len(start)), torch.zeros(len(start))
-    skin = (bare_surface.group == SKIN) & ~bare_surface.lips
+    skin = (bare_surface.group == SKIN) & ~bare_surface.lips & (bare_surface.lip_rim == 0.0)
     middle, beside = (torch.nonzero(skin & (bare_surface.beside == far)).ravel()[::50] for far in (0.0, 1.0))
     change = torch.zeros_like(start)
     change[middle] = change[beside] = 0.5
@@ -448,7 +448,7 @@ def test_skin_that_no_photo_shows_is_as_rough_as_what_is_seen(bare, bare_surface
     assert abs(rough - GRAIN[0] * shown) < 0.15 * shown + 1e-4
     low = skin & (places[:, 2] < -0.02) & (bare_surface.below == 1.0)
     assert float((filled - bare_surface.smooth(filled, 4.0))[low].std()) < 0.4 * shown + 1e-4, "the neck is smoother"
-    kept = skin & front & (bare_surface.beside == 0.0)
+    kept = skin & front & (bare_surface.beside == 0.0) & (bare_surface.lip_rim == 0.0)
     torch.testing.assert_close(filled[kept], spots[kept], atol=0.01 + strength, rtol=0.0)
 
 

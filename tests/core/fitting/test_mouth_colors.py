@@ -1,0 +1,94 @@
+"""Mouths at rest: lips and teeth in the photo's tone, without its gloss, its teeth on lips, its lips on skin."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from grmm_core.fitting.inpainting import fill_colors
+from grmm_core.fitting.mouth_colors import DETAIL, LIPS_DETAIL, TEETH_LIGHT
+from grmm_core.fitting.surface import INNER, SKIN, texel_surface
+from grmm_core.head.open_head import load_open_head
+from grmm_core.model.config import PRESETS
+from grmm_core.model.grmm import GRMM
+
+PALE, RED, WHITE, DARK = (
+    torch.tensor(color) for color in ([0.7, 0.55, 0.45], [0.7, 0.4, 0.35], [0.8, 0.78, 0.7], [0.3, 0.1, 0.1])
+)
+LIPSTICK = torch.tensor([0.8, 0.2, 0.25])
+
+
+@pytest.fixture(scope="module")
+def bare():
+    torch.manual_seed(0)
+    config = PRESETS["tiny"].replace(grid=128, decoder_grid=16, hairless=True)
+    return GRMM(load_open_head(), config).requires_grad_(False).eval()
+
+
+@pytest.fixture(scope="module")
+def surface(bare):
+    return texel_surface(bare)
+
+
+@pytest.fixture(scope="module")
+def prior(surface):
+    """Skin, red lips that end a little inside the mesh's, white teeth, a dark mouth."""
+    colors = PALE.repeat(len(surface.group), 1)
+    colors[surface.lips & (surface.smooth(surface.lips[:, None].float(), 1.0)[:, 0] > 0.6)] = RED
+    colors[surface.teeth] = WHITE
+    colors[surface.inside] = DARK
+    return colors
+
+
+def filled(surface, prior, shown, seen=None):
+    """Colors at rest of a person whom a photo shows so."""
+    nothing = torch.zeros(len(prior))
+    seen = torch.ones(len(prior)) if seen is None else seen
+    return prior + fill_colors(surface, prior, prior, shown - prior, seen, nothing, nothing)
+
+
+def test_lips_have_their_color_and_neither_gloss_nor_teeth(surface, prior):
+    shown, red = prior.clone(), (prior == RED).all(1)
+    shown[red] = LIPSTICK
+    patches = red & (torch.arange(len(prior)) % 3 == 0)
+    shown[patches] = WHITE
+    found = filled(surface, prior, shown)
+    assert int(red.sum()) > 100
+    assert float((found[red] - LIPSTICK).abs().max()) <= LIPS_DETAIL + 1e-5
+    assert float((found[patches].mean(0) - LIPSTICK)[1]) > 0.01, "a little of what else is shown stays"
+
+
+def test_skin_around_lips_has_nothing_of_them(surface, prior):
+    shown = prior.clone()
+    shown[surface.lips | (surface.lip_rim == 1.0)] = LIPSTICK  # tracked a little beside
+    found, rim = filled(surface, prior, shown), surface.lip_rim == 1.0
+    assert int((rim & (surface.group == SKIN)).sum()) > 20
+    assert float((found[rim] - PALE).abs().max()) < 0.03
+    edge = surface.lips & (prior == PALE).all(1)  # of the mesh's lips, and skin to see
+    assert float((found[edge] - PALE).abs().max()) < 0.03
+
+
+@pytest.mark.parametrize("factor", [[0.9, 0.88, 0.85], [0.5, 0.5, 0.6], [1.6, 1.5, 1.8]])
+def test_teeth_have_a_tone_that_teeth_have(surface, prior, factor):
+    shown = prior.clone()
+    shown[surface.teeth] = prior[surface.teeth] * torch.tensor(factor)
+    shown[surface.teeth & (torch.arange(len(prior)) % 4 == 0)] = DARK  # lips before them
+    found = filled(surface, prior, shown)[surface.teeth]
+    light = torch.tensor(factor).mean().clamp(*TEETH_LIGHT)
+    assert float((found.median(0).values.mean() / WHITE.mean() - light).abs()) < 2.0 * DETAIL
+    assert float((found - found.median(0).values).abs().max()) <= 2.0 * DETAIL + 1e-5
+    blue = found[:, 2] / found[:, 0]
+    assert float(blue.median()) < 1.12 * float(WHITE[2] / WHITE[0]), "never blue"
+
+
+def test_a_mouth_that_shows_teeth_stays_dark_behind_them(surface, prior):
+    shown = prior.clone()
+    shown[surface.group == INNER] = WHITE
+    found = filled(surface, prior, shown)[surface.inside]
+    assert float((found - DARK).abs().max()) <= DETAIL + 1e-5
+
+
+def test_where_no_photo_tells_a_mouth_it_is_the_priors(surface, prior):
+    mouth = surface.lips | surface.teeth | surface.inside
+    found = filled(surface, prior, prior, (~mouth).float())
+    torch.testing.assert_close(found[mouth], prior[mouth], atol=0.01, rtol=0.0)

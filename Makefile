@@ -11,9 +11,10 @@ PYTEST_ARGS ?=
 MINUTES ?= 60
 FILES   ?=
 FUZZ_ARGS ?=
-# A file's tests stay in one process, and share what they set up. Torch's threads would only get in each other's way.
+# A file's tests stay in one process, and share what they set up. Torch's threads would only get in each other's way; where a test
+# asks for several, they shall not wait by spinning.
 # Files begin in the order of tests/conftest.py: those of many tests first, as is usual, leaves the few long ones of Blender to the end, and a core idle.
-PYTEST = OMP_NUM_THREADS=1 $(PY) -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
+PYTEST = OMP_NUM_THREADS=1 OMP_WAIT_POLICY=PASSIVE $(PY) -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder
 
 .PHONY: demo test test-all fuzz lint extension release open-head help clean
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 SIGMA = 1.5
 RADIUS = 5
+ROWS_MIN = 64  # rows of a parallel task
 
 
 def blur(planes: Tensor) -> Tensor:
@@ -64,10 +65,13 @@ class _Blur(torch.autograd.Function):
 
 
 def _filter(planes: Tensor, normalise_first: bool) -> Tensor:
+    from ..compute.threads import for_rows
     from .blur_kernel import separable
 
     source = planes.detach().contiguous().numpy()
     result = np.empty_like(source)
     height, width = source.shape[1:]
-    separable(source, result, window().astype(np.float32), _inverse_sums(height), _inverse_sums(width), normalise_first)
+    factors = (window().astype(np.float32), _inverse_sums(height), _inverse_sums(width))
+    # numba's own parallel loop would set OpenMP's threads for the whole process, torch's too, whatever torch was told
+    for_rows(separable, len(source) * height, source, result, *factors, normalise_first, smallest=ROWS_MIN)
     return torch.from_numpy(result)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 
 from ..compute.kernels import compiled
@@ -14,11 +13,12 @@ def _accumulate(target: np.ndarray, source: np.ndarray, weight: np.float32) -> N
         target[x] += weight * source[x]
 
 
-@compiled(parallel=True, fastmath=True, boundscheck=False)
+@compiled(nogil=True, fastmath=True, boundscheck=False)
 def separable(
-    source: np.ndarray, result: np.ndarray, window: np.ndarray, rows: np.ndarray, columns: np.ndarray, normalise_first: bool
-) -> None:
-    """Filter planes with a symmetric window in both directions.
+    source: np.ndarray, result: np.ndarray, window: np.ndarray, rows: np.ndarray, columns: np.ndarray, normalise_first: bool,
+    first: int, end: int,
+) -> None:  # fmt: skip
+    """Filter some rows of planes with a symmetric window in both directions.
 
     Args:
         source: [C, H, W] float32.
@@ -27,10 +27,12 @@ def separable(
         rows: Factor of each row, [H] float32.
         columns: Factor of each column, [W] float32.
         normalise_first: Apply the factors before filtering (the transposed operator) instead of after it.
+        first: Row of the result from which on it is written, counted through all planes.
+        end: The row after the last.
     """
-    count, height, width = source.shape
+    height, width = source.shape[1:]
     radius = len(window) // 2
-    for job in numba.prange(count * height):
+    for job in range(first, end):
         plane, y = job // height, job % height
         # columns of this row first, into a padded line: the inner loops run over contiguous memory and vectorise
         line = np.zeros(width + 2 * radius, np.float32)

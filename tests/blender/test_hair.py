@@ -90,7 +90,7 @@ def test_curves_that_cannot_be_hair_get_a_sentence_and_the_groom_is_there_instea
     words = {
         "no surface": "have no surface", "another head": "stand on Sample 4", "no coordinates": "surface coordinates",
         "beside the map": "do not stand on this head", "nan": "not finite", "one point": "two points",
-        "ten million": "at most 8000000",
+        "eight million": "at most 8000000",
     }  # fmt: skip
     for case, text in words.items():
         note, groom, no_strands = result["found"][case]

@@ -14,10 +14,14 @@ from grmm_core.fitting.presets import CodeSettings, DecoderSettings, Preset
 
 QUICK = Preset("fast", CodeSettings(48, 48, 1, 1, 0, 2), DecoderSettings(((64, 4),), False))
 """What stands in for "fast" where the fixture `quick_preset` is used."""
+QUICK_PIXELS = CodeSettings(48, 48, 1, 1, 0, 2)
+QUICK_SIDE = 96
+"""Likewise of `fitting.pixel_stage`: of the avatar that is compared, and the pictures' side, in pixels."""
 PREPARE = """
 import quick_fits
-from grmm_core.fitting import presets
+from grmm_core.fitting import pixel_stage, presets
 presets.PRESETS["fast"] = quick_fits.QUICK
+pixel_stage.QUICK, pixel_stage.SIDE = quick_fits.QUICK_PIXELS, quick_fits.QUICK_SIDE
 """
 """The same in processes of a cluster."""
 

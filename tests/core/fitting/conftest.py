@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from photo_parts import parts_of
 from PIL import Image
-from quick_fits import QUICK
+from quick_fits import QUICK, QUICK_PIXELS, QUICK_SIDE
 
-from grmm_core.fitting import photo_targets, presets
+from grmm_core.fitting import photo_targets, pixel_stage, presets
 from grmm_core.fitting.api import FitResult, fit
 from grmm_core.fitting.point_rig import LandmarkRig
 from grmm_core.fitting.request import FitRequest
@@ -73,7 +73,9 @@ def make(weights: Path) -> Callable[..., FitResult]:
 
 @pytest.fixture(scope="module")
 def quick_preset() -> Iterator[None]:
-    """The preset "fast" is `quick_fits.QUICK`."""
+    """The preset "fast" is `quick_fits.QUICK`, and photos are tracked on pictures that are as small."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(presets.PRESETS, "fast", QUICK)
+        patch.setattr(pixel_stage, "QUICK", QUICK_PIXELS)
+        patch.setattr(pixel_stage, "SIDE", QUICK_SIDE)
         yield

@@ -1,5 +1,10 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -17,6 +22,8 @@ from grmm_core.training.losses import (
     vertex_laplacian,
     weights_from,
 )
+
+ROOT = Path(__file__).parents[3]
 
 
 def naive_ssim(a: np.ndarray, b: np.ndarray) -> float:
@@ -69,6 +76,16 @@ def test_fast_window_is_the_banded_products_and_their_gradient():
             results.append((y.detach().double(), x.grad.double()))
         for fast, plain in zip(*results, strict=True):
             torch.testing.assert_close(fast, plain, atol=1e-5, rtol=0)
+
+
+def test_torch_keeps_its_threads():
+    """Numba's own pool once set OpenMP's: torch, told to use one thread, went on with all, which wait by spinning."""
+    code = "import torch\nfrom grmm_core.training.blur import blur\nblur(torch.rand(3, 90, 80))\nprint(torch.get_num_threads())"
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment, cwd=ROOT, capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout == "1\n"
 
 
 def test_ssim_refuses_other_shapes():

@@ -1,4 +1,4 @@
-"""`python -m tools.people_pictures`: make the pictures of the library's avatars and of random people in `docs/images` anew."""
+"""`python -m tools.people_pictures`: make pictures of people in `docs/images` anew: library, furrows, lights, random ones."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from grmm_core.pictures.images import quantize
 from grmm_core.session import FINAL_STRANDS, create_session
 from grmm_core.session.api import Session
 from grmm_core.session.values import Instance, RenderOptions
+from grmm_core.session.wearing import GROOM_PREFIX, OWN_HAIR, HairUse
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "images"
 PAPER = (0.86, 0.86, 0.86)
@@ -33,6 +34,15 @@ EXPRESSIONS: tuple[Mapping[str, float], ...] = (
 )  # fmt: skip
 
 
+# the studio, a key, a cold rim, a low sun, two colors, as docs/rendering.md says them; who stands in them, in which hair
+LIGHTS: tuple[Sequence[str], ...] = (
+    ("studio",), ("lamp:45,35,42", "world:0.05"),
+    ("lamp:150,20,45,0.6,0.8,1", "lamp:-40,10,7,1,0.8,0.6", "world:0.02"),
+    ("sun:60,7,4.5,1,0.5,0.2", "world:0.2,0.35,0.45,0.7"),
+    ("lamp:70,10,30,1,0.15,0.5", "lamp:-70,10,30,0.1,0.6,1", "world:0.03"),
+)  # fmt: skip
+LIT = (("default", OWN_HAIR), ("library:beard", OWN_HAIR), ("library:freckles", f"{GROOM_PREFIX}long"))
+NIGHT, LIT_SIZE = (0.13, 0.13, 0.13), 320
 FURROWED = ("default", "library:grey", "library:bald")
 FURROWING = (
     ("browInnerUp", "browOuterUp"),
@@ -58,10 +68,15 @@ def drawn(session: Session, number: int, expression: Mapping[str, float], view: 
     return quantize(session.render([instance], view, RenderOptions(background=PAPER, strands=FINAL_STRANDS))["rgb"])
 
 
-def lit(session: Session, number: int, expression: Mapping[str, float], view: Camera) -> np.ndarray:
-    """One picture in `LIGHT`, likewise."""
-    instance = Instance(number, Controls().set_named(expression), response=Response())
-    options = RenderOptions(background=WALL, strands=FINAL_STRANDS, lighting=lighting_of(LIGHT))
+def lit(
+    session: Session, number: int, expression: Mapping[str, float], view: Camera, light: Sequence[str] = LIGHT,
+    wall: tuple[float, float, float] = WALL, hair: str = OWN_HAIR,
+) -> np.ndarray:  # fmt: skip
+    """One picture in a light, likewise."""
+    lighting = lighting_of(light)
+    response = None if lighting is None else Response()
+    instance = Instance(number, Controls().set_named(expression), hair=HairUse(hair), response=response)
+    options = RenderOptions(background=wall, strands=FINAL_STRANDS, lighting=lighting)
     return quantize(session.render([instance], view, options)["rgb"])
 
 
@@ -91,6 +106,9 @@ def main() -> int:
         near = camera(arguments.size, 15.0, 12.0)
         tiles = [drawn(session, who, both(each), near, much) for who in faces for much in (0.0, 1.0) for each in FURROWING]
         sheet(tiles, 8).save(arguments.out / "wrinkles.jpg", quality=85)
+        upright = Camera.orbit(LIT_SIZE, LIT_SIZE, yaw=0.0, pitch=0.0, distance=1.1, fov=18.0)
+        lamps = [lit(session, session.open(name).id, {}, upright, light, NIGHT, hair) for name, hair in LIT for light in LIGHTS]
+        sheet(lamps, len(LIGHTS)).save(arguments.out / "light.jpg", quality=85)
         people = [session.sample(seed).id for seed in range(24)]
         tiles = [lit(session, who, {}, camera(arguments.size, YAWS[i % len(YAWS)])) for i, who in enumerate(people)]
         sheet(tiles, 8).save(arguments.out / "random_people.jpg", quality=85)

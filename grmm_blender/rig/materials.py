@@ -20,6 +20,7 @@ from .identity import Identity
 
 PART = "grmm_part"  # custom property of a material: which part of a head it was made for
 _PLAIN_FACE = "grmm_plain"  # custom property of an image: a plain face where there could be a painting
+_LIT = "grmm_lit"  # likewise: a painting off which the studio's light is still to be taken
 # part, words of its regions; of parts that heads share: color (linear) and alpha, roughness
 _PLAIN = (
     ("Teeth", ("teeth",), (0.72, 0.68, 0.58, 1.0), 0.25),
@@ -34,8 +35,15 @@ _FRONT_TEETH = 0.009  # metres from the foremost tooth back; those behind show a
 _WHITEST = 0.75  # quantile of an eye's colors: lashes shade most of the white
 
 
-def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
-    """Give the parts of a head's mesh materials; a mesh that has others than these keeps them."""
+def add_materials(mesh: bpy.types.Mesh, identity: Identity, flat: np.ndarray | None = None, soon: bool = False) -> None:
+    """Give the parts of a head's mesh materials; a mesh that has others than these keeps them.
+
+    Args:
+        mesh: The head's.
+        identity: Of the person.
+        flat: `albedo` of the person's painting, where it is known.
+        soon: Where it is not, leave the light on the painting for now; `is_lit` says so, and `repaint` has it taken off.
+    """
     if any(material is None or not (PART in material or material.name.startswith("GRMM ")) for material in mesh.materials):
         return
     painting = plain_face(identity.head) if identity.painting is None else accented(identity.head, identity.painting)
@@ -43,10 +51,14 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity) -> None:
     parts = _parts(identity.head, colors)
     used = [name for name in (*_PAINTED, *(name for name, *_ in _PLAIN)) if (parts == name).any()]
     _remove_painted(mesh)
-    flat = painting if identity.painting is None else unlit(identity.head, identity.vertices, painting)
-    image = _image(f"{identity.name} painting", flat)
-    if identity.painting is None and identity.z_exp_size:
-        image[_PLAIN_FACE] = True
+    if identity.painting is None or (flat is None and soon):
+        image = _image(f"{identity.name} painting", painting)
+        if identity.painting is not None:
+            image[_LIT] = True
+        elif identity.z_exp_size:
+            image[_PLAIN_FACE] = True
+    else:
+        image = _image(f"{identity.name} painting", albedo(identity) if flat is None else flat)
     shared = {name: (color, roughness) for name, _, color, roughness in _PLAIN}
     for name in used:
         if name in shared:
@@ -67,9 +79,32 @@ def _remove_painted(mesh: bpy.types.Mesh) -> None:
     bpy.data.batch_remove([image for image in images if not image.users])
 
 
+def albedo(identity: Identity) -> np.ndarray:
+    """A person's painting without the studio's light. Takes seconds the first time; touches no data of Blender."""
+    if identity.painting is None:
+        raise ValueError(f"{identity.name} has no painting.")
+    return unlit(identity.head, identity.vertices, accented(identity.head, identity.painting))
+
+
+def take_light_off(mesh: bpy.types.Mesh, flat: np.ndarray) -> None:
+    """Put a painting's `albedo` in its place."""
+    for image in _marked(mesh, _LIT):
+        _paint(image, flat)
+        del image[_LIT]
+
+
 def is_plain(mesh: bpy.types.Mesh) -> bool:
     """Whether a head has a plain face though a network could draw the person."""
-    return any(_PLAIN_FACE in image for material in mesh.materials if material for image in _images(material))
+    return bool(_marked(mesh, _PLAIN_FACE))
+
+
+def is_lit(mesh: bpy.types.Mesh) -> bool:
+    """Whether the studio's light is still on a head's painting."""
+    return bool(_marked(mesh, _LIT))
+
+
+def _marked(mesh: bpy.types.Mesh, mark: str) -> set[bpy.types.Image]:
+    return {image for material in mesh.materials if material for image in _images(material) if mark in image}
 
 
 def _images(material: bpy.types.Material) -> list[bpy.types.Image]:
@@ -118,11 +153,15 @@ def _face_colors(head: HeadModel, painting: np.ndarray) -> np.ndarray:
 def _image(name: str, painting: np.ndarray) -> bpy.types.Image:
     height, width = painting.shape[:2]
     image = bpy.data.images.new(name, width, height)
-    pixels = np.ones((height, width, 4), np.float32)
+    _paint(image, painting)
+    return image
+
+
+def _paint(image: bpy.types.Image, painting: np.ndarray) -> None:
+    pixels = np.ones((*painting.shape[:2], 4), np.float32)
     pixels[..., :3] = painting.astype(np.float32) / 255.0
     image.pixels.foreach_set(pixels.ravel())
     image.pack()
-    return image
 
 
 def _shared(part: str, color: tuple[float, ...], roughness: float) -> bpy.types.Material:

@@ -184,9 +184,33 @@ def painted() -> dict:
         repaint._look()
         repaint._painter.wait(120)
     by_timer.append(module("grmm_blender.rig.materials").is_plain(mesh))
-    made = {"random": random, "plain": was_plain, "left": [count, again], "by_timer": by_timer}
+    made = {"random": random, "plain": was_plain, "left": [count, again], "by_timer": by_timer, "light": light_taken_off()}
     runtime = module("grmm_blender.session_host").runtime_status().available
     return {"first": first, "second": second, "kept": kept, "runtime": runtime, **made}
+
+
+def light_taken_off():
+    """As in a window: the light is on the painting of a head that is added, until a thread has taken it off."""
+    materials, repaint = module("grmm_blender.rig.materials"), module("grmm_blender.rig.repaint")
+    identity = module("grmm_blender.rig.identity").read_identity("default")
+    empty_scene()
+    bpy.ops.grmm.add_head()
+    mesh = module("grmm_blender.rig.avatar").avatar_of(bpy.context.object).object.data
+
+    def pixels():
+        image = mesh.materials[0].node_tree.nodes.active.image
+        return np.array(image.pixels[:], np.float32).reshape(*identity.painting.shape[:2], 4)[..., :3]
+
+    wanted = pixels()
+    materials.add_materials(mesh, identity, soon=True)
+    seen = [[materials.is_lit(mesh), float(abs(pixels() - wanted).max())]]
+    repaint._look()
+    repaint._painter.wait(120)
+    repaint._look()
+    seen.append([materials.is_lit(mesh), float(abs(pixels() - wanted).max())])
+    materials.add_materials(mesh, identity, soon=True)
+    repaint.look_soon()  # of a file that background Blender opens
+    return [*seen, [materials.is_lit(mesh), float(abs(pixels() - wanted).max())]]
 
 
 avatar = without_detail(fresh_head(painted=True))

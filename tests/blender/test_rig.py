@@ -80,7 +80,8 @@ def test_the_mesh_alone_is_painted_as_a_face(structure):
     assert structure["painted"]["plain"] != structure["painted"]["runtime"]  # drawn by the model where it can be
     assert structure["painted"]["by_timer"] == [True, True, not structure["painted"]["runtime"]]
     added, by_thread, when_opened = structure["painted"]["light"]
-    assert added[0] and added[1] > 0.03
+    assert added[0]
+    assert added[1] > 0.03
     for lit, off in (by_thread, when_opened):
         assert not lit
         assert off < 1e-6

@@ -121,7 +121,7 @@ def change_identity(avatar: Avatar, identity: Identity) -> None:
     if problem:
         raise FileFormatError(problem)
     mesh.rebase(obj, identity.vertices)
-    mesh.add_materials(obj.data, identity, soon=not bpy.app.background)
+    mesh.add_materials(obj.data, identity)
     drivers.set_resting_pose(avatar.bones, identity.resting_pose)
     obj.grmm.known_path = known_path(avatar)
     offset = identity.joints - armature.rest_joints(rig)  # [5, 3]

@@ -35,14 +35,15 @@ _FRONT_TEETH = 0.009  # metres from the foremost tooth back; those behind show a
 _WHITEST = 0.75  # quantile of an eye's colors: lashes shade most of the white
 
 
-def add_materials(mesh: bpy.types.Mesh, identity: Identity, flat: np.ndarray | None = None, soon: bool = False) -> None:
+def add_materials(mesh: bpy.types.Mesh, identity: Identity, flat: np.ndarray | None = None, soon: bool | None = None) -> None:
     """Give the parts of a head's mesh materials; a mesh that has others than these keeps them.
 
     Args:
         mesh: The head's.
         identity: Of the person.
         flat: `albedo` of the person's painting, where it is known.
-        soon: Where it is not, leave the light on the painting for now; `is_lit` says so, and `repaint` has it taken off.
+        soon: Where it is not, leave the light on the painting for now; `is_lit` says so, and `repaint` has it taken off. None:
+            in a window, which would stand still meanwhile.
     """
     if any(material is None or not (PART in material or material.name.startswith("GRMM ")) for material in mesh.materials):
         return
@@ -51,6 +52,7 @@ def add_materials(mesh: bpy.types.Mesh, identity: Identity, flat: np.ndarray | N
     parts = _parts(identity.head, colors)
     used = [name for name in (*_PAINTED, *(name for name, *_ in _PLAIN)) if (parts == name).any()]
     _remove_painted(mesh)
+    soon = not bpy.app.background if soon is None else soon
     if identity.painting is None or (flat is None and soon):
         image = _image(f"{identity.name} painting", painting)
         if identity.painting is not None:

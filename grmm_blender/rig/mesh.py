@@ -64,7 +64,7 @@ def make_mesh(name: str, identity: Identity) -> bpy.types.Mesh:
     mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), bool))
     layer = mesh.uv_layers.new(name=UV_NAME)
     layer.data.foreach_set("uv", np.asarray(head.uv, np.float32)[head.uv_faces.ravel()].ravel())
-    add_materials(mesh, identity, soon=not bpy.app.background)
+    add_materials(mesh, identity)
     mesh.update()
     return mesh
 

@@ -1,10 +1,13 @@
-"""Straight or coily, by the grain of hair in a photo: a silhouette does not tell short coily hair from short combed hair.
+"""The grain of hair in a photo: how strands lie, and whether they are straight or coily.
 
-Strands that lie side by side make gradients of one direction within a millimetre or two; coils make speckles. Blur and
-small faces leave only what has a direction, so that few are taken for coily that are not. Imports torch.
+A silhouette does not tell short coily hair from short combed hair. Strands that lie side by side make gradients of one
+direction within a millimetre or two; coils make speckles. Blur and small faces leave only what has a direction, so that few are
+taken for coily that are not. Imports torch.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,12 +17,20 @@ from ..hair.groom import Groom
 from ..photo.widening import widened
 
 WINDOW, GRAIN_WINDOW = 5, 9  # px: over which a structure tensor is averaged, for directions and for grain
+CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
 INSIDE, MARGIN = 0.6, 2  # cover above which a pixel is hair, and how far around it all must be
 FEW = 3000  # pixels of hair: fewer tell nothing
 ABOVE_SKIN = 2.0  # squared gradients of hair over those of skin: below, they are the picture's noise
 COILY, STRAIGHT = 0.32, 0.5  # mean coherence of what is surely coily, and of what is surely not
 SHOWN = 0.012  # metres: shorter strands show no coils, as stubble
 TURNING = (45.0, 90.0)  # degrees a centimetre: strands that turn less are straight, that turn more are coily
+
+
+class Directions(NamedTuple):
+    """Directions of strands on a picture: cosine and sine of twice the angle times how clear it is, [H, W] each."""
+
+    cosine: np.ndarray
+    sine: np.ndarray
 
 
 def structure(image: np.ndarray, window: int = WINDOW) -> np.ndarray:
@@ -31,6 +42,22 @@ def structure(image: np.ndarray, window: int = WINDOW) -> np.ndarray:
     squares = torch.from_numpy(np.stack([across**2 - down**2, 2 * across * down, across**2 + down**2]))[None]
     mean: np.ndarray = functional.avg_pool2d(squares, window, 1, window // 2, count_include_pad=False)[0].numpy()
     return mean
+
+
+def directions(image: np.ndarray, hair: np.ndarray, window: int = WINDOW, clear: float = CLEAR) -> Directions:
+    """Directions of strands by the structure tensor of the lightness, clear ones of length 1.
+
+    Args:
+        image: [H, W, 3].
+        hair: Cover, [H, W]; nothing is said elsewhere.
+        window: Pixels over which the tensor is averaged, odd.
+        clear: Coherence, 0..1, above which a direction is clear.
+    """
+    mean = structure(image, window)
+    # the strand lies across the gradient: twice its angle is half a turn further
+    coherence = np.hypot(mean[0], mean[1]) / (mean[2] + 1e-5)
+    factor = np.where(coherence > clear, -np.asarray(hair) / (mean[2] + 1e-5), 0.0)
+    return Directions(mean[0] * factor, mean[1] * factor)
 
 
 def amid(mask: np.ndarray) -> np.ndarray:

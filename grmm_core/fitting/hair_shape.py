@@ -1,9 +1,10 @@
 """Hair that reaches as far as in the photos: a groom bent by a smooth field.
 
 The field is a lattice of displacements around the mean head, found by gradient descent through the rasteriser: the drawn
-cover must be the photos', coarsely and finely, so that hair far from where it should be is drawn there, too. The root of a
-strand stays, what is further along it follows more. So short hair cannot leave the head, a bob swells to the outline that the
-photo shows, and a fringe comes down over the forehead. Imports torch.
+cover must be the photos', coarsely and finely, so that hair far from where it should be is drawn there, too, and strands lie
+along those of the photos, at little change of their lengths and bends. The root of a strand stays, what is further along it
+follows more. So short hair cannot leave the head, a bob swells to the outline that the photo shows, a fringe comes down over
+the forehead and is swept to the side. Imports torch.
 """
 
 from __future__ import annotations
@@ -20,24 +21,48 @@ from ..geometry.camera import Camera
 from ..hair.body import Body
 from ..hair.gradients import strand_segments
 from ..hair.groom import Groom, bind
+from ..hair.ribbons import Eye
 from ..hair.strands import lengthened
 from ..photo.widening import widened
 from ..splat.api import rasterize
 from ..splat.types import Gaussians
+from .hair_grain import Directions
 
 if TYPE_CHECKING:
     from ..head import HeadModel
 
 LOW, HIGH = np.array([-0.2, -0.25, -0.2]), np.array([0.2, 0.25, 0.2])  # metres of the mean head: corners of the lattice
-NODES = (9, 11, 9), (17, 21, 17)  # a coarse lattice first, then a fine one
 FOLLOWS = 0.05  # metres along a strand from which on it follows the field wholly
-STEPS, RATES = (32, 24), (0.0035, 0.002)  # of the descent on each; metres
 LEVELS = ((1, 1.0), (5, 2.0), (15, 2.0))  # px over which cover is averaged, and what that counts
-# weights of a field's curvature on each lattice and of its length, in centimetres, beside the share of wrong cover
-SMOOTH, SMALL = (0.6, 6.0), 0.004
+SMALL = 0.004  # weight of a field's length beside its curvature, in centimetres
+TURNED = 2.0  # of strands that lie across the photo's, beside wrong cover
+STRETCHED, BENT = 4.0, 4.0  # of the squared changes of a segment's length, as a share of it, and of its angle to the next one
+SHORTEST, FLAT = 1e-3, 1e-4  # metres of a segment, and px^2 of its length on a picture, from which on these are believed
 NEAR, SKIN = 2, 0.15  # px around a root that must show skin, and of how much hair that is
 MOST_BARE = 0.2  # of the strands: if more seem to stand on skin, the photo is not to be believed
 BEHIND = 0.004  # metres below the skin that are still seen
+
+
+class Lattice(NamedTuple):
+    """How a field is sought.
+
+    Attributes:
+        nodes: Along x, y, z.
+        steps: Of the descent.
+        rate: Of these, metres.
+        smooth: Weight of the field's curvature, in centimetres, beside the share of wrong cover.
+    """
+
+    nodes: tuple[int, int, int]
+    steps: int
+    rate: float
+    smooth: float
+
+
+COARSE = (Lattice((9, 11, 9), 32, 0.0035, 0.6), Lattice((17, 21, 17), 24, 0.002, 6.0))
+"""For few strands that stand for all: one after the other."""
+FINE = (Lattice((17, 21, 17), 30, 0.0015, 2.0),)
+"""For strands about as thin as they are drawn: few and wide ones reach farther than these, by half their width."""
 
 
 class Seen(Protocol):
@@ -48,6 +73,7 @@ class Seen(Protocol):
     counts: np.ndarray
     hair: np.ndarray
     depth: np.ndarray
+    seen: Directions
 
 
 class Course(NamedTuple):
@@ -68,28 +94,38 @@ class Course(NamedTuple):
     opacity: float
 
 
-def field_to(course: Course, photos: Sequence[Seen]) -> Tensor:
-    """Find the displacements [3, Z, Y, X] in metres on the lattice with which strands cover what the photos show as hair."""
-    field = torch.zeros(3, *NODES[0][::-1])
+def field_to(course: Course, photos: Sequence[Seen], lattices: Sequence[Lattice] = COARSE) -> Tensor:
+    """Find the displacements [3, Z, Y, X] in metres on the last lattice with which strands cover what photos show as hair.
+
+    Along the strands' directions there, where they are clear.
+    """
+    field = torch.zeros(3, *lattices[0].nodes[::-1])
     share = torch.from_numpy(_share(course.rest))[..., None]
-    radii = torch.from_numpy(np.ascontiguousarray(course.radii, np.float32))
-    posed = [torch.from_numpy(np.ascontiguousarray(part, np.float32)) for part in course.posed]
-    turns = [torch.from_numpy(np.ascontiguousarray(part, np.float32)) for part in course.turns]
-    wanted = [torch.from_numpy(np.stack([photo.hair, photo.counts]).astype(np.float32)) for photo in photos]
-    for nodes, steps, rate, smooth in zip(NODES, STEPS, RATES, SMOOTH, strict=True):
+    rest, radii, *others = (
+        torch.from_numpy(np.ascontiguousarray(part, np.float32))
+        for part in (course.rest, course.radii, *course.posed, *course.turns)
+    )
+    posed, turns = others[: len(photos)], others[len(photos) :]
+    wanted = [
+        torch.from_numpy(np.stack([photo.hair, photo.counts, *photo.seen], -1).astype(np.float32)).split((1, 1, 2), -1)
+        for photo in photos
+    ]
+    for nodes, steps, rate, smooth in lattices:
         start = functional.interpolate(field[None], nodes[::-1], mode="trilinear", align_corners=True)[0]
         field = start.detach().requires_grad_(True)
         descent = torch.optim.Adam([field], rate)
         for _ in range(steps):
             descent.zero_grad()
             moved = share * _sampled(field, course.rest)
-            loss = _roughness(field, smooth)
-            for photo, points, turn, (hair, counts) in zip(photos, posed, turns, wanted, strict=True):
-                cover = _cover(points + moved @ turn, radii, course.opacity, photo)
-                off = ((cover - hair) * counts)[None, None]
+            loss = _roughness(field, smooth) + _deformation(rest, moved)
+            for photo, points, turn, (hair, counts, seen) in zip(photos, posed, turns, wanted, strict=True):
+                cover, way = _drawn(points + moved @ turn, radii, course.opacity, photo)
                 area = (hair * counts).sum().clamp_min(1.0) * len(photos)
+                off = ((cover - hair) * counts)[None, :, :, 0]
                 for size, weight in LEVELS:
                     loss = loss + weight * (functional.avg_pool2d(off, size, 1, size // 2) ** 2).sum() / area
+                across = seen.norm(dim=-1) * way.norm(dim=-1) - (seen * way).sum(-1)
+                loss = loss + TURNED * (across * counts[..., 0]).sum() / area
             loss.backward()
             descent.step()
     return field.detach()
@@ -148,10 +184,18 @@ def _roughness(field: Tensor, smooth: float) -> Tensor:
     return smooth * bent
 
 
-def _cover(points: Tensor, radii: Tensor, opacity: float, photo: Seen) -> Tensor:
-    """What strands [N, K, 3] cover of a photo, [H, W]."""
+def _deformation(rest: Tensor, moved: Tensor) -> Tensor:
+    """What it costs that strands [N, K, 3] are longer or shorter than they were, and bent otherwise."""
+    lengths = rest.diff(dim=1).norm(dim=2).clamp_min(SHORTEST)
+    stretched = (rest + moved).diff(dim=1).norm(dim=2) / lengths - 1.0
+    bends = moved.diff(n=2, dim=1).norm(dim=2) / lengths[:, 1:]
+    return STRETCHED * (stretched**2).mean() + BENT * (bends**2).mean()
+
+
+def _drawn(points: Tensor, radii: Tensor, opacity: float, photo: Seen) -> tuple[Tensor, Tensor]:
+    """What strands [N, K, 3] cover of a photo, [H, W, 1], and cosine and sine of twice their angles there, [H, W, 2]."""
     camera = photo.camera
-    made = strand_segments(points.contiguous(), radii, points.new_full((len(points),), opacity))
+    made = strand_segments(points.contiguous(), radii, points.new_full((len(points),), opacity), Eye.of(camera))
     means = made.means.reshape(-1, 3)
     local, pixels = camera.project(means.detach().numpy())
     column, row = (np.clip(pixels[:, k].astype(int), 0, size - 1) for k, size in ((0, camera.width), (1, camera.height)))
@@ -161,6 +205,19 @@ def _cover(points: Tensor, radii: Tensor, opacity: float, photo: Seen) -> Tensor
         made.quats.reshape(-1, 4),
         made.scales.reshape(-1, 3),
         made.opacities.reshape(-1) * shown,
-        torch.zeros_like(means),
+        _angles(points, camera),
     )
-    return rasterize(gaussians, camera).alpha
+    picture = rasterize(gaussians, camera)
+    return picture.alpha[..., None], picture.rgb[..., :2]
+
+
+def _angles(points: Tensor, camera: Camera) -> Tensor:
+    """Cosine and sine of twice the angle of segments of strands [N, K, 3] on a picture, and 0, [N * (K - 1), 3]."""
+    place = torch.from_numpy(camera.world_to_camera.astype(np.float32))
+    local = points @ place[:3, :3].T + place[:3, 3]
+    flat = local[..., :2] * local.new_tensor([camera.fx, camera.fy])
+    if not camera.orthographic:
+        flat = flat / local[..., 2:].clamp_min(SHORTEST)
+    x, y = flat.diff(dim=1).reshape(-1, 2).unbind(1)
+    squared = x * x + y * y + FLAT
+    return torch.stack([(x * x - y * y) / squared, 2.0 * x * y / squared, torch.zeros_like(x)], 1)

@@ -29,20 +29,21 @@ from ..photo.parser import MESH_PARTS, part_map
 from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays
 from .face_hair import face_hair
-from .hair_grain import WINDOW, coiliness, coils, structure
-from .hair_shape import Course, bent, field_to, offsets, with_hairline
+from .hair_grain import Directions, coiliness, coils, directions
+from .hair_shape import FINE, Course, bent, field_to, offsets, with_hairline
 
 if TYPE_CHECKING:
     from ..head import HeadModel
     from ..photo.parser import PhotoParts
     from .types import PhotoTrack
 
-SIDE = 160  # pixels: longer side of the pictures that are compared
-STRANDS, POINTS = 900, 10  # of a drawn candidate: enough for a silhouette
+SIDE, FINE_SIDE = 160, 256  # pixels: longer side of the pictures that grooms are compared with, and that one is fitted to
+STRANDS, FINE_STRANDS = 900, 3000  # of a drawn candidate: enough for a silhouette, and for its last millimetres
+POINTS = 10  # of each
 GRAIN_POINTS = 24  # of a strand whose coils are counted
 LENGTHS = (0.6, 0.8, 1.0, 1.25)
 FINER = (0.9, 1.0, 1.1)  # factors of the second round
-BENT = 2  # grooms that are bent to the photos; what they cost to bend is in their score
+BENT = 4  # grooms that are bent to the photos
 SHY = 0.4  # of the score for each metre from roots to tips: what a photo cannot show, as before the forehead, is short
 INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe is small, and seen first
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
@@ -52,9 +53,8 @@ UNDER_HATS = ("bob", "crop", "pixie")
 SKIN_TINT, MOSTLY = 0.02, 0.9
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 OPACITY = 0.9  # of a strand
-ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
+ORIENTATION = 0.6  # weight of the agreement of directions beside that of cover
 COILY = 0.1  # of the score that strands lose which are straight where the photos show coils
-CLEAR = 0.25  # coherence below which a photo's hair has no clear direction
 HARDLY = 0.05  # cover by hair of what is plain skin
 BEHIND = 0.004  # metres below the skin that are still seen
 _LIKELY = 0.5  # of a pixel, from where on it is hair, or skin
@@ -121,13 +121,6 @@ class Match(NamedTuple):
     field: torch.Tensor | None = None
 
 
-class Directions(NamedTuple):
-    """Directions of strands on a picture: cosine and sine of twice the angle times how clear it is, [H, W] each."""
-
-    cosine: np.ndarray
-    sine: np.ndarray
-
-
 def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None) -> Hair | None:
     """Return the groom that the photos show, with its settings; None for a bald head.
 
@@ -141,9 +134,12 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
         return None
     groom = library_groom(best.name, head.name)
     groom = mirrored(groom, head) if best.flipped else groom
+    stages = [_Stage(around_head(view), head, FINE_SIDE) for view in views]
     if best.field is not None:
         groom, best = bent(groom, best.length, best.field, head), best._replace(length=1.0)
-    groom = with_hairline(groom, [_Stage(around_head(view), head) for view in views], head)
+        course = _Strands(groom, head, FINE_STRANDS).course(stages, 1.0)
+        groom = bent(groom, 1.0, field_to(course, stages, FINE), head)
+    groom = with_hairline(groom, stages, head)
     settings = with_colors(HairSettings(length=best.length), groom, views, head)
     return Hair(groom, _varied(settings, groom, around_head(views[0]), head))
 
@@ -193,15 +189,13 @@ def _score(match: Match) -> float:
     return match.score
 
 
-class _Candidate:
-    """A groom of the package thinned out for silhouettes, its strands as much wider."""
+class _Strands:
+    """A groom thinned out for silhouettes, its strands as much wider."""
 
-    def __init__(self, name: str, flipped: bool, head: HeadModel) -> None:
-        self.name, self.flipped, self.template = name, flipped, np.asarray(head.v_template, np.float64)
-        groom = library_groom(name, head.name)
+    def __init__(self, groom: Groom, head: HeadModel, most: int, flipped: bool = False) -> None:
+        self.template = np.asarray(head.v_template, np.float64)
         rows = np.flatnonzero(groom.groups == SCALP)
-        self.coils = coils(groom.select(rows[:: max(1, len(rows) // STRANDS)]).resampled(GRAIN_POINTS))
-        kept = rows[np.argsort((np.arange(len(rows)) * 0.6180339887498949) % 1.0)[:STRANDS]]  # spread evenly
+        kept = rows[np.argsort((np.arange(len(rows)) * 0.6180339887498949) % 1.0)[:most]]  # spread evenly
         thin = groom.select(np.sort(kept)).resampled(POINTS)
         thin = mirrored(thin, head) if flipped else thin
         self.local = thin.points.reshape(len(thin), POINTS, 3)
@@ -222,12 +216,23 @@ class _Candidate:
         return Course(self.points(self.template, length), posed, turns, self.radii, OPACITY)
 
 
+class _Candidate(_Strands):
+    """A groom of the package."""
+
+    def __init__(self, name: str, flipped: bool, head: HeadModel) -> None:
+        groom = library_groom(name, head.name)
+        super().__init__(groom, head, STRANDS, flipped)
+        self.name, self.flipped = name, flipped
+        rows = np.flatnonzero(groom.groups == SCALP)
+        self.coils = coils(groom.select(rows[:: max(1, len(rows) // STRANDS)]).resampled(GRAIN_POINTS))
+
+
 class _Stage:
     """A photo made ready to be compared with."""
 
-    def __init__(self, view: HairView, head: HeadModel) -> None:
+    def __init__(self, view: HairView, head: HeadModel, side: int = SIDE) -> None:
         height, width = view.hair.shape
-        scale = min(1.0, SIDE / max(height, width))
+        scale = min(1.0, side / max(height, width))
         size = max(1, round(height * scale)), max(1, round(width * scale))
         self.camera = view.camera.resized(size[1], size[0])
         self.vertices = view.vertices
@@ -288,19 +293,3 @@ def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, fiel
     straight = COILY * (1.0 - candidate.coils) * float(np.mean(coily)) if coily else 0.0
     reach = float(np.linalg.norm(course.rest[:, -1] - course.rest[:, 0], axis=1).mean())
     return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)) - SHY * reach - straight, field)
-
-
-def directions(image: np.ndarray, hair: np.ndarray, window: int = WINDOW, clear: float = CLEAR) -> Directions:
-    """Directions of strands by the structure tensor of the lightness, clear ones of length 1.
-
-    Args:
-        image: [H, W, 3].
-        hair: Cover, [H, W]; nothing is said elsewhere.
-        window: Pixels over which the tensor is averaged, odd.
-        clear: Coherence, 0..1, above which a direction is clear.
-    """
-    mean = structure(image, window)
-    # the strand lies across the gradient: twice its angle is half a turn further
-    coherence = np.hypot(mean[0], mean[1]) / (mean[2] + 1e-5)
-    factor = np.where(coherence > clear, -np.asarray(hair) / (mean[2] + 1e-5), 0.0)
-    return Directions(mean[0] * factor, mean[1] * factor)

@@ -12,8 +12,9 @@ from photo_parts import parts_of
 
 from grmm_core.fitting import hair_texture as texture
 from grmm_core.fitting.face_hair import BRIDGE, OUTLINES, brow_cover
-from grmm_core.fitting.hair_shape import NODES, bent
-from grmm_core.fitting.hair_stage import directions, fit_hair, hair_view, person_hair
+from grmm_core.fitting.hair_grain import directions
+from grmm_core.fitting.hair_shape import FINE, bent
+from grmm_core.fitting.hair_stage import fit_hair, hair_view, person_hair
 from grmm_core.fitting.photo_targets import project
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
@@ -164,7 +165,7 @@ def test_a_field_moves_tips_and_leaves_roots():
     head = load_open_head()
     vertices = np.asarray(head.v_template, np.float64)
     groom = library_groom("bob")
-    field = torch.zeros(3, *NODES[-1][::-1])
+    field = torch.zeros(3, *FINE[-1].nodes[::-1])
     field[2] = -0.02
     moved = bent(groom, 1.0, field, head)
     flat, back = (one.posed(one.frames(vertices, head.faces), vertices) for one in (groom.resampled(moved.counts[0]), moved))
@@ -175,7 +176,8 @@ def test_a_field_moves_tips_and_leaves_roots():
 
 def test_hair_swells_to_the_outline_that_a_photo_shows():
     head = load_open_head()
-    wide = bent(library_groom("bob"), 1.0, 0.02 * torch.linspace(-1, 1, NODES[-1][0]).expand(3, *NODES[-1][::-1]) * AXES, head)
+    nodes = FINE[-1].nodes
+    wide = bent(library_groom("bob"), 1.0, 0.02 * torch.linspace(-1, 1, nodes[0]).expand(3, *nodes[::-1]) * AXES, head)
     view = photo(wide, HairSettings(melanin=0.5), 0.0)
     hair = fit_hair([view], head)
     again, plain = (photo(one, HairSettings(melanin=0.5), 0.0).hair for one in (hair.groom, library_groom("bob")))

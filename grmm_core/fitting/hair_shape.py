@@ -36,7 +36,7 @@ FOLLOWS = 0.05  # metres along a strand from which on it follows the field wholl
 LEVELS = ((1, 1.0), (5, 2.0), (15, 2.0))  # px over which cover is averaged, and what that counts
 SMALL = 0.004  # weight of a field's length beside its curvature, in centimetres
 TURNED = 2.0  # of strands that lie across the photo's, beside wrong cover
-STRETCHED, BENT = 4.0, 4.0  # of the squared changes of a segment's length, as a share of it, and of its angle to the next one
+STRETCHED, BENT = 2.0, 4.0  # of the squared changes of a segment's length, as a share of it, and of its angle to the next one
 SHORTEST, FLAT = 1e-3, 1e-4  # metres of a segment, and px^2 of its length on a picture, from which on these are believed
 NEAR, SKIN = 2, 0.15  # px around a root that must show skin, and of how much hair that is
 MOST_BARE = 0.2  # of the strands: if more seem to stand on skin, the photo is not to be believed
@@ -61,7 +61,7 @@ class Lattice(NamedTuple):
 
 COARSE = (Lattice((9, 11, 9), 32, 0.0035, 0.6), Lattice((17, 21, 17), 24, 0.002, 6.0))
 """For few strands that stand for all: one after the other."""
-FINE = (Lattice((17, 21, 17), 30, 0.0015, 2.0),)
+FINE = (Lattice((17, 21, 17), 45, 0.0015, 1.5),)
 """For strands about as thin as they are drawn: few and wide ones reach farther than these, by half their width."""
 
 

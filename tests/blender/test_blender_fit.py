@@ -183,7 +183,7 @@ def test_a_real_photo_is_cancelled_resumed_and_seen_through_its_camera(
         drawn = np.asarray(shown.convert("RGBA"), np.float32) / 255.0
     mask = person_mask(found.photo.pixels, face.box) > 0.9
     rows = np.arange(PHOTO_SIDE)[:, None]
-    head = mask & (rows < face.landmarks[17, 1])  # down to the lower lip: the suit's collar stands higher than the chin
+    head = mask & (rows < face.landmarks[13, 1])  # down to the mouth: the suit's collar, which is no head, begins below the lip
     assert drawn[..., 3][head].mean() > 0.98
     straight = drawn[..., :3] * drawn[..., 3:] + (1.0 - drawn[..., 3:]) * 0.5
     # strands of hair are not the photo's one by one: what is finer than that is smoothed, within the head

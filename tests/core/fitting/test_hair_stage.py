@@ -10,10 +10,11 @@ import pytest
 import torch
 from photo_parts import parts_of
 
+from grmm_core.fitting import hair_shape, hair_stage
 from grmm_core.fitting import hair_texture as texture
 from grmm_core.fitting.face_hair import BRIDGE, OUTLINES, brow_cover
 from grmm_core.fitting.hair_grain import directions
-from grmm_core.fitting.hair_shape import FINE, bent
+from grmm_core.fitting.hair_shape import FINE, bent, field_to, offsets
 from grmm_core.fitting.hair_stage import fit_hair, hair_view, person_hair
 from grmm_core.fitting.photo_targets import project
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
@@ -182,7 +183,35 @@ def test_hair_swells_to_the_outline_that_a_photo_shows():
     hair = fit_hair([view], head)
     again, plain = (photo(one, HairSettings(melanin=0.5), 0.0).hair for one in (hair.groom, library_groom("bob")))
     off = [float(np.abs(view.hair - cover).sum()) for cover in (again, plain)]
-    assert off[0] < 0.8 * off[1]
+    assert off[0] < 0.7 * off[1]
+
+
+def test_a_fringe_is_swept_to_the_side_as_in_the_photo(monkeypatch):
+    """The same silhouette is not the same hair: by cover alone, strands lie across those of the photo."""
+    head, groom = load_open_head(), library_groom("fringe")
+    sideways = 0.04 * AXES.expand(3, *FINE[-1].nodes[::-1])
+    stage = hair_stage._Stage(photo(groom, HairSettings(), 0.0), head)
+    plain, true = (
+        hair_stage._Strands(one, head, hair_stage.STRANDS).course([stage], 1.0)
+        for one in (groom, bent(groom, 1.0, sideways, head))
+    )
+    stage.hair, stage.seen = stage.drawn(true.posed[0], true.radii)
+
+    def errors():
+        field = field_to(plain, [stage])
+        points = plain.posed[0] + np.matmul(offsets(field, plain.rest), plain.turns[0])
+        cover, way = stage.drawn(points.astype(np.float32), plain.radii)
+        clear = np.hypot(*stage.seen) * np.hypot(*way)
+        agree = stage.seen.cosine * way.cosine + stage.seen.sine * way.sine
+        before = (clear > 0.3) & (stage.depth < EMPTY)
+        angles = 0.5 * np.degrees(np.arccos(np.clip(agree[before] / clear[before], -1.0, 1.0)))
+        return float(angles.mean()), float(np.abs(cover - stage.hair).sum() / stage.hair.sum())
+
+    turned, off = errors()
+    monkeypatch.setattr(hair_shape, "TURNED", 0.0)
+    by_cover = errors()[0]
+    assert turned < 0.75 * by_cover
+    assert off < 0.2
 
 
 def face(drawn=(), yaw=10.0):

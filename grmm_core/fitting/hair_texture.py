@@ -48,13 +48,13 @@ FEW_PIXELS = 0.15  # likewise from where on it takes whole steps
 RANGE = (0.02, 0.98)  # quantiles of the photos' hair that colors keep to, in each channel
 FULL = (0.6, 0.9)  # of a pixel: with less hair it does not count, with more wholly; outlines have the background's colors
 RIM = 2  # pixels at the outline of hair that show what is behind as well: their colors would be drawn as a bright line
-# metres along a strand over which it has one color: a photo's locks lie otherwise than a groom's strands, and a streak that
-# crosses these would be a row of blotches on them
-ALONG = 0.04
+# metres along a strand over which it has one color: where it lies otherwise than a photo's locks, a streak that crosses it
+# would be a row of blotches
+ALONG = 0.02
 # cosines between the view and the surface of hair below which a pixel tells no color, and above which wholly: at a slant a
 # shadow of a few pixels, as in a parting or at the outline, is a stripe of centimetres on the head. Stricter, and hair at the
 # sides loses the shade that a photo shows
-SLANTS = (0.15, 0.5)
+SLANTS = (0.05, 0.3)
 SOFT = 3.0  # pixels over which that surface is smoothed: locks are no slopes
 OTHERS = 0.5  # share of what a place shows in that must be hair; what hangs before the face or the background is not believed
 GUESS = 0.12  # that is added at most to a color that no photo shows

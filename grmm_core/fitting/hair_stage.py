@@ -41,9 +41,9 @@ SIDE, FINE_SIDE = 160, 256  # pixels: longer side of the pictures that grooms ar
 STRANDS, FINE_STRANDS = 900, 3000  # of a drawn candidate: enough for a silhouette, and for its last millimetres
 POINTS = 10  # of each
 GRAIN_POINTS = 24  # of a strand whose coils are counted
-LENGTHS = (0.6, 0.8, 1.0, 1.25)
+LENGTHS = (0.45, 0.6, 0.8, 1.0, 1.25)
 FINER = (0.9, 1.0, 1.1)  # factors of the second round
-BENT = 3  # grooms that are bent to the photos
+BENT, UNBENT = 6, 0.5  # grooms that are bent to the photos, and weight of the score that they had before
 SHY = 0.4  # of the score for each metre from roots to tips: what a photo cannot show, as before the forehead, is short
 INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe is small, and seen first
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
@@ -164,13 +164,12 @@ def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[f
     if max(stage.share for stage in stages) < (BALD_HATTED if hatted else BALD):
         return Match("", False, 1.0, 1.0)
     names = UNDER_HATS if hatted else groom_names()
-    tried: dict[tuple[str, bool], Match] = {}
+    tried: list[Match] = []
     for number, name in enumerate(names):
         progress(0.6 * number / len(names))
-        for flipped in (False, True):
-            candidate = _Candidate(name, flipped, head)
-            tried[name, flipped] = max((_judged(stages, candidate, length) for length in LENGTHS), key=_score)
-    ranked = sorted(tried.values(), key=_score, reverse=True)
+        both = (_Candidate(name, flipped, head) for flipped in (False, True))
+        tried.append(max((_judged(stages, candidate, length) for candidate in both for length in LENGTHS), key=_score))
+    ranked = sorted(tried, key=_score, reverse=True)
     candidate = _Candidate(ranked[0].name, ranked[0].flipped, head)
     best = max([ranked[0], *(_judged(stages, candidate, ranked[0].length * factor) for factor in FINER)], key=_score)
     if hatted:
@@ -180,7 +179,8 @@ def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[f
         progress(0.6 + 0.4 * number / BENT)
         candidate = _Candidate(match.name, match.flipped, head)
         field = field_to(candidate.course(stages, match.length), stages)
-        found.append(_judged(stages, candidate, match.length, field))
+        judged = _judged(stages, candidate, match.length, field)
+        found.append(judged._replace(score=judged.score + UNBENT * match.score))
     progress(1.0)
     return max(found, key=_score)
 

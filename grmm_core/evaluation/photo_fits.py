@@ -22,6 +22,7 @@ from ..avatar import Avatar
 from ..controls.frame import Controls
 from ..errors import GrmmError
 from ..fitting.api import fit
+from ..fitting.hair_stage import hair_view
 from ..fitting.invert import invert, photo_pictures
 from ..fitting.photo_light import MATT
 from ..fitting.presets import Preset
@@ -29,16 +30,19 @@ from ..fitting.request import FitRequest
 from ..fitting.result import photo_controls, photo_light
 from ..fitting.types import PhotoTrack
 from ..geometry.camera import Camera
+from ..hair.coloring import around_head
 from ..head import HeadModel
 from ..jobs.progress import Progress, Share, nobody
 from ..light.lamps import Lighting
 from ..model.grmm import GRMM
 from ..model.portrait import portrait_camera
 from ..model.torch_loader import with_deltas
+from ..photo.parser import parse
 from ..pictures.images import write_png
 from ..session import Instance, RenderOptions, Session, create_session
 from .cleanliness import FROM_FRONT, SHEET, Shot, cleanliness, seam, seen_vertices
 from .evenness import evenness
+from .haired import turned_degrees
 from .identity import Identity
 from .metrics import Distance, errors_of
 from .person_fit import exact_track
@@ -55,6 +59,7 @@ COUNTS = (1, 2, 4)
 SHEET_PIXELS = 320
 MEASURED_PIXELS = 512
 _GREY = 0.5
+_FULL, _LEAST_HAIR = 0.9, 0.01  # of a pixel, from where on it is hair; of the picture around the head: less hair tells nothing
 
 
 def evaluate_photo(
@@ -94,6 +99,7 @@ def evaluate_photo(
     with create_session("local", weights=weights, device=device, threads=threads or None) as session:
         worn = Worn(session, result.path, result.avatar, scene.head)
         figures = photo_figures(model, result.avatar, result.tracks, distances, identity, worn)
+        figures |= hair_figures(result.tracks[0], worn)
         page, clean = photo_sheet(model, result.avatar, result.tracks[0], worn)
     write_png(out / f"{photo.stem}.png", page)
     return {**figures, **clean, "seconds": round(result.seconds, 1)}
@@ -171,6 +177,25 @@ def photo_figures(
         for name, value in {**found, "landmark_error": track.landmark_error}.items():
             figures.setdefault(name, []).append(value)
     return {name: float(np.mean(values)) for name, values in figures.items()}
+
+
+def hair_figures(track: PhotoTrack, worn: Worn) -> dict[str, float]:
+    """How an avatar's scalp hair is like that of its first photo, in that view and light; nothing where it hardly shows.
+
+    `hair_overlap`: Jaccard index of the two covers. `hair_rmse`: over the photo's hair, what the avatar leaves bare included.
+    `hair_turned`: degrees between the strands' directions (`haired.turned_degrees`), not where the photo has no clear one.
+    """
+    seen = around_head(hair_view(track, parse(track, worn.head), worn.head))
+    drawn = worn.photo(seen.camera)
+    hair = seen.hair * seen.counts
+    full = hair > _FULL
+    if full.sum() < _LEAST_HAIR * full.size:
+        return {}
+    both, either = (pick(drawn.hair * seen.counts, hair).sum() for pick in (np.minimum, np.maximum))
+    off = np.square(drawn.rgb - seen.image)[full].mean()
+    figures = {"hair_overlap": float(both / either), "hair_rmse": float(np.sqrt(off))}
+    turned = turned_degrees(drawn.rgb, seen.image, full)
+    return figures if math.isnan(turned) else {**figures, "hair_turned": turned}
 
 
 def photo_sheet(

@@ -271,8 +271,8 @@ class Tuner:
             self.maps["color"] += told * change
 
     def _shares(self, told: Tensor) -> Tensor:
-        """Shares of the photos in the texels' colors, by what each tells and how well its light is known, both [P, N]."""
-        counted = told * self.light.trust[:, None]
+        """Shares of the photos in the texels' colors, by what each tells and the variance of its light, both [P, N]."""
+        counted = told * self.light.trust[:, None].square()
         shares: Tensor = counted / counted.sum(0).clamp(min=1e-9)
         return shares
 

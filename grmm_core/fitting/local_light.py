@@ -3,9 +3,10 @@
 What a photo shows otherwise than flat colors in its light, as far as it is wide, is either color that was not known or light
 that was not: d_k = f + r_k in logarithms, f of the person and r_k of photo k. With f ~ N(0, `_COLOR`^2) and r_k ~ N(0, s_k^2),
 where s_k is how uneven the photo's light leaves skin of one tone (`person_lights.doubts`), the likeliest f is the mean of the
-d_k weighted by 1 / s_k^2, less a part. So in skin that a hard light alone shows the person keeps the prior's wide shades, and
-takes the detail. Lightness and tint of a single photo are told apart each by itself, since gloss and shade change lightness
-much more than tint, and people's skin both alike. Used by `invert` and `settling`. Needs numpy only.
+d_k weighted by 1 / s_k^2, less a part: that of the surest photo, for the r_k are alike. So in skin that a hard light alone
+shows the person keeps the prior's wide shades, and takes the detail. Lightness and tint are told apart each by itself, since
+gloss and shade change lightness much more than tint, and people's skin both alike. Used by `invert` and `settling`. Needs
+numpy only.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from ..light.relight import to_linear
 from ..light.resting import Texels
 from .photo_light import FACING, FINE_MOST, FINE_STEP, Seen
 
-_COLOR = 0.05  # expected wide error of the person's colors, of their logarithm
-_ALONE = 0.08, 0.04  # likewise of their lightness and of their tint, where a single photo shows them
+_COLOR = 0.08, 0.04  # expected wide error of the person's colors, of their logarithm: lightness; tint that does not go with it
+_TINT = 0.03  # likewise of tint where several photos show it
 _CREASE, _AGAIN = 0.1, 2  # of the logarithm: what is so far from its surroundings is a fold or a mark; rounds of such weights
 _ROUNDS = (3,)  # of averaging over neighbouring vertices, which lie 5 mm apart in a face
 _LAST_ROUNDS = (0, 1, 4, 16)  # likewise once colors are known: light goes on where skin is seen at a slant
@@ -30,6 +31,7 @@ _STEPS = 6  # of it, each by what the last has left (simultaneous algebraic reco
 _HALF_SEEN = 0.3  # texels of a vertex at which it is half believed
 _WEAKER = 10.0  # of wider means so much fewer are
 _GLARE = (0.2, 0.5)  # of the logarithm: brighter by the first a photo is believed less, from the second on not at all
+_ALIKE = 2.0  # doubt of a photo's light over another's, up to which its shadows tell that the other is too bright
 _MOST, _MOST_TINT = 2.5, 0.2  # of the logarithm: of the whole, and of a channel beside their mean
 _SLANT = (0.5 * FACING, 2.0 * FACING)  # weights below which texels tell no fine light, and above which all
 _MOST_FINE_TINT = 0.5  # likewise in folds: what comes out of them has passed through skin, and is red
@@ -69,8 +71,7 @@ def local_lights(
     if len(every) == 1:
         color = _alone(*found[0], precision[0])
     else:
-        total = sum(precision) + _COLOR**-2
-        color = sum(weight * off for weight, (off, _) in zip(precision, found, strict=True)) / total
+        color = _together(found, precision)
     local = [_factor(sure * (off - color)) for off, sure in found]
     shown = np.stack([seen.weights > 0 for seen in every])
     if len(every) == 1:  # what stands out from its surroundings is as likely a mark
@@ -78,24 +79,52 @@ def local_lights(
     lit = (ratio * texels.factor(own) for ratio, own in zip(ratios, local, strict=True))
     flat = flat * np.exp(texels.at(color))
     left = np.stack([_off(seen, light * flat)[0].mean(1) for seen, light in zip(every, lit, strict=True)])
-    least = np.where(shown, left, np.inf).min(0)
+    doubtful = (doubt > _ALIKE * doubt[:, None])[..., None]  # beside each photo; edges of shadows there make no highlights here
+    least = np.where(shown, np.maximum(left, np.where(doubtful, 0.0, -np.inf)), np.inf).min(1)
     bright = left - np.where(shown.sum(0) > 1, least, 0.0)  # what all show is a mark
     return local, np.where(shown, np.clip((_GLARE[1] - bright) / (_GLARE[1] - _GLARE[0]), 0.0, 1.0), 1.0)
 
 
 def _alone(wide: np.ndarray, sure: np.ndarray, precision: np.ndarray) -> np.ndarray:
-    """The part of what a single photo shows otherwise, at vertices [V, 3], that is color; arguments of [V, 3], [V, 1], [V, 1].
+    """The part of what one photo shows otherwise that is color, at vertices [V, 3]; arguments of [V, 3], [V, 1], [V, 1]."""
+    light, tint, spread = _apart(wide, sure)
+    own: np.ndarray = precision / (precision + _COLOR[0] ** -2)
+    color: np.ndarray = own * light + sure * min(1.0, _COLOR[1] ** 2 / spread) * tint
+    return color
 
-    Gloss is paler and shade is redder than skin: the tint that goes with lightness is as much light as that. Of the rest people
-    have some, and all photos show no more than `_ALONE`.
+
+def _together(found: Sequence[tuple[np.ndarray, np.ndarray]], precision: Sequence[np.ndarray]) -> np.ndarray:
+    """Likewise of several photos, arguments of each.
+
+    What is wrong with one light is often wrong with the next one. So of the photos' mean no more is believed than the surest
+    photo would tell alone.
+    """
+    parts = [_apart(*one) for one in found]
+    tint_precision = [sure / spread for (_, sure), (_, _, spread) in zip(found, parts, strict=True)]
+    tint_shares = [sure * min(1.0, _TINT**2 / spread) for (_, sure), (_, _, spread) in zip(found, parts, strict=True)]
+    light = _mean([one for one, _, _ in parts], precision)
+    own: np.ndarray = np.max(precision, 0)
+    color: np.ndarray = own / (own + _COLOR[0] ** -2) * light
+    return color + np.max(tint_shares, 0) * _mean([one for _, one, _ in parts], tint_precision)
+
+
+def _mean(values: Sequence[np.ndarray], weights: Sequence[np.ndarray]) -> np.ndarray:
+    """Mean over photos of values [V, 3] with weights [V, 1]."""
+    counted = np.stack(weights)
+    mean: np.ndarray = (counted * np.stack(values)).sum(0) / counted.sum(0).clip(1e-9)
+    return mean
+
+
+def _apart(wide: np.ndarray, sure: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Lightness of what a photo shows otherwise, with the tint that goes with it, and other tint, [V, 3] each; its mean square.
+
+    Gloss is paler and shade is redder than skin: the tint that goes with lightness is as much light as that.
     """
     light = wide.mean(1, keepdims=True)
     tint = wide - light
-    own: np.ndarray = precision / (precision + _ALONE[0] ** -2)
     along = (sure * light * tint).sum(0) / max(float((sure * light**2).sum()), 1e-9) * light
-    spread = float((sure * (tint - along) ** 2).sum() / max(3.0 * float(sure.sum()), 1e-9))
-    color: np.ndarray = own * (light + along) + sure * min(1.0, _ALONE[1] ** 2 / max(spread, 1e-9)) * (tint - along)
-    return color
+    other = tint - along
+    return light + along, other, max(float((sure * other**2).sum() / max(3.0 * float(sure.sum()), 1e-9)), 1e-9)
 
 
 def more_local(head: HeadModel, texels: Texels, seen: Seen, drawn: np.ndarray, local: np.ndarray) -> np.ndarray:

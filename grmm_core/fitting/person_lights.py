@@ -25,6 +25,7 @@ from .types import PhotoTrack
 
 _ONE_TONE = 0.3  # that the skin is of one tone, beside 1 for the surest photo where it faces the camera
 _SURE = 0.03  # doubt below which photos count alike
+_MARK = 0.4  # of the logarithm: by so much colors of skin differ from its tone
 _AGAIN = 2  # times that the lights of several photos are found again, by the colors that all of them show
 _STILL = np.zeros((5, 3))  # pose at rest
 
@@ -115,7 +116,11 @@ def _middle(one: tuple[Seen, PhotoHead], ratio: np.ndarray) -> np.ndarray:
 
 
 def doubts(every: Sequence[tuple[Seen, PhotoHead]], ratios: Sequence[np.ndarray]) -> np.ndarray:
-    """How uneven each photo's light, as found, leaves skin of one tone: median deviation of the logarithm, [P].
+    """How uneven each photo's light, as found, leaves skin of one tone: deviation of the logarithm, [P].
+
+    That is the median deviation. It does not see a lamp at the side that the found light has missed, since that shines on less
+    than half of what is seen, and the photo's colors would spoil those of others: of several photos what deviates by more than
+    skin does (`_MARK`) counts besides.
 
     Arguments as of `mean_flat`.
     """
@@ -123,7 +128,9 @@ def doubts(every: Sequence[tuple[Seen, PhotoHead]], ratios: Sequence[np.ndarray]
     for (seen, here), ratio in zip(every, ratios, strict=True):
         counted = (seen.weights > 0) & here.told
         off = np.log(np.maximum(_flat(seen, ratio) / here.one_tone, 1e-3))[counted].mean(1)
-        found.append(1.48 * float(np.median(np.abs(off - np.median(off)))) if counted.any() else np.inf)
+        deviation = np.abs(off - np.median(off))
+        missed = (deviation - _MARK).clip(0.0) if len(every) > 1 else np.zeros(1)
+        found.append(float(np.hypot(1.48 * np.median(deviation), np.sqrt(np.mean(missed**2)))) if counted.any() else np.inf)
     return np.maximum(found, _SURE)
 
 

@@ -84,6 +84,30 @@ def test_a_highlight_is_no_color_and_a_light_mark_is_one(head, texels, places, b
     assert told[1].min() > 0.9
 
 
+def test_a_shadow_in_a_doubtful_light_makes_no_highlight_of_lit_skin(head, texels, places, bare):
+    spot = (np.linalg.norm(places - places[(places[:, 2] + 0.5 * np.abs(places[:, 0])).argmax()], axis=1) < 0.004) & (bare > 0)
+    dark, even = np.where(spot, 0.4, 1.0), np.ones(len(places))
+    told = [
+        local_lights(
+            head, texels, photos([even, dark], bare), [np.ones((len(places), 3))] * 2, SKIN * np.ones((len(places), 1)),
+            np.array([SURE, doubt]),
+        )[1][0, spot]
+        for doubt in (DOUBTFUL, SURE)
+    ]  # fmt: skip
+    assert told[0].min() > 0.9
+    assert told[1].mean() < 0.5
+
+
+def test_tint_that_two_photos_show_is_color_and_that_of_their_gloss_is_light(head, texels, places, bare):
+    cheek = places[:, 0] > 0.035
+    given = [np.ones((len(places), 3))] * 2, SKIN * np.ones((len(places), 1)), np.full(2, DOUBTFUL)
+    for tint, light in (([0.04, -0.02, -0.02], np.zeros(3)), ([0.2, 0.3, 0.4], np.array([0.2, 0.3, 0.4]))):
+        seen = Seen(np.asarray(to_display(SKIN * np.where(cheek[:, None], np.exp(tint), 1.0))), bare)
+        for local in local_lights(head, texels, [seen, seen], *given)[0]:
+            found = np.log(texels.factor(local))[cheek & (bare > 0)]
+            np.testing.assert_allclose(np.median(found, 0), light, rtol=0.2, atol=0.01)
+
+
 def alone(head, texels, bare, shade, doubt):
     """`Lighting.local` of one photo of skin times a shade, [N, 3]."""
     seen = Seen(np.asarray(to_display(SKIN * shade)), bare)

@@ -138,6 +138,20 @@ def test_a_photo_whose_light_leaves_the_skin_uneven_hardly_counts(photo_head, si
     assert off < 0.05 < alike
 
 
+def test_a_photo_hardly_counts_whose_light_misses_a_lamp_at_the_side(photo_head, side, shade):
+    """It shines on a third of the skin, and the median of the rest looks well."""
+    even = side._replace(suns=0.0 * side.suns + 0.3)
+    across = photo_head._rest.vertices[photo_head._texels.corners].mean(1)[:, 0]
+    lamp = np.where(across > np.percentile(across[photo_head.told], 67), 2.5, 1.0)[:, None]
+    random = np.random.default_rng(0).normal(1.0, 0.05, (len(shade), 1))
+    every = [
+        (Seen(to_display(0.4 * SKIN * shade * photo_head.ratio(even) * more), np.ones(len(shade))), photo_head)
+        for more in (random, random * lamp)
+    ]
+    doubt = doubts(every, [photo_head.spread(even)] * 2)
+    assert doubt[1] > 3.0 * doubt[0]
+
+
 def test_the_studios_light_is_as_strong_as_photos_of_either_side_agree(photo_head, shade):
     """Each photo's own median would make one side as bright as the other."""
     places = photo_head._rest.vertices[photo_head._texels.corners].mean(1)

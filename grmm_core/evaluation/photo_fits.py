@@ -39,7 +39,7 @@ from ..model.portrait import portrait_camera
 from ..model.torch_loader import with_deltas
 from ..photo.parser import parse
 from ..pictures.images import write_png
-from ..session import Instance, RenderOptions, Session, create_session
+from ..session import HairUse, Instance, RenderOptions, Session, create_session
 from .cleanliness import FROM_FRONT, SHEET, Shot, cleanliness, seam, seen_vertices
 from .evenness import evenness
 from .haired import turned_degrees
@@ -139,17 +139,17 @@ class Worn:
         self._session, self._id = session, session.open(path).id
         self._avatar, self.head = avatar, head
 
-    def shot(self, controls: Controls, camera: Camera, lighting: Lighting | None = None) -> Shot:
-        """One picture over grey, in the studio's light or that of a photo."""
+    def shot(self, controls: Controls, camera: Camera, lighting: Lighting | None = None, hair: HairUse | None = None) -> Shot:
+        """One picture over grey, in the studio's light or that of a photo, with its own hair or as `hair` says."""
         options = RenderOptions(passes=("rgb", "alpha", "hair"), background=(_GREY,) * 3, lighting=lighting)
-        drawn = self._session.render([Instance(self._id, controls, response=MATT)], camera, options)
+        drawn = self._session.render([Instance(self._id, controls, response=MATT, hair=hair or HairUse())], camera, options)
         vertices = np.asarray(self._session.deform(self._id, controls).vertices, np.float64)
         return Shot(vertices, camera, drawn["rgb"], drawn["alpha"][..., 0], drawn["hair"][..., 0])
 
-    def photo(self, camera: Camera, index: int = 0) -> Shot:
+    def photo(self, camera: Camera, index: int = 0, hair: HairUse | None = None) -> Shot:
         """As one of the photos shows the person, in its light."""
         light = photo_light(self._avatar, index).lighting
-        return self.shot(photo_controls(self._avatar, self.head, index), camera, light)
+        return self.shot(photo_controls(self._avatar, self.head, index), camera, light, hair)
 
 
 def photo_figures(
@@ -186,7 +186,7 @@ def hair_figures(track: PhotoTrack, worn: Worn) -> dict[str, float]:
     `hair_turned`: degrees between the strands' directions (`haired.turned_degrees`), not where the photo has no clear one.
     """
     seen = around_head(hair_view(track, parse(track, worn.head), worn.head))
-    drawn = worn.photo(seen.camera)
+    drawn = worn.photo(seen.camera, hair=HairUse(brows="none", beard="none", lashes="none"))
     hair = seen.hair * seen.counts
     full = hair > _FULL
     if full.sum() < _LEAST_HAIR * full.size:

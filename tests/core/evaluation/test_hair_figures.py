@@ -26,7 +26,7 @@ class Worn:
         self.head = load_open_head()
         self._vertices, self._groom = np.asarray(self.head.v_template, np.float64), library_groom(name)
 
-    def photo(self, camera):
+    def photo(self, camera, hair=None):
         settings = HairSettings(melanin=0.4)
         rgb, cover = WornHair(self._groom, settings, self._vertices, camera, self.head).drawn(settings)
         return Shot(self._vertices, camera, rgb + (1.0 - cover[..., None]) * 0.6, cover, cover)

@@ -33,7 +33,7 @@ VOICE, SIZE, SHOWN, COLUMNS, QUALITY = "slt", 360, 7, 4, 88
 KEY = ((0.7, -0.9, 0.5), 22.0, 0.5, (1.0, 0.93, 0.85))  # metres from the head, watts, metres, color
 RIM = ((-0.8, 0.7, 0.5), 25.0, 0.4, (0.75, 0.85, 1.0))
 WORLD = (0.05, 0.065, 0.085)
-NEARER = 1.25  # than a portrait
+NEARER = 1.15  # than a portrait
 FIRST = 12  # frame of the first picture: before it nothing is said
 
 

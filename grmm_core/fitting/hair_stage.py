@@ -21,7 +21,7 @@ from ..hair.coloring import HairView, WornHair, around_head, hiding_faces, reduc
 from ..hair.groom import Groom, join
 from ..hair.mirror import mirrored
 from ..hair.packaged import groom_names, library_groom
-from ..hair.ribbons import segments
+from ..hair.ribbons import Eye, segments
 from ..hair.roots import SCALP
 from ..hair.settings import HairSettings
 from ..hair.strands import lengthened
@@ -44,6 +44,7 @@ GRAIN_POINTS = 24  # of a strand whose coils are counted
 LENGTHS = (0.45, 0.6, 0.8, 1.0, 1.25)
 FINER = (0.9, 1.0, 1.1)  # factors of the second round
 BENT, UNBENT = 6, 0.5  # grooms that are bent to the photos, and weight of the score that they had before
+FINISHED = 2  # of these that are bent to the last millimetre before one is chosen
 SHY = 0.4  # of the score for each metre from roots to tips: what a photo cannot show, as before the forehead, is short
 INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe is small, and seen first
 BALD, BALD_HATTED = 0.012, 0.003  # of the head's pixels: less hair is none
@@ -112,6 +113,7 @@ class Match(NamedTuple):
         length: As in `HairSettings`.
         score: Agreement, at most 1.
         field: That bends it to the photos, see `hair_shape`; None leaves it.
+        agreement: Of cover and directions alone, in the score.
     """
 
     name: str
@@ -119,6 +121,7 @@ class Match(NamedTuple):
     length: float
     score: float
     field: torch.Tensor | None = None
+    agreement: float = 0.0
 
 
 def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None) -> Hair | None:
@@ -129,19 +132,26 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
         head: Whose mesh the grooms stand on.
         progress: Hears the share that is done.
     """
-    best = best_groom(views, head, progress)
-    if not best.name:
+    matches = best_grooms(views, head, progress)
+    if not matches[0].name:
         return None
-    groom = library_groom(best.name, head.name)
-    groom = mirrored(groom, head) if best.flipped else groom
     stages = [_Stage(around_head(view), head, FINE_SIDE) for view in views]
-    if best.field is not None:
-        groom, best = bent(groom, best.length, best.field, head), best._replace(length=1.0)
-        course = _Strands(groom, head, FINE_STRANDS).course(stages, 1.0)
-        groom = bent(groom, 1.0, field_to(course, stages, FINE), head)
+    groom, length, _ = max((_finished(match, stages, head) for match in matches[:FINISHED]), key=lambda made: made[2])
     groom = with_hairline(groom, stages, head)
-    settings = with_colors(HairSettings(length=best.length), groom, views, head)
+    settings = with_colors(HairSettings(length=length), groom, views, head)
     return Hair(groom, _varied(settings, groom, around_head(views[0]), head))
+
+
+def _finished(match: Match, stages: Sequence[_Stage], head: HeadModel) -> tuple[Groom, float, float]:
+    """A matching groom bent to the photos, how long it is to be drawn, and its score by strands about as thin as drawn ones."""
+    groom = library_groom(match.name, head.name)
+    groom = mirrored(groom, head) if match.flipped else groom
+    if match.field is None:
+        return groom, match.length, match.score
+    groom = bent(groom, match.length, match.field, head)
+    groom = bent(groom, 1.0, field_to(_Strands(groom, head, FINE_STRANDS).course(stages, 1.0), stages, FINE), head)
+    thin = _Strands(groom, head, FINE_STRANDS)
+    return groom, 1.0, match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0))
 
 
 def _varied(settings: HairSettings, groom: Groom, view: HairView, head: HeadModel) -> HairSettings:
@@ -157,12 +167,14 @@ def _varied(settings: HairSettings, groom: Groom, view: HairView, head: HeadMode
     return settings.changed(variation=float(np.clip(settings.variation * seen / max(drawn, 1e-3), *VARIATION)))
 
 
-def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None) -> Match:
-    """Compare all grooms with the photos; see `fit_hair`."""
+def best_grooms(
+    views: Sequence[HairView], head: HeadModel, progress: Callable[[float], None] = lambda share: None
+) -> list[Match]:  # fmt: skip
+    """Compare all grooms with the photos, see `fit_hair`; the best first."""
     stages = [_Stage(around_head(view), head) for view in views]
     hatted = min(stage.hidden for stage in stages) > HATTED
     if max(stage.share for stage in stages) < (BALD_HATTED if hatted else BALD):
-        return Match("", False, 1.0, 1.0)
+        return [Match("", False, 1.0, 1.0)]
     names = UNDER_HATS if hatted else groom_names()
     tried: list[Match] = []
     for number, name in enumerate(names):
@@ -173,7 +185,7 @@ def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[f
     candidate = _Candidate(ranked[0].name, ranked[0].flipped, head)
     best = max([ranked[0], *(_judged(stages, candidate, ranked[0].length * factor) for factor in FINER)], key=_score)
     if hatted:
-        return best
+        return [best]
     found = []
     for number, match in enumerate([best, *ranked[1:BENT]]):
         progress(0.6 + 0.4 * number / BENT)
@@ -182,7 +194,7 @@ def best_groom(views: Sequence[HairView], head: HeadModel, progress: Callable[[f
         judged = _judged(stages, candidate, match.length, field)
         found.append(judged._replace(score=judged.score + UNBENT * match.score))
     progress(1.0)
-    return max(found, key=_score)
+    return sorted(found, key=_score, reverse=True)
 
 
 def _score(match: Match) -> float:
@@ -252,7 +264,7 @@ class _Stage:
         """Cover [H, W] and directions of strands [N, K, 3]."""
         camera = self.camera
         opacity = np.full(len(points), OPACITY, np.float32)
-        made = segments(points, radii, opacity)
+        made = segments(points, radii, opacity, Eye.of(camera))
         local, pixels = camera.project(made.means.reshape(-1, 3))
         column, row = (np.clip(pixels[:, k].astype(int), 0, size - 1) for k, size in ((0, camera.width), (1, camera.height)))
         hidden = local[:, 2] > self.depth[row, column] + BEHIND
@@ -277,11 +289,21 @@ def _enlarged(mask: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
 
 
 def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, field: torch.Tensor | None = None) -> Match:
-    scores = []
     course = candidate.course(stages, length)
+    agreement = _agreement(stages, course, field)
+    coily = [stage.coily for stage in stages if stage.coily is not None]
+    straight = COILY * (1.0 - candidate.coils) * float(np.mean(coily)) if coily else 0.0
+    reach = float(np.linalg.norm(course.rest[:, -1] - course.rest[:, 0], axis=1).mean())
+    score = agreement - SHY * reach - straight
+    return Match(candidate.name, candidate.flipped, length, score, field, agreement)
+
+
+def _agreement(stages: Sequence[_Stage], course: Course, field: torch.Tensor | None = None) -> float:
+    """How far strands cover what the photos show as hair, and lie along its strands, at most 1."""
+    scores = []
     for stage, posed, turn in zip(stages, course.posed, course.turns, strict=True):
         points = posed if field is None else posed + np.matmul(offsets(field, course.rest), turn).astype(np.float32)
-        cover, way = stage.drawn(points, candidate.radii)
+        cover, way = stage.drawn(points, course.radii)
         both = np.minimum(cover, stage.hair) * stage.weights
         either = np.maximum(cover, stage.hair) * stage.weights
         overlap = float(both.sum() / max(either.sum(), 1e-6))
@@ -289,7 +311,4 @@ def _judged(stages: Sequence[_Stage], candidate: _Candidate, length: float, fiel
         agree = (stage.seen.cosine * way.cosine + stage.seen.sine * way.sine) * stage.counts
         turned = float(agree.sum() / max(clear.sum(), 1e-6)) if clear.sum() > 1.0 else 0.0
         scores.append((overlap + ORIENTATION * overlap * turned) / (1.0 + ORIENTATION))
-    coily = [stage.coily for stage in stages if stage.coily is not None]
-    straight = COILY * (1.0 - candidate.coils) * float(np.mean(coily)) if coily else 0.0
-    reach = float(np.linalg.norm(course.rest[:, -1] - course.rest[:, 0], axis=1).mean())
-    return Match(candidate.name, candidate.flipped, length, float(np.mean(scores)) - SHY * reach - straight, field)
+    return float(np.mean(scores))

@@ -20,8 +20,10 @@
 ``decoder_stage``      stage 2, the decoders (eq. 20); ``locality``, ``surface`` and ``inpainting`` keep and fill in the rest,
                        ``creases`` binds folds to the expression, ``grain`` carries seen detail on, ``lids`` are of plain skin
 ``hair_light``         hair as the studio's light would show it; ``blurring``: planes of pictures
-``hair_stage``         the groom that photos show, for weights without hair; ``hair_grain``: straight or coily;
-                       ``face_hair``: brows, beard and lashes
+``hair_stage``         the groom that photos show, for weights without hair; ``hair_grain``: how strands lie, straight or coily;
+                       ``hair_shape``: bent to the photos; ``hair_texture``: cut and colored by them; ``root_shade``: the skin
+                       under it; ``face_hair``: brows, beard and lashes
+``settling``           what the avatar as a session draws it still lacks; ``mouth_colors``: lips and teeth at rest
 ``invert``             tracks to an avatar by both stages
 ``folder``             the work folder: whose state it holds, what is refused before work begins; ``checkpoint``: the tuning's
 ``batch``              a folder of people, here or on a cluster; ``result``: what a fit becomes in an avatar

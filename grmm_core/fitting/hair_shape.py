@@ -36,8 +36,9 @@ FOLLOWS = 0.05  # metres along a strand from which on it follows the field wholl
 LEVELS = ((1, 1.0), (5, 2.0), (15, 2.0))  # px over which cover is averaged, and what that counts
 SMALL = 0.004  # weight of a field's length beside its curvature, in centimetres
 TURNED = 1.0  # of strands that lie across the photo's, beside wrong cover
-STRETCHED, BENT = 2.0, 4.0  # of the squared changes of a segment's length, as a share of it, and of its angle to the next one
+STRETCHED, KINKED = 2.0, 4.0  # of the squared changes of a segment's length, as a share of it, and of its angle to the next one
 SHORTEST, FLAT = 1e-3, 1e-4  # metres of a segment, and px^2 of its length on a picture, from which on these are believed
+NEAREST = 1e-3  # metres before a camera
 NEAR, SKIN = 2, 0.15  # px around a root that must show skin, and of how much hair that is
 MOST_BARE = 0.2  # of the strands: if more seem to stand on skin, the photo is not to be believed
 BEHIND = 0.004  # metres below the skin that are still seen
@@ -189,7 +190,7 @@ def _deformation(rest: Tensor, moved: Tensor) -> Tensor:
     lengths = rest.diff(dim=1).norm(dim=2).clamp_min(SHORTEST)
     stretched = (rest + moved).diff(dim=1).norm(dim=2) / lengths - 1.0
     bends = moved.diff(n=2, dim=1).norm(dim=2) / lengths[:, 1:]
-    return STRETCHED * (stretched**2).mean() + BENT * (bends**2).mean()
+    return STRETCHED * (stretched**2).mean() + KINKED * (bends**2).mean()
 
 
 def _drawn(points: Tensor, radii: Tensor, opacity: float, photo: Seen) -> tuple[Tensor, Tensor]:
@@ -217,7 +218,7 @@ def _angles(points: Tensor, camera: Camera) -> Tensor:
     local = points @ place[:3, :3].T + place[:3, 3]
     flat = local[..., :2] * local.new_tensor([camera.fx, camera.fy])
     if not camera.orthographic:
-        flat = flat / local[..., 2:].clamp_min(SHORTEST)
+        flat = flat / local[..., 2:].clamp_min(NEAREST)
     x, y = flat.diff(dim=1).reshape(-1, 2).unbind(1)
     squared = x * x + y * y + FLAT
     return torch.stack([(x * x - y * y) / squared, 2.0 * x * y / squared, torch.zeros_like(x)], 1)

@@ -44,6 +44,7 @@ GRAIN_POINTS = 24  # of a strand whose coils are counted
 LENGTHS = (0.45, 0.6, 0.8, 1.0, 1.25)
 FINER = (0.9, 1.0, 1.1)  # factors of the second round
 BENT, UNBENT = 6, 0.5  # grooms that are bent to the photos, and weight of the score that they had before
+LIKELY_BENT = 0.8  # of the best such score: with less, long hair cut short would be bent to any short hair
 FINISHED = 2  # of these that are bent to the last millimetre before one is chosen
 SHY = 0.4  # of the score for each metre from roots to tips: what a photo cannot show, as before the forehead, is short
 INSIDE = 1.5  # weight of pixels on the bald head more than beside it: a fringe is small, and seen first
@@ -186,8 +187,8 @@ def best_grooms(
     best = max([ranked[0], *(_judged(stages, candidate, ranked[0].length * factor) for factor in FINER)], key=_score)
     if hatted:
         return [best]
-    found = []
-    for number, match in enumerate([best, *ranked[1:BENT]]):
+    found, likely = [], [match for match in ranked[1:BENT] if match.score > LIKELY_BENT * best.score]
+    for number, match in enumerate([best, *likely]):
         progress(0.6 + 0.4 * number / BENT)
         candidate = _Candidate(match.name, match.flipped, head)
         field = field_to(candidate.course(stages, match.length), stages)

@@ -19,10 +19,12 @@ from ..hair.packaged import library_groom
 from ..hair.roots import BEARD, BROWS
 from ..hair.settings import HairSettings
 from ..head.flame_align import closest_on_surface
-from ..photo.glasses import thin_frames
+from ..photo.glasses import worn_glasses
+from ..photo.lenses import BROWS as OUTLINES
 from ..photo.parser import MESH_PARTS, PhotoParts, part_map
 from ..photo.person import box_sum
 from ..photo.widening import widened
+from ..pictures.polygons import polygon
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -39,10 +41,13 @@ SHADE = 0.015  # of the head's height: around hair, which is dark there, too
 LOWER = (-0.004, 0.009)  # metres by which brows may be moved down; the mesh's are high
 BRIDGE, AROUND_BROWS = 168, 0.008  # landmark between the brows; metres around them in which skin is looked for
 ARCH = 0.005  # of the head's height: how far beside the landmarks' brows a brow may be
-OUTLINES = (70, 63, 105, 66, 107, 55, 65, 52, 53, 46), (300, 293, 334, 296, 336, 285, 295, 282, 283, 276)  # around each
 KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one strand to the next
 FEWEST = 0.05  # of the strands; fewer were no brows, and the plainest groom takes their place
 SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
+FRAMES, MOSTLY = (
+    0.012,
+    0.45,
+)  # metres from a strand under frames of glasses to those that tell what it is; share from which none do
 BEHIND = 0.004  # metres below the skin that are still seen
 
 
@@ -69,9 +74,13 @@ def face_hair(
         long = float((beard * (depth == EMPTY)).sum()) > HANGING * float(beard.sum())
         groom = library_groom(SHORT_BEARD if name == "beard" and not long else FULLEST[name], head.name, name)
         groom = _at_height(groom, track, view, head) if name == "brows" else groom
-        kept = _kept(groom, cover, depth, view, head)
-        plain = library_groom("thin", head.name, "brows")
-        groom = groom.select(kept) if kept.mean() > FEWEST else _at_height(plain, track, view, head)
+        kept, hidden = _kept(groom, cover, depth, view, head, worn_glasses(track, parts).covered)
+        if name == "brows" and hidden > MOSTLY:
+            groom = _at_height(library_groom("natural", head.name, "brows"), track, view, head)
+        elif kept.mean() > FEWEST:
+            groom = groom.select(kept)
+        else:
+            groom = _at_height(library_groom("thin", head.name, "brows"), track, view, head)
         grooms.append(groom)
         shown = dataclasses.replace(view, hair=cover)
         own[name] = with_colors(scalp.for_part(group), groom, [shown], head)
@@ -96,18 +105,15 @@ def brow_cover(track: PhotoTrack, parts: PhotoParts, view: HairView, head: HeadM
         * (1.0 - parts.eyes)
         * view.counts
         * (1.0 - _near(parts.hair, SHADE * height))
-        * ~thin_frames(track.image, track.landmarks)
+        * ~worn_glasses(track, parts).covered
     )
 
 
 def _at_landmarks(track: PhotoTrack, reach: float) -> np.ndarray:
     """Pixels not farther than `reach` from the brows that the landmarks outline in the photo, [H, W] bool."""
-    rows, columns = np.mgrid[: track.camera.height, : track.camera.width] + 0.5
-    found = np.zeros(rows.shape, bool)
+    found = np.zeros(track.image.shape[:2], bool)
     for outline in OUTLINES:
-        ends = np.asarray(track.landmarks[list(outline), :2], float)
-        for (x, y), (u, v) in zip(ends, np.roll(ends, -1, 0), strict=True):  # even-odd rule, edge by edge
-            found ^= ((y > rows) != (v > rows)) & (columns < (u - x) * (rows - y) / (v - y if v != y else 1.0) + x)
+        found ^= polygon(found.shape, track.landmarks[list(outline), :2])
     return _near(found, reach) > 0.5
 
 
@@ -142,26 +148,31 @@ def _near(plane: np.ndarray, reach: float) -> np.ndarray:
     return result
 
 
-def _kept(groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, head: HeadModel) -> np.ndarray:
-    """Which strands of a groom stand where a photo shows their part; hidden ones as those on the other side, [N] bool.
+def _kept(
+    groom: Groom, cover: np.ndarray, depth: np.ndarray, view: HairView, head: HeadModel, glasses: np.ndarray
+) -> tuple[np.ndarray, float]:  # fmt: skip
+    """Which strands of a groom stand where a photo shows their part, [N] bool, and the share that frames of glasses hide.
 
-    Hidden by the head, or by a hat or thing.
+    Those that the head, a hat or a thing hides are as those on the other side; those under frames (pixels, [H, W] bool) as what
+    is seen next to them.
     """
     frames = groom.frames(np.asarray(head.v_template, np.float64), head.faces)
     posed = groom.posed(frames, view.vertices)
     local, pixels = view.camera.project(posed)
     column, row = (np.clip(pixels[:, k].astype(int), 0, size - 1) for k, size in ((0, cover.shape[1]), (1, cover.shape[0])))
-    strand = groom.strand_of_point
-    mean, seen = (
-        np.bincount(strand, part, len(groom)) / groom.counts
-        for part in (cover[row, column], (local[:, 2] < depth[row, column] + BEHIND) * view.counts[row, column])
-    )
+    strand, free = groom.strand_of_point, ~glasses[row, column]
+    told = np.bincount(strand, free, len(groom))
+    mean = np.bincount(strand, cover[row, column] * free, len(groom)) / np.maximum(told, 1.0)
+    seen = np.bincount(strand, (local[:, 2] < depth[row, column] + BEHIND) * view.counts[row, column] * free, len(groom))
     chance = (np.arange(len(groom)) * 0.6180339887498949) % 1.0
-    shown = seen > 0.5
+    shown, under = seen / groom.counts > 0.5, told / groom.counts <= 0.5
     kept: np.ndarray = shown & (mean > KEPT[0] + (KEPT[1] - KEPT[0]) * chance)
     if shown.all() or not shown.any():
-        return kept
+        return kept, float(under.mean())
     roots = torch.from_numpy(frames.at(np.asarray(head.v_template, np.float64))[0])
     apart, nearest = torch.cdist(roots[~shown] * roots.new_tensor([-1.0, 1.0, 1.0]), roots[shown]).min(1)
     kept[~shown] = kept[shown][nearest.numpy()] & (apart.numpy() < SIDES)
-    return kept
+    if under.any():
+        near, nearest = torch.cdist(roots[under], roots[shown]).min(1)
+        kept[under] = np.where(near.numpy() < FRAMES, kept[shown][nearest.numpy()], kept[under])
+    return kept, float(under.mean())

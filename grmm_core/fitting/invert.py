@@ -158,7 +158,8 @@ class _Inversion:
             logger.info("the codes are known from before")
             return known
         settings = self.preset.codes
-        views = self.views(settings.side)
+        views = [view.through_lenses() for view in self.views(settings.side)]
+        small = [view.through_lenses() for view in self.views(settings.small_side)]
 
         def tick(share: float, drawn: Picture | None) -> None:
             self._tell(CODES, share, views[0], drawn)
@@ -167,7 +168,7 @@ class _Inversion:
         identity = self.tracks[0].identity
         begun = None if identity is None else torch.as_tensor(np.array(identity)).to(like)
         codes = fit_codes(
-            self.model, code_prior(self.info, self.model), views, self.views(settings.small_side), surface, light, settings,
+            self.model, code_prior(self.info, self.model), views, small, surface, light, settings,
             tick, self.perceptual, begun,
         )  # fmt: skip
         if self.work is not None:

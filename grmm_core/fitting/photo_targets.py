@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -24,8 +24,8 @@ from torch.nn import functional
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import EMPTY, triangle_depth
 from ..head import HeadModel
-from ..photo.glasses import thin_frames
-from ..photo.parser import PhotoParts, parse
+from ..photo.glasses import worn_glasses
+from ..photo.parser import MESH_PARTS, PhotoParts, parse, part_map
 from ..photo.widening import widened
 from .types import PhotoTrack
 
@@ -70,6 +70,7 @@ class FitView:
         empty: 1 where the person's clothes are seen beside the bust, so that nothing of the avatar may be there, [H, W].
         hair: 1 where hair falls over the side of the face: such pixels say nothing about skin, [H, W].
         clothes: 1 where clothes cover neck or bust, [H, W]: they are painted, not measured.
+        lenses: 1 where skin is seen through lenses of glasses, [H, W]: it is no target.
         shape: [S]. expression: [E]. pose: with the part that the expression turns, [5, 3].
         aligned: Weights of the aligned expressions that the tracked expression stands for, [60].
     """
@@ -82,6 +83,7 @@ class FitView:
     empty: Tensor
     hair: Tensor
     clothes: Tensor
+    lenses: Tensor
     shape: Tensor
     expression: Tensor
     pose: Tensor
@@ -108,6 +110,10 @@ class FitView:
     def measured(self) -> Tensor:
         """Pixels of the head and of the bare neck, [H, W] 0..1: what of `inside` is no cloth."""
         return self.inside * (1.0 - self.clothes)
+
+    def through_lenses(self) -> FitView:
+        """The same with skin behind lenses as a target: its features are the person's, if not its colors."""
+        return replace(self, weight=torch.maximum(self.weight, self.lenses))
 
     def target(self, background: Tensor) -> Tensor:
         """The photo's person over a color [3]: [H, W, 3]."""
@@ -171,7 +177,7 @@ def fit_view(
 
     return FitView(
         index, camera.resized(width, height), resized(track.image), resized(track.mask)[..., 0],
-        flags(weight), flags(empty), flags(parts.hair), flags(parts.clothes),
+        flags(weight), flags(empty), flags(parts.hair), flags(parts.clothes), flags(parts.lenses),
         numbers(track.shape), numbers(track.expression), numbers(pose),
         numbers(aligned_weights(track.expression, head, aligned_count)),
     )  # fmt: skip
@@ -192,6 +198,10 @@ def _targets(
     weight, empty = track.valid * (1.0 - parts.body), parts.empty
     if hairless:
         weight, empty = _bare(track, seen, vertices[head.faces], float(np.ptp(pixels[:, 1])), weight, empty)
+    if parts.lenses.any():  # eyes are what they are
+        eyes = part_map(head, vertices, track.camera)[0] == tuple(MESH_PARTS).index("eyes")
+        parts = replace(parts, lenses=weight * parts.lenses * ~eyes)
+        weight = weight * (1.0 - parts.lenses)
     return head_window(pixels, track.camera), parts, weight, empty
 
 
@@ -223,12 +233,14 @@ class _Areas:
         empty: Of these, clothes beside the bust.
         hair: Hair over the side of the face.
         clothes: On neck and bust.
+        lenses: Skin behind lenses of glasses, and beside their frames.
     """
 
     body: np.ndarray
     empty: np.ndarray
     hair: np.ndarray
     clothes: np.ndarray
+    lenses: np.ndarray
 
 
 def _areas(track: PhotoTrack, parts: PhotoParts, triangles: np.ndarray, pixels: np.ndarray) -> _Areas:
@@ -247,11 +259,12 @@ def _areas(track: PhotoTrack, parts: PhotoParts, triangles: np.ndarray, pixels: 
     empty = body.copy()
     # nor does the rim where the model's bust ends and the person goes on
     body |= person & widened_rest & (below > SURELY_BODY * height)
-    alien = ((parts.glasses + parts.hat + parts.other) > _LIKELY) | thin_frames(track.image, track.landmarks)
+    glasses = worn_glasses(track, parts)
+    alien = ((parts.glasses * ~glasses.lenses + parts.hat + parts.other) > _LIKELY) | glasses.covered
     body |= _widened(_plane(alien), max(1, round(ALIEN_RIM * height)))
     dressed = _widened(_plane(parts.clothes > _LIKELY), max(1, round(CLOTHES_RIM * height)))
     side = (parts.hair > _LIKELY) & _before_the_face(track, (columns, rows), down) & (below < 0.0) & (track.mask > 0.5)
-    return _Areas(*(part.astype(np.float32) for part in (body, empty, side, dressed & (below > 0.0))))
+    return _Areas(*(part.astype(np.float32) for part in (body, empty, side, dressed & (below > 0.0), glasses.lenses)))
 
 
 def _grid(track: PhotoTrack) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -267,12 +280,13 @@ def _bare(
     """Weight and empty pixels of a model without hair: skin that surely is, and the background."""
     covered = triangle_depth(triangles, track.camera) < EMPTY
     hair = parts.hair + parts.hat > BARE
-    other = (parts.clothes + parts.glasses > BARE) | (track.mask < _INNER) | ~covered | _foreign(track.image, parts)
+    lenses = worn_glasses(track, parts).lenses
+    other = (parts.clothes + parts.glasses * ~lenses > BARE) | (track.mask < _INNER) | ~covered | _foreign(track.image, parts)
     skin = ~_widened(_plane(other), max(1, round(SKIN_RIM * height))) & ~_widened(
         _plane(hair), max(1, round(HAIR_RIM * height))
     )
     background = (track.mask < BODY_MASK) & (track.valid > 0.5)
-    dark, burnt = _shaded(track, parts, hair, height), _burnt(track, parts, height)
+    dark, burnt = _shaded(track, parts, hair, height), _burnt(track, parts, height) & ~lenses
     return weight * (skin & ~dark & ~burnt), np.maximum(empty, background).astype(np.float32)
 
 
@@ -329,7 +343,7 @@ def left_out(tracks: Sequence[PhotoTrack], head: HeadModel) -> list[str]:
         parts = parse(track, head)
         for name, text in _ALIEN.items():
             seen = (getattr(parts, name) > _LIKELY).any()
-            if seen or (name == "glasses" and thin_frames(track.image, track.landmarks).any()):
+            if seen or (name == "glasses" and worn_glasses(track, parts).covered.any()):
                 sentences.append(f"{text} in {track.source or 'the photo'} is left out of the skin.")
     return sentences
 

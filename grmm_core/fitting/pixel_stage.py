@@ -197,7 +197,7 @@ class _Appearance:
         pictures = [(view.camera, view.image.cpu().numpy(), bare_pixels(view)) for view in views]
         _, ratios, doubt = found_lights(head, model.layout, tracks, pictures)
         self.light = PhotoLight.of(model, ratios, trust_in(doubt))
-        small, large = self.views(tracks, QUICK.small_side), self.views(tracks, QUICK.side)
+        small, large = ([view.through_lenses() for view in self.views(tracks, side)] for side in (QUICK.small_side, QUICK.side))
         was = [parameter.requires_grad for parameter in model.parameters()]
         model.requires_grad_(False)
         try:

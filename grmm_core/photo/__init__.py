@@ -5,7 +5,7 @@
 ``faces``     face boxes, 478 landmarks, 52 ARKit coefficients
 ``person``    the mask of the person, its edge refined on the picture
 ``parser``    skin, hair, beard, glasses, hat, clothes and the rest, where the head was tracked (``parser_network``)
-``glasses``   frames too thin for that
+``glasses``   what glasses cover, tint and reflect: frames too thin for that, and ``lenses``, outlines around the eyes
 
 Needs torch, but for `orientation`; imports nothing of the model. Used by fitting.
 """

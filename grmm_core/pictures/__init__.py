@@ -2,6 +2,7 @@
 
 ``color``    display sRGB, scene-linear light, straight and premultiplied alpha
 ``images``   PNG and OpenEXR out
+``polygons`` areas that outlines enclose
 ``sampling`` values between pixels
 ``videos``   files with moving pictures
 """

@@ -299,6 +299,28 @@ def test_brows_go_as_low_as_the_photo_has_them():
     assert middles[1] - middles[0] == pytest.approx(0.03 * height, rel=0.35)
 
 
+def test_brows_behind_frames_of_glasses_are_as_what_is_seen_of_them():
+    """Dark frames, which the parser knows: an upright bar through each brow, one below both, and then one over all of them."""
+    track, parts, head = face([(BROWS, library_groom("bushy", part="brows"))])
+    rows, _ = np.nonzero(brow_cover(track, parts, hair_view(track, parts, head), head) > 0.5)
+    every, bars = np.zeros(track.mask.shape, bool), np.zeros(track.mask.shape, bool)
+    every[rows.min() - 4 : rows.max() + 4] = True
+    for outline in OUTLINES:
+        middle = round(float(track.landmarks[list(outline), 0].mean()))
+        bars[rows.min() - 4 : rows.max() + 4, middle - 5 : middle + 5] = True
+    bars[rows.max() + 2 : rows.max() + 7] = True
+
+    def brows(frames):
+        image = np.where(frames[..., None], 0.05, track.image).astype(np.float32)
+        glasses = parts_of(1.0 - track.mask, glasses=frames * track.mask)
+        return int((person_hair([replace(track, image=image)], [glasses], head).groom.groups == BROWS).sum())
+
+    bare = brows(np.zeros_like(bars))
+    assert (bars & every).sum() > 100
+    assert 0.8 * bare < brows(bars) < 1.1 * bare
+    assert brows(every) == len(library_groom("natural", part="brows")), "nothing is known of them"
+
+
 def test_a_beard_keeps_the_strands_that_the_photo_shows():
     track, parts, head = face([(BEARD, library_groom("goatee", part="beard"))])
     hair = person_hair([track], [parts], head)

@@ -29,9 +29,10 @@ from ..model.parameters import EXPRESSION_MAPS
 from ..training.losses import Perceptual
 from .code_stage import CodePrior, Codes, Tick, background
 from .creases import Folding, bringing, crease_colors, own_colors
+from .eye_colors import even_lash_line, eye_angles, plain_eyes
 from .fold_light import FoldShade
 from .inpainting import amid_own, corners_of, facing, fill_colors, known_of, unclipped, uncut
-from .lids import lid_exposure, lid_share, plain_lids
+from .lids import lash_line, lid_exposure, lid_share, plain_lids
 from .locality import LOCALITY_WEIGHT, Locality, tunable_copy
 from .objective import FIT_WEIGHTS, contributions, decode, draw, fit_loss, relit, spread_to_colors
 from .photo_targets import FitView
@@ -324,17 +325,23 @@ class Tuner:
         """Changes of the weights by parameter name, in the parameters' shapes, with what no photo shows filled in."""
         maps = self.blended()
         shown = maps["color"]
+        angles = eye_angles(self.model)
         if fill:
             decoded = self.decoded[0].colors
             prior, start = recolor(decoded, self.codes.maps, self.surface), decoded + self.tint
             folded = torch.stack([lid_exposure(self.model, view) for view in self.levels[0]]).amin(0)
             maps["color"] = fill_colors(self.surface, prior, start, maps["color"], self.seen, folded, self._hairy())
             share = lid_share(self.model, self.levels[0][0])
-            maps["color"] = plain_lids(self.surface, start + maps["color"], prior, share, known_of(self.seen)) - start
+            known = known_of(self.seen)
+            colors = plain_lids(self.surface, start + maps["color"], prior, share, known)
+            colors = even_lash_line(*lash_line(self.model), colors, prior, known)
+            maps["color"] = plain_eyes(angles, colors, decoded, known_of(self.seen_rim), known) - start
             maps["opacity"] = self.surface.fill(maps["opacity"], self.seen_shape, rest=SHAPE_REST)
             for name in ("position", "scale"):
                 maps[name] = self.surface.fill(maps[name], self.seen_shape, mirrored=False, rest=SHAPE_REST)
-        rim = (shown - maps["color"]) * (known_of(self.seen_rim) * torch.where(self.parts, 1.0, self.surface.lip_rim))[:, None]
+        # what a photo shows of eyes beyond their tone is its light: it would come with every smile
+        beside = torch.where(self.parts & ~torch.isfinite(angles), 1.0, self.surface.lip_rim)
+        rim = (shown - maps["color"]) * (known_of(self.seen_rim) * beside)[:, None]
         creases = self._creases(maps, rim) if fill else None
         features, rotation = (torch.zeros(len(self.tint), width).to(self.tint) for width in (self.model.config.features, 4))
         deltas = {

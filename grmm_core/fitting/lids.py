@@ -44,6 +44,30 @@ def lid_share(model: GRMM, view: FitView) -> Tensor:
     return _moved_by_blinks(model, view.shape.cpu().numpy(), expression, LID_TRAVEL).to(view.image)
 
 
+def lash_line(model: GRMM) -> tuple[Tensor, Tensor]:
+    """How far each texel lies on the dark line of the lashes, 0..1, [N], and whether on an upper lid's, likewise.
+
+    Skin beside the lashes that is no plain lid (`lid_share`); 0 where Gaussians have hair.
+    """
+    nothing = torch.zeros(model.gaussian_count).to(model.anchor.barycentric)
+    if not model.config.hairless:
+        return nothing, nothing > 0.0
+    head = model.head_model
+    corners, barycentric = torch.as_tensor(corners_of(model)), model.anchor.barycentric.cpu()
+    mean = torch.as_tensor(np.array(head.v_template, np.float32))
+    positions = (mean[corners] * barycentric[..., None]).sum(1)
+    lashes = mean[torch.as_tensor(head.marked("lashes"))]
+    low, high = lashes.amin(0) - LASH_LINE[1], lashes.amax(0) + LASH_LINE[1]
+    skin = (_lids(head)[corners][..., 0] > 0.0).all(1)
+    rows = torch.nonzero(((positions > low) & (positions < high)).all(1) & skin)[:, 0]
+    far, nearest = torch.cdist(positions[rows], lashes).min(1)
+    share = torch.zeros(len(positions))
+    share[rows] = ((LASH_LINE[1] - far) / (LASH_LINE[1] - LASH_LINE[0])).clamp(0, 1)
+    upper = torch.zeros(len(positions), dtype=torch.bool)
+    upper[rows] = lashes[nearest, 1] > lashes[:, 1].mean()
+    return share.to(nothing), upper.to(nothing.device)
+
+
 def _moved_by_blinks(model: GRMM, shape: np.ndarray, expression: np.ndarray, limits: tuple[float, float]) -> Tensor:
     head = model.head_model
     closed = expression.copy()

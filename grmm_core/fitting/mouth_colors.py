@@ -16,6 +16,7 @@ from .surface import Surface
 
 LIPS_DETAIL, DETAIL = 0.05, 0.03  # of a color, that lips keep beside their tone, and teeth and what is behind them
 TEETH_LIGHT, TEETH_TINT = (0.75, 1.1), 0.05  # of a tooth's tone over the prior's: lightness, and how far tints differ
+EDGE_TEXELS = 1.0  # over which lips go over into skin: the prior's end in steps of a texel
 _TOLD = 0.5  # knowledge from which on a texel tells the tone
 _FEW_TEXELS = 40
 _REDDER = 0.05  # logarithm of red over green, by which lips are redder than skin at least
@@ -45,7 +46,16 @@ def plain_mouth(surface: Surface, prior: Tensor, change: Tensor, known: Tensor, 
         tone = (tone / light).clamp(1.0 - TEETH_TINT, 1.0 + TEETH_TINT) * light.clamp(*TEETH_LIGHT)
         found = torch.where(surface.teeth[:, None], _near(prior * (tone - 1.0), change, known, DETAIL), found)
     inside = _near(torch.zeros_like(change), change, known, DETAIL)  # what a photo shows there is mostly teeth
-    return torch.where(surface.inside[:, None], inside, found)
+    return torch.where(surface.inside[:, None], inside, _soft_edges(surface, prior, found))
+
+
+def _soft_edges(surface: Surface, prior: Tensor, change: Tensor) -> Tensor:
+    """Changes of color [N, 3] with which lips have no hard border."""
+    if not bool(surface.lips.any()):
+        return change
+    share = surface.smooth(_lip_share(surface, prior)[:, None], EDGE_TEXELS)
+    edge = (4.0 * share * (1.0 - share)).clamp(0, 1) * surface.skin[:, None]
+    return torch.lerp(change, surface.smooth(prior + change, EDGE_TEXELS) - prior, edge)
 
 
 def _tone(prior: Tensor, change: Tensor, told: Tensor) -> Tensor | None:

@@ -23,7 +23,8 @@
 ``hair_stage``         the groom that photos show, for weights without hair; ``hair_grain``: how strands lie, straight or coily;
                        ``hair_shape``: bent to the photos; ``hair_texture``: cut and colored by them; ``root_shade``: the skin
                        under it; ``face_hair``: brows, beard and lashes
-``settling``           what the avatar as a session draws it still lacks; ``mouth_colors``: lips and teeth at rest
+``settling``           what the avatar as a session draws it still lacks; ``mouth_colors``: lips and teeth at
+                       rest; ``eye_colors``: irises, whites and the line of lashes
 ``invert``             tracks to an avatar by both stages
 ``folder``             the work folder: whose state it holds, what is refused before work begins; ``checkpoint``: the tuning's
 ``batch``              a folder of people, here or on a cluster; ``result``: what a fit becomes in an avatar

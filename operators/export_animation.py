@@ -29,7 +29,7 @@ from .common import (
     require,
 )
 from .file_formats import menu_items, write_filter, written_suffixes
-from .steps import Step, SteppedOperator, Steps
+from .steps import Step, SteppedOperator, Steps, Turn
 
 PERFORMANCES = formats("performance", written=True)
 CACHES = (
@@ -79,11 +79,12 @@ class GRMM_OT_export_performance(SteppedOperator, FrameRange, Operator, ExportHe
         head = exporting.check_flame(performer, flame_path(self.flame_file)) if path.suffix.lower() == ".npz" else None
         frames = self.frames(context)
         rate = scene.render.fps / scene.render.fps_base
-        controls = []
+        controls, turn = [], Turn()
         with exporting.kept_frame(scene):
             for found in exporting.sample_controls(performer, scene, frames):
                 controls.append(found)
-                yield Step(0.95 * len(controls) / len(frames))
+                if turn.over():
+                    yield Step(0.95 * len(controls) / len(frames), "Playing the frames")
         if head is not None:
             performance = exporting.recorded_flame(head, controls, frames, rate, flame_path(self.flame_file))
         else:

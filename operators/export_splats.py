@@ -34,7 +34,7 @@ from .common import (
     reports_errors,
 )
 from .file_formats import draw_options, has_options, listed, menu_items, option_values, write_filter, written_suffixes
-from .steps import CancelCheck, Step, SteppedOperator, Steps
+from .steps import CancelCheck, Step, SteppedOperator, Steps, Turn
 
 SPLATS = (*formats("splats", written=True), *(one for one in formats("avatar", written=True) if not one.folder))
 MESHES = formats("mesh", written=True)
@@ -223,11 +223,12 @@ class GRMM_OT_export_gaussian_avatar(SteppedOperator, FrameRange, Operator):
         target = splat_target(context.object, scene)
         frames = self.frames(context)
         rate = scene.render.fps / scene.render.fps_base
-        controls = []
+        controls, turn = [], Turn()
         with exporting.kept_frame(scene):
             for found in exporting.sample_controls(avatar, scene, frames):
                 controls.append(found)
-                yield Step(0.9 * len(controls) / len(frames))
+                if turn.over():
+                    yield Step(0.9 * len(controls) / len(frames), "Playing the frames")
         track = exporting.recorded_flame(avatar, controls, frames, rate, flame_path(self.flame_file))
         cloud = target if isinstance(target, Cloud) else None
         make = exporting.gaussian_avatar(avatar, cloud, track, flame_path(self.flame_file), SplatOptions(self.degree))

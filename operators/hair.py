@@ -22,7 +22,7 @@ from ..grmm_core.hair import SETTINGS
 from ..grmm_core.hair.swing import write_bake
 from ..grmm_core.session.swinging import swinging
 from .common import FrameRange, Result, active_avatar, check_object_mode, polls, require
-from .steps import Step, SteppedOperator, Steps
+from .steps import Step, SteppedOperator, Steps, Turn
 
 SCULPT = "SCULPT_CURVES"  # Blender's mode
 
@@ -110,12 +110,13 @@ class GRMM_OT_bake_swing(SteppedOperator, FrameRange, Operator):
         file = bake_path(avatar.object.name)
         path = Path(bpy.path.abspath(file))
         hair.swing = False  # what is baked is the hair that follows the head
-        controls, places = [], []
+        controls, places, turn = [], [], Turn()
         with exporting.kept_frame(scene):
             for found in exporting.sample_controls(avatar, scene, frames):
                 controls.append(found)
                 places.append(place_of_head(avatar.model_to_world(context.evaluated_depsgraph_get())))
-                yield Step(0.3 * len(controls) / len(frames))
+                if turn.over():
+                    yield Step(0.3 * len(controls) / len(frames), "Playing the frames")
         depsgraph = context.evaluated_depsgraph_get()
         use = DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph).hair
         rate = scene.render.fps / scene.render.fps_base

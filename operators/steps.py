@@ -8,6 +8,7 @@ responsive.
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Generator, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from .common import OperatorMixin, Result
 
 CancelCheck = Callable[[], bool]
 _INTERVAL = 0.02  # seconds between looks at the work
+_TURN = 0.1  # seconds for which a walk through frames keeps Blender: each time that it lets go, viewports draw a frame
 _SHORT = 5.0  # seconds; nobody needs to be told that less is left
 
 
@@ -46,6 +48,21 @@ class Step:
 
 Steps = Generator[Step, Any, str]
 """Returns the sentence that is reported at the end. It cleans up after itself when it is closed early."""
+
+
+class Turn:
+    """How long a walk through frames has had Blender for itself; viewports would draw every frame of it otherwise."""
+
+    def __init__(self) -> None:
+        self._begin = time.monotonic()
+
+    def over(self) -> bool:
+        """Whether Blender shall draw and listen now; then the next turn begins with this call."""
+        now = time.monotonic()
+        if now - self._begin < _TURN:
+            return False
+        self._begin = now
+        return True
 
 
 class _Work:

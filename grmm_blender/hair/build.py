@@ -31,7 +31,7 @@ from .curve_sliders import MODIFIER_NAME as SLIDERS
 from .curve_sliders import PART, TIED, add_sliders
 from .display import AS_SPLATS
 from .grooms import NO_HAIR, OWN_HAIR, RANDOM_HAIR
-from .read import DEFORM_NODE, HELD, HELD_PREFIX, TINT, UV_COORDINATE, resting_vertices
+from .read import DEFORM_NODE, HELD, HELD_PREFIX, MADE_OF, TINT, UV_COORDINATE, resting_vertices
 
 GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"
 _POINTS = 16  # of a curve that somebody will draw, about
@@ -120,6 +120,7 @@ def make_curves(
     data.surface, data.surface_uv_map = head, _uv_map(head)
     if drawn is not None:
         _fill(data, head, drawn)
+        data[MADE_OF] = head.grmm.hair.groom
         for part, group in HELD.items():
             if group != LASHES or (drawn.groups == LASHES).any():  # usual ones, and those in Gaussians, stay what they are
                 data[f"{HELD_PREFIX}{part}"] = getattr(head.grmm.hair, part)

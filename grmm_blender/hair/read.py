@@ -32,6 +32,7 @@ UV_COORDINATE = "surface_uv_coordinate"  # Blender's name for the place of a roo
 TINT = "grmm_tint"  # what is added to a point's color, see `Groom.tints`; may be below 0, and so is no color of Blender's
 HELD = {GROUPS[group]: group for group in (BROWS, BEARD, LASHES)}  # parts that curves have besides the scalp's hair
 HELD_PREFIX = "grmm_"  # before their names: the panel's choice that curves were made from
+MADE_OF = "grmm_made_of"  # the same of the hair itself
 SAME_REST = 0.003  # metres
 _TO_HEAD = np.linalg.inv(HEAD_TO_BLENDER)
 

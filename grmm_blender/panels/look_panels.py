@@ -97,8 +97,8 @@ class GRMM_PT_hair(_LookPanel):
 
 
 def _counts(settings: bpy.types.PropertyGroup, name: str) -> bool:
-    """Whether a slider changes anything: whole dye, as photos give hair, covers pigments; without any, its color is unseen."""
-    if name in ("melanin", "redness"):
+    """Whether a slider does anything: whole dye, as photos give hair, covers what grows; without any, its color is unseen."""
+    if name in ("melanin", "redness", "grey"):
         return settings.dye < 1.0
     return not name.startswith("dye_") or settings.dye > 0.0
 

@@ -20,7 +20,7 @@ from ...grmm_core.session.wearing import GROOM_PREFIX, RANDOM_PREFIX
 from ..hair import StrandShot, read_strands
 from ..hair.curve_sliders import NEUTRAL
 from ..hair.grooms import NO_HAIR, OWN_HAIR, PARTS, RANDOM_HAIR
-from ..hair.read import HELD, HELD_PREFIX
+from ..hair.read import HELD, HELD_PREFIX, MADE_OF
 from ..hair.swing import swung
 from ..properties import PHOTO_LIGHT, SCENE_LIGHT
 from ..rig.avatar import Avatar, is_avatar
@@ -45,8 +45,8 @@ def _light(settings: bpy.types.PropertyGroup, source: str) -> tuple[Response | N
 
 
 @functools.lru_cache(maxsize=64)
-def _hair_use(groom: str, parts: tuple[str, ...], values: tuple[float, ...]) -> HairUse:
-    """What the panel's choice of hair and of its `PARTS` means to a session."""
+def _hair_use(groom: str, parts: tuple[str, ...], values: tuple[float, ...], of_own: bool) -> HairUse:
+    """What the panel's choice of hair and of its `PARTS` means to a session; `of_own`: it was made of the avatar's own."""
     near = np.allclose(values, [row.default for row in SETTINGS], atol=1e-6)
     settings = None if near else HairSettings(*values)
     if {groom, *parts} == {OWN_HAIR} and settings is None:
@@ -54,7 +54,7 @@ def _hair_use(groom: str, parts: tuple[str, ...], values: tuple[float, ...]) -> 
     own = {OWN_HAIR: OWN_HAIR.lower(), NO_HAIR: NO_HAIR.lower()}
     named = own.get(groom) or (groom if groom.startswith(RANDOM_PREFIX) else GROOM_PREFIX + groom)
     brows, beard, lashes = (own.get(name, name) for name in parts)
-    return HairUse(named, settings, None, brows, beard, lashes)
+    return HairUse(named, settings, None, brows, beard, lashes, of_own=of_own)
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class DrawnAvatar:
             )
         if strands is not None and strands.shaped:
             values = tuple(NEUTRAL.get(row.name, value) for row, value in zip(SETTINGS, values, strict=True))
-        use = _hair_use(groom, parts, values)
+        use = _hair_use(groom, parts, values, strands is not None and settings.curves.data.get(MADE_OF) == OWN_HAIR)
         if settings.curves is None:
             use, note = swung(use, self.object.evaluated_get(depsgraph), depsgraph.scene.frame_current_final)
         return use, strands, note

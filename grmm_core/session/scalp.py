@@ -104,9 +104,9 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
     far = np.zeros(len(seen), np.float32)
     if not hairless:
         offsets = to_numpy(evaluator.offsets(target, inputs))[:, :3] * target.model.config.position_unit_mm * METRES_PER_MM
-        far = np.maximum(_ramp(offsets[:, 2], *LIFTED), _ramp(np.linalg.norm(offsets[:, :2], axis=1), *ASIDE))
+        far = np.maximum(ramp(offsets[:, 2], *LIFTED), ramp(np.linalg.norm(offsets[:, :2], axis=1), *ASIDE))
     (y_low, y_high), (z_low, z_high) = BEARD
-    beard = _ramp(places.points[:, 1], y_high, y_low) * _ramp(places.points[:, 2], z_high, z_low)
+    beard = ramp(places.points[:, 1], y_high, y_low) * ramp(places.points[:, 2], z_high, z_low)
     bright = seen.mean(1)
     plain = places.skin & (places.scalp < 0.02) & (far < 0.02) & (beard < 0.5)
     middle = float(np.median(bright[plain])) if plain.any() else 0.0
@@ -129,14 +129,14 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
         color[part] = (near @ seen[some]) / near.sum(1, keepdims=True)
     # what is as dark as hair beside and behind the face is hair that lies on the skin
     usual = np.maximum(color.mean(1), 1e-4)
-    dark = _ramp(bright / usual, DARK[0], DARK[1])
+    dark = ramp(bright / usual, DARK[0], DARK[1])
     if hairless:  # only a photo paints its hair there, of any color, with soft borders; else the scalp is shaven
         sides = seen, _seen(evaluator, target, inputs, -1.0)  # the inner side of an open bust is in the dark, and no hair
         if photo:
-            dark = np.minimum(*(_ramp(np.abs(side - color).max(1) / usual, *OTHER) for side in sides))
+            dark = np.minimum(*(ramp(np.abs(side - color).max(1) / usual, *OTHER) for side in sides))
         else:
-            dark = np.minimum(*(_ramp(side.mean(1) / usual, *DARK) for side in sides))
-            tinted = np.minimum(*(_ramp(np.abs(side - color).max(1) / usual, *TINTED) for side in sides))
+            dark = np.minimum(*(ramp(side.mean(1) / usual, *DARK) for side in sides))
+            tinted = np.minimum(*(ramp(np.abs(side - color).max(1) / usual, *TINTED) for side in sides))
             dark = np.maximum.reduce([dark, tinted * shaven, places.scalp])
         color, bare = seen + dark[:, None] * (color - seen), dark.astype(np.float32)
     return Skin(np.maximum(share, dark * around).astype(np.float32), color, bare)
@@ -225,11 +225,12 @@ def _under_hair(head: HeadModel, blocks: Sequence[StrandBlock]) -> tuple[np.ndar
     cover = 1.0 - np.exp(-shadow / np.maximum(area, 1e-9))
     light = np.where(roots > 0, light / np.maximum(roots, 1e-9), 1.0)
     for _ in range(2):
-        cover, light = (_smoothed(part, faces) for part in (cover, light))
+        cover, light = (smoothed(part, faces) for part in (cover, light))
     return cover, np.clip(2.0 * light, 0.0, 1.0)  # openness at the skin is half a sphere's
 
 
-def _smoothed(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def smoothed(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Values of vertices [V], each the mean of the triangles [F, 3] at it."""
     total, number = np.zeros(len(values)), np.zeros(len(values))
     np.add.at(total, faces, values[faces].mean(1)[:, None])
     np.add.at(number, faces, 1.0)
@@ -250,7 +251,7 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
         for _ in range(HAIRLINE):
             wider = np.isin(np.arange(len(wider)), faces[wider[faces].any(1)])
         outer = np.asarray(head.uv_islands)[layout.face] == _ISLAND
-        beside = np.maximum(_ramp(points[:, 2], *BESIDE), _ramp(points[:, 1], *FOREHEAD))
+        beside = np.maximum(ramp(points[:, 2], *BESIDE), ramp(points[:, 1], *FOREHEAD))
         skin = outer & (share(*SKIN) > 0.99) & (share(*_NOT_SKIN) < 0.01)
         return _Places(
             points.astype(np.float32),
@@ -263,8 +264,8 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
             beside,
             beside
             * (1.0 - share("ears", *_NOT_SKIN))
-            * _ramp(_from_edges(head, points), *RIM)
-            * np.maximum(_ramp(points[:, 1], *TEMPLES), _ramp(points[:, 2], *BEHIND)),
+            * ramp(_from_edges(head, points), *RIM)
+            * np.maximum(ramp(points[:, 1], *TEMPLES), ramp(points[:, 2], *BEHIND)),
         )
 
     return evaluator.cache.get((target.id, "places"), make)
@@ -284,7 +285,7 @@ def _from_edges(head: HeadModel, points: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(nearest, 0.0))
 
 
-def _ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:
+def ramp(values: np.ndarray, low: float, high: float) -> np.ndarray:
     """0 at `low`, 1 at `high`, smooth between them, either way round."""
     x = np.clip((values - low) / (high - low), 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)

@@ -36,6 +36,7 @@ from ..splat.types import Gaussians
 from .cap import Cap
 from .engines import Engine
 from .evaluator import Evaluator, Inputs, OpenAvatar, at_rest
+from .photo_skin import as_found, still_there
 from .scalp import Covered, Skin, bare_skin, cap_color, covered, shade, shadow
 from .wearing import GROOM_PREFIX, NO_HAIR, OWN_HAIR, PARTS, PUT_PREFIX, RANDOM_PREFIX, USUAL, HairUse
 
@@ -82,13 +83,15 @@ class Worn:
         settings: To draw them with, for each of `roots.GROUPS`.
         flat: The scalp is laid flat (`scalp`): the hair that the Gaussians were trained with does not show, or strands
             shade the skin.
-        own: The hair is that of the avatar's file.
+        own: The hair is that of the avatar's file, or was made of it.
+        photo: It is also that of a photo, which shows the skin under it.
     """
 
     layers: tuple[Layer, ...]
     settings: tuple[HairSettings, ...]
     flat: bool
     own: bool
+    photo: bool
 
     @property
     def key(self) -> tuple[str, ...]:
@@ -141,8 +144,9 @@ class Wardrobe:
         settings = use.settings or (own.settings if own is not None and use.groom == OWN_HAIR else HairSettings())
         kept = {} if own is None else own.parts
         parts = [use.parts.get(part) or kept.get(part) or settings.for_part(group) for group, part in enumerate(GROUPS)]
-        painted = instead and (not hairless or (use.groom != OWN_HAIR and target.avatar.provenance.from_photos))
-        return Worn(layers, (settings, *parts[1:]), combed or painted, use.groom == OWN_HAIR)
+        of_own, from_photos = use.groom == OWN_HAIR or use.of_own, target.avatar.provenance.from_photos
+        painted = instead and (not hairless or (not of_own and from_photos))
+        return Worn(layers, (settings, *parts[1:]), combed or painted, of_own, of_own and from_photos)
 
     def _main(self, target: OpenAvatar, use: HairUse) -> Layer | None:
         """The groom that is worn on the scalp, with what else is in it."""
@@ -188,8 +192,11 @@ class Wardrobe:
             return None
         head = target.model.head_model
 
-        def bare() -> Skin:
-            return bare_skin(evaluator, target, at_rest(target, inputs), worn.own)
+        def bare(own: bool) -> Skin:
+            def find() -> Skin:
+                return bare_skin(evaluator, target, at_rest(target, inputs), own)
+
+            return evaluator.cache.get((target.id, "skin", own, *inputs.identity_key), find)
 
         def find() -> Covered:
             blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
@@ -198,15 +205,21 @@ class Wardrobe:
 
         def make() -> Cap:
             there = evaluator.cache.get((target.id, "covered", *worn.key), find)
-            photo = worn.own and target.avatar.provenance.from_photos  # it shows how dark skin under its own hair is
-            left = np.ones((len(target.model.layout), 1), np.float32) if photo else shade(there, worn.settings)
-            rig = not photo and not lit_later
-            if rig:
-                left = np.minimum(left, shadow(there, worn.settings[SCALP]))
+            left, settings = shade(there, worn.settings), worn.settings[SCALP]
+            if not lit_later:
+                left = np.minimum(left, shadow(there, settings))
+            skins = [(worn.own, np.ones((len(left), 1), np.float32))]
+            if worn.photo:  # it shows how dark skin under its own hair is
+                own, grooms = target.avatar.hair or Hair(None), [layer.groom for layer in worn.layers]
+                stays = still_there(target, own.groom, grooms, settings)[:, None]
+                left = left + stays * (1.0 - left)
+                stays = stays * as_found(settings, own.settings)
+                skins = [(True, stays), (False, 1.0 - stays)]
             share, color = np.zeros(len(left), np.float32), np.zeros((len(left), 3), np.float32)
-            if worn.flat:
-                skin = evaluator.cache.get((target.id, "skin", worn.own, *inputs.identity_key), bare)
-                share, color = skin.share, cap_color(skin, there, worn.settings[SCALP], rig)
+            for own_skin, part in skins:
+                if worn.flat and part.any():
+                    skin, rig = bare(own_skin), not lit_later and not (own_skin and worn.photo)
+                    share, color = share + part[:, 0] * skin.share, color + part * cap_color(skin, there, settings, rig)
             return Cap(*map(self._engine.array, (share, color, left)))
 
         scalp, beard = worn.settings[SCALP], worn.settings[BEARD]

@@ -36,6 +36,8 @@ class HairUse:
             of `settings`.
         swing: How far the strands of the groom have swung from where they follow the head, head space, metres, [N, S, 3] at S
             even places from the root on: `hair.swing` computes it. None: not at all.
+        of_own: The groom was made of the avatar's own hair, as curves that a host edits are: what a photo shows of skin under
+            that stays where strands still stand.
     """
 
     groom: str = OWN_HAIR
@@ -46,6 +48,7 @@ class HairUse:
     lashes: str = OWN_HAIR
     parts: Mapping[str, HairSettings] = field(default_factory=dict)
     swing: np.ndarray | None = None
+    of_own: bool = False
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.parts) - set(PARTS))

@@ -156,8 +156,8 @@ def test_hair_is_swapped_by_one_click(hair_script):
     assert found["curves_gone"]
     assert found["still_there"]
     assert "GRMM_MT_add_hair" in found["menus"]
-    # Photos give hair whole dye, which covers the pigments; without any, its color is unseen.
-    assert found["dimmed"] == [["dye_red", "dye_green", "dye_blue"], [], ["melanin", "redness"]]
+    # Photos give hair whole dye, which covers the natural color; without any, its color is unseen.
+    assert found["dimmed"] == [["dye_red", "dye_green", "dye_blue"], [], ["melanin", "redness", "grey"]]
     assert found["same"]
     assert found["random"] == ["random:7", "bushy", "own", "own"]
     assert found["beard"][0] == found["beard"][1] < found["beard"][2] - 1000
@@ -197,3 +197,4 @@ def test_brows_and_beard_become_curves_and_stay_what_they_are(hair_script):
     assert all(count > 0.9 * whole for count, whole in zip(found["saved"], found["grooms"], strict=True))
     assert [found["shaved_use"], found["cut_use"]] == ["none", "none"]
     assert found["cut"] == [scalp, brows, 0, lashes]
+    assert found["made_of"] == [False, True]

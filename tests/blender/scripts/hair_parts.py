@@ -94,3 +94,14 @@ bpy.ops.grmm.hair_as_curves(sculpt=False)
 before = lengths(worn().strands)[roots.SCALP]
 hair.length = 2.0
 report(tied=lengths(worn().strands)[roots.SCALP] / before)
+
+# A session hears whether hair was made of the person's own, as a file has it, or of somebody else's.
+made_of = [worn().hair.of_own]
+bpy.ops.grmm.open_avatar(filepath=str(file))
+fitted = bpy.context.object if bpy.context.object.type == "MESH" else bpy.context.object.children[0]
+bpy.ops.grmm.hair_as_curves(sculpt=False)
+bpy.context.view_layer.update()
+depsgraph = bpy.context.evaluated_depsgraph_get()
+avatar = avatars.Avatar(fitted)
+made_of.append(avatars.DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph).hair.of_own)
+report(made_of=made_of)

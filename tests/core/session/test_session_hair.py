@@ -133,6 +133,41 @@ def test_a_file_holds_the_hair(session, tmp_path):
     assert float(np.abs(again["rgb"] - worn["rgb"]).mean()) < 0.01
 
 
+def test_curves_made_of_a_photos_hair_look_like_it_until_they_are_cut_or_dyed(session, tmp_path):
+    """The skin under a photo's own hair shows that hair; under what a host made of it, too, where it still stands."""
+    groom, plain = library_groom("crop"), load_avatar(library_path("default"))
+    settings = HairSettings(melanin=1.0)
+    person = replace(plain, hair=Hair(groom, settings), provenance=replace(plain.provenance, from_photos=True))
+    save_avatar(person, tmp_path / "photo.grmm")
+    number = session.open(tmp_path / "photo.grmm").id
+    stored = session.target(number).avatar.hair.groom
+    head = session.target(number).model.head_model
+    roots = stored.frames(np.asarray(head.v_template, float), head.faces).at(np.asarray(head.v_template, float))[0]
+    made = session.put_groom("made of it", "1", stored)
+    cut = session.put_groom("cut", "1", stored.select((stored.groups != 0) | (roots[:, 0] < 0)))
+
+    def shown(use: HairUse) -> np.ndarray:
+        return session.render([Instance(number, hair=use)], CAMERA)["rgb"]
+
+    def skin(use: HairUse) -> np.ndarray:
+        colors = session.gaussians(number, Controls(), hair=use).colors
+        return np.asarray(colors)[: len(session.target(number).model.layout)]
+
+    own, same = HairUse(settings=settings), HairUse(made, settings, of_own=True)
+    np.testing.assert_array_equal(shown(same), shown(own))
+    assert np.abs(shown(HairUse(made, settings)) - shown(own)).mean() > 1e-4  # somebody else's hair of the same shape
+    kept, shorn, other = (skin(use) for use in (same, HairUse(cut, settings, of_own=True), HairUse(cut, settings)))
+    layout = session.target(number).model.layout
+    side = (np.asarray(head.v_template)[np.asarray(head.faces)[layout.face]] * layout.barycentric[..., None]).sum(1)[:, 0]
+    np.testing.assert_allclose(shorn[side < -0.04], kept[side < -0.04], atol=5e-3)
+    scalp = (head.marked("scalp").astype(float)[np.asarray(head.faces)[layout.face]] * layout.barycentric).sum(1) > 0.99
+    gone = scalp & (side > 0.04)
+    assert np.abs(kept[gone] - other[gone]).mean() > 0.01
+    np.testing.assert_allclose(shorn[gone], other[gone], atol=5e-3)
+    dyed = settings.changed(melanin=0.1)
+    np.testing.assert_allclose(skin(HairUse(settings=dyed))[scalp], skin(HairUse(made, dyed))[scalp], atol=5e-3)
+
+
 def test_brows_lashes_and_beard_are_chosen_beside_the_hairstyle(session, tmp_path):
     info = session.open("default")
     face = Camera.orbit(160, 160, 0, distance=0.5, fov=24)

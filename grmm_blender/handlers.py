@@ -18,7 +18,7 @@ from bpy.app.handlers import persistent
 from ..grmm_core.errors import GrmmError, RuntimeMissingError
 from . import events, session_host
 from .engine.settings import ENGINE
-from .hair import display
+from .hair import curve_sliders, display
 from .rig import live, repaint
 from .rig.avatar import Avatar, avatar_of
 from .rig.channel_groups import group_channels
@@ -65,8 +65,13 @@ def _on_edit(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     for avatar in _touched(depsgraph.updates):
         _left_rigs.note_place(avatar)
         _update(avatar, depsgraph)
-    for obj in _hair_of(scene, depsgraph.updates):
+    hair = _hair_of(scene, depsgraph.updates)
+    for obj in hair:
         display.follow_mode(obj)
+    if hair and bpy.app.background:
+        _claim_hair()
+    elif hair:
+        events.later(_claim_hair, 0.0)
 
 
 @persistent
@@ -89,6 +94,14 @@ def _on_playback_end(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> 
 
 def _remove_left_rigs() -> None:
     _left_rigs.remove()
+
+
+def _claim_hair() -> None:
+    """Let the hair of heads that were duplicated follow their own sliders."""
+    for avatar in avatars_in(bpy.context.scene):
+        curves = avatar.object.grmm.hair.curves
+        if curves is not None and curves.type == "CURVES" and curve_sliders.claim(curves, avatar.object):
+            avatar.tag_edited()
 
 
 def _window_depsgraph(scene: bpy.types.Scene) -> bpy.types.Depsgraph | None:
@@ -223,6 +236,6 @@ def register() -> None:
 
 def unregister() -> None:
     """Stop following them."""
-    events.stop(_EVENTS, [_catch_up, _settle, _remove_left_rigs])
+    events.stop(_EVENTS, [_catch_up, _settle, _remove_left_rigs, _claim_hair])
     repaint.stop()
     live.forget()

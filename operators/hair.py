@@ -22,9 +22,10 @@ from ..grmm_core.hair import SETTINGS
 from ..grmm_core.hair.swing import write_bake
 from ..grmm_core.session.swinging import swinging
 from .common import FrameRange, Result, active_avatar, check_object_mode, polls, require
-from .steps import Step, SteppedOperator, Steps, Turn
+from .steps import CancelCheck, Step, SteppedOperator, Steps, Turn
 
 SCULPT = "SCULPT_CURVES"  # Blender's mode
+_SIMULATED = 0.5  # seconds of work on hair that swings between two signs of life
 
 
 def _combable(context: bpy.types.Context) -> Avatar:
@@ -123,13 +124,22 @@ class GRMM_OT_bake_swing(SteppedOperator, FrameRange, Operator):
         session, info = session_host.get_session(), session_host.open_avatar(avatar.source)
         uses = swinging(session, info, use, controls, rate, places)
         rows: list[np.ndarray] = []
-        for number in range(len(frames)):
-            worn = yield Step(0.3 + 0.65 * number / len(frames), "Simulating", lambda stopped: next(uses))
-            if worn.swing is None:
-                raise ConfigError("This hair does not swing: it is in the avatar's Gaussians; choose a groom of strands.")
-            rows.append(worn.swing)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_bake(path, rows, frames[0], rate)
+
+        def simulate(stopped: CancelCheck) -> None:
+            turn = Turn(_SIMULATED)
+            while len(rows) < len(frames) and not stopped() and not turn.over():
+                swing = next(uses).swing
+                if swing is None:
+                    raise ConfigError("This hair does not swing: it is in the avatar's Gaussians; choose a groom of strands.")
+                rows.append(swing)
+
+        def write(stopped: CancelCheck) -> None:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_bake(path, rows, frames[0], rate)
+
+        while len(rows) < len(frames):
+            yield Step(0.3 + 0.6 * len(rows) / len(frames), "Simulating", simulate)
+        yield Step(0.9, "Writing", write)
         hair.swing_file, hair.swing_of, hair.swing = file, hair_key(avatar.object), True
         avatar.tag_edited()
         return f"Baked {len(frames)} frames of hair to {path.name}"

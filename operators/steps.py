@@ -51,15 +51,15 @@ Steps = Generator[Step, Any, str]
 
 
 class Turn:
-    """How long a walk through frames has had Blender for itself; viewports would draw every frame of it otherwise."""
+    """How long a walk through frames goes on at a time: viewports would draw after every frame of it otherwise."""
 
-    def __init__(self) -> None:
-        self._begin = time.monotonic()
+    def __init__(self, seconds: float = _TURN) -> None:
+        self._seconds, self._begin = seconds, time.monotonic()
 
     def over(self) -> bool:
         """Whether Blender shall draw and listen now; then the next turn begins with this call."""
         now = time.monotonic()
-        if now - self._begin < _TURN:
+        if now - self._begin < self._seconds:
             return False
         self._begin = now
         return True

@@ -20,6 +20,7 @@ PART = "grmm_part"  # of a curve, an attribute: one more than its number in `roo
 TIED = "grmm_tied"  # of a curve, an attribute: a knot holds it, see `knots`; none is false
 MODIFIER_NAME = "GRMM Hair Sliders"
 NEUTRAL = {"length": 1.0, "curl": 0.0, "frizz": 0.0}  # of the sliders that move points
+SLIDERS = "grmm.hair."  # data path of a head's sliders
 _OTHERS = ("thickness", "density")
 _SIDEWAYS = tuple((HEAD_TO_BLENDER[:3, :3] @ (0.31, 0.42, 0.85)).tolist())  # strands' directions across, see `strands.across`
 _EPSILON = 1e-4
@@ -105,6 +106,40 @@ def add_sliders(obj: bpy.types.Object, head: bpy.types.Object, points: int, fami
     thick = nodes.new("GeometryNodeSetCurveRadius", {"Curve": geometry, "Radius": radius}).outputs[0]
     tree.links.new(thick, nodes.new("NodeGroupOutput").inputs[0])
     obj.modifiers.new(MODIFIER_NAME, "NODES").node_group = tree
+
+
+def claim(obj: bpy.types.Object, head: bpy.types.Object) -> bool:
+    """Give curves that were duplicated with their head sliders and a color of their own; returns whether they had none.
+
+    Blender gives copies the nodes and the material of the first, which go on following the first head's sliders.
+    """
+    modifier, changed = obj.modifiers.get(MODIFIER_NAME), False
+    if obj.library is not None or obj.override_library is not None or head.library is not None:
+        return False
+    tree = modifier.node_group if modifier is not None else None
+    if tree is not None and tree.library is None and _others(tree, head):
+        modifier.node_group = copy = tree.copy()
+        _follow(_others(copy, head), head)
+        changed = True
+    materials = obj.data.materials if obj.data.library is None and obj.data.users == 1 else ()
+    for number, material in enumerate(materials):
+        if material is not None and material.library is None and material.node_tree and _others(material.node_tree, head):
+            materials[number] = copy = material.copy()
+            _follow(_others(copy.node_tree, head), head)
+            changed = True
+    return changed
+
+
+def _others(tree: bpy.types.NodeTree, head: bpy.types.Object) -> list[bpy.types.DriverTarget]:
+    """Sliders of other heads that nodes follow."""
+    drivers = tree.animation_data.drivers if tree.animation_data is not None else ()
+    targets = [target for curve in drivers for variable in curve.driver.variables for target in variable.targets]
+    return [one for one in targets if one.id not in (None, head) and one.data_path.startswith(SLIDERS)]
+
+
+def _follow(targets: list[bpy.types.DriverTarget], head: bpy.types.Object) -> None:
+    for target in targets:
+        target.id = head
 
 
 def follows_sliders(obj: bpy.types.Object, final: bool) -> bool:

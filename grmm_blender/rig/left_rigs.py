@@ -10,7 +10,9 @@ from .avatar import Avatar, is_avatar
 
 
 class LeftRigs:
-    """Notices heads that are deleted, and removes the rigs that they leave behind. `handlers` asks after edits.
+    """Notices heads that are deleted, and removes the rigs and the curves of hair that they leave behind.
+
+    `handlers` asks after edits.
 
     A head whose rig is deleted stays, as a mesh with its sliders, where it stood: Blender would drop it to the world's origin.
     """
@@ -19,7 +21,9 @@ class LeftRigs:
         """Know of nothing."""
         self._count = -1  # of objects: looking is only worth it after it has changed
         self._rig_of: dict[int, int] = {}  # by head; both by `session_uid`
+        self._hair_of: dict[int, set[int]] = {}  # curves by head, likewise
         self._left: set[int] = set()
+        self._bald: set[int] = set()  # curves whose heads are gone
         self._gone = False  # heads are, whatever became of their rigs
         self._places: dict[int, Matrix] = {}  # in the world, of heads
         self._dropped: set[int] = set()  # heads that have lost their rigs
@@ -34,19 +38,23 @@ class LeftRigs:
         if len(bpy.data.objects) != self._count:
             self._count = len(bpy.data.objects)
             present, known, self._rig_of = {obj.session_uid for obj in bpy.data.objects}, self._rig_of, {}
+            hair, self._hair_of = self._hair_of, {}
             for obj in bpy.data.objects:
+                if obj.type == "CURVES" and obj.parent is not None and _is_ours(obj.data):
+                    self._hair_of.setdefault(obj.parent.session_uid, set()).add(obj.session_uid)
                 rig = Avatar(obj).armature if is_avatar(obj) else None
                 if rig is not None:
                     self._rig_of[obj.session_uid] = rig.session_uid
                     self.note_place(Avatar(obj))
             gone = {rig for head, rig in known.items() if head not in present}
             self._left |= gone - set(self._rig_of.values())
+            self._bald |= {uid for head in known if head not in present for uid in hair.get(head, ())}
             self._gone = self._gone or bool(gone)
             self._dropped |= {head for head, rig in known.items() if head in present and rig not in present}
         return self._gone or bool(self._dropped)
 
     def remove(self) -> None:
-        """Remove the rigs, and what `motion` made for them; put heads without a rig where they stood, free to be moved.
+        """Remove the rigs, what `motion` made for them, and hair; put heads without a rig where they stood, free to be moved.
 
         Linked rigs stay, and those that something else hangs on, or that have other bones than ours.
         """
@@ -59,7 +67,14 @@ class LeftRigs:
                 bpy.data.objects.remove(obj)
                 if not armature.users:
                     bpy.data.armatures.remove(armature)
+        for obj in [obj for obj in bpy.data.objects if obj.session_uid in self._bald]:
+            curves = obj.data
+            if obj.library is None and obj.parent is None and not obj.children and _is_ours(curves):
+                bpy.data.objects.remove(obj)
+                if not curves.users:
+                    bpy.data.hair_curves.remove(curves)
         self._left.clear()
+        self._bald.clear()
         self._dropped.clear()
         self._gone = False
         remove_unused()
@@ -68,7 +83,12 @@ class LeftRigs:
     def forget(self) -> None:
         """Begin anew: another file, or another point of the undo history, is there now."""
         self._count, self._rig_of, self._left, self._gone = -1, {}, set(), False
-        self._places, self._dropped = {}, set()
+        self._places, self._dropped, self._hair_of, self._bald = {}, set(), {}, set()
+
+
+def _is_ours(curves: bpy.types.ID) -> bool:
+    """Whether curves were made from a groom: `hair.build` says so in properties of theirs."""
+    return any(key.startswith("grmm_") for key in curves.keys())  # noqa: SIM118 - a data-block is no mapping
 
 
 def remove_unused() -> None:

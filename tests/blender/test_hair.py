@@ -198,3 +198,10 @@ def test_brows_and_beard_become_curves_and_stay_what_they_are(hair_script):
     assert [found["shaved_use"], found["cut_use"]] == ["none", "none"]
     assert found["cut"] == [scalp, brows, 0, lashes]
     assert found["made_of"] == [False, True]
+    copied = found["duplicate"]
+    assert copied["own"] == [True, True]
+    (length, bright), (other_length, other_bright) = copied["first"], copied["second"]
+    assert other_length == pytest.approx(0.5 * length, rel=0.03)
+    assert other_bright > 1.5 * bright
+    assert copied["noticed"]
+    assert copied["left"] == copied["kept"] == []

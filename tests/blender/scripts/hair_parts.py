@@ -105,3 +105,40 @@ depsgraph = bpy.context.evaluated_depsgraph_get()
 avatar = avatars.Avatar(fitted)
 made_of.append(avatars.DrawnAvatar(avatar, avatar.model_to_world(depsgraph)).shot(depsgraph).hair.of_own)
 report(made_of=made_of)
+
+# Duplicated with its head, hair follows the copy's sliders and color; a head that is deleted takes its hair and rig along.
+rig, first = fitted.parent, fitted.grmm.hair
+for obj in (rig, *rig.children_recursive):
+    obj.select_set(True)
+before = {obj.name for obj in bpy.data.objects}
+bpy.ops.object.duplicate()
+copy = next(obj for obj in bpy.data.objects if obj.name not in before and obj.type == "MESH")
+second = copy.grmm.hair
+bpy.context.view_layer.update()
+reports = {"own": [second.curves != first.curves, second.curves.data.surface == copy]}
+second.length, second.dye, second.melanin = 0.5, 0.0, 0.05
+bpy.context.view_layer.update()
+
+
+def drawn(obj: bpy.types.Object) -> list[float]:
+    """Length of the scalp's hair as Blender evaluates it, and how bright its material is."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    wearer = avatars.Avatar(obj)
+    shot = avatars.DrawnAvatar(wearer, wearer.model_to_world(depsgraph)).shot(depsgraph)
+    nodes = obj.grmm.hair.curves.data.materials[0].node_tree.nodes
+    shader = next(node for node in nodes if node.type == "BSDF_PRINCIPLED")
+    return [lengths(shot.strands)[roots.SCALP], float(sum(shader.inputs["Base Color"].default_value[:3]))]
+
+
+reports["first"], reports["second"] = drawn(fitted), drawn(copy)
+left_rigs = module("grmm_blender.rig.left_rigs").LeftRigs()
+left_rigs.notice_deleted()
+for obj in bpy.context.selected_objects:
+    obj.select_set(False)
+copy.select_set(True)
+bpy.ops.object.delete()
+reports["noticed"] = left_rigs.notice_deleted()
+left_rigs.remove()
+reports["left"] = sorted({obj.name for obj in bpy.data.objects} - before)
+reports["kept"] = sorted(before - {obj.name for obj in bpy.data.objects})
+report(duplicate=reports)

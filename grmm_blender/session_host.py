@@ -220,7 +220,8 @@ def answering(source: str, patient: bool = True) -> Iterator[bool]:
     problem = _not_opened.pop(source, None)
     if problem is not None:
         raise problem
-    with session.at_once(_WAIT_SECONDS if patient and _has_drawn else 0.0) as free:
+    worth = patient and _has_drawn and source in _opened  # who is not open yet does not answer, however long the wait
+    with session.at_once(_WAIT_SECONDS if worth else 0.0) as free:
         ready = free and source in _opened
         yield ready
     if not ready:

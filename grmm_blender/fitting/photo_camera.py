@@ -21,6 +21,7 @@ from ..rig.avatar import Avatar, avatar_of
 
 _SENSOR = 36.0  # millimetres
 _OPACITY = 0.5
+_FRAME = 0.1  # of the distance from the head: how large a camera is drawn, else its frame is larger than the head
 _COPY_SIDE = 2048  # pixels of a copy's longer side
 _TO_BLENDER_AXES = np.diag([1.0, -1.0, -1.0, 1.0])  # a Blender camera looks along its -z with y up
 
@@ -52,6 +53,7 @@ def add_photo_camera(context: bpy.types.Context, head: bpy.types.Object, photo: 
     data.shift_x = (camera.width / 2 - camera.cx) / side
     data.shift_y = (camera.cy - camera.height / 2) / side
     data.clip_start = 0.01
+    data.display_size = min(data.display_size, _FRAME * float(np.linalg.norm(pose[:3, 3])))
     _add_background(data, photo, camera)
     if context.scene.camera is None:
         context.scene.camera = item

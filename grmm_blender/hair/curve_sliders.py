@@ -121,10 +121,11 @@ def claim(obj: bpy.types.Object, head: bpy.types.Object) -> bool:
         modifier.node_group = copy = tree.copy()
         _follow(_others(copy, head), head)
         changed = True
-    materials = obj.data.materials if obj.data.library is None and obj.data.users == 1 else ()
-    for number, material in enumerate(materials):
+    if obj.data.library is not None or obj.data.users > 1:
+        return changed
+    for number, material in enumerate(obj.data.materials):
         if material is not None and material.library is None and material.node_tree and _others(material.node_tree, head):
-            materials[number] = copy = material.copy()
+            obj.data.materials[number] = copy = material.copy()
             _follow(_others(copy.node_tree, head), head)
             changed = True
     return changed

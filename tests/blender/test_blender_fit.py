@@ -107,6 +107,7 @@ def test_a_finished_fit_is_one_step_to_undo_and_asks_before_it_replaces(
     assert not found["waits_then"]
     assert found["note"] == "Ada is in the scene, with a camera that shows the photo."
     assert found["one"] == {"heads": [0.0], "cameras": ["Ada rig"]}
+    assert 0.01 < found["frames"][0] < 0.15  # a camera is no larger than a head
     assert found["beside"] == "Ada is in the scene, beside the head that was there, with a camera that shows the photo."
     assert found["two"] == {"heads": [0.0, 0.4], "cameras": ["Ada rig", "Ada rig.001"]}
     assert found["undone"] == found["one"], "the earlier avatar keeps its camera"

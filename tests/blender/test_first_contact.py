@@ -72,3 +72,5 @@ def test_blender_does_not_wait_for_another_threads_picture(run_blender: RunBlend
     assert found["why"] == "There is no default today; look elsewhere."
     assert found["recovered"]
     assert found["still"] == ""
+    for_open, for_new = found["waits"]
+    assert for_new < 0.2 < for_open

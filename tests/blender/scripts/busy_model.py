@@ -106,3 +106,19 @@ avatar.object["jawOpen"] = 0.3
 avatar.object.update_tag()
 bpy.context.view_layer.update()
 report(recovered=caught_up(), still=live.state_of(avatar).message)
+
+# While another thread's picture is drawn, who is open is waited for a moment; who has to be opened first is not.
+host._has_drawn = True
+holding.clear()
+free.clear()
+thread = threading.Thread(target=hold)
+thread.start()
+holding.wait(LONG)
+waits = []
+for source in (avatar.source, "library:bun"):
+    started = time.monotonic()
+    with host.answering(source):
+        waits.append(time.monotonic() - started)
+free.set()
+thread.join()
+report(waits=waits)

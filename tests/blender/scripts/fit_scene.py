@@ -54,6 +54,7 @@ def undone_and_beside(path: Path) -> None:
     bpy.ops.ed.undo_push(message="before")
     follow(path)
     report(waits=watch.waits_to_be_added(), note=watch.finish(bpy.context), one=shown(), waits_then=watch.waits_to_be_added())
+    report(frames=[item.data.display_size for item in bpy.data.objects if item.type == "CAMERA"])
     follow(path)
     report(beside=watch.finish(bpy.context), two=shown())
     bpy.ops.ed.undo()

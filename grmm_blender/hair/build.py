@@ -34,6 +34,7 @@ from .grooms import NO_HAIR, OWN_HAIR, RANDOM_HAIR
 from .read import DEFORM_NODE, HELD, HELD_PREFIX, MADE_OF, TINT, UV_COORDINATE, resting_vertices
 
 GROUP_NAME = MODIFIER_NAME = "GRMM Surface Deform"
+_DISPLAY_GAMMA = 2.2
 _POINTS = 16  # of a curve that somebody will draw, about
 _GLOSS, _GLINT = 0.6, 0.8  # roughness and specular level of the material: as soft and white as glints of splats
 
@@ -124,7 +125,8 @@ def make_curves(
         for part, group in HELD.items():
             if group != LASHES or (drawn.groups == LASHES).any():  # usual ones, and those in Gaussians, stay what they are
                 data[f"{HELD_PREFIX}{part}"] = getattr(head.grmm.hair, part)
-    data.materials.append(_material(data.name, head, settings or HairSettings()))
+    tinted = drawn is not None and drawn.tints is not None
+    data.materials.append(_material(data.name, head, settings or HairSettings(), tinted))
     obj = bpy.data.objects.new(data.name, data)
     for collection in head.users_collection:
         collection.objects.link(obj)
@@ -207,19 +209,50 @@ def _deform_group() -> bpy.types.NodeTree:
     return group
 
 
-def _material(name: str, head: bpy.types.Object, settings: HairSettings) -> bpy.types.Material:
-    """What Cycles and EEVEE draw the curves with: in the color of the panel's sliders, where these are what is worn."""
+def _material(name: str, head: bpy.types.Object, settings: HairSettings, tinted: bool) -> bpy.types.Material:
+    """What Cycles and EEVEE draw the curves with: in the color of the panel's sliders, where these are what is worn.
+
+    Args:
+        name: Of the material.
+        head: With the sliders.
+        settings: That are worn.
+        tinted: The curves have `TINT`, as hair of a photo.
+    """
     material = bpy.data.materials.new(name)
     color = albedos(settings, np.zeros(1), np.full((1, 2), 0.5))[0].mean(0)
     material.diffuse_color = (*color, 1.0)
     material.use_nodes = True
     shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
-    shader.inputs["Base Color"].default_value = (*color, 1.0)
+    socket = shader.inputs["Base Color"]
+    if tinted:
+        socket = _tinted_color(material.node_tree, socket)
+    socket.default_value = (*color, 1.0)
     shader.inputs["Roughness"].default_value, shader.inputs["Specular IOR Level"].default_value = _GLOSS, _GLINT
     if settings == settings_of(head.grmm.hair):
         for channel in range(3):
-            _drive_color(shader.inputs["Base Color"], channel, head)
+            _drive_color(socket, channel, head)
     return material
+
+
+def _tinted_color(tree: bpy.types.NodeTree, socket: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+    """Let `TINT` be added to a color in display space, and clipped there; returns the socket that the color then has."""
+    kinds = ("RGB", "Gamma", "VectorMath", "VectorMath", "Gamma")
+    color, display, add, clip, linear = (tree.nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    tint = tree.nodes.new("ShaderNodeAttribute")
+    tint.attribute_name = TINT
+    display.inputs["Gamma"].default_value, linear.inputs["Gamma"].default_value = 1.0 / _DISPLAY_GAMMA, _DISPLAY_GAMMA
+    clip.operation = "MAXIMUM"
+    clip.inputs[1].default_value = (0.0, 0.0, 0.0)
+    steps = [
+        (color.outputs[0], display.inputs["Color"]), (display.outputs[0], add.inputs[0]),
+        (tint.outputs["Vector"], add.inputs[1]), (add.outputs[0], clip.inputs[0]),
+        (clip.outputs[0], linear.inputs["Color"]), (linear.outputs[0], socket),
+    ]  # fmt: skip
+    for source, target in steps:
+        tree.links.new(source, target)
+    for number, node in enumerate((color, tint, display, add, clip, linear)):
+        node.location = (180.0 * number - 1300.0, 0.0)
+    return color.outputs[0]
 
 
 def _drive_color(socket: bpy.types.NodeSocket, channel: int, head: bpy.types.Object) -> None:

@@ -83,6 +83,7 @@ def test_hair_is_what_blender_evaluates_of_curves(hair_script):
     assert [found["shown"], found["edited"], found["after"]] == ["WIRE", "TEXTURED", "WIRE"]
     assert found["untinted"]
     assert 0.0 <= found["tints"] < 1e-3
+    assert found["redder"][1] > found["redder"][0] + 8.0  # of 255
 
 
 def test_curves_that_cannot_be_hair_get_a_sentence_and_the_groom_is_there_instead(hair_script):

@@ -247,3 +247,18 @@ hair.curves = module("grmm_blender.hair.build").make_curves(avatars.avatars_in(s
 read = worn().strands.groom
 off = np.abs(read.tints - tinted.tints).max() if len(read) == len(tinted) else -1.0
 report(tints=float(off), untinted=at_rest.tints is None)
+
+# Cycles and EEVEE draw these colors, too.
+scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 4, False
+scene.world = bpy.data.worlds.new("white")
+scene.world.use_nodes = True
+scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+head.hide_render, redder = True, []
+for red in (0.0, 0.4):
+    own = np.zeros_like(tinted.tints) + np.array([red, 0.0, 0.0], np.float32)
+    bpy.data.objects.remove(hair.curves)
+    groom = core_hair.Groom(**vars(at_rest) | {"tints": own})
+    hair.curves = module("grmm_blender.hair.build").make_curves(avatars.avatars_in(scene)[0], groom)
+    picture = shot().astype(float)
+    redder.append(float((picture[..., 0] - picture[..., 1])[picture[..., 3] > 200].mean()))
+report(redder=redder)

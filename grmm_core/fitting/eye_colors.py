@@ -33,13 +33,16 @@ _FEW_TEXELS = 24
 
 
 def eye_angles(model: GRMM) -> Tensor:
-    """Degrees of each texel from the pole of its eyeball, which looks ahead at rest, [N]; infinite beside eyeballs."""
+    """Degrees of each texel from the pole of its eyeball, which looks ahead at rest, [N]; infinite beside eyeballs.
+
+    Infinite everywhere where Gaussians have hair: no light at the texels keeps there what a photo shows of eyes.
+    """
     head, corners = model.head_model, corners_of(model)
     barycentric = model.anchor.barycentric.cpu().numpy()
     angles = np.full(len(corners), np.inf)
-    for name in EYEBALLS:
-        ball = head.v_template[np.asarray(head.regions.get(name, ()), np.int64)]
-        rows = np.flatnonzero(head.marked(name)[corners].all(1)) if len(ball) else np.empty(0, np.int64)
+    for name in EYEBALLS if model.config.hairless else ():
+        ball = head.v_template[head.marked(name)]
+        rows = np.flatnonzero(head.marked(name)[corners].all(1))
         if not len(rows):
             continue
         places = np.einsum("nk,nkx->nx", barycentric[rows], head.v_template[corners[rows]]) - (ball.max(0) + ball.min(0)) / 2

@@ -47,16 +47,16 @@ def lid_share(model: GRMM, view: FitView) -> Tensor:
 def lash_line(model: GRMM) -> tuple[Tensor, Tensor]:
     """How far each texel lies on the dark line of the lashes, 0..1, [N], and whether on an upper lid's, likewise.
 
-    Skin beside the lashes that is no plain lid (`lid_share`); 0 where Gaussians have hair.
+    Skin beside the lashes that is no plain lid (`lid_share`); 0 where Gaussians have hair, and on heads without lashes.
     """
-    nothing = torch.zeros(model.gaussian_count).to(model.anchor.barycentric)
-    if not model.config.hairless:
+    nothing, head = torch.zeros(model.gaussian_count).to(model.anchor.barycentric), model.head_model
+    marked = torch.as_tensor(head.marked("lashes"))
+    if not model.config.hairless or not bool(marked.any()):
         return nothing, nothing > 0.0
-    head = model.head_model
     corners, barycentric = torch.as_tensor(corners_of(model)), model.anchor.barycentric.cpu()
     mean = torch.as_tensor(np.array(head.v_template, np.float32))
     positions = (mean[corners] * barycentric[..., None]).sum(1)
-    lashes = mean[torch.as_tensor(head.marked("lashes"))]
+    lashes = mean[marked]
     low, high = lashes.amin(0) - LASH_LINE[1], lashes.amax(0) + LASH_LINE[1]
     skin = (_lids(head)[corners][..., 0] > 0.0).all(1)
     rows = torch.nonzero(((positions > low) & (positions < high)).all(1) & skin)[:, 0]

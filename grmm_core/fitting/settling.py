@@ -22,7 +22,7 @@ from ..avatar import EXTENSION, Avatar, save_avatar
 from ..avatar.deltas import rounded
 from ..controls.frame import Controls
 from ..geometry.libraries import to_numpy
-from ..light.cornea import EYEBALLS
+from ..light.cornea import on_eyes
 from ..model.grmm import GRMM, Picture
 from ..session import Instance, RenderOptions, Session
 from .blurring import blurred
@@ -91,8 +91,9 @@ def _step(
             shown = contributions(model, *seen, torch.as_tensor(bare).to(total))[:, None]
             shown = shown / (shown + HALF_SEEN)
             total, weight = total + shown * step, weight + shown
-    eyes = model.head_model.marked(*EYEBALLS)[corners_of(model)].all(1)
-    total[torch.as_tensor(eyes, device=total.device)] = 0.0  # lashes over an eye are no matter of its colors
+    total[torch.as_tensor(on_eyes(model.head_model, corners_of(model)), device=total.device)] = (
+        0.0  # lashes over an eye are no matter of its colors
+    )
     return total / weight.clamp(min=1.0)
 
 
@@ -108,8 +109,8 @@ def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[
     if LOCAL not in avatar.tracking:
         return avatar
     head, texels, found = model.head_model, photo_texels(model), []
-    face, eyes = on_face(head, texels), head.marked(*EYEBALLS)[corners_of(model)].all(1)
-    eyes |= to_numpy(lash_line(model)[0]) > 0.0
+    face, lashed = on_face(head, texels), to_numpy(lash_line(model)[0]) > 0.0
+    lashed[on_eyes(head, corners_of(model))] = True  # eyes, and the line around them: strands lie over these
     with _opened(session, avatar) as number, torch.no_grad():
         for view, track in zip(photo_views(model, tracks), tracks, strict=True):
             light, controls = photo_light(avatar, view.index), photo_controls(avatar, head, view.index)
@@ -122,7 +123,7 @@ def locally_lit(session: Session, model: GRMM, avatar: Avatar, tracks: Sequence[
             light = light._replace(local=more_local(head, texels, seen, seen_in(*shown, drawn["rgb"]).colors, light.local))
             skin = seen.of_skin(head, texels)
             amid_lashes = seen_in(*shown, None, (strands < COVERED).astype(np.float32), SLANT).weights
-            skin = skin._replace(weights=np.where(eyes, amid_lashes, skin.weights * face))
+            skin = skin._replace(weights=np.where(lashed, amid_lashes, skin.weights * face))
             light = light._replace(fine=np.zeros((len(texels.face), 3), np.float32))
             for _ in range(FINE_ROUNDS):
                 light = light._replace(fine=more_fine(skin, seen_in(*shown, worn(light)["rgb"]).colors, light.fine))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from photo_parts import parts_of
 from PIL import Image
 from quick_fits import QUICK, QUICK_PIXELS, QUICK_SIDE
@@ -19,6 +20,8 @@ from grmm_core.fitting.types import PhotoTrack
 from grmm_core.geometry.camera import Camera
 from grmm_core.head import HeadModel
 from grmm_core.head.open_head import load_open_head
+from grmm_core.model.config import PRESETS
+from grmm_core.model.grmm import GRMM
 from grmm_core.photo.parser import PhotoParts
 
 
@@ -30,6 +33,14 @@ def head() -> HeadModel:
 @pytest.fixture(scope="module")
 def rig(head: HeadModel) -> LandmarkRig:
     return LandmarkRig(head)
+
+
+@pytest.fixture(scope="module")
+def bare() -> GRMM:
+    """A small model without hair, with texels where eyes look, as the embedded weights have them."""
+    torch.manual_seed(0)
+    config = PRESETS["tiny"].replace(grid=256, decoder_grid=16, hairless=True, focus=True)
+    return GRMM(load_open_head(), config).requires_grad_(False).eval()
 
 
 @pytest.fixture(scope="module")

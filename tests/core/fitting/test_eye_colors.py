@@ -7,21 +7,11 @@ import torch
 
 from grmm_core.fitting.eye_colors import DETAIL, LINE, WHITE_TINT, even_lash_line, eye_angles, plain_eyes
 from grmm_core.fitting.lids import lash_line
-from grmm_core.head.open_head import load_open_head
-from grmm_core.model.config import PRESETS
-from grmm_core.model.grmm import GRMM
 
 BLACK, BROWN, WHITE, SKIN = (
     torch.tensor(color) for color in ([0.1, 0.1, 0.1], [0.3, 0.22, 0.16], [0.85, 0.76, 0.72], [0.7, 0.55, 0.45])
 )
 BLUE = torch.tensor([0.25, 0.35, 0.5])
-
-
-@pytest.fixture(scope="module")
-def bare():
-    torch.manual_seed(0)
-    config = PRESETS["tiny"].replace(grid=256, decoder_grid=16, hairless=True)
-    return GRMM(load_open_head(), config).requires_grad_(False).eval()
 
 
 @pytest.fixture(scope="module")

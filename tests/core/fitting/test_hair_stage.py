@@ -15,7 +15,7 @@ from grmm_core.fitting import hair_texture as texture
 from grmm_core.fitting.face_hair import BRIDGE, OUTLINES, brow_cover
 from grmm_core.fitting.hair_grain import directions
 from grmm_core.fitting.hair_shape import FINE, bent, field_to, offsets
-from grmm_core.fitting.hair_stage import fit_hair, hair_view, person_hair
+from grmm_core.fitting.hair_stage import best_grooms, fit_hair, hair_view, person_hair
 from grmm_core.fitting.photo_targets import project
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
@@ -53,6 +53,13 @@ def test_a_packaged_groom_is_found_again_with_its_color(name, flipped, settings)
     full = (shown.hair > 0.95) & (again.hair > 0.95)
     np.testing.assert_allclose(again.image[full].mean(0), shown.image[full].mean(0), atol=0.05)
     assert np.minimum(shown.hair, again.hair).sum() > 0.85 * np.maximum(shown.hair, again.hair).sum()
+
+
+def test_long_hair_is_not_bent_to_short_hair(monkeypatch):
+    """It covers any silhouette once it is cut short and bent; what was not likely before that stays out."""
+    monkeypatch.setattr(hair_stage, "groom_names", lambda: ("long", "crop", "ponytail"))
+    matches = best_grooms([photo(library_groom("crop"), HairSettings(melanin=0.7), 10.0)], load_open_head())
+    assert [match.name for match in matches] == ["crop"]
 
 
 def test_hair_that_hardly_shows_is_not_dyed():

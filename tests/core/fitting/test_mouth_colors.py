@@ -8,21 +8,11 @@ import torch
 from grmm_core.fitting.inpainting import fill_colors
 from grmm_core.fitting.mouth_colors import DETAIL, LIPS_DETAIL, TEETH_LIGHT
 from grmm_core.fitting.surface import INNER, SKIN, texel_surface
-from grmm_core.head.open_head import load_open_head
-from grmm_core.model.config import PRESETS
-from grmm_core.model.grmm import GRMM
 
 PALE, RED, WHITE, DARK = (
     torch.tensor(color) for color in ([0.7, 0.55, 0.45], [0.7, 0.4, 0.35], [0.8, 0.78, 0.7], [0.3, 0.1, 0.1])
 )
 LIPSTICK = torch.tensor([0.8, 0.2, 0.25])
-
-
-@pytest.fixture(scope="module")
-def bare():
-    torch.manual_seed(0)
-    config = PRESETS["tiny"].replace(grid=256, decoder_grid=16, hairless=True, focus=True)
-    return GRMM(load_open_head(), config).requires_grad_(False).eval()
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from grmm_core.files.access import atomic_write
+from grmm_core.hair.grids import nearest
 from grmm_core.hair.groom import Groom
 from grmm_core.hair.prior import (
     NEAR,
@@ -25,7 +26,7 @@ from grmm_core.hair.prior import (
     described,
     mixed,
 )
-from grmm_core.hair.strands import evened, nearest, smoothed
+from grmm_core.hair.strands import evened, smoothed
 from grmm_core.head import HeadModel, load_open_head
 from grmm_studio.fields import scalp_density
 from grmm_studio.grooming import scalp_hairs

@@ -15,15 +15,17 @@ import logging
 import shutil
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import wait
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..avatar import Avatar, PhotoRecord
+from ..avatar import Avatar, Hair, PhotoRecord
 from ..errors import CancelledError, ConfigError, FileAccessError, FileFormatError
-from ..jobs.progress import ProgressCallback, Reporter, within
+from ..jobs.beside import beside
+from ..jobs.progress import ProgressCallback, Reporter, Share, within
 from ..photo.load import PhotoFile, check_proportion
 from .folder import TRACKS_FILE, Job, can_resume, check_photos_differ, check_writable, prepare
 from .presets import fit_stages, preset_named
@@ -38,6 +40,7 @@ if TYPE_CHECKING:
 FacesCallback = Callable[[Path, np.ndarray], None]
 """Called for each photo with its path and the faces' boxes, [K, 4] pixels: left, top, right, bottom."""
 
+WAIT_SECONDS = 0.2  # between two looks whether the hair is found, and whether the user has cancelled
 _LANDMARK_SHARE = 0.3  # of the time that tracking takes
 
 logger = logging.getLogger(__name__)
@@ -121,7 +124,7 @@ def _make(
     """The avatar, which is written, what tracking found, and what is left out of the skin."""
     report.part("load")(0.0)
 
-    from ..compute.devices import limit_rasteriser_threads
+    from ..compute.devices import limit_rasteriser_threads, one_thread
     from ..model.torch_loader import with_deltas
     from ..photo.parser import parse
     from ..session import make_local_session
@@ -144,17 +147,26 @@ def _make(
     loaded = session.engine.store.default()
     head, folder = loaded.model.head_model, request.work_folder
     tracks = _tracks(request, job, photos, masks, loaded.model, loaded.info, report, on_faces)
-    avatar = invert(
-        tracks, loaded.model, head, request.preset, info=loaded.info, name=request.name or request.output.stem, work=folder,
-        report=report,
-    )  # fmt: skip
+    hairless = loaded.model.config.hairless
+    parts = [parse(track, head) for track in tracks] if hairless else []
+
+    def find_hair(told: Share) -> Hair:
+        with one_thread():
+            return person_hair(tracks, parts, head, told)
+
     finish = report.part("finish")
-    finish(0.0)
+    with beside(find_hair) if hairless else contextlib.nullcontext() as hair:
+        avatar = invert(
+            tracks, loaded.model, head, request.preset, info=loaded.info, name=request.name or request.output.stem,
+            work=folder, report=report,
+        )  # fmt: skip
+        finish(0.0)
+        while hair is not None and wait([hair], WAIT_SECONDS).not_done:
+            finish(0.0)
     person = with_deltas(loaded.model, avatar.deltas, folder)
-    if loaded.model.config.hairless:
-        parts = [parse(track, head) for track in tracks]
-        hair = person_hair(tracks, parts, head, within(finish, 0.0, 0.2))
-        trimmed_hair = trimmed(person, dataclasses.replace(avatar, hair=hair), tracks, parts)
+    if hair is not None:
+        trimmed_hair = trimmed(person, dataclasses.replace(avatar, hair=hair.result()), tracks, parts)
+        finish(0.15)
         avatar = shaded_scalp(person, trimmed_hair, photo_views(person, tracks))
         person = with_deltas(loaded.model, avatar.deltas, folder)
         finish(0.25)
@@ -167,6 +179,7 @@ def _make(
     aims = photo_pictures(person, avatar, tracks, lit=False) if several else pictures
     avatar = settled(session, person, avatar, tracks, aims, lit=not several)
     person = with_deltas(loaded.model, avatar.deltas, folder)
+    finish(0.75)
     avatar = locally_lit(session, person, avatar, tracks)
     pictures = photo_pictures(person, avatar, tracks)
     figures = {"rmse": photo_errors(pictures), "landmark_error": [track.landmark_error for track in tracks]}

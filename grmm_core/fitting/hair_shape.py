@@ -124,12 +124,18 @@ def field_to(course: Course, photos: Sequence[Seen], lattices: Sequence[Lattice]
                 area = (hair * counts).sum().clamp_min(1.0) * len(photos)
                 off = ((cover - hair) * counts)[None, :, :, 0]
                 for size, weight in LEVELS:
-                    loss = loss + weight * (functional.avg_pool2d(off, size, 1, size // 2) ** 2).sum() / area
+                    loss = loss + weight * (_box_mean(off, size) ** 2).sum() / area
                 across = seen.norm(dim=-1) * way.norm(dim=-1) - (seen * way).sum(-1)
                 loss = loss + TURNED * (across * counts[..., 0]).sum() / area
             loss.backward()
             descent.step()
     return field.detach()
+
+
+def _box_mean(planes: Tensor, size: int) -> Tensor:
+    """Means over squares of an odd number of pixels, [C, H, W], zeros beyond the edge; along rows, then along columns."""
+    rows = functional.avg_pool2d(planes, (1, size), 1, (0, size // 2))
+    return functional.avg_pool2d(rows, (size, 1), 1, (size // 2, 0))
 
 
 def offsets(field: Tensor, strands: np.ndarray) -> np.ndarray:

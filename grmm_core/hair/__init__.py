@@ -23,6 +23,7 @@ The map:
     prior.py      a code of few numbers that gives grooms between those seen; hair at random
     strands.py    a groom made ready: more strands, levels of detail, shape by settings;  ready.py   the last ones, kept
     occlusion.py  how much light reaches the inside;  pigment.py   colors of strands
+    grids.py      values on cells, nearest points;  grid_kernels.py compiled
     ribbons.py    strands as Gaussians and their shading, readable; strand_kernels.py compiled; gradients.py for PyTorch
     drawing.py    all of it for one picture
     contact.py    strands brought out of a skin that has moved;  shoulders.py   long hair of a head that turns

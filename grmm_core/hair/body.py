@@ -14,8 +14,8 @@ import numpy as np
 
 from ..geometry.triangles import vertex_normals
 from ..head import HeadModel
+from .grids import sample
 from .groom import Groom, join
-from .occlusion import sample
 from .pigment import locks_of
 from .roots import SCALP, RootFrames
 from .strands import lengths_of

@@ -1,4 +1,4 @@
-"""Which of the skin strands lie over where they begin, finer than the head's triangles are. Numpy only; for `session.scalp`.
+"""Which of the skin strands lie over where they begin, finer than the head's triangles are. For `session.scalp`.
 
 What roots cover is known by vertex: its color alone would make partings, and skin before a hairline, a centimetre wide.
 """
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..geometry.triangles import vertex_normals
 from ..head import HeadModel
-from .occlusion import sample, smooth_grid
+from .grids import sample, smooth_grid
 from .roots import SCALP
 from .strands import CROPPED, StrandBlock, lengths_of
 
@@ -55,11 +55,14 @@ def beneath(
         areas = np.broadcast_to((block.widths[:, :1] * (STEP * len(block) / len(begun))), real.shape)[real]
         cells = np.floor((begun[real] - low) / CELL).astype(int)
         near = ((cells >= 0) & (cells < size)).all(1)  # not a bun behind the head
-        np.add.at(filled[int(block.length < CROPPED)], np.ravel_multi_index(tuple(cells[near].T), tuple(size)), areas[near])
-    dense = np.stack([smooth_grid(smooth_grid(part.reshape(size) / CELL**2)) for part in filled], -1)
-    passed = np.zeros((len(points), 2))
-    for k in range(-1, layers):
-        passed += sample(dense, (points + (k + 0.5) * CELL * up - low) / CELL - 0.5)
+        number = np.ravel_multi_index(tuple(cells[near].T), tuple(size))
+        filled[int(block.length < CROPPED)] += np.bincount(number, areas[near], filled.shape[1])
+    some = np.flatnonzero(filled.any(1))
+    dense = np.stack([smooth_grid(smooth_grid((filled[kind] / CELL**2).astype(np.float32).reshape(size))) for kind in some], -1)
+    passed, at = np.zeros((len(points), 2)), ((points - low) / CELL - 0.5).astype(np.float32)
+    up = up.astype(np.float32)
+    for k in range(-1, layers) if len(some) else ():
+        passed[:, some] += sample(dense, at + np.float32(k + 0.5) * up)
     if group != SCALP:
         return np.minimum(passed.sum(1) / DENSE, 1.0)
     covered: np.ndarray = 1.0 - (1.0 - np.minimum(passed[:, 0] / DENSE, 1.0)) * np.exp(-SHORN_DENSE * passed[:, 1].clip(0.0))

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..geometry.triangles import vertex_normals
 from ..head import HeadModel
-from .occlusion import CELL, DIRECTIONS, FINE, REACH, directions_over, smooth_grid
+from .grids import smooth_grid
+from .occlusion import CELL, DIRECTIONS, FINE, REACH, directions_over
 from .ribbons import AMBIENT, LAMPS
 from .roots import SCALP
 from .strands import StrandBlock
@@ -22,7 +23,8 @@ BOUNCED = 0.1  # of the light that is lost, what neighbouring skin and hair give
 
 def left_by_hair(head: HeadModel, blocks: Sequence[StrandBlock]) -> np.ndarray:
     """Share of the rig's light that strands of the scalp at rest leave at the vertices of the mean head, 0..1 float32 [V]."""
-    from .strand_kernels import march
+    from ..compute.threads import for_rows
+    from .grid_kernels import march
 
     template, faces = np.asarray(head.v_template, float), np.asarray(head.faces)
     ends, shadows = [], []
@@ -43,9 +45,9 @@ def left_by_hair(head: HeadModel, blocks: Sequence[StrandBlock]) -> np.ndarray:
     number = np.ravel_multi_index(tuple(((middle - low) / CELL).astype(int).T), tuple(size))
     filled = np.bincount(number, shadow, int(size.prod())).reshape(size) * (FINE * np.pi / 4 / CELL**3)
     seen = np.empty((len(places), 4), np.float32)
-    march(
-        smooth_grid(filled).astype(np.float32), ((places - low) / CELL).astype(np.float32), directions_over(DIRECTIONS),
-        int(REACH / CELL), CELL, seen,
+    for_rows(
+        march, len(places), smooth_grid(filled).astype(np.float32), ((places - low) / CELL).astype(np.float32),
+        directions_over(DIRECTIONS), int(REACH / CELL), CELL, seen, smallest=512,
     )  # fmt: skip
     arriving = AMBIENT * np.clip(seen[:, 0] + (2.0 / 3.0) * (seen[:, 1:] * up).sum(1), 0.0, 1.0)
     whole = np.full(len(places), AMBIENT)

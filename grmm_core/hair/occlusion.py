@@ -11,6 +11,7 @@ import numpy as np
 
 from ..geometry.camera import Camera
 from ..geometry.zbuffer import triangle_depth
+from .grids import sample, smooth_grid
 
 CELL = 0.006  # metres
 REACH = 0.16  # metres that light is followed
@@ -34,7 +35,8 @@ def openness(points: np.ndarray, widths: np.ndarray, vertices: np.ndarray, faces
         Mean over all directions of the light that arrives, 0..1, and its gradient: with a unit vector l, the light from l is
         about [0] + [1:] @ l. [N, K, 4] float32.
     """
-    from .strand_kernels import march
+    from ..compute.threads import for_rows
+    from .grid_kernels import march
 
     flat = points.reshape(-1, 3)
     low = flat.min(0) - _MARGIN * CELL
@@ -51,20 +53,11 @@ def openness(points: np.ndarray, widths: np.ndarray, vertices: np.ndarray, faces
     places = np.stack(np.unravel_index(wanted, tuple(size)), 1).astype(np.float32) + 0.5
     directions = directions_over(DIRECTIONS)
     seen = np.empty((len(wanted), 4), np.float32)
-    march(np.ascontiguousarray(dim, np.float32), places, directions, int(REACH / CELL), CELL, seen)
+    for_rows(march, len(places), np.ascontiguousarray(dim, np.float32), places, directions, int(REACH / CELL), CELL, seen)
     result = np.zeros((int(size.prod()), 4), np.float32)
     result[wanted] = seen
     result = result.reshape(*size, 4)
     return sample(result, (flat - low) / CELL - 0.5).reshape(*points.shape[:2], 4)
-
-
-def smooth_grid(grid: np.ndarray) -> np.ndarray:
-    """Values [X, Y, Z] blurred by a binomial of three cells along each axis; at the borders cells repeat."""
-    for axis in range(3):
-        steps = np.arange(grid.shape[axis])
-        before, after = (grid.take(np.clip(steps + step, 0, steps[-1]), axis) for step in (-1, 1))
-        grid = 0.5 * grid + 0.25 * (before + after)
-    return grid
 
 
 def directions_over(count: int) -> np.ndarray:
@@ -99,18 +92,3 @@ def _inside(low: np.ndarray, size: np.ndarray, vertices: np.ndarray, faces: np.n
             behind = sign * centres[axis][:, None, None] + 10.0 > depth[None] + _SUNK  # [axis, y, across]
             inside &= behind.transpose(0, 1, 2) if axis == 0 else behind.transpose(2, 1, 0)
     return inside
-
-
-def sample(grid: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Values [P, C] between the centres of cells of a grid [X, Y, Z, C], at [P, 3]."""
-    at = np.clip(at, 0, np.array(grid.shape[:3]) - 1.001)
-    base = at.astype(int)
-    part = (at - base).astype(np.float32)
-    total = np.zeros((len(at), grid.shape[3]), np.float32)
-    cells = grid.reshape(-1, grid.shape[3])
-    first = np.ravel_multi_index(tuple(base.T), grid.shape[:3])
-    sides = np.stack([1 - part, part])  # [2, P, 3]
-    for x, y, z in np.ndindex(2, 2, 2):
-        weight = sides[x, :, 0] * sides[y, :, 1] * sides[z, :, 2]
-        total += cells[first + (x * grid.shape[1] + y) * grid.shape[2] + z] * weight[:, None]
-    return total

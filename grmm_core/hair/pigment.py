@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..pictures.color import srgb_to_linear
+from .grids import nearest
 from .groom import Groom
 from .settings import HairSettings
 
@@ -59,7 +60,5 @@ def locks_of(groom: Groom, vertices: np.ndarray, faces: np.ndarray) -> np.ndarra
     ends = np.einsum("ni,nij->nj", groom.points[groom.offsets[1:] - 1].astype(float), axes)
     tips, g = roots + ends + 0.4 * roots, np.random.default_rng(len(groom))
     seeds = tips[g.integers(len(tips), size=min(LOCKS, len(tips)))]
-    near = np.concatenate(
-        [((part[:, None] - seeds) ** 2).sum(2).argmin(1) for part in np.array_split(tips, len(tips) // 512 + 1)]
-    )
+    near = nearest(seeds, tips, 1)[0][:, 0]
     return np.clip(g.normal(0, 0.5, len(seeds)), -1, 1)[near].astype(np.float32)

@@ -21,11 +21,12 @@ from ..errors import ConfigError, ShapeError
 from ..files.npz import read_npz
 from ..head import HeadModel, load_open_head
 from .body import Body
+from .grids import nearest
 from .groom import Groom, bind
 from .mirror import mirrored
 from .packaged import HEAD
 from .roots import SCALP
-from .strands import across, evened, lengths_of, nearest, smoothed
+from .strands import across, evened, lengths_of, smoothed
 
 PRIOR_FILE = Path(__file__).resolve().parent.parent / "assets" / "hair_prior.npz"
 POINTS = 16  # of a guide, the root among them

@@ -307,34 +307,3 @@ def _display(linear: float) -> float:
     at = math.sqrt(min(max(linear, _ZERO), _ONE)) * F(len(_DISPLAY) - 2)
     low = int(at)
     return _DISPLAY[low] + (at - F(low)) * (_DISPLAY[low + 1] - _DISPLAY[low])
-
-
-@compiled(**_OPTIONS)
-def march(dim: np.ndarray, places: np.ndarray, directions: np.ndarray, steps: int, cell: float, seen: np.ndarray) -> None:
-    """Follow light to cells of a grid.
-
-    Args:
-        dim: Extinction of the cells, 1/m, [X, Y, Z]; nothing dims outside.
-        places: Where light is wanted, in cells, [P, 3].
-        directions: Unit vectors towards the light, [D, 3].
-        steps: How many cells far.
-        cell: Edge of a cell, metres.
-        seen: Written, mean over the directions of the light that arrives, and three times its mean with the direction, [P, 4].
-    """
-    for p in range(len(places)):
-        a = b = c = d = _ZERO
-        for n in range(len(directions)):
-            x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
-            depth = _ZERO
-            for step in range(1, steps):
-                i = math.floor(places[p, 0] + x * step)
-                j = math.floor(places[p, 1] + y * step)
-                k = math.floor(places[p, 2] + z * step)
-                if not (0 <= i < dim.shape[0] and 0 <= j < dim.shape[1] and 0 <= k < dim.shape[2]):
-                    break
-                depth += dim[i, j, k]
-            through = math.exp(-F(cell) * depth)
-            a, b, c, d = a + through, b + through * x, c + through * y, d + through * z
-        seen[p, 0] = a / len(directions)
-        share = F(3.0) / len(directions)
-        seen[p, 1], seen[p, 2], seen[p, 3] = b * share, c * share, d * share

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from .grids import nearest
 from .groom import Groom
 from .knots import tied
 from .occlusion import openness
@@ -391,19 +392,6 @@ def across(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     side = np.cross(along, np.array([0.31, 0.42, 0.85], np.float32))
     side /= np.maximum(np.linalg.norm(side, axis=2, keepdims=True), 1e-12)
     return side, np.cross(along, side)
-
-
-def nearest(points: np.ndarray, places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers and distances of the nearest `points` [N, 3] of each place [P, 3], near ones first, [P, count] each."""
-    order, apart, columns = [], [], np.ascontiguousarray(points.T)
-    for part in np.array_split(places, len(places) // 256 + 1):
-        x, y, z = ((part[:, axis, None] - columns[axis]) ** 2 for axis in range(3))  # a sum over three in a row is slow
-        far = x + y + z
-        first = np.argpartition(far, min(count, far.shape[1] - 1), axis=1)[:, :count]
-        first = np.take_along_axis(first, np.take_along_axis(far, first, 1).argsort(1), 1)
-        order.append(first)
-        apart.append(np.sqrt(np.take_along_axis(far, first, 1)))
-    return np.concatenate(order), np.concatenate(apart)
 
 
 def evened(strands: np.ndarray, count: int) -> np.ndarray:

@@ -24,9 +24,10 @@ from ..files.npz import read_npz
 from ..head import HeadModel
 from .body import DEEP, MOST, SLIDE, SOFT, Body, worn
 from .contact import FINE, PLACES, Obstacle, held_out, rigid_motion
+from .grids import nearest
 from .groom import Groom
 from .roots import SCALP
-from .strands import evened, nearest
+from .strands import evened
 
 STEPS = 4  # of a frame
 GRAVITY = 9.81  # m/s^2, along -y

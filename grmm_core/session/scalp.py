@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..compute.recent import Recent
 from ..geometry.libraries import to_numpy
 from ..hair.cover import beneath
 from ..hair.hanging import left_by_hair
@@ -96,7 +97,7 @@ def bare_skin(evaluator: Evaluator, target: OpenAvatar, inputs: Inputs, own: boo
 
     With its `own` strands, what a photo painted under these stays.
     """
-    places = _places(evaluator, target)
+    places = _places(target)
     seen = _seen(evaluator, target, inputs, 1.0)
     hairless, bare = target.model.config.hairless, np.zeros(len(seen), np.float32)
     if hairless and own:
@@ -166,9 +167,9 @@ class Covered(NamedTuple):
     beside: np.ndarray
 
 
-def covered(evaluator: Evaluator, target: OpenAvatar, blocks: Sequence[StrandBlock]) -> Covered:
+def covered(target: OpenAvatar, blocks: Sequence[StrandBlock]) -> Covered:
     """Find what strands cover, whatever their settings."""
-    places, head = _places(evaluator, target), target.model.head_model
+    places, head = _places(target), target.model.head_model
     cover, light = ((part[places.corners] * places.weights).sum(1) for part in _under_hair(head, blocks))
     where = head, places.points, places.corners, places.weights, blocks
     shaded = tuple(beneath(*where, group, SHADING) * places.outer for group in SHADED)
@@ -237,10 +238,14 @@ def smoothed(values: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.where(number > 0, total / np.maximum(number, 1), values)
 
 
-def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
+_KNOWN: Recent[_Places] = Recent(2)
+"""All avatars of the same weights have the same."""
+
+
+def _places(target: OpenAvatar) -> _Places:
+    head, layout = target.model.head_model, target.model.layout
+
     def make() -> _Places:
-        head = target.model.head_model
-        layout = target.model.layout
         corners = np.asarray(head.faces)[layout.face]
 
         def share(*names: str) -> np.ndarray:
@@ -268,7 +273,7 @@ def _places(evaluator: Evaluator, target: OpenAvatar) -> _Places:
             * np.maximum(ramp(points[:, 1], *TEMPLES), ramp(points[:, 2], *BEHIND)),
         )
 
-    return evaluator.cache.get((target.id, "places"), make)
+    return _KNOWN.get((head, layout.face, layout.barycentric), make)
 
 
 def _from_edges(head: HeadModel, points: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from ..hair.groom import Groom, join
 from ..hair.lashes import Lashes
 from ..hair.packaged import HEAD, library_groom
 from ..hair.prior import random_groom
-from ..hair.ready import contents, ready
+from ..hair.ready import ready, strands_of
 from ..hair.ribbons import Eye
 from ..hair.roots import BEARD, GROUPS, LASHES, SCALP
 from ..hair.settings import HairSettings
@@ -200,8 +200,8 @@ class Wardrobe:
 
         def find() -> Covered:
             blocks = [block for layer in worn.layers for block in self.blocks(layer, head)]
-            layout, grooms = target.model.layout, tuple(contents(layer.groom) for layer in worn.layers)
-            return _COVERED.get((head, layout.face, layout.barycentric, grooms), lambda: covered(evaluator, target, blocks))
+            layout, grooms = target.model.layout, tuple(strands_of(layer.groom) for layer in worn.layers)
+            return _COVERED.get((head, layout.face, layout.barycentric, grooms), lambda: covered(target, blocks))
 
         def make() -> Cap:
             there = evaluator.cache.get((target.id, "covered", *worn.key), find)

@@ -11,6 +11,8 @@ import numpy as np
 from .families import CHANNELS, EYE_CORNER, FOLD_END, MOUTH_HEIGHT, NOSE_WING
 from .noise import bump, smoothstep, wave_noise
 
+_GROOVED = 7.0  # widths of a line beyond which a groove's profile is 0 to seven digits
+
 
 def paint_lines(rest: np.ndarray, seed: int, age: float) -> np.ndarray:
     """Relief of all families: grooves to -1, the folds between them to about 0.4.
@@ -51,11 +53,19 @@ def furrowed(rest: np.ndarray) -> np.ndarray:
 def groove(across: np.ndarray, width: float) -> np.ndarray:
     """Profile across a line: a rounded valley between two low folds of skin; metres -> relief."""
     t = across / width
-    return -np.exp(-(t**2)) + 0.42 * np.exp(-(((np.abs(t) - 2.2) / 1.1) ** 2))
+    near = np.abs(t) < _GROOVED  # a line is thin, and a face large
+    some = t[near]
+    relief = np.zeros_like(t)
+    relief[near] = -np.exp(-(some**2)) + 0.42 * np.exp(-(((np.abs(some) - 2.2) / 1.1) ** 2))
+    return relief
 
 
 def _taper(along: np.ndarray, half: float) -> np.ndarray:
-    return np.clip(1 - (along / half) ** 2, 0, 1) ** 0.8
+    left = 1 - (along / half) ** 2
+    near = left > 0
+    taper = np.zeros_like(left)
+    taper[near] = left[near] ** 0.8
+    return taper
 
 
 class _Brush:
@@ -72,7 +82,7 @@ class _Brush:
         large = smoothstep(-0.75, 0.05, wave_noise(points, 0.012, int(seeds[2])))
         self.whole = large * (0.75 + 0.25 * smoothstep(-0.5, 0.5, wave_noise(points, 0.004, int(seeds[3]))))
         self.pits = wave_noise(points, 0.0055, int(seeds[4]), 2)
-        self.relief = np.zeros((len(points), CHANNELS))
+        self.relief = np.zeros((len(points), CHANNELS), points.dtype)
 
     def add(self, channel: int, relief: np.ndarray, breaks: float = 0.0) -> None:
         """Add relief, interrupted by the share `breaks`."""

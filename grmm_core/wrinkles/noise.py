@@ -24,14 +24,18 @@ def bump(
 
 
 def wave_noise(points: np.ndarray, scale: float, seed: int, octaves: int = 3) -> np.ndarray:
-    """Smooth noise in about -1..1 from sums of random plane waves; points [..., 3] in metres, scale in metres."""
+    """Smooth noise in about -1..1 from sums of random plane waves; points [..., 3] in metres, scale in metres.
+
+    In the points' own precision.
+    """
     g = np.random.default_rng(seed)
-    total = np.zeros(points.shape[:-1])
+    total = np.zeros(points.shape[:-1], points.dtype)
     weight = 0.0
     for octave in range(octaves):
         amplitude = 0.55**octave
         for _ in range(5):
-            direction = g.normal(0, 1, 3)
-            total += amplitude * np.sin(points @ direction * (2.0 * math.pi * 1.9**octave / scale / 1.7) + g.uniform(0, 6.3))
+            direction = g.normal(0, 1, 3) * (2.0 * math.pi * 1.9**octave / scale / 1.7)
+            total += amplitude * np.sin(points @ direction.astype(points.dtype) + points.dtype.type(g.uniform(0, 6.3)))
         weight += amplitude
-    return total / (weight * 2.2)
+    noise: np.ndarray = total / (weight * 2.2)
+    return noise

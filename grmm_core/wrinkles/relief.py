@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..compute.recent import Recent
 from ..controls.names import ARKIT_NAMES
 from ..head import HeadModel, PeopleModel
 from ..light.shadows import compiled_kernels
@@ -24,6 +25,47 @@ _LEARNED = {"fold": 0.65}  # of a family's furrows: weights know the shade of a 
 _MARGIN = 2  # pixels around what has furrows
 _WHOLE = 8  # rows and columns come in so many, to be halved for smaller sizes
 _YOUNG, _YEARS, _SMOOTHEST = 24.0, 50.0, 0.02  # as the studio's people age
+
+
+class _Canvas(NamedTuple):
+    """What furrows are painted on: pixels of a head's UV map that may have some; the same for everybody.
+
+    Attributes:
+        skin: How far they are skin, 0..1, [n].
+        rest: Template positions, metres, [n, 3].
+        places: Of `families.family_places`, less what weights know, float32 [22, n].
+        texel: Flat index of each in a map of `FINER` times the grid, [n].
+        face: Number of the face on which it lies, [n].
+    """
+
+    skin: np.ndarray
+    rest: np.ndarray
+    places: np.ndarray
+    texel: np.ndarray
+    face: np.ndarray
+
+    @staticmethod
+    def of(head: HeadModel, uv: np.ndarray, grid: int) -> _Canvas:
+        """Find them; arguments as of `Relief.of`."""
+        smooth, lips = 1.0 - head.marked(*_SMOOTH), head.marked("lips").astype(float)
+        template = np.asarray(head.v_template, np.float64)
+        coarse = family_places(template, smooth, lips * smooth).max(0) * furrowed(template)
+        near = np.flatnonzero((coarse[head.faces] > _LEAST / 4).any(1))
+        layout = texel_layout(uv, head.uv_faces[near], grid * FINER)
+        corners = head.faces[near[layout.face]]
+
+        def at(values: np.ndarray) -> np.ndarray:
+            found: np.ndarray = np.einsum("nk,nk...->n...", layout.barycentric, np.asarray(values, np.float64)[corners])
+            return found
+
+        skin, rest = at(smooth), at(template)
+        left = np.array([_LEARNED.get(family.name, 1.0) for family in FAMILIES])
+        places = (family_places(rest, skin, at(lips) * skin) * left[:, None]).astype(np.float32)
+        some = np.flatnonzero((places.max(0) > _LEAST) & (skin > 0.0))
+        return _Canvas(skin[some], rest[some], places[:, some], layout.texel[some], near[layout.face[some]])
+
+
+_CANVAS: Recent[_Canvas] = Recent(1)
 
 
 class Relief(NamedTuple):
@@ -56,30 +98,17 @@ class Relief(NamedTuple):
             seed: Of what is the person's own.
             age: How far age has come, 0..1, see `age_of`.
         """
-        smooth, lips = 1.0 - head.marked(*_SMOOTH), head.marked("lips").astype(float)
-        template = np.asarray(head.v_template, np.float64)
-        coarse = family_places(template, smooth, lips * smooth).max(0) * furrowed(template)
-        near = np.flatnonzero((coarse[head.faces] > _LEAST / 4).any(1))
-        layout = texel_layout(uv, head.uv_faces[near], grid * FINER)
-        corners = head.faces[near[layout.face]]
-
-        def at(values: np.ndarray) -> np.ndarray:
-            found: np.ndarray = np.einsum("nk,nk...->n...", layout.barycentric, np.asarray(values, np.float64)[corners])
-            return found
-
-        skin, rest = at(smooth), at(template)
-        left = np.array([_LEARNED.get(family.name, 1.0) for family in FAMILIES])
-        places = family_places(rest, skin, at(lips) * skin) * left[:, None]
+        skin, rest, places, texel, face = _CANVAS.get((head, uv, grid), lambda: _Canvas.of(head, uv, grid))
         lines = paint_lines(rest, seed, age) * (skin[:, None] * line_depth(age) * LINE_DEPTH)
         kept = np.flatnonzero((np.abs(lines).max(1) > _LOWEST) & (places.max(0) > _LEAST))
-        row, column = np.divmod(layout.texel[kept], layout.grid)
+        row, column = np.divmod(texel[kept], grid * FINER)
         corner = np.array([row.min(), column.min()]) - _MARGIN
         size = -(-(np.array([row.max(), column.max()]) + 1 + _MARGIN - corner) // _WHOLE) * _WHOLE
         pixel = (row - corner[0]) * size[1] + column - corner[1]
         found = (
             np.ascontiguousarray(lines[kept].T, np.float32),
-            places[:, kept].astype(np.float32),
-            np.unique(near[layout.face[kept]]),
+            places[:, kept],
+            np.unique(face[kept]),
         )
         return Relief(corner, size, pixel, *found)
 

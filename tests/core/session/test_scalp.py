@@ -107,12 +107,12 @@ def test_the_dark_rim_and_inner_side_of_a_bust_are_no_hair(model, from_photos):
 
 def test_a_bun_behind_the_head_lies_over_no_forehead(model):
     head, layout = model.head_model, model.layout
-    mean, evaluator = np.asarray(head.v_template, float), SimpleNamespace(cache=SimpleNamespace(get=lambda key, make: make()))
+    mean = np.asarray(head.v_template, float)
     x, y, z = (mean[np.asarray(head.faces)[layout.face]] * layout.barycentric[..., None]).sum(1).T
     forehead = (np.asarray(head.uv_islands)[layout.face] == 0) & (z > 0.085) & (y > 0.09) & (y < 0.107) & (np.abs(x) < 0.03)
     assert forehead.sum() > 100
     bun, tail = (
-        covered(evaluator, _person(model, from_photos=False), blocks_of(library_groom(name), mean, head.faces)).under[forehead]
+        covered(_person(model, from_photos=False), blocks_of(library_groom(name), mean, head.faces)).under[forehead]
         for name in ("bun", "ponytail")
     )
     np.testing.assert_allclose(bun.mean(), tail.mean(), atol=0.05)  # both are combed back alike
@@ -121,7 +121,7 @@ def test_a_bun_behind_the_head_lies_over_no_forehead(model):
 def test_skin_under_a_beard_and_a_fringe_is_dark_and_other_skin_is_not(model):
     head, layout = model.head_model, model.layout
     target = _person(model, from_photos=False)
-    mean, evaluator = np.asarray(head.v_template, float), SimpleNamespace(cache=SimpleNamespace(get=lambda key, make: make()))
+    mean = np.asarray(head.v_template, float)
     places = (mean[np.asarray(head.faces)[layout.face]] * layout.barycentric[..., None]).sum(1)
     x, y, z = places.T
     outer = np.asarray(head.uv_islands)[layout.face] == 0
@@ -131,7 +131,7 @@ def test_skin_under_a_beard_and_a_fringe_is_dark_and_other_skin_is_not(model):
     assert min(part.sum() for part in (jaw, brow, nose)) > 20
 
     def left(name, part, **values):
-        there = covered(evaluator, target, blocks_of(library_groom(name, part=part), mean, head.faces))
+        there = covered(target, blocks_of(library_groom(name, part=part), mean, head.faces))
         return shade(there, [HairSettings(**values)] * len(GROUPS))[:, 0]
 
     beard, fringe = left("full", "beard"), left("fringe", "scalp")
@@ -142,7 +142,7 @@ def test_skin_under_a_beard_and_a_fringe_is_dark_and_other_skin_is_not(model):
         assert [dark[other].min() for other in others] == [1.0] * 3
     assert left("coily", "scalp")[brow | nose].min() > 0.99  # curls stand out before it
     np.testing.assert_allclose(1.0 - left("full", "beard", density=0.25), 0.25 * (1.0 - beard), atol=1e-6)
-    assert (shade(covered(evaluator, target, ()), [HairSettings()] * len(GROUPS)) == 1.0).all()
+    assert (shade(covered(target, ()), [HairSettings()] * len(GROUPS)) == 1.0).all()
 
 
 def test_what_shows_between_shorn_hair_is_not_rust_and_deep_inside_hair_is_dark():
@@ -159,7 +159,7 @@ def test_what_shows_between_shorn_hair_is_not_rust_and_deep_inside_hair_is_dark(
 def test_hair_that_hangs_beside_a_neck_throws_a_shadow_on_it(model):
     head, layout = model.head_model, model.layout
     target = _person(model, from_photos=False)
-    mean, evaluator = np.asarray(head.v_template, float), SimpleNamespace(cache=SimpleNamespace(get=lambda key, make: make()))
+    mean = np.asarray(head.v_template, float)
     x, y, z = (mean[np.asarray(head.faces)[layout.face]] * layout.barycentric[..., None]).sum(1).T
     outer = np.asarray(head.uv_islands)[layout.face] == 0
     neck = outer & (y > -0.12) & (y < -0.08) & (np.abs(x) > 0.03) & (z > -0.03) & (z < 0.03)
@@ -168,7 +168,7 @@ def test_hair_that_hangs_beside_a_neck_throws_a_shadow_on_it(model):
 
     def left(*names, **values):
         blocks = [block for name in names for block in blocks_of(library_groom(name), mean, head.faces)]
-        return shadow(covered(evaluator, target, blocks), HairSettings(**values))[:, 0]
+        return shadow(covered(target, blocks), HairSettings(**values))[:, 0]
 
     long, short = left("long"), left("crop")
     assert long[neck].mean() < 0.8 < 0.95 < short[neck].mean()

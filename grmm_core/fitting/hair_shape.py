@@ -39,6 +39,7 @@ TURNED = 1.0  # of strands that lie across the photo's, beside wrong cover
 STRETCHED, KINKED = 2.0, 4.0  # of the squared changes of a segment's length, as a share of it, and of its angle to the next one
 SHORTEST, FLAT = 1e-3, 1e-4  # metres of a segment, and px^2 of its length on a picture, from which on these are believed
 NEAREST = 1e-3  # metres before a camera
+UNCLEAR = 1e-12  # of a direction's squared length: where nothing is drawn it has no gradient
 NEAR, SKIN = 2, 0.15  # px around a root that must show skin, and of how much hair that is
 MOST_BARE = 0.2  # of the strands: if more seem to stand on skin, the photo is not to be believed
 BEHIND = 0.004  # metres below the skin that are still seen
@@ -107,10 +108,7 @@ def field_to(course: Course, photos: Sequence[Seen], lattices: Sequence[Lattice]
         for part in (course.rest, course.radii, *course.posed, *course.turns)
     )
     posed, turns = others[: len(photos)], others[len(photos) :]
-    wanted = [
-        torch.from_numpy(np.stack([photo.hair, photo.counts, *photo.seen], -1).astype(np.float32)).split((1, 1, 2), -1)
-        for photo in photos
-    ]
+    wanted = [_Wanted.of(photo) for photo in photos]
     for nodes, steps, rate, smooth in lattices:
         start = functional.interpolate(field[None], nodes[::-1], mode="trilinear", align_corners=True)[0]
         field = start.detach().requires_grad_(True)
@@ -119,23 +117,56 @@ def field_to(course: Course, photos: Sequence[Seen], lattices: Sequence[Lattice]
             descent.zero_grad()
             moved = share * _sampled(field, course.rest)
             loss = _roughness(field, smooth) + _deformation(rest, moved)
-            for photo, points, turn, (hair, counts, seen) in zip(photos, posed, turns, wanted, strict=True):
-                cover, way = _drawn(points + moved @ turn, radii, course.opacity, photo)
-                area = (hair * counts).sum().clamp_min(1.0) * len(photos)
-                off = ((cover - hair) * counts)[None, :, :, 0]
-                for size, weight in LEVELS:
-                    loss = loss + weight * (_box_mean(off, size) ** 2).sum() / area
-                across = seen.norm(dim=-1) * way.norm(dim=-1) - (seen * way).sum(-1)
-                loss = loss + TURNED * (across * counts[..., 0]).sum() / area
+            for photo, points, turn, target in zip(photos, posed, turns, wanted, strict=True):
+                loss = loss + target.missed(*_drawn(points + moved @ turn, radii, course.opacity, photo)) / len(photos)
             loss.backward()
             descent.step()
     return field.detach()
 
 
-def _box_mean(planes: Tensor, size: int) -> Tensor:
-    """Means over squares of an odd number of pixels, [C, H, W], zeros beyond the edge; along rows, then along columns."""
-    rows = functional.avg_pool2d(planes, (1, size), 1, (0, size // 2))
-    return functional.avg_pool2d(rows, (size, 1), 1, (size // 2, 0))
+class _Wanted(NamedTuple):
+    """What strands shall look like in a photo.
+
+    Attributes:
+        hair: Cover, [H, W].
+        counts: How much pixels count, [H, W].
+        seen: Cosine and sine of twice the angle of strands, [H, W, 2].
+        clear: How clear that is, [H, W].
+        area: Of the hair, pixels.
+        means: For each of `LEVELS` what makes the means over its squares of rows [H, H] and of columns [W, W].
+    """
+
+    hair: Tensor
+    counts: Tensor
+    seen: Tensor
+    clear: Tensor
+    area: Tensor
+    means: list[tuple[Tensor, Tensor]]
+
+    @staticmethod
+    def of(photo: Seen) -> _Wanted:
+        """Of a photo."""
+        hair, counts, *ways = (
+            torch.from_numpy(np.asarray(part, np.float32)) for part in (photo.hair, photo.counts, *photo.seen)
+        )
+        seen = torch.stack(ways, -1)
+        means = [(_banded(len(hair), size), _banded(hair.shape[1], size)) for size, _ in LEVELS]
+        return _Wanted(hair, counts, seen, seen.norm(dim=-1), (hair * counts).sum().clamp_min(1.0), means)
+
+    def missed(self, cover: Tensor, way: Tensor) -> Tensor:
+        """How far a drawn cover [H, W] and directions [H, W, 2] are off, as a share of the hair, []."""
+        off = (cover - self.hair) * self.counts
+        loss = off.new_zeros(())
+        for (size, weight), (rows, columns) in zip(LEVELS, self.means, strict=True):
+            wide = off if size == 1 else rows @ off @ columns
+            loss = loss + weight * wide.square().sum()
+        across = self.clear * (way.square().sum(-1) + UNCLEAR).sqrt() - (self.seen * way).sum(-1)
+        return (loss + TURNED * (across * self.counts).sum()) / self.area
+
+
+def _banded(count: int, size: int) -> Tensor:
+    """What makes of `count` values in a row the mean of `size`, an odd number, around each; zeros beyond the ends."""
+    return torch.ones(count, count).triu(-(size // 2)).tril(size // 2) / size
 
 
 def offsets(field: Tensor, strands: np.ndarray) -> np.ndarray:
@@ -195,12 +226,12 @@ def _deformation(rest: Tensor, moved: Tensor) -> Tensor:
     """What it costs that strands [N, K, 3] are longer or shorter than they were, and bent otherwise."""
     lengths = rest.diff(dim=1).norm(dim=2).clamp_min(SHORTEST)
     stretched = (rest + moved).diff(dim=1).norm(dim=2) / lengths - 1.0
-    bends = moved.diff(n=2, dim=1).norm(dim=2) / lengths[:, 1:]
-    return STRETCHED * (stretched**2).mean() + KINKED * (bends**2).mean()
+    bends = moved.diff(n=2, dim=1).square().sum(2) / lengths[:, 1:].square()
+    return STRETCHED * stretched.square().mean() + KINKED * bends.mean()
 
 
 def _drawn(points: Tensor, radii: Tensor, opacity: float, photo: Seen) -> tuple[Tensor, Tensor]:
-    """What strands [N, K, 3] cover of a photo, [H, W, 1], and cosine and sine of twice their angles there, [H, W, 2]."""
+    """What strands [N, K, 3] cover of a photo, [H, W], and cosine and sine of twice their angles there, [H, W, 2]."""
     camera = photo.camera
     made = strand_segments(points.contiguous(), radii, points.new_full((len(points),), opacity), Eye.of(camera))
     means = made.means.reshape(-1, 3)
@@ -215,7 +246,7 @@ def _drawn(points: Tensor, radii: Tensor, opacity: float, photo: Seen) -> tuple[
         _angles(points, camera),
     )
     picture = rasterize(gaussians, camera)
-    return picture.alpha[..., None], picture.rgb[..., :2]
+    return picture.alpha, picture.rgb[..., :2]
 
 
 def _angles(points: Tensor, camera: Camera) -> Tensor:

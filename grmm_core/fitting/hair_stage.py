@@ -214,17 +214,25 @@ class _Strands:
         self.local = thin.points.reshape(len(thin), POINTS, 3)
         self.frames = thin.frames(self.template, head.faces)
         self.radii = (0.5 * len(rows) / max(len(thin), 1)) * thin.widths.astype(np.float32)
+        self._stood: dict[int, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}  # every length stands on the same few heads
+
+    def _standing(self, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Roots on a posed head, [N, 3], and the axes there, [N, 3, 3]."""
+        known = self._stood.get(id(vertices))
+        if known is None:
+            known = self._stood[id(vertices)] = (vertices, *self.frames.at(vertices))
+        return known[1:]
 
     def points(self, vertices: np.ndarray, length: float) -> np.ndarray:
         """Strands on a posed head, [N, K, 3]."""
-        origin, axes = (part.astype(np.float32) for part in self.frames.at(vertices))
+        origin, axes = (part.astype(np.float32) for part in self._standing(vertices))
         posed: np.ndarray = np.matmul(lengthened(self.local, length), axes) + origin[:, None]
         return posed
 
     def course(self, stages: Sequence[_Stage], length: float) -> Course:
         """Strands ready to be bent to photos."""
-        rest = self.frames.at(self.template)[1]
-        turns = [np.matmul(rest.transpose(0, 2, 1), self.frames.at(stage.vertices)[1]) for stage in stages]
+        rest = self._standing(self.template)[1]
+        turns = [np.matmul(rest.transpose(0, 2, 1), self._standing(stage.vertices)[1]) for stage in stages]
         posed = [self.points(stage.vertices, length) for stage in stages]
         return Course(self.points(self.template, length), posed, turns, self.radii, OPACITY)
 

@@ -7,6 +7,7 @@ import bpy
 from ..grmm_blender.composite import scenes
 from ..grmm_blender.declare import Operator
 from ..grmm_blender.engine.settings import ENGINE
+from ..grmm_blender.properties import SCENE_LIGHT
 from .common import Result, polls, reports_errors, require
 
 
@@ -36,6 +37,23 @@ class GRMM_OT_composite_set_up(Operator):
         return {"FINISHED"}
 
 
+class GRMM_OT_composite_light(Operator):
+    """Let the lamps and the world of the scene light its avatars."""
+
+    bl_label = "Light by Scene"
+    bl_description = (
+        "Light the avatars by the lamps and the world of the scene, as all else in it, instead of the studio's light"
+    )
+
+    poll = polls(lambda context: require(scenes.studio_lit(context.scene), "No avatar of the scene has the studio's light"))
+
+    def execute(self, context: bpy.types.Context) -> Result:
+        """Change them."""
+        for head in scenes.studio_lit(context.scene):
+            head.grmm.lighting = SCENE_LIGHT
+        return {"FINISHED"}
+
+
 class GRMM_OT_composite_remove(Operator):
     """Remove the compositing nodes and the scene that renders the avatars; your own nodes stay."""
 
@@ -49,4 +67,4 @@ class GRMM_OT_composite_remove(Operator):
         return {"FINISHED"}
 
 
-CLASSES = (GRMM_OT_composite_set_up, GRMM_OT_composite_remove)
+CLASSES = (GRMM_OT_composite_set_up, GRMM_OT_composite_light, GRMM_OT_composite_remove)

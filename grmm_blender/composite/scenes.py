@@ -12,7 +12,9 @@ from bpy.app.handlers import persistent
 from ...grmm_core.errors import GrmmError
 from .. import events
 from ..engine.settings import ENGINE
+from ..properties import STUDIO_LIGHT
 from ..scene import walk
+from ..scene.avatars import avatars_in
 from ..scene.clouds import clouds_in
 from . import hair_shadows, nodes
 
@@ -38,6 +40,12 @@ def drawn_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Return the objects of a scene that other engines must not draw: in their place stand Gaussians."""
     carriers = [cloud.carrier for cloud in clouds_in(scene) if cloud.carrier is not None]
     return [*walk.drawn_objects(scene), *dict.fromkeys(carriers), *hair_shadows.curves_of(scene)]
+
+
+def studio_lit(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Return the heads of a scene that can be changed and have the studio's even light, whatever shines on the rest."""
+    heads = (avatar.object for avatar in avatars_in(scene))
+    return [head for head in heads if head.is_editable and head.grmm.lighting == STUDIO_LIGHT]
 
 
 def set_up(scene: bpy.types.Scene) -> bpy.types.Scene:

@@ -21,6 +21,8 @@ from ..scene.avatars import avatars_in
 from ..width import draw_text
 from .twins import CATEGORY
 
+_STUDIO_LIT = "Avatars have the studio's even light, not that of this scene"
+
 
 class _SidebarPanel:
     bl_space_type = "VIEW_3D"
@@ -71,14 +73,15 @@ class GRMM_PT_pictures(_SidebarPanel, bpy.types.Panel):
         layout = self.layout
         if shows_mesh_alone(context.scene):
             draw_text(layout, MESH_ALONE, context, icon="INFO")
-        self._draw_composite(layout, context.scene)
+        self._draw_composite(layout, context)
         column = layout.column(align=True)
         column.operator("grmm.portrait_camera", icon="CAMERA_DATA")
         column.operator("grmm.turntable", icon="CON_FOLLOWPATH")
         column.operator_context = "INVOKE_DEFAULT"
         column.operator("grmm.contact_sheet", text="Contact Sheet...", icon="IMGDISPLAY")
 
-    def _draw_composite(self, layout: bpy.types.UILayout, scene: bpy.types.Scene) -> None:
+    def _draw_composite(self, layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+        scene = context.scene
         if scene.grmm_composite.main is not None:
             layout.label(text=f"Renders the avatars of {scene.grmm_composite.main.name}", icon="SCENE_DATA")
             return
@@ -91,6 +94,9 @@ class GRMM_PT_pictures(_SidebarPanel, bpy.types.Panel):
         merge = nodes.merge_node(scene)
         if merge is not None and nodes.COMPARE in merge.inputs:
             box.prop(merge.inputs[nodes.COMPARE], "default_value", text=nodes.COMPARE, slider=True)
+        if scenes.studio_lit(scene):
+            draw_text(box, _STUDIO_LIT, context, icon="INFO")
+            box.operator("grmm.composite_light", icon="LIGHT")
         row = box.row(align=True)
         row.operator("grmm.composite_set_up", text="Put Right", icon="FILE_REFRESH")
         row.operator("grmm.composite_remove", text="Remove", icon="X")

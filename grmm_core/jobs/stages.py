@@ -80,7 +80,7 @@ FIT = JobStages(
         Stage("track", "Tracking", 18.0),
         Stage("codes", "Finding the person", 30.0),  # this and the next depend on the preset, see `fitting.presets`
         Stage("decoders", "Fine detail", 85.0),
-        Stage("finish", "Finishing", 22.0),  # hair, its color and texture, the thumbnail and the painting
+        Stage("finish", "Finishing", 14.0),  # the color and texture of hair, the thumbnail and the painting
     ),
     timed=True,
 )

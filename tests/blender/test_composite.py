@@ -81,6 +81,8 @@ def test_beside_the_users_nodes_undone_and_saved(run_blender: RunBlender, blende
     assert result["after"] == mine
     assert (result["handed"], result["visible"]) == (False, True)
     assert result["hidden"] == [False, False]
+    assert result["lit"][:2] == ["STUDIO", "SCENE"]
+    assert "No avatar of the scene has the studio's light" in result["lit"][2]
     assert result["children"] == ["Excluded", "Shown"]
     assert result["excluded"] == [False, True]
     assert result["camera"]

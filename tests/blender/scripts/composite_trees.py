@@ -81,6 +81,12 @@ bpy.ops.grmm.composite_remove()
 report(hidden=[hidden, head.visible_camera])
 head.visible_camera = True
 
+# In a composite avatars take the light of the scene by one click.
+(mesh,) = (avatar.object for avatar in module("grmm_blender.scene.avatars").avatars_in(scene))
+lit = [mesh.grmm.lighting]
+bpy.ops.grmm.composite_light()
+report(lit=[*lit, mesh.grmm.lighting, message(bpy.ops.grmm.composite_light)])
+
 # What the partner follows: collections with their visibility, cameras, markers, size.
 bpy.ops.grmm.composite_set_up()
 partner = scene.grmm_composite.partner

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..compute.recent import Recent
 from ..errors import ShapeError
 
 if TYPE_CHECKING:
@@ -73,6 +74,14 @@ def texel_layout(uv: np.ndarray, uv_faces: np.ndarray, grid: int) -> TexelLayout
     Raises:
         ShapeError: No texel lies on the mesh.
     """
+    return _KNOWN.get((np.asarray(uv), np.asarray(uv_faces), grid), lambda: _found(uv, uv_faces, grid))
+
+
+_KNOWN: Recent[TexelLayout] = Recent(4)
+"""Every head that is added to a scene, painted or lit asks for the same few."""
+
+
+def _found(uv: np.ndarray, uv_faces: np.ndarray, grid: int) -> TexelLayout:
     corners = np.asarray(uv, np.float64)[uv_faces] * grid - 0.5  # [F, 3, 2] in texels, centres at whole numbers
     low = np.maximum(np.ceil(corners.min(1) - 1e-6), 0).astype(np.int64)  # [F, 2]
     high = np.minimum(np.floor(corners.max(1) + 1e-6), grid - 1).astype(np.int64)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..compute.recent import Recent
 from ..controls.names import JOINT_NAMES
 from ..head import HeadModel
 from ..light.resting import Texels, rig_at_vertices
@@ -56,6 +57,13 @@ def plain_face(head: HeadModel, pixels: int = PIXELS) -> np.ndarray:
     Returns:
         As `painting.paint`: display sRGB, uint8, [pixels, pixels, 3], the row of v = 0 first.
     """
+    return _KNOWN.get((head, pixels), lambda: _plain(head, pixels))
+
+
+_KNOWN: Recent[np.ndarray] = Recent(2)
+
+
+def _plain(head: HeadModel, pixels: int) -> np.ndarray:
     layout = texel_layout(head.uv, head.uv_faces, pixels)
     corners = head.faces[layout.face]  # [N, 3]
     colors = np.tile(np.array(_SKIN, np.float32), (len(layout), 1))

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 FacesCallback = Callable[[Path, np.ndarray], None]
 """Called for each photo with its path and the faces' boxes, [K, 4] pixels: left, top, right, bottom."""
 
-WAIT_SECONDS = 0.2  # between two looks whether the hair is found, and whether the user has cancelled
+_WAIT_SECONDS = 0.2  # between two looks whether the hair is found, and whether the user has cancelled
 _LANDMARK_SHARE = 0.3  # of the time that tracking takes
 
 logger = logging.getLogger(__name__)
@@ -161,7 +161,7 @@ def _make(
             work=folder, report=report,
         )  # fmt: skip
         finish(0.0)
-        while hair is not None and wait([hair], WAIT_SECONDS).not_done:
+        while hair is not None and wait([hair], _WAIT_SECONDS).not_done:
             finish(0.0)
     person = with_deltas(loaded.model, avatar.deltas, folder)
     if hair is not None:

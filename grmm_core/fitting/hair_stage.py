@@ -31,6 +31,7 @@ from ..splat.types import GaussianArrays
 from .face_hair import face_hair
 from .hair_grain import Directions, coiliness, coils, directions
 from .hair_shape import FINE, Course, bent, field_to, offsets, with_hairline
+from .strays import without_strays
 
 if TYPE_CHECKING:
     from ..head import HeadModel
@@ -138,7 +139,7 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
         return None
     stages = [_Stage(around_head(view), head, FINE_SIDE) for view in views]
     groom, length, _ = max((_finished(match, stages, head) for match in matches[:FINISHED]), key=lambda made: made[2])
-    groom = with_hairline(groom, stages, head)
+    groom = without_strays(with_hairline(groom, stages, head), head)
     settings = with_colors(HairSettings(length=length), groom, views, head)
     return Hair(groom, _varied(settings, groom, around_head(views[0]), head))
 

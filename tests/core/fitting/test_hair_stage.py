@@ -57,6 +57,14 @@ def test_a_packaged_groom_is_found_again_with_its_color(name, flipped, settings)
     assert np.minimum(shown.hair, again.hair).sum() > 0.85 * np.maximum(shown.hair, again.hair).sum()
 
 
+@pytest.mark.parametrize("size", [1, 5, 15])
+def test_cover_is_averaged_over_squares(size):
+    cover = torch.rand(1, 20, 13, generator=torch.Generator().manual_seed(size))
+    rows, columns = (hair_shape._banded(count, size) for count in cover.shape[1:])
+    expected = torch.nn.functional.avg_pool2d(cover, size, 1, size // 2)
+    torch.testing.assert_close(rows @ cover @ columns, expected)
+
+
 def test_long_hair_is_not_bent_to_short_hair(monkeypatch):
     """It covers any silhouette once it is cut short and bent; what was not likely before that stays out."""
     monkeypatch.setattr(hair_stage, "groom_names", lambda: ("long", "crop", "ponytail"))

@@ -14,6 +14,7 @@ from grmm_core.hair.coloring import WornHair
 from grmm_core.hair.compact import MAX_BYTES, compact_parts, restored_parts
 from grmm_core.hair.groom import QUANTUM, TINTS, Groom, bind, join
 from grmm_core.hair.packaged import library_groom
+from grmm_core.hair.ready import ready
 from grmm_core.hair.roots import BEARD, LASHES, SCALP
 from grmm_core.hair.strands import blocks_of
 from grmm_core.head.open_head import load_open_head
@@ -124,6 +125,19 @@ def test_strands_keep_their_own_colors(strands, head):
     assert restored_parts(compact_parts(groom)).tints is None
     with pytest.raises(ShapeError, match="tints of size"):
         replace(groom, tints=tints[:, 1:])
+
+
+def test_strands_that_are_ready_take_other_colors(strands, head):
+    groom, _ = strands
+    tints = np.random.default_rng(4).uniform(-0.5, 0.5, (len(groom), TINTS, 3)).astype(np.float32)
+    streaked = replace(groom, tints=tints * (groom.groups == SCALP)[:, None, None])
+    plain = ready(groom, head)
+    for one in (streaked, replace(groom, tints=tints)):
+        for block, before in zip(ready(one, head), plain, strict=True):
+            assert block.points is before.points
+            expected = one.tints[block.rows]
+            np.testing.assert_array_equal(0.0 if block.tints is None else block.tints, expected)
+    assert all(block.tints is None for block in ready(groom, head))
 
 
 def test_own_colors_ride_on_what_settings_give(strands, head):

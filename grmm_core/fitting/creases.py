@@ -32,6 +32,7 @@ OWN_TEXELS = 16.0  # length below which that is a fold
 MOST_BROUGHT = 1.0  # of what a photo shows otherwise than others: no trained expression brings more of it
 SPREAD = 3  # times that the strain is averaged over neighbouring vertices: folds lie beside what moves
 WIDTH_TEXELS = 10.0  # length below which colors are creases
+STAYS = 0.5  # of creases that are seen at rest, too: a face that smiles much is known by them
 PORES = 0.03  # of the detail that stays in every expression: about so much of it
 RIM_TEXELS, AWAY = 2.0, (0.6, 0.95)  # from features: smoothed share of plain skin
 # strength of the expression, in the trained maps' weights: below the first a photo counts as neutral, above the second not
@@ -137,7 +138,7 @@ def crease_colors(surface: Surface, colors: Tensor, strain: Tensor, features: Te
     lasting = PORES * torch.tanh(detail / PORES)
     deep = share_of(-surface.smooth(detail, FOLD_TEXELS).mean(1), DEEP)
     share = torch.maximum(share_of(strain), deep * share_of(strain, DEEP_STRAIN))
-    return (share * _away(surface, plain))[:, None] * (detail - lasting)
+    return (1.0 - STAYS) * (share * _away(surface, plain))[:, None] * (detail - lasting)
 
 
 def own_colors(surface: Surface, difference: Tensor, strain: Tensor, parts: Tensor, trust: Tensor) -> Tensor:

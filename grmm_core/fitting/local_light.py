@@ -5,7 +5,11 @@ that was not: d_k = f + r_k in logarithms, f of the person and r_k of photo k. W
 where s_k is how uneven the photo's light leaves skin of one tone (`person_lights.doubts`), the likeliest f is the mean of the
 d_k weighted by 1 / s_k^2, less a part: that of the surest photo, for the r_k are alike. So in skin that a hard light alone
 shows the person keeps the prior's wide shades, and takes the detail. Lightness and tint are told apart each by itself, since
-gloss and shade change lightness much more than tint, and people's skin both alike. Used by `invert` and `settling`. Needs
+gloss and shade change lightness much more than tint, and people's skin both alike.
+
+What is narrower than some centimetres in a face is what people are known by: sockets, folds beside the nose, ruddy cheeks, a
+shaved beard. Half of it is color (`_FEATURES`): taken for light as a whole it left every face in any other light that of one
+and the same wax figure, and half of it as color costs no more than soft shades there. Used by `invert` and `settling`. Needs
 numpy only.
 """
 
@@ -23,6 +27,8 @@ from .photo_light import FACING, FINE_MOST, FINE_STEP, Seen
 _COLOR = 0.08, 0.04  # expected wide error of the person's colors, of their logarithm: lightness; tint that does not go with it
 _TINT = 0.03  # likewise of tint where several photos show it
 _CREASE, _AGAIN = 0.1, 2  # of the logarithm: what is so far from its surroundings is a fold or a mark; rounds of such weights
+_FEATURES = 0.9  # of what is narrower than so many rounds of averaging in a face, some 2 cm, that is color
+_FEATURE_ROUNDS, _FACE_RIM = 90, 4
 _ROUNDS = (3,)  # of averaging over neighbouring vertices, which lie 5 mm apart in a face
 _LAST_ROUNDS = (0, 1, 4, 16)  # likewise once colors are known: light goes on where skin is seen at a slant
 _THROAT_ROUNDS = 2  # likewise on the throat, after each step
@@ -68,10 +74,11 @@ def local_lights(
             wide, sure = _at_vertices(head, texels, both, counted, _ROUNDS)
         found.append((wide[:, :3], sure))
         precision.append(sure * (wide[:, 3:] / own) ** 2)
-    if len(every) == 1:
-        color = _alone(*found[0], precision[0])
-    else:
-        color = _together(found, precision)
+    features = _Features(head)
+    narrow = [features.of(off, sure) for off, sure in found]
+    wider = [(off - own, sure) for (off, sure), own in zip(found, narrow, strict=True)]
+    color = _alone(*wider[0], precision[0]) if len(every) == 1 else _together(wider, precision)
+    color = color + _FEATURES * _mean(narrow, [sure for _, sure in found] if len(every) == 1 else precision)
     local = [_factor(sure * (off - color)) for off, sure in found]
     shown = np.stack([seen.weights > 0 for seen in every])
     if len(every) == 1:  # what stands out from its surroundings is as likely a mark
@@ -208,6 +215,26 @@ def _off(seen: Seen, drawn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     linear = np.asarray(to_linear(np.asarray(seen.colors, np.float64)))
     off = np.log(np.maximum(linear, _DARKEST) / np.maximum(drawn, _DARKEST))
     return off.clip(-_MOST, _MOST), seen.weights * told
+
+
+class _Features:
+    """What of a face is too narrow for light."""
+
+    def __init__(self, head: HeadModel) -> None:
+        self._edges = _edges(head)
+        face = head.marked("face")[:, None].astype(np.float64) if "face" in head.regions else np.ones((head.vertex_count, 1))
+        self._share = self._mean(face, _FACE_RIM) * face
+
+    def of(self, values: np.ndarray, sure: np.ndarray) -> np.ndarray:
+        """The narrow part of values of vertices [V, C] that are sure by [V, 1]."""
+        smooth = self._mean(np.concatenate([sure * values, sure], 1), _FEATURE_ROUNDS)
+        narrow: np.ndarray = self._share * sure * (values - smooth[:, :-1] / np.maximum(smooth[:, -1:], 1e-9))
+        return narrow
+
+    def _mean(self, values: np.ndarray, rounds: int) -> np.ndarray:
+        for _ in range(rounds):
+            values = _averaged(values, self._edges)
+        return values
 
 
 def _edges(head: HeadModel) -> np.ndarray:

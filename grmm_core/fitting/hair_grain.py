@@ -88,11 +88,26 @@ def coiliness(image: np.ndarray, hair: np.ndarray, skin: np.ndarray) -> float | 
 
 def coils(groom: Groom) -> float:
     """How coily the strands of a groom are, 0..1: by their turning over their length (strands of one number of points)."""
-    points = groom.points.reshape(len(groom), -1, 3)
-    steps = np.diff(points, axis=1)
-    lengths = np.linalg.norm(steps, axis=2)
-    ways = steps / np.maximum(lengths, 1e-9)[..., None]
-    turns = np.degrees(np.arccos(np.clip((ways[:, 1:] * ways[:, :-1]).sum(2), -1.0, 1.0))).sum(1)
-    turning = float(np.median(turns / np.maximum(100.0 * lengths.sum(1), 1e-6)))
-    shown = min(1.0, float(np.median(lengths.sum(1))) / SHOWN)
+    ways, lengths = _ways(groom)
+    turning = float(np.median(np.degrees(_angles(ways[:, 1:], ways[:, :-1]).sum(1)) / np.maximum(100.0 * lengths, 1e-6)))
+    shown = min(1.0, float(np.median(lengths)) / SHOWN)
     return shown * float(np.clip((turning - TURNING[0]) / (TURNING[1] - TURNING[0]), 0.0, 1.0))
+
+
+def waves(groom: Groom) -> float:
+    """Radians by which strands turn to and fro, beside what turns them from root to tip; mean of strands, as of `coils`."""
+    ways, _ = _ways(groom)
+    return float(np.mean(_angles(ways[:, 1:], ways[:, :-1]).sum(1) - _angles(ways[:, 0], ways[:, -1])))
+
+
+def _ways(groom: Groom) -> tuple[np.ndarray, np.ndarray]:
+    """Directions of strands' segments, [N, K - 1, 3], and strands' lengths, [N] metres."""
+    steps = np.diff(groom.points.reshape(len(groom), -1, 3), axis=1)
+    lengths = np.linalg.norm(steps, axis=2)
+    return steps / np.maximum(lengths, 1e-9)[..., None], lengths.sum(1)
+
+
+def _angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Radians between directions [..., 3]."""
+    angles: np.ndarray = np.arccos(np.clip((first * second).sum(-1), -1.0, 1.0))
+    return angles

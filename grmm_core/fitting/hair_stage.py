@@ -29,7 +29,7 @@ from ..photo.parser import MESH_PARTS, part_map
 from ..splat.api import rasterize_arrays
 from ..splat.types import GaussianArrays
 from .face_hair import face_hair
-from .hair_grain import Directions, coiliness, coils, directions
+from .hair_grain import Directions, coiliness, coils, directions, waves
 from .hair_shape import FINE, Course, bent, field_to, offsets, with_hairline
 from .strays import without_strays
 
@@ -57,6 +57,7 @@ SKIN_TINT, MOSTLY = 0.02, 0.9
 VARIATION = (0.3, 1.0)  # of the color from lock to lock, by how much the photo has
 OPACITY = 0.9  # of a strand
 ORIENTATION = 0.35  # weight of the agreement of directions beside that of cover
+WAVY, MOST_WAVES = 0.025, 2.0  # of the score that a radian of waves costs, up to so many: silhouettes hardly tell them
 COILY = 0.1  # of the score that strands lose which are straight where the photos show coils
 HARDLY = 0.05  # cover by hair of what is plain skin
 BEHIND = 0.004  # metres below the skin that are still seen
@@ -154,7 +155,9 @@ def _finished(match: Match, stages: Sequence[_Stage], head: HeadModel) -> tuple[
     groom = bent(groom, 1.0, field_to(_Strands(groom, head, FINE_STRANDS).course(stages, 1.0), stages, FINE), head)
     groom = without_strays(groom, before, head)
     thin = _Strands(groom, head, FINE_STRANDS)
-    return groom, 1.0, match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0))
+    score = match.score - match.agreement + _agreement(stages, thin.course(stages, 1.0))
+    few = _few(groom)
+    return groom, 1.0, score - WAVY * min(waves(few), MOST_WAVES) * (1.0 - coils(few))
 
 
 def _varied(settings: HairSettings, groom: Groom, view: HairView, head: HeadModel) -> HairSettings:
@@ -246,8 +249,13 @@ class _Candidate(_Strands):
         groom = library_groom(name, head.name)
         super().__init__(groom, head, STRANDS, flipped)
         self.name, self.flipped = name, flipped
-        rows = np.flatnonzero(groom.groups == SCALP)
-        self.coils = coils(groom.select(rows[:: max(1, len(rows) // STRANDS)]).resampled(GRAIN_POINTS))
+        self.coils = coils(_few(groom))
+
+
+def _few(groom: Groom) -> Groom:
+    """Enough strands and points of a groom's scalp to see coils and waves."""
+    rows = np.flatnonzero(groom.groups == SCALP)
+    return groom.select(rows[:: max(1, len(rows) // STRANDS)]).resampled(GRAIN_POINTS)
 
 
 class _Stage:

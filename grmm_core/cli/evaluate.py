@@ -74,7 +74,7 @@ def add_parser(subparsers: Any) -> None:
     )  # fmt: skip
     parser.add_argument("--lpips", metavar="FILE", help="also LPIPS, with these weights (VGG16 and linear layers)")
     parser.add_argument(
-        "--identity", metavar="FILE", help="of photos also the distance by this face-recognition network (TorchScript)"
+        "--identity", metavar="FILE", help="of photos also likeness by this face-recognition network (TorchScript), or dlib"
     )
     parser.add_argument("--seed", type=count, default=0, help="of the choice of views (default: %(default)s)")
     parser.add_argument("--device", choices=DEVICES, default="auto", help="where the model runs (default: %(default)s)")

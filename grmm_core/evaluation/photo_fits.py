@@ -28,7 +28,7 @@ from ..fitting.photo_light import MATT
 from ..fitting.presets import Preset
 from ..fitting.request import FitRequest
 from ..fitting.result import photo_controls, photo_light
-from ..fitting.types import PhotoTrack
+from ..fitting.types import LANDMARK_COUNT, PhotoTrack
 from ..geometry.camera import Camera
 from ..hair.coloring import around_head
 from ..head import HeadModel
@@ -43,7 +43,7 @@ from ..session import HairUse, Instance, RenderOptions, Session, create_session
 from .cleanliness import FROM_FRONT, SHEET, Shot, cleanliness, seam, seen_vertices
 from .evenness import evenness
 from .haired import turned_degrees
-from .identity import Identity
+from .identity import Identity, photo_landmarks
 from .metrics import Distance, errors_of
 from .person_fit import exact_track
 from .report import sheet
@@ -77,7 +77,7 @@ def evaluate_photo(
         device: Where the model runs.
         threads: CPU threads; 0 leaves it to the libraries.
         distances: Perceptual networks by name.
-        identity: Distance by a face-recognition network (`identity.load_identity`), or None.
+        identity: A face-recognition network (`identity.load_identity`), or None.
         report: Hears how much is done.
 
     Returns:
@@ -100,6 +100,7 @@ def evaluate_photo(
         worn = Worn(session, result.path, result.avatar, scene.head)
         figures = photo_figures(model, result.avatar, result.tracks, distances, identity, worn)
         figures |= hair_figures(result.tracks[0], worn)
+        figures |= {} if identity is None else likeness(result.tracks[0], worn, identity)
         page, clean = photo_sheet(model, result.avatar, result.tracks[0], worn)
     write_png(out / f"{photo.stem}.png", page)
     return {**figures, **clean, "seconds": round(result.seconds, 1)}
@@ -115,7 +116,8 @@ def photos_result(rows: Mapping[str, dict[str, Any]], preset: str) -> dict[str, 
 
 def photos_table(result: Mapping[str, Any]) -> str:
     """The figures of `photos_result` as Markdown."""
-    names = [name for name in ("rmse", "psnr", "ssim", "landmark_error") if name in result["mean"]]
+    shown = "rmse", "psnr", "ssim", "landmark_error", "identity", "identity_rest", "identity_30", "identity_60"
+    names = [name for name in shown if name in result["mean"]]
     names += [name for name in result["mean"] if name not in (*names, "seconds")]
     lines = ["| photo | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
     for photo, row in (*result["photos"].items(), ("mean", result["mean"])):
@@ -173,7 +175,9 @@ def photo_figures(
         found = {"rmse": errors.rmse_mask, "psnr": errors.psnr_mask, "ssim": errors.ssim_mask, **errors.perceptual}
         found["rmse_dressed"] = errors_of(shown, target, view.inside).rmse_mask
         if identity is not None:
-            found["identity"] = identity(shown.clamp(0, 1), target, track, view.camera)
+            marks = photo_landmarks(track, view.camera)
+            both = (identity.embedding(picture, marks) for picture in (shown.clamp(0, 1), target))
+            found["identity"] = identity.distance(*both)
         for name, value in {**found, "landmark_error": track.landmark_error}.items():
             figures.setdefault(name, []).append(value)
     return {name: float(np.mean(values)) for name, values in figures.items()}
@@ -196,6 +200,23 @@ def hair_figures(track: PhotoTrack, worn: Worn) -> dict[str, float]:
     figures = {"hair_overlap": float(both / either), "hair_rmse": float(np.sqrt(off))}
     turned = turned_degrees(drawn.rgb, seen.image, full)
     return figures if math.isnan(turned) else {**figures, "hair_turned": turned}
+
+
+def likeness(track: PhotoTrack, worn: Worn, identity: Identity) -> dict[str, float]:
+    """How far a face-recognition network finds an avatar at rest, in the studio's light, from its photo.
+
+    `identity_rest` from the front, `identity_30` and `identity_60` turned by so many degrees, means of both sides. What people
+    are known by must not be left in the light or the expression of the photo.
+    """
+    own = identity.embedding(torch.as_tensor(np.array(track.image)), np.asarray(track.landmarks[:, :2], np.float64))
+
+    def off(yaw: float) -> float:
+        shot = worn.shot(Controls(), portrait_camera(MEASURED_PIXELS, yaw, 0))
+        _, marks = shot.camera.project(worn.head.landmark_positions(shot.vertices, LANDMARK_COUNT))
+        return identity.distance(own, identity.embedding(torch.as_tensor(shot.rgb), marks))
+
+    turned = {f"identity_{yaw}": float(np.mean([off(yaw), off(-yaw)])) for yaw in (30, 60)}
+    return {"identity_rest": off(0), **turned}
 
 
 def photo_sheet(

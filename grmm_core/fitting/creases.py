@@ -2,8 +2,8 @@
 
 The coarse mesh has no normals for them. They lie where the expression stretches or folds the skin, and stand out from the skin
 around. Painted on the person they would stay in the neutral face. So they become a color map of the person that comes and goes
-with the expression code, as the trained ones do (`model.decoders.ExpressionMaps`): whole in the photo's expression, nothing at
-rest. Of several photos each has its own, for what it shows otherwise than the calmer ones.
+with the expression code, as the trained ones do (`model.decoders.ExpressionMaps`): whole in the photo's expression, a part of
+them (`STAYS`) at rest. Of several photos each has its own, for what it shows otherwise than the calmer ones.
 
 Called by `decoder_stage`. Imports torch.
 """

@@ -66,7 +66,8 @@ class FoldShade:
         """Colors of the person [N, 3], display sRGB, as even light shows them."""
         lit, detail = to_linear(colors.clamp(0.0, 1.0)), self._detail(colors)
         most = DEEPEST / self.share.clamp(min=1e-3)
-        kept = ((1.0 - self.share) * detail).clamp(-most, most)
+        light, color = detail.mean(1, keepdim=True), 1.0 - self.share
+        kept = (color * (light + color * (detail - light))).clamp(-most, most)  # shade is red: that goes with more of it
         soft = to_display(lit * torch.exp(kept - detail))
         return soft + (1.0 - self.share) * (colors - to_display(lit))  # the rest is what no screen shows
 

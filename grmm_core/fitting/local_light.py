@@ -7,9 +7,9 @@ d_k weighted by 1 / s_k^2, less a part: that of the surest photo, for the r_k ar
 shows the person keeps the prior's wide shades, and takes the detail. Lightness and tint are told apart each by itself, since
 gloss and shade change lightness much more than tint, and people's skin both alike.
 
-What is narrower than some centimetres in a face is what people are known by: sockets, folds beside the nose, ruddy cheeks, a
-shaved beard. Half of it is color (`_FEATURES`): taken for light as a whole it left every face in any other light that of one
-and the same wax figure, and half of it as color costs no more than soft shades there. Used by `invert` and `settling`. Needs
+What is narrower than a centimetre or two in a face is what people are known by: sockets, folds beside the nose, ruddy cheeks,
+a shaved beard. Most of it is color (`_FEATURES`). Taken for light it left every face, in any other light than its photo's, that
+of one wax figure; soft shades that a lamp threw there are the lesser evil. Used by `invert` and `settling`. Needs
 numpy only.
 """
 
@@ -27,8 +27,8 @@ from .photo_light import FACING, FINE_MOST, FINE_STEP, Seen
 _COLOR = 0.08, 0.04  # expected wide error of the person's colors, of their logarithm: lightness; tint that does not go with it
 _TINT = 0.03  # likewise of tint where several photos show it
 _CREASE, _AGAIN = 0.1, 2  # of the logarithm: what is so far from its surroundings is a fold or a mark; rounds of such weights
-_FEATURES = 0.9  # of what is narrower than so many rounds of averaging in a face, some 2 cm, that is color
-_FEATURE_ROUNDS, _FACE_RIM = 90, 4
+_FEATURES = 0.9  # of what is narrower than so many rounds of averaging in a face, a centimetre or two, that is color
+_FEATURE_ROUNDS, _FACE_RIM = 24, 4
 _ROUNDS = (3,)  # of averaging over neighbouring vertices, which lie 5 mm apart in a face
 _LAST_ROUNDS = (0, 1, 4, 16)  # likewise once colors are known: light goes on where skin is seen at a slant
 _THROAT_ROUNDS = 2  # likewise on the throat, after each step

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from grmm_core.errors import FileAccessError, FileFormatError
-from grmm_core.evaluation.identity import PLACES, SIDE, IdentityDistance, aligned_face, load_identity
+from grmm_core.errors import FileAccessError, FileFormatError, RuntimeMissingError
+from grmm_core.evaluation.identity import PLACES, SIDE, IdentityDistance, aligned_face, load_identity, photo_landmarks
 from grmm_core.fitting.types import LANDMARK_COUNT, PhotoTrack
 from grmm_core.geometry.camera import Camera
 
@@ -44,25 +44,39 @@ def marked(size=200, offset=(0.0, 0.0)):
 
 
 def test_the_face_is_aligned_by_its_features(track):
-    face = aligned_face(marked(), track, track.camera)
+    def face_of(picture, camera):
+        return aligned_face(picture, photo_landmarks(track, camera))
+
+    face = face_of(marked(), track.camera)
     assert face.shape == (3, SIDE, SIDE)
     rows, columns = torch.nonzero(face[0] > 0.5, as_tuple=True)
     assert abs(float(columns.float().mean()) + 0.5 - PLACES[2, 0]) < 3.0
     assert abs(float(rows.float().mean()) + 0.5 - PLACES[2, 1]) < 6.0
-    enlarged = aligned_face(marked(400), track, track.camera.resized(400, 400))
+    enlarged = face_of(marked(400), track.camera.resized(400, 400))
     assert float((enlarged - face).abs().mean()) < 0.01
-    part = aligned_face(marked(200, (20.0, 30.0))[:150, :160], track, track.camera.crop(20, 30, 160, 150))
+    part = face_of(marked(200, (20.0, 30.0))[:150, :160], track.camera.crop(20, 30, 160, 150))
     assert float((part - face).abs().mean()) < 0.01
 
 
 def test_the_distance_is_that_of_the_embeddings(track, tmp_path):
     path = tmp_path / "network.pt"
     torch.jit.script(Mean()).save(str(path))
-    distance = load_identity(path)
+
+    own = load_identity(path)
+
+    def distance(first, second, network=own):
+        return network.distance(*(network.embedding(picture, track.landmarks) for picture in (first, second)))
+
     red, blue = (torch.tensor(color).expand(200, 200, 3) for color in ([1.0, 0.5, 0.5], [0.5, 0.5, 1.0]))
-    assert distance(red, red, track, track.camera) == pytest.approx(0.0, abs=1e-6)
-    assert distance(red, blue, track, track.camera) == pytest.approx(1.0, abs=1e-5)
-    assert IdentityDistance(Mean())(red, red * 0.0, track, track.camera) > 1.0
+    assert distance(red, red) == pytest.approx(0.0, abs=1e-6)
+    assert distance(red, blue) == pytest.approx(1.0, abs=1e-5)
+    assert distance(red, red * 0.0, IdentityDistance(Mean())) > 1.0
+
+
+def test_dlib_is_named_where_it_is_not_installed(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(RuntimeMissingError, match="pip install --no-deps dlib-bin"):
+        load_identity("dlib")
 
 
 def test_files_that_are_no_networks_are_named(tmp_path):

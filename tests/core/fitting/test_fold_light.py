@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from grmm_core.fitting import fold_light
 from grmm_core.fitting.fold_light import LEAST, FoldShade
 from grmm_core.fitting.surface import SKIN, texel_surface
 from grmm_core.model.config import PRESETS
@@ -55,7 +56,7 @@ def contrast(colors, dark, where):
 def test_furrows_are_seen_softly_and_moles_stay(skin):
     shown = skin.shown(skin.colors)
     before, after = (contrast(colors, skin.furrows, skin.within) for colors in (skin.colors, shown))
-    assert LEAST * before < after < 0.6 * before
+    assert LEAST * before < after < 0.8 * before
     kept = (shown - skin.even)[skin.moles] / (skin.colors - skin.even)[skin.moles]
     assert float(kept.mean()) > 0.9
     furrows = skin.furrows & skin.within
@@ -63,8 +64,9 @@ def test_furrows_are_seen_softly_and_moles_stay(skin):
     assert tint[1] - tint[0] < 0.8 * (tint[2] - tint[0]), "red goes with the shade"
 
 
-def test_shade_that_people_have_anyway_stays(skin):
+def test_shade_that_people_have_anyway_stays(skin, monkeypatch):
     """As that of nostrils, which the prior has, too."""
+    monkeypatch.setattr(fold_light, "LEAST", 0.3)  # so that what goes is much
     dark = skin.even * (1.0 - 0.7 * skin.hollow[:, None])
     known, new = ((skin.shown(dark, **given) - dark)[skin.hollow > 0.5].mean() for given in ({"prior": dark}, {}))
     assert abs(float(known)) < 0.15 * float(new)

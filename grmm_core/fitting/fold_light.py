@@ -20,7 +20,7 @@ from ..light.relight import to_display, to_linear
 from .surface import Surface
 
 MARKS = 0.15  # c, of the logarithm of a texel's color; pictures show about half of it, since Gaussians overlap
-LEAST = 0.7  # of what stands out that is color in any case: wrinkles are seen in even light, too
+LEAST = 0.55  # of what stands out that is color in any case: wrinkles are seen in even light, too
 WIDTH_TEXELS, AROUND_TEXELS = 10.0, 8.0  # length below which colors stand out; over which s is found
 FINEST_TEXELS, PRIOR_TEXELS = 0.5, 1.5  # below it colors cancel out between Gaussians that overlap; of the prior, noise
 DEEPEST = 0.35  # of the logarithm, over the share of shade: no color stands out more, so that deep folds are not red

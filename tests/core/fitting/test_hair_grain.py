@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from grmm_core.fitting.hair_grain import coiliness, coils
+from grmm_core.fitting.hair_grain import coiliness, coils, waves
 from grmm_core.geometry.camera import Camera
 from grmm_core.hair import HairSettings, library_groom
 from grmm_core.hair.coloring import WornHair
@@ -50,3 +50,14 @@ def test_coils_of_strands():
     assert 0.7 < of("fade") <= 1.0
     assert of("bob") == of("side_part") == of("long") == 0.0
     assert of("stubble") < 0.5, "too short to show any"
+
+
+def test_waves_are_what_turns_to_and_fro():
+    def of(name):
+        groom = library_groom(name)
+        rows = np.flatnonzero(groom.groups == SCALP)[::20]
+        return waves(groom.select(rows).resampled(24))
+
+    assert of("stubble") < 0.05
+    assert of("slick_back") < of("long") < 1.2, "a bend from root to tip is no wave"
+    assert of("wavy_long") > 4.0

@@ -78,7 +78,7 @@ def local_lights(
     narrow = [features.of(off, sure) for off, sure in found]
     wider = [(off - own, sure) for (off, sure), own in zip(found, narrow, strict=True)]
     color = _alone(*wider[0], precision[0]) if len(every) == 1 else _together(wider, precision)
-    color = color + _FEATURES * _mean(narrow, [sure for _, sure in found] if len(every) == 1 else precision)
+    color = color + _FEATURES * _mean(narrow, precision)
     local = [_factor(sure * (off - color)) for off, sure in found]
     shown = np.stack([seen.weights > 0 for seen in every])
     if len(every) == 1:  # what stands out from its surroundings is as likely a mark
@@ -167,16 +167,12 @@ class _EvenThroat:
 
     def __init__(self, head: HeadModel) -> None:
         self._edges, self._neck = _edges(head), head.marked("neck")[:, None].astype(np.float64)
-        inside = self._neck
-        for _ in range(_THROAT_RIM):
-            inside = _averaged(inside, self._edges)
+        inside = _averaged(self._neck, self._edges, _THROAT_RIM)
         self.share = self._neck * ((inside - _THROAT[0]) / (_THROAT[1] - _THROAT[0])).clip(0.0, 1.0)
 
     def of(self, values: np.ndarray) -> np.ndarray:
         """Values of vertices [V, C]; those of the face, the chin's underside among them, stay."""
-        smooth = np.concatenate([self._neck * values, self._neck], 1)
-        for _ in range(_THROAT_ROUNDS):
-            smooth = _averaged(smooth, self._edges)
+        smooth = _averaged(np.concatenate([self._neck * values, self._neck], 1), self._edges, _THROAT_ROUNDS)
         means = smooth[:, :-1] / np.maximum(smooth[:, -1:], 1e-9)
         return np.where(self.share > 0.0, values + self.share * (means - values), values)
 
@@ -222,19 +218,14 @@ class _Features:
 
     def __init__(self, head: HeadModel) -> None:
         self._edges = _edges(head)
-        face = head.marked("face")[:, None].astype(np.float64) if "face" in head.regions else np.ones((head.vertex_count, 1))
-        self._share = self._mean(face, _FACE_RIM) * face
+        face = head.marked("face")[:, None].astype(np.float64)
+        self._share = _averaged(face, self._edges, _FACE_RIM) * face
 
     def of(self, values: np.ndarray, sure: np.ndarray) -> np.ndarray:
         """The narrow part of values of vertices [V, C] that are sure by [V, 1]."""
-        smooth = self._mean(np.concatenate([sure * values, sure], 1), _FEATURE_ROUNDS)
+        smooth = _averaged(np.concatenate([sure * values, sure], 1), self._edges, _FEATURE_ROUNDS)
         narrow: np.ndarray = self._share * sure * (values - smooth[:, :-1] / np.maximum(smooth[:, -1:], 1e-9))
         return narrow
-
-    def _mean(self, values: np.ndarray, rounds: int) -> np.ndarray:
-        for _ in range(rounds):
-            values = _averaged(values, self._edges)
-        return values
 
 
 def _edges(head: HeadModel) -> np.ndarray:
@@ -243,13 +234,14 @@ def _edges(head: HeadModel) -> np.ndarray:
     return np.unique(np.sort(edges, 1), axis=0).T
 
 
-def _averaged(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Values of vertices [V, C], half of each its neighbours' mean."""
+def _averaged(values: np.ndarray, edges: np.ndarray, rounds: int) -> np.ndarray:
+    """Values of vertices [V, C], half of each its neighbours' mean, so many times."""
     (first, second), count = edges, len(values)
     degree = np.maximum(np.bincount(first, minlength=count) + np.bincount(second, minlength=count), 1)[:, None]
-    around = [np.bincount(first, c[second], count) + np.bincount(second, c[first], count) for c in values.T]
-    mixed: np.ndarray = 0.5 * values + 0.5 * np.stack(around, 1) / degree
-    return mixed
+    for _ in range(rounds):
+        around = [np.bincount(first, c[second], count) + np.bincount(second, c[first], count) for c in values.T]
+        values = 0.5 * values + 0.5 * np.stack(around, 1) / degree
+    return values
 
 
 def _at_vertices(
@@ -269,8 +261,7 @@ def _at_vertices(
         sums[eye] = sums[eye].sum(0)
     means, sure, half = np.zeros((count, values.shape[1])), np.zeros((count, 1)), _HALF_SEEN
     for more in np.diff(rounds, prepend=0):
-        for _ in range(more):
-            sums = _averaged(sums, edges)
+        sums = _averaged(sums, edges, int(more))
         here = (1.0 - sure) * sums[:, -1:] / (sums[:, -1:] + half)
         means, sure, half = means + here * sums[:, :-1] / np.maximum(sums[:, -1:], 1e-9), sure + here, half / _WEAKER
     return means / np.maximum(sure, 1e-9), sure

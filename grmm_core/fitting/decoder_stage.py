@@ -279,10 +279,11 @@ class Tuner:
 
     def _color_step(self, level: int, index: int, attributes: Attributes) -> Tensor:
         """Change of the colors that brings a picture nearer to its photo, [N, 3]."""
-        view = self.levels[level][index]
+        view, light = self.levels[level][index], self.lit(level, index)
         drawn = draw(self.model, view.camera, self.meshes[index], attributes)
-        target = unlit(view.image, self.lit(level, index)) * drawn.alpha[..., None]
-        both = 0.5 * ((target - drawn.image) + (target - drawn.raw))
+        shown = 0.5 * (drawn.image + drawn.raw)
+        excess = view.excess(relit(drawn, light).image)
+        both = torch.where(excess > 0.0, 0.0, unlit(view.image, light) * drawn.alpha[..., None] - shown)
         return spread_to_colors(self.model, view, self.meshes[index], attributes, both * view.inside[..., None])
 
     def differences(self) -> list[Tensor]:

@@ -29,6 +29,8 @@ _TINT = 0.03  # likewise of tint where several photos show it
 _CREASE, _AGAIN = 0.1, 2  # of the logarithm: what is so far from its surroundings is a fold or a mark; rounds of such weights
 _FEATURES = 0.9  # of what is narrower than so many rounds of averaging in a face, a centimetre or two, that is color
 _FEATURE_ROUNDS, _FACE_RIM = 24, 4
+_EDGE = 0.3  # deviation of the logarithm of a light within the reach of a feature, from which half of it is an edge of shade
+_DARKEST_LIGHT = 0.02  # of the rig's, as of all that is darker
 _ROUNDS = (3,)  # of averaging over neighbouring vertices, which lie 5 mm apart in a face
 _LAST_ROUNDS = (0, 1, 4, 16)  # likewise once colors are known: light goes on where skin is seen at a slant
 _THROAT_ROUNDS = 2  # likewise on the throat, after each step
@@ -62,20 +64,20 @@ def local_lights(
         `Lighting.local` of each photo, [V, 3] float32, and how far each tells the texels' colors, 0..1, [P, N]: not where it is
         much brighter than that and than what the others show, in highlights and rims of light.
     """
-    found, precision = [], []
+    found, precision, narrow, features = [], [], [], _Features(head)
     for seen, ratio, own in zip(every, ratios, doubt, strict=True):
         off, told = _off(seen, ratio * flat)
         light = ratio.min(1)
         dim = np.clip(light / np.median(light[told > 0]), 0.0, 1.0) if told.any() else light * 0.0
-        both, counted = np.concatenate([off, dim[:, None]], 1), told
+        strength = np.log(np.maximum(ratio.mean(1), _DARKEST_LIGHT))
+        both, counted = np.concatenate([off, dim[:, None], strength[:, None]], 1), told
         wide, sure = _at_vertices(head, texels, both, counted, _ROUNDS)
         for _ in range(_AGAIN if len(every) == 1 else 0):
             counted = told / (1.0 + ((off - texels.at(wide[:, :3])).mean(1) / _CREASE) ** 2)
             wide, sure = _at_vertices(head, texels, both, counted, _ROUNDS)
         found.append((wide[:, :3], sure))
-        precision.append(sure * (wide[:, 3:] / own) ** 2)
-    features = _Features(head)
-    narrow = [features.of(off, sure) for off, sure in found]
+        precision.append(sure * (wide[:, 3:4] / own) ** 2)
+        narrow.append(features.of(wide[:, :3], wide[:, 4:], sure))
     wider = [(off - own, sure) for (off, sure), own in zip(found, narrow, strict=True)]
     color = _alone(*wider[0], precision[0]) if len(every) == 1 else _together(wider, precision)
     color = color + _FEATURES * _mean(narrow, precision)
@@ -221,10 +223,16 @@ class _Features:
         face = head.marked("face")[:, None].astype(np.float64)
         self._share = _averaged(face, self._edges, _FACE_RIM) * face
 
-    def of(self, values: np.ndarray, sure: np.ndarray) -> np.ndarray:
-        """The narrow part of values of vertices [V, C] that are sure by [V, 1]."""
-        smooth = _averaged(np.concatenate([sure * values, sure], 1), self._edges, _FEATURE_ROUNDS)
-        narrow: np.ndarray = self._share * sure * (values - smooth[:, :-1] / np.maximum(smooth[:, -1:], 1e-9))
+    def of(self, values: np.ndarray, light: np.ndarray, sure: np.ndarray) -> np.ndarray:
+        """The narrow part of values of vertices [V, C] that are sure by [V, 1].
+
+        It is believed less where the logarithm of the light [V, 1] changes within its reach: edges of shadows are there.
+        """
+        columns = np.concatenate([values, light, light**2, np.ones_like(light)], 1) * sure
+        smooth = _averaged(columns, self._edges, _FEATURE_ROUNDS)
+        smooth = smooth[:, :-1] / np.maximum(smooth[:, -1:], 1e-9)
+        uneven = (smooth[:, -1:] - smooth[:, -2:-1] ** 2).clip(0.0)
+        narrow: np.ndarray = self._share * sure * (values - smooth[:, :-2]) / (1.0 + uneven / _EDGE**2)
         return narrow
 
 

@@ -70,7 +70,8 @@ def fit_loss(
     shown = drawn.over(background)
     total = weights.alpha * (l1_loss(drawn.alpha * view.weight, view.mask * view.weight) + (drawn.alpha * view.empty).mean())
     for name in pictures:
-        total = total + reconstruction_loss(getattr(shown, name) * counts, target, weights, perceptual)
+        picture = getattr(shown, name)
+        total = total + reconstruction_loss((picture - view.excess(picture)) * counts, target, weights, perceptual)
     return total
 
 

@@ -109,9 +109,10 @@ def _beside_others(
 
 
 def _middle(one: tuple[Seen, PhotoHead], ratio: np.ndarray) -> np.ndarray:
-    """Median of a photo's light on the skin that it shows, by its `PhotoHead.spread`, [3]."""
-    counted = (one[0].weights > 0) & one[1].told
-    middle: np.ndarray = np.median((ratio[:, :3] / ratio[:, 3:])[counted], 0)
+    """Median of a photo's light on the skin that it reaches, by its `PhotoHead.spread`, [3]."""
+    seen, here = one
+    light = ratio[:, :3] / ratio[:, 3:]
+    middle: np.ndarray = np.median(light[here.lit(seen, light)], 0)
     return middle
 
 

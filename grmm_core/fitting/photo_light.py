@@ -45,6 +45,7 @@ _RIDGE = 0.1  # likewise: keeps lights small that the face hardly shows
 _AS_RIG = 0.08
 _ROUNDS, _CUT = 6, 5.0  # of robust weights
 _KNOWN = 0.2  # of `_EVEN`, `_TINT` and `_RIDGE` where other photos tell the colors
+_LIT, _BRIGHT = 0.5, 0.9  # of the quantile of a light's strength: skin that is as light as that is not in shade
 _NOT_SKIN = ("lips", "lids", "brows", "lashes", "mouth_interior")
 # how much more skin below the chin counts while a photo stands alone: it shows little of it, slantwise, and that little tells
 # how deep the chin's shadow is; where other photos tell the colors, each texel counts as it is seen
@@ -247,9 +248,22 @@ class PhotoHead:
             return Light.studio(tone, level / tone)
         light = self._found(seen.weights * self._telling, counted, wanted, level / tone, tone)
         if own:
-            middle = np.median(self.ratio(light)[counted], 0)
-            light = light.scaled(1.0 / middle)
+            ratio = self.ratio(light)
+            lit = self.lit(seen, ratio)
+            middle = np.median(ratio[lit], 0)
+            light = light.scaled(1.0 / middle)._replace(tone=middle * np.median(linear[lit] / ratio[lit], 0))
         return light
+
+    def lit(self, seen: Seen, ratio: np.ndarray) -> np.ndarray:
+        """Skin that a photo's light reaches, [N] bool: for it photos are exposed, not for what is in shade.
+
+        Args:
+            seen: The skin.
+            ratio: Of the light, [N, 3].
+        """
+        counted, strength = (seen.weights > 0) & self.told, ratio.mean(1)
+        lit: np.ndarray = counted & (strength >= _LIT * np.quantile(strength[counted], _BRIGHT))
+        return lit
 
     def _found(
         self, given: np.ndarray, counted: np.ndarray, wanted: np.ndarray, scale: np.ndarray, tone: np.ndarray, held: float = 1.0

@@ -106,6 +106,10 @@ class FitView:
         """Pixels whose colors the photo tells, no channel at its end, [H, W] 0..1."""
         return (self.image.amax(-1) < CLIPPED).to(self.image)
 
+    def excess(self, shown: Tensor) -> Tensor:
+        """What of a picture [H, W, 3] is brighter than the photo where this is at its end: no error, but unknown."""
+        return torch.where(self.image >= CLIPPED, (shown - self.image).clamp(min=0.0), torch.zeros_like(shown))
+
     @property
     def measured(self) -> Tensor:
         """Pixels of the head and of the bare neck, [H, W] 0..1: what of `inside` is no cloth."""

@@ -127,6 +127,21 @@ def test_an_avatar_may_not_cover_clothes_beside_its_bust(model):
     assert losses[1] > losses[0] + 0.5 * FIT_WEIGHTS.alpha * float(view.empty.mean())
 
 
+def test_brighter_than_a_burnt_out_photo_is_no_error_and_darker_is_one(model):
+    view = view_of(model)
+    burnt = torch.zeros_like(view.image, dtype=torch.bool)
+    burnt[::2, :, 0] = view.inside[::2] == 1.0
+    view = dataclasses.replace(view, image=torch.where(burnt, 1.0, view.image))
+    losses = []
+    for off in (0.0, 0.3, -0.3):
+        picture = (view.image + off * burnt) * view.inside[..., None]
+        drawn = Picture(picture, picture, view.inside, view.inside)
+        losses.append(float(fit_loss(drawn, view, torch.zeros(3), FIT_WEIGHTS, None)))
+        np.testing.assert_allclose(view.excess(picture)[burnt], max(off, 0.0), atol=1e-6)
+    assert losses[1] == pytest.approx(losses[0], abs=1e-6)
+    assert losses[2] > losses[0] + 1e-3
+
+
 def test_skin_that_light_from_behind_has_burnt_out_tells_no_color(model, monkeypatch):
     head, person = model.head_model, track(model.head_model)
     x, y = person.landmarks[1].astype(int)

@@ -209,3 +209,17 @@ def test_features_of_a_face_are_color_in_any_light_and_what_is_wide_is_light(hea
     given = [np.ones((len(places), 3))] * 2, SKIN * np.ones((len(places), 1)), np.full(2, DOUBTFUL)
     for local in local_lights(head, texels, photos([shade, shade], bare), *given)[0]:
         assert np.abs(logs(texels, local, feature)).max() < 0.4 * 0.5
+
+
+def test_a_narrow_shade_at_the_edge_of_a_hard_light_is_light(head, texels, places, bare):
+    """As that of the nose, which lamps alone do not throw."""
+    middle = places[(places[:, 2] + 0.5 * np.abs(places[:, 0])).argmax()]
+    distance = np.linalg.norm(places - middle, axis=1)
+    shade = np.exp(-0.5 * np.exp(-0.5 * (distance / 0.006) ** 2))[:, None] * np.ones(3)
+    feature, left = distance < 0.006, []
+    for dark in (1.0, 0.1):
+        ratio = np.where(places[:, :1] < middle[0], dark, 1.0) * np.ones(3)
+        seen = Seen(np.asarray(to_display(SKIN * shade * ratio)), bare)
+        (local,), _ = local_lights(head, texels, [seen], [ratio], SKIN * np.ones((len(places), 1)), np.array([DOUBTFUL]))
+        left.append(float(np.median(logs(texels, local, feature))))
+    assert left[1] < 1.5 * left[0] < 0.0

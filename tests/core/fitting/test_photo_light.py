@@ -90,6 +90,21 @@ def test_skin_lit_from_a_side_becomes_even_and_its_own_light_makes_it_as_before(
     assert len(found.lighting.lamps) <= len(SUNS)
 
 
+def test_the_lit_side_of_a_face_half_in_shade_tells_its_tone(photo_head, side, shade):
+    """As photos beside a window are exposed, whichever side there is more of."""
+    hard = side._replace(around=0.1 * side.around)
+    lit = photo_head.ratio(hard)
+    strength = lit.mean(1)
+    bright = (strength > 0.5 * np.quantile(strength, 0.9)) & photo_head.told
+    weights = np.where(bright & (np.arange(len(lit)) % 3 > 0), 0.0, 1.0)  # more is seen of the shade
+    assert (strength[(weights > 0) & photo_head.told] < 0.5 * strength[bright].min()).mean() > 0.5
+    seen = Seen(np.asarray(to_display(SKIN * lit / np.median(lit[bright], 0) * shade)), weights)
+    found = photo_head.solve(seen)
+    flat = np.median((to_linear(seen.colors) / photo_head.ratio(found) / shade)[bright], 0)
+    np.testing.assert_allclose(flat, SKIN, rtol=0.35)  # a twentieth of it by the median of all that is seen
+    assert (found.tone > 0.3 * SKIN).all()
+
+
 def test_light_of_a_second_photo_is_found_for_the_tone_of_the_first(photo_head, side, shade):
     dimmed = side._replace(suns=0.5 * side.suns, around=0.5 * side.around)
     colors = to_display(SKIN * photo_head.ratio(dimmed) * shade)

@@ -165,7 +165,8 @@ def _by_color(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
     """
     hair, skin = (LABELS.index(name) for name in ("hair", "skin"))
     both = shares[hair] + shares[skin]
-    likely = [_likelihood(picture, shares[label] * (shares[label] > SURE)) for label in (hair, skin)]
+    sure = [shares[label] * (shares[label] > SURE) for label in (hair, skin)]
+    likely = [_likelihood_around(picture, part, _quarters(sure[1])) for part in sure]
     if likely[0] is None or likely[1] is None:
         return shares
     evidence = (likely[0] / likely[1]).log()[None, None]
@@ -176,6 +177,26 @@ def _by_color(shares: Tensor, picture: Tensor, features: Tensor) -> Tensor:
     divided = shares.clone()
     divided[hair], divided[skin] = both * told, both * (1.0 - told)
     return divided
+
+
+def _quarters(shares: Tensor) -> Tensor:
+    """Weights of the four quarters of what has shares [H, W], sums of 1 that go over into one another, [4, H, W]."""
+    ramps = []
+    for axis in (0, 1):
+        there = torch.nonzero(shares.amax(1 - axis) > 0.5)[:, 0].float()
+        first, last = (float(there.min()), float(there.max())) if len(there) else (0.0, 1.0)
+        ramp = ((torch.arange(shares.shape[axis]) - first) / max(last - first, 1.0)).clamp(0.0, 1.0)
+        ramps.append(torch.stack([1.0 - ramp, ramp]))
+    return (ramps[0][:, None, :, None] * ramps[1][None, :, None, :]).flatten(0, 1)
+
+
+def _likelihood_around(picture: Tensor, sure: Tensor, quarters: Tensor) -> Tensor | None:
+    """`_likelihood` by the colors around: away from a lamp at the side skin has those that hair has in its light."""
+    whole = _likelihood(picture, sure)
+    if whole is None:
+        return None
+    found = [_likelihood(picture, sure * quarter) for quarter in quarters]
+    return sum(quarter * (whole if own is None else own) for quarter, own in zip(quarters, found, strict=True))
 
 
 def _likelihood(picture: Tensor, sure: Tensor) -> Tensor | None:

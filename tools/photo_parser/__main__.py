@@ -1,8 +1,7 @@
-"""Make the photo parser of the package: pictures out of a capture, training, the asset.
+"""Make the photo parser of the package: pictures of random people, training, the asset.
 
-    grmm capture BARE --subjects 168 --shots 12 --views 3 --size 384 --seed 31 --bare only --layers --depth
-    python -m tools.photo_parser make BARE PICTURES --count 4000 --seed 1
-    python -m tools.photo_parser make BARE CHECKED --count 200 --seed 2 --held-out
+    python -m tools.photo_parser make PICTURES --count 4000 --seed 1
+    python -m tools.photo_parser make CHECKED --count 200 --seed 2 --held-out
     python -m tools.photo_parser train PICTURES --minutes 60 --check CHECKED
     python -m tools.photo_parser compare tests/data/photo_parts.json PHOTO... --tracks TRACKS -o sheet.png
 
@@ -34,11 +33,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     steps = parser.add_subparsers(dest="step", required=True)
     make = steps.add_parser("make")
-    make.add_argument("capture")
     make.add_argument("folder", type=Path)
     make.add_argument("--count", type=int, default=4000)
     make.add_argument("--seed", type=int, default=1)
-    make.add_argument("--held-out", action="store_true", help="of the capture's held-out people")
+    make.add_argument("--held-out", action="store_true", help="of other people")
     teach = steps.add_parser("train")
     teach.add_argument("folder", type=Path)
     teach.add_argument("--minutes", type=float, default=60)
@@ -74,14 +72,14 @@ def main() -> None:
 
 
 def _make(args: argparse.Namespace) -> None:
-    maker = Maker(args.capture, load_open_head(), args.held_out)
+    maker = Maker(load_open_head(), args.held_out)
     args.folder.mkdir(parents=True, exist_ok=True)
     for shard in range(-(-args.count // SHARD)):
         path = args.folder / f"shard_{shard:04d}.npz"
         if path.exists():
             continue
         g = np.random.default_rng([args.seed, shard])
-        maker.refresh_grooms(g, 3)
+        maker.refresh(g, 3, 3)
         save_shard(path, [maker.make(g) for _ in range(SHARD)])
         _say(str(path))
 

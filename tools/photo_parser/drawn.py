@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class Drawn:
         cover: By the person and what is before it, [S, S].
         normals: Head space, [S, S, 3].
         depth: Metres, [S, S].
+        lit: The bare person in the picture's light, linear RGB, [S, S, 3].
+        bare: How much of each pixel no layer covers, [S, S].
     """
 
     camera: Camera
@@ -32,6 +34,11 @@ class Drawn:
     cover: np.ndarray
     normals: np.ndarray
     depth: np.ndarray
+    lit: np.ndarray
+    bare: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.bare = np.ones_like(self.cover)
 
     def lay(
         self,
@@ -47,6 +54,7 @@ class Drawn:
         if label is not None:
             self.labels[cover > 0.4] = LABELS.index(label)
         self.cover = self.cover + cover * (1 - self.cover)
+        self.bare = self.bare * (1 - cover)
         if normals is not None:
             self.normals = np.where(share > 0.5, normals, self.normals)
         if depth is not None:

@@ -1,4 +1,4 @@
-"""One picture for the parser: a bare path-traced head of a capture, with strands, clothes, props, light and a background.
+"""One picture for the parser: a bare head, with strands, clothes, props, light and a background.
 
 `Maker.make` returns what the network sees and the labels. Needs numba and torch.
 """
@@ -13,15 +13,11 @@ import torch
 from PIL import Image
 from torch.nn import functional
 
-from grmm_core.data.dataset import CaptureDataset
-from grmm_core.data.layers import PARTS
-from grmm_core.data.types import Shot, View
 from grmm_core.fitting.track import frame_of
-from grmm_core.geometry.zbuffer import triangle_depth
 from grmm_core.hair import groom_names, library_groom
 from grmm_core.hair.drawing import Hiding, StrandGaussians, level_shares, strand_gaussians
 from grmm_core.hair.ribbons import Eye
-from grmm_core.hair.roots import GROUPS
+from grmm_core.hair.roots import BEARD, BROWS, GROUPS, LASHES, SCALP
 from grmm_core.hair.settings import HairSettings
 from grmm_core.hair.strands import StrandBlock, blocks_of
 from grmm_core.head import HeadModel
@@ -32,12 +28,13 @@ from grmm_core.splat.api import rasterize_arrays
 from grmm_core.splat.types import GaussianArrays
 
 from .drawn import Drawn, Generator, noise, smooth, unit
+from .people import People, Posed
 from .props import Hat, dress, glasses, occluder
 from .surroundings import background, blurred, lit
 
 IGNORED = 255  # label of pixels beyond the photo's edge
-CLOSE = "face"  # name of the camera that cuts hair off
-FRONT = 0.25  # cosine between the face's direction and the camera's from which a photo would be tracked
+DETAIL = {SCALP: 0.5, BROWS: 1.0, BEARD: 0.7, LASHES: 1.0}  # share of the strands of grooms that are drawn
+BEARDED = 0.35  # of the people
 NAMES = list(MESH_PARTS)
 
 
@@ -51,84 +48,68 @@ class Sample:
 
 
 class Maker:
-    """Makes samples out of a capture."""
+    """Makes samples; `held_out`: of other people than those to learn from."""
 
-    def __init__(self, folder: str, head: HeadModel, held_out: bool) -> None:
-        self.data, self.head = CaptureDataset(folder), head
-        out = set(self.data.manifest.held_out_people)
-        names = [name for name in self.data.subjects if (name in out) == held_out]
-        self.people = names
-        self.views: list[tuple[Shot, View, bool]] = []
-        for shot in self.data.shots:
-            for view in shot.views:
-                towards = view.camera.view_direction(np.zeros(3))
-                if shot.subject in names and towards[2] > FRONT:
-                    bare = view.bare if view.bare is not None else view
-                    often = 1 if view.name == CLOSE else 4
-                    self.views += [(shot, bare, False)] * often
-                    if not view.only_bare:
-                        self.views += [(shot, view, True)] * often
+    def __init__(self, head: HeadModel, held_out: bool) -> None:
+        self.head, self._people = head, People(head, held_out)
         self._grooms: list[tuple[StrandBlock, ...]] = []
+        self._last: Posed | None = None
 
-    def refresh_grooms(self, g: Generator, count: int) -> None:
-        """Take other grooms; making one ready takes a while, so that each serves for many pictures."""
+    def refresh(self, g: Generator, people: int, grooms: int) -> None:
+        """Take other people and grooms; making one ready takes a while, so that each serves for many pictures."""
+        self._people.exchange(g, people)
         self._grooms = []
-        names = list(groom_names())
-        for _ in range(count):
-            scalp = library_groom(names[int(g.integers(len(names)))])
-            own = self.data.groom(self.people[int(g.integers(len(self.people)))])
-            if own is None or g.random() < 0.5:
-                own = own or scalp
-                parts = blocks_of(own.level(0.35), self.head.v_template, self.head.faces)
-            else:
-                face = own.select(own.groups > 0)
-                parts = (
-                    *(b for b in blocks_of(scalp.level(0.5), self.head.v_template, self.head.faces) if b.group == 0),
-                    *blocks_of(face, self.head.v_template, self.head.faces),
-                )
-            self._grooms.append(parts)
+        for _ in range(grooms):
+            parts: list[StrandBlock] = []
+            for group, name in enumerate(GROUPS):
+                if group != BEARD or g.random() < BEARDED:
+                    names = list(groom_names(name))
+                    groom = library_groom(names[int(g.integers(len(names)))], part=name).level(DETAIL[group])
+                    parts += blocks_of(groom, self.head.v_template, self.head.faces)
+            self._grooms.append(tuple(parts))
 
-    def make(self, g: Generator, kind: int | None = None) -> Sample:
-        """Draw a picture; `kind` chooses the view instead of chance."""
-        shot, view, haired = self.views[int(g.integers(len(self.views))) if kind is None else kind % len(self.views)]
-        drawn, vertices, parts, limits = self._base(shot, view, g)
-        skin, found = self._label(drawn, vertices, parts, haired)
-        blocks = self._grooms[int(g.integers(len(self._grooms)))] if self._grooms else ()
+    def make(self, g: Generator) -> Sample:
+        """Draw a picture."""
+        before, posed = self._last, self._people.posed(g)
+        self._last = posed
+        drawn, limits = self._base(posed, g)
+        skin, found = self._label(drawn, posed.vertices)
+        blocks = self._grooms[int(g.integers(len(self._grooms)))]
         settings = _settings(g)
-        hair = np.array([0.02, 0.012, 0.006]) if haired else _hair_color(settings)
-        bald = not haired and g.random() < 0.07
-        if not haired:
-            _paint_scalp(drawn, found, skin, None if bald or g.random() < 0.05 else hair, g.uniform(0.35, 0.95))
-        hat = Hat(g) if g.random() < (0.1 if haired else 0.2) else None
-        hiding = dress(drawn, self.head, vertices, g, skin, hair)
-        if not haired:
-            self._hair(drawn, vertices, blocks, settings, hat, bald, hiding)
+        hair = _hair_color(settings)
+        bald = g.random() < 0.07
+        _paint_scalp(drawn, found, skin, None if bald or g.random() < 0.05 else hair, g.uniform(0.35, 0.95))
+        hat = Hat(g) if g.random() < 0.2 else None
+        hiding = dress(drawn, self.head, posed.vertices, g, skin, hair)
+        self._hair(drawn, posed.vertices, blocks, settings, hat, bald, hiding)
         if g.random() < 0.28:
-            glasses(drawn, self.head, vertices, g)
+            glasses(drawn, self.head, posed.vertices, g)
         if hat is not None:
-            hat.draw(drawn, self.head, vertices, g, skin, hair)
-        mouth = drawn.camera.project(vertices[self.head.regions["lips"]].mean(0)[None])[1][0]
+            hat.draw(drawn, self.head, posed.vertices, g, skin, hair)
+        mouth = drawn.camera.project(posed.vertices[self.head.regions["lips"]].mean(0)[None])[1][0]
         if g.random() < 0.28:
             occluder(drawn, g, skin, hair, mouth)
         cover = drawn.cover.copy()
-        image, backlit = lit(drawn, g)
-        ground = background(g, skin, hair) * (g.uniform(1.2, 3.0) if backlit else np.exp(g.normal(0, 0.3)))
-        if g.random() < 0.1:
-            ground = self._passer_by(ground, g)
+        image = lit(drawn, posed.light, g)
+        ground = background(g, skin, hair) * (g.uniform(1.2, 3.0) if posed.light.backlit else np.exp(g.normal(0, 0.3)))
+        if before is not None and g.random() < 0.1:
+            ground = _passer_by(before, ground, g)
         if g.random() < 0.5:
             ground = blurred(ground, g.uniform(0.5, 5.0))
         image = image * cover[..., None] + np.clip(ground, 0, 1.3) * (1 - cover[..., None])
-        return self._sample(shot, image, drawn, cover, limits, g)
+        return self._sample(posed, image, drawn, cover, limits, g)
 
-    def _base(self, shot: Shot, view: View, g: Generator) -> tuple[Drawn, np.ndarray, np.ndarray, np.ndarray]:
+    def _base(self, posed: Posed, g: Generator) -> tuple[Drawn, np.ndarray]:
         """Cut the frame of a working picture out of a view, a little off and turned."""
-        picture = self.data.picture(shot, view)
-        layers = [picture.rgb, picture.mask[..., None], self.data.layer(shot, view, "normal")]
-        layers.append(self.data.layer(shot, view, "parts").transpose(1, 2, 0))
-        layers[0] = srgb_to_linear(layers[0]) * picture.mask[..., None]
+        layers = [
+            posed.color * posed.cover[..., None],
+            posed.cover[..., None],
+            posed.normals,
+            posed.lit * posed.cover[..., None],
+        ]
         stack = torch.from_numpy(np.concatenate(layers, -1).astype(np.float32)).permute(2, 0, 1)[None]
-        camera = view.camera
-        border = np.concatenate([picture.mask[0], picture.mask[:, 0], picture.mask[:, -1]]).max() > 0.1
+        camera = posed.camera
+        border = np.concatenate([posed.cover[0], posed.cover[:, 0], posed.cover[:, -1]]).max() > 0.1
         angle = 0.0 if border else g.normal(0, 0.16)  # the edges of photos are upright
         c, s = np.cos(angle), np.sin(angle)
         turn = np.eye(4)
@@ -140,11 +121,11 @@ class Maker:
         side *= scale
         size = SIZE
         factor = size / side
-        fine = 2 if side < 1.1 * view.camera.width else 1
+        fine = 2 if side < 1.1 * posed.camera.width else 1
         at = (np.arange(size * fine) + 0.5) / fine / factor
         u, v = np.meshgrid(left + at - camera.cx, top + at - camera.cy)
         u, v = c * u + s * v + camera.cx, c * v - s * u + camera.cy
-        places = np.stack([u / view.camera.width, v / view.camera.height], -1) * 2 - 1
+        places = np.stack([u / posed.camera.width, v / posed.camera.height], -1) * 2 - 1
         sampled = functional.grid_sample(stack, torch.from_numpy(places[None]).float(), align_corners=False)
         taken = functional.avg_pool2d(sampled, fine)[0].permute(1, 2, 0).numpy()
         inside = (np.abs(places) < 1).all(-1).reshape(size, fine, size, fine).min((1, 3))
@@ -157,23 +138,17 @@ class Maker:
             width=size,
             height=size,
         )
-        vertices = self.head.vertices(self.data.shape(shot.subject), shot.expression, shot.pose)
-        if shot.displacement is not None:
-            vertices = vertices + shot.displacement
         cover = taken[..., 3]
-        color = taken[..., :3] / np.maximum(cover[..., None], 1e-4)
-        depth = triangle_depth(vertices[self.head.faces], camera)
-        drawn = Drawn(camera, color, np.zeros((size, size), np.uint8), cover, unit(taken[..., 4:7]), depth)
-        return drawn, vertices, taken[..., 7:], inside if border else np.ones_like(inside)
+        color, light = (taken[..., first : first + 3] / np.maximum(cover[..., None], 1e-4) for first in (0, 7))
+        normals, depth = unit(taken[..., 4:7]), self._people.depth(posed, camera)
+        drawn = Drawn(camera, color, np.zeros((size, size), np.uint8), cover, normals, depth, light)
+        return drawn, inside if border else np.ones_like(inside)
 
-    def _label(self, drawn: Drawn, vertices: np.ndarray, parts: np.ndarray, haired: bool) -> tuple[np.ndarray, np.ndarray]:
+    def _label(self, drawn: Drawn, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Label the head itself; returns the color of its skin [3] and the parts of the mesh [S, S]."""
         found, _ = part_map(self.head, vertices, drawn.camera)
         table = np.array([*(LABELS.index(name if name != "scalp" and name != "brows" else "skin") for name in NAMES), 0])
         drawn.labels = np.where(drawn.cover > 0.5, table[np.where(found < 0, NAMES.index("skin"), found)], 0).astype(np.uint8)
-        if haired:
-            for name in ("hair", "brows", "beard"):
-                drawn.labels[parts[..., PARTS.index(name)] > 0.4] = LABELS.index(name)
         face = (found == NAMES.index("skin")) & (drawn.cover > 0.9) & (drawn.labels == LABELS.index("skin"))
         return np.median(drawn.color[face], axis=0) if face.any() else np.array([0.3, 0.17, 0.1]), found
 
@@ -230,19 +205,8 @@ class Maker:
             if name != "eyes":
                 drawn.labels[there] = LABELS.index(name)
 
-    def _passer_by(self, ground: np.ndarray, g: Generator) -> np.ndarray:
-        """Somebody else in the background."""
-        shot, view, _ = self.views[int(g.integers(len(self.views)))]
-        picture = self.data.picture(shot, view)
-        pixels = np.concatenate([srgb_to_linear(picture.rgb) * picture.mask[..., None], picture.mask[..., None]], -1)
-        planes = torch.from_numpy(pixels.astype(np.float32)).permute(2, 0, 1)[None]
-        small = functional.interpolate(planes, (SIZE, SIZE), mode="area")[0].permute(1, 2, 0).numpy()
-        shift = (int(g.integers(-20, 20)), int(g.choice([-1, 1])) * int(g.integers(35, 75)))
-        small = np.roll(small, shift, (0, 1))
-        return ground * (1 - small[..., 3:]) + small[..., :3] * np.exp(g.normal(0, 0.5))
-
     def _sample(
-        self, shot: Shot, image: np.ndarray, drawn: Drawn, cover: np.ndarray, inside: np.ndarray, g: Generator
+        self, posed: Posed, image: np.ndarray, drawn: Drawn, cover: np.ndarray, inside: np.ndarray, g: Generator
     ) -> Sample:
         """Camera, the photo's edges, the mask that would be found, the mesh that would be tracked."""
         display = linear_to_srgb(np.clip(image, 0, 1)).astype(np.float32)
@@ -270,11 +234,9 @@ class Maker:
             mask = blurred(cover[..., None], g.uniform(0.3, 2.5))[..., 0]
             rough = 0.35 * noise(g, SIZE, 5, 6) * (g.random() < 0.5)
             mask = smooth(g.uniform(0.0, 0.45), g.uniform(0.5, 1.0), mask + rough)
-        shape = self.data.shape(shot.subject)
-        tracked = np.zeros(self.head.shape_count)
-        tracked[: len(shape)] = shape * g.uniform(0.4, 1.0) + g.normal(0, 0.25, len(shape)) * (np.arange(len(shape)) < 40)
-        pose = shot.pose + g.normal(0, 0.02, shot.pose.shape) * [[0], [1], [1], [1], [1]]
-        vertices = self.head.vertices(tracked, shot.expression * g.uniform(0.7, 1.1), pose)
+        shape = posed.shape * g.uniform(0.4, 1.0) + g.normal(0, 0.25, len(posed.shape)) * (np.arange(len(posed.shape)) < 40)
+        pose = posed.pose + g.normal(0, 0.02, posed.pose.shape) * [[0], [1], [1], [1], [1]]
+        vertices = self.head.vertices(shape, posed.expression * g.uniform(0.7, 1.1), pose)
         camera = drawn.camera
         near = np.eye(4)
         near[:3, 3] = g.normal(0, 0.002, 3)
@@ -289,6 +251,16 @@ class Maker:
         labels = np.where(valid > 0, drawn.labels, IGNORED).astype(np.uint8)
         picture = np.concatenate([display, (mask * valid)[..., None], valid[..., None]], -1)
         return Sample((picture.clip(0, 1) * 255).round().astype(np.uint8).transpose(2, 0, 1), mesh.astype(np.float16), labels)
+
+
+def _passer_by(posed: Posed, ground: np.ndarray, g: Generator) -> np.ndarray:
+    """Somebody else in the background."""
+    pixels = np.concatenate([posed.color * posed.cover[..., None], posed.cover[..., None]], -1)
+    planes = torch.from_numpy(pixels.astype(np.float32)).permute(2, 0, 1)[None]
+    small = functional.interpolate(planes, (SIZE, SIZE), mode="area")[0].permute(1, 2, 0).numpy()
+    shift = (int(g.integers(-20, 20)), int(g.choice([-1, 1])) * int(g.integers(35, 75)))
+    small = np.roll(small, shift, (0, 1))
+    return ground * (1 - small[..., 3:]) + small[..., :3] * np.exp(g.normal(0, 0.5))
 
 
 def _settings(g: Generator) -> HairSettings:
@@ -317,6 +289,8 @@ def _paint_scalp(drawn: Drawn, found: np.ndarray, skin: np.ndarray, hair: np.nda
         float(np.median(drawn.color[found == NAMES.index("scalp")])) if (found == NAMES.index("scalp")).any() else 1.0, 1e-3
     )
     tone = skin if hair is None else skin + share * (hair - skin)
-    drawn.color = drawn.color * (1 - scalp) + scalp * np.clip(shade, 0.3, 2.0) * tone
+    painted = drawn.color * (1 - scalp) + scalp * np.clip(shade, 0.3, 2.0) * tone
+    drawn.lit = drawn.lit * painted / np.maximum(drawn.color, 1e-3)
+    drawn.color = painted
     if hair is not None:
         drawn.labels[(found == NAMES.index("scalp")) & (drawn.cover > 0.5)] = LABELS.index("hair")

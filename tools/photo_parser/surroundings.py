@@ -10,42 +10,49 @@ from grmm_core.hair.ribbons import AMBIENT, LAMPS
 from grmm_core.photo.parser import LABELS, SIZE
 
 from .drawn import Drawn, Generator, any_color, noise, smooth, unit
+from .people import Light
+
+_GLOSSY, _STRANDS = ("skin", "ears", "neck", "hat"), ("hair", "brows", "beard")
 
 
-def lit(drawn: Drawn, g: Generator) -> tuple[np.ndarray, bool]:
-    """Replace the rig's light by another; returns linear RGB [S, S, 3] and whether light comes from behind."""
+def lit(drawn: Drawn, light: Light, g: Generator) -> np.ndarray:
+    """Replace the rig's light by another; returns linear RGB [S, S, 3].
+
+    Bare skin is as the engine has lit it; layers have normals, and no shadows but a random one.
+    """
     n = drawn.normals
 
     def rig(direction: np.ndarray) -> np.ndarray:
         return np.clip(n @ direction, 0, 1)[..., None]
 
     old = AMBIENT + sum(rig(lamp[:3]) * lamp[3] for lamp in LAMPS.astype(np.float64))
-    ambient = g.uniform(0.05, 0.6) * np.exp(g.normal(0, 0.12, 3))
-    tilt = unit(g.normal((0, 0.8, 0), 1, 3))
-    new = ambient * (1 + 0.6 * g.random() * (n @ tilt)[..., None])
+    new = light.ambient * (1 + (n @ light.tilt)[..., None])
     to_eye = -drawn.camera.forward
-    backlit = g.random() < 0.12
-    shine = np.zeros_like(new)
-    for _ in range(int(g.integers(1, 4))):
-        towards = unit(g.normal(0, 1, 3) + (to_eye * -1.3 if backlit else to_eye * 0.9) + [0, 0.5, 0])
-        color = np.exp(g.normal(0, 0.15, 3)) * g.uniform(0.2, 1.2)
-        hard = g.random() < 0.4
-        facing = smooth(-0.1, 0.5, n @ towards)[..., None] * 0.9 if hard else rig(towards)
-        new = new + color * facing
+    shine, sheen = np.zeros_like(new), np.zeros_like(new)
+    for towards, color, hard in zip(light.towards, light.colors, light.hard, strict=True):
+        new = new + color * (smooth(-0.1, 0.5, n @ towards)[..., None] * 0.9 if hard else rig(towards))
         half = unit(towards + to_eye)
         shine = shine + color * rig(half) ** g.uniform(8, 60) * g.uniform(0, 0.25) * (g.random() < 0.6)
+        sheen = sheen + color * rig(towards) * rig(half) ** g.uniform(2, 12) * g.uniform(0, 0.2) * (g.random() < 0.6)
     ratio = new / old
+    soft, strands = (np.isin(drawn.labels, [LABELS.index(name) for name in names])[..., None] for names in (_GLOSSY, _STRANDS))
+    layers = drawn.color * ratio + shine * soft + sheen * strands
+    skin = drawn.bare * drawn.cover > 0.9
+    # the engine's light is in other units
+    scale = (
+        np.median((drawn.color * ratio)[skin].mean(-1)) / max(np.median(drawn.lit[skin].mean(-1)), 1e-4) if skin.any() else 1.0
+    )
+    image = layers + (drawn.lit * np.clip(scale, 0.05, 20.0) - layers) * drawn.bare[..., None]
     person = drawn.cover > 0.9
-    level = np.median((drawn.color * ratio).mean(-1)[person]) if person.any() else 0.2
+    # photos are exposed for the lit side of a face
+    level = np.quantile(image.mean(-1)[person], 0.7 if light.side else 0.5) if person.any() else 0.2
     usual = np.median(drawn.color.mean(-1)[person]) if person.any() else 0.2
-    wanted = g.uniform(0.12, 0.5) if backlit else np.exp(g.normal(0.05, 0.4))
-    gain = np.clip(wanted * usual / max(level, 1e-4), 0.05, 6.0)
-    soft = np.isin(drawn.labels, [LABELS.index(name) for name in ("skin", "ears", "neck", "hat")])[..., None]
-    image = (drawn.color * ratio + shine * soft) * gain
+    wanted = g.uniform(0.12, 0.5) if light.backlit else np.exp(g.normal(0.05, 0.4))
+    image = image * np.clip(wanted * usual / max(level, 1e-4), 0.05, 6.0)
     if g.random() < 0.2:  # a shadow's edge
         field = noise(g, len(n), 2, 1)
         image = image * (1 - g.uniform(0.2, 0.7) * smooth(0.0, g.uniform(0.05, 0.6), field))[..., None]
-    return image, backlit
+    return image
 
 
 def background(g: Generator, skin: np.ndarray, hair: np.ndarray) -> np.ndarray:

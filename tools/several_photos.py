@@ -39,7 +39,9 @@ from grmm_core.session.local import LocalSession
 
 SIDE, HELD_OUT_SIDE = 512, 256
 GREY = (0.45, 0.5, 0.55)
-PHOTOS: tuple[tuple[float, float, dict[str, float], tuple[str, ...]], ...] = (
+Taken = tuple[float, float, dict[str, float], tuple[str, ...]]
+"""Yaw, pitch, expression and light of a photo."""
+PHOTOS: tuple[Taken, ...] = (
     (0.0, 0.0, {}, ("sun:40,30,2", "world:0.5")),
     (35.0, 0.0, {"mouthSmileLeft": 0.5, "mouthSmileRight": 0.5}, ("lamp:-50,20,60", "world:0.4,1,0.95,0.85")),
     (-35.0, 5.0, {}, ("sun:-60,40,2.5,1,0.9,0.75", "world:0.5,0.85,0.95,1")),
@@ -49,7 +51,6 @@ PHOTOS: tuple[tuple[float, float, dict[str, float], tuple[str, ...]], ...] = (
     (-45.0, 0.0, {"mouthSmileLeft": 0.3, "mouthSmileRight": 0.3}, ("sun:20,60,2.5", "world:0.4")),
     (0.0, 10.0, {"mouthPucker": 0.3}, ("lamp:0,0,50", "world:0.3,1,0.9,0.8")),
 )
-"""Yaw, pitch, expression and light of each photo."""
 HELD_OUT: tuple[tuple[float, float, dict[str, float]], ...] = (
     (20.0, 0.0, {}), (-25.0, -8.0, {}), (60.0, 0.0, {}), (-60.0, 5.0, {}),
     (0.0, 0.0, {"mouthSmileLeft": 0.7, "mouthSmileRight": 0.7}),
@@ -68,12 +69,12 @@ def shot(session: LocalSession, number: int, controls: Controls, camera: Camera,
     return drawn
 
 
-def photos_of(session: LocalSession, person: int, folder: Path, count: int) -> list[Path]:
+def photos_of(session: LocalSession, person: int, folder: Path, photos: Sequence[Taken]) -> list[Path]:
     """Photograph a person."""
     paths = []
-    for index, (_, _, values, words) in enumerate(PHOTOS[:count]):
+    for index, (yaw, pitch, values, words) in enumerate(photos):
         controls, lighting = Controls().set_named(values), lighting_of(words) or STUDIO
-        camera, face = _framed(session, person, controls, index)
+        camera, face = _framed(session, person, controls, Camera.orbit(SIDE, SIDE, yaw, pitch, distance=1.2, fov=22.0))
         for _ in range(EXPOSURES):
             drawn = shot(session, person, controls, camera, lighting=lighting, response=Response())["rgb"]
             bright = float(to_linear(np.percentile(drawn[face].max(-1), EXPOSED[0])))
@@ -83,15 +84,9 @@ def photos_of(session: LocalSession, person: int, folder: Path, count: int) -> l
     return paths
 
 
-def photo_camera(index: int) -> Camera:
-    """Camera of a photo before it is cropped."""
-    yaw, pitch, _, _ = PHOTOS[index]
-    return Camera.orbit(SIDE, SIDE, yaw, pitch, distance=1.2, fov=22.0)
-
-
-def _framed(session: LocalSession, person: int, controls: Controls, index: int) -> tuple[Camera, np.ndarray]:
-    """A photo's camera, whose picture ends below the chin, and the pixels that show the face, [H, W] bool."""
-    head, camera = session.engine.store.default().model.head_model, photo_camera(index)
+def _framed(session: LocalSession, person: int, controls: Controls, camera: Camera) -> tuple[Camera, np.ndarray]:
+    """The camera whose picture ends below the chin, and the pixels that show the face, [H, W] bool."""
+    head = session.engine.store.default().model.head_model
     vertices = np.asarray(session.deform(person, controls).vertices, np.float64)
     face = head.marked("face")
     rows = camera.project(vertices[face])[1][:, 1]
@@ -161,7 +156,7 @@ def main() -> int:
             folder = args.output / str(seed)
             folder.mkdir(parents=True, exist_ok=True)
             person = session.sample(seed).id
-            photos = photos_of(session, person, folder, max(args.counts))
+            photos = photos_of(session, person, folder, PHOTOS[: max(args.counts)])
             for count in args.counts:
                 result = fit(FitRequest(tuple(photos[:count]), folder / f"{count}.grmm", args.preset))
                 errors = errors_in_photos(session, result.path, result.avatar, result.tracks)

@@ -32,9 +32,8 @@ if TYPE_CHECKING:
 
 FULLEST = {"brows": "bushy", "beard": "full"}
 SHORT_BEARD = "short"
+LIKELY = 0.5  # of a pixel
 HANGING = 0.08  # of a beard's pixels outside the bald head: from here on it is long
-LEAST_BEARD = 0.4  # of the pixels on the chin or above the lip; a shadow under the chin is none
-_CHIN, _UPPER_LIP = [18, 200, 199], [164, 167, 393]  # landmarks
 REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, and from how far skin they are told
 DARK = (0.1, 0.3)  # how much darker than that skin: from where on a pixel is brow, and wholly
 SHADE = 0.015  # of the head's height: around hair, which is dark there, too
@@ -44,10 +43,8 @@ ARCH = 0.005  # of the head's height: how far beside the landmarks' brows a brow
 KEPT = (0.15, 0.65)  # of a strand's cover by what the photo shows, from one strand to the next
 FEWEST = 0.05  # of the strands; fewer were no brows, and the plainest groom takes their place
 SIDES = 0.006  # metres between a hidden strand's mirror image and what stands there
-FRAMES, MOSTLY = (
-    0.012,
-    0.45,
-)  # metres from a strand under frames of glasses to those that tell what it is; share from which none do
+# metres from a strand under frames of glasses to those that tell what it is; share from which none do
+FRAMES, MOSTLY = 0.012, 0.45
 BEHIND = 0.004  # metres below the skin that are still seen
 
 
@@ -66,8 +63,7 @@ def face_hair(
     depth = triangle_depth(np.asarray(view.vertices)[hiding_faces(head)], track.camera)
     covers = {"brows": brow_cover(track, parts, view, head)}
     beard = parts.beard * view.counts
-    marks = np.clip(track.landmarks_fitted.astype(int), 0, (track.camera.width - 1, track.camera.height - 1))
-    if max(beard[marks[points, 1], marks[points, 0]].mean() for points in (_CHIN, _UPPER_LIP)) > LEAST_BEARD:
+    if (beard > LIKELY).any():
         covers["beard"] = beard
     grooms, own = [library_groom("natural", head.name, "lashes")], {}
     for (name, cover), group in zip(covers.items(), (BROWS, BEARD), strict=False):

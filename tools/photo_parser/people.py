@@ -65,6 +65,9 @@ class Light:
             towards = (np.cos(lift) * beside + [0.0, np.sin(lift), 0.0])[None]
             colors = np.exp(g.normal(0, 0.15, (1, 3))) * g.uniform(0.8, 1.6)
             return Light(towards, colors, g.random(1) < 0.3, ambient * g.uniform(0.1, 0.6), tilt, True, False)
+        if g.random() < 0.2:  # from above, as the sun at noon: the chin throws its shadow
+            towards = unit(to_eye * g.uniform(0.1, 0.7) + g.normal(0, 0.25, 3) + [0, 1, 0])[None]
+            return Light(towards, np.full((1, 3), g.uniform(0.6, 1.4)), g.random(1) < 0.4, ambient * 0.7, tilt, False, False)
         count = int(g.integers(1, 4))
         towards = unit(g.normal(0, 1, (count, 3)) + (to_eye * -1.3 if backlit else to_eye * 0.9) + [0, 0.5, 0])
         colors = np.exp(g.normal(0, 0.15, (count, 3))) * g.uniform(0.2, 1.2, (count, 1))
@@ -129,9 +132,9 @@ class People:
         pose = np.zeros((5, 3), np.float32)
         pose[1], pose[3:, :2] = g.normal(0, 0.08, 3), g.normal(0, 0.1, 2)
         controls = Controls(aligned=weights, pose=pose)
-        near = g.random() < 0.2  # the face alone, so that the photo's edge cuts hair off
+        near = g.random() < 0.12  # the face alone, so that the photo's edge cuts hair off
         distance = g.uniform(0.5, 0.9) if near else g.uniform(0.8, 2.5)
-        fov = 2 * np.degrees(np.arctan((0.13 if near else 0.22) / distance))
+        fov = 2 * np.degrees(np.arctan((0.15 if near else 0.28) / distance))
         yaw = float(np.clip(g.normal(0, 28), -TURN, TURN))
         target = (0.0, float(g.normal(0.0, 0.01)), 0.0)
         camera = Camera.orbit(PIXELS, PIXELS, yaw, float(g.normal(0, 9)), distance, fov, target)

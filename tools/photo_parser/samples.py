@@ -34,7 +34,8 @@ from .surroundings import background, blurred, lit
 
 IGNORED = 255  # label of pixels beyond the photo's edge
 DETAIL = {SCALP: 0.5, BROWS: 1.0, BEARD: 0.7, LASHES: 1.0}  # share of the strands of grooms that are drawn
-BEARDED = 0.35  # of the people
+BEARDED = 0.3  # of the people
+VISIBLE = 0.3  # of the skin's color that a beard or brow must change to be seen: shade under a chin is none
 NAMES = list(MESH_PARTS)
 
 
@@ -198,12 +199,15 @@ class Maker:
         radius = 0.13 * eye.pixels_per_metre()
         x, y = (columns - middle[0]) / radius, (rows - middle[1]) / radius
         out = np.stack([x, y, -np.sqrt(np.clip(1 - x * x - y * y, 0.05, 1))], -1) @ camera.world_to_camera[:3, :3]
+        before = drawn.color.sum(-1)
         drawn.lay(cover, picture.rgb / np.maximum(cover[..., None], 1e-4), None, unit(out))
+        changed = np.abs(drawn.color.sum(-1) - before) / np.maximum(before, 1e-3)
+        visible = blurred(changed[..., None], 1.0)[..., 0] > VISIBLE
         most = picture.features.argmax(-1)
         for number, name in enumerate(("hair", "brows", "beard", "eyes")):
-            there = (most == number) & (cover > (0.4 if number != 1 else 0.3))
+            there = (most == number) & (cover > (0.3 if name == "brows" else 0.4))
             if name != "eyes":
-                drawn.labels[there] = LABELS.index(name)
+                drawn.labels[there & (visible | (name == "hair"))] = LABELS.index(name)
 
     def _sample(
         self, posed: Posed, image: np.ndarray, drawn: Drawn, cover: np.ndarray, inside: np.ndarray, g: Generator

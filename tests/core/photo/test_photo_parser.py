@@ -8,12 +8,18 @@ import json
 import numpy as np
 import pytest
 
+from grmm_core.controls.frame import Controls
 from grmm_core.errors import FileFormatError
 from grmm_core.fitting.photo_targets import left_out
-from grmm_core.fitting.track import track_photos
+from grmm_core.fitting.track import frame_of, track_photos
 from grmm_core.head.open_head import load_open_head
+from grmm_core.light.parse import lighting_of
+from grmm_core.light.shading import Response
+from grmm_core.model.portrait import portrait_camera
 from grmm_core.photo import parser_network
 from grmm_core.photo.parser import LABELS, MESH_PARTS, bridged, face_parts, mesh_channels, parse
+from grmm_core.pictures.images import quantize, write_png
+from grmm_core.session import HairUse, Instance, RenderOptions, create_session
 
 HASHES = {"astronaut": "370adb9cb9dd03ca#0", "admiral": "fd98d05804ffd964#0"}
 
@@ -55,6 +61,37 @@ def test_parts_cover_each_pixel_once(tracks, head):
 def test_portraits_are_labeled_as_drawn_by_hand(name, least, tracks, head, repository):
     found = overlaps_of(name, tracks, head, repository)
     assert {group for group, share in least.items() if found[group] < share} == set(), found
+
+
+@pytest.fixture(scope="module")
+def bearded(head, tmp_path_factory):
+    """A photo of a man of the library beside a window, and where his beard is in it, [H, W] 0..1."""
+    path, camera = tmp_path_factory.mktemp("bearded") / "man.png", portrait_camera(512, 8.0)
+    light = lighting_of(("lamp:-60,20,60", "world:0.25"))
+    with create_session("local", threads=2) as session:
+        man = session.open("library:beard").id
+
+        def shot(hair, **more):
+            options = RenderOptions(passes=("rgb", "hair"), background=(0.4, 0.43, 0.45), lighting=light)
+            return session.render([Instance(man, Controls(), hair=hair, response=Response())], camera, options)
+
+        write_png(path, quantize(shot(HairUse())["rgb"]))
+        beard = shot(HairUse("none", brows="none", lashes="none"))["hair"][..., 0]
+    return track_photos([path], head)[0], beard
+
+
+def test_a_beard_is_one_beside_a_window_too_and_chins_have_none(bearded, tracks, head):
+    track, beard = bearded
+    parts = parse(track, head)
+    left, top, side = frame_of(track.photo_camera)
+    pixels = (np.arange(track.image.shape[0]) + 0.5) / track.image.shape[0] * side
+    row, column = (np.clip(start + pixels, 0, 511).astype(int) for start in (top, left))
+    there, found = beard[np.ix_(row, column)] > 0.5, parts.beard > 0.5
+    assert (there & found).sum() > 0.5 * (there | found).sum()
+    assert parts.other[there].mean() < 0.1, "no thing before the face"
+    for name in tracks:
+        chin = parse(tracks[name], head).beard[tuple(tracks[name].landmarks[[152, 18, 164], 1::-1].astype(int).T)]
+        assert chin.max() < 0.3, name
 
 
 def test_dark_sockets_are_no_glasses_but_lenses_with_a_bridge_are(tracks, head):

@@ -30,8 +30,10 @@ LEAST_GLASSES, LEAST_THING = 0.008, 0.006  # of the person's pixels; smaller fin
 # of the eyes' distance: how far above or below them glasses cross the nose, and where; the share that they then have there:
 # drawn glasses have 0.22 and more, dark sockets 0.09 at most
 BRIDGE_HEIGHT, BRIDGE, BRIDGED = 0.4, (0.3, 0.7), 0.15
-# metres beside the middle of the lips, below and above them, where a beard is looked for, and its share there
-BEARD_ZONE, BEARD_CHIN, BEARD_LIP, LEAST_BEARD = 0.016, (0.005, 0.028), (0.003, 0.012), 0.4
+# metres beside the middle of the lips, below and above them, where a beard is looked for, and its share there: shaven chins
+# in the shade have up to 0.17, stubble 0.3, upper lips up to 0.34
+BEARD_ZONE, BEARD_CHIN, BEARD_LIP, LEAST_BEARD, LEAST_MOUSTACHE = 0.016, (0.008, 0.022), (0.003, 0.012), 0.25, 0.5
+BEARD_REACH = 0.06, 0.1  # metres beside and below the lips that a beard may cover
 LEAST_HAT = 0.35  # of hat and hair together; a smaller part is hair in another light
 AROUND_EYES = 4  # of the network's pixels, within which eyes, brows and mouth are not asked whether they are hair
 # of the face: larger pieces of skin that hair parts from eyes and mouth are skin; more hair than one part in so many parts them
@@ -252,34 +254,42 @@ def _believed(shares: Tensor, mesh: np.ndarray) -> Tensor:
     kept[glasses] = float(seen[glasses] > LEAST_GLASSES * person and bridged(shares[0, glasses].numpy(), mesh))
     kept[other] = float(seen[other] > LEAST_THING * person)
     kept[hat] = float(seen[hat] > LEAST_HAT * (seen[hat] + seen[hair]))
-    shares = _shaven(shares, mesh) * kept[:, None, None] + 1e-6
+    shares = _beard(shares, mesh) * kept[:, None, None] + 1e-6
     return shares / shares.sum(1, keepdim=True)
 
 
-def _shaven(shares: Tensor, mesh: np.ndarray) -> Tensor:
-    """Give a beard that is neither on the chin nor above the lip to the skin: the shade below a chin looks like one.
+def _beard(shares: Tensor, mesh: np.ndarray) -> Tensor:
+    """Believe a beard on the chin or above the lip: one below the chin alone is its shade, and goes to the skin.
+
+    Where there is one on the chin, what looks like a thing before chin and throat is the beard.
 
     Args:
         shares: Of the labels, [1, L, S, S].
         mesh: `mesh_channels`.
     """
-    names, beard = tuple(MESH_PARTS), LABELS.index("beard")
-    lips, up, across = mesh[names.index("lips")] > 0.5, mesh[-2] * REACH, mesh[-1] * REACH
-    if not lips.any():
+    names, up, across = tuple(MESH_PARTS), mesh[-2] * REACH, mesh[-1] * REACH
+    beard, other, skin, neck = (LABELS.index(name) for name in ("beard", "other", "skin", "neck"))
+    lips, on_skin, on_neck = (mesh[names.index(name)] for name in ("lips", "skin", "neck"))
+    if not (lips > 0.5).any():
         return shares
-    beside = np.abs(across - across[lips].mean()) < BEARD_ZONE
-    zones = (up[lips].min() - up, BEARD_CHIN), (up - up[lips].max(), BEARD_LIP)
-    found = shares[0, beard].numpy()
-    for away, (first, last) in zones:
-        zone = beside & (mesh[names.index("skin")] > 0.5) & (away > first) & (away < last)
-        if zone.any() and found[zone].mean() > LEAST_BEARD:
-            return shares
-    on_neck = torch.from_numpy(mesh[names.index("neck")])
-    skin = shares.clone()
-    skin[0, LABELS.index("skin")] += (1.0 - on_neck) * shares[0, beard]
-    skin[0, LABELS.index("neck")] += on_neck * shares[0, beard]
-    skin[0, beard] = 0.0
-    return skin
+    beside, below, above = across - across[lips > 0.5].mean(), up[lips > 0.5].min() - up, up - up[lips > 0.5].max()
+
+    def share(away: np.ndarray, ends: tuple[float, float]) -> float:
+        zone = (np.abs(beside) < BEARD_ZONE) & (on_skin > 0.5) & (away > ends[0]) & (away < ends[1])
+        return float(shares[0, beard].numpy()[zone].mean()) if zone.any() else 0.0
+
+    divided = shares.clone()
+    if share(below, BEARD_CHIN) > LEAST_BEARD:
+        around = (np.abs(beside) < BEARD_REACH[0]) & (below > 0.0) & (below < BEARD_REACH[1]) & (on_skin + on_neck > 0.5)
+        taken = shares[0, other] * torch.from_numpy(around)
+        divided[0, beard] += taken
+        divided[0, other] -= taken
+    elif share(above, BEARD_LIP) < LEAST_MOUSTACHE:
+        on_throat = torch.from_numpy(on_neck)
+        divided[0, skin] += (1.0 - on_throat) * shares[0, beard]
+        divided[0, neck] += on_throat * shares[0, beard]
+        divided[0, beard] = 0.0
+    return divided
 
 
 def bridged(glasses: np.ndarray, mesh: np.ndarray) -> bool:

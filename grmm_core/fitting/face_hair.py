@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 FULLEST = {"brows": "bushy", "beard": "full"}
 SHORT_BEARD = "short"
 LIKELY = 0.5  # of a pixel
-HANGING = 0.08  # of a beard's pixels outside the bald head: from here on it is long
+HANGING, BELOW = 0.08, 0.5  # of a beard's pixels outside the bald head, or on the throat as well: from here on it is long
 REACH, AROUND = 0.006, 0.05  # of the head's height: beside the mesh's brows, and from how far skin they are told
 DARK = (0.1, 0.3)  # how much darker than that skin: from where on a pixel is brow, and wholly
 SHADE = 0.015  # of the head's height: around hair, which is dark there, too
@@ -63,11 +63,13 @@ def face_hair(
     depth = triangle_depth(np.asarray(view.vertices)[hiding_faces(head)], track.camera)
     covers = {"brows": brow_cover(track, parts, view, head)}
     beard = parts.beard * view.counts
+    on_throat = part_map(head, view.vertices, track.camera)[0] == tuple(MESH_PARTS).index("neck")
     if (beard > LIKELY).any():
         covers["beard"] = beard
     grooms, own = [library_groom("natural", head.name, "lashes")], {}
     for (name, cover), group in zip(covers.items(), (BROWS, BEARD), strict=False):
-        long = float((beard * (depth == EMPTY)).sum()) > HANGING * float(beard.sum())
+        outside, throat = (float((beard * where).sum()) for where in (depth == EMPTY, on_throat))
+        long = outside > HANGING * float(beard.sum()) or outside + throat > BELOW * float(beard.sum())
         groom = library_groom(SHORT_BEARD if name == "beard" and not long else FULLEST[name], head.name, name)
         groom = _at_height(groom, track, view, head) if name == "brows" else groom
         kept, hidden = _kept(groom, cover, depth, view, head, worn_glasses(track, parts).covered)

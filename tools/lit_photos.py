@@ -3,8 +3,8 @@
 People of the library, with brows, beards and hair of their own, are photographed in soft light, beside a window, in a lamp from
 the side, and in the sun at noon, as a camera exposes them, and fitted from one picture alone. Printed are the color error in
 the photo, the exposure that is left in the avatar (its skin over the person's in even light), PSNR of faces in views that the
-photo does not show (`several_photos.held_out`), the error of the shape, and how far beard and brows are where the person has
-them: intersection over union from the front.
+photo does not show (`several_photos.held_out`), the error of the shape, and how far the beard is where the person has one:
+intersection over union from the front.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ LIGHTS = {
     "noon": ("sun:25,60,3", "world:0.25"),
 }  # fmt: skip
 """What shines on the person; the camera looks from the left by eight degrees."""
-STRANDS = {"beard": HairUse("none", brows="none", lashes="none"), "brows": HairUse("none", beard="none", lashes="none")}
-COVERED = 0.3  # of a pixel, by strands
+BEARD = HairUse("none", brows="none", lashes="none")
+COVERED = 0.1  # of a pixel, by strands
 MIDDLE = slice(HELD_OUT_SIDE * 2 // 5, HELD_OUT_SIDE * 3 // 5)  # rows and columns of the face's middle
 
 
@@ -44,10 +44,10 @@ def exposure(session: LocalSession, person: int, fitted: int) -> float:
     return float(np.median(ours / np.maximum(theirs, 1e-3)))
 
 
-def overlap(session: LocalSession, person: int, fitted: int, hair: HairUse) -> float:
-    """Intersection over union of strands from the front; not a number where neither has any."""
+def overlap(session: LocalSession, person: int, fitted: int) -> float:
+    """Intersection over union of beards from the front; not a number where neither has any."""
     camera = portrait_camera(HELD_OUT_SIDE)
-    ours, theirs = (shot(session, one, Controls(), camera, hair=hair)["hair"][..., 0] > COVERED for one in (fitted, person))
+    ours, theirs = (shot(session, one, Controls(), camera, hair=BEARD)["hair"][..., 0] > COVERED for one in (fitted, person))
     return float((ours & theirs).sum() / (ours | theirs).sum()) if (ours | theirs).any() else float("nan")
 
 
@@ -70,10 +70,9 @@ def main() -> int:
                 (error,) = errors_in_photos(session, result.path, result.avatar, result.tracks)
                 decibels, apart = held_out(session, person, result.avatar, folder)
                 fitted = session.open(result.path).id
-                strands = ", ".join(f"{part} {overlap(session, person, fitted, use):.2f}" for part, use in STRANDS.items())
                 print(
                     f"{name} {light}: {error:.4f} in the photo, exposure {exposure(session, person, fitted):.2f}, "
-                    f"{decibels:.1f} dB, shape {1e3 * apart:.1f} mm, {strands}", flush=True,
+                    f"{decibels:.1f} dB, shape {1e3 * apart:.1f} mm, beard {overlap(session, person, fitted):.2f}", flush=True,
                 )  # fmt: skip
                 session.release(fitted)
     return 0

@@ -27,8 +27,8 @@ from grmm_core.pictures.color import linear_to_srgb, srgb_to_linear
 from grmm_core.splat.api import rasterize_arrays
 from grmm_core.splat.types import GaussianArrays
 
+from .bare_people import People, Posed
 from .drawn import Drawn, Generator, noise, smooth, unit
-from .people import People, Posed
 from .props import Hat, dress, glasses, occluder
 from .surroundings import background, blurred, lit
 

@@ -9,8 +9,8 @@ from torch.nn import functional
 from grmm_core.hair.ribbons import AMBIENT, LAMPS
 from grmm_core.photo.parser import LABELS, SIZE
 
+from .bare_people import Light
 from .drawn import Drawn, Generator, any_color, noise, smooth, unit
-from .people import Light
 
 _GLOSSY, _STRANDS = ("skin", "ears", "neck", "hat"), ("hair", "brows", "beard")
 

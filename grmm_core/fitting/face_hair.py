@@ -66,10 +66,10 @@ def face_hair(
     on_throat = part_map(head, view.vertices, track.camera)[0] == tuple(MESH_PARTS).index("neck")
     if (beard > LIKELY).any():
         covers["beard"] = beard
+    outside, throat = (float((beard * where).sum()) for where in (depth == EMPTY, on_throat))
+    long = outside > HANGING * float(beard.sum()) or outside + throat > BELOW * float(beard.sum())
     grooms, own = [library_groom("natural", head.name, "lashes")], {}
     for (name, cover), group in zip(covers.items(), (BROWS, BEARD), strict=False):
-        outside, throat = (float((beard * where).sum()) for where in (depth == EMPTY, on_throat))
-        long = outside > HANGING * float(beard.sum()) or outside + throat > BELOW * float(beard.sum())
         groom = library_groom(SHORT_BEARD if name == "beard" and not long else FULLEST[name], head.name, name)
         groom = _at_height(groom, track, view, head) if name == "brows" else groom
         kept, hidden = _kept(groom, cover, depth, view, head, worn_glasses(track, parts).covered)

@@ -238,9 +238,11 @@ class PhotoHead:
         """
         linear = np.asarray(to_linear(np.asarray(seen.colors, np.float64)))
         counted = (seen.weights > 0) & self.told
-        own = tone is None
-        level = np.maximum(np.median(linear[counted], 0), 1e-4)
+        own, few = tone is None, counted.sum() < FEW
+        level = np.maximum(np.median(linear[seen.weights > 0 if few else counted], 0), 1e-4)
         tone = level if tone is None else tone
+        if few:
+            return Light.studio(tone, level / tone)
         # skin of one tone that the rig lit is no even color: the trained colors carry its shade below brows, nose and chin
         rig = self._rest.rig[counted]
         wanted = linear[counted] / level * (np.median(rig, 0) / rig)
@@ -261,7 +263,8 @@ class PhotoHead:
             seen: The skin.
             ratio: Of the light, [N, 3].
         """
-        counted, strength = (seen.weights > 0) & self.told, ratio.mean(1)
+        shown, strength = seen.weights > 0, ratio.mean(1)
+        counted = shown & self.told if (shown & self.told).any() else shown
         lit: np.ndarray = counted & (strength >= _LIT * np.quantile(strength[counted], _BRIGHT))
         return lit
 

@@ -105,6 +105,15 @@ def test_the_lit_side_of_a_face_half_in_shade_tells_its_tone(photo_head, side, s
     assert (found.tone > 0.3 * SKIN).all()
 
 
+def test_skin_that_tells_no_light_is_in_the_studios(photo_head):
+    seen = Seen(np.full((len(photo_head.told), 3), 0.5), (~photo_head.told).astype(float))
+    assert (seen.weights > 0).any()
+    light = photo_head.solve(seen)
+    assert not light.known
+    np.testing.assert_allclose(light.tone, to_linear(np.full(3, 0.5)), rtol=1e-5)
+    np.testing.assert_array_equal(photo_head.lit(seen, photo_head.ratio(light)), seen.weights > 0)
+
+
 def test_light_of_a_second_photo_is_found_for_the_tone_of_the_first(photo_head, side, shade):
     dimmed = side._replace(suns=0.5 * side.suns, around=0.5 * side.around)
     colors = to_display(SKIN * photo_head.ratio(dimmed) * shade)
